@@ -1,0 +1,45 @@
+"""Opposable's planner: hands, objects, contacts, grasp quality, contact forces, grasp synthesis.
+
+A script needs little more than this::
+
+    from planner import GraspTask, plan_grasp
+
+    plan = plan_grasp(GraspTask.create("shadow_hand", "box"), seed=0)
+"""
+
+from planner.contacts import Contact, ContactSet
+from planner.errors import PlannerError
+from planner.files import read_plan, write_plan
+from planner.forces import distribute_forces
+from planner.hand import Hand
+from planner.kinematics import HandState
+from planner.objects import GraspObject, parse_object
+from planner.plan import GraspPlan
+from planner.quality import analyse, force_closure
+from planner.search import NoGraspFoundError, attempts, plan_grasp
+from planner.spatial import SE3
+from planner.symbolic import SymbolicHand
+from planner.task import GraspTask, Obstacle
+
+__all__ = [
+    "SE3",
+    "Contact",
+    "ContactSet",
+    "GraspObject",
+    "GraspPlan",
+    "GraspTask",
+    "Hand",
+    "HandState",
+    "NoGraspFoundError",
+    "Obstacle",
+    "PlannerError",
+    "SymbolicHand",
+    "analyse",
+    "attempts",
+    "distribute_forces",
+    "force_closure",
+    "parse_object",
+    "plan_grasp",
+    "read_plan",
+    "write_plan",
+]

@@ -1,0 +1,142 @@
+"""``CollisionWorld``: all distances of a hand from object, table, obstacles and itself, at one q.
+
+Pinocchio's ``GeometryModel`` holds coal's true geometries; one call computes every pair.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from planner.spatial import SE3, FloatArray
+from planner.task import GraspTask
+
+__all__ = ["Clearance", "CollisionWorld"]
+
+OBJECT = "object"
+TABLE = "table"
+
+_TABLE_HALF = (1.0, 1.0, 0.05)
+"""Half extents (m) of the box that stands for the table."""
+
+
+FAR = 0.03
+"""Pairs further apart (m) than this by their bounding balls are not measured exactly."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clearance:
+    """Signed distance of one pair: positive apart, negative in penetration.
+
+    Attributes:
+        first: Name of a hand geometry.
+        second: Name of another one, "object", "table", or an obstacle's name.
+        distance: m.
+    """
+
+    first: str
+    second: str
+    distance: float
+
+    def __str__(self) -> str:
+        """Names and distance in mm."""
+        return f"{self.first} - {self.second}: {1e3 * self.distance:.2f} mm"
+
+
+class CollisionWorld:
+    """The true geometry of a task, ready to be asked at many configurations.
+
+    Attributes:
+        task: The task.
+        surroundings: Names of all that is not the hand: object, table, obstacles.
+    """
+
+    def __init__(self, task: GraspTask) -> None:
+        """Collect the geometries and the pairs that must not touch."""
+        self.task = task
+        hand = task.hand
+        model = pin.GeometryModel()
+        names = []
+        for g in hand.geometries:
+            model.addGeometryObject(
+                pin.GeometryObject(g.name, g.joint_id, g.T_joint_geometry, g.geometry)
+            )
+            names.append(g.name)
+        n_hand = len(names)
+        self._fixed: list[tuple[int, SE3]] = []
+        fixed = [(OBJECT, task.T_world_object, task.object.shape.coal_geometry())]
+        if task.table_height is not None:
+            x, y, z = _TABLE_HALF
+            center = np.array([*task.T_world_object.translation[:2], task.table_height - z])
+            fixed.append((TABLE, SE3(np.eye(3), center), coal.Box(2 * x, 2 * y, 2 * z)))
+        for o in task.obstacles:
+            fixed.append((o.name, o.T_world_obstacle, coal.Box(*(float(v) for v in o.size))))
+        for name, pose, geometry in fixed:
+            index = model.addGeometryObject(pin.GeometryObject(name, 0, pose, geometry))
+            self._fixed.append((int(index), pose))
+            names.append(name)
+        pairs = [
+            (a, b)
+            for a, b in combinations(range(n_hand), 2)
+            if frozenset((names[a], names[b])) not in hand.allowed_pairs
+        ]
+        pairs += [(a, b) for a in range(n_hand) for b in range(n_hand, len(names))]
+        for a, b in pairs:
+            model.addCollisionPair(pin.CollisionPair(a, b))
+        self.surroundings = frozenset(names[n_hand:])
+        radii = np.array([_bounding_radius(g.geometry) for g in model.geometryObjects])
+        self._first = np.array([a for a, _ in pairs])
+        self._second = np.array([b for _, b in pairs])
+        self._reach = radii[self._first] + radii[self._second]
+        self._pairs = [(names[a], names[b]) for a, b in pairs]
+        self._outward = np.array([second in self.surroundings for _, second in self._pairs])
+        self._model = model
+        self._data = pin.GeometryData(model)
+        self._pin_data = hand.pin_model.createData()
+
+    def distances(self, T_world_base: SE3, q: FloatArray) -> list[Clearance]:
+        """Signed distance of every pair at base pose and q (nq,)."""
+        values = self._compute(T_world_base, q)
+        return [
+            Clearance(first=a, second=b, distance=float(d))
+            for (a, b), d in zip(self._pairs, values, strict=True)
+        ]
+
+    def nearest(
+        self, T_world_base: SE3, q: FloatArray, *, surroundings_only: bool = False
+    ) -> Clearance:
+        """The pair of smallest signed distance; of hand and surroundings only if asked."""
+        values = self._compute(T_world_base, q)
+        if surroundings_only:
+            values = np.where(self._outward, values, np.inf)
+        k = int(np.argmin(values))
+        first, second = self._pairs[k]
+        return Clearance(first=first, second=second, distance=float(values[k]))
+
+    def _compute(self, T_world_base: SE3, q: FloatArray) -> FloatArray:
+        """Signed distance of every pair; beyond ``FAR`` a lower bound, from bounding balls."""
+        inverse = T_world_base.inverse()
+        for index, pose in self._fixed:
+            self._model.geometryObjects[index].placement = inverse * pose
+        pin.updateGeometryPlacements(
+            self.task.hand.pin_model, self._pin_data, self._model, self._data, np.asarray(q)
+        )
+        centers = np.array([placement.translation for placement in self._data.oMg])
+        gaps = centers[self._first] - centers[self._second]
+        values = np.sqrt(np.einsum("ij,ij->i", gaps, gaps)) - self._reach
+        for k in np.flatnonzero(values < FAR):
+            result = pin.computeDistance(self._model, self._data, int(k))
+            values[k] = result.min_distance
+        return values
+
+
+def _bounding_radius(geometry: Any) -> float:
+    """Radius (m) of the ball about the geometry's origin that contains it."""
+    geometry.computeLocalAABB()
+    box = geometry.aabb_local
+    return float(np.linalg.norm(np.maximum(np.abs(box.min_), np.abs(box.max_))))

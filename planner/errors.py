@@ -1,0 +1,84 @@
+"""The one family of errors that Opposable raises for what a user can mend.
+
+Every message says what was given, what is allowed or available, and what to do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+__all__ = [
+    "ContactError",
+    "FileFormatError",
+    "HandError",
+    "InfeasibleError",
+    "ModelError",
+    "NotFoundError",
+    "ObjectError",
+    "PlannerError",
+    "TaskError",
+]
+
+
+class PlannerError(Exception):
+    """Root of the family: catch this to catch every error that Opposable means you to see."""
+
+
+class NotFoundError(PlannerError):
+    """A name that does not exist; says what there is and the nearest name."""
+
+    def __init__(self, what: str, given: str, available: Iterable[str], hint: str = "") -> None:
+        """Compose the message.
+
+        Args:
+            what: Kind of thing looked for, for example "hand".
+            given: The name that was asked for.
+            available: The names that exist.
+            hint: What else the user can do, a sentence.
+        """
+        self.what = what
+        self.given = given
+        self.available = tuple(sorted(available))
+        near = get_close_matches(given, self.available, n=1)
+        meant = f" Did you mean {near[0]!r}?" if near else ""
+        listed = ", ".join(self.available) if self.available else "none"
+        tail = f" {hint}" if hint else ""
+        super().__init__(f"no {what} is called {given!r}.{meant} There is: {listed}.{tail}")
+
+
+class ModelError(PlannerError):
+    """A model file is missing, cannot be read, or is not a usable model."""
+
+
+class HandError(PlannerError):
+    """A hand description does not fit its model, or the hand cannot do what is asked."""
+
+
+class ObjectError(PlannerError):
+    """An object specification is not usable: size, mass, friction or shape."""
+
+
+class ContactError(PlannerError):
+    """Contacts are not usable: shapes, NaN, normals without direction, negative friction."""
+
+
+class TaskError(PlannerError):
+    """A grasp task contradicts itself or asks for what cannot be."""
+
+
+class FileFormatError(PlannerError):
+    """A plan or report file is damaged, of another version, or for another hand."""
+
+
+class InfeasibleError(PlannerError):
+    """No contact forces exist that do what is asked.
+
+    Attributes:
+        wrench: The wrench (6,) [force N; torque N m] that cannot be balanced, where one is known.
+    """
+
+    def __init__(self, message: str, wrench: object = None) -> None:
+        """Keep the message and the wrench that cannot be resisted."""
+        self.wrench = wrench
+        super().__init__(message)

@@ -1,0 +1,424 @@
+"""Plan files: versioned JSON that can be read without this package.
+
+The schema is the pydantic model ``PlanFile`` (``opposable schema plan`` prints it as JSON Schema).
+Field names carry units and frames; a pose is a position in metres and a quaternion w, x, y, z.
+Reading checks the format, the version and the hand's digest, rebuilds the task, and recomputes
+contacts, forces and quality from the joints: a file whose contacts are not those of its joints is
+refused.
+"""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from planner.catalog import hand_names
+from planner.contacts import ContactModel, ContactSet
+from planner.errors import FileFormatError
+from planner.hand import Hand
+from planner.objects import parse_object
+from planner.plan import GraspPlan, SolveRecord
+from planner.search import judge_grasp
+from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
+from planner.synthesis.pregrasp import Approach
+from planner.task import GraspTask, Obstacle
+
+__all__ = [
+    "PLAN_VERSION",
+    "ContactsFile",
+    "PlanFile",
+    "plan_to_dict",
+    "read_contacts",
+    "read_json",
+    "read_plan",
+    "write_json",
+    "write_plan",
+]
+
+PLAN_VERSION = 1
+
+CONTACT_TOL = 1e-5
+"""How far (m) stored contacts may be from those recomputed from the stored joints."""
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Vector3 = tuple[Finite, Finite, Finite]
+Vector4 = tuple[Finite, Finite, Finite, Finite]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class PoseData(_Strict):
+    """A pose: position (m) and unit quaternion w, x, y, z."""
+
+    position_m: Vector3
+    quaternion_wxyz: Vector4
+
+    @classmethod
+    def of(cls, pose: SE3) -> PoseData:
+        """From a pose."""
+        position, quaternion = pose_to_wxyz(pose)
+        return cls(position_m=tuple(position), quaternion_wxyz=tuple(quaternion))
+
+    def pose(self) -> SE3:
+        """As a pose."""
+        if np.linalg.norm(self.quaternion_wxyz) < 0.5:
+            raise FileFormatError(f"the quaternion {self.quaternion_wxyz} has no direction")
+        return pose_from_wxyz(np.array(self.position_m), np.array(self.quaternion_wxyz))
+
+
+class HandData(_Strict):
+    """Which hand: its name, where it was described, and the digest of its files."""
+
+    name: str
+    description_path: str
+    sha256: str
+
+
+class ObjectData(_Strict):
+    """Which object: shape as a specification in metres, and mass."""
+
+    shape: str
+    mass_kg: float = Field(gt=0, allow_inf_nan=False)
+
+
+class ObstacleData(_Strict):
+    """A fixed box."""
+
+    name: str
+    size_m: Vector3
+    T_world_obstacle: PoseData
+
+
+class TaskData(_Strict):
+    """The task of a plan."""
+
+    hand: HandData
+    object: ObjectData
+    T_world_object: PoseData
+    table_height_m: Finite | None
+    obstacles: list[ObstacleData]
+    gravity_m_s2: Vector3
+    mu: Finite
+    mu_torsion_m: Finite
+    contact_model: ContactModel
+    fingers: list[str]
+    grip_force_N: Finite
+    T_world_base_fixed: PoseData | None
+    wrist_free: bool
+    wrist_q_rad: list[Finite]
+
+
+class GraspData(_Strict):
+    """The grasp itself; joints in the order of ``joint_names``."""
+
+    T_world_base: PoseData
+    T_world_base_start: PoseData
+    T_world_palm: PoseData
+    joint_names: list[str]
+    q_rad: list[Finite]
+    q_pregrasp_rad: list[Finite]
+    opening_m: Finite
+
+
+class ContactData(_Strict):
+    """One planned contact, world frame; force on the object in the contact frame."""
+
+    finger: str
+    position_world_m: Vector3
+    normal_into_object_world: Vector3
+    tangent1_world: Vector3
+    tangent2_world: Vector3
+    model: ContactModel
+    mu: Finite
+    mu_torsion_m: Finite
+    force_normal_N: Finite
+    force_tangent1_N: Finite
+    force_tangent2_N: Finite
+    torque_normal_N_m: Finite
+
+
+class RecordData(_Strict):
+    """Where the plan comes from."""
+
+    seed: int
+    attempt: int
+    attempts: int
+    iterations: int
+    status: str
+    cpu_s: Finite
+    build_s: Finite
+
+
+class PlanFile(_Strict):
+    """A grasp plan as JSON."""
+
+    format: Literal["opposable-plan"] = "opposable-plan"
+    version: Literal[1] = 1
+    written_by: str
+    task: TaskData
+    grasp: GraspData
+    contacts: list[ContactData]
+    joint_torques_N_m: list[Finite]
+    quality: dict[str, Any]
+    pad_gaps_m: list[Finite]
+    smallest_clearances_m: dict[str, Finite]
+    record: RecordData
+
+
+def plan_to_dict(plan: GraspPlan) -> dict[str, Any]:
+    """A plan as plain data that follows ``PlanFile``."""
+    task, hand = plan.task, plan.task.hand
+    path = "" if hand.name in hand_names() else str(hand.path)
+    data = PlanFile(
+        written_by=f"opposable {version('opposable')}",
+        task=TaskData(
+            hand=HandData(name=hand.name, description_path=path, sha256=hand.digest),
+            object=ObjectData(shape=task.object.shape.spec, mass_kg=task.object.mass),
+            T_world_object=PoseData.of(task.T_world_object),
+            table_height_m=task.table_height,
+            obstacles=[
+                ObstacleData(
+                    name=o.name,
+                    size_m=tuple(o.size),
+                    T_world_obstacle=PoseData.of(o.T_world_obstacle),
+                )
+                for o in task.obstacles
+            ],
+            gravity_m_s2=tuple(task.gravity),
+            mu=task.mu,
+            mu_torsion_m=task.mu_torsion,
+            contact_model=task.contact_model,
+            fingers=list(task.finger_names),
+            grip_force_N=task.grip_force,
+            T_world_base_fixed=None if task.T_world_base is None else PoseData.of(task.T_world_base),
+            wrist_free=task.wrist_free,
+            wrist_q_rad=list(task.wrist_q),
+        ),
+        grasp=GraspData(
+            T_world_base=PoseData.of(plan.T_world_base),
+            T_world_base_start=PoseData.of(plan.T_world_base_start),
+            T_world_palm=PoseData.of(plan.T_world_palm),
+            joint_names=list(hand.joint_names),
+            q_rad=list(plan.q),
+            q_pregrasp_rad=list(plan.q_pregrasp),
+            opening_m=plan.opening,
+        ),
+        contacts=[_contact_data(plan, i) for i in range(len(plan.contacts))],
+        joint_torques_N_m=list(plan.forces.joint_torques),
+        quality=plan.quality.to_dict(),
+        pad_gaps_m=list(plan.verification.pad_gaps),
+        smallest_clearances_m={
+            f"{c.first} - {c.second}": c.distance for c in plan.verification.closest
+        },
+        record=RecordData(**{k: getattr(plan.record, k) for k in RecordData.model_fields}),
+    )
+    return data.model_dump(mode="json")
+
+
+def _contact_data(plan: GraspPlan, i: int) -> ContactData:
+    contact = plan.contacts[i]
+    normal, tangent1, tangent2 = (tuple(column) for column in contact.frame.T)
+    fn, ft1, ft2, torque = (float(v) for v in contact.force)
+    return ContactData(
+        finger=contact.finger,
+        position_world_m=tuple(contact.position),
+        normal_into_object_world=normal,
+        tangent1_world=tangent1,
+        tangent2_world=tangent2,
+        model=contact.model,
+        mu=contact.mu,
+        mu_torsion_m=contact.mu_torsion,
+        force_normal_N=fn,
+        force_tangent1_N=ft1,
+        force_tangent2_N=ft2,
+        torque_normal_N_m=torque,
+    )
+
+
+def write_json(data: dict[str, Any], path: Path | str) -> None:
+    """Write JSON whole or not at all: a file beside it is renamed into place.
+
+    Raises:
+        FileFormatError: The folder does not exist or cannot be written.
+    """
+    path = Path(path)
+    partial = path.with_name(path.name + ".part")
+    try:
+        partial.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        raise FileFormatError(f"cannot write {path}: {error.strerror}") from error
+
+
+def write_plan(plan: GraspPlan, path: Path | str) -> None:
+    """Write a plan file."""
+    write_json(plan_to_dict(plan), path)
+
+
+def read_json(path: Path | str, what: str) -> dict[str, Any]:
+    """Read a JSON object.
+
+    Raises:
+        FileFormatError: Missing, unreadable or not a JSON object.
+    """
+    path = Path(path)
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FileFormatError(f"cannot read {what} {path}: {error.strerror}") from error
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise FileFormatError(f"{path} is damaged or not JSON: {error}") from error
+    if not isinstance(data, dict):
+        raise FileFormatError(f"{path} holds a {type(data).__name__}; {what} is a JSON object")
+    return data
+
+
+def read_plan(path: Path | str, *, hand: Hand | None = None) -> GraspPlan:
+    """Read a plan file and check it.
+
+    Args:
+        path: The file.
+        hand: The hand to use; the one that the file names if None.
+
+    Raises:
+        FileFormatError: Damaged, of another version, or for another hand.
+        PlannerError: The hand or object cannot be loaded.
+    """
+    data = read_json(path, "plan file")
+    if data.get("format") != "opposable-plan":
+        raise FileFormatError(f"{path} is not a plan file: its format is {data.get('format')!r}")
+    if data.get("version") != PLAN_VERSION:
+        raise FileFormatError(
+            f"{path} has plan version {data.get('version')!r}; this Opposable reads version "
+            f"{PLAN_VERSION}; plan again"
+        )
+    try:
+        file = PlanFile.model_validate(data)
+    except ValidationError as error:
+        faults = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()[:5])
+        raise FileFormatError(f"{path} is damaged: {faults}") from error
+    given = file.task.hand
+    hand = hand or Hand.load(given.description_path or given.name)
+    if hand.digest != given.sha256:
+        raise FileFormatError(
+            f"{path} was planned for a different {given.name!r} than {hand.path}: the files have "
+            "changed since; plan again, or give the hand that it was planned for"
+        )
+    if list(hand.joint_names) != file.grasp.joint_names:
+        raise FileFormatError(f"{path} has other joints than {hand.name}; it is damaged")
+    return _rebuild(file, hand, Path(path))
+
+
+def _rebuild(file: PlanFile, hand: Hand, path: Path) -> GraspPlan:
+    task = _task(file.task, hand)
+    grasp = file.grasp
+    approach = Approach(
+        q=hand.checked_q(grasp.q_pregrasp_rad, "q_pregrasp_rad"),
+        opening=grasp.opening_m,
+        T_world_base_start=grasp.T_world_base_start.pose(),
+    )
+    plan = judge_grasp(
+        task,
+        grasp.T_world_base.pose(),
+        hand.checked_q(grasp.q_rad, "q_rad"),
+        record=SolveRecord(**file.record.model_dump()),
+        approach=approach,
+    )
+    if isinstance(plan, str):
+        raise FileFormatError(f"{path} holds a grasp that fails its checks: {plan}")
+    stored: FloatArray = np.array([c.position_world_m for c in file.contacts])
+    if stored.shape != plan.contacts.positions.shape or not np.allclose(
+        stored, plan.contacts.positions, atol=CONTACT_TOL, rtol=0
+    ):
+        raise FileFormatError(f"{path}: its contacts are not those of its joints; it is damaged")
+    return plan
+
+
+def _task(data: TaskData, hand: Hand) -> GraspTask:
+    return GraspTask(
+        hand=hand,
+        object=parse_object(data.object.shape, mass=data.object.mass_kg),
+        T_world_object=data.T_world_object.pose(),
+        table_height=data.table_height_m,
+        obstacles=tuple(
+            Obstacle(
+                name=o.name, size=np.array(o.size_m), T_world_obstacle=o.T_world_obstacle.pose()
+            )
+            for o in data.obstacles
+        ),
+        gravity=np.array(data.gravity_m_s2),
+        mu=data.mu,
+        mu_torsion=data.mu_torsion_m,
+        contact_model=data.contact_model,
+        finger_names=tuple(data.fingers),
+        grip_force=data.grip_force_N,
+        T_world_base=None if data.T_world_base_fixed is None else data.T_world_base_fixed.pose(),
+        wrist_free=data.wrist_free,
+        wrist_q=np.array(data.wrist_q_rad),
+    )
+
+
+class ContactInput(_Strict):
+    """One contact that a user typed in."""
+
+    position_m: Vector3
+    normal_into_object: Vector3
+    model: ContactModel = "point"
+    mu: float = Field(0.5, ge=0, allow_inf_nan=False)
+    mu_torsion_m: float = Field(0.0, ge=0, allow_inf_nan=False)
+
+
+class ContactsFile(_Strict):
+    """A list of contacts to analyse.
+
+    Attributes:
+        contacts: The contacts, all in one frame.
+        center_m: Centre of mass of the object in that frame.
+        length_m: Characteristic length by which torques are divided; the largest distance of a
+            contact from the centre if left out.
+    """
+
+    contacts: list[ContactInput] = Field(min_length=1)
+    center_m: Vector3 = (0.0, 0.0, 0.0)
+    length_m: float | None = Field(None, gt=0, allow_inf_nan=False)
+
+
+def read_contacts(path: Path | str) -> tuple[ContactSet, float]:
+    """Contacts and characteristic length (m) of a plan file or a contacts file (``ContactsFile``).
+
+    Raises:
+        FileFormatError: Neither.
+        ContactError: A normal has no direction.
+    """
+    data = read_json(path, "plan or contacts file")
+    if data.get("format") == "opposable-plan":
+        plan = read_plan(path)
+        return plan.contacts, plan.task.object.shape.bounding_radius
+    try:
+        file = ContactsFile.model_validate(data)
+    except ValidationError as error:
+        faults = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()[:5])
+        raise FileFormatError(
+            f"{path} is neither a plan nor a list of contacts: {faults}. A list of contacts is "
+            '{"contacts": [{"position_m": [x, y, z], "normal_into_object": [x, y, z], "mu": 0.5}]}'
+        ) from error
+    contacts = ContactSet.from_arrays(
+        [c.position_m for c in file.contacts],
+        [c.normal_into_object for c in file.contacts],
+        mu=[c.mu for c in file.contacts],
+        mu_torsion=[c.mu_torsion_m for c in file.contacts],
+        model=[c.model for c in file.contacts],
+        center=file.center_m,
+    )
+    arms = np.linalg.norm(contacts.positions - contacts.center, axis=1)
+    length = file.length_m or float(arms.max())
+    if length <= 0:
+        raise FileFormatError(f"{path}: every contact is at the centre of mass; give length_m")
+    return contacts, length

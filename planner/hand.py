@@ -1,0 +1,356 @@
+"""``Hand``: a model and its description, checked against each other.
+
+MuJoCo compiles the model; Pinocchio's model, coal's geometries and the actuation are built from the
+compiled model by ``planner.bridge``. All joints are hinges or slides, so that Pinocchio's q and v,
+MuJoCo's qpos and qvel and ``joint_names`` share one order within the hand. The raw models stay
+reachable as ``pin_model`` and ``mj_model``; the frame of reference of ``pin_model`` is the base,
+the root body that the mount carries.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from planner.actuation import Actuation
+from planner.bridge import (
+    LinkGeometry,
+    actuation_from_mujoco,
+    compile_spec,
+    hand_geometries,
+    load_spec,
+    pinocchio_from_mujoco,
+)
+from planner.bridge.geometry import allowed_pairs
+from planner.catalog import find_hand
+from planner.description import FingerDescription, HandDescription, read_description
+from planner.errors import HandError, NotFoundError, TaskError
+from planner.spatial import SE3, FloatArray, IntArray
+
+__all__ = ["Coupling", "Finger", "Hand", "Pad"]
+
+POSTURE_TOL = 1e-9
+"""How far (rad or m) a described posture may leave the joint range before it is an error."""
+
+COUPLING_TOL = 1e-6
+"""How far (rad) a posture may violate a coupling before it is an error."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pad:
+    """Spherical contact pad, fixed in a joint's frame.
+
+    Attributes:
+        geom: Collision geometry whose surface it is part of.
+        joint_id: Pinocchio joint it moves with.
+        center: (3,), m, in the joint's frame.
+        axis: (3,), unit, in the joint's frame: where the pad faces.
+        radius: m.
+        half_angle: rad; contact points lie within this cone about the axis.
+    """
+
+    geom: str
+    joint_id: int
+    center: FloatArray
+    axis: FloatArray
+    radius: float
+    half_angle: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finger:
+    """One finger.
+
+    Attributes:
+        name: Its name in the description.
+        joints: Joint names from the palm outwards.
+        q_index: (n,), where those joints stand in q.
+        tip_frame: Name of the tip frame (a site), also in ``pin_model``.
+        tip_frame_id: Its number in ``pin_model.frames``.
+        pad: Where it touches.
+        bodies: Names of the bodies that belong to the finger.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    q_index: IntArray
+    tip_frame: str
+    tip_frame_id: int
+    pad: Pad
+    bodies: frozenset[str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coupling:
+    """Kinematic coupling row @ q = value; ``one_sided`` if a stop that only pushes upwards."""
+
+    name: str
+    row: FloatArray
+    value: float
+    one_sided: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Hand:
+    """A hand that the planner can use; make one with ``Hand.load``.
+
+    Attributes:
+        name: Name from the description.
+        description: The validated description.
+        path: The description file.
+        digest: SHA-256 over description and model file; a plan keeps it.
+        mj_model: Compiled ``mujoco.MjModel`` of the hand alone, base fixed to the world.
+        pin_model: ``pinocchio.Model`` of the same.
+        fingers: Name -> Finger, in the description's order.
+        geometries: Every colliding geometry.
+        allowed_pairs: Pairs of geometry names that may touch.
+        actuation: Transmission, actuator laws, ranges and stops.
+        couplings: Kinematic couplings that hold in a grasp.
+    """
+
+    name: str
+    description: HandDescription
+    path: Path
+    digest: str
+    mj_model: Any
+    pin_model: Any
+    fingers: Mapping[str, Finger]
+    geometries: tuple[LinkGeometry, ...]
+    allowed_pairs: frozenset[frozenset[str]]
+    actuation: Actuation
+    couplings: tuple[Coupling, ...]
+
+    @classmethod
+    def load(cls, name_or_path: str | Path) -> Hand:
+        """Load a hand by name (``catalog.hand_names()``) or by the path of its description.
+
+        Raises:
+            NotFoundError: No such hand.
+            ModelError: The model file is missing or MuJoCo refuses it.
+            HandError: Description and model do not fit.
+        """
+        path = find_hand(name_or_path)
+        description = read_description(path)
+        model_path = path.parent / description.model
+        mj_model = compile_spec(load_spec(model_path), str(model_path))
+        if mj_model.nq != mj_model.nv or mj_model.nq != mj_model.njnt:
+            raise HandError(f"{model_path} has free or ball joints; a hand has hinges and slides")
+        pin_model = pinocchio_from_mujoco(mj_model)
+        digest = hashlib.sha256(path.read_bytes() + model_path.read_bytes()).hexdigest()
+        builder = _Builder(path, description, mj_model, pin_model)
+        hand = cls(
+            name=description.name,
+            description=description,
+            path=path,
+            digest=digest,
+            mj_model=mj_model,
+            pin_model=pin_model,
+            fingers=builder.fingers(),
+            geometries=hand_geometries(mj_model, pin_model),
+            allowed_pairs=allowed_pairs(mj_model, description.allowed_contacts),
+            actuation=actuation_from_mujoco(mj_model),
+            couplings=builder.couplings(),
+        )
+        for posture in description.postures:
+            hand.posture(posture)
+        return hand
+
+    def new_spec(self) -> Any:
+        """A fresh ``mujoco.MjSpec`` of the hand, to be edited or attached to a scene."""
+        return load_spec(self.path.parent / self.description.model)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Joint names in the order of q."""
+        return tuple(self.pin_model.names)[1:]
+
+    @property
+    def nq(self) -> int:
+        """Number of joints."""
+        return int(self.pin_model.nq)
+
+    @property
+    def q_lower(self) -> FloatArray:
+        """Lower joint limits (nq,), rad or m."""
+        return np.array(self.pin_model.lowerPositionLimit)
+
+    @property
+    def q_upper(self) -> FloatArray:
+        """Upper joint limits (nq,), rad or m."""
+        return np.array(self.pin_model.upperPositionLimit)
+
+    @cached_property
+    def wrist_index(self) -> IntArray:
+        """Where the wrist's joints stand in q."""
+        return np.array([self.joint_index(j) for j in self.description.wrist_joints], dtype=int)
+
+    @property
+    def palm_frame_id(self) -> int:
+        """Number of the palm's body frame in ``pin_model.frames``."""
+        return int(self.pin_model.getBodyId(self.description.palm_body))
+
+    @property
+    def palm_normal(self) -> FloatArray:
+        """Direction the palm faces (3,), unit, in the palm's frame."""
+        return np.array(self.description.palm_normal)
+
+    @property
+    def coupling_matrix(self) -> tuple[FloatArray, FloatArray]:
+        """C (m, nq) and d (m,) of the kinematic couplings C q = d."""
+        rows = [c.row for c in self.couplings]
+        return np.array(rows).reshape(-1, self.nq), np.array([c.value for c in self.couplings])
+
+    def joint_index(self, name: str) -> int:
+        """Where a joint stands in q.
+
+        Raises:
+            NotFoundError: No such joint.
+        """
+        if name not in self.joint_names:
+            raise NotFoundError(f"joint of {self.name}", name, self.joint_names)
+        return self.joint_names.index(name)
+
+    def posture(self, name: str) -> FloatArray:
+        """A described posture as q (nq,); joints that it does not name are at 0 or their limit.
+
+        Raises:
+            NotFoundError: No such posture, or it names a joint that does not exist.
+            HandError: It leaves a joint's range.
+        """
+        postures = self.description.postures
+        if name not in postures:
+            raise NotFoundError(f"posture of {self.name}", name, postures)
+        q = np.clip(np.zeros(self.nq), self.q_lower, self.q_upper)
+        for joint, value in postures[name].items():
+            q[self.joint_index(joint)] = value
+        return self.checked_q(q, f"posture {name!r}")
+
+    def checked_q(self, q: Any, what: str = "q") -> FloatArray:
+        """q as a float array (nq,) after checking its shape, finiteness and joint limits.
+
+        Raises:
+            HandError: Wrong shape, NaN, or a joint outside its range (named with the range).
+        """
+        q = np.array(q, dtype=np.float64)
+        if q.shape != (self.nq,):
+            raise HandError(f"{what} has shape {q.shape}; {self.name} needs ({self.nq},)")
+        if not np.isfinite(q).all():
+            raise HandError(f"{what} holds NaN or infinity")
+        outside = np.maximum(self.q_lower - q, q - self.q_upper)
+        worst = int(np.argmax(outside))
+        if outside[worst] > POSTURE_TOL:
+            low, high = self.q_lower[worst], self.q_upper[worst]
+            raise HandError(
+                f"{what}: joint {self.joint_names[worst]} is at {q[worst]:.4f}, outside its range "
+                f"[{low:.4f}, {high:.4f}]; bring it inside"
+            )
+        return q
+
+    def choose_fingers(self, names: Sequence[str] | None = None) -> tuple[Finger, ...]:
+        """Fingers by name; the description's default where none is given.
+
+        Raises:
+            NotFoundError: A name that the hand does not have.
+            TaskError: A finger named twice.
+        """
+        chosen = tuple(names or self.description.default_fingers or self.fingers)
+        for name in chosen:
+            if name not in self.fingers:
+                raise NotFoundError(f"finger of {self.name}", name, self.fingers)
+        if len(set(chosen)) != len(chosen):
+            raise TaskError(f"a finger is named twice in {list(chosen)}; name each once")
+        return tuple(self.fingers[name] for name in chosen)
+
+    def base_from_palm(self, T_world_palm: SE3, q: FloatArray) -> SE3:
+        """Pose of the base in the world from the palm's pose and q (the wrist between them)."""
+        from planner.kinematics import HandState  # kinematics is built on Hand
+
+        return T_world_palm * HandState(self, q).T_base_palm.inverse()
+
+
+class _Builder:
+    """Resolves the names of a description in its model."""
+
+    def __init__(
+        self, path: Path, description: HandDescription, mj_model: Any, pin_model: Any
+    ) -> None:
+        self.path, self.description = path, description
+        self.mj_model, self.pin_model = mj_model, pin_model
+        self.joints = tuple(pin_model.names)[1:]
+        self.bodies = {mj_model.body(i).name: i for i in range(1, mj_model.nbody)}
+        self.sites = {mj_model.site(i).name: i for i in range(mj_model.nsite)}
+        self.geoms = {mj_model.geom(i).name: i for i in range(mj_model.ngeom)}
+        for field in ("base_body", "palm_body"):
+            self._need("body", getattr(description, field), self.bodies)
+        for joint in description.wrist_joints:
+            self._need("joint", joint, self.joints)
+        for pair in description.allowed_contacts:
+            for geom in pair:
+                self._need("geom", geom, self.geoms)
+
+    def _need(self, kind: str, name: str, available: Any) -> None:
+        if name not in available:
+            hint = f"Correct it in {self.path}."
+            raise NotFoundError(f"{kind} of {self.description.model}", name, available, hint)
+
+    def fingers(self) -> Mapping[str, Finger]:
+        if not self.description.fingers:
+            raise HandError(f"{self.path} describes no finger; add at least one [[fingers]] table")
+        out = {f.name: self._finger(f) for f in self.description.fingers}
+        if len(out) != len(self.description.fingers):
+            raise HandError(f"{self.path} describes two fingers of one name; rename one")
+        for name in self.description.default_fingers:
+            self._need("finger", name, out)
+        return MappingProxyType(out)
+
+    def _finger(self, finger: FingerDescription) -> Finger:
+        for joint in finger.joints:
+            self._need("joint", joint, self.joints)
+        self._need("site", finger.tip_site, self.sites)
+        self._need("geom", finger.pad.geom, self.geoms)
+        body = int(self.mj_model.geom_bodyid[self.geoms[finger.pad.geom]])
+        frame = self.pin_model.frames[self.pin_model.getBodyId(self.mj_model.body(body).name)]
+        if self.pin_model.names[frame.parentJoint] not in finger.joints:
+            raise HandError(
+                f"{self.path}: the pad geom {finger.pad.geom!r} of finger {finger.name!r} does not "
+                f"move with one of its joints {list(finger.joints)}; name a geom of its last link"
+            )
+        pad = Pad(
+            geom=finger.pad.geom,
+            joint_id=int(frame.parentJoint),
+            center=np.array(frame.placement.act(np.array(finger.pad.center))),
+            axis=np.array(frame.placement.rotation @ np.array(finger.pad.axis)),
+            radius=finger.pad.radius,
+            half_angle=float(np.deg2rad(finger.pad.half_angle_deg)),
+        )
+        ids = {self.pin_model.getJointId(j) for j in finger.joints}
+        return Finger(
+            name=finger.name,
+            joints=finger.joints,
+            q_index=np.array([self.joints.index(j) for j in finger.joints]),
+            tip_frame=finger.tip_site,
+            tip_frame_id=int(self.pin_model.getFrameId(finger.tip_site)),
+            pad=pad,
+            bodies=frozenset(
+                name
+                for name in self.bodies
+                if self.pin_model.frames[self.pin_model.getBodyId(name)].parentJoint in ids
+            ),
+        )
+
+    def couplings(self) -> tuple[Coupling, ...]:
+        out = []
+        for c in self.description.couplings:
+            row = np.zeros(len(self.joints))
+            for joint, coefficient in c.joints.items():
+                self._need("joint", joint, self.joints)
+                row[self.joints.index(joint)] = coefficient
+            out.append(Coupling(name=c.name, row=row, value=c.value, one_sided=c.kind == "stop"))
+        return tuple(out)

@@ -1,0 +1,97 @@
+"""``HandState``: forward kinematics and Jacobians of a hand at one q, by Pinocchio.
+
+A ``HandState`` proves that the kinematics at its q has been computed. Everything is expressed in
+the hand's base frame; multiply by ``T_world_base`` to see it from the world.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from planner.hand import Finger, Hand
+from planner.spatial import SE3, FloatArray
+
+__all__ = ["HandState"]
+
+
+class HandState:
+    """A hand at one configuration.
+
+    Attributes:
+        hand: The hand.
+        q: Read-only copy of the configuration (nq,), rad or m.
+    """
+
+    def __init__(self, hand: Hand, q: FloatArray) -> None:
+        """Compute placements and joint Jacobians at q (nq,)."""
+        self.hand = hand
+        self.q = np.array(q, dtype=np.float64)
+        self.q.flags.writeable = False
+        self.pin_data: Any = hand.pin_model.createData()
+        pin.computeJointJacobians(hand.pin_model, self.pin_data, self.q)
+        pin.updateFramePlacements(hand.pin_model, self.pin_data)
+
+    @property
+    def T_base_palm(self) -> SE3:
+        """Pose of the palm's body in the base."""
+        return SE3(self.pin_data.oMf[self.hand.palm_frame_id])
+
+    def tip_pose(self, finger: Finger) -> SE3:
+        """Pose T_base_tip of a finger's tip frame."""
+        return SE3(self.pin_data.oMf[finger.tip_frame_id])
+
+    def joint_pose(self, joint_id: int) -> SE3:
+        """Pose of a Pinocchio joint's frame in the base (0: identity)."""
+        return SE3(self.pin_data.oMi[joint_id])
+
+    def pad_center(self, finger: Finger) -> FloatArray:
+        """Centre of a finger's pad in the base, (3,), m."""
+        return np.array(self.pin_data.oMi[finger.pad.joint_id].act(finger.pad.center))
+
+    def pad_axis(self, finger: Finger) -> FloatArray:
+        """Direction a finger's pad faces in the base, (3,), unit."""
+        return np.array(self.pin_data.oMi[finger.pad.joint_id].rotation @ finger.pad.axis)
+
+    def tip_jacobian(self, finger: Finger) -> FloatArray:
+        """Jacobian (6, n) of a tip frame over the finger's own joints (``finger.q_index``).
+
+        Rows are [linear; angular] velocity of the tip's origin in the base's axes, m/rad and -.
+        """
+        full = pin.getFrameJacobian(
+            self.hand.pin_model,
+            self.pin_data,
+            finger.tip_frame_id,
+            pin.ReferenceFrame.LOCAL_WORLD_ALIGNED,
+        )
+        return np.array(full[:, finger.q_index])
+
+    def point_jacobian(self, joint_id: int, point: FloatArray) -> FloatArray:
+        """Jacobian (6, nq) of a point that moves with a joint.
+
+        Args:
+            joint_id: Pinocchio joint.
+            point: (3,), m, in the base.
+
+        Returns:
+            Rows [linear velocity of the material point; angular velocity], base axes.
+        """
+        jac = np.array(
+            pin.getJointJacobian(
+                self.hand.pin_model, self.pin_data, joint_id, pin.ReferenceFrame.WORLD
+            )
+        )
+        # WORLD: linear rows are the velocity of the point that passes the origin.
+        jac[:3] -= np.cross(point, jac[3:], axis=0)
+        return jac
+
+    def gravity_torque(self, gravity_base: FloatArray) -> FloatArray:
+        """Joint torques (nq,) that hold the hand against gravity (3,), m/s2, in base axes.
+
+        tau = -sum_i m_i J_i^T g, with J_i the Jacobian of the centre of mass of link i.
+        """
+        com_jacobian = pin.jacobianCenterOfMass(self.hand.pin_model, self.pin_data, self.q)
+        moving_mass = float(self.pin_data.mass[0])
+        return np.array(-moving_mass * com_jacobian.T @ gravity_base)

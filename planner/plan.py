@@ -1,0 +1,135 @@
+"""``GraspPlan``: a verified grasp, everything needed to execute it, and the proof of what it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from planner.contacts import ContactSet
+from planner.forces import ForceSolution
+from planner.kinematics import HandState
+from planner.quality import QualityReport, analyse
+from planner.spatial import SE3, FloatArray
+from planner.synthesis.verify import Verification
+from planner.task import GraspTask
+
+__all__ = ["GraspPlan", "JointTrajectory", "SolveRecord"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolveRecord:
+    """Where a plan comes from.
+
+    Attributes:
+        seed: Seed of the search.
+        attempt: Number of the attempt that gave this plan, from 0; seed and attempt fix the start.
+        attempts: How many attempts had been made when it was found.
+        iterations: IPOPT iterations of its attempt.
+        status: IPOPT's return status (informative only; the verdict is ``Verification``).
+        cpu_s: CPU time of the search until it was found, s, without building.
+        build_s: Time that building the NLP took, s; 0 when it was re-used.
+    """
+
+    seed: int
+    attempt: int
+    attempts: int
+    iterations: int
+    status: str
+    cpu_s: float
+    build_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointTrajectory:
+    """Joint positions over time, for a real hand.
+
+    Attributes:
+        joint_names: n names.
+        times: (m,), s.
+        positions: (m, n), rad (m for slides).
+        phases: What each sample belongs to, m names.
+        T_world_base: Base pose at each sample, m poses.
+    """
+
+    joint_names: tuple[str, ...]
+    times: FloatArray
+    positions: FloatArray
+    phases: tuple[str, ...]
+    T_world_base: tuple[SE3, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GraspPlan:
+    """A grasp that passed every check of ``planner.synthesis.verify`` and the force QP.
+
+    Attributes:
+        task: What was asked.
+        T_world_base: Pose of the hand's base at the grasp.
+        T_world_base_start: Pose from which the base moves straight to it with ``q_pregrasp``.
+        q: Joints at the grasp (nq,), pads just touching, order of ``hand.joint_names``.
+        q_pregrasp: Joints (nq,), pads opened along the contact normals.
+        opening: By how much they are opened, m.
+        contacts: Contacts with the true surface, world, with the planned forces.
+        forces: The force distribution that balances the object's weight, with its residuals.
+        verification: Residuals on the true geometry.
+        record: Where the plan comes from.
+    """
+
+    task: GraspTask
+    T_world_base: SE3
+    T_world_base_start: SE3
+    q: FloatArray
+    q_pregrasp: FloatArray
+    opening: float
+    contacts: ContactSet
+    forces: ForceSolution
+    verification: Verification
+    record: SolveRecord
+
+    @cached_property
+    def quality(self) -> QualityReport:
+        """Metrics of the contacts, computed when first asked for (tens of milliseconds)."""
+        return analyse(self.contacts, length=self.task.object.shape.bounding_radius)
+
+    @property
+    def T_world_palm(self) -> SE3:
+        """Pose of the palm's body at the grasp."""
+        return self.T_world_base * HandState(self.task.hand, self.q).T_base_palm
+
+    @property
+    def contacts_in_object(self) -> ContactSet:
+        """The planned contacts in the object's frame, in which plan and execution are compared."""
+        return self.contacts.transformed(self.task.T_world_object.inverse())
+
+    def joint_trajectory(
+        self, *, approach_s: float = 1.5, close_s: float = 1.0, rate_hz: float = 50.0
+    ) -> JointTrajectory:
+        """Approach and closing as joint positions by name, for a real hand.
+
+        The squeeze is a matter of forces, see ``forces``; it is not part of the trajectory.
+
+        Args:
+            approach_s: Duration of the straight approach, s.
+            close_s: Duration of closing from the pre-grasp to the grasp, s.
+            rate_hz: Samples per second.
+        """
+        n_approach = max(2, round(approach_s * rate_hz) + 1)
+        n_close = max(2, round(close_s * rate_hz) + 1)
+        s, r = np.linspace(0, 1, n_approach), np.linspace(0, 1, n_close)[1:]
+        start, end = self.T_world_base_start.translation, self.T_world_base.translation
+        bases = [SE3(self.T_world_base.rotation, start + a * (end - start)) for a in smooth(s)]
+        closing = self.q_pregrasp + smooth(r)[:, None] * (self.q - self.q_pregrasp)
+        return JointTrajectory(
+            joint_names=self.task.hand.joint_names,
+            times=np.concatenate([s * approach_s, approach_s + r * close_s]),
+            positions=np.vstack([np.tile(self.q_pregrasp, (n_approach, 1)), closing]),
+            phases=("approach",) * n_approach + ("close",) * len(r),
+            T_world_base=(*bases, *(self.T_world_base,) * len(r)),
+        )
+
+
+def smooth(s: FloatArray) -> FloatArray:
+    """Minimum-jerk profile 10 s^3 - 15 s^4 + 6 s^5 of s in [0, 1]: at rest at both ends."""
+    return s**3 * (10 + s * (6 * s - 15))

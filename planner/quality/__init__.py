@@ -1,0 +1,46 @@
+"""Grasp quality: pure functions of a ``ContactSet``, wherever its contacts come from."""
+
+from __future__ import annotations
+
+from planner.quality.ball import (
+    HullMeasure,
+    epsilon_frogger,
+    epsilon_l1,
+    measure_hull,
+    volume_l1,
+)
+from planner.quality.closure import (
+    ClosureResult,
+    closure_of_wrenches,
+    force_closure,
+    min_weight,
+)
+from planner.quality.cones import RoundCones, cone_edges, primitive_wrenches
+from planner.quality.interval import Interval, ball_interval, epsilon_linf, epsilon_round
+from planner.quality.isotropy import isotropy, singular_values, smallest_singular_value
+from planner.quality.report import QualityReport, analyse, closure_and_epsilon
+
+__all__ = [
+    "ClosureResult",
+    "HullMeasure",
+    "Interval",
+    "QualityReport",
+    "RoundCones",
+    "analyse",
+    "ball_interval",
+    "closure_and_epsilon",
+    "closure_of_wrenches",
+    "cone_edges",
+    "epsilon_frogger",
+    "epsilon_l1",
+    "epsilon_linf",
+    "epsilon_round",
+    "force_closure",
+    "isotropy",
+    "measure_hull",
+    "min_weight",
+    "primitive_wrenches",
+    "singular_values",
+    "smallest_singular_value",
+    "volume_l1",
+]

@@ -1,0 +1,274 @@
+"""Force closure by rank and linear programme, with a certificate that can be checked by hand.
+
+Let the columns of W (6, m) be primitive wrenches. The **min-weight** (FRoGGeR, Li et al. 2023) is
+
+    l* = max l  such that  W a = 0,  sum a = 1,  a >= l,
+
+and the contacts close the grasp if and only if l* > 0 and rank W = 6. The normalised form l* m lies
+in (-inf, 1]; it is -inf where W a = 0, sum a = 1 has no solution at all.
+
+W a = 0 holds for W exactly when it holds for any basis of W's row space. The programme is solved in
+an orthonormal one, P (r, m), so the answer depends on no unit, no origin of torque and no rotation,
+and is as well conditioned as P:
+
+    primal  max l      such that  P b + l P1 = 0,  1.b + m l = 1,  b >= 0,      a = b + l
+    dual    min z      such that  P'y + z 1 >= 0,  y.P1 + m z = 1.
+
+At the optimum z = l*. If l* <= 0, then y.P_j >= -l* >= 0 for every j, and not all are zero: y is
+the certificate that the origin is not inside. If 1 lies in the row space of P, y = P1 gives
+y.P_j = 1 for all j and l* = -inf, without a solver.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linprog
+
+from planner.contacts import ContactSet
+from planner.errors import ContactError, PlannerError
+from planner.quality.cones import primitive_wrenches
+from planner.spatial import FloatArray
+
+__all__ = ["ClosureResult", "closure_of_wrenches", "force_closure", "min_weight"]
+
+RANK_TOL = 1e-6
+"""Singular values of W below this share of the largest count as zero (-). A grasp of 30 mm that has
+rank 6 by contacts 30 nm out of line has no closure that anyone can use."""
+
+WEIGHT_TOL = 1e-7
+"""Normalised min-weight that counts as positive must exceed this (-): a hundred times the error of
+the linear programme, and far below any useful value (planning asks for 0.1 and more)."""
+
+_LP_OPTIONS = {
+    "presolve": False,
+    "primal_feasibility_tolerance": 1e-10,
+    "dual_feasibility_tolerance": 1e-10,
+}
+"""HiGHS at its tightest; presolve costs more time than it saves at this size."""
+
+_NEGLIGIBLE = 1e-6
+"""Components below this share of a direction are left out of the prose that describes it (-)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ClosureResult:
+    """Decision about force closure of a set of primitive wrenches, with its certificate.
+
+    Attributes:
+        closed: Whether l* > 0 and rank W = 6.
+        rank: Rank of W, 0 to 6.
+        min_weight: l* (-), -inf where W a = 0, sum a = 1 has no solution.
+        normalised_min_weight: l* times the number of primitive wrenches (-), in [-inf, 1].
+        weights: (m,), a > 0 with W a = 0 and sum a = 1, internal forces in every contact; None
+            where l* <= 0.
+        separator: (6,), u = [m; rad] with u . w >= 0 for every primitive wrench w and not u . w = 0
+            for all wrenches in space: a small motion of the object on which the contacts can only
+            do work >= 0 (exactly 0 where only the rank is missing). None where closed.
+        unresisted_wrench: (6,), [N; N m], a wrench on the object that no contact forces balance,
+            of unit size with torque divided by the lever arm; None where closed.
+        residual: Largest violation of what the certificate states, recomputed from W with torque
+            divided by the lever arm (root mean square of W's torques over that of its
+            forces): |W a| for weights, -min u . w for a separator (-).
+        reason: The decision in words.
+    """
+
+    closed: bool
+    rank: int
+    min_weight: float
+    normalised_min_weight: float
+    weights: FloatArray | None
+    separator: FloatArray | None
+    unresisted_wrench: FloatArray | None
+    residual: float
+    reason: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON; units in the names, None for what is absent or infinite."""
+        return {
+            "closed": self.closed,
+            "rank": self.rank,
+            "min_weight": _finite(self.min_weight),
+            "normalised_min_weight": _finite(self.normalised_min_weight),
+            "weights": _listed(self.weights),
+            "separator_m_rad": _listed(self.separator),
+            "unresisted_wrench_n_nm": _listed(self.unresisted_wrench),
+            "residual": self.residual,
+            "reason": self.reason,
+        }
+
+
+def force_closure(contacts: ContactSet, edges: int = 8, *, phase: float = 0.0) -> ClosureResult:
+    """Force closure of the contacts, their cones inscribed with k edges.
+
+    A grasp called closed is closed for the true cones too; one that is not may be closed with more
+    edges. Any number of contacts is an answerable question, none included.
+
+    Args:
+        contacts: n contacts.
+        edges: Edges k per cone, at least 3.
+        phase: Angle of the first edge from tangent1, rad.
+
+    Raises:
+        ContactError: ``edges`` is below 3.
+    """
+    return closure_of_wrenches(primitive_wrenches(contacts, edges, phase=phase))
+
+
+def min_weight(contacts: ContactSet, edges: int = 8, *, phase: float = 0.0) -> float:
+    """Normalised min-weight of the contacts (-), in [-inf, 1]; see the module.
+
+    Raises:
+        ContactError: ``edges`` is below 3.
+    """
+    return force_closure(contacts, edges, phase=phase).normalised_min_weight
+
+
+def closure_of_wrenches(wrenches: FloatArray) -> ClosureResult:
+    """Force closure of bare primitive wrenches, whatever cones they come from.
+
+    Args:
+        wrenches: W (6, m), [force; torque about any fixed point], N and N m per unit of force.
+
+    Raises:
+        ContactError: The shape is not (6, m), or a number is not finite.
+        PlannerError: The linear programme met numerical trouble.
+    """
+    w = np.asarray(wrenches, dtype=np.float64)
+    if w.ndim != 2 or w.shape[0] != 6 or not np.isfinite(w).all():
+        raise ContactError(f"wrenches have shape {w.shape}; give finite numbers of shape (6, m)")
+    arm = _lever_arm(w)
+    scale = np.array([1.0, 1.0, 1.0, 1 / arm, 1 / arm, 1 / arm])
+    scaled = w * scale[:, None]
+    u, s, vt = np.linalg.svd(scaled, full_matrices=w.shape[1] < 6)
+    rank = int((s > RANK_TOL * s.max(initial=0.0)).sum())
+    basis = vt[:rank]  # (r, m)
+    weight, a, y = _solve(basis)
+    m = w.shape[1]
+    inside = weight * m > WEIGHT_TOL
+    weights = a if inside else None
+    direction = None
+    if not inside:
+        direction = u[:, :rank] @ (y / s[:rank]) if rank else np.eye(6)[0]
+    elif rank < 6:
+        # Only the rank is missing: any direction outside the span of W separates.
+        direction = u[:, rank]
+    lacking = "" if rank == 6 else _rank_reason(rank, u[:, rank:] * scale[:, None])
+    return _result(scaled, scale, rank, weight, weights, direction, lacking)
+
+
+def _result(
+    scaled: FloatArray,
+    scale: FloatArray,
+    rank: int,
+    weight: float,
+    weights: FloatArray | None,
+    direction: FloatArray | None,
+    lacking: str,
+) -> ClosureResult:
+    """Check the certificate against W and put the decision into words."""
+    separator = unresisted = None
+    residual = 0.0
+    reason = f"closed: rank 6, normalised min-weight {weight * scaled.shape[1]:.3g}"
+    if weights is not None:
+        residual = float(np.abs(scaled @ weights).max())
+    if direction is not None:
+        direction = direction / np.linalg.norm(direction)
+        separator, unresisted = direction * scale, direction / scale
+        residual = max(residual, float(-(direction @ scaled).min(initial=0.0)))
+        pushed = "" if weights is not None else _separation_reason(scaled.shape[1], unresisted)
+        reason = "not closed: " + "; ".join(part for part in (lacking, pushed) if part)
+    return ClosureResult(
+        closed=direction is None,
+        rank=rank,
+        min_weight=weight,
+        normalised_min_weight=weight * scaled.shape[1] if scaled.shape[1] else -np.inf,
+        weights=weights,
+        separator=separator,
+        unresisted_wrench=unresisted,
+        residual=residual,
+        reason=reason,
+    )
+
+
+def _solve(basis: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """Min-weight l*, weights a (m,) and dual y (r,) for an orthonormal row basis P (r, m)."""
+    rank, m = basis.shape
+    sums = basis.sum(axis=1)
+    if m == 0 or m - sums @ sums <= RANK_TOL**2 * m:
+        return -np.inf, np.zeros(m), sums
+    cost = np.zeros(m + 1)
+    cost[-1] = -1.0
+    rows = np.vstack([np.column_stack([basis, sums]), np.append(np.ones(m), m)])
+    bounds = np.zeros((m + 1, 2))
+    bounds[:, 1] = np.inf
+    bounds[-1, 0] = -np.inf
+    target = np.append(np.zeros(rank), 1.0)
+    solved = linprog(
+        cost, A_eq=rows, b_eq=target, bounds=bounds, method="highs-ds", options=_LP_OPTIONS
+    )
+    if solved.status != 0:
+        raise PlannerError(
+            f"HiGHS gave up on the min-weight programme ({solved.message}); it always has a "
+            "solution, so report these contacts, and meanwhile try another number of edges"
+        )
+    # Put the weights exactly on W a = 0, sum a = 1; what is then the least of them is certain.
+    a = solved.x[:-1] + solved.x[-1]
+    a = a - basis.T @ (basis @ a)
+    a = a / a.sum()
+    # linprog minimises -l, so its marginals are minus the dual variables of the maximum.
+    return float(a.min()), a, -solved.eqlin.marginals[:rank]
+
+
+def _lever_arm(w: FloatArray) -> float:
+    """Torque per force over the wrenches, m: an internal scale, 1 where there is none to take."""
+    force, torque = np.linalg.norm(w[:3]), np.linalg.norm(w[3:])
+    return float(torque / force) if torque > 1e-12 * force and force > 0 else 1.0
+
+
+def _rank_reason(rank: int, motions: FloatArray) -> str:
+    """Say which motions (6, 6 - rank) [m; rad] of the object no contact force resists."""
+    if rank == 0:
+        return "rank 0: no contact acts on the object"
+    first = _describe_motion(motions[:, 0])
+    if rank == 5:
+        return f"rank 5: {first}"
+    return f"rank {rank}: {6 - rank} independent motions meet no force, among them {first}"
+
+
+def _describe_motion(motion: FloatArray) -> str:
+    """A motion [v; omega] as the force or torque that is missing along it."""
+    v, omega = motion[:3], motion[3:]
+    angle = np.linalg.norm(omega)
+    if angle <= _NEGLIGIBLE * np.linalg.norm(v):
+        return f"no force along {_vector(v / np.linalg.norm(v))}"
+    axis = omega / angle
+    point = np.cross(omega, v) / angle**2
+    pitch = axis @ v / angle
+    text = f"no torque about the axis {_vector(axis)} through {_vector(point)} m from the centre"
+    if abs(pitch) > _NEGLIGIBLE * max(float(np.linalg.norm(point)), 1.0):
+        text += f", with a pitch of {pitch:.3g} m/rad"
+    return text
+
+
+def _separation_reason(m: int, unresisted: FloatArray) -> str:
+    if m == 0:
+        return ""
+    return (
+        f"the wrench of force {_vector(unresisted[:3])} N and torque {_vector(unresisted[3:])} N m "
+        "cannot be resisted"
+    )
+
+
+def _vector(v: FloatArray) -> str:
+    return "(" + ", ".join(f"{x:.3g}" for x in np.round(v, 6) + 0.0) + ")"
+
+
+def _finite(x: float) -> float | None:
+    return float(x) if np.isfinite(x) else None
+
+
+def _listed(x: FloatArray | None) -> list[float] | None:
+    return None if x is None else [float(v) for v in x]

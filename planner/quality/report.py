@@ -1,0 +1,178 @@
+"""Everything that this package says about a set of contacts, in one report.
+
+The same report judges a plan and what MuJoCo made of it::
+
+    report = analyse(contacts, length=0.04)
+    print(report)
+    report.closure.closed, report.epsilon_round.lower
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from planner.contacts import ContactSet
+from planner.quality.ball import measure_hull
+from planner.quality.closure import ClosureResult, force_closure
+from planner.quality.cones import primitive_wrenches
+from planner.quality.interval import Interval, epsilon_linf, epsilon_round
+from planner.quality.isotropy import singular_values
+from planner.spatial import FloatArray
+
+__all__ = ["QualityReport", "analyse", "closure_and_epsilon"]
+
+ROUND_REL_TOL = 0.05
+"""Width of a report's interval for true cones, as a share of its upper end (-)."""
+
+ROUND_POINTS = 60
+"""Points that a report may spend on it (-)."""
+
+LINF_REL_TOL = 0.1
+"""The same for bounded single forces (-); soft contacts often leave more, and it still holds."""
+
+LINF_POINTS = 40
+"""Points that a report may spend on it (-). Call ``epsilon_linf`` for a narrower interval."""
+
+QUICK_EDGES = 4
+"""Edges per cone where time matters more than the last tenth of epsilon (-)."""
+
+CLEARLY_CLOSED = 1e-4
+"""Epsilon above this share of the longest primitive wrench leaves no doubt about closure (-): the
+normalised min-weight is then nearly as large, far above what counts as positive."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class QualityReport:
+    """Quality of a grasp, from its contacts alone.
+
+    Attributes:
+        n_contacts: Number of contacts.
+        edges: Edges per inscribed cone in ``closure``, ``epsilon`` and ``volume``.
+        length: Characteristic length that torque is divided by, m.
+        closure: Force closure with its certificate and min-weight.
+        epsilon: L1 epsilon of the discretised cones (-), exact.
+        epsilon_round: L1 epsilon of the true cones (-).
+        epsilon_linf: Epsilon of the true cones with each normal force in [0, 1] (-).
+        weakest_wrench: (6,), [N; N m], the wrench on the object of unit size (torque divided by
+            ``length``) that takes most normal force to balance.
+        volume: Volume (-) of the hull of primitive wrenches.
+        smallest_singular_value: Of the scaled grasp map (-).
+        isotropy: Smallest over largest singular value (-).
+    """
+
+    n_contacts: int
+    edges: int
+    length: float
+    closure: ClosureResult
+    epsilon: float
+    epsilon_round: Interval
+    epsilon_linf: Interval
+    weakest_wrench: FloatArray
+    volume: float
+    smallest_singular_value: float
+    isotropy: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON; units in the names where there are any, intervals as pairs."""
+        return {
+            "n_contacts": self.n_contacts,
+            "edges": self.edges,
+            "length_m": self.length,
+            "closure": self.closure.to_dict(),
+            "epsilon": self.epsilon,
+            "epsilon_round": [self.epsilon_round.lower, self.epsilon_round.upper],
+            "epsilon_linf": [self.epsilon_linf.lower, self.epsilon_linf.upper],
+            "weakest_wrench_n_nm": [float(x) for x in self.weakest_wrench],
+            "volume": self.volume,
+            "smallest_singular_value": self.smallest_singular_value,
+            "isotropy": self.isotropy,
+        }
+
+    def __str__(self) -> str:
+        """A few lines for a person."""
+        weakest = ", ".join(f"{x:.3g}" for x in np.round(self.weakest_wrench, 6) + 0.0)
+        return "\n".join(
+            [
+                f"{self.n_contacts} contacts, {self.edges} edges per cone, "
+                f"torque divided by {1e3 * self.length:.1f} mm",
+                f"  force closure           {self.closure.reason}",
+                f"  epsilon, discretised    {self.epsilon:.4f}",
+                f"  epsilon, true cones     {self.epsilon_round}",
+                f"  epsilon, L-infinity     {self.epsilon_linf}",
+                f"  weakest against         ({weakest}) N, N m",
+                f"  volume                  {self.volume:.3g}",
+                f"  least singular value    {self.smallest_singular_value:.4f}",
+                f"  isotropy                {self.isotropy:.4f}",
+            ]
+        )
+
+
+def analyse(contacts: ContactSet, *, length: float, edges: int = 8) -> QualityReport:
+    """Judge a set of contacts by every measure.
+
+    Args:
+        contacts: n contacts, from a plan, from MuJoCo or typed in.
+        length: Torque is divided by it, m; by convention the radius of the object's bounding sphere
+            about its centre of mass.
+        edges: Edges per inscribed cone where cones are discretised, at least 3.
+
+    Raises:
+        ContactError: ``length`` is not positive, or ``edges`` is below 3.
+    """
+    hull = measure_hull(primitive_wrenches(contacts, edges, length=length))
+    singular = singular_values(contacts, length=length)
+    true_cones = epsilon_round(
+        contacts, length=length, rel_tol=ROUND_REL_TOL, max_points=ROUND_POINTS
+    )
+    # The origin is inside both bodies or neither.
+    bounded = true_cones
+    if true_cones.upper > 0:
+        bounded = epsilon_linf(
+            contacts, length=length, rel_tol=LINF_REL_TOL, max_points=LINF_POINTS
+        )
+    return QualityReport(
+        n_contacts=len(contacts),
+        edges=edges,
+        length=length,
+        closure=force_closure(contacts, edges),
+        epsilon=hull.epsilon,
+        epsilon_round=true_cones,
+        epsilon_linf=bounded,
+        weakest_wrench=-hull.weakest * np.array([1.0, 1.0, 1.0, length, length, length]),
+        volume=hull.volume,
+        smallest_singular_value=float(singular[-1]),
+        isotropy=float(singular[-1] / singular[0]) if singular[0] > 0 else 0.0,
+    )
+
+
+def closure_and_epsilon(
+    contacts: ContactSet, *, length: float, edges: int = QUICK_EDGES
+) -> tuple[bool, float]:
+    """Force closure and L1 epsilon only, fast enough for every sample of a simulation.
+
+    A ball of radius epsilon in the hull of wrenches w_j proves closure by itself: the normalised
+    min-weight is at least epsilon / (epsilon + max |w_j|). So the linear programme is asked only
+    where epsilon is next to nothing. For the reason or a certificate, call ``force_closure``.
+
+    Args:
+        contacts: n contacts.
+        length: Torque is divided by it, m.
+        edges: Edges per inscribed cone, at least 3. Epsilon of 4 edges is up to a third below the
+            true cones'.
+
+    Returns:
+        Whether the grasp is closed, as ``force_closure`` has it with as many edges; and epsilon.
+
+    Raises:
+        ContactError: ``length`` is not positive, or ``edges`` is below 3.
+    """
+    wrenches = primitive_wrenches(contacts, edges, length=length)
+    epsilon = measure_hull(wrenches).epsilon
+    longest = np.linalg.norm(wrenches, axis=0).max(initial=0.0)
+    if epsilon > CLEARLY_CLOSED * longest:
+        return True, epsilon
+    closed = force_closure(contacts, edges).closed
+    return closed, epsilon if closed else 0.0

@@ -1,0 +1,191 @@
+"""What every shape can do: distances, mass properties, and its form in coal and in MuJoCo."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from numbers import Real
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from planner.errors import ObjectError
+from planner.spatial import SE3, FloatArray
+
+__all__ = ["LARGEST", "SMALLEST", "Shape", "checked_extents", "checked_length", "checked_points"]
+
+LARGEST = 2.0
+"""Largest size (m) that is believed: more is too large to grasp, or was given in millimetres."""
+
+SMALLEST = 1e-4
+"""Smallest size (m) that is believed: thinner than a sheet of paper is no solid to grasp."""
+
+
+class Shape(ABC):
+    """A convex solid of uniform density; the origin of its frame is its centre of mass.
+
+    Lengths are in m, points and directions in the shape's frame. Symmetry axes are along z.
+
+    Attributes:
+        kind: Name of the kind, for example "box".
+        size_names: What the numbers of a specification are, in its order.
+    """
+
+    kind: ClassVar[str]
+    size_names: ClassVar[tuple[str, ...]]
+
+    @classmethod
+    def from_sizes(cls, sizes: Sequence[float]) -> Self:
+        """A shape from the numbers of its specification, m, in the order of ``size_names``."""
+        make: Any = cls
+        shape: Self = make(*sizes)
+        return shape
+
+    @classmethod
+    def form(cls) -> str:
+        """How a specification is written, for example "cylinder:RADIUSxHEIGHT"."""
+        return f"{cls.kind}:" + "x".join(name.upper() for name in cls.size_names)
+
+    @property
+    @abstractmethod
+    def sizes(self) -> tuple[float, ...]:
+        """The numbers of the specification, m, in the order of ``size_names``."""
+
+    @property
+    def spec(self) -> str:
+        """The specification that ``parse_object`` reads, for example "box:0.05x0.05x0.08".
+
+        Every digit is kept: the shape read back is equal to this one.
+        """
+        return f"{self.kind}:" + "x".join(repr(v) for v in self.sizes)
+
+    @property
+    @abstractmethod
+    def half_extents(self) -> FloatArray:
+        """Half extents (3,) of the bounding box in the shape's axes, m."""
+
+    @property
+    @abstractmethod
+    def bounding_radius(self) -> float:
+        """Radius of the smallest ball about the centre of mass that contains the shape, m."""
+
+    @property
+    @abstractmethod
+    def volume(self) -> float:
+        """Volume, m3."""
+
+    @abstractmethod
+    def inertia(self, mass: float) -> FloatArray:
+        """Inertia (3, 3) about the centre of mass in the shape's axes, kg m2, for a mass in kg."""
+
+    @abstractmethod
+    def coal_geometry(self) -> Any:
+        """The same solid in coal. Keep a reference: coal's functors hold none."""
+
+    @abstractmethod
+    def mujoco_geom(self) -> tuple[str, tuple[float, ...]]:
+        """MuJoCo's geom type and size: half lengths and radii, m; plain data, one to three."""
+
+    @abstractmethod
+    def closest_point(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Nearest surface points and outward normals.
+
+        Where several surface points are equally near (a centre, an axis), one of them is returned.
+
+        Args:
+            points: (n, 3), m; inside or outside.
+
+        Returns:
+            Surface points (n, 3), m, and outward unit normals (n, 3). For a point outside, the
+            normal is the direction from surface point to point, at edges and corners too.
+
+        Raises:
+            ObjectError: The points are not finite or not of shape (n, 3).
+        """
+
+    def signed_distance(self, points: FloatArray) -> FloatArray:
+        """Exact signed distance (n,) in m of points (n, 3): positive outside, negative inside.
+
+        Raises:
+            ObjectError: The points are not finite or not of shape (n, 3).
+        """
+        surface, normals = self.closest_point(points)
+        distance: FloatArray = np.einsum("ij,ij->i", checked_points(points) - surface, normals)
+        return distance
+
+    @abstractmethod
+    def support(self, direction: FloatArray) -> float:
+        """Largest coordinate (m) of the solid along a unit direction (3,)."""
+
+    @property
+    def resting_rotation(self) -> FloatArray:
+        """Rotation (3, 3) world from object of a stable pose on a horizontal table."""
+        return np.eye(3)
+
+    def resting_pose(self, table_height: float = 0.0) -> SE3:
+        """``T_world_object`` of a stable pose on a table, above the world's origin.
+
+        Args:
+            table_height: z of the table's top, m.
+        """
+        rotation = self.resting_rotation
+        height = self.support(-rotation[2])
+        return SE3(rotation, np.array([0.0, 0.0, table_height + height]))
+
+
+def checked_length(kind: str, name: str, value: object) -> float:
+    """A size in m as a float.
+
+    Args:
+        kind: Kind of shape, for the message.
+        name: Name of the size, for the message.
+        value: What was given.
+
+    Raises:
+        ObjectError: Not a number, not finite, not positive, or not believed.
+    """
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise ObjectError(f"{kind}: {name} is {value!r}, not a number; give metres > 0")
+    length = float(value)
+    if not np.isfinite(length) or length <= 0:
+        raise ObjectError(f"{kind}: {name} is {length}; give metres > 0")
+    if length > LARGEST:
+        raise ObjectError(
+            f"{kind}: {name} is {length} m, more than {LARGEST} m; sizes are in metres, was it "
+            "given in millimetres by mistake?"
+        )
+    if length < SMALLEST:
+        raise ObjectError(
+            f"{kind}: {name} is {length} m, less than {SMALLEST} m; sizes are in metres, give more"
+        )
+    return length
+
+
+def checked_extents(kind: str, size: object) -> tuple[float, float, float]:
+    """Full extents x, y, z in m as floats.
+
+    Args:
+        kind: Kind of shape, for the message.
+        size: What was given.
+
+    Raises:
+        ObjectError: Not three numbers, or one of them is refused by ``checked_length``.
+    """
+    if isinstance(size, str) or not isinstance(size, Sequence | np.ndarray) or len(size) != 3:
+        raise ObjectError(f"{kind}: size is {size!r}; give three full extents x, y, z in metres")
+    x, y, z = (checked_length(kind, name, v) for name, v in zip("xyz", size, strict=True))
+    return x, y, z
+
+
+def checked_points(points: FloatArray) -> FloatArray:
+    """Points (n, 3) as float64; a single point (3,) becomes (1, 3).
+
+    Raises:
+        ObjectError: Another shape, NaN or infinity.
+    """
+    p = np.atleast_2d(np.asarray(points, dtype=np.float64))
+    if p.ndim != 2 or p.shape[1] != 3:
+        raise ObjectError(f"points have shape {p.shape}; give an array of shape (n, 3), in metres")
+    if not np.isfinite(p).all():
+        raise ObjectError("points hold NaN or infinity; give finite coordinates in metres")
+    return p

@@ -1,0 +1,89 @@
+"""Box."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import coal
+import numpy as np
+
+from planner.shapes.base import Shape, checked_extents, checked_points
+from planner.shapes.nearest import nearest_of_faces, sign
+from planner.spatial import FloatArray
+
+__all__ = ["Box"]
+
+
+@dataclass(frozen=True)
+class Box(Shape):
+    """A box.
+
+    Attributes:
+        size: Full extents x, y, z, m.
+    """
+
+    kind: ClassVar[str] = "box"
+    size_names: ClassVar[tuple[str, ...]] = ("x", "y", "z")
+    size: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        """Check the sizes."""
+        object.__setattr__(self, "size", checked_extents(self.kind, self.size))
+
+    @classmethod
+    def from_sizes(cls, sizes: Sequence[float]) -> Self:
+        """From x, y, z."""
+        x, y, z = sizes
+        return cls((x, y, z))
+
+    @property
+    def sizes(self) -> tuple[float, ...]:
+        """Full extents, m."""
+        return self.size
+
+    @property
+    def half_extents(self) -> FloatArray:
+        """Half the full extents, (3,), m."""
+        return np.array(self.size) / 2
+
+    @property
+    def bounding_radius(self) -> float:
+        """Half the space diagonal, m."""
+        return float(np.linalg.norm(self.half_extents))
+
+    @property
+    def volume(self) -> float:
+        """Product of the full extents, m3."""
+        return float(np.prod(self.size))
+
+    def inertia(self, mass: float) -> FloatArray:
+        """Diagonal m/12 (y^2 + z^2), m/12 (z^2 + x^2), m/12 (x^2 + y^2); (3, 3), kg m2."""
+        squares = np.array(self.size) ** 2
+        return np.diag(mass / 12 * (squares.sum() - squares))
+
+    def coal_geometry(self) -> Any:
+        """``coal.Box``, which takes full extents."""
+        return coal.Box(*self.size)
+
+    def mujoco_geom(self) -> tuple[str, tuple[float, ...]]:
+        """Type "box", size: half extents."""
+        x, y, z = self.size
+        return "box", (x / 2, y / 2, z / 2)
+
+    def closest_point(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """See ``Shape``; inside, the nearest face."""
+        p, half = checked_points(points), self.half_extents
+        side = sign(p)
+        face_points = np.repeat(p[:, None, :], 3, axis=1)  # (n, 3 faces, 3)
+        face_normals = np.zeros_like(face_points)
+        for k in range(3):
+            face_points[:, k, k] = side[:, k] * half[k]
+            face_normals[:, k, k] = side[:, k]
+        clamped = np.clip(p, -half, half)
+        return nearest_of_faces(p, clamped, half - np.abs(p), face_points, face_normals)
+
+    def support(self, direction: FloatArray) -> float:
+        """Sum of |direction_i| half_i, m."""
+        return float(np.abs(direction) @ self.half_extents)

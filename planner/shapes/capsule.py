@@ -1,0 +1,105 @@
+"""Capsule."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import coal
+import numpy as np
+
+from planner.errors import ObjectError
+from planner.shapes.base import Shape, checked_length, checked_points
+from planner.shapes.nearest import unit
+from planner.spatial import FloatArray
+
+__all__ = ["Capsule"]
+
+
+@dataclass(frozen=True)
+class Capsule(Shape):
+    """A capsule about z: all points within ``radius`` of a segment. It rests lying along world x.
+
+    Attributes:
+        radius: m.
+        height: Full height, end to end with both caps, m; more than twice the radius.
+    """
+
+    kind: ClassVar[str] = "capsule"
+    size_names: ClassVar[tuple[str, ...]] = ("radius", "height")
+    radius: float
+    height: float
+
+    def __post_init__(self) -> None:
+        """Check the sizes."""
+        for name in self.size_names:
+            value = checked_length(self.kind, name, getattr(self, name))
+            object.__setattr__(self, name, value)
+        if self.height <= 2 * self.radius:
+            raise ObjectError(
+                f"capsule: height {self.height} m includes both caps and must be more than twice "
+                f"the radius {self.radius} m; give a larger height, or use a sphere"
+            )
+
+    @property
+    def core(self) -> float:
+        """Distance between the centres of the caps, m."""
+        return self.height - 2 * self.radius
+
+    @property
+    def sizes(self) -> tuple[float, ...]:
+        """Radius and full height, m."""
+        return self.radius, self.height
+
+    @property
+    def half_extents(self) -> FloatArray:
+        """Radius, radius, half the full height, (3,), m."""
+        return np.array([self.radius, self.radius, self.height / 2])
+
+    @property
+    def bounding_radius(self) -> float:
+        """Half the full height, m."""
+        return self.height / 2
+
+    @property
+    def volume(self) -> float:
+        """Tube and two half balls, m3."""
+        return np.pi * self.radius**2 * (self.core + 4 / 3 * self.radius)
+
+    def inertia(self, mass: float) -> FloatArray:
+        """Tube and two half balls, (3, 3), kg m2.
+
+        The centre of mass of a half ball is 3/8 r from its flat side, so moving its inertia
+        2/5 m r^2 from its flat side's centre to the capsule's adds m (d^2 + 3/4 d r), d = core/2.
+        """
+        r, h = self.radius, self.core
+        tube = mass * h / (h + 4 / 3 * r)
+        caps = mass - tube
+        along = tube * r**2 / 2 + caps * 0.4 * r**2
+        across = tube * (3 * r**2 + h**2) / 12 + caps * (0.4 * r**2 + h**2 / 4 + 3 / 8 * h * r)
+        return np.diag([across, across, along])
+
+    def coal_geometry(self) -> Any:
+        """``coal.Capsule``, which takes the distance between the centres of the caps."""
+        return coal.Capsule(self.radius, self.core)
+
+    def mujoco_geom(self) -> tuple[str, tuple[float, ...]]:
+        """Type "capsule", size: radius, half the distance between the centres of the caps."""
+        return "capsule", (self.radius, self.core / 2)
+
+    def closest_point(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """See ``Shape``; points on the axis between the caps are sent to +x."""
+        p = checked_points(points)
+        on_axis = np.zeros_like(p)
+        on_axis[:, 2] = np.clip(p[:, 2], -self.core / 2, self.core / 2)
+        normals = unit(p - on_axis)
+        return on_axis + self.radius * normals, normals
+
+    def support(self, direction: FloatArray) -> float:
+        """Radius + core/2 |direction_z|, m."""
+        return float(self.radius + self.core / 2 * abs(direction[2]))
+
+    @property
+    def resting_rotation(self) -> FloatArray:
+        """Lying, its axis along the world's x."""
+        return np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])

@@ -1,0 +1,73 @@
+"""Sphere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import coal
+import numpy as np
+
+from planner.shapes.base import Shape, checked_length, checked_points
+from planner.shapes.nearest import unit
+from planner.spatial import FloatArray
+
+__all__ = ["Sphere"]
+
+
+@dataclass(frozen=True)
+class Sphere(Shape):
+    """A ball.
+
+    Attributes:
+        radius: m.
+    """
+
+    kind: ClassVar[str] = "sphere"
+    size_names: ClassVar[tuple[str, ...]] = ("radius",)
+    radius: float
+
+    def __post_init__(self) -> None:
+        """Check the size."""
+        object.__setattr__(self, "radius", checked_length(self.kind, "radius", self.radius))
+
+    @property
+    def sizes(self) -> tuple[float, ...]:
+        """Radius, m."""
+        return (self.radius,)
+
+    @property
+    def half_extents(self) -> FloatArray:
+        """The radius three times, (3,), m."""
+        return np.full(3, self.radius)
+
+    @property
+    def bounding_radius(self) -> float:
+        """The radius, m."""
+        return self.radius
+
+    @property
+    def volume(self) -> float:
+        """4/3 pi r^3, m3."""
+        return 4 / 3 * np.pi * self.radius**3
+
+    def inertia(self, mass: float) -> FloatArray:
+        """2/5 m r^2 about every axis, (3, 3), kg m2."""
+        return 0.4 * mass * self.radius**2 * np.eye(3)
+
+    def coal_geometry(self) -> Any:
+        """``coal.Sphere``."""
+        return coal.Sphere(self.radius)
+
+    def mujoco_geom(self) -> tuple[str, tuple[float, ...]]:
+        """Type "sphere", size: radius."""
+        return "sphere", (self.radius,)
+
+    def closest_point(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """See ``Shape``; the centre is sent to +x."""
+        normals = unit(checked_points(points))
+        return self.radius * normals, normals
+
+    def support(self, direction: FloatArray) -> float:
+        """The radius, m."""
+        return self.radius

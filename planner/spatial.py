@@ -1,0 +1,106 @@
+"""Frames and wrenches: thin helpers over ``pinocchio.SE3``.
+
+Conventions used throughout the package:
+  - SI units, radians, z up. A pose is a ``pinocchio.SE3`` named as a sentence: ``T_world_object``
+    maps coordinates in the object's frame to coordinates in the world's.
+  - A flat quaternion (files, MuJoCo) is w, x, y, z.
+  - A wrench is [force; torque], on the object, about its centre of mass, in world axes unless the
+    name says otherwise.
+  - A contact normal points INTO the object; a contact frame's columns are
+    [normal, tangent1, tangent2], right-handed.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from planner.errors import ContactError
+
+__all__ = [
+    "SE3",
+    "FloatArray",
+    "IntArray",
+    "contact_frames",
+    "pose_from_wxyz",
+    "pose_to_wxyz",
+    "rotation_angle",
+    "skew",
+]
+
+FloatArray: TypeAlias = NDArray[np.float64]
+IntArray: TypeAlias = NDArray[np.int64]
+if TYPE_CHECKING:
+    SE3: TypeAlias = Any  # Pinocchio ships no types
+else:
+    SE3 = pin.SE3
+
+
+def skew(v: FloatArray) -> FloatArray:
+    """Cross-product matrix: ``skew(a) @ b == np.cross(a, b)``.
+
+    Args:
+        v: Vectors, shape (..., 3).
+
+    Returns:
+        Matrices, shape (..., 3, 3).
+    """
+    v = np.asarray(v, dtype=np.float64)
+    out = np.zeros((*v.shape[:-1], 3, 3))
+    out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
+    out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
+    out[..., 2, 0], out[..., 2, 1] = -v[..., 1], v[..., 0]
+    return out
+
+
+def contact_frames(normals: FloatArray) -> FloatArray:
+    """Right-handed frames [normal, tangent1, tangent2] from normals.
+
+    tangent1 is normal x e, where e is the coordinate axis least aligned with the normal (the first
+    of equals), so that the frame is well conditioned for every normal. It jumps where e changes:
+    keep a frame once it is made, and turn it with its contact.
+
+    Args:
+        normals: Directions into the object, shape (n, 3), of any positive length.
+
+    Returns:
+        Rotation matrices, shape (n, 3, 3), columns [normal, tangent1, tangent2].
+
+    Raises:
+        ContactError: A normal is not finite or has no length.
+    """
+    n = np.atleast_2d(np.asarray(normals, dtype=np.float64))
+    if n.ndim != 2 or n.shape[1] != 3:
+        raise ContactError(f"normals have shape {n.shape}; give an array of shape (n, 3)")
+    if not np.isfinite(n).all():
+        raise ContactError("normals hold NaN or infinity; give finite directions")
+    length = np.linalg.norm(n, axis=1, keepdims=True)
+    if (length < 1e-9).any():
+        bad = int(np.argmin(length))
+        raise ContactError(f"normal {bad} has no direction: {n[bad].tolist()}; give a unit vector")
+    n = n / length
+    axis = np.eye(3)[np.argmin(np.abs(n), axis=1)]
+    t1 = np.cross(n, axis)
+    t1 /= np.linalg.norm(t1, axis=1, keepdims=True)
+    return np.stack([n, t1, np.cross(n, t1)], axis=2)
+
+
+def pose_from_wxyz(position: FloatArray, quat_wxyz: FloatArray) -> SE3:
+    """Pose from a position (3,) in m and a quaternion w, x, y, z (4,), normalised here."""
+    w, x, y, z = np.asarray(quat_wxyz, dtype=np.float64) / np.linalg.norm(quat_wxyz)
+    return SE3(pin.Quaternion(w, x, y, z).toRotationMatrix(), np.asarray(position, dtype=float))
+
+
+def pose_to_wxyz(pose: SE3) -> tuple[FloatArray, FloatArray]:
+    """Position (3,) in m and unit quaternion w, x, y, z (4,) with w >= 0 of a pose."""
+    quat = pin.Quaternion(pose.rotation)
+    wxyz = np.array([quat.w, quat.x, quat.y, quat.z])
+    return np.array(pose.translation), wxyz if wxyz[0] >= 0 else -wxyz
+
+
+def rotation_angle(rotation: FloatArray) -> float:
+    """Angle in rad, in [0, pi], by which a rotation matrix (3, 3) turns."""
+    return float(np.linalg.norm(pin.log3(np.asarray(rotation, dtype=np.float64))))

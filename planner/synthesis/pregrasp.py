@@ -1,0 +1,269 @@
+"""The pre-grasp and the way to it: fingers opened along the contact normals, hand moved straight in.
+
+Both are part of a plan: a grasp that cannot be reached without touching is no plan. The opened
+fingers are the solution of a small NLP over the joints alone:
+
+    min  sum |c_i(q) - (c_i - opening n_i)|^2 / opening^2 + POSTURE_WEIGHT |q - q_grasp|^2
+    s.t. every pad opened by OPENED_SHARE of the opening at least; couplings; joint limits;
+         links clear of object, table, obstacles and of each other
+
+with c_i the pad centres of the grasp and n_i the normals into the object.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from planner.collision import Clearance, CollisionWorld
+from planner.hand import Finger, Hand
+from planner.kinematics import HandState
+from planner.shapes import Shape
+from planner.spatial import SE3, FloatArray
+from planner.symbolic import SymbolicHand
+from planner.synthesis.clearance import ClearanceTerms
+from planner.synthesis.problem import LINEAR_SOLVER
+from planner.synthesis.surfaces import SIZE_DIM, surface_of
+from planner.task import GraspTask
+
+__all__ = ["Approach", "PregraspProblem", "find_approach", "table_in_object"]
+
+OPENINGS = (0.025, 0.02, 0.015, 0.01)
+"""Distances (m) by which pads are opened along the normals, tried in this order. More room absorbs
+a larger error of the object's pose; less is easier to reach."""
+
+OPENED_SHARE = 0.7
+"""Share of the opening that every pad must really reach within its joint limits (-)."""
+
+STANDOFF = 0.12
+"""Length (m) of the straight approach: outside the reach of most objects for a hand."""
+
+APPROACH_CLEARANCE = 0.001
+"""Smallest distance (m) to object, table and obstacles on the way in."""
+
+PATH_SAMPLES = 8
+"""Configurations checked along the closing motion and along the approach, each."""
+
+POSTURE_WEIGHT = 0.05
+"""Cost of moving a joint by one radian against missing the opening by all of it (-)."""
+
+OPEN_CLEARANCE = 0.003
+"""Distance (m) that links keep from object, table and obstacles at the pre-grasp."""
+
+FINGER_CLEARANCE = 0.002
+"""Distance (m) that fingers keep from each other at the pre-grasp."""
+
+MAX_ITERATIONS = 40
+
+@dataclass(frozen=True, kw_only=True)
+class Approach:
+    """How the hand gets to a grasp.
+
+    Attributes:
+        q: Pre-grasp joints (nq,), pads opened along the normals.
+        opening: By how much, m.
+        T_world_base_start: Base pose from which it moves straight to the grasp with ``q``.
+    """
+
+    q: FloatArray
+    opening: float
+    T_world_base_start: SE3
+
+
+class PregraspProblem:
+    """The NLP of the opened fingers: built once per hand, fingers and kind of shape."""
+
+    def __init__(
+        self, hand: Hand, fingers: Sequence[Finger], kind_of: Shape, n_obstacles: int = 0
+    ) -> None:
+        """Build it; arguments as in ``build_problem``."""
+        self.hand, self.fingers = hand, tuple(fingers)
+        self.surface = surface_of(kind_of)
+        n = len(self.fingers)
+        q, q_grasp = ca.SX.sym("q", hand.nq), ca.SX.sym("q_grasp", hand.nq)
+        rotation, shift = ca.SX.sym("R", 3, 3), ca.SX.sym("t", 3)
+        size = ca.SX.sym("size", SIZE_DIM)
+        normal, offset = ca.SX.sym("table_n", 3), ca.SX.sym("table_d")
+        begin, inward = ca.SX.sym("c", 3, n), ca.SX.sym("n", 3, n)
+        opening = ca.SX.sym("opening")
+        boxes = [
+            (ca.SX.sym("R_ob", 3, 3), ca.SX.sym("t_ob", 3), ca.SX.sym("h_ob", 3))
+            for _ in range(n_obstacles)
+        ]
+        symbolic = SymbolicHand(hand, q)
+        moved = [
+            rotation @ symbolic.point(f.pad.joint_id, f.pad.center) + shift - begin[:, i]
+            for i, f in enumerate(self.fingers)
+        ]
+        miss = [m + opening * inward[:, i] for i, m in enumerate(moved)]
+        cost = sum(ca.sumsqr(m) for m in miss) / opening**2
+        cost += POSTURE_WEIGHT * ca.sumsqr(q - q_grasp)
+        matrix, value = hand.coupling_matrix
+        equal = [ca.DM(matrix) @ q - value] if len(value) else []
+        links = ClearanceTerms(symbolic, rotation, shift)
+        above = [-ca.dot(m, inward[:, i]) / opening - OPENED_SHARE for i, m in enumerate(moved)]
+        above += links.from_object(self.surface, size, [], OPEN_CLEARANCE, OPEN_CLEARANCE)
+        above += links.from_plane(normal, offset, OPEN_CLEARANCE)
+        for r_ob, t_ob, h_ob in boxes:
+            above += links.from_box(r_ob, t_ob, h_ob, OPEN_CLEARANCE)
+        above += links.between_fingers(FINGER_CLEARANCE)
+        g = ca.vertcat(*equal, *above)
+        parameters = ca.vertcat(
+            q_grasp,
+            ca.vec(rotation),
+            shift,
+            size,
+            normal,
+            offset,
+            ca.vec(begin),
+            ca.vec(inward),
+            opening,
+            *[v for r, t, h in boxes for v in (ca.vec(r), t, h)],
+        )
+        self._upper = np.concatenate([np.zeros(len(value)), np.full(len(above), np.inf)])
+        self._solver = ca.nlpsol(
+            "pregrasp",
+            "ipopt",
+            {"x": q, "p": parameters, "f": cost, "g": g},
+            {
+                "print_time": False,
+                "error_on_fail": False,
+                "ipopt.print_level": 0,
+                "ipopt.sb": "yes",
+                "ipopt.max_iter": MAX_ITERATIONS,
+                "ipopt.tol": 1e-3,
+                "ipopt.constr_viol_tol": 1e-6,
+                **LINEAR_SOLVER,
+            },
+        )
+
+    def solve(
+        self,
+        task: GraspTask,
+        T_world_base: SE3,
+        q: FloatArray,
+        normals: FloatArray,
+        opening: float,
+    ) -> FloatArray | None:
+        """Joints (nq,) with the pads ``opening`` (m) back along the normals (n, 3, world).
+
+        None where the limits or something in the way forbid it.
+        """
+        hand = self.hand
+        to_object = task.T_world_object.inverse()
+        T = to_object * T_world_base
+        state = HandState(hand, q)
+        begin = np.array([T.act(state.pad_center(f)) for f in self.fingers])
+        table_normal, table_offset = table_in_object(task)
+        parts: list[Any] = [
+            q,
+            np.array(T.rotation).ravel(order="F"),
+            T.translation,
+            self.surface.size(task.object.shape),
+            table_normal,
+            [table_offset],
+            begin.ravel(),
+            (normals @ task.T_world_object.rotation).ravel(),
+            [opening],
+        ]
+        for obstacle in task.obstacles:
+            inverse = (to_object * obstacle.T_world_obstacle).inverse()
+            parts += [
+                np.array(inverse.rotation).ravel(order="F"),
+                inverse.translation,
+                obstacle.size / 2,
+            ]
+        lower, upper = hand.q_lower.copy(), hand.q_upper.copy()
+        wrist = hand.wrist_index
+        lower[wrist] = upper[wrist] = q[wrist]
+        result = self._solver(
+            x0=q, p=np.concatenate(parts), lbx=lower, ubx=upper, lbg=0, ubg=self._upper
+        )
+        if not self._solver.stats()["success"]:
+            return None
+        return np.clip(np.array(result["x"]).ravel(), lower, upper)
+
+
+def table_in_object(task: GraspTask) -> tuple[FloatArray, float]:
+    """Table plane in the object's frame: unit normal (3,) and offset, m."""
+    inverse = task.T_world_object.inverse()
+    normal = inverse.rotation @ np.array([0.0, 0.0, 1.0])
+    if task.table_height is None:
+        return normal, -NO_TABLE
+    on_table = inverse.act(np.array([0.0, 0.0, task.table_height]))
+    return normal, float(normal @ on_table)
+
+
+NO_TABLE = 10.0
+"""Distance (m) at which the NLPs put the table when there is none: beyond any hand."""
+
+
+def find_approach(
+    world: CollisionWorld,
+    problem: PregraspProblem,
+    T_world_base: SE3,
+    q: FloatArray,
+    normals: FloatArray,
+) -> Approach | str:
+    """A pre-grasp and a straight way in that touch nothing; or why there is none.
+
+    Args:
+        world: True geometry of the task.
+        problem: The NLP for its hand, fingers and shape.
+        T_world_base: Base pose of the grasp.
+        q: Joints of the grasp (nq,).
+        normals: Contact normals into the object (n, 3), world.
+    """
+    reason = "the fingers cannot open along the contact normals"
+    for opening in OPENINGS:
+        opened = problem.solve(world.task, T_world_base, q, normals, opening)
+        if opened is None:
+            continue
+        touching = _closing_touches(world, T_world_base, q, opened)
+        if touching is not None:
+            reason = f"the fingers touch while they close: {touching}"
+            continue
+        start = _way_in(world, T_world_base, opened)
+        if start is not None:
+            return Approach(q=opened, opening=opening, T_world_base_start=start)
+        reason = "no straight approach is free"
+    return reason
+
+
+def _closing_touches(
+    world: CollisionWorld, T_world_base: SE3, q: FloatArray, opened: FloatArray
+) -> Clearance | None:
+    """What touches on the way from the opened fingers to just before the grasp, if anything."""
+    for s in np.linspace(1.0, 0.0, PATH_SAMPLES, endpoint=False):
+        nearest = world.nearest(T_world_base, q + s * (opened - q))
+        if nearest.distance <= 0:
+            return nearest
+    return None
+
+
+def _way_in(world: CollisionWorld, T_world_base: SE3, opened: FloatArray) -> SE3 | None:
+    """The nearest-to-natural straight way: against the palm's normal, else upwards, or between."""
+    hand = world.task.hand
+    palm = T_world_base * HandState(hand, opened).T_base_palm
+    back = -(palm.rotation @ hand.palm_normal)
+    up = np.array([0.0, 0.0, 1.0])
+    for direction in (up, back + up, back):
+        length = float(np.linalg.norm(direction))
+        if length < 1e-6:
+            continue
+        shift = STANDOFF * direction / length
+        if all(
+            world.nearest(
+                SE3(T_world_base.rotation, T_world_base.translation + s * shift),
+                opened,
+                surroundings_only=True,
+            ).distance
+            >= APPROACH_CLEARANCE
+            for s in np.linspace(1.0, 0.0, PATH_SAMPLES)
+        ):
+            return SE3(T_world_base.rotation, T_world_base.translation + shift)
+    return None

@@ -1,0 +1,227 @@
+"""Starts for the NLP: put the hand where its fingers oppose each other across the object.
+
+In the pinch posture the finger whose pad faces the others is the opposer (a thumb). The line
+from its pad to the mean of the other pads is the hand's opposition axis. A start lays that axis
+along a direction in which the object is narrow enough, turns the hand about it so that the palm
+comes from the free side, adds noise, and takes as first contacts the surface points nearest to the
+pads. Which face each finger is assigned to follows from those points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from planner.errors import TaskError
+from planner.kinematics import HandState
+from planner.spatial import SE3, FloatArray
+from planner.synthesis.problem import Start
+from planner.synthesis.surfaces import Surface, surface_of
+from planner.task import GraspTask
+
+__all__ = ["Opposition", "Seeder", "opposition"]
+
+PINCH, OPEN = "pinch", "open"
+"""Postures that every description gives: pads opposed, and wide open."""
+
+POSITION_NOISE = 0.01
+"""Standard deviation (m) of the hand's position in a start."""
+
+TILT_NOISE = 0.45
+"""Standard deviation (rad) of the hand's turn about the opposition axis in a start."""
+
+JOINT_NOISE = 0.05
+"""Standard deviation of the joints in a start, in shares of their range."""
+
+AXIS_NOISE = 0.15
+"""Standard deviation (rad) of the opposition axis about the chosen direction of the object."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Opposition:
+    """How the fingers of a hand oppose each other in a posture, in the base's frame.
+
+    Attributes:
+        opposer: Number of the finger that opposes the others.
+        axis: (3,), unit, from the opposer's pad to the mean of the others'.
+        center: (3,), m, half-way between.
+        palm_side: (3,), unit, from the centre to the palm, orthogonal to ``axis``.
+        gap: Free width between the pads along the axis, m.
+    """
+
+    opposer: int
+    axis: FloatArray
+    center: FloatArray
+    palm_side: FloatArray
+    gap: float
+
+
+def opposition(task: GraspTask, q: FloatArray) -> Opposition:
+    """Opposition of the task's fingers at q."""
+    state = HandState(task.hand, q)
+    centers = np.array([state.pad_center(f) for f in task.fingers])
+    axes = np.array([state.pad_axis(f) for f in task.fingers])
+    # the opposer's pad faces against the sum of the other pads
+    against = axes @ axes.sum(axis=0) - 1.0
+    opposer = int(np.argmin(against))
+    others = np.delete(centers, opposer, axis=0).mean(axis=0)
+    across = others - centers[opposer]
+    width = float(np.linalg.norm(across))
+    axis = across / width
+    center = (others + centers[opposer]) / 2
+    side = np.array(state.T_base_palm.translation) - center
+    side -= axis * (axis @ side)
+    pads = [f.pad.radius for f in task.fingers]
+    return Opposition(
+        opposer=opposer,
+        axis=axis,
+        center=center,
+        palm_side=side / np.linalg.norm(side),
+        gap=width - pads[opposer] - float(np.mean(np.delete(pads, opposer))),
+    )
+
+
+class Seeder:
+    """Draws starts for one task."""
+
+    def __init__(self, task: GraspTask) -> None:
+        """Compute what all starts share.
+
+        Raises:
+            TaskError: The object is too wide for the hand in every direction.
+        """
+        self.task = task
+        self.surface: Surface = surface_of(task.object.shape)
+        self.open = self._with_wrist(task.hand.posture(OPEN))
+        pinch = self._with_wrist(task.hand.posture(PINCH))
+        self.posture = np.where(self._resting(), self.open, pinch)
+        self.pinch = opposition(task, self.posture)
+        self.widest = max(opposition(task, self.open).gap, self.pinch.gap)
+        self.frozen = self._frozen()
+        self.directions = self._directions()
+        if not self.directions:
+            smallest = 2e3 * float(task.object.shape.half_extents.min())
+            raise TaskError(
+                f"the object is too large for {task.hand.name}: its pads open {1e3 * self.widest:.0f} "
+                f"mm, the object's smallest width is {smallest:.0f} mm; use a smaller object, other "
+                "fingers or a larger hand"
+            )
+
+    def draw(self, rng: np.random.Generator) -> Start:
+        """One start."""
+        task, pinch = self.task, self.pinch
+        q = self._noisy_posture(rng)
+        now = opposition(task, q)
+        T_world_base = task.T_world_base
+        if T_world_base is None:
+            direction = self._noisy(self.directions[rng.integers(len(self.directions))], rng)
+            axis = task.T_world_object.rotation @ direction
+            above = self._free_side(axis, rng)
+            rotation = _frame(axis, above) @ _frame(now.axis, now.palm_side).T
+            center = task.T_world_object.translation + rng.normal(0, POSITION_NOISE, 3)
+            T_world_base = SE3(rotation, center - rotation @ now.center)
+        T_object_base = task.T_world_object.inverse() * T_world_base
+        state = HandState(task.hand, q)
+        pads = np.array([T_object_base.act(state.pad_center(f)) for f in task.fingers])
+        points, normals = task.object.shape.closest_point(pads)
+        patches = tuple(
+            self.surface.patch_at(task.object.shape, p, n)
+            for p, n in zip(points, normals, strict=True)
+        )
+        return Start(
+            T_object_base=T_object_base,
+            q=q,
+            points=np.array(
+                [np.clip(p, c.lower, c.upper) for p, c in zip(points, patches, strict=True)]
+            ),
+            forces=_opposed_forces(normals, pinch.opposer),
+            patches=patches,
+            frozen=self.frozen,
+            base_fixed=task.T_world_base is not None,
+        )
+
+    def _with_wrist(self, q: FloatArray) -> FloatArray:
+        q = q.copy()
+        q[self.task.hand.wrist_index] = self.task.wrist_q
+        return q
+
+    def _frozen(self) -> FloatArray:
+        """Joints that stay where they are: the wrist's, unless it is free.
+
+        Fingers that do not take part may move out of the way.
+        """
+        frozen = np.zeros(self.task.hand.nq, dtype=bool)
+        frozen[self.task.hand.wrist_index] = not self.task.wrist_free
+        return frozen
+
+    def _resting(self) -> FloatArray:
+        """Joints of fingers that do not take part."""
+        resting = np.ones(self.task.hand.nq, dtype=bool)
+        for finger in self.task.fingers:
+            resting[finger.q_index] = False
+        return resting
+
+    def _directions(self) -> list[FloatArray]:
+        """Directions in the object's frame across which the hand could close, best first.
+
+        A dozen directions around the horizontal, kept where the object is narrow enough; for boxes
+        only face normals, because opposed contacts need opposed faces.
+        """
+        shape = self.task.object.shape
+        to_object = self.task.T_world_object.rotation.T
+        if shape.kind == "box":
+            candidates = list(np.vstack([np.eye(3), -np.eye(3)]))
+        else:
+            turns = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+            candidates = [to_object @ np.array([np.cos(a), np.sin(a), 0.0]) for a in turns]
+        if self.task.table_height is not None:
+            up = to_object @ np.array([0.0, 0.0, 1.0])
+            candidates = [c for c in candidates if abs(c @ up) < STEEPEST]
+        return [c for c in candidates if 2 * _half_width(shape, c) < self.widest]
+
+    def _free_side(self, axis: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """A direction across ``axis`` on which the palm may be: up, with noise."""
+        up = np.array([0.0, 0.0, 1.0])
+        if self.task.table_height is None:
+            up = rng.normal(size=3)
+        up = up - axis * (axis @ up)
+        up /= np.linalg.norm(up)
+        return np.array(pin.exp3(axis * rng.normal(0, TILT_NOISE)) @ up)
+
+    def _noisy_posture(self, rng: np.random.Generator) -> FloatArray:
+        hand = self.task.hand
+        # opened so far that the pads are as far apart as the object is wide
+        span = hand.q_upper - hand.q_lower
+        share = rng.uniform(0.0, 0.6)
+        q = self.posture + share * (self.open - self.posture)
+        noise = rng.normal(0, JOINT_NOISE, hand.nq) * span
+        return self._with_wrist(np.clip(q + noise, hand.q_lower, hand.q_upper))
+
+    def _noisy(self, direction: FloatArray, rng: np.random.Generator) -> FloatArray:
+        if self.task.object.shape.kind == "box":
+            return direction
+        return np.array(pin.exp3(rng.normal(0, AXIS_NOISE, 3)) @ direction)
+
+
+STEEPEST = 0.5
+"""Largest cosine between an opposition axis and the vertical for an object on a table: a finger
+below the object would have to pass through the table."""
+
+
+def _half_width(shape: object, direction: FloatArray) -> float:
+    """Half the width (m) of a convex shape across a unit direction of its frame."""
+    return float(shape.support(direction))  # type: ignore[attr-defined]
+
+
+def _frame(axis: FloatArray, side: FloatArray) -> FloatArray:
+    return np.column_stack([axis, side, np.cross(axis, side)])
+
+
+def _opposed_forces(normals: FloatArray, opposer: int) -> FloatArray:
+    """Forces (n, 3) along the inward normals; the opposer bears as much as all others together."""
+    n = len(normals)
+    share = np.full(n, n / (2.0 * (n - 1)))
+    share[opposer] = n / 2.0
+    return -normals * share[:, None]

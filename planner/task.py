@@ -1,0 +1,204 @@
+"""``GraspTask``: what is to be grasped, by which hand, where, and in which surroundings.
+
+The task is stored in the plan, and the simulated scene is built from it, so that planning and
+execution cannot disagree about the world.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from planner.contacts import CONTACT_DIM, ContactModel
+from planner.errors import TaskError
+from planner.hand import Finger, Hand
+from planner.objects import GraspObject, parse_object
+from planner.spatial import SE3, FloatArray
+
+__all__ = ["DEFAULT_MU", "GRAVITY", "GraspTask", "Obstacle"]
+
+GRAVITY = (0.0, 0.0, -9.81)
+"""Default gravity, m/s2, world axes."""
+
+DEFAULT_MU = 0.5
+"""Sliding friction that planning assumes (-); simulation uses 0.6, so that a plan has a margin."""
+
+GRIP_SAFETY = 2.0
+"""Default grip: each finger presses with this many times the weight it would have to carry by
+friction alone if all fingers shared the load, never less than ``MIN_GRIP``."""
+
+MIN_GRIP = 1.5
+"""Smallest default normal force per finger, N: well above the joint friction of a real finger."""
+
+FINGERS_NEEDED = {"frictionless": 7, "point": 3, "soft": 2}
+"""Fewest contacts that can close a grasp of a solid body: rank 6 of the grasp map with forces that
+can balance each other (Murray, Li, Sastry 1994, section 5.3)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Obstacle:
+    """A fixed box that hand and object must not touch.
+
+    Attributes:
+        name: What to call it in messages.
+        size: Full extents (3,), m.
+        T_world_obstacle: Pose of its centre.
+    """
+
+    name: str
+    size: FloatArray
+    T_world_obstacle: SE3
+
+    def __post_init__(self) -> None:
+        """Check the size."""
+        size = np.array(self.size, dtype=np.float64)
+        if size.shape != (3,) or not np.isfinite(size).all() or (size <= 0).any():
+            raise TaskError(f"obstacle {self.name!r}: size {self.size} must be three lengths > 0 m")
+        object.__setattr__(self, "size", size)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GraspTask:
+    """One grasp to be planned; make one with ``GraspTask.create``.
+
+    Attributes:
+        hand: The hand.
+        object: Shape and mass.
+        T_world_object: Pose of the object (its centre of mass) at the grasp.
+        table_height: Height z of the table's top, m; None for no table.
+        obstacles: Fixed boxes.
+        gravity: (3,), m/s2, world.
+        mu: Sliding friction that planning may rely on (-).
+        mu_torsion: Torsional friction (m); matters with ``contact_model="soft"``.
+        contact_model: Friction law of the planned contacts.
+        finger_names: Fingers that take part.
+        grip_force: Smallest normal force per finger in the planned grasp, N.
+        T_world_base: Pose of the hand's base if it is fixed; None if it is free.
+        wrist_free: Whether the wrist joints may move; they stay at ``wrist_q`` otherwise.
+        wrist_q: Wrist joints where they are held, rad.
+    """
+
+    hand: Hand
+    object: GraspObject
+    T_world_object: SE3
+    table_height: float | None = 0.0
+    obstacles: tuple[Obstacle, ...] = ()
+    gravity: FloatArray = field(default_factory=lambda: np.array(GRAVITY))
+    mu: float = DEFAULT_MU
+    mu_torsion: float = 0.0
+    contact_model: ContactModel = "point"
+    finger_names: tuple[str, ...]
+    grip_force: float
+    T_world_base: SE3 | None = None
+    wrist_free: bool = False
+    wrist_q: FloatArray
+
+    @classmethod
+    def create(
+        cls,
+        hand: Hand | str,
+        object: GraspObject | str,
+        *,
+        T_world_object: SE3 | None = None,
+        fingers: Sequence[str] | None = None,
+        grip_force: float | None = None,
+        wrist_q: Sequence[float] | None = None,
+        **options: Any,
+    ) -> GraspTask:
+        """A task with defaults filled in.
+
+        Args:
+            hand: A hand, or its name.
+            object: An object, or a specification such as "box:0.05x0.05x0.08".
+            T_world_object: Where the object is; at rest on the table by default.
+            fingers: Finger names; the hand's default set if None.
+            grip_force: N per finger; from weight and friction if None (``GRIP_SAFETY``).
+            wrist_q: Wrist joints, rad; zero if None.
+            **options: Any other attribute.
+
+        Raises:
+            PlannerError: An unknown name, a number out of range, or a task that cannot work.
+        """
+        hand = Hand.load(hand) if isinstance(hand, str) else hand
+        item = parse_object(object) if isinstance(object, str) else object
+        height = options.get("table_height", 0.0)
+        if T_world_object is None:
+            T_world_object = item.shape.resting_pose(0.0 if height is None else height)
+        chosen = hand.choose_fingers(fingers)
+        mu = options.get("mu", DEFAULT_MU)
+        if grip_force is None:
+            gravity = np.linalg.norm(options.get("gravity", GRAVITY))
+            share = item.mass * gravity / (max(mu, 1e-3) * len(chosen))
+            grip_force = float(max(MIN_GRIP, GRIP_SAFETY * share))
+        n_wrist = len(hand.wrist_index)
+        return cls(
+            hand=hand,
+            object=item,
+            T_world_object=T_world_object,
+            finger_names=tuple(f.name for f in chosen),
+            grip_force=grip_force,
+            wrist_q=np.zeros(n_wrist) if wrist_q is None else np.array(wrist_q, dtype=float),
+            **options,
+        )
+
+    def __post_init__(self) -> None:
+        """Check every number and whether the fingers can close a grasp at all."""
+        for name in ("mu", "mu_torsion", "grip_force"):
+            value = getattr(self, name)
+            if not np.isfinite(value) or value < 0:
+                raise TaskError(f"{name} is {value}; give a finite number >= 0")
+        gravity = np.array(self.gravity, dtype=np.float64)
+        if gravity.shape != (3,) or not np.isfinite(gravity).all():
+            raise TaskError(f"gravity is {self.gravity}; give three finite numbers in m/s2")
+        object.__setattr__(self, "gravity", gravity)
+        if self.table_height is not None and not np.isfinite(self.table_height):
+            raise TaskError(f"table_height is {self.table_height}; give metres, or None for none")
+        for name in ("T_world_object", "T_world_base"):
+            pose = getattr(self, name)
+            if pose is not None and not np.isfinite(pose.homogeneous).all():
+                raise TaskError(f"{name} holds NaN or infinity")
+        if self.contact_model not in CONTACT_DIM:
+            allowed = list(CONTACT_DIM)
+            raise TaskError(f"contact_model is {self.contact_model!r}; use one of {allowed}")
+        needed = FINGERS_NEEDED[self.contact_model]
+        if len(self.finger_names) < needed:
+            raise TaskError(
+                f"{len(self.finger_names)} finger(s) {list(self.finger_names)} cannot close a "
+                f"grasp with {self.contact_model} contacts, which needs at least {needed}; name "
+                f"more of {list(self.hand.fingers)}"
+            )
+        if self.mu == 0 and self.contact_model != "frictionless":
+            raise TaskError("mu is 0: fingertips cannot close a grasp without friction; give mu > 0")
+        self._check_wrist()
+        if self.table_height is not None:
+            self._check_object_above_table(self.table_height)
+
+    @property
+    def fingers(self) -> tuple[Finger, ...]:
+        """The fingers that take part."""
+        return tuple(self.hand.fingers[name] for name in self.finger_names)
+
+    def _check_wrist(self) -> None:
+        index = self.hand.wrist_index
+        if self.wrist_q.shape != index.shape:
+            raise TaskError(f"wrist_q has shape {self.wrist_q.shape}, the hand needs {index.shape}")
+        q = np.clip(np.zeros(self.hand.nq), self.hand.q_lower, self.hand.q_upper)
+        q[index] = self.wrist_q
+        self.hand.checked_q(q, "wrist_q")
+
+    def _check_object_above_table(self, height: float) -> None:
+        lowest = self.T_world_object.translation[2] - self.object.shape.support(
+            -self.T_world_object.rotation[2]
+        )
+        if lowest < height - OBJECT_TABLE_TOL:
+            raise TaskError(
+                f"the object reaches down to z = {lowest:.4f} m, below the table's top at "
+                f"{height:.4f} m; raise T_world_object by {height - lowest:.4f} m"
+            )
+
+
+OBJECT_TABLE_TOL = 1e-6
+"""How far (m) an object may be given below the table's top: rounding of its resting pose."""

@@ -1,0 +1,198 @@
+"""Plan and execute hands x objects x seeds: behind ``opposable bench grasps``."""
+
+from __future__ import annotations
+
+import platform
+import statistics
+from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
+from rich.table import Table
+
+from planner.objects import parse_object
+from planner.search import NoGraspFoundError, plan_grasp, problems_for
+from planner.task import GraspTask
+from sim.scene import PhysicsOptions
+from sim.trial import simulate
+
+__all__ = ["Outcome", "bench_table", "run_benchmark"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """One seed of one cell.
+
+    Attributes:
+        hand: Name of the hand.
+        object: Specification of the object.
+        seed: Seed.
+        found: Whether a plan was found.
+        attempts: Attempts made.
+        cpu_s: CPU time of planning without building, s.
+        build_s: Time of building the NLPs, s; 0 where they were at hand.
+        epsilon: Of the planned contacts; None if not found.
+        held: Whether the object was held.
+        reason: Why not.
+        slip_mm: Largest movement of the object in the hand after the squeeze.
+        slip_deg: Largest turn.
+        position_errors_mm: Planned against measured contact, per finger.
+        force_errors_percent: The same for normal forces.
+    """
+
+    hand: str
+    object: str
+    seed: int
+    found: bool
+    attempts: int
+    cpu_s: float
+    build_s: float
+    epsilon: float | None = None
+    held: bool = False
+    reason: str = ""
+    slip_mm: float | None = None
+    slip_deg: float | None = None
+    position_errors_mm: tuple[float, ...] = ()
+    force_errors_percent: tuple[float, ...] = ()
+
+
+def _one(hand: str, object: str, seed: int, mu: float) -> Outcome:
+    task = GraspTask.create(hand, object)
+    name = task.object.shape.spec
+    build_s = problems_for(task).build_s
+    try:
+        plan = plan_grasp(task, seed=seed)
+    except NoGraspFoundError as error:
+        cpu = sum(a.cpu_s for a in error.attempts)
+        return Outcome(
+            hand=hand,
+            object=name,
+            seed=seed,
+            found=False,
+            attempts=len(error.attempts),
+            cpu_s=cpu,
+            build_s=build_s,
+            reason="no plan",
+        )
+    report = simulate(plan, physics=PhysicsOptions(mu=mu))
+    slip_mm, slip_deg = report.largest_slip
+    return Outcome(
+        hand=hand,
+        object=name,
+        seed=seed,
+        found=True,
+        attempts=plan.record.attempts,
+        cpu_s=plan.record.cpu_s,
+        build_s=build_s,
+        epsilon=plan.quality.epsilon,
+        held=report.success,
+        reason=report.reason,
+        slip_mm=slip_mm,
+        slip_deg=slip_deg,
+        position_errors_mm=tuple(c.position_error_mm for c in report.comparison),
+        force_errors_percent=tuple(c.force_error_percent for c in report.comparison),
+    )
+
+
+def run_benchmark(
+    hands: Iterable[str],
+    objects: Iterable[str],
+    seeds: Iterable[int],
+    *,
+    mu: float,
+    workers: int,
+    console: Console,
+) -> dict[str, Any]:
+    """Run every cell; Ctrl-C keeps what is finished.
+
+    Args:
+        hands: Hand names.
+        objects: Object specifications.
+        seeds: Seeds per cell.
+        mu: Sliding friction in simulation (-).
+        workers: Processes.
+        console: Where the progress bar goes.
+
+    Returns:
+        Plain data: the outcomes, and what they were made with.
+    """
+    objects, seeds = list(objects), list(seeds)
+    jobs = [(h, o, s) for h in hands for o in objects for s in seeds]
+    for hand in dict.fromkeys(h for h, _, _ in jobs):
+        for object in objects:
+            GraspTask.create(hand, parse_object(object))  # bad input ends here, not after minutes
+    outcomes: list[Outcome] = []
+    interrupted = False
+    columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console) as progress:
+        bar = progress.add_task("plan and execute", total=len(jobs))
+        try:
+            if workers == 1:
+                for job in jobs:
+                    outcomes.append(_one(*job, mu))
+                    progress.advance(bar)
+            else:
+                with ProcessPoolExecutor(workers) as pool:
+                    futures = [pool.submit(_one, *job, mu) for job in jobs]
+                    for future in as_completed(futures):
+                        outcomes.append(future.result())
+                        progress.advance(bar)
+        except KeyboardInterrupt:
+            interrupted = True
+    outcomes.sort(key=lambda o: (o.hand, o.object, o.seed))
+    return {
+        "format": "opposable-bench-grasps",
+        "version": 1,
+        "written_by": f"opposable {version('opposable')}",
+        "machine": f"{platform.machine()}, Python {platform.python_version()}",
+        "mu_simulation": mu,
+        "workers": workers,
+        "interrupted": interrupted,
+        "outcomes": [asdict(o) for o in outcomes],
+    }
+
+
+def bench_table(result: dict[str, Any]) -> Table:
+    """The outcomes per hand and object, and over all."""
+    outcomes = [Outcome(**o) for o in result["outcomes"]]
+    table = Table(
+        title="plans found and grasps held; medians (worst) of CPU per plan, slip and errors"
+    )
+    for name in ("hand", "object", "found", "held", "attempts", "CPU s", "slip mm", "slip deg",
+                 "position mm", "force %", "epsilon"):
+        table.add_column(name, justify="left" if name in ("hand", "object") else "right")
+    cells: dict[tuple[str, str], list[Outcome]] = {}
+    for o in outcomes:
+        cells.setdefault((o.hand, o.object), []).append(o)
+    for (hand, object), members in cells.items():
+        table.add_row(hand, object, *_row(members))
+    if outcomes:
+        table.add_section()
+        table.add_row("all", "", *_row(outcomes))
+    return table
+
+
+def _row(members: list[Outcome]) -> list[str]:
+    found = [o for o in members if o.found]
+    held = [o for o in found if o.held]
+    return [
+        f"{len(found)}/{len(members)}",
+        f"{len(held)}/{len(found)}",
+        f"{statistics.fmean(o.attempts for o in members):.1f}",
+        _median([o.cpu_s for o in members], 3),
+        _median([o.slip_mm for o in held if o.slip_mm is not None], 2),
+        _median([o.slip_deg for o in held if o.slip_deg is not None], 2),
+        _median([e for o in held for e in o.position_errors_mm], 2),
+        _median([e for o in held for e in o.force_errors_percent], 1),
+        _median([o.epsilon for o in found if o.epsilon is not None], 3, worst=min),
+    ]
+
+
+def _median(values: list[float], digits: int, worst: Any = max) -> str:
+    if not values:
+        return "-"
+    return f"{statistics.median(values):.{digits}f} ({worst(values):.{digits}f})"

@@ -1,0 +1,73 @@
+"""What a controller sees and what it must do.
+
+Write your own to take part in a trial::
+
+    class Limp:
+        def step(self, observation):
+            return np.zeros(16)
+
+    simulate(plan, controller=Limp())
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, Protocol, TypeAlias
+
+from planner.contacts import ContactSet
+from planner.spatial import SE3, FloatArray
+
+__all__ = ["PHASES", "Controller", "Observation", "Phase"]
+
+Phase: TypeAlias = Literal["approach", "close", "squeeze", "settle", "lift", "hold"]
+
+PHASES: tuple[Phase, ...] = ("approach", "close", "squeeze", "settle", "lift", "hold")
+"""Phases of a trial in order."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observation:
+    """What a controller knows at one time step.
+
+    Joints are those of now. Poses, forces and contacts are those of the beginning of the step that
+    ended now, where MuJoCo computed them together.
+
+    Attributes:
+        time: Since the start of the trial, s.
+        phase: Where the trial is.
+        progress: Share of the phase's nominal duration that has passed, in [0, 1].
+        q: Hand joints (nq,), rad or m, order of ``hand.joint_names``.
+        v: Their rates (nq,).
+        T_world_base: Pose of the hand's base.
+        T_world_object: Pose of the object.
+        object_twist: (6,), linear velocity of the centre of mass and angular velocity, world axes.
+        normal_forces: Sum of normal forces on the object per finger that takes part, N, order of
+            ``task.finger_names``.
+        read_contacts: Reads ``contacts``.
+    """
+
+    time: float
+    phase: Phase
+    progress: float
+    q: FloatArray
+    v: FloatArray
+    T_world_base: SE3
+    T_world_object: SE3
+    object_twist: FloatArray
+    normal_forces: FloatArray
+    read_contacts: Callable[[], ContactSet]
+
+    @cached_property
+    def contacts(self) -> ContactSet:
+        """Loaded contacts of hand and object, world, not merged; read when first asked for."""
+        return self.read_contacts()
+
+
+class Controller(Protocol):
+    """Anything with this method can drive the hand in a trial; the trial moves the mount."""
+
+    def step(self, observation: Observation) -> FloatArray:
+        """Commands (nu,) for the hand's actuators, order of ``hand.actuation.names``."""
+        ...

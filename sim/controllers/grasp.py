@@ -1,0 +1,176 @@
+"""``GraspController``: opens, closes until every finger touches, then presses as planned.
+
+Closing is guarded: every finger moves from pre-grasp to grasp until it touches; one that arrives
+without touching goes on slowly along its contact normal.
+
+Pressing is force control with a spring around the posture in which all fingers touched:
+
+    torque = sum_i J_i(q)^T f_i + gravity(q),   f_i the planned forces, turned with the object
+    ctrl   = the actuators' affine law solved for that torque at (q_ref, v = 0)
+
+Solving the law at the latched posture q_ref instead of the measured one leaves every servo its own
+stiffness and damping: at q = q_ref it gives exactly the torque that was asked, elsewhere a spring
+adds kp (q_ref - q). That spring is what keeps the object still, since planned forces alone are in
+neutral equilibrium. Joints whose actuators have no stiffness (motors) get one here.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from planner.hand import Hand
+from planner.kinematics import HandState
+from planner.plan import GraspPlan, smooth
+from planner.spatial import SE3, FloatArray, skew
+from sim.controllers.base import Observation
+
+__all__ = ["GraspController"]
+
+TOUCH_FORCE = 0.1
+"""Normal force (N) at which a finger counts as touching while it closes: a tenth of what moves an
+object of 0.1 kg, and far above what contact reports by rounding."""
+
+CLOSE_RATE = 4.0
+"""Fastest change (1/s) of a finger's share of the closing motion, for one that lost touch."""
+
+SEARCH_SPEED = 0.01
+"""Speed (m/s) along the normal of a finger that has arrived without touching."""
+
+SEARCH_REACH = 0.01
+"""How far (m) it searches beyond its planned contact."""
+
+SEARCH_DAMPING = 0.01
+"""Damping (m/rad) of the inverse that turns the search into joint motion; keeps a straight finger
+from swinging."""
+
+FIRST_SHARE = 0.1
+"""Share of the planned forces at which the squeeze begins: about the force of first touch."""
+
+MOTOR_FREQUENCY, MOTOR_DAMPING = 30.0, 1.0
+"""Natural frequency (rad/s) and damping ratio (-) of the spring given to joints with motors: about
+the stiffness of a hand with servos."""
+
+
+class GraspController:
+    """Executes the fingers' part of a plan.
+
+    Attributes:
+        plan: What is executed.
+        q_ref: Posture (nq,) around which the hand is held at present.
+    """
+
+    def __init__(self, plan: GraspPlan) -> None:
+        """Prepare forces in the object's frame, search directions and gains."""
+        self.plan = plan
+        task = plan.task
+        self._hand: Hand = task.hand
+        self._fingers = task.fingers
+        self._gravity = task.gravity
+        planned = plan.contacts_in_object
+        self._points = planned.positions
+        self._forces = planned.forces_in_axes()
+        soft = np.array([m == "soft" for m in planned.models])
+        torsion = np.where(soft, np.nan_to_num(planned.forces[:, 3]), 0.0)
+        self._moments = torsion[:, None] * planned.normals
+        self._search = self._search_directions()
+        self._share = np.zeros(len(self._fingers))
+        self._reach = np.zeros(len(self._fingers))
+        self._stiffness, self._damping = _motor_servo(self._hand, plan.q)
+        self._pin_data: Any = self._hand.pin_model.createData()
+        self._latched = False
+        self._time = 0.0
+        self.q_ref = plan.q_pregrasp.copy()
+
+    def step(self, observation: Observation) -> FloatArray:
+        """Commands (nu,) for the hand's actuators."""
+        elapsed, self._time = observation.time - self._time, observation.time
+        torque = self._gravity_torque(observation)
+        if observation.phase == "close":
+            self._close(observation, elapsed)
+        elif observation.phase != "approach":
+            if not self._latched:
+                self._latched = True
+                self.q_ref = observation.q.copy()
+            ramp = observation.progress if observation.phase == "squeeze" else 1.0
+            scale = FIRST_SHARE + (1.0 - FIRST_SHARE) * float(smooth(np.asarray(ramp)))
+            torque += scale * self._pressing_torque(observation)
+        torque += self._stiffness * (self.q_ref - observation.q) - self._damping * observation.v
+        ctrl, _ = self._hand.actuation.ctrl_for_torque(self.q_ref, np.zeros(self._hand.nq), torque)
+        return ctrl
+
+    def _close(self, observation: Observation, elapsed: float) -> None:
+        """Advance every finger that does not touch."""
+        goal = float(smooth(np.asarray(observation.progress)))
+        free = observation.normal_forces < TOUCH_FORCE
+        arrived = self._share >= 1.0
+        self._share[free] = np.minimum(goal, self._share + CLOSE_RATE * elapsed)[free]
+        self._reach[free & arrived] += SEARCH_SPEED * elapsed
+        self._reach = np.minimum(self._reach, SEARCH_REACH)
+        plan = self.plan
+        q = plan.q_pregrasp + goal * (plan.q - plan.q_pregrasp)
+        for finger, share in zip(self._fingers, self._share, strict=True):
+            k = finger.q_index
+            q[k] = plan.q_pregrasp[k] + share * (plan.q[k] - plan.q_pregrasp[k])
+        self.q_ref = q + self._reach @ self._search
+
+    def _gravity_torque(self, observation: Observation) -> FloatArray:
+        """Joint torques (nq,) that carry the hand; leaves the Jacobians at q in ``_pin_data``.
+
+        The same as ``HandState.gravity_torque``, without allocating at every time step.
+        """
+        model, data = self._hand.pin_model, self._pin_data
+        pin.computeJointJacobians(model, data, observation.q)
+        com_jacobian = pin.jacobianCenterOfMass(model, data, observation.q)
+        gravity = observation.T_world_base.rotation.T @ self._gravity
+        return np.asarray(-data.mass[0] * gravity @ com_jacobian)
+
+    def _pressing_torque(self, observation: Observation) -> FloatArray:
+        """Joint torques (nq,) of the full planned forces at the object's present pose."""
+        T_base_object: SE3 = observation.T_world_base.inverse() * observation.T_world_object
+        turn = T_base_object.rotation.T
+        points = self._points @ turn + T_base_object.translation
+        forces = self._forces @ turn
+        # Wrenches on the object about the base's origin, as Pinocchio's WORLD Jacobian wants them.
+        moments = np.einsum("nij,nj->ni", skew(points), forces) + self._moments @ turn
+        torque = np.zeros(self._hand.nq)
+        for finger, force, moment in zip(self._fingers, forces, moments, strict=True):
+            jacobian = pin.getJointJacobian(
+                self._hand.pin_model,
+                self._pin_data,
+                finger.pad.joint_id,
+                pin.ReferenceFrame.WORLD,
+            )
+            torque += force @ jacobian[:3] + moment @ jacobian[3:]
+        return torque
+
+    def _search_directions(self) -> FloatArray:
+        """Joint motion (n_fingers, nq), rad/m, that moves each pad along its normal."""
+        plan = self.plan
+        state = HandState(self._hand, plan.q)
+        inverse = plan.T_world_base.inverse()
+        out = np.zeros((len(self._fingers), self._hand.nq))
+        for row, finger, point, normal in zip(
+            out, self._fingers, plan.contacts.positions, plan.contacts.normals, strict=True
+        ):
+            jacobian = state.point_jacobian(finger.pad.joint_id, inverse.act(point))[:3]
+            jacobian = jacobian[:, finger.q_index]
+            gram = jacobian @ jacobian.T + SEARCH_DAMPING**2 * np.eye(3)
+            row[finger.q_index] = jacobian.T @ np.linalg.solve(gram, inverse.rotation @ normal)
+        return out
+
+
+def _motor_servo(hand: Hand, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Stiffness and damping (nq,) for joints that are driven but have no servo of their own."""
+    actuation = hand.actuation
+    squared = actuation.moment**2
+    driven = squared.any(axis=0)
+    has_servo = (-actuation.bias[:, 1] @ squared) > 0
+    inertia = np.diag(pin.crba(hand.pin_model, hand.pin_model.createData(), q))
+    inertia = inertia * (driven & ~has_servo)
+    return (
+        inertia * MOTOR_FREQUENCY**2,
+        2.0 * MOTOR_DAMPING * MOTOR_FREQUENCY * inertia,
+    )

@@ -1,0 +1,165 @@
+"""``Recorder``: takes samples of a trial and turns them into ``Samples`` and comparisons."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.contacts import ContactSet
+from planner.plan import GraspPlan
+from planner.quality import closure_and_epsilon, force_closure
+from planner.quality.report import QUICK_EDGES
+from planner.spatial import SE3, FloatArray, rotation_angle
+from sim.contacts import hand_contacts, merge_per_finger, other_touches
+from sim.controllers.base import Phase
+from sim.report import FingerComparison
+from sim.scene import Scene
+from sim.verdict import Samples
+
+__all__ = ["Recorder"]
+
+NAN = float("nan")
+
+
+class Recorder:
+    """Samples of one trial."""
+
+    def __init__(self, plan: GraspPlan, scene: Scene) -> None:
+        """Start empty."""
+        self._plan, self._scene = plan, scene
+        self._fingers = plan.task.finger_names
+        self._length = plan.task.object.shape.bounding_radius
+        self._reference: SE3 | None = None
+        self._rows: list[dict[str, Any]] = []
+        self._held: list[tuple[FloatArray, FloatArray]] = []
+
+    def mark_reference(self, data: Any) -> None:
+        """From now on, slip is movement relative to how the object lies in the palm now."""
+        self._reference = self._in_palm(data)
+
+    def record(self, data: Any, phase: Phase, limited: tuple[str, ...]) -> None:
+        """Take a sample."""
+        scene = self._scene
+        raw = hand_contacts(scene, data)
+        merged = merge_per_finger(raw)
+        closed, epsilon = closure_and_epsilon(merged, length=self._length)
+        unmerged = closed
+        if len(raw) != len(merged):
+            unmerged = force_closure(raw, QUICK_EDGES).closed
+        T_world_object = scene.body_pose(data, scene.object_body)
+        first = self._plan.task.T_world_object
+        slip = self._slip(data)
+        hits = [t for t in other_touches(scene, data) if t.kind.startswith("hand")]
+        worst = max(hits, key=lambda t: t.normal_force, default=None)
+        normal, used = self._per_finger(merged)
+        self._rows.append(
+            {
+                "time": float(data.time),
+                "phase": phase,
+                "contacts": [raw.fingers.count(f) for f in self._fingers],
+                "palm_contacts": sum(f not in self._fingers for f in raw.fingers),
+                "normal_force": normal,
+                "friction_utilisation": used,
+                "closed": closed,
+                "closed_unmerged": unmerged,
+                "epsilon": epsilon,
+                "slip_mm": slip[0],
+                "slip_deg": slip[1],
+                "moved_mm": 1e3 * np.linalg.norm(T_world_object.translation - first.translation),
+                "turned_deg": np.rad2deg(
+                    rotation_angle(first.rotation.T @ T_world_object.rotation)
+                ),
+                "lift_mm": 1e3 * (T_world_object.translation[2] - first.translation[2]),
+                "collision_N": 0.0 if worst is None else worst.normal_force,
+                "collision": "" if worst is None else f"{worst.first} - {worst.second}",
+                "limited": limited,
+            }
+        )
+        if phase == "hold":
+            self._held.append(self._positions(merged, T_world_object, normal))
+
+    def samples(self) -> Samples:
+        """Everything recorded so far."""
+        n = len(self._fingers)
+
+        def column(name: str, *shape: int, kind: type = float) -> Any:
+            return np.array([row[name] for row in self._rows], dtype=kind).reshape(-1, *shape)
+
+        return Samples(
+            time=column("time"),
+            phase=tuple(row["phase"] for row in self._rows),
+            contacts=column("contacts", n, kind=int),
+            palm_contacts=column("palm_contacts", kind=int),
+            normal_force=column("normal_force", n),
+            friction_utilisation=column("friction_utilisation", n),
+            closed=column("closed", kind=bool),
+            closed_unmerged=column("closed_unmerged", kind=bool),
+            epsilon=column("epsilon"),
+            slip_mm=column("slip_mm"),
+            slip_deg=column("slip_deg"),
+            moved_mm=column("moved_mm"),
+            turned_deg=column("turned_deg"),
+            lift_mm=column("lift_mm"),
+            collision_N=column("collision_N"),
+            collision=tuple(row["collision"] for row in self._rows),
+            limited=tuple(row["limited"] for row in self._rows),
+        )
+
+    def comparison(self) -> tuple[FingerComparison, ...]:
+        """Planned against measured contacts while holding; empty if it never came to that."""
+        if not self._held:
+            return ()
+        planned = self._plan.contacts_in_object
+        position = np.array([p for p, _ in self._held])  # (m, n, 3)
+        force = np.array([f for _, f in self._held])  # (m, n)
+        out = []
+        for i, finger in enumerate(self._fingers):
+            known = position[np.isfinite(position[:, i, 0]), i]
+            mean = known.mean(axis=0) if len(known) else np.full(3, NAN)
+            wanted = float(planned.forces[i, 0])
+            error = float(np.abs(force[:, i] - wanted).mean())
+            out.append(
+                FingerComparison(
+                    finger=finger,
+                    planned_position=planned.positions[i],
+                    measured_position=mean,
+                    position_error_mm=1e3 * float(np.linalg.norm(mean - planned.positions[i])),
+                    planned_normal_force=wanted,
+                    measured_normal_force=float(force[:, i].mean()),
+                    force_error_N=error,
+                    force_error_percent=100.0 * error / wanted if wanted > 0 else NAN,
+                )
+            )
+        return tuple(out)
+
+    def _in_palm(self, data: Any) -> SE3:
+        scene = self._scene
+        T_world_palm = scene.body_pose(data, scene.palm_body)
+        return T_world_palm.inverse() * scene.body_pose(data, scene.object_body)
+
+    def _slip(self, data: Any) -> tuple[float, float]:
+        """Movement (mm) and rotation (degrees) in the palm since the reference; NaN before."""
+        if self._reference is None:
+            return NAN, NAN
+        now, then = self._in_palm(data), self._reference
+        moved = 1e3 * float(np.linalg.norm(now.translation - then.translation))
+        return moved, float(np.rad2deg(rotation_angle(then.rotation.T @ now.rotation)))
+
+    def _per_finger(self, merged: ContactSet) -> tuple[list[float], list[float]]:
+        """Normal force (N, 0 without contact) and friction utilisation (NaN) of each finger."""
+        used = merged.friction_utilisation() if len(merged) else np.zeros(0)
+        where = {f: i for i, f in enumerate(merged.fingers)}
+        normal = [float(merged.forces[where[f], 0]) if f in where else 0.0 for f in self._fingers]
+        return normal, [float(used[where[f]]) if f in where else NAN for f in self._fingers]
+
+    def _positions(
+        self, merged: ContactSet, T_world_object: SE3, normal: list[float]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Contact positions (n, 3) in the object's frame (NaN: no contact) and normal forces."""
+        local = merged.transformed(T_world_object.inverse())
+        position = np.full((len(self._fingers), 3), NAN)
+        for i, finger in enumerate(self._fingers):
+            if finger in local.fingers:
+                position[i] = local.positions[local.fingers.index(finger)]
+        return position, np.array(normal)

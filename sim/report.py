@@ -1,0 +1,251 @@
+"""``TrialReport``: what happened in a trial, and its versioned JSON form ``ReportFile``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from planner.quality import QualityReport
+from planner.spatial import FloatArray
+from sim.verdict import Reason, Samples, Thresholds, Verdict, largest
+
+__all__ = ["REPORT_VERSION", "FingerComparison", "ReportFile", "TrialReport"]
+
+REPORT_VERSION: Literal[1] = 1
+"""Version of ``ReportFile``; another number means another schema."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FingerComparison:
+    """Planned against measured contact of one finger, while holding.
+
+    Attributes:
+        finger: Its name.
+        planned_position: (3,), in the object's frame, m.
+        measured_position: (3,), mean over the hold; NaN without contact.
+        position_error_mm: Distance between the two.
+        planned_normal_force: N.
+        measured_normal_force: Mean over the hold, N; 0 without contact.
+        force_error_N: Mean over the hold of the absolute difference.
+        force_error_percent: The same as a share of the planned force.
+    """
+
+    finger: str
+    planned_position: FloatArray
+    measured_position: FloatArray
+    position_error_mm: float
+    planned_normal_force: float
+    measured_normal_force: float
+    force_error_N: float
+    force_error_percent: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrialReport:
+    """A trial from beginning to end.
+
+    Attributes:
+        verdict: Success or the reason why not.
+        hand: Name of the hand.
+        object: Specification of the object's shape.
+        mass_kg: Its mass.
+        seed: Seed of the plan.
+        fingers: Names of the fingers that take part, order of the columns in ``samples``.
+        samples: What was recorded.
+        comparison: Planned against measured contacts, one per finger; empty without a hold.
+        quality_planned: Analysis of the planned contacts.
+        quality_measured: The same analysis of the contacts at the end of the hold, merged per
+            finger; None without contacts.
+        thresholds: Where success ends.
+        physics: Options of the simulation, as plain data.
+        timeline: Durations of the phases, as plain data.
+        simulated_s: Simulated time.
+        wall_s: Time it took.
+        supported: Whether the object was held by a constraint until the lift, for want of a table.
+        picture: Picture of the held object, None if there is none.
+        picture_reason: Why there is none.
+    """
+
+    verdict: Verdict
+    hand: str
+    object: str
+    mass_kg: float
+    seed: int
+    fingers: tuple[str, ...]
+    samples: Samples
+    comparison: tuple[FingerComparison, ...]
+    quality_planned: QualityReport
+    quality_measured: QualityReport | None
+    thresholds: Thresholds
+    physics: dict[str, float]
+    timeline: dict[str, float]
+    simulated_s: float
+    wall_s: float
+    supported: bool
+    picture: Path | None = None
+    picture_reason: str = "none was asked for"
+
+    @property
+    def success(self) -> bool:
+        """Whether the object was held."""
+        return self.verdict.success
+
+    @property
+    def reason(self) -> Reason:
+        """Why not; "" for success."""
+        return self.verdict.reason
+
+    @property
+    def largest_slip(self) -> tuple[float, float]:
+        """Largest movement (mm) and rotation (degrees) of the object relative to the palm."""
+        return largest(self.samples.slip_mm), largest(self.samples.slip_deg)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data that follows ``ReportFile``; what is not a finite number becomes None."""
+        s = self.samples
+        return ReportFile(
+            written_by=f"opposable {version('opposable')}",
+            success=self.success,
+            reason=self.reason,
+            detail=self.verdict.detail,
+            reason_time_s=_number(self.verdict.time),
+            hand=self.hand,
+            object=self.object,
+            mass_kg=self.mass_kg,
+            seed=self.seed,
+            fingers=list(self.fingers),
+            largest_slip_mm=_number(self.largest_slip[0]),
+            largest_slip_deg=_number(self.largest_slip[1]),
+            comparison=[
+                ComparisonData(
+                    finger=c.finger,
+                    planned_position_object_m=_plain(c.planned_position),
+                    measured_position_object_m=_plain(c.measured_position),
+                    position_error_mm=_number(c.position_error_mm),
+                    planned_normal_force_N=c.planned_normal_force,
+                    measured_normal_force_N=_number(c.measured_normal_force),
+                    force_error_N=_number(c.force_error_N),
+                    force_error_percent=_number(c.force_error_percent),
+                )
+                for c in self.comparison
+            ],
+            quality_planned=self.quality_planned.to_dict(),
+            quality_measured=(
+                None if self.quality_measured is None else self.quality_measured.to_dict()
+            ),
+            thresholds=asdict(self.thresholds),
+            physics=self.physics,
+            timeline=self.timeline,
+            simulated_s=self.simulated_s,
+            wall_s=self.wall_s,
+            supported_until_lift=self.supported,
+            picture=None if self.picture is None else self.picture.name,
+            picture_reason=self.picture_reason,
+            samples=SampleData(
+                time_s=_plain(s.time),
+                phase=list(s.phase),
+                contacts_per_finger=s.contacts.tolist(),
+                palm_contacts=s.palm_contacts.tolist(),
+                normal_force_N=_plain(s.normal_force),
+                friction_utilisation=_plain(s.friction_utilisation),
+                closed=[bool(c) for c in s.closed],
+                closed_unmerged=[bool(c) for c in s.closed_unmerged],
+                epsilon=_plain(s.epsilon),
+                object_in_palm_moved_mm=_plain(s.slip_mm),
+                object_in_palm_turned_deg=_plain(s.slip_deg),
+                object_moved_mm=_plain(s.moved_mm),
+                object_turned_deg=_plain(s.turned_deg),
+                lift_mm=_plain(s.lift_mm),
+                collision_N=_plain(s.collision_N),
+                collision=list(s.collision),
+                actuators_at_limit=[list(names) for names in s.limited],
+            ),
+        ).model_dump(mode="json")
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class ComparisonData(_Strict):
+    """Planned against measured contact of one finger, means over the hold, object frame."""
+
+    finger: str
+    planned_position_object_m: list[float | None]
+    measured_position_object_m: list[float | None]
+    position_error_mm: float | None
+    planned_normal_force_N: float
+    measured_normal_force_N: float | None
+    force_error_N: float | None
+    force_error_percent: float | None
+
+
+class SampleData(_Strict):
+    """Recorded over time; lists per finger follow ``fingers``."""
+
+    time_s: list[float | None]
+    phase: list[str]
+    contacts_per_finger: list[list[int]]
+    palm_contacts: list[int]
+    normal_force_N: list[list[float | None]]
+    friction_utilisation: list[list[float | None]]
+    closed: list[bool]
+    closed_unmerged: list[bool]
+    epsilon: list[float | None]
+    object_in_palm_moved_mm: list[float | None]
+    object_in_palm_turned_deg: list[float | None]
+    object_moved_mm: list[float | None]
+    object_turned_deg: list[float | None]
+    lift_mm: list[float | None]
+    collision_N: list[float | None]
+    collision: list[str]
+    actuators_at_limit: list[list[str]]
+
+
+class ReportFile(_Strict):
+    """A trial report as JSON."""
+
+    format: Literal["opposable-report"] = "opposable-report"
+    version: Literal[1] = REPORT_VERSION
+    written_by: str
+    success: bool
+    reason: Reason
+    detail: str
+    reason_time_s: float | None
+    hand: str
+    object: str
+    mass_kg: float
+    seed: int
+    fingers: list[str]
+    largest_slip_mm: float | None
+    largest_slip_deg: float | None
+    comparison: list[ComparisonData]
+    quality_planned: dict[str, Any]
+    quality_measured: dict[str, Any] | None
+    thresholds: dict[str, float]
+    physics: dict[str, float]
+    timeline: dict[str, float]
+    simulated_s: float
+    wall_s: float
+    supported_until_lift: bool
+    picture: str | None
+    picture_reason: str
+    samples: SampleData
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _plain(values: FloatArray) -> Any:
+    """Nested lists of an array, with None for what is not finite."""
+    known: NDArray[np.object_] = np.array(values, dtype=object)
+    known[~np.isfinite(values)] = None
+    return known.tolist()

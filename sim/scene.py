@@ -1,0 +1,363 @@
+"""``Scene``: the MuJoCo world of a ``GraspTask``: driven mount, hand, table, obstacles, object.
+
+The hand hangs on a mount of six driven joints that all read zero at the planned base pose: three
+slides along the world's axes, then three hinges about them, so that
+
+    T_world_base = Trans(p0 + [x, y, z]) Rx(rx) Ry(ry) Rz(rz) R0.
+
+The mount's servos carry the hand's weight by feed-forward, so that it does not sag.
+
+Friction is explicit. MuJoCo mixes the friction of two geoms by their maximum unless one has the
+higher priority; here the object decides against the hand (condim 4: sliding and torsion), and
+table and obstacles decide against the object (condim 6: with rolling too, so that a ball stays
+where it is put).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from planner.bridge import compile_spec
+from planner.errors import TaskError
+from planner.hand import Hand
+from planner.spatial import SE3, FloatArray, IntArray, pose_to_wxyz
+from planner.task import GraspTask
+from sim.picture import add_scenery
+
+__all__ = ["HAND_PREFIX", "OBJECT", "TABLE", "PhysicsOptions", "Scene", "build_scene"]
+
+HAND_PREFIX = "hand/"
+"""Prefix of every name of the hand's model in the scene."""
+
+OBJECT, TABLE, MOUNT, SUPPORT = "object", "table", "mount", "support"
+"""Names of bodies in the scene, and of the constraint that holds an object without a table."""
+
+OBSTACLE_PREFIX = "obstacle/"
+"""Prefix of the names of obstacles, so that none is taken for something else."""
+
+MOUNT_AXES = ("x", "y", "z", "rx", "ry", "rz")
+"""The mount's joints, in order: ``mount_x`` and so on."""
+
+MOUNT_FREQUENCY = 60.0
+"""Undamped natural frequency of each mount axis under the mass it carries, rad/s: an arm of about
+10 Hz, which a payload of 0.1 kg lets sag by less than 0.3 mm."""
+
+MOUNT_DAMPING = 1.0
+"""Damping ratio of each mount axis (-): no overshoot."""
+
+TABLE_HALF = (1.0, 1.0, 0.05)
+"""Half extents of the table, m: the box that the planner keeps clear of."""
+
+CONTACT_SOLREF = (0.005, 1.0)
+"""Time constant (s) and damping ratio (-) of contacts: 2.5 time steps, about as stiff as the step
+allows (MuJoCo needs at least two)."""
+
+CONTACT_SOLIMP = (0.5, 0.99, 0.0001, 0.5, 2.0)
+"""Impedance of contacts: from 0.5 at touch to 0.99 at 0.1 mm of penetration, as published for the
+Shadow hand. Pads sink in by some hundredths of a millimetre under the usual forces."""
+
+MU_ROLLING = 0.001
+"""Rolling friction (m) of the object on table and obstacles: a ball of 35 mm radius starts to roll
+at a push of 3 % of its weight. It resembles felt more than glass, and lets an object stand still
+until the fingers have closed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhysicsOptions:
+    """How MuJoCo computes. The defaults state their reason; a report repeats what was used.
+
+    The constraint Jacobian is always dense and the cone always elliptic: mujoco 4.0.0 factorises
+    sparse Hessians wrongly, and pyramidal cones creep 20 times faster.
+
+    Attributes:
+        timestep: s. Twice as short as DexGraspBench's 4 ms; the servo loop runs at the same rate.
+        mu: Sliding friction between hand, object, table and obstacles (-). 0.6 where planning
+            relies on 0.5 is the margin that a plan has.
+        mu_torsion: Torsional friction (m): MuJoCo's default, a contact patch of some millimetres.
+        impratio: Ratio of frictional to normal impedance (-): 10 makes friction hold instead of
+            creep, and is what the peers use.
+        noslip_iterations: Extra iterations that take the rest of the creep out of friction. A ball
+            held by four fingers creeps 160 um/s with 0, 29 with 2, 4 with 10, for no more time.
+        iterations: Limit of solver iterations per step.
+    """
+
+    timestep: float = 0.002
+    mu: float = 0.6
+    mu_torsion: float = 0.005
+    impratio: float = 10.0
+    noslip_iterations: int = 10
+    iterations: int = 100
+
+    def __post_init__(self) -> None:
+        """Check every number."""
+        for name in ("timestep", "impratio"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise TaskError(f"{name} is {value}; give a finite number > 0")
+        for name in ("mu", "mu_torsion"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0):
+                raise TaskError(f"{name} in simulation is {value}; give a finite number >= 0")
+        if self.noslip_iterations < 0 or self.iterations < 1:
+            raise TaskError("noslip_iterations must be >= 0 and iterations >= 1")
+
+    @property
+    def friction(self) -> tuple[float, float, float]:
+        """Sliding, torsional and rolling friction as MuJoCo writes them: -, m, m."""
+        return (self.mu, self.mu_torsion, MU_ROLLING)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scene:
+    """A compiled scene with its index maps; make one with ``build_scene``.
+
+    Attributes:
+        task: What it shows.
+        physics: How it computes.
+        T_world_base: Base pose at which all mount joints read zero.
+        model: Compiled ``mujoco.MjModel``.
+        hand_qpos: (nq,), where the hand's joints, in the order of ``hand.joint_names``, stand in
+            ``data.qpos``.
+        hand_dof: (nq,), where they stand in ``data.qvel``.
+        hand_ctrl: (nu,), where the hand's actuators, in the order of ``hand.actuation.names``,
+            stand in ``data.ctrl``.
+        mount_qpos: (6,), the mount's joints in ``data.qpos``, order of ``MOUNT_AXES``.
+        mount_dof: (6,), the same in ``data.qvel``.
+        mount_ctrl: (6,), the mount's servos in ``data.ctrl``.
+        object_qpos: (7,), the object's pose in ``data.qpos``: position, quaternion w, x, y, z.
+        object_dof: (6,), its velocity in ``data.qvel``: linear in world axes, angular in its own.
+        object_body: Body id of the object.
+        base_body: Body id of the hand's base.
+        palm_body: Body id of the hand's palm.
+        finger_of_geom: Colliding geom id of the hand -> finger name, "" for the palm.
+        mount_gains: (2, 6), stiffness (N/m, N m/rad) and damping of the mount's servos.
+        support: Equality id that holds the object before the lift, -1 where a table does.
+    """
+
+    task: GraspTask
+    physics: PhysicsOptions
+    T_world_base: SE3
+    model: Any
+    hand_qpos: IntArray
+    hand_dof: IntArray
+    hand_ctrl: IntArray
+    mount_qpos: IntArray
+    mount_dof: IntArray
+    mount_ctrl: IntArray
+    object_qpos: IntArray
+    object_dof: IntArray
+    object_body: int
+    base_body: int
+    palm_body: int
+    finger_of_geom: Mapping[int, str]
+    mount_gains: FloatArray
+    support: int
+
+    def start(self, q: FloatArray, T_world_base: SE3) -> Any:
+        """Fresh ``mujoco.MjData`` at rest: hand at q (nq,) and a base pose, object at its place."""
+        data = mujoco.MjData(self.model)
+        data.qpos[self.hand_qpos] = q
+        data.qpos[self.mount_qpos] = self.mount_coordinates(T_world_base)
+        data.qpos[self.object_qpos] = np.concatenate(pose_to_wxyz(self.task.T_world_object))
+        mujoco.mj_forward(self.model, data)
+        return data
+
+    def mount_coordinates(self, T_world_base: SE3) -> FloatArray:
+        """Mount joints (6,), m and rad, that put the hand's base at a pose.
+
+        The hinges turn by Rx Ry Rz; they cannot turn about y by 90 degrees away from the grasp.
+        """
+        turn = T_world_base.rotation @ self.T_world_base.rotation.T
+        ry = np.arcsin(np.clip(turn[0, 2], -1.0, 1.0))
+        rx = np.arctan2(-turn[1, 2], turn[2, 2])
+        rz = np.arctan2(-turn[0, 1], turn[0, 0])
+        shift = T_world_base.translation - self.T_world_base.translation
+        return np.concatenate([shift, [rx, ry, rz]])
+
+    def mount_command(self, data: Any, target: FloatArray, velocity: FloatArray) -> FloatArray:
+        """Servo commands (6,) that move the mount.
+
+        The servos' law is F = kp (ctrl - q) - kd v. The command adds what makes the mount follow
+        without lag, kd velocity, and what carries the hand, MuJoCo's bias force.
+
+        Args:
+            data: ``mujoco.MjData``.
+            target: Mount joints (6,), m and rad.
+            velocity: Their rates (6,), per second.
+        """
+        kp, kd = self.mount_gains
+        forward = kd * velocity + data.qfrc_bias[self.mount_dof]
+        return np.asarray(target + forward / kp)
+
+    def body_pose(self, data: Any, body: int) -> SE3:
+        """Pose of a body in the world."""
+        return SE3(data.xmat[body].reshape(3, 3), data.xpos[body])
+
+    def release(self, data: Any) -> None:
+        """Let go of an object that no table carries."""
+        if self.support >= 0:
+            data.eq_active[self.support] = 0
+
+
+def build_scene(
+    task: GraspTask, *, T_world_base: SE3, physics: PhysicsOptions | None = None
+) -> Scene:
+    """Assemble and compile the scene of a task.
+
+    Args:
+        task: Hand, object and its pose, table, obstacles, gravity.
+        T_world_base: Base pose at which the mount's joints read zero: that of the grasp.
+        physics: How MuJoCo computes; defaults if None.
+
+    Raises:
+        ModelError: MuJoCo refuses the scene.
+    """
+    physics = physics or PhysicsOptions()
+    spec = mujoco.MjSpec()
+    spec.modelname = f"{task.hand.name}, {task.object.name}"
+    _set_options(spec, physics, task.gravity)
+    _add_hand(spec, task.hand, T_world_base, physics)
+    _add_object(spec, task, physics)
+    _add_surroundings(spec, task, physics)
+    add_scenery(spec, task.T_world_object.translation, T_world_base, task.table_height)
+    model = compile_spec(spec, f"the scene of {spec.modelname}")
+    return _indexed(task, physics, T_world_base, model)
+
+
+def _set_options(spec: Any, physics: PhysicsOptions, gravity: FloatArray) -> None:
+    option = spec.option
+    option.timestep = physics.timestep
+    option.gravity = gravity
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.impratio = physics.impratio
+    option.noslip_iterations = physics.noslip_iterations
+    option.iterations = physics.iterations
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+
+
+def _add_hand(spec: Any, hand: Hand, T_world_base: SE3, physics: PhysicsOptions) -> None:
+    position, quaternion = pose_to_wxyz(T_world_base)
+    mount = spec.worldbody.add_body(name=MOUNT, pos=position)
+    for k, axis in enumerate(MOUNT_AXES):
+        kind = mujoco.mjtJoint.mjJNT_SLIDE if k < 3 else mujoco.mjtJoint.mjJNT_HINGE
+        mount.add_joint(name=f"{MOUNT}_{axis}", type=kind, axis=np.eye(3)[k % 3])
+    child = hand.new_spec()
+    for geom in child.geoms:
+        geom.friction = physics.friction
+        geom.priority = 0
+    spec.attach(child, prefix=HAND_PREFIX, frame=mount.add_frame(quat=quaternion))
+    for axis in MOUNT_AXES:
+        servo = spec.add_actuator(name=f"{MOUNT}_{axis}", target=f"{MOUNT}_{axis}")
+        servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        servo.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+        servo.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+
+
+def _add_object(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
+    item = task.object
+    position, quaternion = pose_to_wxyz(task.T_world_object)
+    body = spec.worldbody.add_body(name=OBJECT, pos=position, quat=quaternion)
+    body.add_freejoint(name=OBJECT)
+    inertia = item.shape.inertia(item.mass)
+    body.explicitinertial = True
+    body.mass = item.mass
+    body.ipos = np.zeros(3)
+    body.fullinertia = [*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]]
+    kind, size = item.shape.mujoco_geom()
+    geom = body.add_geom(name=OBJECT, condim=4, priority=1, rgba=(0.93, 0.55, 0.18, 1.0))
+    _solid(geom, kind, size, physics)
+    if task.table_height is None:
+        weld = spec.add_equality(name=SUPPORT, type=mujoco.mjtEq.mjEQ_WELD)
+        weld.objtype = mujoco.mjtObj.mjOBJ_BODY
+        weld.name1 = OBJECT
+        # Anchor (in the world, the second body), relative pose as it is, torque scale.
+        weld.data = [*position, *(0.0,) * 7, 1.0, 0.0]
+        weld.solref = CONTACT_SOLREF
+
+
+def _add_surroundings(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
+    x, y, _ = task.T_world_object.translation
+    if task.table_height is not None:
+        table = spec.worldbody.add_body(name=TABLE, pos=(x, y, task.table_height - TABLE_HALF[2]))
+        geom = table.add_geom(name=TABLE, condim=6, priority=2, rgba=(0.80, 0.79, 0.76, 1.0))
+        _solid(geom, "box", TABLE_HALF, physics)
+    for obstacle in task.obstacles:
+        position, quaternion = pose_to_wxyz(obstacle.T_world_obstacle)
+        name = OBSTACLE_PREFIX + obstacle.name
+        body = spec.worldbody.add_body(name=name, pos=position, quat=quaternion)
+        geom = body.add_geom(name=name, condim=6, priority=2, rgba=(0.5, 0.55, 0.6, 1.0))
+        _solid(geom, "box", tuple(obstacle.size / 2), physics)
+
+
+def _solid(geom: Any, kind: str, size: tuple[float, ...], physics: PhysicsOptions) -> None:
+    geom.type = getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}")
+    geom.size = [*size, *(0.0,) * (3 - len(size))]
+    geom.friction = physics.friction
+    geom.solref = CONTACT_SOLREF
+    geom.solimp = CONTACT_SOLIMP
+
+
+def _indexed(task: GraspTask, physics: PhysicsOptions, T_world_base: SE3, model: Any) -> Scene:
+    hand = task.hand
+    hand_joints = [model.joint(HAND_PREFIX + name) for name in hand.joint_names]
+    mount_joints = [model.joint(f"{MOUNT}_{axis}") for axis in MOUNT_AXES]
+    free = model.joint(OBJECT)
+    mount_ctrl = np.array([model.actuator(f"{MOUNT}_{axis}").id for axis in MOUNT_AXES])
+    mount_dof = np.array([int(j.dofadr[0]) for j in mount_joints])
+    gains = _tune_mount(model, task.object.mass, mount_dof, mount_ctrl)
+    return Scene(
+        task=task,
+        physics=physics,
+        T_world_base=T_world_base,
+        model=model,
+        hand_qpos=np.array([int(j.qposadr[0]) for j in hand_joints]),
+        hand_dof=np.array([int(j.dofadr[0]) for j in hand_joints]),
+        hand_ctrl=np.array([model.actuator(HAND_PREFIX + n).id for n in hand.actuation.names]),
+        mount_qpos=np.array([int(j.qposadr[0]) for j in mount_joints]),
+        mount_dof=mount_dof,
+        mount_ctrl=mount_ctrl,
+        object_qpos=int(free.qposadr[0]) + np.arange(7),
+        object_dof=int(free.dofadr[0]) + np.arange(6),
+        object_body=int(model.body(OBJECT).id),
+        base_body=int(model.body(HAND_PREFIX + hand.description.base_body).id),
+        palm_body=int(model.body(HAND_PREFIX + hand.description.palm_body).id),
+        finger_of_geom=_finger_of_geom(hand, model),
+        mount_gains=gains,
+        support=int(model.equality(SUPPORT).id) if task.table_height is None else -1,
+    )
+
+
+def _finger_of_geom(hand: Hand, model: Any) -> Mapping[int, str]:
+    finger_of_body = {body: f.name for f in hand.fingers.values() for body in f.bodies}
+    return MappingProxyType(
+        {
+            int(model.geom(HAND_PREFIX + g.name).id): finger_of_body.get(g.body, "")
+            for g in hand.geometries
+        }
+    )
+
+
+def _tune_mount(model: Any, payload: float, dof: IntArray, ctrl: IntArray) -> FloatArray:
+    """Set the mount's servo gains from the inertia that each axis carries; returns them (2, 6)."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    mass_matrix = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass_matrix)
+    arm = np.array(data.body(OBJECT).xpos - data.body(MOUNT).xpos)
+    lever2 = arm @ arm - arm**2
+    carried = np.diag(mass_matrix)[dof] + payload * np.concatenate([np.ones(3), lever2])
+    kp = carried * MOUNT_FREQUENCY**2
+    kd = 2.0 * MOUNT_DAMPING * MOUNT_FREQUENCY * carried
+    model.actuator_gainprm[ctrl, 0] = kp
+    model.actuator_biasprm[ctrl, 1] = -kp
+    model.actuator_biasprm[ctrl, 2] = -kd
+    return np.array([kp, kd])

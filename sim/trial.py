@@ -1,0 +1,347 @@
+"""``simulate``: execute a plan in MuJoCo and judge what happened.
+
+The trial moves the mount along the timeline (approach, close, squeeze, settle, lift, hold) and asks
+a controller for the hand's commands at every time step::
+
+    report = simulate(plan)
+    print(report.success, report.reason, report.verdict.detail)
+
+``Trial`` is the same in two steps, with scene and data within reach.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from planner.errors import TaskError
+from planner.plan import GraspPlan, smooth
+from planner.quality import analyse
+from planner.spatial import FloatArray
+from planner.task import FINGERS_NEEDED
+from sim.contacts import NO_FORCE, hand_contacts, merge_per_finger, normal_forces
+from sim.controllers import PHASES, Controller, GraspController, Observation, Phase
+from sim.controllers.grasp import TOUCH_FORCE
+from sim.picture import save_picture
+from sim.recorder import Recorder
+from sim.report import TrialReport
+from sim.scene import PhysicsOptions, Scene, build_scene
+from sim.verdict import Thresholds, Verdict, judge
+from sim.viewing import Viewer
+
+__all__ = ["Timeline", "Trial", "simulate"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timeline:
+    """How long each phase takes, in s, and how far the lift goes.
+
+    Attributes:
+        approach: From the start pose straight to the grasp pose, fingers at the pre-grasp.
+        close: Fingers from pre-grasp to grasp.
+        close_wait: Longest further wait for fingers that do not touch yet.
+        squeeze: From first touch to the planned forces.
+        settle: Full forces, before the lift; slip counts from its beginning.
+        lift: Upwards by ``lift_height``.
+        hold: Held in the air.
+        lift_height: m.
+    """
+
+    approach: float = 1.0
+    close: float = 0.5
+    close_wait: float = 0.5
+    squeeze: float = 0.6
+    settle: float = 0.2
+    lift: float = 1.0
+    hold: float = 2.0
+    lift_height: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Check that every phase has a duration."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            low_ok = value >= 0 if field.name in ("close_wait", "lift_height") else value > 0
+            if not (np.isfinite(value) and low_ok):
+                raise TaskError(f"timeline: {field.name} is {value}; give a finite number > 0")
+
+    @property
+    def duration(self) -> float:
+        """Nominal duration without waiting, s."""
+        return float(sum(getattr(self, phase) for phase in PHASES))
+
+
+class Trial:
+    """One execution of a plan.
+
+    Attributes:
+        plan: What is executed.
+        scene: The scene with its compiled model and index maps.
+        data: ``mujoco.MjData``, as it is now.
+        timeline: Durations.
+        controller: What drives the hand.
+        phase: The phase that it is in.
+    """
+
+    def __init__(
+        self,
+        plan: GraspPlan,
+        *,
+        physics: PhysicsOptions | None = None,
+        controller: Controller | None = None,
+        timeline: Timeline | None = None,
+        thresholds: Thresholds | None = None,
+        record_every: float = 0.02,
+    ) -> None:
+        """Build the scene and put hand and object at their start.
+
+        Args:
+            plan: What to execute.
+            physics: How MuJoCo computes; defaults if None.
+            controller: What drives the hand; a ``GraspController`` if None.
+            timeline: Durations; defaults if None.
+            thresholds: Where success ends; defaults if None.
+            record_every: Time between samples, s.
+        """
+        if not (np.isfinite(record_every) and record_every > 0):
+            raise TaskError(f"record_every is {record_every}; give seconds > 0")
+        self.plan = plan
+        self.timeline = timeline or Timeline()
+        self.thresholds = thresholds or Thresholds()
+        self.controller: Controller = controller or GraspController(plan)
+        self.scene: Scene = build_scene(plan.task, T_world_base=plan.T_world_base, physics=physics)
+        self.data = self.scene.start(plan.q_pregrasp, plan.T_world_base_start)
+        self._start = self.scene.mount_coordinates(plan.T_world_base_start)
+        self._every = max(1, round(record_every / self.scene.physics.timestep))
+        self._recorder = Recorder(plan, self.scene)
+        self._steps = 0
+        self.phase: Phase = PHASES[0]
+
+    def run(
+        self,
+        *,
+        progress: Callable[[float], None] | None = None,
+        on_step: Callable[[Trial], None] | None = None,
+        view: bool = False,
+        picture: Path | str | None = None,
+    ) -> TrialReport:
+        """Run to the end, or to where it cannot go on, and judge. Ctrl-C ends it with a report.
+
+        Args:
+            progress: Called now and then with the share done, in [0, 1].
+            on_step: Called after every time step.
+            view: Show it in MuJoCo's viewer, in real time.
+            picture: Write a picture of the end here (PNG).
+
+        Raises:
+            TaskError: ``view`` without a display.
+        """
+        begin = time.perf_counter()
+        if not self.plan.forces.found:
+            verdict = Verdict(
+                success=False, reason="infeasible forces", detail=self.plan.forces.reason, time=0.0
+            )
+            return self._report(verdict, begin)
+        viewer = Viewer(self.scene.model, self.data) if view else None
+        interrupted = False
+        try:
+            for phase in PHASES:
+                if not self._run_phase(phase, progress, on_step, viewer):
+                    break
+        except KeyboardInterrupt:
+            interrupted = True
+        finally:
+            if viewer is not None:
+                viewer.close()
+        verdict = judge(
+            self._recorder.samples(),
+            fingers=self.plan.task.finger_names,
+            needed=FINGERS_NEEDED[self.plan.task.contact_model],
+            lift_mm=1e3 * self.timeline.lift_height,
+            thresholds=self.thresholds,
+            interrupted=interrupted,
+            diverged=self._divergence(),
+        )
+        report = self._report(verdict, begin)
+        if picture is None:
+            return report
+        made = save_picture(self.scene.model, self.data, Path(picture))
+        return replace(report, picture=made.path, picture_reason=made.reason)
+
+    def _run_phase(
+        self,
+        phase: Phase,
+        progress: Callable[[float], None] | None,
+        on_step: Callable[[Trial], None] | None,
+        viewer: Viewer | None,
+    ) -> bool:
+        """Run one phase; False if going on makes no sense."""
+        self.phase = phase
+        dt = self.scene.physics.timestep
+        steps = max(1, round(getattr(self.timeline, phase) / dt))
+        longest = steps
+        if phase == "close":
+            longest += round(self.timeline.close_wait / dt)
+        if phase == "settle":
+            self._recorder.mark_reference(self.data)
+        if phase == "lift":
+            if not self._held_by_enough():
+                self._recorder.record(self.data, "settle", self._limited())
+                return False
+            self.scene.release(self.data)
+        for k in range(longest):
+            touching = self._step(phase, min(1.0, k / steps))
+            if self._steps % self._every == 0:
+                self._recorder.record(self.data, phase, self._limited())
+                if progress is not None:
+                    progress(min(1.0, self.data.time / self.timeline.duration))
+            if on_step is not None:
+                on_step(self)
+            if viewer is not None:
+                viewer.show(self.data.time)
+            if self._divergence():
+                return False
+            if phase == "close" and k + 1 >= steps and touching:
+                break
+        return True
+
+    def _step(self, phase: Phase, share: float) -> bool:
+        """One time step; whether every finger touched at its beginning."""
+        scene, data = self.scene, self.data
+        observation = self._observe(phase, share)
+        target, velocity = self._mount_motion(phase, share)
+        self._ctrl = self._commands(observation)
+        data.ctrl[scene.hand_ctrl] = self._ctrl
+        data.ctrl[scene.mount_ctrl] = scene.mount_command(data, target, velocity)
+        mujoco.mj_step(scene.model, data)
+        self._steps += 1
+        return bool((observation.normal_forces >= TOUCH_FORCE).all())
+
+    def _commands(self, observation: Observation) -> FloatArray:
+        ctrl = np.asarray(self.controller.step(observation), dtype=np.float64)
+        expected = self.scene.hand_ctrl.shape
+        if ctrl.shape != expected:
+            raise TaskError(
+                f"the controller returned commands of shape {ctrl.shape}; the hand needs "
+                f"{expected}, one per actuator in the order of hand.actuation.names"
+            )
+        return ctrl
+
+    def _observe(self, phase: Phase, share: float) -> Observation:
+        scene, data = self.scene, self.data
+        twist = np.empty(6)
+        rotation = data.xmat[scene.object_body].reshape(3, 3)
+        twist[:3] = data.qvel[scene.object_dof[:3]]
+        twist[3:] = rotation @ data.qvel[scene.object_dof[3:]]
+        return Observation(
+            time=float(data.time),
+            phase=phase,
+            progress=share,
+            q=data.qpos[scene.hand_qpos],
+            v=data.qvel[scene.hand_dof],
+            T_world_base=scene.body_pose(data, scene.base_body),
+            T_world_object=scene.body_pose(data, scene.object_body),
+            object_twist=twist,
+            normal_forces=normal_forces(scene, data, self.plan.task.finger_names),
+            read_contacts=partial(hand_contacts, scene, data),
+        )
+
+    def _mount_motion(self, phase: Phase, share: float) -> tuple[FloatArray, FloatArray]:
+        """Mount joints (6,) and their rates at a share of a phase: at rest at its ends."""
+        line = self.timeline
+        s = float(smooth(np.asarray(share)))
+        rate = 30.0 * share**2 * (1.0 - share) ** 2
+        lifted = np.array([0.0, 0.0, line.lift_height, 0.0, 0.0, 0.0])
+        if phase == "approach":
+            return (1.0 - s) * self._start, -rate / line.approach * self._start
+        if phase == "lift":
+            return s * lifted, rate / line.lift * lifted
+        return (lifted if phase == "hold" else np.zeros(6)), np.zeros(6)
+
+    def _held_by_enough(self) -> bool:
+        """Whether as many fingers touch as can hold the object."""
+        forces = normal_forces(self.scene, self.data, self.plan.task.finger_names)
+        return int((forces > NO_FORCE).sum()) >= FINGERS_NEEDED[self.plan.task.contact_model]
+
+    def _limited(self) -> tuple[str, ...]:
+        """Names of the hand's actuators that could not do what was asked in the last step."""
+        actuation = self.plan.task.hand.actuation
+        force = self.data.actuator_force[self.scene.hand_ctrl]
+        low, high = actuation.force_range.T
+        at_limit = (force >= high - LIMIT_MARGIN) | (force <= low + LIMIT_MARGIN)
+        low, high = actuation.ctrl_range.T
+        at_limit |= (self._ctrl >= high - LIMIT_MARGIN) | (self._ctrl <= low + LIMIT_MARGIN)
+        return tuple(actuation.names[i] for i in np.flatnonzero(at_limit))
+
+    def _divergence(self) -> str:
+        """What MuJoCo warns of, "" if nothing: numbers that are not finite or huge."""
+        for what, index in _BAD_NUMBERS.items():
+            if self.data.warning[index].number:
+                return f"{what} are not finite or huge at {self.data.time:.3f} s"
+        return ""
+
+    def _report(self, verdict: Verdict, begin: float) -> TrialReport:
+        plan, task = self.plan, self.plan.task
+        samples = self._recorder.samples()
+        measured = merge_per_finger(hand_contacts(self.scene, self.data))
+        length = task.object.shape.bounding_radius
+        ended_holding = len(samples) > 0 and samples.phase[-1] == "hold" and len(measured) > 0
+        return TrialReport(
+            verdict=verdict,
+            hand=task.hand.name,
+            object=task.object.shape.spec,
+            mass_kg=task.object.mass,
+            seed=plan.record.seed,
+            fingers=task.finger_names,
+            samples=samples,
+            comparison=self._recorder.comparison(),
+            quality_planned=plan.quality,
+            quality_measured=analyse(measured, length=length) if ended_holding else None,
+            thresholds=self.thresholds,
+            physics={k: float(v) for k, v in asdict(self.scene.physics).items()},
+            timeline={k: float(v) for k, v in asdict(self.timeline).items()},
+            simulated_s=float(self.data.time),
+            wall_s=time.perf_counter() - begin,
+            supported=task.table_height is None,
+        )
+
+
+_BAD_NUMBERS = {
+    "positions": int(mujoco.mjtWarning.mjWARN_BADQPOS),
+    "velocities": int(mujoco.mjtWarning.mjWARN_BADQVEL),
+    "accelerations": int(mujoco.mjtWarning.mjWARN_BADQACC),
+    "the controller's commands": int(mujoco.mjtWarning.mjWARN_BADCTRL),
+}
+
+LIMIT_MARGIN = 1e-6
+"""How near (N, N m, rad) to its limit an actuator counts as standing at it: rounding."""
+
+
+def simulate(
+    plan: GraspPlan,
+    *,
+    physics: PhysicsOptions | None = None,
+    controller: Controller | None = None,
+    timeline: Timeline | None = None,
+    thresholds: Thresholds | None = None,
+    record_every: float = 0.02,
+    progress: Callable[[float], None] | None = None,
+    on_step: Callable[[Trial], None] | None = None,
+    view: bool = False,
+    picture: Path | str | None = None,
+) -> TrialReport:
+    """Execute a plan and judge it; see ``Trial`` and ``Trial.run`` for the arguments."""
+    trial = Trial(
+        plan,
+        physics=physics,
+        controller=controller,
+        timeline=timeline,
+        thresholds=thresholds,
+        record_every=record_every,
+    )
+    return trial.run(progress=progress, on_step=on_step, view=view, picture=picture)

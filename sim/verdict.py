@@ -1,0 +1,304 @@
+"""The verdict on a trial: success, or the reason why not.
+
+``judge`` is a pure function of the samples: a trial is judged by numbers, after the fact, and the
+same samples always get the same verdict. Of several faults the first in time is the reason, except
+that an object that ends on the ground was "dropped", however it began to move.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import TaskError
+from planner.spatial import FloatArray, IntArray
+from sim.controllers.base import Phase
+
+__all__ = [
+    "REASONS",
+    "Reason",
+    "Samples",
+    "Thresholds",
+    "Verdict",
+    "judge",
+]
+
+BoolArray: TypeAlias = NDArray[np.bool_]
+
+Reason: TypeAlias = Literal[
+    "",
+    "no contact",
+    "slipped",
+    "dropped",
+    "tipped",
+    "hand collided",
+    "torque limit reached",
+    "infeasible forces",
+    "interrupted",
+    "diverged",
+]
+
+REASONS: tuple[Reason, ...] = Reason.__args__  # type: ignore[attr-defined]
+"""Every reason a verdict can have; "" is success."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thresholds:
+    """Where success ends.
+
+    Attributes:
+        slip_mm: Movement of the object's centre of mass relative to the palm since the end of the
+            squeeze, mm.
+        slip_deg: Rotation likewise, degrees.
+        disturbed_mm: Movement of the object before the lift, mm: more is called tipped.
+        disturbed_deg: Rotation before the lift, degrees.
+        lift_shortfall_mm: How far the object may end below the height asked for, mm.
+        collision_N: Normal force between hand and table, obstacle or itself, N; a light touch is
+            let pass, as a person's would be.
+        limited_share: Share of the samples under load in which an actuator stood at its limit, from
+            which on a failure is put down to that (-).
+    """
+
+    slip_mm: float = 5.0
+    slip_deg: float = 5.0
+    disturbed_mm: float = 20.0
+    disturbed_deg: float = 20.0
+    lift_shortfall_mm: float = 5.0
+    collision_N: float = 1.0
+    limited_share: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Check that every threshold is positive."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not value > 0:
+                raise TaskError(f"threshold {field.name} is {value}; give a number > 0")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Samples:
+    """What was recorded over time, m samples, n fingers that take part.
+
+    Attributes:
+        time: (m,), s.
+        phase: m phases.
+        contacts: (m, n), number of contacts that MuJoCo reports per finger.
+        palm_contacts: (m,), contacts of the object with the rest of the hand.
+        normal_force: (m, n), N.
+        friction_utilisation: (m, n), share of the friction cone in use, merged per finger (-); NaN
+            without contact.
+        closed: (m,), force closure of the contacts merged per finger.
+        closed_unmerged: (m,), force closure of all contacts as they are.
+        epsilon: (m,), L1 epsilon of the merged contacts (-).
+        slip_mm: (m,), movement of the object relative to the palm since the end of the squeeze;
+            NaN before.
+        slip_deg: (m,), rotation likewise.
+        moved_mm: (m,), movement of the object in the world since the start.
+        turned_deg: (m,), rotation likewise.
+        lift_mm: (m,), rise of the object's centre of mass.
+        collision_N: (m,), largest normal force of hand on table, obstacle or itself.
+        collision: m names of the pair with that force, "" without.
+        limited: m tuples with the names of actuators at their limit.
+    """
+
+    time: FloatArray
+    phase: tuple[Phase, ...]
+    contacts: IntArray
+    palm_contacts: IntArray
+    normal_force: FloatArray
+    friction_utilisation: FloatArray
+    closed: BoolArray
+    closed_unmerged: BoolArray
+    epsilon: FloatArray
+    slip_mm: FloatArray
+    slip_deg: FloatArray
+    moved_mm: FloatArray
+    turned_deg: FloatArray
+    lift_mm: FloatArray
+    collision_N: FloatArray
+    collision: tuple[str, ...]
+    limited: tuple[tuple[str, ...], ...]
+
+    def __len__(self) -> int:
+        """Number of samples."""
+        return len(self.phase)
+
+    def during(self, *phases: Phase) -> IntArray:
+        """Numbers of the samples that belong to some phases."""
+        return np.flatnonzero(np.isin(np.array(self.phase, dtype=str), phases))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """Success, or the reason why not.
+
+    Attributes:
+        success: Whether the object was held.
+        reason: "" for success.
+        detail: What happened, in words with numbers; "" for success.
+        time: When it happened, s; NaN for success.
+    """
+
+    success: bool
+    reason: Reason = ""
+    detail: str = ""
+    time: float = float("nan")
+
+
+def judge(
+    samples: Samples,
+    *,
+    fingers: tuple[str, ...],
+    needed: int,
+    lift_mm: float,
+    thresholds: Thresholds,
+    interrupted: bool = False,
+    diverged: str = "",
+) -> Verdict:
+    """The verdict on a trial.
+
+    Args:
+        samples: What was recorded, up to the end or to where the trial was given up.
+        fingers: Names of the fingers that take part.
+        needed: Fewest fingers that can hold the object.
+        lift_mm: How far the object was to be lifted.
+        thresholds: Where success ends.
+        interrupted: Whether a person ended the trial.
+        diverged: What went wrong numerically, "" if nothing did.
+    """
+    end = float(samples.time[-1]) if len(samples) else 0.0
+    if diverged:
+        return Verdict(success=False, reason="diverged", detail=diverged, time=end)
+    early = Verdict(
+        success=False,
+        reason="interrupted",
+        detail=f"ended after {end:.2f} s of simulated time, before the hold was over",
+        time=end,
+    )
+    if interrupted:
+        return early
+    faults = [
+        fault
+        for fault in (
+            _collided(samples, thresholds),
+            _tipped(samples, thresholds),
+            _no_contact(samples, fingers, needed),
+            _lost(samples, fingers, needed, lift_mm, thresholds),
+        )
+        if fault is not None
+    ]
+    if not faults:
+        return Verdict(success=True) if len(samples.during("hold")) else early
+    first = min(faults, key=lambda fault: fault.time)
+    return _blamed_on_torque(first, samples, thresholds)
+
+
+def _collided(samples: Samples, thresholds: Thresholds) -> Verdict | None:
+    i = _first(samples.collision_N > thresholds.collision_N)
+    if i is None:
+        return None
+    detail = f"{samples.collision[i]} with {samples.collision_N[i]:.1f} N"
+    return _fault(samples, i, "hand collided", detail)
+
+
+def _tipped(samples: Samples, thresholds: Thresholds) -> Verdict | None:
+    before = np.isin(np.array(samples.phase), ("approach", "close", "squeeze", "settle"))
+    far = samples.moved_mm > thresholds.disturbed_mm
+    far |= samples.turned_deg > thresholds.disturbed_deg
+    i = _first(before & far)
+    if i is None:
+        return None
+    detail = (
+        f"the object moved {samples.moved_mm[i]:.0f} mm and turned {samples.turned_deg[i]:.0f} "
+        f"degrees before the lift, in phase {samples.phase[i]}"
+    )
+    return _fault(samples, i, "tipped", detail)
+
+
+def _no_contact(samples: Samples, fingers: tuple[str, ...], needed: int) -> Verdict | None:
+    index = samples.during("squeeze", "settle")
+    if len(index) == 0:
+        return None
+    i = int(index[-1])
+    touching = samples.contacts[i] > 0
+    if int(touching.sum()) >= needed:
+        return None
+    missing = [f for f, touches in zip(fingers, touching, strict=True) if not touches]
+    detail = f"after the squeeze {', '.join(missing)} did not touch; {needed} fingers are needed"
+    return _fault(samples, i, "no contact", detail)
+
+
+def _lost(
+    samples: Samples,
+    fingers: tuple[str, ...],
+    needed: int,
+    lift_mm: float,
+    thresholds: Thresholds,
+) -> Verdict | None:
+    """Dropped or slipped, in lift and hold."""
+    index = samples.during("lift", "hold")
+    if len(index) == 0:
+        return None
+    last = int(index[-1])
+    touching = int((samples.contacts[last] > 0).sum())
+    short = lift_mm - samples.lift_mm[last]
+    after = np.zeros(len(samples), dtype=bool)
+    after[index] = True
+    if touching < needed or short > lift_mm / 2:
+        loose = after & ((samples.contacts > 0).sum(axis=1) < needed)
+        i = _first(loose)
+        i = last if i is None else i
+        detail = (
+            f"at the end {touching} of {len(fingers)} fingers touched, and the object had risen "
+            f"{samples.lift_mm[last]:.0f} of {lift_mm:.0f} mm"
+        )
+        return _fault(samples, i, "dropped", detail)
+    moved = (samples.slip_mm > thresholds.slip_mm) | (samples.slip_deg > thresholds.slip_deg)
+    i = _first(after & moved)
+    if i is None and short <= thresholds.lift_shortfall_mm:
+        return None
+    i = last if i is None else i
+    detail = (
+        f"the object moved up to {largest(samples.slip_mm):.1f} mm and "
+        f"{largest(samples.slip_deg):.1f} degrees in the hand, and ended {short:.1f} mm low"
+    )
+    return _fault(samples, i, "slipped", detail)
+
+
+def _blamed_on_torque(fault: Verdict, samples: Samples, thresholds: Thresholds) -> Verdict:
+    """The same fault, or "torque limit reached" if an actuator had no more to give."""
+    if fault.reason not in ("no contact", "slipped", "dropped"):
+        return fault
+    index = [
+        i
+        for i in samples.during("squeeze", "settle", "lift", "hold")
+        if samples.time[i] <= fault.time
+    ]
+    names = [name for i in index for name in set(samples.limited[i])]
+    often = sorted({n for n in names if names.count(n) >= thresholds.limited_share * len(index)})
+    if not often:
+        return fault
+    return Verdict(
+        success=False,
+        reason="torque limit reached",
+        detail=f"{', '.join(often)} stood at the limit; then: {fault.reason}, {fault.detail}",
+        time=fault.time,
+    )
+
+
+def _fault(samples: Samples, i: int, reason: Reason, detail: str) -> Verdict:
+    return Verdict(success=False, reason=reason, detail=detail, time=float(samples.time[i]))
+
+
+def _first(condition: Any) -> int | None:
+    index = np.flatnonzero(condition)
+    return int(index[0]) if len(index) else None
+
+
+def largest(values: FloatArray) -> float:
+    """The largest of the numbers that are not NaN; NaN if there is none."""
+    known = values[np.isfinite(values)]
+    return float(known.max()) if len(known) else float("nan")

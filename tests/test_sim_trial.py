@@ -1,0 +1,249 @@
+"""Whole trials: success, every way of failing that can be provoked, and the report."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planner.errors import TaskError
+from planner.plan import GraspPlan
+from planner.search import plan_grasp
+from planner.spatial import SE3, FloatArray
+from planner.task import GraspTask, Obstacle
+from sim.contacts import hand_contacts
+from sim.controllers import Observation
+from sim.report import ReportFile, TrialReport
+from sim.scene import PhysicsOptions
+from sim.trial import Timeline, Trial, simulate
+
+QUICK = Timeline(approach=0.4, close=0.4, squeeze=0.3, lift=0.6, hold=0.4)
+
+
+@pytest.fixture(scope="module")
+def plan() -> GraspPlan:
+    return plan_grasp(GraspTask.create("allegro_hand", "sphere"))
+
+
+@pytest.fixture(scope="module")
+def report(plan: GraspPlan, tmp_path_factory: pytest.TempPathFactory) -> TrialReport:
+    return simulate(plan, picture=tmp_path_factory.mktemp("trial") / "held.png")
+
+
+def test_the_object_is_held(report: TrialReport) -> None:
+    assert report.success, report.verdict.detail
+    assert report.reason == ""
+    millimetres, degrees = report.largest_slip
+    assert 0 < millimetres < 1
+    assert 0 < degrees < 2
+    assert report.samples.lift_mm[-1] == pytest.approx(100, abs=2)
+
+
+def test_measured_contacts_are_the_planned_ones(report: TrialReport, plan: GraspPlan) -> None:
+    assert [c.finger for c in report.comparison] == list(plan.task.finger_names)
+    for c in report.comparison:
+        assert c.position_error_mm < 1.5
+        assert c.force_error_percent < 20
+        assert abs(c.measured_normal_force - c.planned_normal_force) <= c.force_error_N + 1e-9
+
+
+def test_the_same_analysis_judges_plan_and_execution(report: TrialReport) -> None:
+    assert report.quality_measured is not None
+    assert report.quality_measured.closure.closed
+    assert report.quality_measured.n_contacts == len(report.fingers)
+    # Simulation has more friction (0.6) than the plan relies on (0.5), and torsion on top.
+    assert report.quality_measured.epsilon > report.quality_planned.epsilon
+
+
+def test_samples_over_time(report: TrialReport) -> None:
+    s = report.samples
+    assert np.diff(s.time) == pytest.approx(0.02)
+    hold = s.during("hold")
+    assert len(hold) == 100
+    assert s.closed[hold].all()
+    assert s.closed_unmerged[hold].all()
+    assert (s.epsilon[hold] > 0).all()
+    assert (s.friction_utilisation[hold] <= 1 + 1e-6).all()
+    approach = s.during("approach")
+    assert (s.contacts[approach] == 0).all()
+    assert not s.closed[approach].any()
+    assert np.isnan(s.slip_mm[s.during("approach", "close", "squeeze")]).all()
+    assert np.isfinite(s.slip_mm[s.during("settle", "lift", "hold")]).all()
+
+
+def test_contact_forces_carry_the_object(plan: GraspPlan) -> None:
+    """Sum of contact forces = m (a - g) at every moment of the hold, by MuJoCo's own qacc."""
+    errors = []
+
+    def look(trial: Trial) -> None:
+        if trial.phase == "hold":
+            scene, data = trial.scene, trial.data
+            wrench = hand_contacts(scene, data).wrench()
+            acceleration = data.qacc[scene.object_dof[:3]] - plan.task.gravity
+            errors.append(np.abs(wrench[:3] - plan.task.object.mass * acceleration).max())
+
+    simulate(plan, timeline=QUICK, on_step=look)
+    assert len(errors) == 200
+    assert max(errors) < 0.01
+
+
+def test_report_is_plain_json_that_follows_its_schema(report: TrialReport) -> None:
+    data = report.to_dict()
+    text = json.dumps(data, allow_nan=False)
+    read = ReportFile.model_validate(json.loads(text))
+    assert (read.format, read.version) == ("opposable-report", 1)
+    assert read.success
+    assert read.physics["mu"] == 0.6
+    assert read.timeline["hold"] == 2.0
+    assert read.thresholds["slip_mm"] == 5.0
+    assert len(read.samples.time_s) == len(report.samples)
+    assert read.samples.object_in_palm_moved_mm[0] is None
+
+
+def test_picture_is_there_or_its_absence_is_explained(report: TrialReport) -> None:
+    assert (report.picture is None) == bool(report.picture_reason)
+    if report.picture is not None:
+        assert report.picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def test_the_same_trial_twice_gives_the_same_numbers(plan: GraspPlan) -> None:
+    first, second = (simulate(plan, timeline=QUICK).samples for _ in range(2))
+    np.testing.assert_array_equal(first.normal_force, second.normal_force)
+    np.testing.assert_array_equal(first.slip_mm, second.slip_mm)
+
+
+def test_without_friction_the_object_is_not_held(plan: GraspPlan) -> None:
+    failed = simulate(plan, timeline=QUICK, physics=PhysicsOptions(mu=0.02, mu_torsion=0.0))
+    assert not failed.success
+    assert failed.reason in ("slipped", "dropped", "tipped", "no contact")
+    assert failed.verdict.detail
+    json.dumps(failed.to_dict(), allow_nan=False)
+
+
+class Still:
+    """Keeps the fingers at the pre-grasp, or does something wrong."""
+
+    def __init__(self, plan: GraspPlan, value: Any = None) -> None:
+        """Keep what to return, if it is not to be still."""
+        self.plan, self.value, self.seen = plan, value, list[Observation]()
+
+    def step(self, observation: Observation) -> FloatArray:
+        self.seen.append(observation)
+        if self.value is not None:
+            return np.array(self.value)
+        hand = self.plan.task.hand
+        zero = np.zeros(hand.nq)
+        return hand.actuation.ctrl_for_torque(self.plan.q_pregrasp, zero, zero)[0]
+
+
+def test_users_controller_takes_part_and_fingers_that_never_close_touch_nothing(
+    plan: GraspPlan,
+) -> None:
+    controller = Still(plan)
+    failed = simulate(plan, controller=controller, timeline=QUICK)
+    assert failed.reason == "no contact"
+    assert all(name in failed.verdict.detail for name in plan.task.finger_names)
+    assert failed.simulated_s < QUICK.duration  # given up before the lift
+    assert len(controller.seen) == round(failed.simulated_s / 0.002)
+    phases = [o.phase for o in controller.seen]
+    assert list(dict.fromkeys(phases)) == ["approach", "close", "squeeze", "settle"]
+    last = controller.seen[-1]
+    assert len(last.contacts) == 0
+    np.testing.assert_allclose(last.q, plan.q_pregrasp, atol=0.1)
+    assert last.T_world_base.isApprox(plan.T_world_base, 1e-3)
+
+
+def test_commands_of_a_wrong_shape_are_refused(plan: GraspPlan) -> None:
+    with pytest.raises(TaskError, match=r"shape \(3,\); the hand needs \(16,\)"):
+        simulate(plan, controller=Still(plan, [0.0, 0.0, 0.0]), timeline=QUICK)
+
+
+def test_commands_that_are_not_numbers_end_the_trial(plan: GraspPlan) -> None:
+    failed = simulate(plan, controller=Still(plan, [np.nan] * 16), timeline=QUICK)
+    assert failed.reason == "diverged"
+    assert "commands" in failed.verdict.detail
+
+
+def test_interruption_gives_a_partial_report(plan: GraspPlan) -> None:
+    def stop(share: float) -> None:
+        if share > 0.5:
+            raise KeyboardInterrupt
+
+    partial = simulate(plan, timeline=QUICK, progress=stop)
+    assert partial.reason == "interrupted"
+    assert 0.4 * QUICK.duration < partial.simulated_s < 0.7 * QUICK.duration
+    assert len(partial.samples) > 10
+    json.dumps(partial.to_dict(), allow_nan=False)
+
+
+def test_a_plan_without_forces_is_not_executed(plan: GraspPlan) -> None:
+    class Nothing:
+        found, reason = False, "the friction cones do not reach"
+
+    refused = simulate(replace(plan, forces=Nothing()))  # type: ignore[arg-type]
+    assert refused.reason == "infeasible forces"
+    assert refused.verdict.detail == "the friction cones do not reach"
+    assert len(refused.samples) == 0
+    json.dumps(refused.to_dict(), allow_nan=False)
+
+
+def test_an_obstacle_in_the_way_is_hit(plan: GraspPlan) -> None:
+    state = plan.T_world_palm.translation
+    wall = Obstacle(
+        name="wall",
+        size=np.array([0.05, 0.05, 0.02]),
+        T_world_obstacle=SE3(np.eye(3), state + np.array([0.0, 0.0, 0.0])),
+    )
+    blocked = replace(plan, task=replace(plan.task, obstacles=(wall,)))
+    failed = simulate(blocked, timeline=QUICK)
+    assert failed.reason == "hand collided"
+    assert "wall" in failed.verdict.detail
+
+
+def test_an_object_put_elsewhere_is_missed_or_disturbed(plan: GraspPlan) -> None:
+    """A trial does not believe the plan: it looks at what MuJoCo reports."""
+    trial = Trial(plan, timeline=QUICK)
+    trial.data.qpos[trial.scene.object_qpos[0]] += 0.5
+    failed = trial.run()
+    assert failed.reason in ("no contact", "tipped")
+
+
+def test_object_without_table_is_supported_until_the_lift() -> None:
+    pose = SE3(np.eye(3), np.array([0.0, 0.0, 0.5]))
+    task = GraspTask.create("allegro_hand", "sphere", table_height=None, T_world_object=pose)
+    report = simulate(plan_grasp(task), timeline=QUICK)
+    assert report.supported
+    assert report.success, report.verdict.detail
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [({"lift": 0.0}, "lift is 0.0"), ({"hold": float("nan")}, "hold is nan")],
+)
+def test_timeline_refuses_what_cannot_be(options: dict[str, float], message: str) -> None:
+    with pytest.raises(TaskError, match=message):
+        Timeline(**options)
+
+
+def test_record_every_must_be_positive(plan: GraspPlan) -> None:
+    with pytest.raises(TaskError, match="record_every is 0"):
+        Trial(plan, record_every=0.0)
+
+
+def test_viewer_without_a_display_says_so(plan: GraspPlan, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(TaskError, match="no display"):
+        simulate(plan, timeline=QUICK, view=True)
+
+
+def test_picture_into_a_missing_folder_is_explained(plan: GraspPlan, tmp_path: Path) -> None:
+    trial = Trial(plan, timeline=replace(QUICK, hold=0.02))
+    done = trial.run(picture=tmp_path / "nowhere" / "held.png")
+    assert done.picture is None
+    assert done.picture_reason
