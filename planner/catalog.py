@@ -55,5 +55,7 @@ def find_hand(name_or_path: str | Path) -> Path:
             raise ModelError(f"{path} is not a hand description; give the hand.toml beside it")
         return path
     looks_like_path = path.suffix or len(path.parts) > 1
-    hint = "Or give the path of a hand.toml." + (" That path does not exist." * bool(looks_like_path))
+    hint = "Or give the path of a hand.toml." + (
+        " That path does not exist." * bool(looks_like_path)
+    )
     raise NotFoundError("hand", str(name_or_path), hand_names(), hint)

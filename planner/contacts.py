@@ -102,9 +102,7 @@ class ContactSet:
         for name, shape in shapes.items():
             value = np.array(getattr(self, name), dtype=np.float64)
             if value.shape != shape:
-                raise ContactError(
-                    f"{name} has shape {value.shape}, but {n} contacts need {shape}"
-                )
+                raise ContactError(f"{name} has shape {value.shape}, but {n} contacts need {shape}")
             if name != "forces" and not np.isfinite(value).all():
                 raise ContactError(f"{name} holds NaN or infinity; give finite numbers")
             value.flags.writeable = False

@@ -197,7 +197,9 @@ def plan_to_dict(plan: GraspPlan) -> dict[str, Any]:
             contact_model=task.contact_model,
             fingers=list(task.finger_names),
             grip_force_N=task.grip_force,
-            T_world_base_fixed=None if task.T_world_base is None else PoseData.of(task.T_world_base),
+            T_world_base_fixed=None
+            if task.T_world_base is None
+            else PoseData.of(task.T_world_base),
             wrist_free=task.wrist_free,
             wrist_q_rad=list(task.wrist_q),
         ),
@@ -302,7 +304,9 @@ def read_plan(path: Path | str, *, hand: Hand | None = None) -> GraspPlan:
     try:
         file = PlanFile.model_validate(data)
     except ValidationError as error:
-        faults = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()[:5])
+        faults = "; ".join(
+            f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()[:5]
+        )
         raise FileFormatError(f"{path} is damaged: {faults}") from error
     given = file.task.hand
     hand = hand or Hand.load(given.description_path or given.name)
@@ -404,7 +408,9 @@ def read_contacts(path: Path | str) -> tuple[ContactSet, float]:
     try:
         file = ContactsFile.model_validate(data)
     except ValidationError as error:
-        faults = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()[:5])
+        faults = "; ".join(
+            f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()[:5]
+        )
         raise FileFormatError(
             f"{path} is neither a plan nor a list of contacts: {faults}. A list of contacts is "
             '{"contacts": [{"position_m": [x, y, z], "normal_into_object": [x, y, z], "mu": 0.5}]}'

@@ -26,11 +26,18 @@ from planner.bridge import (
     compile_spec,
     hand_geometries,
     load_spec,
+    mirror_spec,
     pinocchio_from_mujoco,
 )
 from planner.bridge.geometry import allowed_pairs
 from planner.catalog import find_hand
-from planner.description import FingerDescription, HandDescription, read_description
+from planner.description import (
+    FingerDescription,
+    HandDescription,
+    MirrorAxis,
+    read_description,
+    reflection_signs,
+)
 from planner.errors import HandError, NotFoundError, TaskError
 from planner.spatial import SE3, FloatArray, IntArray
 
@@ -105,7 +112,11 @@ class Hand:
         name: Name from the description.
         description: The validated description.
         path: The description file.
-        digest: SHA-256 over description and model file; a plan keeps it.
+        digest: SHA-256 over the files that determine the hand: its description, the one that this
+            mirrors if it does, and the model; a plan keeps it.
+        mirror_axis: Normal of the plane, in the base's frame, through which the model file is
+            reflected; None if the hand is as the file has it. A mirrored hand keeps the names of
+            joints, frames and geometries of the hand that it mirrors.
         mj_model: Compiled ``mujoco.MjModel`` of the hand alone, base fixed to the world.
         pin_model: ``pinocchio.Model`` of the same.
         fingers: Name -> Finger, in the description's order.
@@ -119,6 +130,7 @@ class Hand:
     description: HandDescription
     path: Path
     digest: str
+    mirror_axis: MirrorAxis | None
     mj_model: Any
     pin_model: Any
     fingers: Mapping[str, Finger]
@@ -137,19 +149,21 @@ class Hand:
             HandError: Description and model do not fit.
         """
         path = find_hand(name_or_path)
-        description = read_description(path)
-        model_path = path.parent / description.model
-        mj_model = compile_spec(load_spec(model_path), str(model_path))
+        described = read_description(path)
+        description, model_path = described.description, described.model_path
+        spec = _load_spec(model_path, described.mirror_axis)
+        mj_model = compile_spec(spec, str(model_path))
         if mj_model.nq != mj_model.nv or mj_model.nq != mj_model.njnt:
             raise HandError(f"{model_path} has free or ball joints; a hand has hinges and slides")
         pin_model = pinocchio_from_mujoco(mj_model)
-        digest = hashlib.sha256(path.read_bytes() + model_path.read_bytes()).hexdigest()
-        builder = _Builder(path, description, mj_model, pin_model)
+        digest = hashlib.sha256(b"".join(f.read_bytes() for f in described.files)).hexdigest()
+        builder = _Builder(described.described_in, description, mj_model, pin_model)
         hand = cls(
             name=description.name,
             description=description,
             path=path,
             digest=digest,
+            mirror_axis=described.mirror_axis,
             mj_model=mj_model,
             pin_model=pin_model,
             fingers=builder.fingers(),
@@ -164,7 +178,7 @@ class Hand:
 
     def new_spec(self) -> Any:
         """A fresh ``mujoco.MjSpec`` of the hand, to be edited or attached to a scene."""
-        return load_spec(self.path.parent / self.description.model)
+        return _load_spec(self.path.parent / self.description.model, self.mirror_axis)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -233,25 +247,25 @@ class Hand:
         return self.checked_q(q, f"posture {name!r}")
 
     def checked_q(self, q: Any, what: str = "q") -> FloatArray:
-        """q as a float array (nq,) after checking its shape, finiteness and joint limits.
+        """Joints q as a float array (nq,) after checking its shape, finiteness and joint limits.
 
         Raises:
             HandError: Wrong shape, NaN, or a joint outside its range (named with the range).
         """
-        q = np.array(q, dtype=np.float64)
-        if q.shape != (self.nq,):
-            raise HandError(f"{what} has shape {q.shape}; {self.name} needs ({self.nq},)")
-        if not np.isfinite(q).all():
+        joints: FloatArray = np.array(q, dtype=np.float64)
+        if joints.shape != (self.nq,):
+            raise HandError(f"{what} has shape {joints.shape}; {self.name} needs ({self.nq},)")
+        if not np.isfinite(joints).all():
             raise HandError(f"{what} holds NaN or infinity")
-        outside = np.maximum(self.q_lower - q, q - self.q_upper)
+        outside = np.maximum(self.q_lower - joints, joints - self.q_upper)
         worst = int(np.argmax(outside))
         if outside[worst] > POSTURE_TOL:
             low, high = self.q_lower[worst], self.q_upper[worst]
             raise HandError(
-                f"{what}: joint {self.joint_names[worst]} is at {q[worst]:.4f}, outside its range "
-                f"[{low:.4f}, {high:.4f}]; bring it inside"
+                f"{what}: joint {self.joint_names[worst]} is at {joints[worst]:.4f}, outside its "
+                f"range [{low:.4f}, {high:.4f}]; bring it inside"
             )
-        return q
+        return joints
 
     def choose_fingers(self, names: Sequence[str] | None = None) -> tuple[Finger, ...]:
         """Fingers by name; the description's default where none is given.
@@ -273,6 +287,13 @@ class Hand:
         from planner.kinematics import HandState  # kinematics is built on Hand
 
         return T_world_palm * HandState(self, q).T_base_palm.inverse()
+
+
+def _load_spec(model_path: Path, mirror_axis: MirrorAxis | None) -> Any:
+    spec = load_spec(model_path)
+    if mirror_axis is not None:
+        mirror_spec(spec, reflection_signs(mirror_axis), str(model_path))
+    return spec
 
 
 class _Builder:

@@ -1,17 +1,22 @@
 """Signed distance, nearest points and normal of two geometries, by coal.
 
-Distances are positive apart and negative in penetration. coal is used with four precautions:
+Distances are positive apart and negative in penetration. coal is used with these precautions:
   - Its default stopping rule leaves 1e-6 m in the distance of curved shapes and 0.01 rad in the
     normal; the duality gap at the same tolerance leaves 1e-9 m and 1e-4 rad for 1 us more.
-  - Its default of 64 expansion steps is too few for overlapping ellipsoids (4e-5 m left); 256 are
+  - Its default of 64 expansion steps is too few for overlapping ellipsoids (4e-5 m left); 1000 are
     allowed here.
+  - A query that does not converge (one in 1e5 of thin ellipsoids far from large boxes) is repeated
+    with a tolerance ten times looser.
   - A sphere whose centre is inside a cylinder is reported to leave through the side even where an
     end is nearer (20 mm wrong in a 30 mm cylinder); here that case is computed in closed form.
+  - Where axes of capsules or centres of spheres meet exactly, its normal is arbitrary; here moving
+    along it parts the two.
   - A triangle mesh has no inside for coal: it is refused. Give convex pieces or primitives.
 
 Accuracy: 1e-8 m apart and until the cores of rounded shapes touch (the centre of a sphere, the
-axis of a capsule); deeper, where coal expands polytopes (EPA), 2e-6 m. Tighter tolerances make coal
-fail, so they are not offered.
+axis of a capsule); deeper, where coal expands polytopes (EPA), 3e-6 m, and 1e-5 m in
+the points. Tighter tolerances make coal fail, so they are not offered. A query takes some 10 us,
+but up to 15 ms where centres of curved shapes coincide.
 """
 
 from __future__ import annotations
@@ -29,11 +34,18 @@ from planner.spatial import SE3, FloatArray
 
 __all__ = ["DistancePair", "PlacedGeometry", "Proximity", "min_distance", "signed_distance"]
 
-EPA_ITERATIONS = 256
-"""Steps of polytope expansion that overlapping ellipsoids need for the tolerance of 1e-6 m."""
+GJK_TOLERANCES = (1e-6, 1e-5)
+"""Tolerances of coal's distance iteration, and what is tried next if it does not converge."""
+
+MEETING = 1e-12
+"""Distance (m) between two cores at which they count as meeting: the rounding of coal's points."""
+
+EPA_ITERATIONS = 1000
+"""Steps of polytope expansion that overlapping curved shapes may need to reach 1e-6 m."""
 
 FAILED = 1e6
-"""Distances (m) above this are coal's mark of a query that did not converge (it gives 1.8e308)."""
+"""Distances (m) beyond this, of either sign, are not: coal marks a query that did not converge by
+1.8e308."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,11 +108,10 @@ class DistancePair:
         self.geometry_a = geometry_a
         self.geometry_b = geometry_b
         self._compute = coal.ComputeDistance(geometry_a, geometry_b)
-        self._request = coal.DistanceRequest()
-        self._request.gjk_convergence_criterion = coal.GJKConvergenceCriterion.DualityGap
-        self._request.epa_max_iterations = EPA_ITERATIONS
+        self._requests = tuple(_request(tolerance) for tolerance in GJK_TOLERANCES)
         self._result = coal.DistanceResult()
-        self._wrong_below = _wrong_below(geometry_a, geometry_b)
+        self._sphere_inside = _sphere_inside(geometry_a, geometry_b)
+        self._cores_meet = _cores_meet(geometry_a, geometry_b)
 
     def distance(self, pose_a: SE3, pose_b: SE3) -> float:
         """Signed distance, m, alone: faster than ``query``.
@@ -112,22 +123,20 @@ class DistancePair:
         Raises:
             ModelError: coal's iteration did not converge; extreme proportions can cause it.
         """
-        a, b = self.geometry_a, self.geometry_b
-        self._result.clear()
-        distance = float(
-            self._compute(
-                coal.Transform3s(pose_a.rotation, pose_a.translation),
-                coal.Transform3s(pose_b.rotation, pose_b.translation),
-                self._request,
-                self._result,
-            )
-        )
-        if not abs(distance) < FAILED:
+        transform_a = coal.Transform3s(pose_a.rotation, pose_a.translation)
+        transform_b = coal.Transform3s(pose_b.rotation, pose_b.translation)
+        for request in self._requests:
+            self._result.clear()
+            distance = float(self._compute(transform_a, transform_b, request, self._result))
+            if abs(distance) < FAILED:
+                break
+        else:
+            a, b = type(self.geometry_a).__name__, type(self.geometry_b).__name__
             raise ModelError(
-                f"coal found no distance of {type(a).__name__} and {type(b).__name__}; check their "
-                "sizes and poses for extreme values"
+                f"coal found no distance of {a} and {b}; check their sizes and poses for extreme "
+                "values"
             )
-        if distance <= self._wrong_below:
+        if distance <= self._sphere_inside:
             return self._cylinder_query(pose_a, pose_b).distance
         return distance
 
@@ -142,17 +151,28 @@ class DistancePair:
             ModelError: coal's iteration did not converge; extreme proportions can cause it.
         """
         distance = self.distance(pose_a, pose_b)
-        if distance <= self._wrong_below:
+        if distance <= self._sphere_inside:
             return self._cylinder_query(pose_a, pose_b)
         point_a = np.array(self._result.getNearestPoint1())
         point_b = np.array(self._result.getNearestPoint2())
         normal = np.array(self._result.normal)
-        if not normal.any():
-            # Capsules whose axes overlap: coal gives no direction and both points on the axis.
-            normal = np.array(pose_a.rotation[:, 0])
-            point_a = point_a + self.geometry_a.radius * normal
-            point_b = point_b - self.geometry_b.radius * normal
+        if distance <= self._cores_meet:
+            core = point_a - self.geometry_a.radius * normal
+            normal = self._across(pose_a, pose_b)
+            point_a = core + self.geometry_a.radius * normal
+            point_b = core - self.geometry_b.radius * normal
         return Proximity(distance=distance, point_a=point_a, point_b=point_b, normal=normal)
+
+    def _across(self, pose_a: SE3, pose_b: SE3) -> FloatArray:
+        """A unit vector (3,) perpendicular to the axes of those geometries that are capsules."""
+        axes = [
+            pose.rotation[:, 2]
+            for pose, geometry in ((pose_a, self.geometry_a), (pose_b, self.geometry_b))
+            if isinstance(geometry, coal.Capsule)
+        ]
+        # the last right singular vector of one or two axes is perpendicular to both
+        across: FloatArray = np.linalg.svd(np.array(axes))[2][2]
+        return across
 
     def _cylinder_query(self, pose_a: SE3, pose_b: SE3) -> Proximity:
         if isinstance(self.geometry_a, coal.Cylinder):
@@ -224,12 +244,29 @@ def _cylinder_to_sphere(cylinder: Any, sphere: Any, pose_a: SE3, pose_b: SE3) ->
     )
 
 
-def _wrong_below(a: Any, b: Any) -> float:
-    """Distance (m) below which coal errs: with the centre of a sphere inside a cylinder."""
+def _request(tolerance: float) -> Any:
+    request = coal.DistanceRequest()
+    request.gjk_convergence_criterion = coal.GJKConvergenceCriterion.DualityGap
+    request.gjk_tolerance = tolerance
+    request.epa_max_iterations = EPA_ITERATIONS
+    return request
+
+
+def _sphere_inside(a: Any, b: Any) -> float:
+    """Distance (m) at which the centre of a sphere enters a cylinder, where coal errs."""
     for one, other in ((a, b), (b, a)):
         if isinstance(one, coal.Sphere) and isinstance(other, coal.Cylinder):
             return -float(one.radius)
     return -np.inf
+
+
+def _cores_meet(a: Any, b: Any) -> float:
+    """Distance (m) at which the axis of a capsule meets another axis or the centre of a sphere."""
+    kinds = (coal.Sphere, coal.Capsule)
+    both_round = isinstance(a, kinds) and isinstance(b, kinds)
+    if not both_round or (isinstance(a, coal.Sphere) and isinstance(b, coal.Sphere)):
+        return -np.inf
+    return MEETING - float(a.radius + b.radius)
 
 
 def _ball_gap(a: PlacedGeometry, b: PlacedGeometry) -> float:

@@ -171,7 +171,9 @@ class GraspTask:
                 f"more of {list(self.hand.fingers)}"
             )
         if self.mu == 0 and self.contact_model != "frictionless":
-            raise TaskError("mu is 0: fingertips cannot close a grasp without friction; give mu > 0")
+            raise TaskError(
+                "mu is 0: fingertips cannot close a grasp without friction; give mu > 0"
+            )
         self._check_wrist()
         if self.table_height is not None:
             self._check_object_above_table(self.table_height)

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 from PIL import Image
 
-from planner.spatial import SE3, FloatArray
+from planner.spatial import FloatArray
 
 __all__ = ["CAMERA", "Picture", "add_scenery", "save_picture"]
 
@@ -30,9 +30,10 @@ CAMERA_DISTANCE = 0.55
 CAMERA_HEIGHT = 0.22
 """Height (m) of the camera above the object before the lift: a look from slightly above."""
 
-CAMERA_TURN = np.deg2rad(55.0)
-"""Angle between the camera's direction and the side away from the hand's base: seen neither from
-behind the hand nor straight against it."""
+CAMERA_TURN = np.deg2rad(80.0)
+"""Angle between the camera's direction and the side away from the hand's base: nearly in profile,
+so that thumb and fingers are seen on both sides of the object. Of the two sides it is the one that
+the palm faces."""
 
 FIELD_OF_VIEW_DEG = 38.0
 """Vertical field of view of the camera, degrees."""
@@ -61,14 +62,19 @@ class Picture:
 
 
 def add_scenery(
-    spec: Any, focus: FloatArray, T_world_base: SE3, table_height: float | None
+    spec: Any,
+    focus: FloatArray,
+    base: FloatArray,
+    palm_faces: FloatArray,
+    table_height: float | None,
 ) -> None:
     """Add what is only to be looked at: sky, lights, camera, and a floor where no table is.
 
     Args:
         spec: ``mujoco.MjSpec``; the camera follows its body "object".
         focus: Point (3,) to look at before the lift, m.
-        T_world_base: Base pose of the hand at the grasp.
+        base: Position (3,) of the hand's base at the grasp, m.
+        palm_faces: Direction (3,) in which the palm faces then.
         table_height: Height of the table's top, m; None for no table.
     """
     spec.visual.global_.offwidth, spec.visual.global_.offheight = PICTURE_SIZE
@@ -81,14 +87,17 @@ def add_scenery(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=(0.92, 0.94, 0.96),
+        rgb1=(0.85, 0.90, 0.96),
         rgb2=(0.62, 0.68, 0.75),
         width=256,
         height=256,
     )
-    side = T_world_base.translation[:2] - focus[:2]
-    azimuth = np.arctan2(-side[1], -side[0]) + CAMERA_TURN
-    toward = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    away = np.arctan2(focus[1] - base[1], focus[0] - base[0])
+    sides = [
+        np.array([np.cos(away + turn), np.sin(away + turn), 0.0])
+        for turn in (CAMERA_TURN, -CAMERA_TURN)
+    ]
+    toward = max(sides, key=lambda side: float(side @ palm_faces))
     eye = focus + CAMERA_DISTANCE * toward + np.array([0.0, 0.0, CAMERA_HEIGHT])
     spec.worldbody.add_camera(
         name=CAMERA,
@@ -114,7 +123,7 @@ def add_scenery(
             pos=(0, 0, focus[2] - FLOOR_DEPTH),
             contype=0,
             conaffinity=0,
-            rgba=(0.75, 0.77, 0.78, 1.0),
+            rgba=(0.78, 0.76, 0.73, 1.0),
         )
 
 

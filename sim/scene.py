@@ -26,6 +26,7 @@ import numpy as np
 from planner.bridge import compile_spec
 from planner.errors import TaskError
 from planner.hand import Hand
+from planner.kinematics import HandState
 from planner.spatial import SE3, FloatArray, IntArray, pose_to_wxyz
 from planner.task import GraspTask
 from sim.picture import add_scenery
@@ -225,7 +226,16 @@ def build_scene(
     _add_hand(spec, task.hand, T_world_base, physics)
     _add_object(spec, task, physics)
     _add_surroundings(spec, task, physics)
-    add_scenery(spec, task.T_world_object.translation, T_world_base, task.table_height)
+    hand = task.hand
+    q = np.clip(np.zeros(hand.nq), hand.q_lower, hand.q_upper)
+    T_world_palm = T_world_base * HandState(hand, q).T_base_palm
+    add_scenery(
+        spec,
+        task.T_world_object.translation,
+        T_world_base.translation,
+        T_world_palm.rotation @ hand.palm_normal,
+        task.table_height,
+    )
     model = compile_spec(spec, f"the scene of {spec.modelname}")
     return _indexed(task, physics, T_world_base, model)
 
@@ -273,7 +283,7 @@ def _add_object(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
     body.ipos = np.zeros(3)
     body.fullinertia = [*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]]
     kind, size = item.shape.mujoco_geom()
-    geom = body.add_geom(name=OBJECT, condim=4, priority=1, rgba=(0.93, 0.55, 0.18, 1.0))
+    geom = body.add_geom(name=OBJECT, condim=4, priority=1, rgba=(0.42, 0.72, 0.38, 1.0))
     _solid(geom, kind, size, physics)
     if task.table_height is None:
         weld = spec.add_equality(name=SUPPORT, type=mujoco.mjtEq.mjEQ_WELD)

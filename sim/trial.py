@@ -26,7 +26,14 @@ from planner.quality import analyse
 from planner.spatial import FloatArray
 from planner.task import FINGERS_NEEDED
 from sim.contacts import NO_FORCE, hand_contacts, merge_per_finger, normal_forces
-from sim.controllers import PHASES, Controller, GraspController, Observation, Phase
+from sim.controllers import (
+    PHASES,
+    Controller,
+    GraspController,
+    Observation,
+    Phase,
+    ReportsLimits,
+)
 from sim.controllers.grasp import TOUCH_FORCE
 from sim.picture import save_picture
 from sim.recorder import Recorder
@@ -276,7 +283,10 @@ class Trial:
         at_limit = (force >= high - LIMIT_MARGIN) | (force <= low + LIMIT_MARGIN)
         low, high = actuation.ctrl_range.T
         at_limit |= (self._ctrl >= high - LIMIT_MARGIN) | (self._ctrl <= low + LIMIT_MARGIN)
-        return tuple(actuation.names[i] for i in np.flatnonzero(at_limit))
+        names = {actuation.names[i] for i in np.flatnonzero(at_limit)}
+        if isinstance(self.controller, ReportsLimits):
+            names.update(self.controller.limited_actuators())
+        return tuple(sorted(names))
 
     def _divergence(self) -> str:
         """What MuJoCo warns of, "" if nothing: numbers that are not finite or huge."""

@@ -270,7 +270,7 @@ def _lost(
 
 def _blamed_on_torque(fault: Verdict, samples: Samples, thresholds: Thresholds) -> Verdict:
     """The same fault, or "torque limit reached" if an actuator had no more to give."""
-    if fault.reason not in ("no contact", "slipped", "dropped"):
+    if fault.reason == "hand collided":
         return fault
     index = [
         i

@@ -25,7 +25,9 @@ def shadow() -> Hand:
 
 @pytest.fixture(scope="session", params=RIGHT_HANDS)
 def right_hand(request: pytest.FixtureRequest) -> Hand:
-    hand = request.getfixturevalue({"allegro_hand": "allegro", "shadow_hand": "shadow"}[request.param])
+    hand = request.getfixturevalue(
+        {"allegro_hand": "allegro", "shadow_hand": "shadow"}[request.param]
+    )
     assert isinstance(hand, Hand)
     return hand
 
@@ -35,9 +37,7 @@ def edit_hand(tmp_path: Path) -> Callable[..., Path]:
     """A copy of the Allegro's two files with pieces of text replaced; gives the hand.toml."""
     source = models_dir() / "hands" / "allegro_hand"
 
-    def edit(
-        toml: Mapping[str, str] | None = None, xml: Mapping[str, str] | None = None
-    ) -> Path:
+    def edit(toml: Mapping[str, str] | None = None, xml: Mapping[str, str] | None = None) -> Path:
         for name, changes in (("hand.toml", toml or {}), ("allegro_hand.xml", xml or {})):
             text = (source / name).read_text(encoding="utf-8")
             for old, new in changes.items():

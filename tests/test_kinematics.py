@@ -1,4 +1,4 @@
-"""Kinematics of the hands: Pinocchio, its CasADi twin and MuJoCo are three witnesses of each other."""
+"""Kinematics of the hands: Pinocchio, its CasADi twin and MuJoCo are witnesses of each other."""
 
 from __future__ import annotations
 
@@ -213,7 +213,10 @@ def test_palm_pose_is_that_of_the_palm_body(right_hand: Hand) -> None:
     for q in random_q(right_hand, 5, seed=8):
         data.qpos[:] = q
         mujoco.mj_kinematics(right_hand.mj_model, data)
-        body, pose = data.body(right_hand.description.palm_body), HandState(right_hand, q).T_base_palm
+        body, pose = (
+            data.body(right_hand.description.palm_body),
+            HandState(right_hand, q).T_base_palm,
+        )
         np.testing.assert_allclose(pose.translation, body.xpos, rtol=0, atol=AGREEMENT)
         np.testing.assert_allclose(pose.rotation, body.xmat.reshape(3, 3), rtol=0, atol=AGREEMENT)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.contacts import ContactSet
+from planner.contacts import ContactModel, ContactSet
 from planner.hand import Hand
 from planner.kinematics import HandState
 from planner.plan import GraspPlan
@@ -105,7 +105,8 @@ def test_soft_contacts_press_with_their_torsion(plan: GraspPlan) -> None:
     contacts = plan.contacts
     n = len(contacts)
     forces = np.c_[contacts.forces[:, :3], np.full(n, 0.004)]
-    soft = replace(contacts, models=("soft",) * n, mu_torsion=np.full(n, 0.01), forces=forces)
+    models: tuple[ContactModel, ...] = ("soft",) * n
+    soft = replace(contacts, models=models, mu_torsion=np.full(n, 0.01), forces=forces)
     change = wanted(plan, 0.0)
     state, inverse = HandState(plan.task.hand, plan.q), plan.T_world_base.inverse()
     for finger, p, normal in zip(

@@ -123,9 +123,12 @@ def test_object_has_the_mass_and_inertia_of_its_shape(hand: Hand) -> None:
 
 
 def test_friction_is_that_of_the_options_and_not_a_maximum(hand: Hand) -> None:
-    """The hand's model has MuJoCo's default friction 1; the pair must have what was asked."""
+    """Whatever the hand's geoms have, the pair has what was asked: the object decides."""
     physics = PhysicsOptions(mu=0.2, mu_torsion=0.003)
     scene = build_scene(GraspTask.create(hand, "sphere"), T_world_base=ABOVE, physics=physics)
+    geoms = list(scene.finger_of_geom)
+    np.testing.assert_allclose(scene.model.geom_friction[geoms, 0], 0.2)
+    scene.model.geom_friction[geoms], scene.model.geom_condim[geoms] = 1.0, 6
     data = scene.start(hand.posture("open"), ABOVE)
     finger = scene.task.fingers[0]
     pad = data.geom(HAND_PREFIX + finger.pad.geom).xpos

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
 from planner.errors import TaskError
-from planner.plan import GraspPlan
+from planner.hand import Hand
+from planner.plan import GraspPlan, smooth
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
@@ -202,6 +205,50 @@ def test_an_obstacle_in_the_way_is_hit(plan: GraspPlan) -> None:
     failed = simulate(blocked, timeline=QUICK)
     assert failed.reason == "hand collided"
     assert "wall" in failed.verdict.detail
+
+
+@pytest.mark.parametrize(
+    ("attribute", "value"), [("forcerange", "-0.02 0.02"), ("ctrlrange", "0 0.3")]
+)
+def test_a_hand_too_weak_for_the_plan_reaches_its_torque_limit(
+    plan: GraspPlan, tmp_path: Path, attribute: str, value: str
+) -> None:
+    """The plan of the true hand on a copy whose thumb is weak or whose commands are clipped."""
+    shutil.copytree(plan.task.hand.path.parent, tmp_path / "hand")
+    model = tmp_path / "hand" / plan.task.hand.description.model
+    spec = mujoco.MjSpec.from_file(str(model))
+    for actuator in spec.actuators:
+        if "thumb" in actuator.name:
+            setattr(actuator, attribute, [float(v) for v in value.split()])
+    model.write_text(spec.to_xml())
+    weak = replace(plan, task=replace(plan.task, hand=Hand.load(tmp_path / "hand")))
+    failed = simulate(weak, timeline=QUICK)
+    assert failed.reason == "torque limit reached", failed.verdict.detail
+    assert "thumb" in failed.verdict.detail
+
+
+def test_the_hand_follows_its_way(plan: GraspPlan) -> None:
+    """Base on its straight line within 3 mm; without feed-forward of speed it would lag 10."""
+    off = dict.fromkeys(("approach", "lift"), 0.0)
+
+    def look(trial: Trial) -> None:
+        if trial.phase in off:
+            data, first = trial.data, trial.scene.T_world_base.translation
+            base = trial.scene.body_pose(data, trial.scene.base_body).translation
+            if trial.phase == "approach":
+                s = smooth(np.array(min(1.0, data.time / QUICK.approach)))
+                start = plan.T_world_base_start.translation
+                expected = start + s * (first - start)
+            else:
+                began.append(float(data.time))
+                s = smooth(np.array(min(1.0, (data.time - began[0]) / QUICK.lift)))
+                expected = first + np.array([0.0, 0.0, float(s) * QUICK.lift_height])
+            off[trial.phase] = max(off[trial.phase], float(np.abs(base - expected).max()))
+
+    began: list[float] = []
+    simulate(plan, timeline=QUICK, on_step=look)
+    assert off["approach"] < 3e-3
+    assert off["lift"] < 3e-3
 
 
 def test_an_object_put_elsewhere_is_missed_or_disturbed(plan: GraspPlan) -> None:

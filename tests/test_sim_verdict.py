@@ -108,6 +108,11 @@ def test_dropped_names_the_moment_of_losing_touch() -> None:
     assert "0 of 3 fingers touched" in result.detail
 
 
+def test_an_object_left_behind_was_dropped_even_if_fingers_still_touch_it() -> None:
+    samples = changed(held(), "lift_mm", slice(at("lift").start, M), 0.0)
+    assert verdict(samples).reason == "dropped"
+
+
 def test_dropped_wins_over_the_slip_before_it() -> None:
     samples = changed(dropped_at("hold"), "slip_mm", at("lift"), 10.0)
     assert verdict(samples).reason == "dropped"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import mujoco
@@ -70,7 +71,7 @@ def random_q(hand: Hand, seed: int) -> FloatArray:
     return np.random.default_rng(seed).uniform(hand.q_lower, hand.q_upper)
 
 
-def evaluate(expression: object, q: object, value: FloatArray) -> FloatArray:
+def evaluate(expression: Any, q: Any, value: FloatArray) -> FloatArray:
     out = np.array(ca.Function("f", [q], [expression])(value))
     return out[:, 0] if out.shape[1] == 1 else out
 
@@ -116,7 +117,9 @@ def test_points_and_directions_agree_with_pinocchio(right_hand: Hand) -> None:
 
 def test_joint_zero_is_the_base(allegro: Hand) -> None:
     twin = SymbolicHand(allegro, ca.SX.sym("q", allegro.nq))
-    np.testing.assert_array_equal(np.array(ca.DM(twin.point(0, np.array([1.0, 2, 3])))).ravel(), [1, 2, 3])
+    np.testing.assert_array_equal(
+        np.array(ca.DM(twin.point(0, np.array([1.0, 2, 3])))).ravel(), [1, 2, 3]
+    )
 
 
 def test_geometric_jacobian_is_the_derivative_that_casadi_takes_itself(right_hand: Hand) -> None:

@@ -3,6 +3,7 @@
 from planner.bridge.actuation import actuation_from_mujoco
 from planner.bridge.geometry import LinkGeometry, hand_geometries
 from planner.bridge.load import compile_spec, load_spec
+from planner.bridge.mirror import mirror_spec
 from planner.bridge.pinocchio_model import pinocchio_from_mujoco
 
 __all__ = [
@@ -11,5 +12,6 @@ __all__ = [
     "compile_spec",
     "hand_geometries",
     "load_spec",
+    "mirror_spec",
     "pinocchio_from_mujoco",
 ]

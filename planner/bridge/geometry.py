@@ -82,7 +82,7 @@ def hand_geometries(model: Any, pin_model: Any) -> tuple[LinkGeometry, ...]:
 
 
 def coal_geometry(model: Any, g: int) -> Any:
-    """coal geometry of geom g, in the geom's own frame. A mesh becomes its convex hull."""
+    """The coal geometry of geom g, in the geom's own frame. A mesh becomes its convex hull."""
     kind = _TYPE[int(model.geom_type[g])]
     a, b, c = (float(v) for v in model.geom_size[g])
     if kind == "sphere":
@@ -109,7 +109,8 @@ def _convex_hull(vertices: FloatArray) -> Any:
 def allowed_pairs(model: Any, extra: Iterable[tuple[str, str]]) -> frozenset[frozenset[str]]:
     """Pairs of geoms that may touch: same body, parent and child, ``<exclude>``, and ``extra``."""
     excluded = {
-        frozenset((int(s) >> 16, int(s) & 0xFFFF)) for s in model.exclude_signature[: model.nexclude]
+        frozenset((int(s) >> 16, int(s) & 0xFFFF))
+        for s in model.exclude_signature[: model.nexclude]
     }
     weld = model.body_weldid
     out = {frozenset(pair) for pair in extra}

@@ -29,9 +29,10 @@ from planner.spatial import FloatArray
 __all__ = ["ForceSolution", "distribute_forces", "solve_force_problem"]
 
 SOLVER_OPTIONS: dict[str, dict[str, Any]] = {
-    "osqp": {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 20_000, "polishing": True},
+    "osqp": {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 100_000, "polishing": True},
+    "proxqp": {"eps_abs": 1e-9, "eps_rel": 0.0},
 }
-"""OSQP stops at 1e-3 by default, which is far from ``RESIDUAL_TOL``. The other solvers are exact
+"""Both stop too far from ``RESIDUAL_TOL`` by default (OSQP at 1e-3). The other solvers are exact
 enough as they are."""
 
 
@@ -154,7 +155,7 @@ def solve_force_problem(problem: ForceProblem, *, solver: str = "osqp") -> Force
             f"({status}); name another solver"
         )
         x = np.full(len(x), np.nan)
-    forces = problem.contact_forces(x)
+    forces = problem.contact_forces(x) if found else np.full((len(problem.contacts), 4), np.nan)
     actuator_forces, stop_forces = _hand_forces(problem, x)
     return ForceSolution(
         problem=problem,
@@ -208,7 +209,10 @@ def _minimise(problem: ForceProblem, solver: str) -> tuple[FloatArray, str]:
             return nothing, str(error)
     info = solution.extras.get("info")
     status = getattr(info, "status", "solved" if solution.found else "no solution")
-    x = nothing if solution.x is None else unit * np.asarray(solution.x, dtype=np.float64)
+    if solution.x is None:
+        return nothing, str(status)
+    # Bounds hold exactly, so that a component without friction is 0 and not 1e-15.
+    x = np.clip(unit * np.asarray(solution.x, dtype=np.float64), problem.lower, problem.upper)
     return x, str(status)
 
 

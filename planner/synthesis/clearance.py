@@ -3,15 +3,16 @@
 Smooth distances are cheap for a ball: the clearance of its centre less its radius. Against the
 object, links are filled with balls, so the NLP sees a slightly smaller link. Against the table the
 hull's corners are enough, and exact for spheres, capsules and boxes: a capsule's two ends, a
-box's eight corners, a prism around a cylinder (balls of radius 0). Between fingers a few balls of the last two links count:
-those meet first. The verdict on the true geometry is coal's (``planner.synthesis.verify``).
+box's eight corners, a prism around a cylinder (balls of radius 0). Between fingers the ends of
+links keep away from the bones of the others, where they can meet at all. The verdict on the true geometry is coal's (``planner.synthesis.verify``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations, product
+from functools import lru_cache
+from itertools import product
 from typing import Any
 
 import casadi as ca
@@ -19,11 +20,20 @@ import numpy as np
 
 from planner.bridge import LinkGeometry
 from planner.hand import Hand
+from planner.kinematics import HandState
 from planner.spatial import FloatArray
 from planner.symbolic import SymbolicHand
 from planner.synthesis.surfaces import Surface, box_clearance
 
-__all__ = ["ClearanceTerms", "LinkBall", "finger_pairs", "hull_balls", "link_balls"]
+__all__ = [
+    "ClearanceTerms",
+    "LinkBall",
+    "LinkBone",
+    "finger_bones",
+    "hull_balls",
+    "link_balls",
+    "meeting_bones",
+]
 
 SPACING = 2.0
 """Largest distance between neighbouring balls of a link, in radii."""
@@ -63,10 +73,10 @@ class ClearanceTerms:
 
     def __init__(self, symbolic: SymbolicHand, rotation: Any, shift: Any) -> None:
         """Place the balls of every link."""
-        self._at = lambda ball: rotation @ symbolic.point(ball.joint_id, ball.center) + shift
+        self._place = lambda joint, local: rotation @ symbolic.point(joint, local) + shift
         self._hand = symbolic.hand
         self._balls = link_balls(symbolic.hand)
-        self._centers = [self._at(b) for b in self._balls]
+        self._centers = [self._place(b.joint_id, b.center) for b in self._balls]
 
     def from_object(
         self, surface: Surface, size: Any, touching: Sequence[str], margin: Any, tip_margin: Any
@@ -83,7 +93,8 @@ class ClearanceTerms:
     def from_plane(self, normal: Any, offset: Any, margin: Any) -> list[Any]:
         """Height of every link over the plane normal . x = offset, less a margin (m)."""
         return [
-            ca.dot(normal, self._at(b)) - offset - b.radius - margin for b in hull_balls(self._hand)
+            ca.dot(normal, self._place(b.joint_id, b.center)) - offset - b.radius - margin
+            for b in hull_balls(self._hand)
         ]
 
     def from_box(self, rotation: Any, shift: Any, half: Any, margin: Any) -> list[Any]:
@@ -94,12 +105,20 @@ class ClearanceTerms:
         ]
 
     def between_fingers(self, margin: Any) -> list[Any]:
-        """Squared distances of balls of different fingers, less the least they may be (m2)."""
-        return [
-            ca.sumsqr(self._centers[a] - self._centers[b])
-            - (self._balls[a].radius + self._balls[b].radius + margin) ** 2
-            for a, b in finger_pairs(self._balls)
-        ]
+        """Squared distances of link ends from bones of other fingers, less the least allowed (m2)."""
+        bones = finger_bones(self._hand)
+        inner = [self._place(b.joint_id, b.inner) for b in bones]
+        outer = [self._place(b.joint_id, b.outer) for b in bones]
+        out = []
+        for i, j in meeting_bones(self._hand):
+            arm = outer[i] - inner[j]
+            length = float(np.linalg.norm(bones[j].outer - bones[j].inner))
+            if length > BALL_LENGTH:
+                along = outer[j] - inner[j]
+                share = ca.fmin(ca.fmax(ca.dot(arm, along) / length**2, 0), 1)
+                arm = arm - share * along
+            out.append(ca.sumsqr(arm) - (bones[i].radius + bones[j].radius + margin) ** 2)
+        return out
 
 
 def link_balls(hand: Hand) -> tuple[LinkBall, ...]:
@@ -128,31 +147,93 @@ def hull_balls(hand: Hand) -> tuple[LinkBall, ...]:
     return tuple(out)
 
 
-def finger_pairs(balls: tuple[LinkBall, ...]) -> list[tuple[int, int]]:
-    """Pairs of balls of different fingers that are kept apart in the NLP.
+@dataclass(frozen=True, kw_only=True)
+class LinkBone:
+    """A capsule along a finger's link: the points within ``radius`` of a segment.
 
-    Of every geometry on a finger's last two joints the outermost and the middle ball are looked at,
-    of the joint before those the middle one.
+    Attributes:
+        finger: Name of the finger.
+        joint_id: Pinocchio joint it moves with.
+        inner: End of the segment nearer to the joint, (3,), m, in the joint's frame.
+        outer: The other end; equal to ``inner`` for a ball.
+        radius: m.
     """
-    outer: dict[str, int] = {}
-    for ball in balls:
-        if ball.finger:
-            outer[ball.finger] = max(outer.get(ball.finger, 0), ball.joint_id)
-    by_geometry: dict[str, list[int]] = {}
-    for i, ball in enumerate(balls):
-        if ball.finger and ball.joint_id >= outer[ball.finger] - 2:
-            by_geometry.setdefault(ball.geometry, []).append(i)
-    chosen: set[int] = set()
-    for members in by_geometry.values():
-        ball = balls[members[0]]
-        chosen.add(members[len(members) // 2])
-        if ball.joint_id >= outer[ball.finger] - 1:
-            chosen.add(members[-1])
-    return [
-        (a, b)
-        for a, b in combinations(sorted(chosen), 2)
-        if balls[a].finger != balls[b].finger
+
+    finger: str
+    joint_id: int
+    inner: FloatArray
+    outer: FloatArray
+    radius: float
+
+
+def finger_bones(hand: Hand) -> tuple[LinkBone, ...]:
+    """A bone for every geometry on the last three joints of every finger."""
+    finger_of = {body: f.name for f in hand.fingers.values() for body in f.bodies}
+    last = {
+        name: sorted({g.joint_id for g in hand.geometries if finger_of.get(g.body) == name})[-3:]
+        for name in hand.fingers
+    }
+    out = []
+    for g in hand.geometries:
+        name = finger_of.get(g.body, "")
+        if not name or g.joint_id not in last[name]:
+            continue
+        centers, radius = _fill(g)
+        ends = [np.array(g.T_joint_geometry.act(c)) for c in (centers[0], centers[-1])]
+        ends.sort(key=lambda end: float(np.linalg.norm(end)))
+        out.append(
+            LinkBone(
+                finger=name, joint_id=g.joint_id, inner=ends[0], outer=ends[1], radius=radius
+            )
+        )
+    return tuple(out)
+
+
+@lru_cache(maxsize=8)
+def meeting_bones(hand: Hand) -> tuple[tuple[int, int], ...]:
+    """Pairs (i, j) of ``finger_bones``: the outer end of i can meet bone j of another finger.
+
+    Found by sampling the joint ranges: most pairs of fingers that are not neighbours never meet.
+    What sampling misses, the verdict on the true geometry catches.
+    """
+    bones = finger_bones(hand)
+    pairs = [
+        (i, j)
+        for i, j in product(range(len(bones)), repeat=2)
+        if bones[i].finger != bones[j].finger
     ]
+    first, second = np.array(pairs).reshape(-1, 2).T
+    joint = np.array([b.joint_id for b in bones])
+    ends = np.array([[b.inner, b.outer] for b in bones])  # (n_bones, 2, 3)
+    radius = np.array([b.radius for b in bones])
+    least = radius[first] + radius[second] + MEETING_MARGIN
+    matrix, value = hand.coupling_matrix
+    project = np.linalg.pinv(matrix) if len(value) else np.zeros((hand.nq, 0))
+    rng = np.random.default_rng(0)
+    meets = np.zeros(len(pairs), dtype=bool)
+    for _ in range(MEETING_SAMPLES):
+        q = rng.uniform(hand.q_lower, hand.q_upper)
+        q = np.clip(q - project @ (matrix @ q - value), hand.q_lower, hand.q_upper)
+        poses = HandState(hand, q).pin_data.oMi
+        turn = np.array([pose.rotation for pose in poses])[joint]
+        shift = np.array([pose.translation for pose in poses])[joint]
+        at = np.einsum("nij,nkj->nki", turn, ends) + shift[:, None]
+        inner, along = at[second, 0], at[second, 1] - at[second, 0]
+        arm = at[first, 1] - inner
+        square = np.maximum((along**2).sum(axis=1), BALL_LENGTH**2)
+        share = np.clip((arm * along).sum(axis=1) / square, 0.0, 1.0)
+        meets |= np.linalg.norm(arm - share[:, None] * along, axis=1) < least
+    return tuple((int(i), int(j)) for i, j in zip(first[meets], second[meets], strict=True))
+
+
+MEETING_SAMPLES = 400
+"""Random configurations looked at by ``meeting_bones``; a fixed seed makes the NLP reproducible."""
+
+MEETING_MARGIN = 0.005
+"""Distance (m) below which two bones count as meeting: the clearance, and what few samples miss."""
+
+BALL_LENGTH = 1e-6
+"""Length (m) below which a bone is a ball."""
 
 
 def _ball(

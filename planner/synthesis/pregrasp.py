@@ -59,6 +59,7 @@ FINGER_CLEARANCE = 0.002
 
 MAX_ITERATIONS = 40
 
+
 @dataclass(frozen=True, kw_only=True)
 class Approach:
     """How the hand gets to a grasp.

@@ -26,7 +26,8 @@ Terms (named residuals; what each is used as stands in ``TERMS``):
 
 An internal force strictly inside all cones together with rank G = 6 is force closure (Murray, Li,
 Sastry 1994, proposition 5.3); rank follows from three contacts that are not on a line. The cost
-keeps forces near the normals, shares them evenly, and keeps joints near the pinch posture.
+keeps forces near the normals, shares them evenly, keeps contacts around the centre of mass and
+joints near the pinch posture.
 """
 
 from __future__ import annotations
@@ -71,6 +72,8 @@ class SynthesisOptions:
         weight_tangential: Cost of tangential force (-).
         weight_share: Cost of unequal normal forces (-).
         weight_posture: Cost of leaving the pinch posture, per squared share of joint range (-).
+        weight_center: Cost of the mean contact point's squared distance from the centre of mass, in
+            characteristic lengths (-): a grasp far from it bears the weight with torsion.
     """
 
     cone_share: float = 0.7
@@ -81,6 +84,7 @@ class SynthesisOptions:
     weight_tangential: float = 1.0
     weight_share: float = 0.1
     weight_posture: float = 0.3
+    weight_center: float = 1.0
 
     def values(self) -> FloatArray:
         """The numbers in the order of the NLP's parameters."""
@@ -163,6 +167,7 @@ class GraspProblem:
         cost: Objective (SX scalar).
         terms: Constraints.
         build_s: Time that building took, s.
+        max_iterations: IPOPT iterations of one attempt; nine of ten that succeed need fewer than 50.
     """
 
     hand: Hand
@@ -174,7 +179,7 @@ class GraspProblem:
     cost: Any
     terms: tuple[Term, ...]
     build_s: float = 0.0
-    max_iterations: int = 80
+    max_iterations: int = 60
     _solver: Any = field(default=None, repr=False)
     _evaluate: Any = field(default=None, repr=False)
     _normals: Any = field(default=None, repr=False)
@@ -378,11 +383,12 @@ def build_problem(
 
     span = hand.q_upper - hand.q_lower
     posture_cost = ca.sumsqr((q - posture) / span) / hand.nq * len(fingers)
+    middle = sum(points[1:], points[0]) / n
     cost = (
         option["weight_tangential"] * tangential_cost
         + option["weight_share"] * share_cost
         + option["weight_posture"] * posture_cost
-    ) / n
+    ) / n + option["weight_center"] * ca.sumsqr(middle / length)
     terms = tuple(
         Term(name=name, expression=ca.vertcat(*parts), equality=group is equal)
         for group in (equal, above)
@@ -433,6 +439,7 @@ def _compile(problem: GraspProblem, normals: list[Any]) -> None:
             "ipopt.acceptable_constr_viol_tol": 1e-6,
             "ipopt.acceptable_iter": 3,
             "ipopt.mu_strategy": "adaptive",
+            "ipopt.adaptive_mu_globalization": "never-monotone-mode",
             **LINEAR_SOLVER,
         },
     )

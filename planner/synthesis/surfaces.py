@@ -153,9 +153,7 @@ class _EllipsoidSurface(Surface):
 
     def surface_error(self, size: Any, code: Any, p: Any) -> Any:
         gradient = p / size**2
-        return (ca.dot(p, gradient) - 1) / (
-            2 * _soft_norm(gradient[0], gradient[1], gradient[2])
-        )
+        return (ca.dot(p, gradient) - 1) / (2 * _soft_norm(gradient[0], gradient[1], gradient[2]))
 
     def clearance(self, size: Any, c: Any) -> Any:
         a, b = c / size, c / size**2

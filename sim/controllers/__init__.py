@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sim.controllers.base import PHASES, Controller, Observation, Phase
+from sim.controllers.base import PHASES, Controller, Observation, Phase, ReportsLimits
 from sim.controllers.grasp import GraspController
 
-__all__ = ["PHASES", "Controller", "GraspController", "Observation", "Phase"]
+__all__ = ["PHASES", "Controller", "GraspController", "Observation", "Phase", "ReportsLimits"]

@@ -14,12 +14,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, Protocol, TypeAlias
+from typing import Literal, Protocol, TypeAlias, runtime_checkable
 
 from planner.contacts import ContactSet
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["PHASES", "Controller", "Observation", "Phase"]
+__all__ = ["PHASES", "Controller", "Observation", "Phase", "ReportsLimits"]
 
 Phase: TypeAlias = Literal["approach", "close", "squeeze", "settle", "lift", "hold"]
 
@@ -70,4 +70,17 @@ class Controller(Protocol):
 
     def step(self, observation: Observation) -> FloatArray:
         """Commands (nu,) for the hand's actuators, order of ``hand.actuation.names``."""
+        ...
+
+
+@runtime_checkable
+class ReportsLimits(Protocol):
+    """A controller that knows when it wanted more of an actuator than there is.
+
+    MuJoCo shows only what an actuator did, not what was wanted; with this a trial can tell a weak
+    hand from a bad grasp.
+    """
+
+    def limited_actuators(self) -> tuple[str, ...]:
+        """Names of the actuators that could not give what the last step wanted."""
         ...

@@ -49,6 +49,9 @@ from swinging."""
 FIRST_SHARE = 0.1
 """Share of the planned forces at which the squeeze begins: about the force of first touch."""
 
+LIMIT_TOL = 1e-6
+"""How far (N, N m) a wanted force may lie beyond its limit: rounding."""
+
 MOTOR_FREQUENCY, MOTOR_DAMPING = 30.0, 1.0
 """Natural frequency (rad/s) and damping ratio (-) of the spring given to joints with motors: about
 the stiffness of a hand with servos."""
@@ -80,6 +83,7 @@ class GraspController:
         self._reach = np.zeros(len(self._fingers))
         self._stiffness, self._damping = _motor_servo(self._hand, plan.q)
         self._pin_data: Any = self._hand.pin_model.createData()
+        self._torque = np.zeros(self._hand.nq)
         self._latched = False
         self._time = 0.0
         self.q_ref = plan.q_pregrasp.copy()
@@ -98,8 +102,17 @@ class GraspController:
             scale = FIRST_SHARE + (1.0 - FIRST_SHARE) * float(smooth(np.asarray(ramp)))
             torque += scale * self._pressing_torque(observation)
         torque += self._stiffness * (self.q_ref - observation.q) - self._damping * observation.v
+        self._torque = torque
         ctrl, _ = self._hand.actuation.ctrl_for_torque(self.q_ref, np.zeros(self._hand.nq), torque)
         return ctrl
+
+    def limited_actuators(self) -> tuple[str, ...]:
+        """Names of the actuators that could not give what the last step wanted."""
+        actuation = self._hand.actuation
+        force, _ = actuation.split_torque(self.q_ref, self._torque)
+        low, high = actuation.force_limits(self.q_ref).T
+        beyond = np.flatnonzero((force > high + LIMIT_TOL) | (force < low - LIMIT_TOL))
+        return tuple(actuation.names[i] for i in beyond)
 
     def _close(self, observation: Observation, elapsed: float) -> None:
         """Advance every finger that does not touch."""

@@ -1,0 +1,110 @@
+"""Every script in ``examples/`` runs by itself, ends well, and says what its docstring promises."""
+
+from __future__ import annotations
+
+import ast
+import csv
+import os
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+
+TIME_LIMIT = 60.0
+"""Longest an example may run here (s): 10 s on a free machine, with room for a busy one."""
+
+EXPECTED: dict[str, tuple[str, ...]] = {
+    "01_inspect_hand": (
+        "shadow_hand: 24 joints, 20 actuators",
+        "FFJ2 4 4 4 10 A_FFJ0 (ctrl 4)",
+        "raw models: Model of Pinocchio, MjModel of MuJoCo",
+    ),
+    "02_plan_and_print": ("found at attempt", "closed: rank 6", "clear by", "16 joints"),
+    "03_analyse_contacts": (
+        "two opposed point contacts decision not closed: rank 5",
+        "two opposed soft fingers decision closed: rank 6",
+        "three point contacts around a sphere decision closed: rank 6",
+        "epsilon, L-infinity",
+    ),
+    "04_distribute_forces": (
+        "carry 0.5 kg: found thumb: presses 4.91 N, carries 2.45 N by friction, 100 % of the cone",
+        "thumb: presses 8.00 N, carries 2.45 N by friction, 61 % of the cone",
+        "carry it with 4.0 N at most: INFEASIBLE",
+        "[0, 0, -0.905] N, [0, 0, 0] N m is left over",
+    ),
+    "05_execute_and_plot": ("held; the object moved", "thumb", "measured at mu 0.6", "trial.png"),
+    "06_own_controller": ("GraspController held", "PostureServo dropped", "TighterGrip held"),
+    "07_when_it_cannot_work": (
+        "TaskError: the object is too large for allegro_hand",
+        "TaskError: 2 finger(s)",
+        "no hand is called 'alegro_hand'. Did you mean 'allegro_hand'?",
+        "Did you mean 'thumb'?",
+        "mass is -0.1; give kg > 0",
+        "NoGraspFoundError: no grasp of box with allegro_hand",
+        "attempt 0: forces:",
+    ),
+}
+"""What must appear in the output, runs of blanks counted as one."""
+
+
+def run_example(path: Path, folder: Path) -> str:
+    """Standard output of an example that ran in ``folder``, runs of blanks as one."""
+    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment["PYTHONPATH"] = os.pathsep.join(paths)
+    done = subprocess.run(
+        [sys.executable, "-W", "error::DeprecationWarning:__main__", str(path)],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=TIME_LIMIT,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return " ".join(done.stdout.split())
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
+def test_example_runs_and_prints_what_it_promises(path: Path, tmp_path: Path) -> None:
+    printed = run_example(path, tmp_path)
+    assert printed
+    for words in EXPECTED.get(path.stem, ()):
+        assert words in printed
+    if path.stem == "02_plan_and_print":
+        check_trajectory(tmp_path / "joint_trajectory.csv")
+    if path.stem == "05_execute_and_plot":
+        assert (tmp_path / "trial.png").read_bytes().startswith(b"\x89PNG")
+
+
+def check_trajectory(path: Path) -> None:
+    """The exported trajectory is complete, goes forward in time and starts and ends at rest."""
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    times = [float(row["time_s"]) for row in rows]
+    assert times[0] == 0.0
+    assert all(a < b for a, b in pairwise(times))
+    assert {row["phase"] for row in rows} == {"approach", "close"}
+    joints = [name for name in rows[0] if name not in ("time_s", "phase") and "base_" not in name]
+    assert len(joints) == 16
+    for first, second in ((rows[0], rows[1]), (rows[-2], rows[-1])):
+        steps = [abs(float(second[j]) - float(first[j])) for j in joints]
+        assert max(steps) < 1e-3
+    moved = [abs(float(rows[-1][j]) - float(rows[0][j])) for j in joints]
+    assert max(moved) > 0.05
+
+
+def test_nothing_is_expected_of_an_example_that_is_gone() -> None:
+    assert set(EXPECTED) <= {path.stem for path in EXAMPLES}
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
+def test_an_example_says_what_it_shows_and_is_short(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert ast.get_docstring(ast.parse(text))
+    assert 30 <= len(text.splitlines()) <= 120
