@@ -1,10 +1,12 @@
 """``CollisionWorld``: all distances of a hand from object, table, obstacles and itself, at one q.
 
-Pinocchio's ``GeometryModel`` holds coal's true geometries; one call computes every pair.
+Pinocchio places the true geometries; pairs near enough by their bounding balls are measured by
+``planner.proximity``.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -13,6 +15,9 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from planner.errors import NotFoundError
+from planner.proximity import DistancePair, Proximity
+from planner.errors import TaskError
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 
@@ -57,7 +62,11 @@ class CollisionWorld:
     """
 
     def __init__(self, task: GraspTask) -> None:
-        """Collect the geometries and the pairs that must not touch."""
+        """Collect the geometries and the pairs that must not touch.
+
+        Raises:
+            TaskError: Two geometries have one name, so that a verdict could not tell them apart.
+        """
         self.task = task
         hand = task.hand
         model = pin.GeometryModel()
@@ -80,20 +89,26 @@ class CollisionWorld:
             index = model.addGeometryObject(pin.GeometryObject(name, 0, pose, geometry))
             self._fixed.append((int(index), pose))
             names.append(name)
+        twice = sorted(name for name, count in Counter(names).items() if count > 1)
+        if twice:
+            raise TaskError(
+                f"several geometries are called {twice}; name each obstacle differently, and not "
+                f"{OBJECT!r}, {TABLE!r} or like a geometry of {hand.name}"
+            )
         pairs = [
             (a, b)
             for a, b in combinations(range(n_hand), 2)
             if frozenset((names[a], names[b])) not in hand.allowed_pairs
         ]
         pairs += [(a, b) for a in range(n_hand) for b in range(n_hand, len(names))]
-        for a, b in pairs:
-            model.addCollisionPair(pin.CollisionPair(a, b))
         self.surroundings = frozenset(names[n_hand:])
         radii = np.array([_bounding_radius(g.geometry) for g in model.geometryObjects])
         self._first = np.array([a for a, _ in pairs])
         self._second = np.array([b for _, b in pairs])
         self._reach = radii[self._first] + radii[self._second]
         self._pairs = [(names[a], names[b]) for a, b in pairs]
+        self._names = tuple(names)
+        self._queries: dict[tuple[int, int], DistancePair] = {}
         self._outward = np.array([second in self.surroundings for _, second in self._pairs])
         self._model = model
         self._data = pin.GeometryData(model)
@@ -118,21 +133,47 @@ class CollisionWorld:
         first, second = self._pairs[k]
         return Clearance(first=first, second=second, distance=float(values[k]))
 
+    def proximity(self, T_world_base: SE3, q: FloatArray, first: str, second: str) -> Proximity:
+        """Signed distance, nearest points and normal (world) of any two geometries by name.
+
+        Raises:
+            NotFoundError: No geometry has that name.
+        """
+        for name in (first, second):
+            if name not in self._names:
+                raise NotFoundError("geometry", name, self._names)
+        self._place(T_world_base, q)
+        a, b = self._names.index(first), self._names.index(second)
+        return self._pair(a, b).query(
+            T_world_base * self._data.oMg[a], T_world_base * self._data.oMg[b]
+        )
+
     def _compute(self, T_world_base: SE3, q: FloatArray) -> FloatArray:
         """Signed distance of every pair; beyond ``FAR`` a lower bound, from bounding balls."""
+        self._place(T_world_base, q)
+        centers = np.array([placement.translation for placement in self._data.oMg])
+        gaps = centers[self._first] - centers[self._second]
+        values: FloatArray = np.sqrt(np.einsum("ij,ij->i", gaps, gaps)) - self._reach
+        for k in np.flatnonzero(values < FAR):
+            a, b = int(self._first[k]), int(self._second[k])
+            values[k] = self._pair(a, b).distance(self._data.oMg[a], self._data.oMg[b])
+        return values
+
+    def _place(self, T_world_base: SE3, q: FloatArray) -> None:
+        """Put every geometry where it is at base pose and q, in the base's frame."""
         inverse = T_world_base.inverse()
         for index, pose in self._fixed:
             self._model.geometryObjects[index].placement = inverse * pose
         pin.updateGeometryPlacements(
             self.task.hand.pin_model, self._pin_data, self._model, self._data, np.asarray(q)
         )
-        centers = np.array([placement.translation for placement in self._data.oMg])
-        gaps = centers[self._first] - centers[self._second]
-        values = np.sqrt(np.einsum("ij,ij->i", gaps, gaps)) - self._reach
-        for k in np.flatnonzero(values < FAR):
-            result = pin.computeDistance(self._model, self._data, int(k))
-            values[k] = result.min_distance
-        return values
+
+    def _pair(self, a: int, b: int) -> DistancePair:
+        """The query of two geometries, made when first needed."""
+        if (a, b) not in self._queries:
+            objects = self._model.geometryObjects
+            self._queries[a, b] = DistancePair(objects[a].geometry, objects[b].geometry)
+        return self._queries[a, b]
 
 
 def _bounding_radius(geometry: Any) -> float:

@@ -9,6 +9,7 @@ refused.
 
 from __future__ import annotations
 
+import csv
 import json
 from importlib.metadata import version
 from pathlib import Path
@@ -22,7 +23,7 @@ from planner.contacts import ContactModel, ContactSet
 from planner.errors import FileFormatError
 from planner.hand import Hand
 from planner.objects import parse_object
-from planner.plan import GraspPlan, SolveRecord
+from planner.plan import GraspPlan, JointTrajectory, SolveRecord
 from planner.search import judge_grasp
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 from planner.synthesis.pregrasp import Approach
@@ -38,6 +39,7 @@ __all__ = [
     "read_plan",
     "write_json",
     "write_plan",
+    "write_trajectory",
 ]
 
 PLAN_VERSION = 1
@@ -262,6 +264,22 @@ def write_json(data: dict[str, Any], path: Path | str) -> None:
 def write_plan(plan: GraspPlan, path: Path | str) -> None:
     """Write a plan file."""
     write_json(plan_to_dict(plan), path)
+
+
+def write_trajectory(trajectory: JointTrajectory, path: Path | str) -> None:
+    """Write joint positions over time as CSV: time_s, phase, one column per joint (rad or m).
+
+    Raises:
+        FileFormatError: The folder does not exist or cannot be written.
+    """
+    rows = zip(trajectory.times, trajectory.phases, trajectory.positions, strict=True)
+    try:
+        with Path(path).open("w", newline="", encoding="utf-8") as file:
+            out = csv.writer(file)
+            out.writerow(["time_s", "phase", *trajectory.joint_names])
+            out.writerows([f"{t:.6f}", phase, *(f"{q:.9f}" for q in at)] for t, phase, at in rows)
+    except OSError as error:
+        raise FileFormatError(f"cannot write {path}: {error.strerror}") from error
 
 
 def read_json(path: Path | str, what: str) -> dict[str, Any]:

@@ -1,0 +1,1 @@
+"""Opposable's simulation: MuJoCo scenes, controllers, trials, reports and the command."""

@@ -162,8 +162,19 @@ def bench_table(result: dict[str, Any]) -> Table:
     table = Table(
         title="plans found and grasps held; medians (worst) of CPU per plan, slip and errors"
     )
-    for name in ("hand", "object", "found", "held", "attempts", "CPU s", "slip mm", "slip deg",
-                 "position mm", "force %", "epsilon"):
+    for name in (
+        "hand",
+        "object",
+        "found",
+        "held",
+        "attempts",
+        "CPU s",
+        "slip mm",
+        "slip deg",
+        "position mm",
+        "force %",
+        "epsilon",
+    ):
         table.add_column(name, justify="left" if name in ("hand", "object") else "right")
     cells: dict[tuple[str, str], list[Outcome]] = {}
     for o in outcomes:

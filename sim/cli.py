@@ -7,6 +7,8 @@ usage; 3 bad input (an error that says what to do); 4 no grasp found; 130 interr
 from __future__ import annotations
 
 import json
+import os
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,6 +17,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 __all__ = ["main"]
 
@@ -58,6 +61,63 @@ SimMuOption = Annotated[float, typer.Option(help="Sliding friction in simulation
 PlanArgument = Annotated[Path, typer.Argument(help="A plan file.", metavar="PLAN")]
 
 
+def _say(console: Console, text: str) -> None:
+    """Print a sentence that may hold a user's text; not broken into lines where it is piped."""
+    console.print(text, highlight=False, soft_wrap=True)
+
+
+def _leave(*_: object) -> None:
+    """Ctrl-C before anything was done."""
+    os.write(2, b"interrupted\n")
+    os._exit(EXIT_INTERRUPTED)
+
+
+@contextmanager
+def _errors_for_people() -> Iterator[None]:
+    """Turn errors that a user can mend, and Ctrl-C, into a message and an exit code."""
+    # Some libraries swallow a KeyboardInterrupt while they are imported: leave at once meanwhile.
+    handler = signal.signal(signal.SIGINT, _leave)
+    try:
+        from planner.errors import PlannerError
+        from planner.search import NoGraspFoundError
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    try:
+        yield
+    except NoGraspFoundError as error:
+        _say(err, f"[bold]not found:[/] {escape(str(error))}")
+        raise typer.Exit(EXIT_NOT_FOUND) from error
+    except PlannerError as error:
+        _say(err, f"[bold red]error:[/] {escape(str(error))}")
+        raise typer.Exit(EXIT_BAD_INPUT) from error
+    except KeyboardInterrupt as error:
+        _say(err, "interrupted")
+        raise typer.Exit(EXIT_INTERRUPTED) from error
+
+
+@contextmanager
+def _heeding_ctrl_c() -> Iterator[Callable[[], None]]:
+    """Give a function that raises the KeyboardInterrupt that got lost, if one did.
+
+    CasADi makes a failed attempt out of a Ctrl-C while it solves, and planning would go on.
+    """
+    pressed: list[bool] = []
+
+    def remember(*_: object) -> None:
+        pressed.append(True)
+        raise KeyboardInterrupt
+
+    def check() -> None:
+        if pressed:
+            raise KeyboardInterrupt
+
+    handler = signal.signal(signal.SIGINT, remember)
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, handler)
+
+
 def _print_json(data: dict[str, Any]) -> None:
     sys.stdout.write(json.dumps(data, indent=1) + "\n")
 
@@ -84,10 +144,13 @@ def _plan(
         mu=mu,
         fingers=None if fingers is None else [f.strip() for f in fingers.split(",")],
     )
-    with err.status(f"planning: {task.hand.name}, {task.object.name} ...") as status:
+    title = f"planning: {task.hand.name}, {task.object.name} ..."
+    with _heeding_ctrl_c() as check, err.status(title) as status:
 
         def show(attempt: Attempt) -> None:
-            status.update(f"planning: attempt {attempt.index + 1}: {attempt.reason[:70] or 'found'}")
+            check()
+            outcome = escape(attempt.reason[:70] or "found")
+            status.update(f"planning: attempt {attempt.index + 1}: {outcome}")
 
         return plan_grasp(
             task, seed=seed, max_attempts=attempts, max_cpu_s=max_cpu_s, progress=show
@@ -101,7 +164,7 @@ def _simulate(plan: Any, *, mu: float, view: bool, picture: Path | None) -> Any:
     from sim.scene import PhysicsOptions
     from sim.trial import simulate
 
-    with Progress(console=err, transient=True) as progress:
+    with Progress(console=err, transient=True, disable=not err.is_terminal) as progress:
         bar = progress.add_task("simulating", total=1.0)
         return simulate(
             plan,
@@ -113,6 +176,7 @@ def _simulate(plan: Any, *, mu: float, view: bool, picture: Path | None) -> Any:
 
 
 @app.command()
+@_errors_for_people()
 def run(
     hand: HandArgument,
     object: ObjectArgument,
@@ -133,6 +197,8 @@ def run(
     from planner.files import plan_to_dict, write_json, write_plan
     from sim.summary import print_plan, print_report
 
+    if out_dir is not None:
+        _make_folder(out_dir)
     plan = _plan(
         hand,
         object,
@@ -155,12 +221,9 @@ def run(
         _print_json({"plan": plan_to_dict(plan), "report": report.to_dict()})
     else:
         print_report(report, out)
-        out.print(f"written to {folder}: plan.json, report.json{_picture_note(report)}")
+        note = ", held.png" if report.picture else f" (no picture: {report.picture_reason})"
+        _say(out, escape(f"written to {folder}: plan.json, report.json{note}"))
     _exit_for(report)
-
-
-def _picture_note(report: Any) -> str:
-    return ", held.png" if report.picture else f" (no picture: {report.picture_reason})"
 
 
 def _make_folder(folder: Path) -> None:
@@ -172,6 +235,14 @@ def _make_folder(folder: Path) -> None:
         raise FileFormatError(f"cannot make the folder {folder}: {error.strerror}") from error
 
 
+def _check_folder(file: Path | None) -> None:
+    """Refuse a file in a folder that does not exist, before the work and not after it."""
+    from planner.errors import FileFormatError
+
+    if file is not None and not file.parent.is_dir():
+        raise FileFormatError(f"cannot write {file}: there is no folder {file.parent}; make it")
+
+
 def _exit_for(report: Any) -> None:
     if report.reason == "interrupted":
         raise typer.Exit(EXIT_INTERRUPTED)
@@ -180,6 +251,7 @@ def _exit_for(report: Any) -> None:
 
 
 @app.command()
+@_errors_for_people()
 def inspect(hand: HandArgument, as_json: JsonOption = False) -> None:
     """What a hand is made of: joints per finger with limits, actuators, tips, masses, torques."""
     from planner.hand import Hand
@@ -194,6 +266,7 @@ def inspect(hand: HandArgument, as_json: JsonOption = False) -> None:
 
 
 @app.command()
+@_errors_for_people()
 def plan(
     hand: HandArgument,
     object: ObjectArgument,
@@ -210,6 +283,7 @@ def plan(
     from planner.files import plan_to_dict, write_plan
     from sim.summary import print_plan
 
+    _check_folder(output)
     found = _plan(
         hand,
         object,
@@ -225,10 +299,11 @@ def plan(
         _print_json(plan_to_dict(found))
     else:
         print_plan(found, out)
-        out.print(f"written to {output}")
+        _say(out, escape(f"written to {output}"))
 
 
 @app.command()
+@_errors_for_people()
 def simulate(
     plan_file: PlanArgument,
     report_file: Annotated[
@@ -243,6 +318,8 @@ def simulate(
     from planner.files import read_plan, write_json
     from sim.summary import print_report
 
+    _check_folder(report_file)
+    _check_folder(picture)
     report = _simulate(read_plan(plan_file), mu=sim_mu, view=view, picture=picture)
     if report_file is not None:
         write_json(report.to_dict(), report_file)
@@ -250,10 +327,14 @@ def simulate(
         _print_json(report.to_dict())
     else:
         print_report(report, out)
+        if picture is not None:
+            note = report.picture_reason or f"written to {picture}"
+            _say(out, escape(f"picture: {note}"))
     _exit_for(report)
 
 
 @app.command()
+@_errors_for_people()
 def analyse(
     contacts_file: Annotated[
         Path, typer.Argument(help="A plan file or a list of contacts (JSON).", metavar="FILE")
@@ -276,21 +357,29 @@ def analyse(
 
 
 @app.command()
+@_errors_for_people()
 def schema(
     kind: Annotated[str, typer.Argument(help="plan, report or contacts")] = "plan",
 ) -> None:
     """The JSON Schema of plan files, trial reports, or contact lists."""
+    from pydantic import BaseModel
+
     from planner.errors import NotFoundError
     from planner.files import ContactsFile, PlanFile
     from sim.report import ReportFile
 
-    models = {"plan": PlanFile, "report": ReportFile, "contacts": ContactsFile}
+    models: dict[str, type[BaseModel]] = {
+        "plan": PlanFile,
+        "report": ReportFile,
+        "contacts": ContactsFile,
+    }
     if kind not in models:
         raise NotFoundError("schema", kind, models)
     _print_json(models[kind].model_json_schema())
 
 
 @bench.command("grasps")
+@_errors_for_people()
 def bench_grasps(
     hands: Annotated[str, typer.Option(help="Hands, comma separated.")] = (
         "shadow_hand,allegro_hand"
@@ -308,6 +397,7 @@ def bench_grasps(
     from planner.files import write_json
     from sim.benchmark import bench_table, run_benchmark
 
+    _check_folder(output)
     result = run_benchmark(
         hands.split(","), objects.split(","), range(seeds), mu=sim_mu, workers=workers, console=err
     )
@@ -321,26 +411,10 @@ def bench_grasps(
         raise typer.Exit(EXIT_INTERRUPTED)
 
 
-@contextmanager
-def _errors_for_people() -> Iterator[None]:
-    from planner.errors import PlannerError
-    from planner.search import NoGraspFoundError
-
-    try:
-        yield
-    except NoGraspFoundError as error:
-        err.print(f"[bold]not found:[/] {error}", highlight=False)
-        sys.exit(EXIT_NOT_FOUND)
-    except PlannerError as error:
-        err.print(f"[bold red]error:[/] {error}", highlight=False)
-        sys.exit(EXIT_BAD_INPUT)
-    except KeyboardInterrupt:
-        err.print("interrupted")
-        sys.exit(EXIT_INTERRUPTED)
-
-
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line; ``arguments`` are ``sys.argv[1:]`` if None."""
-    command: Callable[..., Any] = typer.main.get_command(app)
-    with _errors_for_people():
+    try:
+        command: Callable[..., Any] = typer.main.get_command(app)
         command(args=arguments, prog_name="opposable")
+    except KeyboardInterrupt:  # before a command began, or after it ended
+        sys.exit(EXIT_INTERRUPTED)

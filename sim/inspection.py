@@ -33,9 +33,7 @@ def inspect_hand(hand: Hand) -> dict[str, Any]:
         "actuator_table": [
             {
                 "name": name,
-                "joints": [
-                    j for j, r in zip(hand.joint_names, row, strict=True) if r != 0
-                ],
+                "joints": [j for j, r in zip(hand.joint_names, row, strict=True) if r != 0],
                 "force_range": [float(v) for v in hand.actuation.force_range[i]],
                 "ctrl_range": [float(v) for v in hand.actuation.ctrl_range[i]],
             }
@@ -92,8 +90,10 @@ def _finger(
 def hand_tables(hand: Hand) -> list[Table]:
     """The same for people, lengths in mm and angles in degrees."""
     data = inspect_hand(hand)
-    joints = Table(title=f"{data['name']}: {data['joints']} joints, {data['actuators']} actuators, "
-                         f"{data['mass_kg']:.2f} kg")
+    joints = Table(
+        title=f"{data['name']}: {data['joints']} joints, {data['actuators']} actuators, "
+        f"{data['mass_kg']:.2f} kg"
+    )
     for column in ("finger", "joint", "q", "lower deg", "upper deg", "torque N m"):
         joints.add_column(column, justify="right" if column[-1] in "qgm" else "left")
     for finger in data["fingers"]:

@@ -62,7 +62,8 @@ def print_report(report: TrialReport, console: Console) -> None:
     else:
         verdict = f"[bold red]not held, {report.reason}[/]: {report.verdict.detail}"
     console.print(
-        f"[bold]trial[/]: {verdict} ({report.simulated_s:.1f} s simulated in {report.wall_s:.1f} s)",
+        f"[bold]trial[/]: {verdict} ({report.simulated_s:.1f} s simulated in "
+        f"{report.wall_s:.1f} s)",
         highlight=False,
     )
     if report.comparison:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
@@ -21,7 +21,7 @@ import mujoco
 import numpy as np
 
 from planner.errors import TaskError
-from planner.plan import GraspPlan, smooth
+from planner.plan import GraspPlan
 from planner.quality import analyse
 from planner.spatial import FloatArray
 from planner.task import FINGERS_NEEDED
@@ -39,48 +39,11 @@ from sim.picture import save_picture
 from sim.recorder import Recorder
 from sim.report import TrialReport
 from sim.scene import PhysicsOptions, Scene, build_scene
+from sim.timeline import Timeline
 from sim.verdict import Thresholds, Verdict, judge
 from sim.viewing import Viewer
 
 __all__ = ["Timeline", "Trial", "simulate"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Timeline:
-    """How long each phase takes, in s, and how far the lift goes.
-
-    Attributes:
-        approach: From the start pose straight to the grasp pose, fingers at the pre-grasp.
-        close: Fingers from pre-grasp to grasp.
-        close_wait: Longest further wait for fingers that do not touch yet.
-        squeeze: From first touch to the planned forces.
-        settle: Full forces, before the lift; slip counts from its beginning.
-        lift: Upwards by ``lift_height``.
-        hold: Held in the air.
-        lift_height: m.
-    """
-
-    approach: float = 1.0
-    close: float = 0.5
-    close_wait: float = 0.5
-    squeeze: float = 0.6
-    settle: float = 0.2
-    lift: float = 1.0
-    hold: float = 2.0
-    lift_height: float = 0.1
-
-    def __post_init__(self) -> None:
-        """Check that every phase has a duration."""
-        for field in fields(self):
-            value = getattr(self, field.name)
-            low_ok = value >= 0 if field.name in ("close_wait", "lift_height") else value > 0
-            if not (np.isfinite(value) and low_ok):
-                raise TaskError(f"timeline: {field.name} is {value}; give a finite number > 0")
-
-    @property
-    def duration(self) -> float:
-        """Nominal duration without waiting, s."""
-        return float(sum(getattr(self, phase) for phase in PHASES))
 
 
 class Trial:
@@ -221,7 +184,7 @@ class Trial:
         """One time step; whether every finger touched at its beginning."""
         scene, data = self.scene, self.data
         observation = self._observe(phase, share)
-        target, velocity = self._mount_motion(phase, share)
+        target, velocity = self.timeline.mount_motion(phase, share, self._start)
         self._ctrl = self._commands(observation)
         data.ctrl[scene.hand_ctrl] = self._ctrl
         data.ctrl[scene.mount_ctrl] = scene.mount_command(data, target, velocity)
@@ -257,18 +220,6 @@ class Trial:
             normal_forces=normal_forces(scene, data, self.plan.task.finger_names),
             read_contacts=partial(hand_contacts, scene, data),
         )
-
-    def _mount_motion(self, phase: Phase, share: float) -> tuple[FloatArray, FloatArray]:
-        """Mount joints (6,) and their rates at a share of a phase: at rest at its ends."""
-        line = self.timeline
-        s = float(smooth(np.asarray(share)))
-        rate = 30.0 * share**2 * (1.0 - share) ** 2
-        lifted = np.array([0.0, 0.0, line.lift_height, 0.0, 0.0, 0.0])
-        if phase == "approach":
-            return (1.0 - s) * self._start, -rate / line.approach * self._start
-        if phase == "lift":
-            return s * lifted, rate / line.lift * lifted
-        return (lifted if phase == "hold" else np.zeros(6)), np.zeros(6)
 
     def _held_by_enough(self) -> bool:
         """Whether as many fingers touch as can hold the object."""

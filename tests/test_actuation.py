@@ -97,6 +97,9 @@ def test_servo_is_limited_by_force_range_and_by_what_gain_and_ctrl_range_allow()
     # 2 (+-1) - 2 q, within +-1
     assert servo().force_limits(np.array([0.3])) == pytest.approx(np.array([[-1.0, 1.0]]))
     assert servo().force_limits(np.array([0.9])) == pytest.approx(np.array([[-1.0, 0.2]]))
+    # A negative gain turns the ends round: 2 q - 2 (+-1).
+    turned = replace(servo(), gain=np.array([-2.0]), bias=np.array([[0.0, 2.0, 0.0]]))
+    assert turned.force_limits(np.array([0.9])) == pytest.approx(np.array([[-0.2, 1.0]]))
     # The law gives -5 to -1 here: it cannot leave the lower limit.
     assert servo().force_limits(np.array([1.5])) == pytest.approx(np.array([[-1.0, -1.0]]))
     ctrl, torque = servo().ctrl_for_torque(np.array([0.9]), np.zeros(1), np.array([0.7]))

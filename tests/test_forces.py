@@ -167,6 +167,14 @@ def test_soft_fingers_resist_torsion(cone: Pyramid) -> None:
     assert solution.forces[:, 3] == pytest.approx([0.005, -0.005])
 
 
+def test_soft_fingers_share_torsion_by_the_square_of_their_friction() -> None:
+    """Least (t1 / a1)^2 + (t2 / a2)^2 with t1 + t2 = t, away from every cone: t1 / t2 = 4."""
+    contacts = opposed(model="soft", mu_torsion=[0.01, 0.005])
+    solution = distribute_forces(contacts, wrench=[0, 0, 0, 0.01, 0, 0], min_normal=10.0)
+    check_answer(solution)
+    assert solution.forces[:, 3] == pytest.approx([0.008, -0.002])
+
+
 def test_bounds_on_the_normal_force_and_friction_scale() -> None:
     grip = distribute_forces(opposed(), wrench=WEIGHT, min_normal=[2.0, 0.0])
     assert grip.forces[:, 0] == pytest.approx([2.0, 2.0])

@@ -152,13 +152,23 @@ def test_axes_that_meet_are_parted_sideways(a: Shape, b: Shape, turn: float) -> 
     check_meaning(a, b, pose_a, pose_b, p, 1e-12)
 
 
-def test_a_query_that_needs_the_looser_tolerance() -> None:
+@pytest.mark.parametrize(
+    ("size", "turn", "position", "expected"),
+    [
+        ((0.5, 0.01, 0.01), (-0.597, -0.09, -1.146), (-0.59, 1.06, 0.63), 0.551903684),
+        ((0.3, 0.005, 0.005), (-1.605, 0.839, -0.816), (-0.94, 1.11, 0.85), 0.804334645),
+    ],
+)
+def test_a_query_that_needs_the_looser_tolerance(
+    size: tuple[float, float, float],
+    turn: tuple[float, float, float],
+    position: tuple[float, float, float],
+    expected: float,
+) -> None:
     """At its default tolerance and the duality gap coal 3.0.3 gives -1.8e308 here."""
-    quaternion = [0.353882013421852, 0.730869997362165, -0.579405293037926, 0.0699004573086685]
-    position = [0.596034741566826, 1.3460126423015, 0.614016531839227]
-    pose = SE3(pin.Quaternion(*quaternion).normalized().toRotationMatrix(), np.array(position))
-    p = pair_of(Box((2, 2, 0.1)), Ellipsoid((0.2, 0.03, 0.03))).query(at(0.0), pose)
-    assert p.distance == pytest.approx(0.646627759, abs=1e-8)
+    pose = at(*position, rotation=pin.exp3(np.array(turn)))
+    p = pair_of(Box((2, 2, 0.1)), Ellipsoid(size)).query(at(0.0), pose)
+    assert p.distance == pytest.approx(expected, abs=1e-7)
 
 
 # Meaning, and the second engine

@@ -18,7 +18,8 @@ from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.controllers import PHASES, GraspController, Observation, Phase
-from sim.trial import Timeline, simulate
+from sim.timeline import Timeline
+from sim.trial import simulate
 
 
 @pytest.fixture(scope="module")
@@ -105,8 +106,8 @@ def test_soft_contacts_press_with_their_torsion(plan: GraspPlan) -> None:
     contacts = plan.contacts
     n = len(contacts)
     forces = np.c_[contacts.forces[:, :3], np.full(n, 0.004)]
-    models: tuple[ContactModel, ...] = ("soft",) * n
-    soft = replace(contacts, models=models, mu_torsion=np.full(n, 0.01), forces=forces)
+    model: ContactModel = "soft"
+    soft = replace(contacts, models=(model,) * n, mu_torsion=np.full(n, 0.01), forces=forces)
     change = wanted(plan, 0.0)
     state, inverse = HandState(plan.task.hand, plan.q), plan.T_world_base.inverse()
     for finger, p, normal in zip(

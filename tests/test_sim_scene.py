@@ -12,7 +12,8 @@ from planner.hand import Hand
 from planner.kinematics import HandState
 from planner.spatial import SE3
 from planner.task import GraspTask, Obstacle
-from sim.scene import HAND_PREFIX, MOUNT_FREQUENCY, PhysicsOptions, Scene, build_scene
+from sim.physics import PhysicsOptions
+from sim.scene import HAND_PREFIX, MOUNT_FREQUENCY, Scene, build_scene
 
 ABOVE = SE3(pin.exp3(np.array([0.2, np.pi - 0.3, 0.4])), np.array([0.03, -0.02, 0.7]))
 

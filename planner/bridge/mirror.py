@@ -66,7 +66,7 @@ def mirror_spec(spec: Any, signs: FloatArray, what: str) -> None:
     for body in spec.bodies[1:]:
         i = body.id
         _place(body, signs * model.body_pos[i], turn * model.body_quat[i])
-        if model.body_mass[i] > 0:
+        if model.body_mass[i] > 0:  # as compiled: not to be derived or scaled once more
             body.explicitinertial = True
             body.mass, body.inertia = model.body_mass[i], model.body_inertia[i]
             body.fullinertia = np.full(6, np.nan)

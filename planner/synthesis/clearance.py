@@ -4,7 +4,8 @@ Smooth distances are cheap for a ball: the clearance of its centre less its radi
 object, links are filled with balls, so the NLP sees a slightly smaller link. Against the table the
 hull's corners are enough, and exact for spheres, capsules and boxes: a capsule's two ends, a
 box's eight corners, a prism around a cylinder (balls of radius 0). Between fingers the ends of
-links keep away from the bones of the others, where they can meet at all. The verdict on the true geometry is coal's (``planner.synthesis.verify``).
+links keep away from the bones of the others, where they can meet at all. The verdict on the true
+geometry is coal's (``planner.synthesis.verify``).
 """
 
 from __future__ import annotations
@@ -73,10 +74,14 @@ class ClearanceTerms:
 
     def __init__(self, symbolic: SymbolicHand, rotation: Any, shift: Any) -> None:
         """Place the balls of every link."""
-        self._place = lambda joint, local: rotation @ symbolic.point(joint, local) + shift
+        self._symbolic, self._rotation, self._shift = symbolic, rotation, shift
         self._hand = symbolic.hand
         self._balls = link_balls(symbolic.hand)
         self._centers = [self._place(b.joint_id, b.center) for b in self._balls]
+
+    def _place(self, joint_id: int, local: FloatArray) -> Any:
+        """A point fixed in a joint's frame, in the object's frame."""
+        return self._rotation @ self._symbolic.point(joint_id, local) + self._shift
 
     def from_object(
         self, surface: Surface, size: Any, touching: Sequence[str], margin: Any, tip_margin: Any
@@ -105,7 +110,7 @@ class ClearanceTerms:
         ]
 
     def between_fingers(self, margin: Any) -> list[Any]:
-        """Squared distances of link ends from bones of other fingers, less the least allowed (m2)."""
+        """Squared distance of link ends from other fingers' bones, less the least allowed (m2)."""
         bones = finger_bones(self._hand)
         inner = [self._place(b.joint_id, b.inner) for b in bones]
         outer = [self._place(b.joint_id, b.outer) for b in bones]
@@ -182,9 +187,7 @@ def finger_bones(hand: Hand) -> tuple[LinkBone, ...]:
         ends = [np.array(g.T_joint_geometry.act(c)) for c in (centers[0], centers[-1])]
         ends.sort(key=lambda end: float(np.linalg.norm(end)))
         out.append(
-            LinkBone(
-                finger=name, joint_id=g.joint_id, inner=ends[0], outer=ends[1], radius=radius
-            )
+            LinkBone(finger=name, joint_id=g.joint_id, inner=ends[0], outer=ends[1], radius=radius)
         )
     return tuple(out)
 

@@ -1,4 +1,4 @@
-"""The pre-grasp and the way to it: fingers opened along the contact normals, hand moved straight in.
+"""The pre-grasp and the way to it: fingers opened along the contact normals, then straight in.
 
 Both are part of a plan: a grasp that cannot be reached without touching is no plan. The opened
 fingers are the solution of a small NLP over the joints alone:
@@ -186,7 +186,8 @@ class PregraspProblem:
         )
         if not self._solver.stats()["success"]:
             return None
-        return np.clip(np.array(result["x"]).ravel(), lower, upper)
+        opened: FloatArray = np.clip(np.array(result["x"]).ravel(), lower, upper)
+        return opened
 
 
 def table_in_object(task: GraspTask) -> tuple[FloatArray, float]:

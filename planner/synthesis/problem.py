@@ -167,7 +167,7 @@ class GraspProblem:
         cost: Objective (SX scalar).
         terms: Constraints.
         build_s: Time that building took, s.
-        max_iterations: IPOPT iterations of one attempt; nine of ten that succeed need fewer than 50.
+        max_iterations: IPOPT iterations of one attempt; nine of ten that succeed need under 50.
     """
 
     hand: Hand

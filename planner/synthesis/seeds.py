@@ -101,13 +101,7 @@ class Seeder:
         self.widest = max(opposition(task, self.open).gap, self.pinch.gap)
         self.frozen = self._frozen()
         self.directions = self._directions()
-        if not self.directions:
-            smallest = 2e3 * float(task.object.shape.half_extents.min())
-            raise TaskError(
-                f"the object is too large for {task.hand.name}: its pads open {1e3 * self.widest:.0f} "
-                f"mm, the object's smallest width is {smallest:.0f} mm; use a smaller object, other "
-                "fingers or a larger hand"
-            )
+        self._check_size()
 
     def draw(self, rng: np.random.Generator) -> Start:
         """One start."""
@@ -141,6 +135,25 @@ class Seeder:
             frozen=self.frozen,
             base_fixed=task.T_world_base is not None,
         )
+
+    def _check_size(self) -> None:
+        """Refuse objects that are too wide for the open hand, or too small for the pads."""
+        hand, shape = self.task.hand.name, self.task.object.shape
+        if not self.directions:
+            raise TaskError(
+                f"the object is too large for {hand}: its pads open {1e3 * self.widest:.0f} mm, "
+                f"the object's smallest width is {2e3 * shape.half_extents.min():.0f} mm; use a "
+                "smaller object, other fingers or a larger hand"
+            )
+        n = len(self.task.fingers)
+        pad = min(f.pad.radius for f in self.task.fingers)
+        room = PACKING[min(n, max(PACKING))] * (shape.bounding_radius + pad)
+        if room < 2 * pad:
+            raise TaskError(
+                f"the object is too small for {hand}: {n} pads of {1e3 * pad:.0f} mm radius do not "
+                f"fit around a ball of {1e3 * shape.bounding_radius:.1f} mm radius; use a larger "
+                "object or fewer fingers"
+            )
 
     def _with_wrist(self, q: FloatArray) -> FloatArray:
         q = q.copy()
@@ -205,6 +218,10 @@ class Seeder:
         return np.array(pin.exp3(rng.normal(0, AXIS_NOISE, 3)) @ direction)
 
 
+PACKING = {2: 2.0, 3: 3**0.5, 4: (8 / 3) ** 0.5, 5: 2**0.5}
+"""Largest possible smallest distance of n points on a unit sphere (Tammes' problem); points that
+are closer than two pad radii belong to pads that overlap."""
+
 STEEPEST = 0.5
 """Largest cosine between an opposition axis and the vertical for an object on a table: a finger
 below the object would have to pass through the table."""
@@ -224,4 +241,4 @@ def _opposed_forces(normals: FloatArray, opposer: int) -> FloatArray:
     n = len(normals)
     share = np.full(n, n / (2.0 * (n - 1)))
     share[opposer] = n / 2.0
-    return -normals * share[:, None]
+    return np.asarray(-normals * share[:, None])

@@ -8,8 +8,9 @@ NLP per hand and kind of shape serves every size and every assignment.
 
 ``clearance`` is used for links that must stay away. It is exact for spheres and capsules; the
 largest of the face distances, softened over ``SOFTNESS``, for boxes and cylinders, which for balls
-of 8 mm or more is within 0.04 mm of a lower bound of the true distance; first-order accurate for
-ellipsoids. The verdict is always on the true geometry, see ``planner.synthesis.verify``.
+of 8 mm or more is within 0.08 mm of a lower bound of the true distance (the worst is straight above
+a box's corner); first-order accurate for ellipsoids. The verdict is always on the true geometry,
+see ``planner.synthesis.verify``.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ SOFTNESS = 0.002
 """Length (m) over which the largest of several face distances is softened."""
 
 EDGE_MARGIN = 0.004
-"""Distance (m) that a contact keeps from the rim of its patch: a fingertip that rolls or creeps by a
-few millimetres must not reach the edge. At most a quarter of the patch's half width."""
+"""Distance (m) that a contact keeps from the rim of its patch: a fingertip that rolls or creeps by
+a few millimetres must not reach the edge. At most a quarter of the patch's half width."""
 
 SIZE_DIM = 3
 """Numbers that describe a shape's size in the NLP."""

@@ -90,7 +90,7 @@ def verify(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> Verificat
     centers = np.array([to_object.act(state.pad_center(f)) for f in task.fingers])
     radii = np.array([f.pad.radius for f in task.fingers])
     gaps = task.object.shape.signed_distance(centers) - radii
-    points, outward = task.object.shape.closest_point(centers)
+    _, outward = task.object.shape.closest_point(centers)
     axes = np.array([to_object.rotation @ state.pad_axis(f) for f in task.fingers])
     angles = np.arccos(np.clip(-(axes * outward).sum(axis=1), -1.0, 1.0))
 

@@ -1,0 +1,20 @@
+"""Grasp synthesis: the NLP, its starts, the pre-grasp, and the verdict on the true geometry."""
+
+from planner.synthesis.pregrasp import Approach, PregraspProblem, find_approach
+from planner.synthesis.problem import GraspProblem, Start, SynthesisOptions, build_problem
+from planner.synthesis.seeds import Seeder
+from planner.synthesis.verify import Verification, contacts_at, verify
+
+__all__ = [
+    "Approach",
+    "GraspProblem",
+    "PregraspProblem",
+    "Seeder",
+    "Start",
+    "SynthesisOptions",
+    "Verification",
+    "build_problem",
+    "contacts_at",
+    "find_approach",
+    "verify",
+]

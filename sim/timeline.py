@@ -1,0 +1,71 @@
+"""``Timeline``: how long the phases of a trial take, and how the mount moves through them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from planner.errors import TaskError
+from planner.plan import smooth
+from planner.spatial import FloatArray
+from sim.controllers.base import PHASES, Phase
+
+__all__ = ["Timeline"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timeline:
+    """How long each phase takes, in s, and how far the lift goes.
+
+    Attributes:
+        approach: From the start pose straight to the grasp pose, fingers at the pre-grasp.
+        close: Fingers from pre-grasp to grasp.
+        close_wait: Longest further wait for fingers that do not touch yet.
+        squeeze: From first touch to the planned forces.
+        settle: Full forces, before the lift; slip counts from its beginning.
+        lift: Upwards by ``lift_height``.
+        hold: Held in the air.
+        lift_height: m.
+    """
+
+    approach: float = 1.0
+    close: float = 0.5
+    close_wait: float = 0.5
+    squeeze: float = 0.6
+    settle: float = 0.2
+    lift: float = 1.0
+    hold: float = 2.0
+    lift_height: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Check that every phase has a duration."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            low_ok = value >= 0 if field.name in ("close_wait", "lift_height") else value > 0
+            if not (np.isfinite(value) and low_ok):
+                raise TaskError(f"timeline: {field.name} is {value}; give a finite number > 0")
+
+    @property
+    def duration(self) -> float:
+        """Nominal duration without waiting, s."""
+        return float(sum(getattr(self, phase) for phase in PHASES))
+
+    def mount_motion(
+        self, phase: Phase, share: float, start: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Mount joints (6,) and their rates at a share in [0, 1] of a phase; at rest at its ends.
+
+        Args:
+            phase: The phase.
+            share: How much of it has passed.
+            start: Mount joints (6,) at the beginning of the approach; those of the grasp are zero.
+        """
+        s = float(smooth(np.asarray(share)))
+        rate = 30.0 * share**2 * (1.0 - share) ** 2  # derivative of smooth
+        lifted = np.array([0.0, 0.0, self.lift_height, 0.0, 0.0, 0.0])
+        if phase == "approach":
+            return (1.0 - s) * start, -rate / self.approach * start
+        if phase == "lift":
+            return s * lifted, rate / self.lift * lifted
+        return (lifted if phase == "hold" else np.zeros(6)), np.zeros(6)

@@ -1,0 +1,43 @@
+"""The README's script runs, and prints what the README says it prints."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+from pathlib import Path
+
+import pytest
+
+README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
+NUMBER = re.compile(r"-?\d+\.?\d*")
+
+
+def test_script_prints_what_the_readme_says() -> None:
+    script = README.split("```python\n")[1].split("```")[0]
+    said = README.split("```text\n")[1].split("```")[0].splitlines()
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        exec(compile(script, "README.md", "exec"), {})
+    lines = printed.getvalue().splitlines()
+    assert len(lines) == len(said)
+    for line, expected in zip(lines, said, strict=True):
+        # words to the letter; numbers to what another processor may round otherwise
+        assert NUMBER.sub("#", line).split() == NUMBER.sub("#", expected).split()
+        values = [float(v) for v in NUMBER.findall(line)]
+        assert values == pytest.approx([float(v) for v in NUMBER.findall(expected)], abs=0.11)
+
+
+def test_every_hand_is_named_in_the_readme() -> None:
+    from planner.catalog import hand_names
+
+    for name in hand_names():
+        assert f"`{name}`" in README
+
+
+def test_the_command_table_names_every_command() -> None:
+    from sim.cli import app
+
+    for command in app.registered_commands:
+        assert command.callback is not None
+        assert f"opposable {command.callback.__name__}" in README
