@@ -50,6 +50,7 @@ for i, finger in enumerate(report.fingers):
 top.set_ylabel("normal force (N)")
 top.legend(loc="upper left")
 bottom.plot(samples.time, samples.epsilon, color="black")
+bottom.set_ylim(0.0, 1.4 * samples.epsilon.max() + 1e-3)  # room for the names of the phases
 bottom.set_ylabel("epsilon of the contacts (-)")
 bottom.set_xlabel("time (s)")
 for phase in PHASES:

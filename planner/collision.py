@@ -11,23 +11,22 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
-import coal
 import numpy as np
 import pinocchio as pin
 
-from planner.errors import NotFoundError
+from planner.errors import NotFoundError, TaskError
 from planner.proximity import DistancePair, Proximity
-from planner.errors import TaskError
+from planner.shapes import Box, Shape
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 
-__all__ = ["Clearance", "CollisionWorld"]
+__all__ = ["TABLE_SIZE", "Clearance", "CollisionWorld"]
 
 OBJECT = "object"
 TABLE = "table"
 
-_TABLE_HALF = (1.0, 1.0, 0.05)
-"""Half extents (m) of the box that stands for the table."""
+TABLE_SIZE = (2.0, 2.0, 0.1)
+"""Full extents (m) of the table: wide enough for any hand, centred under the object."""
 
 
 FAR = 0.03
@@ -77,23 +76,23 @@ class CollisionWorld:
             )
             names.append(g.name)
         n_hand = len(names)
-        self._fixed: list[tuple[int, SE3]] = []
-        fixed = [(OBJECT, task.T_world_object, task.object.shape.coal_geometry())]
+        fixed: list[tuple[str, SE3, Shape]] = [(OBJECT, task.T_world_object, task.object.shape)]
         if task.table_height is not None:
-            x, y, z = _TABLE_HALF
-            center = np.array([*task.T_world_object.translation[:2], task.table_height - z])
-            fixed.append((TABLE, SE3(np.eye(3), center), coal.Box(2 * x, 2 * y, 2 * z)))
+            top = np.array([*task.T_world_object.translation[:2], task.table_height])
+            center = top - np.array([0.0, 0.0, TABLE_SIZE[2] / 2])
+            fixed.append((TABLE, SE3(np.eye(3), center), Box(TABLE_SIZE)))
         for o in task.obstacles:
-            fixed.append((o.name, o.T_world_obstacle, coal.Box(*(float(v) for v in o.size))))
-        for name, pose, geometry in fixed:
-            index = model.addGeometryObject(pin.GeometryObject(name, 0, pose, geometry))
-            self._fixed.append((int(index), pose))
+            x, y, z = (float(v) for v in o.size)
+            fixed.append((o.name, o.T_world_obstacle, Box((x, y, z))))
+        for name, pose, shape in fixed:
+            model.addGeometryObject(pin.GeometryObject(name, 0, pose, shape.coal_geometry()))
             names.append(name)
+        self._fixed = [(pose, shape) for _, pose, shape in fixed]
         twice = sorted(name for name, count in Counter(names).items() if count > 1)
         if twice:
             raise TaskError(
-                f"several geometries are called {twice}; name each obstacle differently, and not "
-                f"{OBJECT!r}, {TABLE!r} or like a geometry of {hand.name}"
+                f"several of obstacles, object, table and hand geometries are called {twice}; name "
+                "each obstacle differently"
             )
         pairs = [
             (a, b)
@@ -102,10 +101,10 @@ class CollisionWorld:
         ]
         pairs += [(a, b) for a in range(n_hand) for b in range(n_hand, len(names))]
         self.surroundings = frozenset(names[n_hand:])
-        radii = np.array([_bounding_radius(g.geometry) for g in model.geometryObjects])
+        self._radii = np.array([_bounding_radius(g.geometry) for g in model.geometryObjects])
         self._first = np.array([a for a, _ in pairs])
         self._second = np.array([b for _, b in pairs])
-        self._reach = radii[self._first] + radii[self._second]
+        self._n_hand = n_hand
         self._pairs = [(names[a], names[b]) for a, b in pairs]
         self._names = tuple(names)
         self._queries: dict[tuple[int, int], DistancePair] = {}
@@ -126,12 +125,19 @@ class CollisionWorld:
         self, T_world_base: SE3, q: FloatArray, *, surroundings_only: bool = False
     ) -> Clearance:
         """The pair of smallest signed distance; of hand and surroundings only if asked."""
-        values = self._compute(T_world_base, q)
+        bounds = self._bounds(T_world_base, q)
         if surroundings_only:
-            values = np.where(self._outward, values, np.inf)
-        k = int(np.argmin(values))
-        first, second = self._pairs[k]
-        return Clearance(first=first, second=second, distance=float(values[k]))
+            bounds = np.where(self._outward, bounds, np.inf)
+        nearest, smallest = 0, np.inf
+        # pairs in the order of their bounds, until a bound exceeds the smallest distance: exact
+        for k in np.argsort(bounds):
+            if bounds[k] >= smallest:
+                break
+            distance = self._exact(int(k))
+            if distance < smallest:
+                nearest, smallest = int(k), distance
+        first, second = self._pairs[nearest]
+        return Clearance(first=first, second=second, distance=smallest)
 
     def proximity(self, T_world_base: SE3, q: FloatArray, first: str, second: str) -> Proximity:
         """Signed distance, nearest points and normal (world) of any two geometries by name.
@@ -149,21 +155,42 @@ class CollisionWorld:
         )
 
     def _compute(self, T_world_base: SE3, q: FloatArray) -> FloatArray:
-        """Signed distance of every pair; beyond ``FAR`` a lower bound, from bounding balls."""
-        self._place(T_world_base, q)
-        centers = np.array([placement.translation for placement in self._data.oMg])
-        gaps = centers[self._first] - centers[self._second]
-        values: FloatArray = np.sqrt(np.einsum("ij,ij->i", gaps, gaps)) - self._reach
+        """Signed distance of every pair; beyond ``FAR`` a lower bound."""
+        values = self._bounds(T_world_base, q)
         for k in np.flatnonzero(values < FAR):
-            a, b = int(self._first[k]), int(self._second[k])
-            values[k] = self._pair(a, b).distance(self._data.oMg[a], self._data.oMg[b])
+            values[k] = self._exact(int(k))
         return values
+
+    def _exact(self, k: int) -> float:
+        """Signed distance of pair k where everything was last placed."""
+        a, b = int(self._first[k]), int(self._second[k])
+        return self._pair(a, b).distance(self._data.oMg[a], self._data.oMg[b])
+
+    def _bounds(self, T_world_base: SE3, q: FloatArray) -> FloatArray:
+        """Place everything; lower bounds of all distances, from the hand's bounding balls.
+
+        Balls against balls within the hand, balls against the exact shape of what stands around.
+        """
+        self._place(T_world_base, q)
+        n = self._n_hand
+        centers = np.array([placement.translation for placement in self._data.oMg])[:n]
+        inside = self._second < n
+        first, second = self._first[inside], self._second[inside]
+        gaps = centers[first] - centers[second]
+        bounds = np.empty(len(self._first))
+        bounds[inside] = np.sqrt(np.einsum("ij,ij->i", gaps, gaps))
+        bounds[inside] -= self._radii[first] + self._radii[second]
+        for i, (pose, shape) in enumerate(self._fixed):
+            to_shape = pose.inverse() * T_world_base
+            local = centers @ to_shape.rotation.T + to_shape.translation
+            bounds[self._second == n + i] = shape.signed_distance(local) - self._radii[:n]
+        return bounds
 
     def _place(self, T_world_base: SE3, q: FloatArray) -> None:
         """Put every geometry where it is at base pose and q, in the base's frame."""
         inverse = T_world_base.inverse()
-        for index, pose in self._fixed:
-            self._model.geometryObjects[index].placement = inverse * pose
+        for i, (pose, _) in enumerate(self._fixed):
+            self._model.geometryObjects[self._n_hand + i].placement = inverse * pose
         pin.updateGeometryPlacements(
             self.task.hand.pin_model, self._pin_data, self._model, self._data, np.asarray(q)
         )

@@ -22,9 +22,10 @@ from planner.catalog import hand_names
 from planner.contacts import ContactModel, ContactSet
 from planner.errors import FileFormatError
 from planner.hand import Hand
-from planner.objects import parse_object
+from planner.objects import GraspObject
 from planner.plan import GraspPlan, JointTrajectory, SolveRecord
 from planner.search import judge_grasp
+from planner.shapes import shape_from_dict, shape_to_dict
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 from planner.synthesis.pregrasp import Approach
 from planner.task import GraspTask, Obstacle
@@ -84,9 +85,10 @@ class HandData(_Strict):
 
 
 class ObjectData(_Strict):
-    """Which object: shape as a specification in metres, and mass."""
+    """Which object: shape as its kind and sizes in metres (full extents, radii), and mass."""
 
-    shape: str
+    name: str
+    shape: dict[str, str | Finite | list[Finite]]
     mass_kg: float = Field(gt=0, allow_inf_nan=False)
 
 
@@ -182,7 +184,11 @@ def plan_to_dict(plan: GraspPlan) -> dict[str, Any]:
         written_by=f"opposable {version('opposable')}",
         task=TaskData(
             hand=HandData(name=hand.name, description_path=path, sha256=hand.digest),
-            object=ObjectData(shape=task.object.shape.spec, mass_kg=task.object.mass),
+            object=ObjectData(
+                name=task.object.name,
+                shape=shape_to_dict(task.object.shape),
+                mass_kg=task.object.mass,
+            ),
             T_world_object=PoseData.of(task.T_world_object),
             table_height_m=task.table_height,
             obstacles=[
@@ -267,17 +273,26 @@ def write_plan(plan: GraspPlan, path: Path | str) -> None:
 
 
 def write_trajectory(trajectory: JointTrajectory, path: Path | str) -> None:
-    """Write joint positions over time as CSV: time_s, phase, one column per joint (rad or m).
+    """Write a trajectory as CSV: time, phase, one column per joint (rad or m), pose of the base.
 
     Raises:
         FileFormatError: The folder does not exist or cannot be written.
     """
-    rows = zip(trajectory.times, trajectory.phases, trajectory.positions, strict=True)
+    base = ["x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"]
+    header = ["time_s", "phase", *trajectory.joint_names, *(f"base_{name}" for name in base)]
+    rows = [
+        [f"{t:.6f}", phase, *(f"{v:.9f}" for v in np.concatenate([q, *pose_to_wxyz(pose)]))]
+        for t, phase, q, pose in zip(
+            trajectory.times,
+            trajectory.phases,
+            trajectory.positions,
+            trajectory.T_world_base,
+            strict=True,
+        )
+    ]
     try:
         with Path(path).open("w", newline="", encoding="utf-8") as file:
-            out = csv.writer(file)
-            out.writerow(["time_s", "phase", *trajectory.joint_names])
-            out.writerows([f"{t:.6f}", phase, *(f"{q:.9f}" for q in at)] for t, phase, at in rows)
+            csv.writer(file).writerows([header, *rows])
     except OSError as error:
         raise FileFormatError(f"cannot write {path}: {error.strerror}") from error
 
@@ -366,7 +381,11 @@ def _rebuild(file: PlanFile, hand: Hand, path: Path) -> GraspPlan:
 def _task(data: TaskData, hand: Hand) -> GraspTask:
     return GraspTask(
         hand=hand,
-        object=parse_object(data.object.shape, mass=data.object.mass_kg),
+        object=GraspObject(
+            name=data.object.name,
+            shape=shape_from_dict(data.object.shape),
+            mass=data.object.mass_kg,
+        ),
         T_world_object=data.T_world_object.pose(),
         table_height=data.table_height_m,
         obstacles=tuple(

@@ -27,6 +27,7 @@ from planner.spatial import SE3, FloatArray
 from planner.synthesis.pregrasp import (
     Approach,
     PregraspProblem,
+    approach_fault,
     find_approach,
     table_in_object,
 )
@@ -275,7 +276,7 @@ def judge_grasp(
         T_world_base: Base pose at the grasp.
         q: Joints (nq,), within their limits.
         record: Where the candidate comes from.
-        approach: Pre-grasp and way in; searched for if None.
+        approach: Pre-grasp and way in, checked; searched for if None.
         world: True geometry of the task, if it is at hand already.
     """
     world = world or CollisionWorld(task)
@@ -290,10 +291,13 @@ def judge_grasp(
     if not forces.found:
         return f"forces: {forces.reason}"
     if approach is None:
-        found = find_approach(world, problems_for(task).pregrasp, T_world_base, q, contacts.normals)
+        pregrasp = problems_for(task).pregrasp
+        found = find_approach(world, pregrasp, T_world_base, q, contacts.normals)
         if isinstance(found, str):
             return f"approach: {found}"
         approach = found
+    elif fault := approach_fault(world, T_world_base, q, approach):
+        return f"approach: {fault}"
     return GraspPlan(
         task=task,
         T_world_base=T_world_base,

@@ -285,7 +285,7 @@ def test_a_mesh_file_that_is_missing_is_named(tmp_path: Path) -> None:
 
 SOLIDS = """
 <body name="a">
-  <joint name="a" axis="0 0 1"/>
+  <joint name="a" axis="0 0 1" pos="0.05 0 0.02"/>
   <geom name="sphere" size="0.03" pos="0 0 0.1"/>
   <geom name="capsule" type="capsule" fromto="0 0 0 0.1 0.2 0.05" size="0.01"/>
 </body>
@@ -293,7 +293,9 @@ SOLIDS = """
   <joint name="b" type="slide" axis="0 1 0"/>
   <geom name="cylinder" type="cylinder" size="0.03 0.05" pos="0 0.1 0" euler="0.3 0.5 0"/>
   <geom name="box" type="box" size="0.03 0.02 0.05" pos="0.2 0 0.3" quat="1 2 3 4"/>
-  <geom name="ellipsoid" type="ellipsoid" size="0.03 0.02 0.05" pos="-0.1 0 0.3" quat="1 0 1 4"/>
+  <body name="glued" pos="-0.1 0 0.2" quat="1 2 0 1">
+    <geom name="ellipsoid" type="ellipsoid" size="0.03 0.02 0.05" pos="0 0 0.1" quat="1 0 1 4"/>
+  </body>
   <geom name="mesh" type="mesh" mesh="wedge" pos="0.1 0.3 0.3" quat="2 0 1 0"/>
   <geom name="seen" size="0.5" contype="0" conaffinity="0" mass="0.1"/>
 </body>
@@ -320,7 +322,7 @@ def test_geometries_are_where_and_as_large_as_in_mujoco() -> None:
     geometries = {g.name: g for g in hand_geometries(model, ours)}
     kinds = ("sphere", "capsule", "cylinder", "box", "ellipsoid", "mesh")
     assert {name: g.kind for name, g in geometries.items()} == {kind: kind for kind in kinds}
-    assert {g.body for g in geometries.values()} == {"a", "b"}
+    assert {g.body for g in geometries.values()} == {"a", "b", "glued"}
     data, ours_data = mujoco.MjData(model), ours.createData()
     rng = np.random.default_rng(0)
     for _ in range(30):
@@ -495,3 +497,17 @@ def test_actuators_of_other_kinds_are_refused(actuator: str, reason: str) -> Non
     model = compiled(ARM, f"<tendon>{rope}</tendon><actuator>{actuator}</actuator>")
     with pytest.raises(ModelError, match=reason):
         actuation_from_mujoco(model)
+
+
+@pytest.mark.xfail(strict=True, reason="actuator_dyntype is not read")
+@pytest.mark.parametrize(
+    "actuator",
+    [
+        '<intvelocity name="u" joint="a" kp="1" actrange="-1 1"/>',
+        '<general name="u" joint="a" dyntype="filter" dynprm="0.1"/>',
+    ],
+)
+def test_actuators_with_a_state_of_their_own_are_refused(actuator: str) -> None:
+    # Their force follows the state, not ctrl: no ctrl gives a wanted torque at once.
+    with pytest.raises(ModelError, match="'u'"):
+        actuation_from_mujoco(compiled(ARM, f"<actuator>{actuator}</actuator>"))

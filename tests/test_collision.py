@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 from planner.collision import FAR, OBJECT, TABLE, Clearance, CollisionWorld
-from planner.errors import TaskError
+from planner.errors import NotFoundError, TaskError
 from planner.hand import Hand
 from planner.kinematics import HandState
 from planner.objects import GraspObject, parse_object
@@ -48,7 +48,7 @@ class Twin:
         """Assemble it from the task, without the planner's geometry code."""
         spec = mujoco.MjSpec()
         mount = spec.worldbody.add_body(name="mount", mocap=True)
-        mount.add_frame().attach_body(task.hand.new_spec().worldbody.first_body(), "", "")
+        mount.add_frame().attach_body(task.hand.new_spec().worldbody.first_body(), "hand_", "")
         kind, size = task.object.shape.mujoco_geom()
         fixed: list[tuple[str, SE3, str, tuple[float, ...]]] = [
             (OBJECT, task.T_world_object, kind, size)
@@ -77,9 +77,13 @@ class Twin:
         self.data.qpos[:] = q
         mujoco.mj_kinematics(self.model, self.data)
 
+    def _geom(self, name: str) -> int:
+        names = {self.model.geom(i).name: i for i in range(self.model.ngeom)}
+        return names[name] if name in names else names[f"hand_{name}"]
+
     def distance(self, first: str, second: str) -> float:
         """Distance of two geoms (m) where they are apart; else some number <= 0."""
-        ids = self.model.geom(first).id, self.model.geom(second).id
+        ids = [self._geom(name) for name in (first, second)]
         return float(mujoco.mj_geomDistance(self.model, self.data, *ids, 10.0, None))
 
 
@@ -193,22 +197,61 @@ def test_answers_do_not_depend_on_what_was_asked_before(allegro: Hand) -> None:
         )
 
 
+def same_nearest(nearest: Clearance, everything: list[Clearance]) -> bool:
+    """Whether a pair is the nearest of all; ``distances`` gives only bounds beyond ``FAR``."""
+    smallest = min(everything, key=lambda c: c.distance)
+    if smallest.distance < FAR:
+        return nearest == smallest
+    return nearest.distance >= smallest.distance
+
+
 def test_the_nearest_pair_is_the_smallest_distance(right_hand: Hand) -> None:
     task = make_task(right_hand, "box")
     world = CollisionWorld(task)
     rng = np.random.default_rng(7)
     inner = 0
-    for _ in range(10):
+    for _ in range(15):
         q = random_q(right_hand, rng)
-        spot = task.T_world_object.translation + rng.uniform(-0.08, 0.08, 3)
+        spot = task.T_world_object.translation + rng.uniform(-0.1, 0.2, 3)
         T_world_base = base_with_tip_at(right_hand, q, spot, rng)
         everything = world.distances(T_world_base, q)
-        assert world.nearest(T_world_base, q) == min(everything, key=lambda c: c.distance)
+        assert same_nearest(world.nearest(T_world_base, q), everything)
         outer = [c for c in everything if c.second in world.surroundings]
         asked = world.nearest(T_world_base, q, surroundings_only=True)
-        assert asked == min(outer, key=lambda c: c.distance)
+        assert same_nearest(asked, outer)
         inner += asked != world.nearest(T_world_base, q)
     assert inner  # at least once the hand was nearer to itself
+
+
+def test_proximity_gives_the_points_between_which_a_distance_lies(right_hand: Hand) -> None:
+    # In the world, and for allowed pairs too.
+    task = make_task(right_hand, "ellipsoid", obstacles=(WALL,))
+    world = CollisionWorld(task)
+    rng = np.random.default_rng(8)
+    q = random_q(right_hand, rng)
+    spot = task.T_world_object.translation + np.array([0.0, 0.08, 0.02])
+    T_world_base = base_with_tip_at(right_hand, q, spot, rng)
+    to_object = task.T_world_object.inverse()
+    for c in world.distances(T_world_base, q):
+        near = world.proximity(T_world_base, q, c.first, c.second)
+        np.testing.assert_allclose(
+            near.point_b - near.point_a, near.distance * near.normal, rtol=0, atol=1e-6
+        )
+        if c.distance < FAR:
+            assert near.distance == pytest.approx(c.distance, abs=1e-9)
+        if c.second == OBJECT:
+            on_object = to_object.act(near.point_b)
+            assert task.object.shape.signed_distance(on_object)[0] == pytest.approx(0, abs=1e-6)
+        if c.second == TABLE and near.distance > 0:
+            assert near.point_b[2] == pytest.approx(0, abs=1e-6)
+    allowed = next(iter(sorted(sorted(pair) for pair in right_hand.allowed_pairs)))
+    assert np.isfinite(world.proximity(T_world_base, q, *allowed).distance)
+
+
+def test_proximity_of_an_unknown_geometry(allegro: Hand) -> None:
+    world = CollisionWorld(make_task(allegro, "box"))
+    with pytest.raises(NotFoundError, match=r"no geometry is called 'tabel'.*mean 'table'"):
+        world.proximity(SE3.Identity(), allegro.posture("open"), "palm", "tabel")
 
 
 @pytest.mark.parametrize("name", [OBJECT, TABLE, "palm"])

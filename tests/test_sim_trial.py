@@ -50,6 +50,8 @@ def test_the_object_is_held(report: TrialReport) -> None:
 def test_measured_contacts_are_the_planned_ones(report: TrialReport, plan: GraspPlan) -> None:
     assert [c.finger for c in report.comparison] == list(plan.task.finger_names)
     for c in report.comparison:
+        error = np.linalg.norm(c.measured_position - c.planned_position)
+        assert c.position_error_mm == pytest.approx(1e3 * error)
         assert c.position_error_mm < 1.5
         assert c.force_error_percent < 20
         assert abs(c.measured_normal_force - c.planned_normal_force) <= c.force_error_N + 1e-9
@@ -172,6 +174,18 @@ def test_commands_that_are_not_numbers_end_the_trial(plan: GraspPlan) -> None:
     assert "commands" in failed.verdict.detail
 
 
+@pytest.mark.parametrize("beyond", [-0.01, 0.01])
+def test_actuators_at_their_limit_are_recorded_for_any_controller(
+    plan: GraspPlan, beyond: float
+) -> None:
+    """Just inside the control range it is the force that is clipped, beyond it the command."""
+    high = plan.task.hand.actuation.ctrl_range[:, 1]
+    timeline = replace(QUICK, approach=0.05, close=0.02, squeeze=0.02, settle=0.02)
+    pushed = simulate(plan, controller=Still(plan, high + beyond), timeline=timeline)
+    assert set(pushed.samples.limited[0]) <= set(plan.task.hand.actuation.names)
+    assert len(pushed.samples.limited[0]) >= 12  # of 16; a moving joint may be below its limit
+
+
 def test_interruption_gives_a_partial_report(plan: GraspPlan) -> None:
     def stop(share: float) -> None:
         if share > 0.5:
@@ -235,6 +249,7 @@ def test_the_hand_follows_its_way(plan: GraspPlan) -> None:
     def look(trial: Trial) -> None:
         if trial.phase in off:
             data, first = trial.data, trial.scene.T_world_base.translation
+            now = data.time - trial.scene.physics.timestep  # poses are of the step's beginning
             base = trial.scene.body_pose(data, trial.scene.base_body).translation
             if trial.phase == "approach":
                 s = smooth(np.array(min(1.0, now / QUICK.approach)))

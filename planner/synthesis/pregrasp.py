@@ -19,7 +19,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from planner.collision import Clearance, CollisionWorld
+from planner.collision import CollisionWorld
 from planner.hand import Finger, Hand
 from planner.kinematics import HandState
 from planner.shapes import Shape
@@ -30,7 +30,7 @@ from planner.synthesis.problem import LINEAR_SOLVER
 from planner.synthesis.surfaces import SIZE_DIM, surface_of
 from planner.task import GraspTask
 
-__all__ = ["Approach", "PregraspProblem", "find_approach", "table_in_object"]
+__all__ = ["Approach", "PregraspProblem", "approach_fault", "find_approach", "table_in_object"]
 
 OPENINGS = (0.025, 0.02, 0.015, 0.01)
 """Distances (m) by which pads are opened along the normals, tried in this order. More room absorbs
@@ -225,47 +225,55 @@ def find_approach(
         opened = problem.solve(world.task, T_world_base, q, normals, opening)
         if opened is None:
             continue
-        touching = _closing_touches(world, T_world_base, q, opened)
-        if touching is not None:
-            reason = f"the fingers touch while they close: {touching}"
-            continue
-        start = _way_in(world, T_world_base, opened)
-        if start is not None:
-            return Approach(q=opened, opening=opening, T_world_base_start=start)
-        reason = "no straight approach is free"
+        for start in _starts(world, T_world_base, opened):
+            approach = Approach(q=opened, opening=opening, T_world_base_start=start)
+            reason = approach_fault(world, T_world_base, q, approach)
+            if not reason:
+                return approach
     return reason
 
 
-def _closing_touches(
-    world: CollisionWorld, T_world_base: SE3, q: FloatArray, opened: FloatArray
-) -> Clearance | None:
-    """What touches on the way from the opened fingers to just before the grasp, if anything."""
+def approach_fault(
+    world: CollisionWorld, T_world_base: SE3, q: FloatArray, approach: Approach
+) -> str:
+    """What is touched on the straight way in or while the fingers close; "" if nothing is."""
+    begin, end = approach.T_world_base_start, T_world_base
+    if not np.allclose(begin.rotation, end.rotation, atol=SAME_ROTATION):
+        return "the hand turns on its way in"
+    for s in np.linspace(0.0, 1.0, PATH_SAMPLES):
+        at = SE3(end.rotation, begin.translation + s * (end.translation - begin.translation))
+        nearest = world.nearest(at, approach.q, surroundings_only=True)
+        if nearest.distance < APPROACH_CLEARANCE:
+            return f"the hand touches on its way in: {nearest}"
     for s in np.linspace(1.0, 0.0, PATH_SAMPLES, endpoint=False):
-        nearest = world.nearest(T_world_base, q + s * (opened - q))
+        nearest = world.nearest(end, q + s * (approach.q - q))
         if nearest.distance <= 0:
-            return nearest
-    return None
+            return f"the fingers touch while they close: {nearest}"
+    return ""
 
 
-def _way_in(world: CollisionWorld, T_world_base: SE3, opened: FloatArray) -> SE3 | None:
-    """The nearest-to-natural straight way: against the palm's normal, else upwards, or between."""
+SAME_ROTATION = 1e-9
+"""Largest difference of rotation matrix entries (-) along a straight approach: rounding."""
+
+
+def _starts(world: CollisionWorld, T_world_base: SE3, opened: FloatArray) -> list[SE3]:
+    """Where a straight way may begin: upwards, against the palm's normal, or between the two.
+
+    A base that is fixed stays where it is.
+    """
     hand = world.task.hand
+    if world.task.T_world_base is not None:
+        return [T_world_base]
     palm = T_world_base * HandState(hand, opened).T_base_palm
     back = -(palm.rotation @ hand.palm_normal)
     up = np.array([0.0, 0.0, 1.0])
-    for direction in (up, back + up, back):
-        length = float(np.linalg.norm(direction))
-        if length < 1e-6:
-            continue
-        shift = STANDOFF * direction / length
-        if all(
-            world.nearest(
-                SE3(T_world_base.rotation, T_world_base.translation + s * shift),
-                opened,
-                surroundings_only=True,
-            ).distance
-            >= APPROACH_CLEARANCE
-            for s in np.linspace(1.0, 0.0, PATH_SAMPLES)
-        ):
-            return SE3(T_world_base.rotation, T_world_base.translation + shift)
-    return None
+    lengths = [(d, float(np.linalg.norm(d))) for d in (up, back + up, back)]
+    return [
+        SE3(T_world_base.rotation, T_world_base.translation + STANDOFF * d / length)
+        for d, length in lengths
+        if length > SHORTEST
+    ]
+
+
+SHORTEST = 1e-6
+"""Length (-) below which the sum of two unit directions has no direction."""

@@ -1,0 +1,282 @@
+"""The grasp NLP: every term means what its name says.
+
+The terms are compared with numpy, Pinocchio and coal, at points that do not satisfy them, so that a
+wrong term cannot hide behind a residual of zero; then a solution is checked with the same code.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from planner.contacts import ContactSet
+from planner.hand import Hand
+from planner.kinematics import HandState
+from planner.search import NLP_TOL, problems_for
+from planner.spatial import SE3, FloatArray
+from planner.synthesis.clearance import LinkBall, hull_balls, link_balls
+from planner.synthesis.pregrasp import table_in_object
+from planner.synthesis.problem import (
+    LEVER,
+    PRESS_MIN,
+    GraspProblem,
+    NlpSolution,
+    Start,
+    SynthesisOptions,
+)
+from planner.synthesis.seeds import Seeder
+from planner.synthesis.surfaces import EDGE_MARGIN
+from planner.task import GraspTask, Obstacle
+
+SOFT = 4e-5
+"""How far (m) a ball that keeps its margin in the NLP may miss it: softened face distances."""
+
+OPTIONS = SynthesisOptions()
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A problem, a solution, and its parameters with the solution's own base as reference."""
+
+    task: GraspTask
+    problem: GraspProblem
+    solution: NlpSolution
+    start: Start
+    parameters: FloatArray
+
+    @property
+    def x(self) -> FloatArray:
+        return pack(self.solution, np.zeros(3))
+
+    def disturbed(self, rng: np.random.Generator) -> FloatArray:
+        """The unknowns away from the solution, contact points still on their patches."""
+        s = self.solution
+        points = s.points + rng.normal(0, 0.004, s.points.shape)
+        for patch, p in zip(self.start.patches, points, strict=True):
+            p[:] = np.clip(p, patch.lower, patch.upper)
+            if self.problem.surface.kind == "cylinder":
+                assert patch.name == "side", "take another seed: an end's z would be free here"
+                p[:2] *= self.task.object.shape.half_extents[0] / np.hypot(*p[:2])
+        hand = self.task.hand
+        q = np.clip(s.q + rng.normal(0, 0.1, hand.nq), hand.q_lower, hand.q_upper)
+        shift = s.T_object_base.translation + rng.normal(0, 0.01, 3)
+        forces = s.forces + rng.normal(0, 0.3, s.forces.shape)
+        other = replace(s, T_object_base=SE3(np.eye(3), shift), q=q, points=points, forces=forces)
+        return pack(other, rng.normal(0, 0.1, 3))
+
+
+def pack(s: NlpSolution, turn: FloatArray) -> FloatArray:
+    return np.concatenate(
+        [turn, s.T_object_base.translation, s.q, s.points.ravel(), s.forces.ravel()]
+    )
+
+
+def solve(task: GraspTask) -> Solved:
+    problem, seeder = problems_for(task).grasp, Seeder(task)
+
+    def parameters(start: Start) -> FloatArray:
+        to_object = task.T_world_object.inverse()
+        return problem.parameters(
+            shape=task.object.shape,
+            start=start,
+            table=table_in_object(task),
+            obstacles=[(to_object * o.T_world_obstacle, o.size / 2) for o in task.obstacles],
+            mu=task.mu,
+            posture=seeder.posture,
+            options=OPTIONS,
+        )
+
+    for seed in range(20):
+        start = seeder.draw(np.random.default_rng(seed))
+        solution = problem.solve(start, parameters(start))
+        if max(solution.violation.values()) <= NLP_TOL:
+            here = replace(start, T_object_base=solution.T_object_base)
+            return Solved(task, problem, solution, here, parameters(here))
+    pytest.fail("no start of twenty leads to a solution")
+
+
+@pytest.fixture(scope="module", params=["allegro box", "shadow cylinder"])
+def solved(request: pytest.FixtureRequest, allegro: Hand, shadow: Hand) -> Solved:
+    """A box without, and a cylinder beside an obstacle; the Shadow has couplings and stops."""
+    if request.param == "allegro box":
+        return solve(GraspTask.create(allegro, "box"))
+    wall = Obstacle(
+        name="wall",
+        size=np.array([0.05, 0.2, 0.1]),
+        T_world_obstacle=SE3(pin.exp3(np.array([0.0, 0.0, 0.4])), np.array([0.11, 0.0, 0.05])),
+    )
+    return solve(GraspTask.create(shadow, "cylinder", obstacles=(wall,)))
+
+
+def terms(case: Solved, x: FloatArray) -> dict[str, FloatArray]:
+    """Value of every term at x."""
+    problem = case.problem
+    f = ca.Function("t", [problem.x, problem.p], [t.expression for t in problem.terms])
+    values = f(x, case.parameters)
+    return {t.name: np.array(v).ravel() for t, v in zip(problem.terms, values, strict=True)}
+
+
+class Reference:
+    """The same unknowns in numpy and Pinocchio: nothing of the NLP's own code."""
+
+    def __init__(self, case: Solved, x: FloatArray) -> None:
+        """Kinematics and contacts at x."""
+        task, n = case.task, len(case.task.fingers)
+        self.task, self.hand, nq = task, task.hand, task.hand.nq
+        s = x[:3]
+        size = float(np.linalg.norm(s))
+        # modified Rodrigues parameters: axis times the tangent of a quarter of the angle
+        turn = pin.exp3(s / size * 4 * np.arctan(size)) if size > 0 else np.eye(3)
+        self.T = SE3(case.start.T_object_base.rotation @ turn, x[3:6])
+        self.q = x[6 : 6 + nq]
+        self.points = x[6 + nq : 6 + nq + 3 * n].reshape(n, 3)
+        self.forces = x[6 + nq + 3 * n :].reshape(n, 3)
+        _, self.outward = task.object.shape.closest_point(self.points)
+        self.state = HandState(task.hand, self.q)
+        self.centers = np.array([self.T.act(self.state.pad_center(f)) for f in task.fingers])
+        self.radii = np.array([f.pad.radius for f in task.fingers])
+        self.contacts = ContactSet.from_arrays(self.points, -self.outward, mu=task.mu)
+        local = np.einsum("nji,nj->ni", self.contacts.frames, self.forces)
+        self.contacts = self.contacts.with_forces(np.column_stack([local, np.zeros(n)]))
+
+    def torque(self) -> FloatArray:
+        """Joint torques J^T f of the forces at the pads' surfaces, by Pinocchio."""
+        total = np.zeros(self.hand.nq)
+        for f, center, r, n, force in zip(
+            self.task.fingers, self.centers, self.radii, self.outward, self.forces, strict=True
+        ):
+            at = self.T.inverse().act(center - r * n)
+            jacobian = self.state.point_jacobian(f.pad.joint_id, at)[:3]
+            total += jacobian.T @ self.T.rotation.T @ force
+        return total
+
+    def ball(self, joint_id: int, center: FloatArray) -> FloatArray:
+        """A point of a joint's frame in the object's."""
+        return np.array(self.T.act(self.state.joint_pose(joint_id).act(center)))
+
+
+def check(values: dict[str, FloatArray], ref: Reference, tolerance: float = 1e-9) -> None:
+    """All terms of contacts, forces and joints against their definitions in words."""
+    task, fn = ref.task, ref.contacts.forces[:, 0]
+    tangential = ref.contacts.forces[:, 1:3]
+    expected: dict[str, Any] = {
+        "touch": ref.centers - ref.points - ref.radii[:, None] * ref.outward,
+        "level": fn.mean() - 1.0,
+        "press": fn - PRESS_MIN,
+        "cone": (OPTIONS.cone_share * task.mu * fn) ** 2 - (tangential**2).sum(axis=1),
+        "facing": [
+            -(ref.T.rotation @ ref.state.pad_axis(f)) @ n - np.cos(f.pad.half_angle)
+            for f, n in zip(task.fingers, ref.outward, strict=True)
+        ],
+        "balance": ref.contacts.wrench() / np.repeat([1.0, task.object.shape.bounding_radius], 3),
+    }
+    matrix, value = ref.hand.coupling_matrix
+    if len(value):
+        expected["coupling"] = matrix @ ref.q - value
+    for name, numbers in expected.items():
+        wanted = np.asarray(numbers, dtype=float).ravel()
+        np.testing.assert_allclose(values[name], wanted, rtol=0, atol=tolerance, err_msg=name)
+
+
+def test_terms_of_contacts_and_forces_are_what_they_say_away_from_a_solution(
+    solved: Solved,
+) -> None:
+    for seed in range(5):
+        x = solved.disturbed(np.random.default_rng(seed))
+        values = terms(solved, x)
+        assert np.abs(values["touch"]).max() > 1e-3
+        check(values, Reference(solved, x))
+
+
+def test_stop_torque_is_half_the_difference_of_the_two_joints_that_share_a_tendon(
+    shadow: Hand, solved: Solved
+) -> None:
+    """By hand: tau_2 = F + lam and tau_1 = F - lam, so lam = (tau_2 - tau_1) / 2."""
+    if solved.task.hand is not shadow:
+        assert "stop" not in terms(solved, solved.x)
+        return
+    pairs = [
+        (shadow.joint_index(f"{prefix}J2"), shadow.joint_index(f"{prefix}J1"))
+        for prefix in ("FF", "MF", "RF")
+    ]
+    for seed in range(5):
+        x = solved.disturbed(np.random.default_rng(seed))
+        torque = Reference(solved, x).torque()
+        by_hand = [(torque[a] - torque[b]) / 2 / LEVER for a, b in pairs]
+        np.testing.assert_allclose(terms(solved, x)["stop"], by_hand, rtol=0, atol=1e-9)
+    assert (terms(solved, solved.x)["stop"] >= -NLP_TOL).all()
+
+
+def test_table_and_object_terms_are_clearances_of_the_right_balls(solved: Solved) -> None:
+    """``Surface.clearance`` itself is compared with the true distance in ``test_surfaces``."""
+    task = solved.task
+    for x in (solved.x, solved.disturbed(np.random.default_rng(0))):
+        ref, values = Reference(solved, x), terms(solved, x)
+        heights = [
+            task.T_world_object.act(ref.ball(b.joint_id, b.center))[2] - b.radius
+            for b in hull_balls(task.hand)
+        ]
+        expected = np.array(heights) - task.table_height - OPTIONS.clear_table
+        np.testing.assert_allclose(values["table"], expected, rtol=0, atol=1e-12)
+        counted = [
+            b for b in link_balls(task.hand) if not (b.is_pad and b.finger in task.finger_names)
+        ]
+        surface = solved.problem.surface
+        size = surface.size(task.object.shape)
+        smooth = [
+            float(surface.clearance(size, ref.ball(b.joint_id, b.center))) - b.radius
+            for b in counted
+        ]
+        np.testing.assert_allclose(
+            values["object"], np.array(smooth) - [least_gap(task, b) for b in counted], atol=1e-12
+        )
+
+
+def least_gap(task: GraspTask, ball: LinkBall) -> float:
+    """Distance (m) that a ball must keep from the object."""
+    on_tip = ball.on_tip and ball.finger in task.finger_names
+    return OPTIONS.clear_tip if on_tip else OPTIONS.clear_object
+
+
+def test_a_solution_keeps_its_margins_on_the_true_shapes(solved: Solved) -> None:
+    """Balls of a solution, measured by the shape's own distance, the obstacle's by numpy."""
+    task, ref = solved.task, Reference(solved, solved.x)
+    for b in link_balls(task.hand):
+        center = ref.ball(b.joint_id, b.center)
+        if not (b.is_pad and b.finger in task.finger_names):
+            gap = float(task.object.shape.signed_distance(center[None])[0]) - b.radius
+            assert gap > least_gap(task, b) - SOFT, (b.geometry, gap)
+        for o in task.obstacles:
+            local = o.T_world_obstacle.actInv(task.T_world_object.act(center))
+            outside = np.maximum(np.abs(local) - o.size / 2, 0.0)
+            assert np.linalg.norm(outside) - b.radius > OPTIONS.clear_table - SOFT, b.geometry
+
+
+def test_a_solution_satisfies_every_term_with_its_own_base_as_reference(solved: Solved) -> None:
+    assert max(solved.problem.violations(solved.x, solved.parameters).values()) <= NLP_TOL
+    ref = Reference(solved, solved.x)
+    check(terms(solved, solved.x), ref, tolerance=1e-6)
+    np.testing.assert_allclose(ref.outward, solved.solution.normals, atol=1e-6)
+
+
+def test_contacts_stay_inside_the_patch_that_a_finger_was_given(solved: Solved) -> None:
+    half = solved.task.object.shape.half_extents
+    margin = np.minimum(EDGE_MARGIN, half / 4)
+    assert len({patch.name for patch in solved.start.patches}) > 1 or half[0] == half[1]
+    for patch, p, n in zip(
+        solved.start.patches, solved.solution.points, solved.solution.normals, strict=True
+    ):
+        if patch.name == "side":
+            assert n[2] == 0.0
+            assert abs(p[2]) <= half[2] - margin[2] + 1e-9
+        else:
+            axis = "xyz".index(patch.name[1])
+            np.testing.assert_array_equal(n, patch.code)
+            assert p[axis] == pytest.approx(patch.code[axis] * half[axis], abs=1e-9)
+            others = np.arange(3) != axis
+            assert (np.abs(p) <= half - margin + 1e-9)[others].all()

@@ -1,0 +1,237 @@
+"""Derivatives that IPOPT gets, and the balls and bones that stand for links, against coal."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import Any
+
+import casadi as ca
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from planner.hand import Hand
+from planner.kinematics import HandState
+from planner.search import problems_for
+from planner.spatial import SE3, FloatArray
+from planner.symbolic import SymbolicHand
+from planner.synthesis.clearance import (
+    ClearanceTerms,
+    LinkBone,
+    finger_bones,
+    hull_balls,
+    meeting_bones,
+)
+from planner.synthesis.pregrasp import table_in_object
+from planner.synthesis.problem import SynthesisOptions
+from planner.synthesis.seeds import Seeder
+from planner.task import GraspTask, Obstacle
+
+STEP = 1e-6
+"""Step of the central differences (m, rad or -)."""
+
+
+class Nlp:
+    """The functions that IPOPT calls, and values to call them with."""
+
+    def __init__(self, solver: Any, x: FloatArray, p: FloatArray) -> None:
+        """Take them out of a solver."""
+        self.x, self.p = x, p
+        self.f, self.g = solver.get_function("nlp_f"), solver.get_function("nlp_g")
+        self._slope = solver.get_function("nlp_grad_f")
+        self._rows = solver.get_function("nlp_jac_g")
+        self._hessian = solver.get_function("nlp_hess_l")
+
+    def values(self, x: FloatArray) -> FloatArray:
+        """Cost and constraints (1 + m,)."""
+        return np.concatenate([np.array(f(x, self.p)).ravel() for f in (self.f, self.g)])
+
+    def jacobian(self, x: FloatArray) -> FloatArray:
+        """Exact derivatives (1 + m, n) of ``values``."""
+        slope, rows = self._slope(x, self.p)[1], self._rows(x, self.p)[1]
+        return np.vstack([np.array(ca.DM(slope)).reshape(1, -1), np.array(ca.DM(rows))])
+
+    def hessian(self, factor: float, multipliers: FloatArray) -> FloatArray:
+        """Exact second derivatives (n, n) of factor * cost + multipliers . constraints."""
+        upper = np.array(ca.DM(self._hessian(self.x, self.p, factor, multipliers)))
+        return np.asarray(upper + np.triu(upper, 1).T)
+
+
+def check_derivatives(nlp: Nlp) -> None:
+    """Central differences of values, and of the gradient of the Lagrangian, along every axis.
+
+    1e-6 and 1e-5 of the largest entry allow for rounding and for edges softened over 2 mm.
+    """
+    axes = STEP * np.eye(len(nlp.x))
+    exact = nlp.jacobian(nlp.x)
+    by_steps = np.array(
+        [(nlp.values(nlp.x + e) - nlp.values(nlp.x - e)) / (2 * STEP) for e in axes]
+    ).T
+    scale = np.maximum(1.0, np.abs(by_steps).max(axis=0))
+    assert (np.abs(exact - by_steps).max(axis=0) <= 1e-6 * scale).all()
+
+    weights = np.random.default_rng(7).normal(size=len(exact))
+    second = nlp.hessian(float(weights[0]), weights[1:])
+    by_steps = np.array(
+        [weights @ (nlp.jacobian(nlp.x + e) - nlp.jacobian(nlp.x - e)) / (2 * STEP) for e in axes]
+    )
+    assert np.abs(second - by_steps).max() <= 1e-5 * np.abs(second).max()
+    assert (np.abs(second) > 1e-3).sum() > 4 * len(nlp.x)
+
+
+@pytest.fixture(scope="module")
+def task(shadow: Hand) -> GraspTask:
+    """Every term there is: couplings, stops, patches with a surface equation, an obstacle."""
+    wall = Obstacle(
+        name="wall",
+        size=np.array([0.05, 0.2, 0.1]),
+        T_world_obstacle=SE3(pin.exp3(np.array([0.0, 0.0, 0.4])), np.array([0.11, 0.0, 0.05])),
+    )
+    return GraspTask.create(shadow, "cylinder", obstacles=(wall,))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_grasp_problem_has_exact_derivatives(task: GraspTask, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    problem, seeder, hand = problems_for(task).grasp, Seeder(task), task.hand
+    assert {t.name for t in problem.terms} >= {"surface", "coupling", "stop", "obstacle"}
+    start = seeder.draw(rng)
+    to_object = task.T_world_object.inverse()
+    parameters = problem.parameters(
+        shape=task.object.shape,
+        start=start,
+        table=table_in_object(task),
+        obstacles=[(to_object * o.T_world_obstacle, o.size / 2) for o in task.obstacles],
+        mu=task.mu,
+        posture=seeder.posture,
+        options=SynthesisOptions(),
+    )
+    x = np.concatenate(
+        [
+            rng.normal(0, 0.2, 3),
+            start.T_object_base.translation,
+            np.clip(start.q + rng.normal(0, 0.1, hand.nq), hand.q_lower, hand.q_upper),
+            (start.points + rng.normal(0, 0.003, start.points.shape)).ravel(),
+            (start.forces + rng.normal(0, 0.3, start.forces.shape)).ravel(),
+        ]
+    )
+    check_derivatives(Nlp(problem._solver, x, parameters))
+
+
+def test_pregrasp_problem_has_exact_derivatives(
+    task: GraspTask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem, hand = problems_for(task).pregrasp, task.hand
+    start = Seeder(task).draw(np.random.default_rng(0))
+    taken: dict[str, FloatArray] = {}
+
+    class Solver:
+        """Stands in for IPOPT and keeps what it was given."""
+
+        def __call__(self, **given: Any) -> dict[str, FloatArray]:
+            taken.update(given)
+            return {"x": given["x0"]}
+
+        def stats(self) -> dict[str, bool]:
+            return {"success": True}
+
+    solver = problem._solver
+    with monkeypatch.context() as patch:
+        patch.setattr(problem, "_solver", Solver())
+        T_world_base = task.T_world_object * start.T_object_base
+        problem.solve(task, T_world_base, start.q, -start.points / 0.03, 0.02)
+    x = np.clip(start.q + 0.1, hand.q_lower, hand.q_upper)
+    check_derivatives(Nlp(solver, x, taken["p"]))
+
+
+def bone_geometry(bone: LinkBone, pose: SE3) -> tuple[Any, SE3]:
+    """A bone as a coal capsule and its pose in the base."""
+    inner, outer = pose.act(bone.inner), pose.act(bone.outer)
+    along = outer - inner
+    length = float(np.linalg.norm(along))
+    z = along / length if length > 0 else np.array([0.0, 0.0, 1.0])
+    side = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
+    side /= np.linalg.norm(side)
+    rotation = np.column_stack([side, np.cross(z, side), z])
+    return coal.Capsule(bone.radius, length), SE3(rotation, (inner + outer) / 2)
+
+
+def end_to_bone(first: LinkBone, second: LinkBone, state: HandState) -> float:
+    """Signed distance (m) by coal of the ball at the outer end of one bone from another bone."""
+    end = state.joint_pose(first.joint_id).act(first.outer)
+    capsule, pose = bone_geometry(second, state.joint_pose(second.joint_id))
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    ball = coal.Transform3s(np.eye(3), end)
+    at = coal.Transform3s(pose.rotation, pose.translation)
+    return float(coal.distance(coal.Sphere(first.radius), ball, capsule, at, request, result))
+
+
+def random_state(hand: Hand, seed: int) -> HandState:
+    return HandState(hand, np.random.default_rng(seed).uniform(hand.q_lower, hand.q_upper))
+
+
+def test_fingers_term_is_the_distance_of_link_ends_from_bones(right_hand: Hand) -> None:
+    """By coal, to its tolerance of 1e-6 m, at random joints, through the squares of the term."""
+    q = ca.SX.sym("q", right_hand.nq)
+    terms = ClearanceTerms(SymbolicHand(right_hand, q), ca.SX.eye(3), ca.SX.zeros(3))
+    rows = ca.Function("rows", [q], [ca.vertcat(*terms.between_fingers(0.002))])
+    bones = finger_bones(right_hand)
+    for seed in range(5):
+        state = random_state(right_hand, seed)
+        squares = np.array(rows(state.q)).ravel()
+        for (i, j), row in zip(meeting_bones(right_hand), squares, strict=True):
+            radii = bones[i].radius + bones[j].radius
+            apart = np.sqrt(row + (radii + 0.002) ** 2) - radii
+            assert apart == pytest.approx(end_to_bone(bones[i], bones[j], state), abs=3e-6)
+
+
+def test_meeting_bones_are_the_same_every_time_and_contain_pairs_that_meet(
+    right_hand: Hand,
+) -> None:
+    found = meeting_bones(right_hand)
+    meeting_bones.cache_clear()
+    assert meeting_bones(right_hand) == found
+    bones = finger_bones(right_hand)
+    seen = set()
+    for seed in range(100, 115):
+        state = random_state(right_hand, seed)
+        for i, first in enumerate(bones):
+            for j, second in enumerate(bones):
+                if first.finger != second.finger and end_to_bone(first, second, state) < 0:
+                    seen.add((i, j))
+    assert len(seen) > 5
+    assert seen <= set(found)
+    assert len(found) < sum(a.finger != b.finger for a in bones for b in bones)
+
+
+def test_lowest_point_of_hull_balls_is_that_of_the_true_link(right_hand: Hand) -> None:
+    """Height over a plane by coal; a cylinder's prism may reach up to 8 % of its radius lower."""
+    balls = defaultdict(list)
+    for ball in hull_balls(right_hand):
+        balls[ball.geometry].append(ball)
+    rng = np.random.default_rng(3)
+    seen = set()
+    for seed in range(5):
+        state = random_state(right_hand, seed)
+        T_world_base = SE3(pin.exp3(rng.normal(size=3)), np.array([0.0, 0.0, 1.0]))
+        for g in right_hand.geometries:
+            lowest = min(
+                T_world_base.act(state.joint_pose(b.joint_id).act(b.center))[2] - b.radius
+                for b in balls[g.name]
+            )
+            pose = T_world_base * state.joint_pose(g.joint_id) * g.T_joint_geometry
+            at = coal.Transform3s(pose.rotation, pose.translation)
+            plane = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
+            true = coal.distance(
+                g.geometry,
+                at,
+                plane,
+                coal.Transform3s(np.eye(3), np.zeros(3)),
+                coal.DistanceRequest(),
+                coal.DistanceResult(),
+            )
+            seen.add(g.kind)
+            reach = g.size[0] * (1 / np.cos(np.pi / 8) - 1) if g.kind == "cylinder" else 0.0
+            assert -reach - 1e-9 <= lowest - true <= 1e-9, g.name
+    assert seen >= {"sphere", "capsule", "box"}
