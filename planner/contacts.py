@@ -274,7 +274,7 @@ class ContactSet:
             tangential = np.hypot(self.forces[:, 1], self.forces[:, 2])
             ratio = np.where(tangential > 0, tangential / self.mu, 0.0)
             torsion = np.where(
-                np.array([m == "soft" for m in self.models]) & (self.forces[:, 3] != 0),
+                np.array([m == "soft" for m in self.models], dtype=bool) & (self.forces[:, 3] != 0),
                 np.abs(self.forces[:, 3]) / self.mu_torsion,
                 0.0,
             )

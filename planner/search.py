@@ -289,7 +289,7 @@ def judge_grasp(
         return f"no force closure: {closure.reason}"
     forces = plan_forces(task, contacts, T_world_base, q)
     if not forces.found:
-        return f"forces: {forces.reason}"
+        return f"forces: with {task.grip_force:.3g} N per finger, {forces.reason}"
     if approach is None:
         pregrasp = problems_for(task).pregrasp
         found = find_approach(world, pregrasp, T_world_base, q, contacts.normals)

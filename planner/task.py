@@ -53,10 +53,12 @@ class Obstacle:
     T_world_obstacle: SE3
 
     def __post_init__(self) -> None:
-        """Check the size."""
+        """Check size and pose."""
         size = np.array(self.size, dtype=np.float64)
         if size.shape != (3,) or not np.isfinite(size).all() or (size <= 0).any():
             raise TaskError(f"obstacle {self.name!r}: size {self.size} must be three lengths > 0 m")
+        if not np.isfinite(self.T_world_obstacle.homogeneous).all():
+            raise TaskError(f"obstacle {self.name!r}: its pose holds NaN or infinity")
         object.__setattr__(self, "size", size)
 
 
@@ -163,13 +165,17 @@ class GraspTask:
         if self.contact_model not in CONTACT_DIM:
             allowed = list(CONTACT_DIM)
             raise TaskError(f"contact_model is {self.contact_model!r}; use one of {allowed}")
-        needed = FINGERS_NEEDED[self.contact_model]
+        # a soft finger without torsional friction is a point contact
+        without_torsion = self.contact_model == "soft" and self.mu_torsion == 0
+        needed = FINGERS_NEEDED["point" if without_torsion else self.contact_model]
         if len(self.finger_names) < needed:
             raise TaskError(
                 f"{len(self.finger_names)} finger(s) {list(self.finger_names)} cannot close a "
                 f"grasp with {self.contact_model} contacts, which needs at least {needed}; name "
                 f"more of {list(self.hand.fingers)}"
+                + (", or give mu_torsion > 0" if without_torsion else "")
             )
+        self.hand.choose_fingers(self.finger_names)
         if self.mu == 0 and self.contact_model != "frictionless":
             raise TaskError(
                 "mu is 0: fingertips cannot close a grasp without friction; give mu > 0"

@@ -153,10 +153,8 @@ def other_touches(scene: Scene, data: Any) -> list[Touch]:
             continue
         force = float(_force(scene.model, data, i)[0])
         if force > NO_FORCE:
-            a, b = kind.split("-")
-            names = [scene.model.geom(g).name for g in (sides[a], sides[b])]
-            if a == b:
-                names = [scene.model.geom(g).name for g in (first, second)]
+            pair = [sides[side] for side in kind.split("-")] if len(sides) == 2 else [first, second]
+            names = [scene.model.geom(g).name for g in pair]
             touches.append(
                 Touch(
                     kind=kind,

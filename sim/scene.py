@@ -24,6 +24,7 @@ import mujoco
 import numpy as np
 
 from planner.bridge import compile_spec
+from planner.collision import TABLE_SIZE
 from planner.hand import Hand
 from planner.kinematics import HandState
 from planner.spatial import SE3, FloatArray, IntArray, pose_to_wxyz
@@ -51,9 +52,6 @@ MOUNT_FREQUENCY = 60.0
 
 MOUNT_DAMPING = 1.0
 """Damping ratio of each mount axis (-): no overshoot."""
-
-TABLE_HALF = (1.0, 1.0, 0.05)
-"""Half extents of the table, m: the box that the planner keeps clear of."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -225,9 +223,10 @@ def _add_object(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
 def _add_surroundings(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
     x, y, _ = task.T_world_object.translation
     if task.table_height is not None:
-        table = spec.worldbody.add_body(name=TABLE, pos=(x, y, task.table_height - TABLE_HALF[2]))
+        half = np.array(TABLE_SIZE) / 2
+        table = spec.worldbody.add_body(name=TABLE, pos=(x, y, task.table_height - half[2]))
         geom = table.add_geom(name=TABLE, condim=6, priority=2, rgba=(0.80, 0.79, 0.76, 1.0))
-        _solid(geom, "box", TABLE_HALF, physics)
+        _solid(geom, "box", tuple(half), physics)
     for obstacle in task.obstacles:
         position, quaternion = pose_to_wxyz(obstacle.T_world_obstacle)
         name = OBSTACLE_PREFIX + obstacle.name

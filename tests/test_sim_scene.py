@@ -12,6 +12,7 @@ from planner.hand import Hand
 from planner.kinematics import HandState
 from planner.spatial import SE3
 from planner.task import GraspTask, Obstacle
+from sim.contacts import other_touches
 from sim.physics import PhysicsOptions
 from sim.scene import HAND_PREFIX, MOUNT_FREQUENCY, Scene, build_scene
 
@@ -202,6 +203,50 @@ def test_object_without_table_is_held_until_released(hand: Hand) -> None:
         heights.append(data.xpos[scene.object_body, 2])
     assert heights[0] == pytest.approx(1.0, abs=1e-3)
     assert heights[1] < heights[0] - 0.1
+
+
+def test_touches_that_are_not_hand_on_object_are_sorted_by_who_touches_whom(hand: Hand) -> None:
+    wall = Obstacle(
+        name="wall",
+        size=np.array([0.02, 0.02, 0.02]),
+        T_world_obstacle=SE3(np.eye(3), np.array([1.5, 0.0, 0.7])),
+    )
+    task = GraspTask.create(hand, "box", obstacles=(wall,))
+    scene = build_scene(task, T_world_base=ABOVE)
+    data = scene.start(hand.posture("open"), ABOVE)
+    for _ in range(100):
+        data.ctrl[scene.mount_ctrl] = scene.mount_command(data, np.zeros(6), np.zeros(6))
+        mujoco.mj_step(scene.model, data)
+    resting = [t for t in other_touches(scene, data) if t.kind == "object-table"]
+    assert {(t.first, t.second) for t in resting} == {("object", "table")}
+    weight = task.object.mass * 9.81
+    assert sum(t.normal_force for t in resting) == pytest.approx(weight, rel=1e-2)
+
+    beside = np.array([0.4, 0.4, 0.0])
+    for goal, kind, other in (
+        (beside, "hand-table", "table"),
+        (wall.T_world_obstacle.translation, "hand-obstacle", "wall"),
+    ):
+        palm = HandState(hand, hand.posture("open")).T_base_palm
+        at = SE3(ABOVE.rotation, goal - ABOVE.rotation @ palm.translation)
+        data = scene.start(hand.posture("open"), at)
+        found = [t for t in other_touches(scene, data) if t.kind == kind]
+        assert found
+        names = {g.name for g in hand.geometries}
+        assert {t.first for t in found} <= names
+        assert {t.second for t in found} == {other}
+
+
+def test_fingers_on_each_other_are_a_touch_of_hand_and_hand(scene: Scene) -> None:
+    hand, rng = scene.task.hand, np.random.default_rng(1)
+    for _ in range(200):
+        data = scene.start(random_q(hand, rng), ABOVE)
+        found = [t for t in other_touches(scene, data) if t.kind == "hand-hand"]
+        if found:
+            break
+    assert found
+    names = {g.name for g in hand.geometries}
+    assert {found[0].first, found[0].second} <= names
 
 
 def test_obstacles_stand_where_the_task_says(hand: Hand) -> None:

@@ -69,7 +69,8 @@ def build_force_problem(
         contacts: n contacts; 0 is allowed. Their own forces are not read.
         wrench: External wrench (6,) on the object to be balanced, G f + wrench = 0: N and N m,
             about ``contacts.center``, in the contacts' axes.
-        edges: Sides of each friction pyramid, at least 3. Eight lose at most 8 % of the friction.
+        edges: Sides of each friction pyramid, at least 3. Eight lose at most 8 % of the sliding
+            friction; sliding and torsion together lose more, up to 29 %.
         cone: "inscribed" (what it allows the cone allows) or "circumscribed".
         min_normal: Least normal force, N, a number or (n,), >= 0. 0 asks for no grip.
         max_normal: Greatest normal force, N, a number or (n,). Unlimited unless given.

@@ -26,7 +26,7 @@ from planner.shapes import Shape
 from planner.spatial import SE3, FloatArray
 from planner.symbolic import SymbolicHand
 from planner.synthesis.clearance import ClearanceTerms
-from planner.synthesis.problem import LINEAR_SOLVER
+from planner.synthesis.problem import INTERRUPTED, LINEAR_SOLVER
 from planner.synthesis.surfaces import SIZE_DIM, surface_of
 from planner.task import GraspTask
 
@@ -184,7 +184,10 @@ class PregraspProblem:
         result = self._solver(
             x0=q, p=np.concatenate(parts), lbx=lower, ubx=upper, lbg=0, ubg=self._upper
         )
-        if not self._solver.stats()["success"]:
+        stats = self._solver.stats()
+        if stats["return_status"] == INTERRUPTED:
+            raise KeyboardInterrupt
+        if not stats["success"]:
             return None
         opened: FloatArray = np.clip(np.array(result["x"]).ravel(), lower, upper)
         return opened

@@ -234,6 +234,8 @@ class GraspProblem:
         cpu = time.process_time() - begin
         x = np.array(result["x"]).ravel()
         stats = self._solver.stats()
+        if stats["return_status"] == INTERRUPTED:
+            raise KeyboardInterrupt
         rotation = start.T_object_base.rotation @ np.array(_mrp_numeric(x[:3]))
         points = x[6 + nq : 6 + nq + 3 * n].reshape(n, 3)
         return NlpSolution(
@@ -297,6 +299,9 @@ class GraspProblem:
             parts += [np.array(inverse.rotation).ravel(order="F"), inverse.translation, half]
         return np.concatenate([np.asarray(v, dtype=np.float64).ravel() for v in parts])
 
+
+INTERRUPTED = "NonIpopt_Exception_Thrown"
+"""IPOPT's status when Ctrl-C ended it: CasADi swallows the exception."""
 
 TURN_MAX = 1.0
 """Bound of each modified Rodrigues parameter: a full half turn from the start's orientation."""

@@ -100,7 +100,10 @@ class Seeder:
         self.pinch = opposition(task, self.posture)
         self.widest = max(opposition(task, self.open).gap, self.pinch.gap)
         self.frozen = self._frozen()
-        self.directions = self._directions()
+        candidates = self._directions()
+        widths = [2 * _half_width(task.object.shape, c) for c in candidates]
+        self.directions = [c for c, w in zip(candidates, widths, strict=True) if w < self.widest]
+        self.smallest = min(widths)
         self._check_size()
 
     def draw(self, rng: np.random.Generator) -> Start:
@@ -142,8 +145,8 @@ class Seeder:
         if not self.directions:
             raise TaskError(
                 f"the object is too large for {hand}: its pads open {1e3 * self.widest:.0f} mm, "
-                f"the object's smallest width is {2e3 * shape.half_extents.min():.0f} mm; use a "
-                "smaller object, other fingers or a larger hand"
+                f"the smallest width across which it could close is {1e3 * self.smallest:.0f} mm; "
+                "use a smaller object, another pose of it, other fingers or a larger hand"
             )
         n = len(self.task.fingers)
         pad = min(f.pad.radius for f in self.task.fingers)
@@ -179,8 +182,8 @@ class Seeder:
     def _directions(self) -> list[FloatArray]:
         """Directions in the object's frame across which the hand could close, best first.
 
-        A dozen directions around the horizontal, kept where the object is narrow enough; for boxes
-        only face normals, because opposed contacts need opposed faces.
+        A dozen directions around the horizontal; for boxes only face normals, because opposed
+        contacts need opposed faces.
         """
         shape = self.task.object.shape
         to_object = self.task.T_world_object.rotation.T
@@ -191,8 +194,9 @@ class Seeder:
             candidates = [to_object @ np.array([np.cos(a), np.sin(a), 0.0]) for a in turns]
         if self.task.table_height is not None:
             up = to_object @ np.array([0.0, 0.0, 1.0])
-            candidates = [c for c in candidates if abs(c @ up) < STEEPEST]
-        return [c for c in candidates if 2 * _half_width(shape, c) < self.widest]
+            # a box that stands on a corner has no level face normal: then any of them
+            candidates = [c for c in candidates if abs(c @ up) < STEEPEST] or candidates
+        return candidates
 
     def _free_side(self, axis: FloatArray, rng: np.random.Generator) -> FloatArray:
         """A direction across ``axis`` on which the palm may be: up, with noise."""

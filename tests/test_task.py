@@ -1,0 +1,215 @@
+"""What a task fills in, and that one that cannot work is refused at once, in words that help."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from planner.errors import HandError, NotFoundError, PlannerError, TaskError
+from planner.hand import Hand
+from planner.objects import GraspObject, parse_object
+from planner.search import attempts, plan_grasp
+from planner.spatial import SE3
+from planner.task import DEFAULT_MU, GRAVITY, GraspTask, Obstacle
+
+NAN, INF = float("nan"), float("inf")
+
+
+def at(*position: float) -> SE3:
+    return SE3(np.eye(3), np.array(position))
+
+
+def test_defaults(allegro: Hand) -> None:
+    """A box of 0.05 x 0.05 x 0.08 m and 0.1 kg rests on the table; four fingers, mu 0.5."""
+    task = GraspTask.create(allegro, "box")
+    assert task.finger_names == ("thumb", "index", "middle", "ring")
+    assert tuple(f.name for f in task.fingers) == task.finger_names
+    np.testing.assert_array_equal(task.T_world_object.translation, [0, 0, 0.04])
+    np.testing.assert_array_equal(task.gravity, GRAVITY)
+    assert (task.table_height, task.mu, task.contact_model) == (0.0, DEFAULT_MU, "point")
+    # 0.1 kg * 9.81 over mu 0.5 and four fingers is 0.49 N; twice that is below the least grip
+    assert task.grip_force == 1.5
+
+
+def test_default_grip_carries_twice_the_weight_by_friction(allegro: Hand) -> None:
+    """By hand: 2 * 1 kg * 9.81 / (0.5 * 4) = 9.81 N per finger."""
+    task = GraspTask.create(allegro, parse_object("box", mass=1.0))
+    assert task.grip_force == pytest.approx(9.81)
+    on_the_moon = GraspTask.create(allegro, parse_object("box", mass=1.0), gravity=(0, 0, -1.62))
+    assert on_the_moon.grip_force == pytest.approx(1.62)
+
+
+def test_object_rests_on_a_raised_table(allegro: Hand) -> None:
+    task = GraspTask.create(allegro, "sphere", table_height=0.7)
+    np.testing.assert_allclose(task.T_world_object.translation, [0, 0, 0.735], atol=1e-12)
+
+
+def test_fingers_and_wrist_are_taken_as_given(shadow: Hand) -> None:
+    task = GraspTask.create(shadow, "box", fingers=["little", "thumb", "index"], wrist_q=[0.1, 0.2])
+    assert task.finger_names == ("little", "thumb", "index")
+    np.testing.assert_array_equal(task.wrist_q, [0.1, 0.2])
+    np.testing.assert_array_equal(GraspTask.create(shadow, "box").wrist_q, [0, 0])
+
+
+REFUSED: list[tuple[dict[str, Any], str]] = [
+    ({"fingers": ["thumb"]}, r"1 finger\(s\) \['thumb'\].*needs at least 3; name more of.*ring"),
+    ({"fingers": ["thumb", "index"]}, r"2 finger\(s\).*point contacts, which needs at least 3"),
+    (
+        {"fingers": ["thumb", "index"], "contact_model": "soft"},
+        r"soft contacts, which needs at least 3.*or give mu_torsion > 0",
+    ),
+    ({"contact_model": "frictionless"}, "frictionless contacts, which needs at least 7"),
+    ({"contact_model": "sticky"}, r"'sticky'; use one of \['frictionless', 'point', 'soft'\]"),
+    ({"mu": 0}, "mu is 0: fingertips cannot close a grasp without friction; give mu > 0"),
+    ({"mu": NAN}, "mu is nan; give a finite number >= 0"),
+    ({"mu": INF}, "mu is inf; give a finite number >= 0"),
+    ({"mu": -0.5}, "mu is -0.5; give a finite number >= 0"),
+    ({"mu_torsion": -0.001}, "mu_torsion is -0.001; give"),
+    ({"grip_force": -1.0}, "grip_force is -1.0; give a finite number >= 0"),
+    ({"grip_force": NAN}, "grip_force is nan"),
+    ({"gravity": (0.0, -9.81)}, r"gravity is \(0.0, -9.81\); give three finite numbers in m/s2"),
+    ({"gravity": (0.0, 0.0, NAN)}, "gravity is"),
+    ({"table_height": NAN}, "table_height is nan; give metres, or None for none"),
+    ({"T_world_object": at(0, 0, NAN)}, "T_world_object holds NaN or infinity"),
+    ({"T_world_base": at(INF, 0, 0)}, "T_world_base holds NaN or infinity"),
+    (
+        {"T_world_object": at(0, 0, 0.03)},
+        r"down to z = -0.0100 m, below the table's top at 0.0000 m; raise T_world_object by 0.0100",
+    ),
+    ({"fingers": ["thumb", "index", "index"]}, "a finger is named twice.*name each once"),
+    ({"wrist_q": [0.1]}, r"wrist_q has shape \(1,\), the hand needs \(0,\)"),
+]
+
+
+@pytest.mark.parametrize(("options", "message"), REFUSED)
+def test_a_task_that_cannot_work_is_refused(
+    allegro: Hand, options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(TaskError, match=message):
+        GraspTask.create(allegro, "box", **options)
+
+
+def test_unknown_finger_gets_the_nearest_name(allegro: Hand) -> None:
+    with pytest.raises(NotFoundError, match=r"'midle'. Did you mean 'middle'\? There is: index"):
+        GraspTask.create(allegro, "box", fingers=["thumb", "index", "midle"])
+
+
+@pytest.mark.parametrize("names", [("thumb", "index", "nose"), ("thumb", "index", "index")])
+def test_fingers_are_checked_without_create_too(allegro: Hand, names: tuple[str, ...]) -> None:
+    """A plan file makes its task by the constructor."""
+    good = GraspTask.create(allegro, "box")
+    with pytest.raises(PlannerError, match=r"nose|named twice"):
+        GraspTask(
+            hand=allegro,
+            object=good.object,
+            T_world_object=good.T_world_object,
+            finger_names=names,
+            grip_force=1.0,
+            wrist_q=good.wrist_q,
+        )
+
+
+@pytest.mark.parametrize(
+    ("wrist_q", "error", "message"),
+    [
+        ([0.0, 0.6], HandError, r"WRJ1 is at 0.6000, outside its range \[-0.6981, 0.4887\]"),
+        ([0.0, NAN], HandError, "wrist_q holds NaN"),
+        ([0.0], TaskError, r"wrist_q has shape \(1,\), the hand needs \(2,\)"),
+    ],
+)
+def test_wrist_outside_its_range(
+    shadow: Hand, wrist_q: list[float], error: type[PlannerError], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        GraspTask.create(shadow, "box", wrist_q=wrist_q)
+
+
+@pytest.mark.parametrize("size", [(0.1, 0.1), (0.1, 0.0, 0.1), (0.1, -0.1, 0.1), (0.1, NAN, 0.1)])
+def test_obstacle_sizes(size: tuple[float, ...]) -> None:
+    with pytest.raises(TaskError, match=r"obstacle 'wall': size .* three lengths > 0 m"):
+        Obstacle(name="wall", size=np.array(size), T_world_obstacle=SE3.Identity())
+
+
+def test_obstacle_pose_with_nan() -> None:
+    with pytest.raises(TaskError, match="obstacle 'wall': its pose holds NaN"):
+        Obstacle(name="wall", size=np.ones(3), T_world_obstacle=at(0, NAN, 0))
+
+
+@given(
+    angle=st.floats(-np.pi, np.pi),
+    axis=st.integers(0, 2),
+    gap=st.floats(-0.02, 0.02),
+    height=st.floats(-1, 1),
+)
+@settings(max_examples=40, deadline=None)
+def test_a_turned_box_is_refused_exactly_where_a_corner_is_below_the_table(
+    allegro: Hand, angle: float, axis: int, gap: float, height: float
+) -> None:
+    """The lowest corner by its eight corners, not by the shape's support function."""
+    if abs(gap) < 1e-5:
+        gap = 1e-5
+    rotation = pin.exp3(angle * np.eye(3)[axis] + 0.3)
+    half = np.array([0.025, 0.025, 0.04])
+    corners = np.array(np.meshgrid(*[[-h, h] for h in half])).reshape(3, -1)
+    z = height + gap - float((rotation @ corners)[2].min())
+    pose = SE3(rotation, np.array([0.1, 0.2, z]))
+    if gap >= 0:
+        GraspTask.create(allegro, "box", T_world_object=pose, table_height=height)
+    else:
+        with pytest.raises(TaskError, match="raise T_world_object by") as caught:
+            GraspTask.create(allegro, "box", T_world_object=pose, table_height=height)
+        assert float(str(caught.value).split()[-2]) == pytest.approx(-gap, abs=6e-5)
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ("sphere:0.2", "too large for .*: its pads open .* mm.*smaller object, other fingers or"),
+        ("box:0.4x0.3x0.3", "too large for"),
+        ("cylinder:0.15x0.1", "too large for"),
+        ("sphere:0.0005", "too small for .* pads of .* mm radius do not fit around a ball of 0.5"),
+        ("box:0.001x0.001x0.001", "too small for"),
+    ],
+)
+def test_objects_of_impossible_size_are_found_out_before_solving(
+    right_hand: Hand, spec: str, message: str
+) -> None:
+    """Under a second, where building the NLP alone takes longer and forty attempts a minute."""
+    task = GraspTask.create(right_hand, spec)
+    begin = time.process_time()
+    with pytest.raises(TaskError, match=message):
+        plan_grasp(task)
+    assert time.process_time() - begin < 1.0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"seed": -1}, "seed is -1; give an integer >= 0"),
+        ({"max_attempts": 0}, "max_attempts is 0; give at least 1"),
+        ({"max_cpu_s": 0.0}, "max_cpu_s is 0.0; give seconds > 0"),
+        ({"max_cpu_s": NAN}, "max_cpu_s is nan; give seconds > 0"),
+    ],
+)
+def test_budgets_and_seed_out_of_range(
+    allegro: Hand, options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(TaskError, match=message):
+        plan_grasp(GraspTask.create(allegro, "box"), **options)
+
+
+def test_a_bad_seed_is_refused_by_attempts_too(allegro: Hand) -> None:
+    with pytest.raises(TaskError, match="seed is -3"):
+        next(attempts(GraspTask.create(allegro, "box"), seed=-3))
+
+
+def test_mass_is_checked_by_the_object(allegro: Hand) -> None:
+    shape = parse_object("box").shape
+    with pytest.raises(PlannerError, match="mass is -1"):
+        GraspTask.create(allegro, GraspObject(name="box", shape=shape, mass=-1.0))
