@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import platform
 import statistics
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
-from typing import Any
+from typing import Any, Literal
 
+from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
 from rich.table import Table
@@ -29,7 +30,7 @@ class Outcome:
 
     Attributes:
         hand: Name of the hand.
-        object: Specification of the object.
+        object: The object as it was asked for.
         seed: Seed.
         found: Whether a plan was found.
         attempts: Attempts made.
@@ -62,7 +63,7 @@ class Outcome:
 
 def _one(hand: str, object: str, seed: int, mu: float) -> Outcome:
     task = GraspTask.create(hand, object)
-    name = task.object.shape.spec
+    name = object
     build_s = problems_for(task).build_s
     try:
         plan = plan_grasp(task, seed=seed)
@@ -156,54 +157,48 @@ def run_benchmark(
     }
 
 
+COLUMNS = ("found", "held", "tries", "CPU s", "slip mm", "slip deg", "off mm", "force %", "epsilon")
+
+
 def bench_table(result: dict[str, Any]) -> Table:
-    """The outcomes per hand and object, and over all."""
+    """Medians per hand and object, over all, and the worst of all."""
     outcomes = [Outcome(**o) for o in result["outcomes"]]
     table = Table(
-        title="plans found and grasps held; medians (worst) of CPU per plan, slip and errors"
+        title="medians; off: planned against measured contact, force: error of normal forces",
+        box=box.SIMPLE_HEAD,
     )
-    for name in (
-        "hand",
-        "object",
-        "found",
-        "held",
-        "attempts",
-        "CPU s",
-        "slip mm",
-        "slip deg",
-        "position mm",
-        "force %",
-        "epsilon",
-    ):
-        table.add_column(name, justify="left" if name in ("hand", "object") else "right")
+    for name in ("hand", "object", *COLUMNS):
+        justify: Literal["left", "right"] = "left" if name in ("hand", "object") else "right"
+        table.add_column(name, justify=justify, no_wrap=True)
     cells: dict[tuple[str, str], list[Outcome]] = {}
     for o in outcomes:
         cells.setdefault((o.hand, o.object), []).append(o)
     for (hand, object), members in cells.items():
-        table.add_row(hand, object, *_row(members))
-    if outcomes:
-        table.add_section()
-        table.add_row("all", "", *_row(outcomes))
+        table.add_row(hand, object, *_row(members, statistics.median, statistics.median))
+    table.add_section()
+    table.add_row("all", "median", *_row(outcomes, statistics.median, statistics.median))
+    table.add_row("all", "worst", *_row(outcomes, max, min))
     return table
 
 
-def _row(members: list[Outcome]) -> list[str]:
+def _row(
+    members: list[Outcome], middle: Callable[..., float], low: Callable[..., float]
+) -> list[str]:
+    """Cells of one row; ``middle`` sums up what should be small, ``low`` what should be large."""
     found = [o for o in members if o.found]
     held = [o for o in found if o.held]
+
+    def cell(values: list[float], digits: int, sum_up: Callable[..., float]) -> str:
+        return f"{sum_up(values):.{digits}f}" if values else "-"
+
     return [
         f"{len(found)}/{len(members)}",
         f"{len(held)}/{len(found)}",
-        f"{statistics.fmean(o.attempts for o in members):.1f}",
-        _median([o.cpu_s for o in members], 3),
-        _median([o.slip_mm for o in held if o.slip_mm is not None], 2),
-        _median([o.slip_deg for o in held if o.slip_deg is not None], 2),
-        _median([e for o in held for e in o.position_errors_mm], 2),
-        _median([e for o in held for e in o.force_errors_percent], 1),
-        _median([o.epsilon for o in found if o.epsilon is not None], 3, worst=min),
+        cell([o.attempts for o in members], 1, middle),
+        cell([o.cpu_s for o in found], 3, middle),
+        cell([o.slip_mm for o in held if o.slip_mm is not None], 2, middle),
+        cell([o.slip_deg for o in held if o.slip_deg is not None], 2, middle),
+        cell([e for o in held for e in o.position_errors_mm], 2, middle),
+        cell([e for o in held for e in o.force_errors_percent], 1, middle),
+        cell([o.epsilon for o in found if o.epsilon is not None], 3, low),
     ]
-
-
-def _median(values: list[float], digits: int, worst: Any = max) -> str:
-    if not values:
-        return "-"
-    return f"{statistics.median(values):.{digits}f} ({worst(values):.{digits}f})"

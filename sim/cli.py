@@ -32,6 +32,9 @@ app = typer.Typer(
 bench = typer.Typer(help="Measure: tables that repeat the project's figures.", no_args_is_help=True)
 app.add_typer(bench, name="bench")
 
+TABLE_WIDTH = 112
+"""Characters that the benchmark's table needs."""
+
 out = Console()
 err = Console(stderr=True)
 
@@ -406,7 +409,8 @@ def bench_grasps(
     if as_json:
         _print_json(result)
     else:
-        out.print(bench_table(result))
+        # the table does not fit into 80 columns; a narrow terminal breaks its lines
+        Console(width=max(out.width, TABLE_WIDTH)).print(bench_table(result))
     if result["interrupted"]:
         raise typer.Exit(EXIT_INTERRUPTED)
 

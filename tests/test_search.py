@@ -1,0 +1,266 @@
+"""``plan_grasp``: seeds, budgets, surroundings, and what does not depend on the world."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from planner.hand import Hand
+from planner.kinematics import HandState
+from planner.objects import parse_object
+from planner.plan import GraspPlan
+from planner.search import (
+    FRICTION_SHARE,
+    Attempt,
+    NoGraspFoundError,
+    attempts,
+    judge_grasp,
+    plan_grasp,
+)
+from planner.spatial import SE3, FloatArray
+from planner.synthesis.pregrasp import APPROACH_CLEARANCE, OPENED_SHARE
+from planner.task import GraspTask, Obstacle
+
+ROOT = Path(__file__).resolve().parent.parent
+
+WALL = Obstacle(
+    name="wall",
+    size=np.array([0.02, 0.3, 0.3]),
+    T_world_obstacle=SE3(np.eye(3), np.array([0.075, 0.0, 0.15])),
+)
+
+
+def least_distance(hand: Hand, T_world_base: SE3, q: FloatArray, box: Obstacle) -> float:
+    """Distance (m) of a hand from a box, by coal and Pinocchio alone."""
+    state = HandState(hand, q)
+    size = coal.Box(*(float(v) for v in box.size))
+    at = coal.Transform3s(box.T_world_obstacle.rotation, box.T_world_obstacle.translation)
+    distances = []
+    for g in hand.geometries:
+        pose = T_world_base * state.joint_pose(g.joint_id) * g.T_joint_geometry
+        where = coal.Transform3s(pose.rotation, pose.translation)
+        request, result = coal.DistanceRequest(), coal.DistanceResult()
+        distances.append(coal.distance(g.geometry, where, size, at, request, result))
+    return float(min(distances))
+
+
+def check(plan: GraspPlan) -> None:
+    """What every plan promises, recomputed."""
+    task = plan.task
+    np.testing.assert_allclose(
+        plan.contacts.wrench()[:3], -task.object.mass * task.gravity, atol=1e-6
+    )
+    np.testing.assert_allclose(plan.contacts.wrench()[3:], 0, atol=1e-7)
+    assert (plan.contacts.friction_utilisation() <= FRICTION_SHARE + 1e-6).all()
+    assert (plan.contacts.forces[:, 0] >= task.grip_force - 1e-6).all()
+    assert plan.quality.closure.closed
+    grasp, opened = HandState(task.hand, plan.q), HandState(task.hand, plan.q_pregrasp)
+    for finger, normal in zip(task.fingers, plan.contacts.normals, strict=True):
+        moved = opened.pad_center(finger) - grasp.pad_center(finger)
+        back = -(plan.T_world_base.rotation @ moved) @ normal
+        assert back >= OPENED_SHARE * plan.opening - 1e-6
+
+
+def same(a: GraspPlan, b: GraspPlan) -> bool:
+    return a.q.tobytes() == b.q.tobytes() and np.array_equal(
+        a.T_world_base.homogeneous, b.T_world_base.homogeneous
+    )
+
+
+def test_same_seed_same_plan_to_the_last_bit_and_other_seeds_differ(allegro: Hand) -> None:
+    task = GraspTask.create(allegro, "box")
+    first, other, again = (plan_grasp(task, seed=s) for s in (3, 4, 3))
+    check(first)
+    assert same(first, again)
+    assert first.contacts.forces.tobytes() == again.contacts.forces.tobytes()
+    assert np.abs(first.q - other.q).max() > 0.01
+    assert (first.record.seed, other.record.seed) == (3, 4)
+
+
+def test_same_seed_same_plan_in_a_fresh_process_that_built_other_problems_first(
+    allegro: Hand,
+) -> None:
+    script = (
+        "from planner.hand import Hand\n"
+        "from planner.search import plan_grasp, problems_for\n"
+        "from planner.task import GraspTask\n"
+        "hand = Hand.load('allegro_hand')\n"
+        "problems_for(GraspTask.create(hand, 'sphere'))\n"
+        "print(plan_grasp(GraspTask.create(hand, 'box'), seed=3).q.tobytes().hex())\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    made = subprocess.run(
+        [sys.executable, "-c", script],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    here = plan_grasp(GraspTask.create(allegro, "box"), seed=3)
+    assert made.stdout.strip() == here.q.tobytes().hex()
+
+
+def test_an_attempt_depends_on_seed_and_number_alone(allegro: Hand) -> None:
+    """Two searches that take turns give what each gives on its own."""
+    task = GraspTask.create(allegro, "box")
+    alone = [a for a, _ in zip(attempts(task, seed=1), range(3), strict=False)]
+    one, two = attempts(task, seed=1), attempts(task, seed=2)
+    for expected in alone:
+        next(two)
+        attempt = next(one)
+        assert (attempt.index, attempt.reason) == (expected.index, expected.reason)
+        if expected.plan is not None:
+            assert attempt.plan is not None and same(attempt.plan, expected.plan)
+    found = plan_grasp(task, seed=1)
+    first = next(a for a in alone if a.plan is not None)
+    assert (found.record.attempt, found.record.attempts) == (first.index, first.index + 1)
+
+
+@pytest.fixture(scope="module")
+def walled_in(allegro: Hand) -> GraspTask:
+    """An object in the middle of a rock of 0.4 m: no pad can get there."""
+    here = GraspTask.create(allegro, "box").T_world_object
+    rock = Obstacle(name="rock", size=np.full(3, 0.4), T_world_obstacle=here)
+    return GraspTask.create(allegro, "box", obstacles=(rock,))
+
+
+def test_no_grasp_tells_every_reason_and_keeps_to_the_number_of_attempts(
+    walled_in: GraspTask,
+) -> None:
+    seen: list[Attempt] = []
+    with pytest.raises(NoGraspFoundError) as caught:
+        plan_grasp(walled_in, max_attempts=2, progress=seen.append)
+    made = caught.value.attempts
+    assert seen == list(made)
+    assert [a.index for a in made] == [0, 1]
+    assert all(a.plan is None and a.reason.startswith("not solved, term") for a in made)
+    text = str(caught.value)
+    assert "no grasp of box with allegro_hand (thumb, index, middle, ring) in 2 attempts" in text
+    assert "Try more attempts, other fingers, another pose or size" in text
+
+
+def test_the_cpu_budget_ends_a_search_between_attempts(walled_in: GraspTask) -> None:
+    with pytest.raises(NoGraspFoundError) as caught:
+        plan_grasp(walled_in, max_cpu_s=1e-6)
+    assert len(caught.value.attempts) == 1
+    spent = caught.value.attempts[0].cpu_s
+    with pytest.raises(NoGraspFoundError) as caught:
+        plan_grasp(walled_in, max_cpu_s=1.5 * spent)
+    used = [a.cpu_s for a in caught.value.attempts]
+    assert sum(used) >= 1.5 * spent > sum(used[:-1])
+
+
+def test_too_heavy_an_object_is_infeasible_when_planned(allegro: Hand) -> None:
+    """5 kg at mu 0.5 needs 25 N per finger; the motors' 0.7 N m reach about 10 N at 7 cm."""
+    task = GraspTask.create(allegro, parse_object("box", mass=5.0))
+    with pytest.raises(NoGraspFoundError, match=r"2 x forces") as caught:
+        plan_grasp(task, max_attempts=2)
+    for attempt in caught.value.attempts:
+        assert "A_index_1 at its greatest force 0.7 N m" in attempt.reason
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_obstacles_are_avoided_at_grasp_and_on_the_way(allegro: Hand, seed: int) -> None:
+    task = GraspTask.create(allegro, "box", obstacles=(WALL,))
+    plan = plan_grasp(task, seed=seed)
+    check(plan)
+    assert least_distance(allegro, plan.T_world_base, plan.q, WALL) > 0.0029
+    start, end = plan.T_world_base_start.translation, plan.T_world_base.translation
+    for s in np.linspace(0, 1, 8):
+        at = SE3(plan.T_world_base.rotation, start + s * (end - start))
+        assert least_distance(allegro, at, plan.q_pregrasp, WALL) > APPROACH_CLEARANCE - 1e-6
+    without = plan_grasp(GraspTask.create(allegro, "box"), seed=seed)
+    assert least_distance(allegro, without.T_world_base, without.q, WALL) < 0.0029
+
+
+def test_a_fixed_base_stays_where_it_is(allegro: Hand) -> None:
+    pose = SE3(pin.exp3(np.array([0, 0, 0.7])), np.array([0.3, -0.2, 0.04]))
+    free = plan_grasp(GraspTask.create(allegro, "box", T_world_object=pose), seed=1)
+    task = GraspTask.create(allegro, "box", T_world_object=pose, T_world_base=free.T_world_base)
+    plan = plan_grasp(task, seed=5)
+    check(plan)
+    for base in (plan.T_world_base, plan.T_world_base_start):
+        np.testing.assert_allclose(base.homogeneous, free.T_world_base.homogeneous, atol=1e-12)
+
+
+def test_the_wrist_stays_where_it_was_given_unless_it_is_free(shadow: Hand) -> None:
+    wrist = shadow.wrist_index
+    given = np.array([-0.2, 0.1])
+    held = plan_grasp(GraspTask.create(shadow, "box", wrist_q=given))
+    check(held)
+    np.testing.assert_array_equal(held.q[wrist], given)
+    np.testing.assert_array_equal(held.q_pregrasp[wrist], given)
+    free = plan_grasp(GraspTask.create(shadow, "box", wrist_q=given, wrist_free=True))
+    check(free)
+    assert np.abs(free.q[wrist] - given).max() > 1e-3
+    np.testing.assert_array_equal(free.q_pregrasp[wrist], free.q[wrist])
+
+
+@pytest.mark.parametrize("gravity", [(0.0, 0.0, -9.81), (9.81, 0.0, 0.0), (0.0, -1.0, 1.3)])
+def test_an_object_in_the_air_under_any_gravity(
+    allegro: Hand, gravity: tuple[float, float, float]
+) -> None:
+    pose = SE3(pin.exp3(np.array([0.4, -0.9, 0.2])), np.array([0.0, 0.0, -0.5]))
+    task = GraspTask.create(allegro, "box", T_world_object=pose, table_height=None, gravity=gravity)
+    check(plan_grasp(task, seed=1))
+
+
+def test_a_box_held_on_its_corner_over_a_table(allegro: Hand) -> None:
+    """No pair of its faces is upright."""
+    turn = pin.Quaternion.FromTwoVectors(np.ones(3), np.array([0.0, 0.0, 1.0])).toRotationMatrix()
+    pose = SE3(turn, np.array([0.0, 0.0, 0.08]))
+    check(plan_grasp(GraspTask.create(allegro, "box", T_world_object=pose)))
+
+
+def test_three_fingers_by_name(allegro: Hand) -> None:
+    plan = plan_grasp(GraspTask.create(allegro, "box", fingers=["ring", "thumb", "index"]))
+    check(plan)
+    assert plan.contacts.fingers == ("ring", "thumb", "index")
+    assert len(plan.forces.forces) == 3
+
+
+def test_a_grasp_is_the_same_wherever_the_world_is_shifted_to(allegro: Hand) -> None:
+    """Starts are drawn about the object; the rest is rounding, which the solver may enlarge."""
+    shift = np.array([1.3, -0.4, 0.8])
+    here = plan_grasp(GraspTask.create(allegro, "box"), seed=2)
+    there = plan_grasp(
+        GraspTask.create(
+            allegro, "box", T_world_object=SE3(np.eye(3), shift + [0, 0, 0.04]), table_height=0.8
+        ),
+        seed=2,
+    )
+    np.testing.assert_allclose(there.q, here.q, atol=1e-5)
+    np.testing.assert_allclose(
+        there.T_world_base.translation - shift, here.T_world_base.translation, atol=1e-6
+    )
+
+
+def test_the_verdict_on_a_grasp_turns_with_the_world(allegro: Hand) -> None:
+    """Up is special to the draw of starts, so plans differ in a turned world; verdicts do not."""
+    task = GraspTask.create(allegro, "box", table_height=None)
+    plan = plan_grasp(task, seed=1)
+    move = SE3(pin.exp3(np.array([1.0, -2.0, 0.5])), np.array([0.3, 0.7, -1.1]))
+    turned = replace(
+        task, T_world_object=move * task.T_world_object, gravity=move.rotation @ task.gravity
+    )
+    again = judge_grasp(turned, move * plan.T_world_base, plan.q, record=plan.record)
+    assert isinstance(again, GraspPlan)
+    check(again)
+    a, b = plan.contacts_in_object, again.contacts_in_object
+    np.testing.assert_allclose(a.positions, b.positions, atol=1e-9)
+    np.testing.assert_allclose(a.frames, b.frames, atol=1e-9)
+    np.testing.assert_allclose(a.forces, b.forces, atol=1e-5)
+    falling = judge_grasp(
+        replace(turned, gravity=400 * task.gravity), move * plan.T_world_base, plan.q,
+        record=plan.record,
+    )  # fmt: skip
+    assert isinstance(falling, str) and falling.startswith("forces: ")
