@@ -8,12 +8,10 @@ gaps far below 0.5 mm, and the name of the nearest other pair of bodies.
 
 from __future__ import annotations
 
-import csv
-
 import numpy as np
 
 from planner import SE3, GraspTask, NoGraspFoundError, Obstacle, parse_object, plan_grasp
-from planner.spatial import pose_to_wxyz
+from planner.files import write_trajectory
 
 HAND = "allegro_hand"
 OBJECT = "box:0.05x0.05x0.08"  # full lengths, m
@@ -74,18 +72,6 @@ for clearance in plan.verification.closest[:3]:
     print(f"clear by {1e3 * clearance.distance:.1f} mm: {clearance.first} - {clearance.second}")
 
 trajectory = plan.joint_trajectory(rate_hz=RATE_HZ)
-header = ["time_s", "phase", *trajectory.joint_names, "base_x_m", "base_y_m", "base_z_m"]
-header += ["base_qw", "base_qx", "base_qy", "base_qz"]
-with open("joint_trajectory.csv", "w", newline="", encoding="utf-8") as file:
-    writer = csv.writer(file)
-    writer.writerow(header)
-    for t, phase, q, base in zip(
-        trajectory.times,
-        trajectory.phases,
-        trajectory.positions,
-        trajectory.T_world_base,
-        strict=True,
-    ):
-        writer.writerow([f"{t:.3f}", phase, *q, *np.concatenate(pose_to_wxyz(base))])
+write_trajectory(trajectory, "joint_trajectory.csv")
 n, last = len(trajectory.times), trajectory.times[-1]
 print(f"\njoint_trajectory.csv: {n} rows over {last:.1f} s, {len(trajectory.joint_names)} joints")

@@ -8,7 +8,7 @@ A script needs little more than this::
 """
 
 from planner.contacts import Contact, ContactSet
-from planner.errors import PlannerError
+from planner.errors import NoGraspFoundError, PlannerError
 from planner.files import read_plan, write_plan
 from planner.forces import distribute_forces
 from planner.hand import Hand
@@ -16,7 +16,7 @@ from planner.kinematics import HandState
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
 from planner.quality import analyse, force_closure
-from planner.search import NoGraspFoundError, attempts, plan_grasp
+from planner.search import attempts, plan_grasp
 from planner.spatial import SE3
 from planner.symbolic import SymbolicHand
 from planner.task import GraspTask, Obstacle

@@ -6,6 +6,7 @@ The models travel inside the wheel (``planner/_models``) and stand at the top of
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from planner.errors import ModelError, NotFoundError
@@ -48,9 +49,9 @@ def find_hand(name_or_path: str | Path) -> Path:
     path = Path(name_or_path)
     if str(name_or_path) in hand_names():
         return models_dir() / "hands" / str(name_or_path) / DESCRIPTION_FILE
-    if path.is_dir():
+    if os.path.isdir(path):  # False, not an error, where the name is too long or the way is barred
         path = path / DESCRIPTION_FILE
-    if path.is_file():
+    if os.path.isfile(path):
         if path.suffix != ".toml":
             raise ModelError(f"{path} is not a hand description; give the hand.toml beside it")
         return path

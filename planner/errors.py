@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from typing import Any
 
 __all__ = [
     "ContactError",
@@ -14,6 +15,7 @@ __all__ = [
     "HandError",
     "InfeasibleError",
     "ModelError",
+    "NoGraspFoundError",
     "NotFoundError",
     "ObjectError",
     "PlannerError",
@@ -69,6 +71,19 @@ class TaskError(PlannerError):
 
 class FileFormatError(PlannerError):
     """A plan or report file is damaged, of another version, or for another hand."""
+
+
+class NoGraspFoundError(PlannerError):
+    """The budget of a search ended without a grasp.
+
+    Attributes:
+        attempts: Every ``planner.search.Attempt`` with its reason.
+    """
+
+    def __init__(self, message: str, attempts: tuple[Any, ...]) -> None:
+        """Keep the message and the attempts."""
+        self.attempts = attempts
+        super().__init__(message)
 
 
 class InfeasibleError(PlannerError):

@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import csv
 import json
+import math
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -26,7 +28,7 @@ from planner.objects import GraspObject
 from planner.plan import GraspPlan, JointTrajectory, SolveRecord
 from planner.search import judge_grasp
 from planner.shapes import shape_from_dict, shape_to_dict
-from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
+from planner.spatial import SE3, pose_from_wxyz, pose_to_wxyz
 from planner.synthesis.pregrasp import Approach
 from planner.task import GraspTask, Obstacle
 
@@ -46,7 +48,10 @@ __all__ = [
 PLAN_VERSION = 1
 
 CONTACT_TOL = 1e-5
-"""How far (m) stored contacts may be from those recomputed from the stored joints."""
+"""How far stored contact points (m) and normals (-) may be from those that the joints give."""
+
+QUATERNION_TOL = 1e-3
+"""How far (-) the length of a quaternion in a file may be from 1: figures typed with few digits."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector3 = tuple[Finite, Finite, Finite]
@@ -71,8 +76,8 @@ class PoseData(_Strict):
 
     def pose(self) -> SE3:
         """As a pose."""
-        if np.linalg.norm(self.quaternion_wxyz) < 0.5:
-            raise FileFormatError(f"the quaternion {self.quaternion_wxyz} has no direction")
+        if not abs(math.hypot(*self.quaternion_wxyz) - 1.0) <= QUATERNION_TOL:
+            raise FileFormatError(f"the quaternion {self.quaternion_wxyz} is not of unit length")
         return pose_from_wxyz(np.array(self.position_m), np.array(self.quaternion_wxyz))
 
 
@@ -264,6 +269,8 @@ def write_json(data: dict[str, Any], path: Path | str) -> None:
         partial.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
         partial.replace(path)
     except OSError as error:
+        with suppress(OSError):
+            partial.unlink()
         raise FileFormatError(f"cannot write {path}: {error.strerror}") from error
 
 
@@ -308,7 +315,7 @@ def read_json(path: Path | str, what: str) -> dict[str, Any]:
         data = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise FileFormatError(f"cannot read {what} {path}: {error.strerror}") from error
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # not JSON, not text, too long or too deep
         raise FileFormatError(f"{path} is damaged or not JSON: {error}") from error
     if not isinstance(data, dict):
         raise FileFormatError(f"{path} holds a {type(data).__name__}; {what} is a JSON object")
@@ -370,9 +377,11 @@ def _rebuild(file: PlanFile, hand: Hand, path: Path) -> GraspPlan:
     )
     if isinstance(plan, str):
         raise FileFormatError(f"{path} holds a grasp that fails its checks: {plan}")
-    stored: FloatArray = np.array([c.position_world_m for c in file.contacts])
-    if stored.shape != plan.contacts.positions.shape or not np.allclose(
-        stored, plan.contacts.positions, atol=CONTACT_TOL, rtol=0
+    stored = [(*c.position_world_m, *c.normal_into_object_world) for c in file.contacts]
+    actual = np.hstack([plan.contacts.positions, plan.contacts.normals])
+    fingers = tuple(c.finger for c in file.contacts)
+    if fingers != plan.contacts.fingers or not np.allclose(
+        stored, actual, atol=CONTACT_TOL, rtol=0
     ):
         raise FileFormatError(f"{path}: its contacts are not those of its joints; it is damaged")
     return plan

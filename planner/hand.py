@@ -14,7 +14,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -32,13 +31,13 @@ from planner.bridge import (
 from planner.bridge.geometry import allowed_pairs
 from planner.catalog import find_hand
 from planner.description import (
-    FingerDescription,
     HandDescription,
     MirrorAxis,
     read_description,
     reflection_signs,
 )
 from planner.errors import HandError, NotFoundError, TaskError
+from planner.fingers import Coupling, Finger, Pad, Resolver
 from planner.spatial import SE3, FloatArray, IntArray
 
 __all__ = ["Coupling", "Finger", "Hand", "Pad"]
@@ -48,60 +47,6 @@ POSTURE_TOL = 1e-9
 
 COUPLING_TOL = 1e-6
 """How far (rad) a posture may violate a coupling before it is an error."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Pad:
-    """Spherical contact pad, fixed in a joint's frame.
-
-    Attributes:
-        geom: Collision geometry whose surface it is part of.
-        joint_id: Pinocchio joint it moves with.
-        center: (3,), m, in the joint's frame.
-        axis: (3,), unit, in the joint's frame: where the pad faces.
-        radius: m.
-        half_angle: rad; contact points lie within this cone about the axis.
-    """
-
-    geom: str
-    joint_id: int
-    center: FloatArray
-    axis: FloatArray
-    radius: float
-    half_angle: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Finger:
-    """One finger.
-
-    Attributes:
-        name: Its name in the description.
-        joints: Joint names from the palm outwards.
-        q_index: (n,), where those joints stand in q.
-        tip_frame: Name of the tip frame (a site), also in ``pin_model``.
-        tip_frame_id: Its number in ``pin_model.frames``.
-        pad: Where it touches.
-        bodies: Names of the bodies that belong to the finger.
-    """
-
-    name: str
-    joints: tuple[str, ...]
-    q_index: IntArray
-    tip_frame: str
-    tip_frame_id: int
-    pad: Pad
-    bodies: frozenset[str]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Coupling:
-    """Kinematic coupling row @ q = value; ``one_sided`` if a stop that only pushes upwards."""
-
-    name: str
-    row: FloatArray
-    value: float
-    one_sided: bool
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -157,7 +102,8 @@ class Hand:
             raise HandError(f"{model_path} has free or ball joints; a hand has hinges and slides")
         pin_model = pinocchio_from_mujoco(mj_model)
         digest = hashlib.sha256(b"".join(f.read_bytes() for f in described.files)).hexdigest()
-        builder = _Builder(described.described_in, description, mj_model, pin_model)
+        geometries = hand_geometries(mj_model, pin_model)
+        resolver = Resolver(described.described_in, description, mj_model, pin_model, geometries)
         hand = cls(
             name=description.name,
             description=description,
@@ -166,11 +112,11 @@ class Hand:
             mirror_axis=described.mirror_axis,
             mj_model=mj_model,
             pin_model=pin_model,
-            fingers=builder.fingers(),
-            geometries=hand_geometries(mj_model, pin_model),
+            fingers=resolver.fingers(),
+            geometries=geometries,
             allowed_pairs=allowed_pairs(mj_model, description.allowed_contacts),
             actuation=actuation_from_mujoco(mj_model),
-            couplings=builder.couplings(),
+            couplings=resolver.couplings(),
         )
         for posture in description.postures:
             hand.posture(posture)
@@ -236,15 +182,23 @@ class Hand:
 
         Raises:
             NotFoundError: No such posture, or it names a joint that does not exist.
-            HandError: It leaves a joint's range.
+            HandError: It leaves a joint's range, or violates a coupling.
         """
         postures = self.description.postures
         if name not in postures:
             raise NotFoundError(f"posture of {self.name}", name, postures)
         q = np.clip(np.zeros(self.nq), self.q_lower, self.q_upper)
-        for joint, value in postures[name].items():
-            q[self.joint_index(joint)] = value
-        return self.checked_q(q, f"posture {name!r}")
+        for joint, angle in postures[name].items():
+            q[self.joint_index(joint)] = angle
+        q = self.checked_q(q, f"posture {name!r}")
+        matrix, value = self.coupling_matrix
+        for coupling, error in zip(self.couplings, matrix @ q - value, strict=True):
+            if abs(error) > COUPLING_TOL:
+                raise HandError(
+                    f"posture {name!r} of {self.path} violates the coupling {coupling.name!r} by "
+                    f"{error:.4f}; correct its joints"
+                )
+        return q
 
     def checked_q(self, q: Any, what: str = "q") -> FloatArray:
         """Joints q as a float array (nq,) after checking its shape, finiteness and joint limits.
@@ -252,7 +206,10 @@ class Hand:
         Raises:
             HandError: Wrong shape, NaN, or a joint outside its range (named with the range).
         """
-        joints: FloatArray = np.array(q, dtype=np.float64)
+        try:
+            joints: FloatArray = np.array(q, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise HandError(f"{what} is {q!r}; give {self.nq} numbers") from None
         if joints.shape != (self.nq,):
             raise HandError(f"{what} has shape {joints.shape}; {self.name} needs ({self.nq},)")
         if not np.isfinite(joints).all():
@@ -272,9 +229,13 @@ class Hand:
 
         Raises:
             NotFoundError: A name that the hand does not have.
-            TaskError: A finger named twice.
+            TaskError: No finger, or a finger named twice.
         """
-        chosen = tuple(names or self.description.default_fingers or self.fingers)
+        chosen = tuple(names if names is not None else self.description.default_fingers)
+        if names is None and not chosen:
+            chosen = tuple(self.fingers)
+        if not chosen:
+            raise TaskError(f"no finger is named; name some of {list(self.fingers)}")
         for name in chosen:
             if name not in self.fingers:
                 raise NotFoundError(f"finger of {self.name}", name, self.fingers)
@@ -294,84 +255,3 @@ def _load_spec(model_path: Path, mirror_axis: MirrorAxis | None) -> Any:
     if mirror_axis is not None:
         mirror_spec(spec, reflection_signs(mirror_axis), str(model_path))
     return spec
-
-
-class _Builder:
-    """Resolves the names of a description in its model."""
-
-    def __init__(
-        self, path: Path, description: HandDescription, mj_model: Any, pin_model: Any
-    ) -> None:
-        self.path, self.description = path, description
-        self.mj_model, self.pin_model = mj_model, pin_model
-        self.joints = tuple(pin_model.names)[1:]
-        self.bodies = {mj_model.body(i).name: i for i in range(1, mj_model.nbody)}
-        self.sites = {mj_model.site(i).name: i for i in range(mj_model.nsite)}
-        self.geoms = {mj_model.geom(i).name: i for i in range(mj_model.ngeom)}
-        for field in ("base_body", "palm_body"):
-            self._need("body", getattr(description, field), self.bodies)
-        for joint in description.wrist_joints:
-            self._need("joint", joint, self.joints)
-        for pair in description.allowed_contacts:
-            for geom in pair:
-                self._need("geom", geom, self.geoms)
-
-    def _need(self, kind: str, name: str, available: Any) -> None:
-        if name not in available:
-            hint = f"Correct it in {self.path}."
-            raise NotFoundError(f"{kind} of {self.description.model}", name, available, hint)
-
-    def fingers(self) -> Mapping[str, Finger]:
-        if not self.description.fingers:
-            raise HandError(f"{self.path} describes no finger; add at least one [[fingers]] table")
-        out = {f.name: self._finger(f) for f in self.description.fingers}
-        if len(out) != len(self.description.fingers):
-            raise HandError(f"{self.path} describes two fingers of one name; rename one")
-        for name in self.description.default_fingers:
-            self._need("finger", name, out)
-        return MappingProxyType(out)
-
-    def _finger(self, finger: FingerDescription) -> Finger:
-        for joint in finger.joints:
-            self._need("joint", joint, self.joints)
-        self._need("site", finger.tip_site, self.sites)
-        self._need("geom", finger.pad.geom, self.geoms)
-        body = int(self.mj_model.geom_bodyid[self.geoms[finger.pad.geom]])
-        frame = self.pin_model.frames[self.pin_model.getBodyId(self.mj_model.body(body).name)]
-        if self.pin_model.names[frame.parentJoint] not in finger.joints:
-            raise HandError(
-                f"{self.path}: the pad geom {finger.pad.geom!r} of finger {finger.name!r} does not "
-                f"move with one of its joints {list(finger.joints)}; name a geom of its last link"
-            )
-        pad = Pad(
-            geom=finger.pad.geom,
-            joint_id=int(frame.parentJoint),
-            center=np.array(frame.placement.act(np.array(finger.pad.center))),
-            axis=np.array(frame.placement.rotation @ np.array(finger.pad.axis)),
-            radius=finger.pad.radius,
-            half_angle=float(np.deg2rad(finger.pad.half_angle_deg)),
-        )
-        ids = {self.pin_model.getJointId(j) for j in finger.joints}
-        return Finger(
-            name=finger.name,
-            joints=finger.joints,
-            q_index=np.array([self.joints.index(j) for j in finger.joints]),
-            tip_frame=finger.tip_site,
-            tip_frame_id=int(self.pin_model.getFrameId(finger.tip_site)),
-            pad=pad,
-            bodies=frozenset(
-                name
-                for name in self.bodies
-                if self.pin_model.frames[self.pin_model.getBodyId(name)].parentJoint in ids
-            ),
-        )
-
-    def couplings(self) -> tuple[Coupling, ...]:
-        out = []
-        for c in self.description.couplings:
-            row = np.zeros(len(self.joints))
-            for joint, coefficient in c.joints.items():
-                self._need("joint", joint, self.joints)
-                row[self.joints.index(joint)] = coefficient
-            out.append(Coupling(name=c.name, row=row, value=c.value, one_sided=c.kind == "stop"))
-        return tuple(out)

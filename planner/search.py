@@ -7,6 +7,7 @@ machine; budgets stop between attempts.
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -16,7 +17,7 @@ import numpy as np
 
 from planner.collision import CollisionWorld
 from planner.contacts import ContactSet
-from planner.errors import PlannerError, TaskError
+from planner.errors import NoGraspFoundError, TaskError
 from planner.forces import ForceSolution, distribute_forces, gravity_wrench
 from planner.hand import Hand
 from planner.kinematics import HandState
@@ -38,7 +39,6 @@ from planner.task import GraspTask
 
 __all__ = [
     "Attempt",
-    "NoGraspFoundError",
     "attempts",
     "judge_grasp",
     "plan_forces",
@@ -77,27 +77,16 @@ class Attempt:
     cpu_s: float
 
 
-class NoGraspFoundError(PlannerError):
-    """The budget ended without a grasp.
-
-    Attributes:
-        attempts: Every attempt with its reason.
-    """
-
-    def __init__(self, task: GraspTask, made: tuple[Attempt, ...]) -> None:
-        """Compose the message from the commonest reasons."""
-        self.attempts = made
-        counts: dict[str, int] = {}
-        for a in made:
-            kind = a.reason.split(":")[0]
-            counts[kind] = counts.get(kind, 0) + 1
-        ranked = sorted(counts.items(), key=lambda item: -item[1])[:3]
-        why = "; ".join(f"{n} x {reason}" for reason, n in ranked) or "no attempt was made"
-        super().__init__(
-            f"no grasp of {task.object.name} with {task.hand.name} "
-            f"({', '.join(task.finger_names)}) in {len(made)} attempts: {why}. Try more attempts, "
-            "other fingers, another pose or size of the object, or more friction"
-        )
+def _nothing_found(task: GraspTask, made: tuple[Attempt, ...]) -> NoGraspFoundError:
+    """The error of an exhausted budget, with the commonest reasons."""
+    counts = Counter(a.reason.split(":")[0] for a in made)
+    why = "; ".join(f"{n} x {reason}" for reason, n in counts.most_common(3))
+    return NoGraspFoundError(
+        f"no grasp of {task.object.name} with {task.hand.name} "
+        f"({', '.join(task.finger_names)}) in {len(made)} attempts: {why}. Try more attempts, "
+        "other fingers, another pose or size of the object, or more friction",
+        made,
+    )
 
 
 @dataclass(frozen=True)
@@ -219,7 +208,7 @@ def plan_grasp(
             return attempt.plan
         if len(made) >= max_attempts or (max_cpu_s is not None and used >= max_cpu_s):
             break
-    raise NoGraspFoundError(task, tuple(made))
+    raise _nothing_found(task, tuple(made))
 
 
 def _attempt(

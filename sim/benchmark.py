@@ -15,8 +15,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
 from rich.table import Table
 
+from planner.errors import NoGraspFoundError
 from planner.objects import parse_object
-from planner.search import NoGraspFoundError, plan_grasp, problems_for
+from planner.search import plan_grasp, problems_for
 from planner.task import GraspTask
 from sim.scene import PhysicsOptions
 from sim.trial import simulate

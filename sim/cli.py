@@ -81,8 +81,7 @@ def _errors_for_people() -> Iterator[None]:
     # Some libraries swallow a KeyboardInterrupt while they are imported: leave at once meanwhile.
     handler = signal.signal(signal.SIGINT, _leave)
     try:
-        from planner.errors import PlannerError
-        from planner.search import NoGraspFoundError
+        from planner.errors import NoGraspFoundError, PlannerError
     finally:
         signal.signal(signal.SIGINT, handler)
     try:

@@ -499,7 +499,6 @@ def test_actuators_of_other_kinds_are_refused(actuator: str, reason: str) -> Non
         actuation_from_mujoco(model)
 
 
-@pytest.mark.xfail(strict=True, reason="actuator_dyntype is not read")
 @pytest.mark.parametrize(
     "actuator",
     [

@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 from planner.collision import FAR, OBJECT, TABLE, Clearance, CollisionWorld
-from planner.errors import NotFoundError, TaskError
+from planner.errors import NotFoundError, PlannerError, TaskError
 from planner.hand import Hand
 from planner.kinematics import HandState
 from planner.objects import GraspObject, parse_object
@@ -221,6 +221,32 @@ def test_the_nearest_pair_is_the_smallest_distance(right_hand: Hand) -> None:
         assert same_nearest(asked, outer)
         inner += asked != world.nearest(T_world_base, q)
     assert inner  # at least once the hand was nearer to itself
+
+
+@pytest.mark.parametrize("item", OBJECTS)
+def test_the_nearest_pair_is_exact_however_far(right_hand: Hand, item: str) -> None:
+    task = make_task(right_hand, item, obstacles=(WALL,))
+    world, twin = CollisionWorld(task), Twin(task)
+    rng = np.random.default_rng(9)
+    for _ in range(3):
+        q = random_q(right_hand, rng)
+        T_world_base = SE3(pin.exp3(rng.uniform(-1.5, 1.5, 3)), np.array([0.1, -0.3, 0.7]))
+        twin.place(T_world_base, q)
+        found = world.nearest(T_world_base, q, surroundings_only=True)
+        least = min(
+            twin.distance(g.name, around)
+            for g in right_hand.geometries
+            for around in world.surroundings
+        )
+        assert found.distance > FAR
+        assert found.distance == pytest.approx(least, abs=1e-6)
+
+
+def test_a_configuration_that_is_not_finite_is_never_called_clear(allegro: Hand) -> None:
+    world = CollisionWorld(make_task(allegro, "box"))
+    q = np.full(allegro.nq, np.nan)
+    with pytest.raises(PlannerError, match="NaN"):
+        world.nearest(SE3.Identity(), q)
 
 
 def test_proximity_gives_the_points_between_which_a_distance_lies(right_hand: Hand) -> None:

@@ -322,7 +322,7 @@ def test_description_is_mirrored_out_of_the_plane(tmp_path: Path) -> None:
     text = original.read_text()
     for old, new in (
         ("palm_normal = [1.0, 0.0, 0.0]", "palm_normal = [0.8, 0.6, 0.0]"),
-        ("center = [0.0, 0.0, 0.0423]", "center = [0.001, 0.002, 0.0423]"),
+        ("center = [0.0, 0.0, 0.0423]", "center = [0.0001, 0.0002, 0.0423]"),
         ("axis = [0.7071067811865476, 0.0, 0.7071067811865476]", "axis = [0.6, 0.0, 0.8]"),
     ):
         assert old in text
@@ -336,7 +336,7 @@ def test_description_is_mirrored_out_of_the_plane(tmp_path: Path) -> None:
     for f, g in zip(right.fingers.values(), left.fingers.values(), strict=True):
         np.testing.assert_allclose(b.pad_center(g), m @ a.pad_center(f), atol=EXACT)
         np.testing.assert_allclose(b.pad_axis(g), m @ a.pad_axis(f), atol=EXACT)
-    assert left.description.fingers[0].pad.center == (-0.001, 0.002, 0.0423)
+    assert left.description.fingers[0].pad.center == (-0.0001, 0.0002, 0.0423)
 
 
 def test_digest_covers_all_files(tmp_path: Path) -> None:

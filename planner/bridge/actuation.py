@@ -18,6 +18,7 @@ _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _FIXED_GAIN = int(mujoco.mjtGain.mjGAIN_FIXED)
 _BIAS_NONE = int(mujoco.mjtBias.mjBIAS_NONE)
 _BIAS_AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
+_NO_DYNAMICS = int(mujoco.mjtDyn.mjDYN_NONE)
 _WRAP_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 
 
@@ -43,6 +44,11 @@ def actuation_from_mujoco(model: Any) -> Actuation:
         law = int(model.actuator_gaintype[i]), int(model.actuator_biastype[i])
         if law[0] != _FIXED_GAIN or law[1] not in (_BIAS_NONE, _BIAS_AFFINE):
             raise ModelError(f"actuator {name!r} is not affine in ctrl, length and velocity")
+        if int(model.actuator_dyntype[i]) != _NO_DYNAMICS:
+            raise ModelError(
+                f"actuator {name!r} has dynamics of its own (a filter or an integrator); use one "
+                "whose force follows ctrl at once"
+            )
         gain[i] = model.actuator_gainprm[i, 0]
         if law[1] == _BIAS_AFFINE:
             bias[i] = model.actuator_biasprm[i, :3]

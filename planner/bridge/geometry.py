@@ -10,6 +10,7 @@ import coal
 import mujoco
 import numpy as np
 
+from planner.bridge.pinocchio_model import body_name
 from planner.errors import ModelError
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 
@@ -58,21 +59,25 @@ def hand_geometries(model: Any, pin_model: Any) -> tuple[LinkGeometry, ...]:
     for g in range(model.ngeom):
         if not (model.geom_contype[g] or model.geom_conaffinity[g]):
             continue
-        body = model.body(int(model.geom_bodyid[g])).name
+        number = int(model.geom_bodyid[g])
+        body = body_name(model, number)
         name = model.geom(g).name
         if not name:
             raise ModelError(f"a colliding geom of body {body!r} has no name; name every geom")
         kind = _TYPE.get(int(model.geom_type[g]))
         if kind is None:
             raise ModelError(f"geom {name!r} is a plane or a height field; use a solid instead")
-        frame = pin_model.frames[pin_model.getBodyId(body)]
         local = pose_from_wxyz(model.geom_pos[g], model.geom_quat[g])
+        joint, pose = 0, local
+        if number > 0:
+            frame = pin_model.frames[pin_model.getBodyId(body)]
+            joint, pose = int(frame.parentJoint), frame.placement * local
         out.append(
             LinkGeometry(
                 name=name,
                 body=body,
-                joint_id=int(frame.parentJoint),
-                T_joint_geometry=frame.placement * local,
+                joint_id=joint,
+                T_joint_geometry=pose,
                 geometry=coal_geometry(model, g),
                 kind=kind,
                 size=np.array(model.geom_size[g]),

@@ -16,7 +16,7 @@ import pinocchio as pin
 from planner.errors import ModelError
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 
-__all__ = ["pinocchio_from_mujoco"]
+__all__ = ["body_name", "pinocchio_from_mujoco"]
 
 _HINGE, _SLIDE, _BALL, _FREE = (
     int(t)
@@ -70,7 +70,7 @@ def pinocchio_from_mujoco(model: Any) -> Any:
                 pose,
             )
         body_frame[body] = out.addFrame(
-            pin.Frame(model.body(body).name or f"body_{body}", joint, pose, pin.FrameType.BODY),
+            pin.Frame(body_name(model, body), joint, pose, pin.FrameType.BODY),
             False,
         )
     for s in range(model.nsite):
@@ -80,6 +80,11 @@ def pinocchio_from_mujoco(model: Any) -> Any:
         out.addFrame(pin.Frame(name, int(parent_joint[body]), pose, pin.FrameType.OP_FRAME), False)
     out.armature = np.concatenate(armature) if armature else np.zeros(0)
     return out
+
+
+def body_name(model: Any, body: int) -> str:
+    """Name of a body; a body without one is called by its number."""
+    return model.body(body).name or f"body_{body}"
 
 
 def _add_joint(out: Any, model: Any, j: int, parent: int, pose: SE3) -> int:

@@ -18,6 +18,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from planner.bridge import LinkGeometry
 from planner.hand import Hand
@@ -127,29 +128,53 @@ class ClearanceTerms:
 
 
 def link_balls(hand: Hand) -> tuple[LinkBall, ...]:
-    """Balls for every colliding geometry of a hand."""
-    finger_of = {body: f.name for f in hand.fingers.values() for body in f.bodies}
-    out = []
-    for geometry in hand.geometries:
-        centers, radius = _fill(geometry)
-        name = finger_of.get(geometry.body, "")
-        for center in centers:
-            at = np.array(geometry.T_joint_geometry.act(center))
-            out.append(_ball(hand, geometry, name, at, radius))
-    return tuple(out)
+    """Balls that fill every colliding geometry of a hand."""
+    return _distinct(hand, _balls(hand, corners=False))
 
 
 def hull_balls(hand: Hand) -> tuple[LinkBall, ...]:
-    """Balls whose convex hull, link by link, is the link: for clearance from a plane."""
+    """Balls whose convex hull, joint by joint, holds every link: for clearance from a plane."""
+    balls = _balls(hand, corners=True)
+    inner: set[int] = set()
+    for joint in {b.joint_id for b in balls}:
+        points = [i for i, b in enumerate(balls) if b.joint_id == joint and b.radius == 0]
+        if len(points) > 4:
+            hull = ConvexHull([balls[i].center for i in points])
+            inner |= set(points) - {points[k] for k in hull.vertices}
+    return _distinct(hand, [b for i, b in enumerate(balls) if i not in inner])
+
+
+def _balls(hand: Hand, *, corners: bool) -> list[LinkBall]:
     finger_of = {body: f.name for f in hand.fingers.values() for body in f.bodies}
-    out: list[LinkBall] = []
+    out = []
     for geometry in hand.geometries:
-        centers, radius = _fill(geometry, corners=True)
+        centers, radius = _fill(geometry, corners=corners)
         name = finger_of.get(geometry.body, "")
         for center in centers:
             at = np.array(geometry.T_joint_geometry.act(center))
             out.append(_ball(hand, geometry, name, at, radius))
-    return tuple(out)
+    return out
+
+
+def _distinct(hand: Hand, balls: list[LinkBall]) -> tuple[LinkBall, ...]:
+    """Without balls that lie in another one at every q: links that meet in a joint share an end."""
+    rng = np.random.default_rng(0)
+    far = np.zeros((len(balls), len(balls)))
+    for _ in range(2):
+        state = HandState(hand, rng.uniform(hand.q_lower, hand.q_upper))
+        at = np.array([state.joint_pose(b.joint_id).act(b.center) for b in balls])
+        far = np.maximum(far, np.linalg.norm(at[:, None] - at[None], axis=2))
+    radius = np.array([b.radius for b in balls])
+    inside = far + radius[:, None] <= radius[None] + SAME_POINT  # [i, j]: ball i is within ball j
+    order = np.arange(len(balls))
+    twins = inside & inside.T & (order[:, None] < order[None])  # of equal balls the first stays
+    pads = np.array([b.is_pad for b in balls])
+    dropped = ((inside & ~inside.T) | twins.T).any(axis=1) & ~pads
+    return tuple(b for b, drop in zip(balls, dropped, strict=True) if not drop)
+
+
+SAME_POINT = 1e-6
+"""Distance (m) below which two points are one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,7 +238,7 @@ def meeting_bones(hand: Hand) -> tuple[tuple[int, int], ...]:
     matrix, value = hand.coupling_matrix
     project = np.linalg.pinv(matrix) if len(value) else np.zeros((hand.nq, 0))
     rng = np.random.default_rng(0)
-    meets = np.zeros(len(pairs), dtype=bool)
+    times = np.zeros(len(pairs), dtype=int)
     for _ in range(MEETING_SAMPLES):
         q = rng.uniform(hand.q_lower, hand.q_upper)
         q = np.clip(q - project @ (matrix @ q - value), hand.q_lower, hand.q_upper)
@@ -225,9 +250,14 @@ def meeting_bones(hand: Hand) -> tuple[tuple[int, int], ...]:
         arm = at[first, 1] - inner
         square = np.maximum((along**2).sum(axis=1), BALL_LENGTH**2)
         share = np.clip((arm * along).sum(axis=1) / square, 0.0, 1.0)
-        meets |= np.linalg.norm(arm - share[:, None] * along, axis=1) < least
+        times += np.linalg.norm(arm - share[:, None] * along, axis=1) < least
+    meets = times >= OFTEN * MEETING_SAMPLES
     return tuple((int(i), int(j)) for i, j in zip(first[meets], second[meets], strict=True))
 
+
+OFTEN = 0.01
+"""Share of random configurations in which two bones must meet to be kept apart in the NLP: rarer
+ones cost more in every iteration than they spare in refused candidates."""
 
 MEETING_SAMPLES = 400
 """Random configurations looked at by ``meeting_bones``; a fixed seed makes the NLP reproducible."""
