@@ -81,10 +81,13 @@ def _nothing_found(task: GraspTask, made: tuple[Attempt, ...]) -> NoGraspFoundEr
     """The error of an exhausted budget, with the commonest reasons."""
     counts = Counter(a.reason.split(":")[0] for a in made)
     why = "; ".join(f"{n} x {reason}" for reason, n in counts.most_common(3))
+    commonest = counts.most_common(1)[0][0]
+    example = next(a.reason for a in made if a.reason.startswith(commonest))
     return NoGraspFoundError(
         f"no grasp of {task.object.name} with {task.hand.name} "
-        f"({', '.join(task.finger_names)}) in {len(made)} attempts: {why}. Try more attempts, "
-        "other fingers, another pose or size of the object, or more friction",
+        f"({', '.join(task.finger_names)}) in {len(made)} attempts: {why} (the first of these: "
+        f"{example}). Try more attempts, other fingers, another pose or size of the object, more "
+        "friction or less grip",
         made,
     )
 

@@ -53,7 +53,10 @@ FingersOption = Annotated[
 ]
 SeedOption = Annotated[int, typer.Option(min=0, help="Same seed, same plan.")]
 MuOption = Annotated[float, typer.Option(help="Sliding friction that planning relies on (-).")]
-MassOption = Annotated[float | None, typer.Option(help="Mass of the object, kg.")]
+MassOption = Annotated[float | None, typer.Option(help="Mass of the object, kg (default 0.1).")]
+DensityOption = Annotated[
+    float | None, typer.Option(help="Density of the object, kg/m3, instead of its mass.")
+]
 AttemptsOption = Annotated[int, typer.Option(min=1, help="Attempts before giving up.")]
 CpuOption = Annotated[
     float | None, typer.Option(help="CPU seconds before giving up; checked between attempts.")
@@ -132,6 +135,7 @@ def _plan(
     seed: int,
     mu: float,
     mass: float | None,
+    density: float | None,
     attempts: int,
     max_cpu_s: float | None,
 ) -> Any:
@@ -142,7 +146,7 @@ def _plan(
 
     task = GraspTask.create(
         hand,
-        parse_object(object, mass=mass),
+        parse_object(object, mass=mass, density=density),
         mu=mu,
         fingers=None if fingers is None else [f.strip() for f in fingers.split(",")],
     )
@@ -190,6 +194,7 @@ def run(
     mu: MuOption = 0.5,
     sim_mu: SimMuOption = 0.6,
     mass: MassOption = None,
+    density: DensityOption = None,
     max_attempts: AttemptsOption = 40,
     max_cpu_s: CpuOption = None,
     view: ViewOption = False,
@@ -208,6 +213,7 @@ def run(
         seed=seed,
         mu=mu,
         mass=mass,
+        density=density,
         attempts=max_attempts,
         max_cpu_s=max_cpu_s,
     )
@@ -277,6 +283,7 @@ def plan(
     seed: SeedOption = 0,
     mu: MuOption = 0.5,
     mass: MassOption = None,
+    density: DensityOption = None,
     max_attempts: AttemptsOption = 40,
     max_cpu_s: CpuOption = None,
     as_json: JsonOption = False,
@@ -293,6 +300,7 @@ def plan(
         seed=seed,
         mu=mu,
         mass=mass,
+        density=density,
         attempts=max_attempts,
         max_cpu_s=max_cpu_s,
     )
