@@ -29,6 +29,9 @@ TABLE_SIZE = (2.0, 2.0, 0.1)
 """Full extents (m) of the table: wide enough for any hand, centred under the object."""
 
 
+OVERLAP_TOL = 1e-5
+"""Depth (m) to which the object may be inside table or obstacle: rounding, and coal's accuracy."""
+
 FAR = 0.03
 """Pairs further apart (m) than this by their bounding balls are not measured exactly."""
 
@@ -64,7 +67,8 @@ class CollisionWorld:
         """Collect the geometries and the pairs that must not touch.
 
         Raises:
-            TaskError: Two geometries have one name, so that a verdict could not tell them apart.
+            TaskError: Two geometries have one name, so that a verdict could not tell them apart;
+                or table or an obstacle is in the object.
         """
         self.task = task
         hand = task.hand
@@ -94,6 +98,13 @@ class CollisionWorld:
                 f"several of obstacles, object, table and hand geometries are called {twice}; name "
                 "each obstacle differently"
             )
+        for name, pose, shape in fixed[1:]:
+            query = DistancePair(task.object.shape.coal_geometry(), shape.coal_geometry())
+            depth = -query.distance(task.T_world_object, pose)
+            if depth > OVERLAP_TOL:
+                raise TaskError(
+                    f"the object is {1e3 * depth:.2f} mm inside {name!r}; move them apart"
+                )
         pairs = [
             (a, b)
             for a, b in combinations(range(n_hand), 2)

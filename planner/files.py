@@ -377,14 +377,31 @@ def _rebuild(file: PlanFile, hand: Hand, path: Path) -> GraspPlan:
     )
     if isinstance(plan, str):
         raise FileFormatError(f"{path} holds a grasp that fails its checks: {plan}")
-    stored = [(*c.position_world_m, *c.normal_into_object_world) for c in file.contacts]
-    actual = np.hstack([plan.contacts.positions, plan.contacts.normals])
-    fingers = tuple(c.finger for c in file.contacts)
-    if fingers != plan.contacts.fingers or not np.allclose(
-        stored, actual, atol=CONTACT_TOL, rtol=0
+    again = PlanFile.model_validate(plan_to_dict(plan))
+    if [c.finger for c in file.contacts] != [c.finger for c in again.contacts]:
+        raise FileFormatError(f"{path}: its contacts are not those of its fingers; it is damaged")
+    for what, stored, true, tolerance in (
+        ("contacts", _numbers(file.contacts), _numbers(again.contacts), CONTACT_TOL),
+        ("torques", file.joint_torques_N_m, again.joint_torques_N_m, CONTACT_TOL),
+        ("palm pose", _numbers([grasp.T_world_palm]), _numbers([again.grasp.T_world_palm]), 1e-6),
     ):
-        raise FileFormatError(f"{path}: its contacts are not those of its joints; it is damaged")
+        if np.shape(stored) != np.shape(true) or not np.allclose(
+            stored, true, atol=tolerance, rtol=CONTACT_TOL
+        ):
+            raise FileFormatError(f"{path}: its {what} are not those of its joints; it is damaged")
     return plan
+
+
+def _numbers(items: Sequence[BaseModel]) -> FloatArray:
+    """All numbers in some data, in order."""
+    flat: list[float] = []
+    for item in items:
+        for value in item.model_dump().values():
+            if isinstance(value, tuple):
+                flat += value
+            elif isinstance(value, float):
+                flat.append(value)
+    return np.array(flat)
 
 
 def _task(data: TaskData, hand: Hand) -> GraspTask:

@@ -38,7 +38,7 @@ from planner.description import (
 )
 from planner.errors import HandError, NotFoundError, TaskError
 from planner.fingers import Coupling, Finger, Pad, Resolver
-from planner.spatial import SE3, FloatArray, IntArray
+from planner.spatial import FloatArray, IntArray
 
 __all__ = ["Coupling", "Finger", "Hand", "Pad"]
 
@@ -243,11 +243,9 @@ class Hand:
             raise TaskError(f"a finger is named twice in {list(chosen)}; name each once")
         return tuple(self.fingers[name] for name in chosen)
 
-    def base_from_palm(self, T_world_palm: SE3, q: FloatArray) -> SE3:
-        """Pose of the base in the world from the palm's pose and q (the wrist between them)."""
-        from planner.kinematics import HandState  # kinematics is built on Hand
-
-        return T_world_palm * HandState(self, q).T_base_palm.inverse()
+    def __repr__(self) -> str:
+        """One line; ``opposable inspect`` prints the rest."""
+        return f"<Hand: {self.name}, {self.nq} joints, fingers {', '.join(self.fingers)}>"
 
 
 def _load_spec(model_path: Path, mirror_axis: MirrorAxis | None) -> Any:

@@ -29,7 +29,7 @@ class SolveRecord:
         iterations: IPOPT iterations of its attempt.
         status: IPOPT's return status (informative only; the verdict is ``Verification``).
         cpu_s: CPU time of the search until it was found, s, without building.
-        build_s: Time that building the NLP took, s; 0 when it was re-used.
+        build_s: Time that building the NLPs took, s: once per hand, fingers and kind of shape.
     """
 
     seed: int
@@ -87,6 +87,10 @@ class GraspPlan:
     forces: ForceSolution
     verification: Verification
     record: SolveRecord
+
+    def __repr__(self) -> str:
+        """One line; the attributes hold the rest."""
+        return f"<GraspPlan of {self.task!r}, seed {self.record.seed}>"
 
     @cached_property
     def quality(self) -> QualityReport:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from numbers import Real
+from pathlib import Path
 
 import numpy as np
 
@@ -101,55 +102,86 @@ class GraspTask:
     @classmethod
     def create(
         cls,
-        hand: Hand | str,
+        hand: Hand | str | Path,
         object: GraspObject | str,
         *,
         T_world_object: SE3 | None = None,
+        table_height: float | None = 0.0,
+        obstacles: Sequence[Obstacle] = (),
+        gravity: Sequence[float] | FloatArray = GRAVITY,
+        mu: float = DEFAULT_MU,
+        mu_torsion: float = 0.0,
+        contact_model: ContactModel = "point",
         fingers: Sequence[str] | None = None,
         grip_force: float | None = None,
-        wrist_q: Sequence[float] | None = None,
-        **options: Any,
+        T_world_base: SE3 | None = None,
+        wrist_free: bool = False,
+        wrist_q: Sequence[float] | FloatArray | None = None,
     ) -> GraspTask:
-        """A task with defaults filled in.
+        """A task with defaults filled in; arguments not told here are those of the class.
 
         Args:
-            hand: A hand, or its name.
+            hand: A hand, its name, or the path of its description.
             object: An object, or a specification such as "box:0.05x0.05x0.08".
             T_world_object: Where the object is; at rest on the table by default.
+            table_height: Height of the table's top, m; None for no table.
+            obstacles: Fixed boxes.
+            gravity: (3,), m/s2, world.
+            mu: Sliding friction that planning may rely on (-).
+            mu_torsion: Torsional friction (m).
+            contact_model: Friction law of the planned contacts.
             fingers: Finger names; the hand's default set if None.
             grip_force: N per finger; from weight and friction if None (``GRIP_SAFETY``).
+            T_world_base: Pose of the hand's base if it is fixed.
+            wrist_free: Whether the wrist joints may move.
             wrist_q: Wrist joints, rad; zero if None.
-            **options: Any other attribute.
 
         Raises:
             PlannerError: An unknown name, a number out of range, or a task that cannot work.
         """
-        hand = Hand.load(hand) if isinstance(hand, str) else hand
+        hand = hand if isinstance(hand, Hand) else Hand.load(hand)
         item = parse_object(object) if isinstance(object, str) else object
-        height = options.get("table_height", 0.0)
+        for name, value in (("mu", mu), ("table_height", table_height)):
+            _check_number(name, value)
+        if isinstance(fingers, str):
+            raise TaskError(f"fingers is the text {fingers!r}; give a list of names")
         if T_world_object is None:
-            T_world_object = item.shape.resting_pose(0.0 if height is None else height)
+            T_world_object = item.shape.resting_pose(0.0 if table_height is None else table_height)
         chosen = hand.choose_fingers(fingers)
-        mu = options.get("mu", DEFAULT_MU)
         if grip_force is None:
-            gravity = np.linalg.norm(options.get("gravity", GRAVITY))
-            share = item.mass * gravity / (max(mu, 1e-3) * len(chosen))
+            weight = item.mass * float(np.linalg.norm(gravity))
+            share = weight / (max(mu, LEAST_MU) * len(chosen))
             grip_force = float(max(MIN_GRIP, GRIP_SAFETY * share))
         n_wrist = len(hand.wrist_index)
         return cls(
             hand=hand,
             object=item,
             T_world_object=T_world_object,
+            table_height=table_height,
+            obstacles=tuple(obstacles),
+            gravity=np.asarray(gravity, dtype=np.float64),
+            mu=mu,
+            mu_torsion=mu_torsion,
+            contact_model=contact_model,
             finger_names=tuple(f.name for f in chosen),
             grip_force=grip_force,
+            T_world_base=T_world_base,
+            wrist_free=wrist_free,
             wrist_q=np.zeros(n_wrist) if wrist_q is None else np.array(wrist_q, dtype=float),
-            **options,
+        )
+
+    def __repr__(self) -> str:
+        """One line; the attributes hold the rest."""
+        return (
+            f"<GraspTask: {self.hand.name} ({', '.join(self.finger_names)}), "
+            f"{self.object.shape.spec}, {self.object.mass:g} kg, mu {self.mu:g}>"
         )
 
     def __post_init__(self) -> None:
         """Check every number and whether the fingers can close a grasp at all."""
         for name in ("mu", "mu_torsion", "grip_force"):
             value = getattr(self, name)
+            _check_number(name, value)
             if not np.isfinite(value) or value < 0:
                 raise TaskError(f"{name} is {value}; give a finite number >= 0")
         gravity = np.array(self.gravity, dtype=np.float64)
@@ -160,6 +192,8 @@ class GraspTask:
             raise TaskError(f"table_height is {self.table_height}; give metres, or None for none")
         for name in ("T_world_object", "T_world_base"):
             pose = getattr(self, name)
+            if pose is not None and not hasattr(pose, "homogeneous"):
+                raise TaskError(f"{name} is a {type(pose).__name__}; give a pinocchio.SE3")
             if pose is not None and not np.isfinite(pose.homogeneous).all():
                 raise TaskError(f"{name} holds NaN or infinity")
         if self.contact_model not in CONTACT_DIM:
@@ -206,7 +240,24 @@ class GraspTask:
                 f"the object reaches down to z = {lowest:.4f} m, below the table's top at "
                 f"{height:.4f} m; raise T_world_object by {height - lowest:.4f} m"
             )
+        if lowest > height + FLOATING_TOL and not self.obstacles:
+            raise TaskError(
+                f"the object floats {lowest - height:.4f} m above the table's top, so it would "
+                "fall before it is grasped; lower T_world_object, or give table_height=None for an "
+                "object that is held until it is lifted"
+            )
 
+
+def _check_number(name: str, value: object) -> None:
+    if value is not None and (isinstance(value, bool) or not isinstance(value, Real)):
+        raise TaskError(f"{name} is {value!r}; give a number")
+
+
+LEAST_MU = 1e-3
+"""Friction (-) below which the default grip does not grow any more."""
+
+FLOATING_TOL = 1e-3
+"""Height (m) above the table from which an object counts as floating; obstacles may carry it."""
 
 OBJECT_TABLE_TOL = 1e-6
 """How far (m) an object may be given below the table's top: rounding of its resting pose."""

@@ -72,6 +72,10 @@ def _say(console: Console, text: str) -> None:
     console.print(text, highlight=False, soft_wrap=True)
 
 
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",")]
+
+
 def _leave(*_: object) -> None:
     """Ctrl-C before anything was done."""
     os.write(2, b"interrupted\n")
@@ -148,7 +152,7 @@ def _plan(
         hand,
         parse_object(object, mass=mass, density=density),
         mu=mu,
-        fingers=None if fingers is None else [f.strip() for f in fingers.split(",")],
+        fingers=None if fingers is None else _names(fingers),
     )
     title = f"planning: {task.hand.name}, {task.object.name} ..."
     with _heeding_ctrl_c() as check, err.status(title) as status:
@@ -203,9 +207,12 @@ def run(
     """Plan a grasp, distribute its forces, execute it, judge it; writes plan, report, picture."""
     from planner.files import plan_to_dict, write_json, write_plan
     from sim.summary import print_plan, print_report
+    from sim.viewing import check_display
 
     if out_dir is not None:
         _make_folder(out_dir)
+    if view:
+        check_display()
     plan = _plan(
         hand,
         object,
@@ -217,9 +224,11 @@ def run(
         attempts=max_attempts,
         max_cpu_s=max_cpu_s,
     )
-    shape = plan.task.object.shape.kind
-    folder = out_dir or Path("runs") / f"{plan.task.hand.name}-{shape}-{seed}"
+    spec = plan.task.object.shape.spec.replace(":", "-")
+    folder = out_dir or Path("runs") / f"{plan.task.hand.name}-{spec}-{seed}"
     _make_folder(folder)
+    for old in ("report.json", "held.png"):  # of an earlier plan in this folder
+        (folder / old).unlink(missing_ok=True)
     write_plan(plan, folder / "plan.json")
     if not as_json:
         print_plan(plan, out)
@@ -249,6 +258,8 @@ def _check_folder(file: Path | None) -> None:
 
     if file is not None and not file.parent.is_dir():
         raise FileFormatError(f"cannot write {file}: there is no folder {file.parent}; make it")
+    if file is not None and file.is_dir():
+        raise FileFormatError(f"cannot write {file}: it is a folder; name a file")
 
 
 def _exit_for(report: Any) -> None:
@@ -409,7 +420,7 @@ def bench_grasps(
 
     _check_folder(output)
     result = run_benchmark(
-        hands.split(","), objects.split(","), range(seeds), mu=sim_mu, workers=workers, console=err
+        _names(hands), _names(objects), range(seeds), mu=sim_mu, workers=workers, console=err
     )
     if output is not None:
         write_json(result, output)
@@ -429,3 +440,7 @@ def main(arguments: list[str] | None = None) -> None:
         command(args=arguments, prog_name="opposable")
     except KeyboardInterrupt:  # before a command began, or after it ended
         sys.exit(EXIT_INTERRUPTED)
+
+
+if __name__ == "__main__":
+    main()

@@ -29,6 +29,7 @@ def inspect_hand(hand: Hand) -> dict[str, Any]:
         "palm_body": hand.description.palm_body,
         "wrist_joints": list(hand.description.wrist_joints),
         "default_fingers": [f.name for f in hand.choose_fingers()],
+        "other_joints": _other_joints(hand, torque),
         "fingers": [_finger(hand, f, state, torque, masses) for f in hand.fingers.values()],
         "actuator_table": [
             {
@@ -74,17 +75,30 @@ def _finger(
         "pad_geometry": finger.pad.geom,
         "pad_radius_m": finger.pad.radius,
         "mass_kg": sum(masses[b] for b in finger.bodies),
-        "joints": [
-            {
-                "name": name,
-                "index": int(k),
-                "lower": float(hand.q_lower[k]),
-                "upper": float(hand.q_upper[k]),
-                "torque_limit_N_m": float(torque[k]),
-            }
-            for name, k in zip(finger.joints, finger.q_index, strict=True)
-        ],
+        "joints": [_joint(hand, int(k), torque) for k in finger.q_index],
     }
+
+
+def _joint(hand: Hand, k: int, torque: Any) -> dict[str, Any]:
+    return {
+        "name": hand.joint_names[k],
+        "index": k,
+        "lower": float(hand.q_lower[k]),
+        "upper": float(hand.q_upper[k]),
+        "torque_limit_N_m": float(torque[k]),
+    }
+
+
+def _other_joints(hand: Hand, torque: Any) -> list[dict[str, Any]]:
+    """Joints that belong to no finger: the wrist's, and any others."""
+    wrist = {int(k) for k in hand.wrist_index}
+    in_fingers = {int(k) for f in hand.fingers.values() for k in f.q_index}
+    rest = set(range(hand.nq)) - in_fingers - wrist
+    return [
+        {"name": name, "joints": [_joint(hand, k, torque) for k in sorted(members)]}
+        for name, members in (("wrist", wrist), ("other", rest))
+        if members
+    ]
 
 
 def hand_tables(hand: Hand) -> list[Table]:
@@ -96,7 +110,7 @@ def hand_tables(hand: Hand) -> list[Table]:
     )
     for column in ("finger", "joint", "q", "lower deg", "upper deg", "torque N m"):
         joints.add_column(column, justify="right" if column[-1] in "qgm" else "left")
-    for finger in data["fingers"]:
+    for finger in [*data["other_joints"], *data["fingers"]]:
         for k, joint in enumerate(finger["joints"]):
             joints.add_row(
                 finger["name"] if k == 0 else "",

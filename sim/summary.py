@@ -89,9 +89,14 @@ def print_report(report: TrialReport, console: Console) -> None:
     if holding.any():
         closed = np.asarray(samples.closed)[holding]
         measured = report.quality_measured
-        last = "" if measured is None else f"; epsilon at the end {measured.epsilon:.4f}"
         console.print(
             f"force closure of the measured contacts in {closed.sum()} of {holding.sum()} samples "
-            f"of the hold{last} (planned {report.quality_planned.epsilon:.4f})",
+            "of the hold",
             highlight=False,
         )
+        if measured is not None:
+            console.print(
+                f"epsilon of the true cones: planned {report.quality_planned.epsilon_round}, "
+                f"measured {measured.epsilon_round} (both with the plan's friction)",
+                highlight=False,
+            )

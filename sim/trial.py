@@ -109,8 +109,10 @@ class Trial:
             picture: Write a picture of the end here (PNG).
 
         Raises:
-            TaskError: ``view`` without a display.
+            TaskError: ``view`` without a display, or the trial has run already.
         """
+        if self._steps:
+            raise TaskError("this trial has run already; make a new Trial to run again")
         begin = time.perf_counter()
         if not self.plan.forces.found:
             verdict = Verdict(
@@ -119,6 +121,8 @@ class Trial:
             return self._report(verdict, begin)
         viewer = Viewer(self.scene.model, self.data) if view else None
         interrupted = False
+        # divergence is told by the report; MuJoCo would also write a log file where the user stands
+        mujoco.set_mju_user_warning(lambda _: None)
         try:
             for phase in PHASES:
                 if not self._run_phase(phase, progress, on_step, viewer):
@@ -126,6 +130,7 @@ class Trial:
         except KeyboardInterrupt:
             interrupted = True
         finally:
+            mujoco.set_mju_user_warning(None)
             if viewer is not None:
                 viewer.close()
         verdict = judge(
@@ -249,7 +254,12 @@ class Trial:
     def _report(self, verdict: Verdict, begin: float) -> TrialReport:
         plan, task = self.plan, self.plan.task
         samples = self._recorder.samples()
-        measured = merge_per_finger(hand_contacts(self.scene, self.data))
+        merged = merge_per_finger(hand_contacts(self.scene, self.data))
+        # under the plan's own friction, so that the two can be compared
+        measured = replace(
+            merged.with_friction(task.mu, task.mu_torsion),
+            models=(task.contact_model,) * len(merged),
+        )
         length = task.object.shape.bounding_radius
         ended_holding = len(samples) > 0 and samples.phase[-1] == "hold" and len(measured) > 0
         return TrialReport(

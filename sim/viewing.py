@@ -9,10 +9,21 @@ from typing import Any
 
 from planner.errors import TaskError
 
-__all__ = ["Viewer"]
+__all__ = ["Viewer", "check_display"]
 
 FRAME = 1.0 / 60.0
 """Time between two pictures, s."""
+
+
+def check_display() -> None:
+    """See whether a window could open.
+
+    Raises:
+        TaskError: There is no display.
+    """
+    displays = ("DISPLAY", "WAYLAND_DISPLAY")
+    if sys.platform == "linux" and not any(os.environ.get(d) for d in displays):
+        raise TaskError("there is no display to show the trial on; run it without the viewer")
 
 
 class Viewer:
@@ -24,9 +35,7 @@ class Viewer:
         Raises:
             TaskError: There is no display, or MuJoCo cannot open a window on it.
         """
-        displays = ("DISPLAY", "WAYLAND_DISPLAY")
-        if sys.platform == "linux" and not any(os.environ.get(d) for d in displays):
-            raise TaskError("there is no display to show the trial on; run it without the viewer")
+        check_display()
         import mujoco.viewer  # opens a connection to the display
 
         try:

@@ -221,16 +221,6 @@ def test_palm_pose_is_that_of_the_palm_body(right_hand: Hand) -> None:
         np.testing.assert_allclose(pose.rotation, body.xmat.reshape(3, 3), rtol=0, atol=AGREEMENT)
 
 
-def test_base_from_palm_puts_the_palm_where_it_was_asked(shadow: Hand) -> None:
-    # the Shadow's wrist stands between base and palm: the inverse is not trivial
-    q = random_q(shadow, 3, seed=9)[2]
-    T_world_palm = SE3(pin.exp3(np.array([0.3, -1.1, 0.5])), np.array([0.1, -0.2, 0.4]))
-    T_world_base = shadow.base_from_palm(T_world_palm, q)
-    again = T_world_base * HandState(shadow, q).T_base_palm
-    np.testing.assert_allclose(again.homogeneous, T_world_palm.homogeneous, rtol=0, atol=1e-12)
-    assert np.linalg.norm(T_world_base.translation - T_world_palm.translation) > 0.1
-
-
 def test_state_keeps_its_own_read_only_q(allegro: Hand) -> None:
     q = allegro.posture("open")
     state = HandState(allegro, q)

@@ -8,7 +8,7 @@ Unknowns, all in the object's frame:
     p_i     (3,)     contact point of finger i on the object's surface, m
     f_i     (3,)     force of finger i on the object, in units of the mean normal force
 
-Terms (named residuals; what each is used as stands in ``TERMS``):
+Terms (named residuals, each an equality or an inequality):
 
     touch    c_i(q) - (p_i + r_i n_i)            = 0    pad centre is one radius off the surface
     surface  g(p_i)                              = 0    contact point on its patch
@@ -18,10 +18,10 @@ Terms (named residuals; what each is used as stands in ``TERMS``):
     press    fn_i - PRESS_MIN                   >= 0
     facing   pad axis . -n_i - cos(half angle)  >= 0    the pad touches, not the nail
     stop     torque of each one-sided stop      >= 0    a stop can only push
-    object   clearance of link balls            >= 0
+    object   clearance of link balls            >= 0    (the true links may be a little nearer)
     table    height of all balls over the table >= 0
     obstacle clearance of balls from obstacles  >= 0
-    fingers  distance of balls of two fingers   >= 0
+    fingers  squared distance of link ends from bones of other fingers, less the least  >= 0
     coupling C q - d                             = 0
 
 An internal force strictly inside all cones together with rank G = 6 is force closure (Murray, Li,
@@ -65,10 +65,11 @@ class SynthesisOptions:
 
     Attributes:
         cone_share: Share k of the friction coefficient that the internal force may use (-).
-        clear_object: Smallest distance of links (not pads) from the object, m.
+        clear_object: Distance from the object that is asked of the balls in the links (not pads),
+            m. Between two balls the true link may be nearer; the verdict is on the true geometry.
         clear_tip: The same for the body that carries a pad, m.
-        clear_table: Smallest distance of anything from the table and obstacles, m.
-        clear_fingers: Smallest distance between two fingers, m.
+        clear_table: Distance from table and obstacles that is asked of the links, m.
+        clear_fingers: Distance asked between two fingers, m.
         weight_tangential: Cost of tangential force (-).
         weight_share: Cost of unequal normal forces (-).
         weight_posture: Cost of leaving the pinch posture, per squared share of joint range (-).
@@ -152,6 +153,23 @@ class Term:
     expression: Any
     equality: bool
 
+    @property
+    def unit(self) -> str:
+        """Unit of the residual, "-" for none."""
+        return UNITS.get(self.name, "-")
+
+
+UNITS = {
+    "touch": "m",
+    "surface": "m",
+    "coupling": "rad",
+    "object": "m",
+    "table": "m",
+    "obstacle": "m",
+    "fingers": "m2",
+}
+"""Units of the terms that have one; forces are in units of the mean normal force."""
+
 
 @dataclass(kw_only=True, eq=False)
 class GraspProblem:
@@ -166,7 +184,6 @@ class GraspProblem:
         p: Parameters (SX column).
         cost: Objective (SX scalar).
         terms: Constraints.
-        build_s: Time that building took, s.
         max_iterations: IPOPT iterations of one attempt; nine of ten that succeed need under 50.
     """
 
@@ -178,7 +195,6 @@ class GraspProblem:
     p: Any
     cost: Any
     terms: tuple[Term, ...]
-    build_s: float = 0.0
     max_iterations: int = 60
     _solver: Any = field(default=None, repr=False)
     _evaluate: Any = field(default=None, repr=False)
@@ -192,7 +208,7 @@ class GraspProblem:
             f"  {self.x.numel()} variables, {self.p.numel()} parameters",
         ]
         lines += [
-            f"  {t.name:10s} {t.expression.numel():4d} {'= 0' if t.equality else '>= 0'}"
+            f"  {t.name:10s} {t.expression.numel():4d} {' =' if t.equality else '>='} 0  [{t.unit}]"
             for t in self.terms
         ]
         return "\n".join(lines)
@@ -321,7 +337,6 @@ def build_problem(
         kind_of: Any shape of the kind; its size does not matter.
         n_obstacles: How many obstacle boxes there are.
     """
-    begin = time.perf_counter()
     fingers = tuple(fingers)
     surface = surface_of(kind_of)
     n = len(fingers)
@@ -422,7 +437,6 @@ def build_problem(
         terms=terms,
     )
     _compile(problem, normals)
-    problem.build_s = time.perf_counter() - begin
     return problem
 
 

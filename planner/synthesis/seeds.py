@@ -35,6 +35,9 @@ TILT_NOISE = 0.45
 JOINT_NOISE = 0.05
 """Standard deviation of the joints in a start, in shares of their range."""
 
+MOST_OPEN = 0.6
+"""Starts lie between the pinch posture and this share of the way to the open one (-)."""
+
 AXIS_NOISE = 0.15
 """Standard deviation (rad) of the opposition axis about the chosen direction of the object."""
 
@@ -180,7 +183,7 @@ class Seeder:
         return resting
 
     def _directions(self) -> list[FloatArray]:
-        """Directions in the object's frame across which the hand could close, best first.
+        """Directions in the object's frame across which the hand could close.
 
         A dozen directions around the horizontal; for boxes only face normals, because opposed
         contacts need opposed faces.
@@ -209,9 +212,8 @@ class Seeder:
 
     def _noisy_posture(self, rng: np.random.Generator) -> FloatArray:
         hand = self.task.hand
-        # opened so far that the pads are as far apart as the object is wide
         span = hand.q_upper - hand.q_lower
-        share = rng.uniform(0.0, 0.6)
+        share = rng.uniform(0.0, MOST_OPEN)
         q = self.posture + share * (self.open - self.posture)
         noise = rng.normal(0, JOINT_NOISE, hand.nq) * span
         return self._with_wrist(np.clip(q + noise, hand.q_lower, hand.q_upper))
