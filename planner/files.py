@@ -12,6 +12,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -28,7 +29,7 @@ from planner.objects import GraspObject
 from planner.plan import GraspPlan, JointTrajectory, SolveRecord
 from planner.search import judge_grasp
 from planner.shapes import shape_from_dict, shape_to_dict
-from planner.spatial import SE3, pose_from_wxyz, pose_to_wxyz
+from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 from planner.synthesis.pregrasp import Approach
 from planner.task import GraspTask, Obstacle
 
@@ -47,8 +48,9 @@ __all__ = [
 
 PLAN_VERSION = 1
 
-CONTACT_TOL = 1e-5
-"""How far stored contact points (m) and normals (-) may be from those that the joints give."""
+CONTACT_TOL = 1e-4
+"""How far stored contacts (m), normals (-), forces (N) and torques (N m) may be from those recomputed
+from the stored joints: what another processor's rounding leaves after a quadratic programme."""
 
 QUATERNION_TOL = 1e-3
 """How far (-) the length of a quaternion in a file may be from 1: figures typed with few digits."""

@@ -61,9 +61,9 @@ class TrialReport:
         samples: What was recorded.
         comparison: Planned against measured contacts, one per finger; empty without a hold.
         quality_planned: Analysis of the planned contacts.
-        quality_measured: The same analysis of where the contacts were at the end of the hold, merged
-            per finger, with the plan's friction and contact model; None without contacts. The
-            closure in ``samples`` has the simulation's own friction.
+        quality_measured: The same analysis of where the contacts were at the end of the hold,
+            merged per finger, with the plan's friction and contact model; None without contacts.
+            The closure in ``samples`` has the simulation's own friction.
         thresholds: Where success ends.
         physics: Options of the simulation, as plain data.
         timeline: Durations of the phases, as plain data.

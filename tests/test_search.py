@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.errors import NoGraspFoundError
+from planner.errors import NoGraspFoundError, TaskError
 from planner.hand import Hand
 from planner.kinematics import HandState
 from planner.objects import parse_object
@@ -26,7 +26,7 @@ from planner.search import (
     plan_grasp,
 )
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.pregrasp import APPROACH_CLEARANCE, OPENED_SHARE
+from planner.synthesis.pregrasp import APPROACH_CLEARANCE, OPENED_SHARE, Approach
 from planner.task import GraspTask, Obstacle
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -126,19 +126,25 @@ def test_an_attempt_depends_on_seed_and_number_alone(allegro: Hand) -> None:
 
 
 @pytest.fixture(scope="module")
-def walled_in(allegro: Hand) -> GraspTask:
-    """An object in the middle of a rock of 0.4 m: no pad can get there."""
+def out_of_reach(allegro: Hand) -> GraspTask:
+    """A base that is fixed a metre away."""
+    base = SE3(np.eye(3), np.array([1.0, 0.0, 0.5]))
+    return GraspTask.create(allegro, "box", T_world_base=base)
+
+
+def test_an_object_inside_an_obstacle_is_found_out_before_solving(allegro: Hand) -> None:
     here = GraspTask.create(allegro, "box").T_world_object
     rock = Obstacle(name="rock", size=np.full(3, 0.4), T_world_obstacle=here)
-    return GraspTask.create(allegro, "box", obstacles=(rock,))
+    with pytest.raises(TaskError, match=r"mm inside 'rock'; move them apart"):
+        plan_grasp(GraspTask.create(allegro, "box", obstacles=(rock,)))
 
 
 def test_no_grasp_tells_every_reason_and_keeps_to_the_number_of_attempts(
-    walled_in: GraspTask,
+    out_of_reach: GraspTask,
 ) -> None:
     seen: list[Attempt] = []
     with pytest.raises(NoGraspFoundError) as caught:
-        plan_grasp(walled_in, max_attempts=2, progress=seen.append)
+        plan_grasp(out_of_reach, max_attempts=2, progress=seen.append)
     made = caught.value.attempts
     assert seen == list(made)
     assert [a.index for a in made] == [0, 1]
@@ -148,13 +154,13 @@ def test_no_grasp_tells_every_reason_and_keeps_to_the_number_of_attempts(
     assert "Try more attempts, other fingers, another pose or size" in text
 
 
-def test_the_cpu_budget_ends_a_search_between_attempts(walled_in: GraspTask) -> None:
+def test_the_cpu_budget_ends_a_search_between_attempts(out_of_reach: GraspTask) -> None:
     with pytest.raises(NoGraspFoundError) as caught:
-        plan_grasp(walled_in, max_cpu_s=1e-6)
+        plan_grasp(out_of_reach, max_cpu_s=1e-6)
     assert len(caught.value.attempts) == 1
     spent = caught.value.attempts[0].cpu_s
     with pytest.raises(NoGraspFoundError) as caught:
-        plan_grasp(walled_in, max_cpu_s=1.5 * spent)
+        plan_grasp(out_of_reach, max_cpu_s=1.5 * spent)
     used = [a.cpu_s for a in caught.value.attempts]
     assert sum(used) >= 1.5 * spent > sum(used[:-1])
 
@@ -218,11 +224,13 @@ def test_an_object_in_the_air_under_any_gravity(
     check(plan_grasp(task, seed=1))
 
 
-def test_a_box_held_on_its_corner_over_a_table(allegro: Hand) -> None:
+def test_a_box_held_on_its_corner_on_a_table(allegro: Hand) -> None:
     """No pair of its faces is upright."""
     turn = pin.Quaternion.FromTwoVectors(np.ones(3), np.array([0.0, 0.0, 1.0])).toRotationMatrix()
-    pose = SE3(turn, np.array([0.0, 0.0, 0.08]))
-    check(plan_grasp(GraspTask.create(allegro, "box", T_world_object=pose)))
+    box = parse_object("box")
+    # its lowest corner is half a diagonal of 0.05 x 0.05 x 0.08 m seen along (1, 1, 1)
+    pose = SE3(turn, np.array([0.0, 0.0, (0.025 + 0.025 + 0.04) / np.sqrt(3)]))
+    check(plan_grasp(GraspTask.create(allegro, box, T_world_object=pose)))
 
 
 def test_three_fingers_by_name(allegro: Hand) -> None:
@@ -256,7 +264,13 @@ def test_the_verdict_on_a_grasp_turns_with_the_world(allegro: Hand) -> None:
     turned = replace(
         task, T_world_object=move * task.T_world_object, gravity=move.rotation @ task.gravity
     )
-    again = judge_grasp(turned, move * plan.T_world_base, plan.q, record=plan.record)
+    approach = Approach(
+        q=plan.q_pregrasp,
+        opening=plan.opening,
+        T_world_base_start=move * plan.T_world_base_start,
+    )
+    base = move * plan.T_world_base
+    again = judge_grasp(turned, base, plan.q, record=plan.record, approach=approach)
     assert isinstance(again, GraspPlan)
     check(again)
     a, b = plan.contacts_in_object, again.contacts_in_object

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter
 from typing import Any
 
 import casadi as ca
@@ -133,8 +133,8 @@ def test_pregrasp_problem_has_exact_derivatives(
             taken.update(given)
             return {"x": given["x0"]}
 
-        def stats(self) -> dict[str, bool]:
-            return {"success": True}
+        def stats(self) -> dict[str, Any]:
+            return {"success": True, "return_status": "stands in"}
 
     solver = problem._solver
     with monkeypatch.context() as patch:
@@ -186,52 +186,63 @@ def test_fingers_term_is_the_distance_of_link_ends_from_bones(right_hand: Hand) 
             assert apart == pytest.approx(end_to_bone(bones[i], bones[j], state), abs=3e-6)
 
 
-def test_meeting_bones_are_the_same_every_time_and_contain_pairs_that_meet(
+def test_meeting_bones_are_the_same_every_time_and_contain_pairs_that_often_meet(
     right_hand: Hand,
 ) -> None:
+    """Pairs that overlap in 5 of 60 other configurations; what counts as often is 1 of 100."""
     found = meeting_bones(right_hand)
     meeting_bones.cache_clear()
     assert meeting_bones(right_hand) == found
     bones = finger_bones(right_hand)
-    seen = set()
-    for seed in range(100, 115):
+    times: Counter[tuple[int, int]] = Counter()
+    for seed in range(100, 160):
         state = random_state(right_hand, seed)
+        places = [state.joint_pose(b.joint_id) for b in bones]
+        outer = [T.act(b.outer) for T, b in zip(places, bones, strict=True)]
+        reach = [float(np.linalg.norm(b.outer - b.inner)) + b.radius for b in bones]
         for i, first in enumerate(bones):
             for j, second in enumerate(bones):
-                if first.finger != second.finger and end_to_bone(first, second, state) < 0:
-                    seen.add((i, j))
-    assert len(seen) > 5
-    assert seen <= set(found)
+                near = np.linalg.norm(outer[i] - outer[j]) < first.radius + reach[j]
+                if near and first.finger != second.finger:
+                    times[i, j] += end_to_bone(first, second, state) < 0
+    often = {pair for pair, count in times.items() if count >= 5}
+    assert len(often) > 5
+    assert often <= set(found)
     assert len(found) < sum(a.finger != b.finger for a in bones for b in bones)
 
 
-def test_lowest_point_of_hull_balls_is_that_of_the_true_link(right_hand: Hand) -> None:
-    """Height over a plane by coal; a cylinder's prism may reach up to 8 % of its radius lower."""
-    balls = defaultdict(list)
-    for ball in hull_balls(right_hand):
-        balls[ball.geometry].append(ball)
+def relatives(hand: Hand, joint: int) -> set[int]:
+    """Joints up to two steps up or down the same chain."""
+    parent = list(hand.pin_model.parents)
+    above = {joint, parent[joint], parent[parent[joint]]}
+    below = {k for k in range(1, len(parent)) if joint in (parent[k], parent[parent[k]])}
+    return above | below
+
+
+def test_hull_balls_hold_every_link_and_reach_no_further(right_hand: Hand) -> None:
+    """Lowest points over a plane, by coal; a cylinder's prism may reach 8 % of its radius lower.
+
+    A ball that is shared by links which meet in a joint is kept once, on one of them.
+    """
+    balls = hull_balls(right_hand)
     rng = np.random.default_rng(3)
-    seen = set()
+    plane, origin = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0), coal.Transform3s.Identity()
     for seed in range(5):
         state = random_state(right_hand, seed)
         T_world_base = SE3(pin.exp3(rng.normal(size=3)), np.array([0.0, 0.0, 1.0]))
+        low = [
+            T_world_base.act(state.joint_pose(b.joint_id).act(b.center))[2] - b.radius
+            for b in balls
+        ]
         for g in right_hand.geometries:
-            lowest = min(
-                T_world_base.act(state.joint_pose(b.joint_id).act(b.center))[2] - b.radius
-                for b in balls[g.name]
-            )
             pose = T_world_base * state.joint_pose(g.joint_id) * g.T_joint_geometry
             at = coal.Transform3s(pose.rotation, pose.translation)
-            plane = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
-            true = coal.distance(
-                g.geometry,
-                at,
-                plane,
-                coal.Transform3s(np.eye(3), np.zeros(3)),
-                coal.DistanceRequest(),
-                coal.DistanceResult(),
-            )
-            seen.add(g.kind)
+            request, result = coal.DistanceRequest(), coal.DistanceResult()
+            true = coal.distance(g.geometry, at, plane, origin, request, result)
+            near = relatives(right_hand, g.joint_id)
+            lowest = min(z for z, b in zip(low, balls, strict=True) if b.joint_id in near)
+            assert lowest <= true + 2e-6, g.name
+            own = [z for z, b in zip(low, balls, strict=True) if b.geometry == g.name]
             reach = g.size[0] * (1 / np.cos(np.pi / 8) - 1) if g.kind == "cylinder" else 0.0
-            assert -reach - 1e-9 <= lowest - true <= 1e-9, g.name
-    assert seen >= {"sphere", "capsule", "box"}
+            assert min(own, default=np.inf) >= true - reach - 1e-9, g.name
+    assert {g.kind for g in right_hand.geometries} >= {"sphere", "capsule", "box"}
