@@ -49,8 +49,8 @@ __all__ = [
 PLAN_VERSION = 1
 
 CONTACT_TOL = 1e-4
-"""How far stored contacts (m), normals (-), forces (N) and torques (N m) may be from those recomputed
-from the stored joints: what another processor's rounding leaves after a quadratic programme."""
+"""How far stored contacts (m), normals (-), forces (N) and torques (N m) may be from those
+recomputed from the stored joints: what rounding leaves after a quadratic programme."""
 
 QUATERNION_TOL = 1e-3
 """How far (-) the length of a quaternion in a file may be from 1: figures typed with few digits."""

@@ -92,14 +92,14 @@ DAMAGE: list[tuple[list[tuple[str, Json]], type[PlannerError], str]] = [
     ([("grasp.q_rad", [0.1])], HandError, r"q_rad has shape \(1,\); allegro_hand needs \(16,\)"),
     ([("grasp.q_rad.1", LIMIT)], HandError, r"q_rad: joint index_1 is at 10000.*outside its range"),
     ([("grasp.q_pregrasp_rad.1", -LIMIT)], HandError, "q_pregrasp_rad: joint index_1"),
-    ([("contacts.1.position_world_m.0", 0.2)], FileFormatError, "contacts are not those of its j"),
-    ([("contacts.1.finger", "ring")], FileFormatError, "contacts are not those of its joints"),
+    ([("contacts.1.position_world_m.0", 0.2)], FileFormatError, "contacts are not those of its"),
+    ([("contacts.1.finger", "ring")], FileFormatError, "contacts are not those of its"),
     (
         [("contacts.0.normal_into_object_world", [0, 0, 1])],
         FileFormatError,
-        "contacts are not those of its joints",
+        "contacts are not those of its",
     ),
-    ([("contacts", [])], FileFormatError, "contacts are not those of its joints"),
+    ([("contacts", [])], FileFormatError, "contacts are not those of its"),
     (
         [("grasp.T_world_base.position_m.2", 0.5)],
         FileFormatError,
