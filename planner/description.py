@@ -17,9 +17,10 @@ from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import Field, ValidationError, field_validator
 
 from planner.errors import HandError
+from planner.schema import StrictData, faults_of
 from planner.spatial import FloatArray
 
 __all__ = [
@@ -46,11 +47,7 @@ def _unit(v: Vector) -> Vector:
     return (v[0] / length, v[1] / length, v[2] / length)
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class PadDescription(_Strict):
+class PadDescription(StrictData):
     """Spherical contact pad, rigid in the body that carries ``geom``.
 
     Attributes:
@@ -73,7 +70,7 @@ class PadDescription(_Strict):
         return _unit(v)
 
 
-class FingerDescription(_Strict):
+class FingerDescription(StrictData):
     """One finger: joints from the palm outwards, the site that is its tip frame, its pad."""
 
     name: str
@@ -82,7 +79,7 @@ class FingerDescription(_Strict):
     pad: PadDescription
 
 
-class CouplingDescription(_Strict):
+class CouplingDescription(StrictData):
     """Kinematic coupling: sum of coefficient times joint position equals ``value`` in a grasp.
 
     Attributes:
@@ -99,7 +96,7 @@ class CouplingDescription(_Strict):
     kind: Literal["stop", "equality"]
 
 
-class HandDescription(_Strict):
+class HandDescription(StrictData):
     """Everything in a ``hand.toml``; angles of postures in rad (slides in m)."""
 
     schema_version: Literal[1] = Field(alias="schema")
@@ -123,7 +120,7 @@ class HandDescription(_Strict):
         return _unit(v)
 
 
-class MirrorDescription(_Strict):
+class MirrorDescription(StrictData):
     """A ``hand.toml`` that only says which hand it is the mirror image of.
 
     Attributes:
@@ -240,14 +237,11 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise HandError(f"{path} is not a TOML file: {error}") from error
 
 
-_Described = TypeVar("_Described", bound=_Strict)
+_Described = TypeVar("_Described", bound=StrictData)
 
 
 def _validated(path: Path, kind: type[_Described], raw: dict[str, Any]) -> _Described:
     try:
         return kind.model_validate(raw)
     except ValidationError as error:
-        faults = "; ".join(
-            f"{'.'.join(str(k) for k in e['loc']) or 'file'}: {e['msg']}" for e in error.errors()
-        )
-        raise HandError(f"{path} does not describe a hand: {faults}") from error
+        raise HandError(f"{path} does not describe a hand: {faults_of(error)}") from error

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from planner.catalog import hand_names
 from planner.contacts import ContactModel, ContactSet
@@ -27,6 +27,7 @@ from planner.errors import FileFormatError
 from planner.hand import Hand
 from planner.objects import GraspObject
 from planner.plan import GraspPlan, JointTrajectory, SolveRecord
+from planner.schema import StrictData, faults_of
 from planner.search import judge_grasp
 from planner.shapes import shape_from_dict, shape_to_dict
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
@@ -55,16 +56,16 @@ recomputed from the stored joints: what rounding leaves after a quadratic progra
 QUATERNION_TOL = 1e-3
 """How far (-) the length of a quaternion in a file may be from 1: figures typed with few digits."""
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+LARGEST = 1e6
+"""Largest number, either sign, in SI units: no grasp has a larger one, and its square is finite."""
+
+Finite = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
+NotNegative = Annotated[float, Field(allow_inf_nan=False, ge=0, le=LARGEST)]
 Vector3 = tuple[Finite, Finite, Finite]
 Vector4 = tuple[Finite, Finite, Finite, Finite]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-
-class PoseData(_Strict):
+class PoseData(StrictData):
     """A pose: position (m) and unit quaternion w, x, y, z."""
 
     position_m: Vector3
@@ -83,7 +84,7 @@ class PoseData(_Strict):
         return pose_from_wxyz(np.array(self.position_m), np.array(self.quaternion_wxyz))
 
 
-class HandData(_Strict):
+class HandData(StrictData):
     """Which hand: its name, where it was described, and the digest of its files."""
 
     name: str
@@ -91,7 +92,7 @@ class HandData(_Strict):
     sha256: str
 
 
-class ObjectData(_Strict):
+class ObjectData(StrictData):
     """Which object: shape as its kind and sizes in metres (full extents, radii), and mass."""
 
     name: str
@@ -99,7 +100,7 @@ class ObjectData(_Strict):
     mass_kg: float = Field(gt=0, allow_inf_nan=False)
 
 
-class ObstacleData(_Strict):
+class ObstacleData(StrictData):
     """A fixed box."""
 
     name: str
@@ -107,7 +108,7 @@ class ObstacleData(_Strict):
     T_world_obstacle: PoseData
 
 
-class TaskData(_Strict):
+class TaskData(StrictData):
     """The task of a plan."""
 
     hand: HandData
@@ -126,7 +127,7 @@ class TaskData(_Strict):
     wrist_q_rad: list[Finite]
 
 
-class GraspData(_Strict):
+class GraspData(StrictData):
     """The grasp itself; joints in the order of ``joint_names``."""
 
     T_world_base: PoseData
@@ -138,7 +139,7 @@ class GraspData(_Strict):
     opening_m: Finite
 
 
-class ContactData(_Strict):
+class ContactData(StrictData):
     """One planned contact, world frame; force on the object in the contact frame."""
 
     finger: str
@@ -155,7 +156,7 @@ class ContactData(_Strict):
     torque_normal_N_m: Finite
 
 
-class RecordData(_Strict):
+class RecordData(StrictData):
     """Where the plan comes from."""
 
     seed: int
@@ -167,7 +168,7 @@ class RecordData(_Strict):
     build_s: Finite
 
 
-class PlanFile(_Strict):
+class PlanFile(StrictData):
     """A grasp plan as JSON."""
 
     format: Literal["opposable-plan"] = "opposable-plan"
@@ -346,10 +347,7 @@ def read_plan(path: Path | str, *, hand: Hand | None = None) -> GraspPlan:
     try:
         file = PlanFile.model_validate(data)
     except ValidationError as error:
-        faults = "; ".join(
-            f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()[:5]
-        )
-        raise FileFormatError(f"{path} is damaged: {faults}") from error
+        raise FileFormatError(f"{path} is damaged: {faults_of(error)}") from error
     given = file.task.hand
     hand = hand or Hand.load(given.description_path or given.name)
     if hand.digest != given.sha256:
@@ -434,17 +432,17 @@ def _task(data: TaskData, hand: Hand) -> GraspTask:
     )
 
 
-class ContactInput(_Strict):
+class ContactInput(StrictData):
     """One contact that a user typed in."""
 
     position_m: Vector3
     normal_into_object: Vector3
     model: ContactModel = "point"
-    mu: float = Field(0.5, ge=0, allow_inf_nan=False)
-    mu_torsion_m: float = Field(0.0, ge=0, allow_inf_nan=False)
+    mu: NotNegative = 0.5
+    mu_torsion_m: NotNegative = 0.0
 
 
-class ContactsFile(_Strict):
+class ContactsFile(StrictData):
     """A list of contacts to analyse.
 
     Attributes:
@@ -456,7 +454,7 @@ class ContactsFile(_Strict):
 
     contacts: list[ContactInput] = Field(min_length=1)
     center_m: Vector3 = (0.0, 0.0, 0.0)
-    length_m: float | None = Field(None, gt=0, allow_inf_nan=False)
+    length_m: float | None = Field(None, gt=0, le=LARGEST, allow_inf_nan=False)
 
 
 def read_contacts(path: Path | str) -> tuple[ContactSet, float]:
@@ -473,12 +471,9 @@ def read_contacts(path: Path | str) -> tuple[ContactSet, float]:
     try:
         file = ContactsFile.model_validate(data)
     except ValidationError as error:
-        faults = "; ".join(
-            f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()[:5]
-        )
         raise FileFormatError(
-            f"{path} is neither a plan nor a list of contacts: {faults}. A list of contacts is "
-            '{"contacts": [{"position_m": [x, y, z], "normal_into_object": [x, y, z], "mu": 0.5}]}'
+            f"{path} is neither a plan nor a list of contacts: {faults_of(error)}. "
+            'A list of contacts is {"contacts": [{"position_m": [x, y, z], "normal_into_object": [x, y, z], "mu": 0.5}]}'
         ) from error
     contacts = ContactSet.from_arrays(
         [c.position_m for c in file.contacts],

@@ -21,18 +21,17 @@ but up to 15 ms where centres of curved shapes coincide.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import coal
 import numpy as np
 
-from planner.errors import ModelError, TaskError
+from planner.errors import ModelError
 from planner.shapes.nearest import nearest_on_cylinder
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["DistancePair", "PlacedGeometry", "Proximity", "min_distance", "signed_distance"]
+__all__ = ["DistancePair", "Proximity"]
 
 GJK_TOLERANCES = (1e-6, 1e-5)
 """Tolerances of coal's distance iteration, and what is tried next if it does not converge."""
@@ -46,27 +45,6 @@ EPA_ITERATIONS = 1000
 FAILED = 1e6
 """Distances (m) beyond this, of either sign, are not: coal marks a query that did not converge by
 1.8e308."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PlacedGeometry:
-    """A geometry at a pose.
-
-    Attributes:
-        name: What to call it in messages.
-        geometry: A convex coal geometry.
-        pose: ``T_world_geometry``.
-    """
-
-    name: str
-    geometry: Any
-    pose: SE3
-
-    def __post_init__(self) -> None:
-        """Check geometry and pose."""
-        _check_convex(self.name, self.geometry)
-        if not np.isfinite(self.pose.homogeneous).all():
-            raise TaskError(f"the pose of {self.name!r} holds NaN or infinity; give a finite pose")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -183,41 +161,6 @@ class DistancePair:
         )
 
 
-def signed_distance(a: PlacedGeometry, b: PlacedGeometry) -> Proximity:
-    """Signed distance, nearest points and normal of two placed geometries.
-
-    Raises:
-        ModelError: coal's iteration did not converge.
-    """
-    return DistancePair(a.geometry, b.geometry).query(a.pose, b.pose)
-
-
-def min_distance(
-    pairs: Sequence[tuple[PlacedGeometry, PlacedGeometry]],
-) -> tuple[int, Proximity]:
-    """The nearest of several pairs: its index and its proximity.
-
-    Pairs are asked in the order of the gaps between their bounding balls, until the gap alone
-    exceeds the smallest distance found: exact, with few queries.
-
-    Raises:
-        TaskError: There are no pairs.
-        ModelError: coal's iteration did not converge.
-    """
-    if not pairs:
-        raise TaskError("no pairs of geometries are given; give at least one")
-    gaps = np.array([_ball_gap(a, b) for a, b in pairs])
-    order = np.argsort(gaps, kind="stable")
-    nearest, best = int(order[0]), signed_distance(*pairs[order[0]])
-    for k in order[1:]:
-        if gaps[k] > best.distance:
-            break
-        found = signed_distance(*pairs[k])
-        if found.distance < best.distance:
-            nearest, best = int(k), found
-    return nearest, best
-
-
 def _check_convex(name: str, geometry: Any) -> None:
     if not isinstance(geometry, coal.CollisionGeometry):
         raise ModelError(
@@ -267,13 +210,3 @@ def _cores_meet(a: Any, b: Any) -> float:
     if not both_round or (isinstance(a, coal.Sphere) and isinstance(b, coal.Sphere)):
         return -np.inf
     return MEETING - float(a.radius + b.radius)
-
-
-def _ball_gap(a: PlacedGeometry, b: PlacedGeometry) -> float:
-    """Gap (m) between the balls that bound the two boxes in the geometries' own axes."""
-    reach, centers = 0.0, []
-    for placed in (a, b):
-        placed.geometry.computeLocalAABB()
-        centers.append(placed.pose.act(placed.geometry.aabb_center))
-        reach += placed.geometry.aabb_radius
-    return float(np.linalg.norm(centers[1] - centers[0])) - reach

@@ -10,9 +10,9 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 
 from planner.quality import QualityReport
+from planner.schema import StrictData
 from planner.spatial import FloatArray
 from sim.verdict import Reason, Samples, Thresholds, Verdict, largest
 
@@ -171,11 +171,7 @@ class TrialReport:
         ).model_dump(mode="json")
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-
-class ComparisonData(_Strict):
+class ComparisonData(StrictData):
     """Planned against measured contact of one finger, means over the hold, object frame."""
 
     finger: str
@@ -188,7 +184,7 @@ class ComparisonData(_Strict):
     force_error_percent: float | None
 
 
-class SampleData(_Strict):
+class SampleData(StrictData):
     """Recorded over time; lists per finger follow ``fingers``."""
 
     time_s: list[float | None]
@@ -210,7 +206,7 @@ class SampleData(_Strict):
     actuators_at_limit: list[list[str]]
 
 
-class ReportFile(_Strict):
+class ReportFile(StrictData):
     """A trial report as JSON."""
 
     format: Literal["opposable-report"] = "opposable-report"

@@ -126,7 +126,8 @@ ALLOWED = {
     "planner.shapes": ("errors", "spatial"),
     "planner.objects": ("errors", "shapes"),
     "planner.catalog": ("errors",),
-    "planner.description": ("errors", "spatial"),
+    "planner.schema": (),
+    "planner.description": ("errors", "schema", "spatial"),
     "planner.bridge": ("errors", "spatial", "actuation"),
     "planner.fingers": ("errors", "spatial", "bridge", "description", "proximity"),
     "planner.hand": (

@@ -99,6 +99,14 @@ DAMAGE: list[tuple[list[tuple[str, Json]], type[PlannerError], str]] = [
         FileFormatError,
         "contacts are not those of its",
     ),
+    ([("contacts.0.force_normal_N", 9.0)], FileFormatError, "contacts are not those of its"),
+    (
+        [("contacts.0.tangent1_world", [0.6, 0, 0.8])],
+        FileFormatError,
+        "contacts are not those of its",
+    ),
+    ([("joint_torques_N_m.3", 9.0)], FileFormatError, "torques are not those of its joints"),
+    ([("task.gravity_m_s2.1", 1e300)], FileFormatError, "gravity_m_s2.1: Input should be less th"),
     ([("contacts", [])], FileFormatError, "contacts are not those of its"),
     (
         [("grasp.T_world_base.position_m.2", 0.5)],
@@ -111,7 +119,7 @@ DAMAGE: list[tuple[list[tuple[str, Json]], type[PlannerError], str]] = [
         "quaternion .* is not of unit length",
     ),
     (
-        [("grasp.T_world_base.quaternion_wxyz.1", 1e200)],
+        [("grasp.T_world_base.quaternion_wxyz.1", 1e5)],
         FileFormatError,
         "quaternion .* is not of unit length",
     ),

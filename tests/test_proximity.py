@@ -11,13 +11,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.errors import ModelError, TaskError
+from planner.errors import ModelError
 from planner.proximity import (
     DistancePair,
-    PlacedGeometry,
     Proximity,
-    min_distance,
-    signed_distance,
 )
 from planner.shapes import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
 from planner.spatial import SE3, FloatArray
@@ -90,9 +87,9 @@ def test_two_spheres_apart_touching_and_overlapping() -> None:
 
 
 def test_order_of_the_two_turns_normal_and_points_round() -> None:
-    a = PlacedGeometry(name="a", geometry=Sphere(0.02).coal_geometry(), pose=at(0.0, 0.1))
-    b = PlacedGeometry(name="b", geometry=Box((0.1, 0.1, 0.1)).coal_geometry(), pose=at(0.0, 0.2))
-    ab, ba = signed_distance(a, b), signed_distance(b, a)
+    ball, box = Sphere(0.02), Box((0.1, 0.1, 0.1))
+    ab = pair_of(ball, box).query(at(0.0, 0.1), at(0.0, 0.2))
+    ba = pair_of(box, ball).query(at(0.0, 0.2), at(0.0, 0.1))
     assert ab.distance == ba.distance == pytest.approx(0.03)
     np.testing.assert_allclose(ab.normal, [0, 1, 0], atol=1e-12)
     np.testing.assert_allclose(ba.normal, -ab.normal)
@@ -245,40 +242,9 @@ def test_a_pair_keeps_its_geometries_alive() -> None:
     assert all(q.distance(at(0.0), at(0.1)) == pytest.approx(0.045, abs=1e-8) for q in pairs)
 
 
-@pytest.mark.parametrize("seed", range(10))
-def test_the_nearest_of_many_pairs(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    placed = [
-        PlacedGeometry(
-            name=f"{shape.kind}{k}",
-            geometry=shape.coal_geometry(),
-            pose=SE3(random_rotation(rng), rng.normal(0, 0.05 + 0.02 * seed, 3)),
-        )
-        for k in range(2)
-        for shape in SHAPES
-    ]
-    pairs = list(itertools.combinations(placed, 2))
-    distances = [signed_distance(*pair).distance for pair in pairs]
-    index, nearest = min_distance(pairs)
-    assert index == int(np.argmin(distances))
-    assert nearest.distance == min(distances)
-
-
-def test_no_pairs() -> None:
-    with pytest.raises(TaskError, match="no pairs of geometries are given; give at least one"):
-        min_distance([])
-
-
 def test_geometries_that_cannot_be_asked() -> None:
     mesh = coal.BVHModelOBBRSS()
-    with pytest.raises(ModelError, match="'cup' is a triangle mesh, which has no inside for coal"):
-        PlacedGeometry(name="cup", geometry=mesh, pose=at(0.0))
-    with pytest.raises(ModelError, match="'geometry_b' is a triangle mesh"):
+    with pytest.raises(ModelError, match="'geometry_b' is a triangle mesh, which has no inside"):
         DistancePair(coal.Sphere(0.1), mesh)
-    with pytest.raises(ModelError, match="'ball' is a Sphere, not a coal geometry"):
-        PlacedGeometry(name="ball", geometry=Sphere(0.1), pose=at(0.0))
-
-
-def test_a_pose_that_is_not_finite() -> None:
-    with pytest.raises(TaskError, match="the pose of 'ball' holds NaN or infinity"):
-        PlacedGeometry(name="ball", geometry=coal.Sphere(0.1), pose=at(np.nan))
+    with pytest.raises(ModelError, match="'geometry_a' is a Sphere, not a coal geometry"):
+        DistancePair(Sphere(0.1), mesh)
