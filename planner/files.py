@@ -473,7 +473,8 @@ def read_contacts(path: Path | str) -> tuple[ContactSet, float]:
     except ValidationError as error:
         raise FileFormatError(
             f"{path} is neither a plan nor a list of contacts: {faults_of(error)}. "
-            'A list of contacts is {"contacts": [{"position_m": [x, y, z], "normal_into_object": [x, y, z], "mu": 0.5}]}'
+            'A list of contacts is {"contacts": [{"position_m": [x, y, z], '
+            '"normal_into_object": [x, y, z], "mu": 0.5}]}'
         ) from error
     contacts = ContactSet.from_arrays(
         [c.position_m for c in file.contacts],

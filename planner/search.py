@@ -325,9 +325,6 @@ def plan_forces(
             for f, p in zip(task.fingers, contacts.positions, strict=True)
         ]
     ).reshape(len(contacts), 6, -1)
-    gravity_torque = state.gravity_torque(rotation.T @ task.gravity)
-    # fingers that carry no contact hold themselves by posture, which is not this problem's matter
-    loaded = np.abs(jacobians).max(axis=(0, 1)) > 0
     return distribute_forces(
         contacts,
         wrench=gravity_wrench(task.object.mass, task.gravity),
@@ -336,6 +333,6 @@ def plan_forces(
         jacobians=jacobians,
         actuation=task.hand.actuation,
         q=q,
-        gravity_torque=np.where(loaded, gravity_torque, 0.0),
+        gravity_torque=state.gravity_torque(rotation.T @ task.gravity),
         **options,
     )

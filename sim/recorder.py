@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from typing import Any
 
 import numpy as np
@@ -50,8 +51,11 @@ class Recorder:
         T_world_object = scene.body_pose(data, scene.object_body)
         first = self._plan.task.T_world_object
         slip = self._slip(data)
-        hits = [t for t in other_touches(scene, data) if t.kind.startswith("hand")]
-        worst = max(hits, key=lambda t: t.normal_force, default=None)
+        hits: dict[str, float] = defaultdict(float)
+        for touch in other_touches(scene, data):
+            if touch.kind.startswith("hand"):
+                hits[f"{touch.first} - {touch.second}"] += touch.normal_force
+        collision, force = max(hits.items(), key=lambda hit: hit[1], default=("", 0.0))
         normal, used = self._per_finger(merged)
         self._rows.append(
             {
@@ -71,8 +75,8 @@ class Recorder:
                     rotation_angle(first.rotation.T @ T_world_object.rotation)
                 ),
                 "lift_mm": 1e3 * (T_world_object.translation[2] - first.translation[2]),
-                "collision_N": 0.0 if worst is None else worst.normal_force,
-                "collision": "" if worst is None else f"{worst.first} - {worst.second}",
+                "collision_N": force,
+                "collision": collision,
                 "limited": limited,
             }
         )

@@ -42,9 +42,10 @@ class Timeline:
         """Check that every phase has a duration."""
         for field in fields(self):
             value = getattr(self, field.name)
-            low_ok = value >= 0 if field.name in ("close_wait", "lift_height") else value > 0
+            least = ">= 0" if field.name == "close_wait" else "> 0"
+            low_ok = value >= 0 if field.name == "close_wait" else value > 0
             if not (np.isfinite(value) and low_ok):
-                raise TaskError(f"timeline: {field.name} is {value}; give a finite number > 0")
+                raise TaskError(f"timeline: {field.name} is {value}; give a finite number {least}")
 
     @property
     def duration(self) -> float:

@@ -46,6 +46,10 @@ from sim.viewing import Viewer
 __all__ = ["Timeline", "Trial", "simulate"]
 
 
+LONGEST_PERIOD = 0.1
+"""Longest time (s) between samples: a slip that matters lasts longer."""
+
+
 class Trial:
     """One execution of a plan.
 
@@ -78,8 +82,11 @@ class Trial:
             thresholds: Where success ends; defaults if None.
             record_every: Time between samples, s.
         """
-        if not (np.isfinite(record_every) and record_every > 0):
-            raise TaskError(f"record_every is {record_every}; give seconds > 0")
+        if not 0 < record_every <= LONGEST_PERIOD:
+            raise TaskError(
+                f"record_every is {record_every}; give seconds in (0, {LONGEST_PERIOD}]: the "
+                "verdict sees what is recorded"
+            )
         self.plan = plan
         self.timeline = timeline or Timeline()
         self.thresholds = thresholds or Thresholds()

@@ -45,8 +45,15 @@ STANDOFF = 0.12
 APPROACH_CLEARANCE = 0.001
 """Smallest distance (m) to object, table and obstacles on the way in."""
 
-PATH_SAMPLES = 8
-"""Configurations checked along the closing motion and along the approach, each."""
+LEAST_STEP = 5e-4
+"""Shortest step (m) of the check along the approach: less than the clearance it asks, so that
+nothing is jumped over."""
+
+CLOSING_SAMPLES = 16
+"""Configurations checked along the closing motion: pads move about 1.5 mm between two of them."""
+
+JOINT_TOL = 1e-6
+"""How far (rad) couplings and joint limits may be violated: the solver's accuracy."""
 
 POSTURE_WEIGHT = 0.05
 """Cost of moving a joint by one radian against missing the opening by all of it (-)."""
@@ -239,16 +246,32 @@ def find_approach(
 def approach_fault(
     world: CollisionWorld, T_world_base: SE3, q: FloatArray, approach: Approach
 ) -> str:
-    """What is touched on the straight way in or while the fingers close; "" if nothing is."""
+    """What is wrong with an approach, "" if nothing is.
+
+    The straight way in is checked without a gap: from a pose with clearance d the hand may move by
+    d less ``APPROACH_CLEARANCE`` before it could touch. Closing is sampled, all fingers in step.
+    """
+    hand = world.task.hand
+    outside = np.maximum(hand.q_lower - approach.q, approach.q - hand.q_upper).max()
+    matrix, value = hand.coupling_matrix
+    if outside > JOINT_TOL or np.abs(matrix @ approach.q - value).max(initial=0.0) > JOINT_TOL:
+        return "the pre-grasp violates a joint limit or a coupling"
     begin, end = approach.T_world_base_start, T_world_base
     if not np.allclose(begin.rotation, end.rotation, atol=SAME_ROTATION):
         return "the hand turns on its way in"
-    for s in np.linspace(0.0, 1.0, PATH_SAMPLES):
-        at = SE3(end.rotation, begin.translation + s * (end.translation - begin.translation))
+    way = end.translation - begin.translation
+    length, done = float(np.linalg.norm(way)), 0.0
+    while True:
+        share = done / length if length > 0 else 1.0
+        at = SE3(end.rotation, begin.translation + share * way)
         nearest = world.nearest(at, approach.q, surroundings_only=True)
         if nearest.distance < APPROACH_CLEARANCE:
             return f"the hand touches on its way in: {nearest}"
-    for s in np.linspace(1.0, 0.0, PATH_SAMPLES, endpoint=False):
+        if done >= length:
+            break
+        free = nearest.distance - APPROACH_CLEARANCE
+        done = min(length, done + max(free, LEAST_STEP))
+    for s in np.linspace(1.0, 0.0, CLOSING_SAMPLES, endpoint=False):
         nearest = world.nearest(end, q + s * (approach.q - q))
         if nearest.distance <= 0:
             return f"the fingers touch while they close: {nearest}"

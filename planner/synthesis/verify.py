@@ -22,9 +22,9 @@ __all__ = ["TOUCH_TOL", "Verification", "contacts_at", "verify"]
 TOUCH_TOL = 5e-4
 """A pad touches when its signed distance to the true surface is at most this (m), either sign."""
 
-PENETRATION_TOL = 1e-6
-"""Signed distance (m) below which two geometries that must not touch count as penetrating: an
-order above coal's own tolerance."""
+PENETRATION_TOL = 5e-6
+"""Depth (m) from which two geometries that must not touch count as penetrating: coal is that
+accurate in penetration (``planner.proximity``)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +53,19 @@ class Verification:
     def ok(self) -> bool:
         """Whether nothing failed."""
         return not self.faults
+
+
+def _given_faults(task: GraspTask, T_world_base: SE3, q: FloatArray) -> list[str]:
+    """Whether base and wrist are where the task fixes them."""
+    faults = []
+    if task.T_world_base is not None:
+        off = task.T_world_base.inverse() * T_world_base
+        if not np.allclose(off.homogeneous, np.eye(4), atol=JOINT_TOL):
+            faults.append("the base is not where the task fixes it")
+    wrist = q[task.hand.wrist_index]
+    if not task.wrist_free and np.abs(wrist - task.wrist_q).max(initial=0.0) > JOINT_TOL:
+        faults.append("the wrist is not where the task holds it")
+    return faults
 
 
 ANGLE_TOL = 1e-3
@@ -126,6 +139,7 @@ def verify(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> Verificat
         faults.append(f"a coupling is violated by {coupling:.1e} rad")
     if limits > JOINT_TOL:
         faults.append(f"a joint limit is violated by {limits:.1e} rad")
+    faults += _given_faults(task, T_world_base, q)
     return Verification(
         pad_gaps=gaps,
         pad_geometry_gaps=whole,
