@@ -165,7 +165,7 @@ def bench_table(result: dict[str, Any]) -> Table:
     """Medians per hand and object, over all, and the worst of all."""
     outcomes = [Outcome(**o) for o in result["outcomes"]]
     table = Table(
-        title="medians; off: planned against measured contact, force: error of normal forces",
+        title="medians; CPU without building; off: planned to measured contact; force: its error",
         box=box.SIMPLE_HEAD,
     )
     for name in ("hand", "object", *COLUMNS):

@@ -455,3 +455,19 @@ def test_ctrl_c_ends_a_trial_with_a_whole_report(planned: Path, tmp_path: Path) 
     assert report == json.loads(result.out)
     assert report["reason"] == "interrupted"
     assert not list(tmp_path.glob("*.part"))
+
+
+def test_defaults_are_those_of_the_library() -> None:
+    import inspect
+
+    from planner.search import DEFAULT_MAX_ATTEMPTS
+    from planner.task import DEFAULT_MU
+    from sim import cli
+    from sim.physics import PhysicsOptions
+
+    defaults = {
+        name: parameter.default for name, parameter in inspect.signature(cli.run).parameters.items()
+    }
+    assert defaults["mu"] == DEFAULT_MU
+    assert defaults["max_attempts"] == DEFAULT_MAX_ATTEMPTS
+    assert defaults["sim_mu"] == PhysicsOptions().mu

@@ -27,14 +27,18 @@ from planner.search import (
 )
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.pregrasp import APPROACH_CLEARANCE, OPENED_SHARE, Approach
+from planner.synthesis.problem import SynthesisOptions
 from planner.task import GraspTask, Obstacle
 
 ROOT = Path(__file__).resolve().parent.parent
 
+AWAY = SE3(pin.exp3(np.array([0.0, 0.0, 0.7])), np.array([0.3, -0.2, 0.04]))
+"""A box of 0.08 m height at rest, turned and away from the origin."""
+
 WALL = Obstacle(
     name="wall",
     size=np.array([0.02, 0.3, 0.3]),
-    T_world_obstacle=SE3(np.eye(3), np.array([0.075, 0.0, 0.15])),
+    T_world_obstacle=AWAY * SE3(np.eye(3), np.array([0.075, 0.0, 0.11])),
 )
 
 
@@ -63,10 +67,13 @@ def check(plan: GraspPlan) -> None:
     assert (plan.contacts.forces[:, 0] >= task.grip_force - 1e-6).all()
     assert plan.quality.closure.closed
     grasp, opened = HandState(task.hand, plan.q), HandState(task.hand, plan.q_pregrasp)
+    off = []
     for finger, normal in zip(task.fingers, plan.contacts.normals, strict=True):
         moved = opened.pad_center(finger) - grasp.pad_center(finger)
-        back = -(plan.T_world_base.rotation @ moved) @ normal
-        assert back >= OPENED_SHARE * plan.opening - 1e-6
+        moved = plan.T_world_base.rotation @ moved
+        assert -moved @ normal >= OPENED_SHARE * plan.opening - 1e-6
+        off.append(float(np.linalg.norm(moved + plan.opening * normal)))
+    assert np.median(off) < 0.2 * plan.opening
 
 
 def same(a: GraspPlan, b: GraspPlan) -> bool:
@@ -176,22 +183,26 @@ def test_too_heavy_an_object_is_infeasible_when_planned(allegro: Hand) -> None:
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_obstacles_are_avoided_at_grasp_and_on_the_way(allegro: Hand, seed: int) -> None:
-    task = GraspTask.create(allegro, "box", obstacles=(WALL,))
-    plan = plan_grasp(task, seed=seed)
+    """With 15 mm to keep, which the search does not get by luck as the same seed shows without."""
+    options = SynthesisOptions(clear_table=0.015)
+    task = GraspTask.create(allegro, "box", T_world_object=AWAY, obstacles=(WALL,))
+    plan = plan_grasp(task, seed=seed, options=options)
     check(plan)
-    assert least_distance(allegro, plan.T_world_base, plan.q, WALL) > 0.0029
+    # the balls in the links keep 15 mm; between two of them a link may be a little nearer
+    assert least_distance(allegro, plan.T_world_base, plan.q, WALL) > 0.014
     start, end = plan.T_world_base_start.translation, plan.T_world_base.translation
     for s in np.linspace(0, 1, 8):
         at = SE3(plan.T_world_base.rotation, start + s * (end - start))
         assert least_distance(allegro, at, plan.q_pregrasp, WALL) > APPROACH_CLEARANCE - 1e-6
-    without = plan_grasp(GraspTask.create(allegro, "box"), seed=seed)
-    assert least_distance(allegro, without.T_world_base, without.q, WALL) < 0.0029
+    without = plan_grasp(
+        GraspTask.create(allegro, "box", T_world_object=AWAY), seed=seed, options=options
+    )
+    assert least_distance(allegro, without.T_world_base, without.q, WALL) < 0.014
 
 
 def test_a_fixed_base_stays_where_it_is(allegro: Hand) -> None:
-    pose = SE3(pin.exp3(np.array([0, 0, 0.7])), np.array([0.3, -0.2, 0.04]))
-    free = plan_grasp(GraspTask.create(allegro, "box", T_world_object=pose), seed=1)
-    task = GraspTask.create(allegro, "box", T_world_object=pose, T_world_base=free.T_world_base)
+    free = plan_grasp(GraspTask.create(allegro, "box", T_world_object=AWAY), seed=1)
+    task = GraspTask.create(allegro, "box", T_world_object=AWAY, T_world_base=free.T_world_base)
     plan = plan_grasp(task, seed=5)
     check(plan)
     for base in (plan.T_world_base, plan.T_world_base_start):
