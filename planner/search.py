@@ -143,8 +143,8 @@ def attempts(
     Raises:
         TaskError: The object cannot be grasped by this hand, found out before solving.
     """
-    if seed < 0:
-        raise TaskError(f"seed is {seed}; give an integer >= 0")
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise TaskError(f"seed is {seed!r}; give an integer >= 0")
     options = options or SynthesisOptions()
     seeder = Seeder(task)
     world = CollisionWorld(task)

@@ -141,8 +141,9 @@ class GraspTask:
         """
         hand = hand if isinstance(hand, Hand) else Hand.load(hand)
         item = parse_object(object) if isinstance(object, str) else object
-        for name, value in (("mu", mu), ("table_height", table_height)):
-            _check_number(name, value)
+        _check_number("mu", mu)
+        if table_height is not None:
+            _check_number("table_height", table_height)
         if isinstance(fingers, str):
             raise TaskError(f"fingers is the text {fingers!r}; give a list of names")
         if T_world_object is None:
@@ -249,7 +250,7 @@ class GraspTask:
 
 
 def _check_number(name: str, value: object) -> None:
-    if value is not None and (isinstance(value, bool) or not isinstance(value, Real)):
+    if isinstance(value, bool) or not isinstance(value, Real):
         raise TaskError(f"{name} is {value!r}; give a number")
 
 

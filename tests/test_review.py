@@ -118,3 +118,17 @@ def test_a_trial_runs_once_and_is_recorded_often(plan: GraspPlan) -> None:
     trial.run(on_step=lambda t: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(TaskError, match="has run already"):
         trial.run()
+
+
+def test_numbers_that_are_none() -> None:
+    with pytest.raises(TaskError, match="mu is None; give a number"):
+        GraspTask.create("allegro_hand", "sphere", mu=None)  # type: ignore[arg-type]
+    with pytest.raises(TaskError, match=r"seed is 1\.5; give an integer"):
+        plan_grasp(GraspTask.create("allegro_hand", "sphere"), seed=1.5)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("spec", ["sphere:0.05", "box:0.09x0.09x0.1"])
+def test_an_object_wider_than_the_open_posture_is_grasped(spec: str) -> None:
+    """Pads stand 88 mm apart in the Allegro's open posture, but can be stretched further."""
+    found = plan_grasp(GraspTask.create("allegro_hand", spec), seed=0)
+    assert found.verification.ok

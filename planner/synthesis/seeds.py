@@ -38,6 +38,10 @@ JOINT_NOISE = 0.05
 MOST_OPEN = 0.6
 """Starts lie between the pinch posture and this share of the way to the open one (-)."""
 
+MOST_STRETCHED, STRETCHES = 4.0, 17
+"""How far beyond the open posture (1) the fingers are stretched to find the widest object (-), and
+how many postures are looked at."""
+
 AXIS_NOISE = 0.15
 """Standard deviation (rad) of the opposition axis about the chosen direction of the object."""
 
@@ -101,13 +105,19 @@ class Seeder:
         pinch = self._with_wrist(task.hand.posture(PINCH))
         self.posture = np.where(self._resting(), self.open, pinch)
         self.pinch = opposition(task, self.posture)
-        self.widest = max(opposition(task, self.open).gap, self.pinch.gap)
+        stretches = np.linspace(0.0, MOST_STRETCHED, STRETCHES)
+        gaps = np.array([opposition(task, self._stretched(s)).gap for s in stretches])
+        self.widest = float(gaps.max())
         self.frozen = self._frozen()
         candidates = self._directions()
         widths = [2 * _half_width(task.object.shape, c) for c in candidates]
         self.directions = [c for c, w in zip(candidates, widths, strict=True) if w < self.widest]
         self.smallest = min(widths)
         self._check_size()
+        # an object wider than the open hand is started with fingers stretched just around it
+        self._stretch = None
+        if self.smallest > opposition(task, self.open).gap:
+            self._stretch = float(stretches[np.argmax(gaps > self.smallest)])
 
     def draw(self, rng: np.random.Generator) -> Start:
         """One start."""
@@ -160,6 +170,12 @@ class Seeder:
                 f"fit around a ball of {1e3 * shape.bounding_radius:.1f} mm radius; use a larger "
                 "object or fewer fingers"
             )
+
+    def _stretched(self, share: float) -> FloatArray:
+        """Posture at a share of the way from pinch (0) to open (1) and beyond, within limits."""
+        hand = self.task.hand
+        q = self.posture + share * (self.open - self.posture)
+        return self._with_wrist(np.clip(q, hand.q_lower, hand.q_upper))
 
     def _with_wrist(self, q: FloatArray) -> FloatArray:
         q = q.copy()
@@ -214,7 +230,7 @@ class Seeder:
         hand = self.task.hand
         span = hand.q_upper - hand.q_lower
         share = rng.uniform(0.0, MOST_OPEN)
-        q = self.posture + share * (self.open - self.posture)
+        q = self._stretched(share if self._stretch is None else self._stretch + share)
         noise = rng.normal(0, JOINT_NOISE, hand.nq) * span
         return self._with_wrist(np.clip(q + noise, hand.q_lower, hand.q_upper))
 
