@@ -49,8 +49,8 @@ LEAST_STEP = 5e-4
 """Shortest step (m) of the check along the approach: less than the clearance it asks, so that
 nothing is jumped over."""
 
-CLOSING_SAMPLES = 16
-"""Configurations checked along the closing motion: pads move about 1.5 mm between two of them."""
+CLOSING_SAMPLES = 12
+"""Configurations checked along the closing motion: pads move about 2 mm between two of them."""
 
 JOINT_TOL = 1e-6
 """How far (rad) couplings and joint limits may be violated: the solver's accuracy."""
@@ -145,6 +145,7 @@ class PregraspProblem:
                 "ipopt.max_iter": MAX_ITERATIONS,
                 "ipopt.tol": 1e-3,
                 "ipopt.constr_viol_tol": 1e-6,
+                "ipopt.mu_init": 1e-3,
                 **LINEAR_SOLVER,
             },
         )

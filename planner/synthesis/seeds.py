@@ -111,13 +111,13 @@ class Seeder:
         self.frozen = self._frozen()
         candidates = self._directions()
         widths = [2 * _half_width(task.object.shape, c) for c in candidates]
-        self.directions = [c for c, w in zip(candidates, widths, strict=True) if w < self.widest]
         self.smallest = min(widths)
-        self._check_size()
         # an object wider than the open hand is started with fingers stretched just around it
-        self._stretch = None
-        if self.smallest > opposition(task, self.open).gap:
-            self._stretch = float(stretches[np.argmax(gaps > self.smallest)])
+        reach, self._stretch = max(opposition(task, self.open).gap, self.pinch.gap), None
+        if self.smallest >= reach:
+            reach, self._stretch = self.widest, float(stretches[np.argmax(gaps > self.smallest)])
+        self.directions = [c for c, w in zip(candidates, widths, strict=True) if w < reach]
+        self._check_size()
 
     def draw(self, rng: np.random.Generator) -> Start:
         """One start."""
