@@ -7,7 +7,8 @@ fingers are the solution of a small NLP over the joints alone:
     s.t. every pad opened by OPENED_SHARE of the opening at least; couplings; joint limits;
          links clear of object, table, obstacles and of each other
 
-with c_i the pad centres of the grasp and n_i the normals into the object.
+with c_i the pad centres of the grasp and n_i the normals into the object. Fingers that stand close
+to each other may have to move sideways as well while they open.
 """
 
 from __future__ import annotations
