@@ -462,7 +462,7 @@ def test_defaults_are_those_of_the_library() -> None:
 
     from planner.search import DEFAULT_MAX_ATTEMPTS
     from planner.task import DEFAULT_MU
-    from sim import cli
+    from sim.cli import grasp as cli
     from sim.physics import PhysicsOptions
 
     defaults = {

@@ -1,0 +1,36 @@
+"""The command ``opposable``: thin; every subcommand imports what it needs when it runs.
+
+Exit codes: 0 done and good; 1 done, and the answer is no (no closure, object not held); 2 wrong
+usage; 3 bad input (an error that says what to do); 4 no grasp found; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import typer
+
+from sim.cli import bench, grasp, look
+from sim.cli.common import EXIT_INTERRUPTED
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    help="Plan a multi-finger grasp, execute it in MuJoCo, and judge both by the same analysis.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+for group in (grasp, look, bench):
+    group.register(app)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line; ``arguments`` are ``sys.argv[1:]`` if None."""
+    try:
+        command: Callable[..., Any] = typer.main.get_command(app)
+        command(args=arguments, prog_name="opposable")
+    except KeyboardInterrupt:  # before a command began, or after it ended
+        sys.exit(EXIT_INTERRUPTED)

@@ -1,0 +1,144 @@
+"""What all commands share: consoles, arguments, exit codes, errors for people."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+EXIT_NO, EXIT_BAD_INPUT, EXIT_NOT_FOUND, EXIT_INTERRUPTED = 1, 3, 4, 130
+"""Done, and the answer is no; bad input; no grasp found; interrupted."""
+
+out = Console()
+err = Console(stderr=True)
+
+HandArgument = Annotated[
+    str, typer.Argument(help="A hand's name, or the path of its hand.toml.", metavar="HAND")
+]
+ObjectArgument = Annotated[
+    str,
+    typer.Argument(
+        help="sphere, box, cylinder, capsule, ellipsoid; or with sizes in m: box:0.05x0.05x0.08",
+        metavar="OBJECT",
+    ),
+]
+FingersOption = Annotated[
+    str | None, typer.Option(help="Fingers that take part: thumb,index,middle")
+]
+SeedOption = Annotated[int, typer.Option(min=0, help="Same seed, same plan.")]
+MuOption = Annotated[float, typer.Option(help="Sliding friction that planning relies on (-).")]
+MassOption = Annotated[float | None, typer.Option(help="Mass of the object, kg (default 0.1).")]
+DensityOption = Annotated[
+    float | None, typer.Option(help="Density of the object, kg/m3, instead of its mass.")
+]
+AttemptsOption = Annotated[int, typer.Option(min=1, help="Attempts before giving up.")]
+CpuOption = Annotated[
+    float | None, typer.Option(help="CPU seconds before giving up; checked between attempts.")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines on stdout.")]
+ViewOption = Annotated[bool, typer.Option("--view", help="Show the run in MuJoCo's viewer.")]
+SimMuOption = Annotated[float, typer.Option(help="Sliding friction in simulation (-).")]
+PlanArgument = Annotated[Path, typer.Argument(help="A plan file.", metavar="PLAN")]
+
+
+def say(console: Console, text: str) -> None:
+    """Print a sentence that may hold a user's text; not broken into lines where it is piped."""
+    console.print(text, highlight=False, soft_wrap=True)
+
+
+def names(text: str) -> list[str]:
+    """Names out of a comma-separated list."""
+    return [name.strip() for name in text.split(",")]
+
+
+def _leave(*_: object) -> None:
+    """Ctrl-C before anything was done."""
+    os.write(2, b"interrupted\n")
+    os._exit(EXIT_INTERRUPTED)
+
+
+@contextmanager
+def errors_for_people() -> Iterator[None]:
+    """Turn errors that a user can mend, and Ctrl-C, into a message and an exit code."""
+    # Some libraries swallow a KeyboardInterrupt while they are imported: leave at once meanwhile.
+    handler = signal.signal(signal.SIGINT, _leave)
+    try:
+        from planner.errors import NoGraspFoundError, PlannerError
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    try:
+        yield
+    except NoGraspFoundError as error:
+        say(err, f"[bold]not found:[/] {escape(str(error))}")
+        raise typer.Exit(EXIT_NOT_FOUND) from error
+    except PlannerError as error:
+        say(err, f"[bold red]error:[/] {escape(str(error))}")
+        raise typer.Exit(EXIT_BAD_INPUT) from error
+    except KeyboardInterrupt as error:
+        say(err, "interrupted")
+        raise typer.Exit(EXIT_INTERRUPTED) from error
+
+
+@contextmanager
+def heeding_ctrl_c() -> Iterator[Callable[[], None]]:
+    """Give a function that raises the KeyboardInterrupt that got lost, if one did.
+
+    CasADi makes a failed attempt out of a Ctrl-C while it solves, and planning would go on.
+    """
+    pressed: list[bool] = []
+
+    def remember(*_: object) -> None:
+        pressed.append(True)
+        raise KeyboardInterrupt
+
+    def check() -> None:
+        if pressed:
+            raise KeyboardInterrupt
+
+    handler = signal.signal(signal.SIGINT, remember)
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, handler)
+
+
+def print_json(data: dict[str, Any]) -> None:
+    """JSON on stdout, for machines."""
+    sys.stdout.write(json.dumps(data, indent=1) + "\n")
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder, with an error for people."""
+    from planner.errors import FileFormatError
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileFormatError(f"cannot make the folder {folder}: {error.strerror}") from error
+
+
+def check_folder(file: Path | None) -> None:
+    """Refuse a file in a folder that does not exist, before the work and not after it."""
+    from planner.errors import FileFormatError
+
+    if file is not None and not file.parent.is_dir():
+        raise FileFormatError(f"cannot write {file}: there is no folder {file.parent}; make it")
+    if file is not None and file.is_dir():
+        raise FileFormatError(f"cannot write {file}: it is a folder; name a file")
+
+
+def exit_for(report: Any) -> None:
+    """Exit as a trial report says."""
+    if report.reason == "interrupted":
+        raise typer.Exit(EXIT_INTERRUPTED)
+    if not report.success:
+        raise typer.Exit(EXIT_NO)

@@ -1,0 +1,220 @@
+"""Commands that plan and execute: ``run``, ``plan``, ``simulate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.markup import escape
+
+from sim.cli.common import (
+    AttemptsOption,
+    CpuOption,
+    DensityOption,
+    FingersOption,
+    HandArgument,
+    JsonOption,
+    MassOption,
+    MuOption,
+    ObjectArgument,
+    PlanArgument,
+    SeedOption,
+    SimMuOption,
+    ViewOption,
+    check_folder,
+    err,
+    errors_for_people,
+    exit_for,
+    heeding_ctrl_c,
+    make_folder,
+    names,
+    out,
+    print_json,
+    say,
+)
+
+
+def _plan(
+    hand: str,
+    object: str,
+    *,
+    fingers: str | None,
+    seed: int,
+    mu: float,
+    mass: float | None,
+    density: float | None,
+    attempts: int,
+    max_cpu_s: float | None,
+) -> Any:
+    """Plan with a spinner that counts attempts on stderr."""
+    from planner.objects import parse_object
+    from planner.search import Attempt, plan_grasp
+    from planner.task import GraspTask
+
+    task = GraspTask.create(
+        hand,
+        parse_object(object, mass=mass, density=density),
+        mu=mu,
+        fingers=None if fingers is None else names(fingers),
+    )
+    title = f"planning: {task.hand.name}, {task.object.name} ..."
+    with heeding_ctrl_c() as check, err.status(title) as status:
+
+        def show(attempt: Attempt) -> None:
+            check()
+            outcome = escape(attempt.reason[:70] or "found")
+            status.update(f"planning: attempt {attempt.index + 1}: {outcome}")
+
+        return plan_grasp(
+            task, seed=seed, max_attempts=attempts, max_cpu_s=max_cpu_s, progress=show
+        )
+
+
+def _simulate(plan: Any, *, mu: float, view: bool, picture: Path | None) -> Any:
+    """Execute with a progress bar on stderr."""
+    from rich.progress import Progress
+
+    from sim.scene import PhysicsOptions
+    from sim.trial import simulate
+
+    with Progress(console=err, transient=True, disable=not err.is_terminal) as progress:
+        bar = progress.add_task("simulating", total=1.0)
+        return simulate(
+            plan,
+            physics=PhysicsOptions(mu=mu),
+            progress=lambda share: progress.update(bar, completed=share),
+            view=view,
+            picture=picture,
+        )
+
+
+@errors_for_people()
+def run(
+    hand: HandArgument,
+    object: ObjectArgument,
+    out_dir: Annotated[
+        Path | None, typer.Option("--out", help="Folder for plan, report and picture.")
+    ] = None,
+    fingers: FingersOption = None,
+    seed: SeedOption = 0,
+    mu: MuOption = 0.5,
+    sim_mu: SimMuOption = 0.6,
+    mass: MassOption = None,
+    density: DensityOption = None,
+    max_attempts: AttemptsOption = 40,
+    max_cpu_s: CpuOption = None,
+    view: ViewOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Plan a grasp, distribute its forces, execute it, judge it; writes plan, report, picture."""
+    from planner.files import plan_to_dict, write_json, write_plan
+    from sim.summary import print_plan, print_report
+    from sim.viewing import check_display
+
+    if out_dir is not None:
+        make_folder(out_dir)
+    if view:
+        check_display()
+    plan = _plan(
+        hand,
+        object,
+        fingers=fingers,
+        seed=seed,
+        mu=mu,
+        mass=mass,
+        density=density,
+        attempts=max_attempts,
+        max_cpu_s=max_cpu_s,
+    )
+    spec = plan.task.object.shape.spec.replace(":", "-")
+    folder = out_dir or Path("runs") / f"{plan.task.hand.name}-{spec}-{seed}"
+    make_folder(folder)
+    for old in ("report.json", "held.png"):  # of an earlier plan in this folder
+        (folder / old).unlink(missing_ok=True)
+    write_plan(plan, folder / "plan.json")
+    if not as_json:
+        print_plan(plan, out)
+    report = _simulate(plan, mu=sim_mu, view=view, picture=folder / "held.png")
+    write_json(report.to_dict(), folder / "report.json")
+    if as_json:
+        print_json({"plan": plan_to_dict(plan), "report": report.to_dict()})
+    else:
+        print_report(report, out)
+        note = ", held.png" if report.picture else f" (no picture: {report.picture_reason})"
+        say(out, escape(f"written to {folder}: plan.json, report.json{note}"))
+    exit_for(report)
+
+
+@errors_for_people()
+def plan(
+    hand: HandArgument,
+    object: ObjectArgument,
+    output: Annotated[Path, typer.Option("--out", "-o", help="The plan file.")] = Path("plan.json"),
+    fingers: FingersOption = None,
+    seed: SeedOption = 0,
+    mu: MuOption = 0.5,
+    mass: MassOption = None,
+    density: DensityOption = None,
+    max_attempts: AttemptsOption = 40,
+    max_cpu_s: CpuOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Plan a grasp and write it to a file."""
+    from planner.files import plan_to_dict, write_plan
+    from sim.summary import print_plan
+
+    check_folder(output)
+    found = _plan(
+        hand,
+        object,
+        fingers=fingers,
+        seed=seed,
+        mu=mu,
+        mass=mass,
+        density=density,
+        attempts=max_attempts,
+        max_cpu_s=max_cpu_s,
+    )
+    write_plan(found, output)
+    if as_json:
+        print_json(plan_to_dict(found))
+    else:
+        print_plan(found, out)
+        say(out, escape(f"written to {output}"))
+
+
+@errors_for_people()
+def simulate(
+    plan_file: PlanArgument,
+    report_file: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Write the trial report here.")
+    ] = None,
+    picture: Annotated[Path | None, typer.Option(help="Write a picture (PNG) here.")] = None,
+    sim_mu: SimMuOption = 0.6,
+    view: ViewOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Execute a plan file in MuJoCo: approach, close, squeeze, lift, hold; and judge it."""
+    from planner.files import read_plan, write_json
+    from sim.summary import print_report
+
+    check_folder(report_file)
+    check_folder(picture)
+    report = _simulate(read_plan(plan_file), mu=sim_mu, view=view, picture=picture)
+    if report_file is not None:
+        write_json(report.to_dict(), report_file)
+    if as_json:
+        print_json(report.to_dict())
+    else:
+        print_report(report, out)
+        if picture is not None:
+            note = report.picture_reason or f"written to {picture}"
+            say(out, escape(f"picture: {note}"))
+    exit_for(report)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    for command in (run, plan, simulate):
+        app.command()(command)

@@ -1,0 +1,80 @@
+"""Commands that look: ``inspect``, ``analyse``, ``schema``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sim.cli.common import (
+    EXIT_NO,
+    HandArgument,
+    JsonOption,
+    errors_for_people,
+    out,
+    print_json,
+)
+
+
+@errors_for_people()
+def inspect(hand: HandArgument, as_json: JsonOption = False) -> None:
+    """What a hand is made of: joints per finger with limits, actuators, tips, masses, torques."""
+    from planner.hand import Hand
+    from sim.inspection import hand_tables, inspect_hand
+
+    loaded = Hand.load(hand)
+    if as_json:
+        print_json(inspect_hand(loaded))
+    else:
+        for table in hand_tables(loaded):
+            out.print(table)
+
+
+@errors_for_people()
+def analyse(
+    contacts_file: Annotated[
+        Path, typer.Argument(help="A plan file or a list of contacts (JSON).", metavar="FILE")
+    ],
+    edges: Annotated[int, typer.Option(min=3, help="Sides of the friction pyramid.")] = 8,
+    as_json: JsonOption = False,
+) -> None:
+    """Force closure, epsilon, min-weight and the rest of a plan or of contacts you typed in."""
+    from planner.files import read_contacts
+    from planner.quality import analyse as analyse_contacts
+
+    contacts, length = read_contacts(contacts_file)
+    report = analyse_contacts(contacts, length=length, edges=edges)
+    if as_json:
+        print_json(report.to_dict())
+    else:
+        out.print(str(report), highlight=False)
+    if not report.closure.closed:
+        raise typer.Exit(EXIT_NO)
+
+
+@errors_for_people()
+def schema(
+    kind: Annotated[str, typer.Argument(help="plan, report or contacts")] = "plan",
+) -> None:
+    """The JSON Schema of plan files, trial reports, or contact lists."""
+    from pydantic import BaseModel
+
+    from planner.errors import NotFoundError
+    from planner.files import ContactsFile, PlanFile
+    from sim.report import ReportFile
+
+    models: dict[str, type[BaseModel]] = {
+        "plan": PlanFile,
+        "report": ReportFile,
+        "contacts": ContactsFile,
+    }
+    if kind not in models:
+        raise NotFoundError("schema", kind, models)
+    print_json(models[kind].model_json_schema())
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    for command in (inspect, analyse, schema):
+        app.command()(command)
