@@ -25,15 +25,16 @@ from planner.plan import GraspPlan, SolveRecord
 from planner.quality import force_closure
 from planner.shapes import Shape
 from planner.spatial import SE3, FloatArray
+from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.pregrasp import (
     Approach,
     PregraspProblem,
     approach_fault,
     find_approach,
-    table_in_object,
 )
-from planner.synthesis.problem import GraspProblem, SynthesisOptions, build_problem
+from planner.synthesis.problem import GraspProblem, build_problem
 from planner.synthesis.seeds import Seeder
+from planner.synthesis.surroundings import obstacles_in_object, table_in_object
 from planner.synthesis.verify import contacts_at, verify
 from planner.task import GraspTask
 
@@ -224,17 +225,18 @@ def _attempt(
 ) -> GraspPlan | str:
     """One attempt: a plan, or why not."""
     start = seeder.draw(rng)
-    to_object = task.T_world_object.inverse()
     parameters = problems.grasp.parameters(
         shape=task.object.shape,
         start=start,
         table=table_in_object(task),
-        obstacles=[(to_object * o.T_world_obstacle, o.size / 2) for o in task.obstacles],
+        obstacles=obstacles_in_object(task),
         mu=task.mu,
         posture=seeder.posture,
         options=options,
     )
-    solution = problems.grasp.solve(start, parameters)
+    solution = problems.grasp.solve(
+        start, parameters, problems.grasp.surface.field_of(task.object.shape)
+    )
     worst = max(solution.violation, key=lambda k: solution.violation[k])
     if not solution.violation[worst] <= NLP_TOL:
         return f"not solved, term {worst}: violated by {solution.violation[worst]:.1e}"

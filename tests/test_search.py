@@ -27,7 +27,7 @@ from planner.search import (
 )
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.pregrasp import APPROACH_CLEARANCE, OPENED_SHARE, Approach
-from planner.synthesis.problem import SynthesisOptions
+from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask, Obstacle
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -20,7 +20,6 @@ from planner.kinematics import HandState
 from planner.search import NLP_TOL, problems_for
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.clearance import LinkBall, hull_balls, link_balls
-from planner.synthesis.pregrasp import table_in_object
 from planner.synthesis.problem import (
     LEVER,
     PRESS_MIN,
@@ -31,6 +30,7 @@ from planner.synthesis.problem import (
 )
 from planner.synthesis.seeds import Seeder
 from planner.synthesis.surfaces import EDGE_MARGIN
+from planner.synthesis.surroundings import table_in_object
 from planner.task import GraspTask, Obstacle
 
 SOFT = 4e-5
@@ -116,7 +116,7 @@ def solved(request: pytest.FixtureRequest, allegro: Hand, shadow: Hand) -> Solve
 def terms(case: Solved, x: FloatArray) -> dict[str, FloatArray]:
     """Value of every term at x."""
     problem = case.problem
-    f = ca.Function("t", [problem.x, problem.p], [t.expression for t in problem.terms])
+    f = ca.Function("t", [problem.nlp.x, problem.nlp.p], [t.expression for t in problem.terms])
     values = f(x, case.parameters)
     return {t.name: np.array(v).ravel() for t, v in zip(problem.terms, values, strict=True)}
 
@@ -258,7 +258,8 @@ def test_a_solution_keeps_its_margins_on_the_true_shapes(solved: Solved) -> None
 
 
 def test_a_solution_satisfies_every_term_with_its_own_base_as_reference(solved: Solved) -> None:
-    assert max(solved.problem.violations(solved.x, solved.parameters).values()) <= NLP_TOL
+    g = solved.problem.nlp.bind(None).evaluate(solved.x, solved.parameters)[0].ravel()
+    assert max(solved.problem.violations(g).values()) <= NLP_TOL
     ref = Reference(solved, solved.x)
     check(terms(solved, solved.x), ref, tolerance=1e-6)
     np.testing.assert_allclose(ref.outward, solved.solution.normals, atol=1e-6)

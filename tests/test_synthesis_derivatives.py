@@ -24,9 +24,9 @@ from planner.synthesis.clearance import (
     hull_balls,
     meeting_bones,
 )
-from planner.synthesis.pregrasp import table_in_object
-from planner.synthesis.problem import SynthesisOptions
+from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.seeds import Seeder
+from planner.synthesis.surroundings import table_in_object
 from planner.task import GraspTask, Obstacle
 
 STEP = 1e-6
@@ -117,7 +117,7 @@ def test_grasp_problem_has_exact_derivatives(task: GraspTask, seed: int) -> None
             (start.forces + rng.normal(0, 0.3, start.forces.shape)).ravel(),
         ]
     )
-    check_derivatives(Nlp(problem._solver, x, parameters))
+    check_derivatives(Nlp(problem.nlp.bind(None)._solve, x, parameters))
 
 
 def test_pregrasp_problem_has_exact_derivatives(
@@ -127,23 +127,18 @@ def test_pregrasp_problem_has_exact_derivatives(
     start = Seeder(task).draw(np.random.default_rng(0))
     taken: dict[str, FloatArray] = {}
 
-    class Solver:
-        """Stands in for IPOPT and keeps what it was given."""
+    def stands_in(**given: Any) -> tuple[FloatArray, dict[str, Any]]:
+        """For IPOPT: keeps what it was given."""
+        taken.update(given)
+        return given["x0"], {"success": True}
 
-        def __call__(self, **given: Any) -> dict[str, FloatArray]:
-            taken.update(given)
-            return {"x": given["x0"]}
-
-        def stats(self) -> dict[str, Any]:
-            return {"success": True, "return_status": "stands in"}
-
-    solver = problem._solver
+    solver = problem._nlp.bind(None)
     with monkeypatch.context() as patch:
-        patch.setattr(problem, "_solver", Solver())
+        patch.setattr(problem._nlp, "bind", lambda _: stands_in)
         T_world_base = task.T_world_object * start.T_object_base
         problem.solve(task, T_world_base, start.q, -start.points / 0.03, 0.02)
     x = np.clip(start.q + 0.1, hand.q_lower, hand.q_upper)
-    check_derivatives(Nlp(solver, x, taken["p"]))
+    check_derivatives(Nlp(solver._solve, x, taken["p"]))
 
 
 def bone_geometry(bone: LinkBone, pose: SE3) -> tuple[Any, SE3]:

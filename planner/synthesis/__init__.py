@@ -1,7 +1,8 @@
 """Grasp synthesis: the NLP, its starts, the pre-grasp, and the verdict on the true geometry."""
 
+from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.pregrasp import Approach, PregraspProblem, find_approach
-from planner.synthesis.problem import GraspProblem, Start, SynthesisOptions, build_problem
+from planner.synthesis.problem import GraspProblem, Start, build_problem
 from planner.synthesis.seeds import Seeder
 from planner.synthesis.verify import Verification, contacts_at, verify
 

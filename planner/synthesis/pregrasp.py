@@ -27,11 +27,12 @@ from planner.shapes import Shape
 from planner.spatial import SE3, FloatArray
 from planner.symbolic import SymbolicHand
 from planner.synthesis.clearance import ClearanceTerms
-from planner.synthesis.problem import INTERRUPTED, LINEAR_SOLVER
+from planner.synthesis.nlp import Nlp
 from planner.synthesis.surfaces import SIZE_DIM, surface_of
+from planner.synthesis.surroundings import Surroundings, obstacles_in_object, table_in_object
 from planner.task import GraspTask
 
-__all__ = ["Approach", "PregraspProblem", "approach_fault", "find_approach", "table_in_object"]
+__all__ = ["Approach", "PregraspProblem", "approach_fault", "find_approach"]
 
 OPENINGS = (0.025, 0.02, 0.015, 0.01)
 """Distances (m) by which pads are opened along the normals, tried in this order. More room absorbs
@@ -96,13 +97,9 @@ class PregraspProblem:
         q, q_grasp = ca.SX.sym("q", hand.nq), ca.SX.sym("q_grasp", hand.nq)
         rotation, shift = ca.SX.sym("R", 3, 3), ca.SX.sym("t", 3)
         size = ca.SX.sym("size", SIZE_DIM)
-        normal, offset = ca.SX.sym("table_n", 3), ca.SX.sym("table_d")
+        surroundings = Surroundings(n_obstacles)
         begin, inward = ca.SX.sym("c", 3, n), ca.SX.sym("n", 3, n)
         opening = ca.SX.sym("opening")
-        boxes = [
-            (ca.SX.sym("R_ob", 3, 3), ca.SX.sym("t_ob", 3), ca.SX.sym("h_ob", 3))
-            for _ in range(n_obstacles)
-        ]
         symbolic = SymbolicHand(hand, q)
         moved = [
             rotation @ symbolic.point(f.pad.joint_id, f.pad.center) + shift - begin[:, i]
@@ -116,39 +113,32 @@ class PregraspProblem:
         links = ClearanceTerms(symbolic, rotation, shift)
         above = [-ca.dot(m, inward[:, i]) / opening - OPENED_SHARE for i, m in enumerate(moved)]
         above += links.from_object(self.surface, size, [], OPEN_CLEARANCE, OPEN_CLEARANCE)
-        above += links.from_plane(normal, offset, OPEN_CLEARANCE)
-        for r_ob, t_ob, h_ob in boxes:
-            above += links.from_box(r_ob, t_ob, h_ob, OPEN_CLEARANCE)
+        above += surroundings.from_table(links, OPEN_CLEARANCE)
+        above += surroundings.from_obstacles(links, OPEN_CLEARANCE)
         above += links.between_fingers(FINGER_CLEARANCE)
-        g = ca.vertcat(*equal, *above)
-        parameters = ca.vertcat(
-            q_grasp,
-            ca.vec(rotation),
-            shift,
-            size,
-            normal,
-            offset,
-            ca.vec(begin),
-            ca.vec(inward),
-            opening,
-            *[v for r, t, h in boxes for v in (ca.vec(r), t, h)],
-        )
         self._upper = np.concatenate([np.zeros(len(value)), np.full(len(above), np.inf)])
-        self._solver = ca.nlpsol(
+        self._nlp = Nlp(
             "pregrasp",
-            "ipopt",
-            {"x": q, "p": parameters, "f": cost, "g": g},
-            {
-                "print_time": False,
-                "error_on_fail": False,
-                "ipopt.print_level": 0,
-                "ipopt.sb": "yes",
+            x=q,
+            p=ca.vertcat(
+                q_grasp,
+                ca.vec(rotation),
+                shift,
+                size,
+                surroundings.symbols,
+                ca.vec(begin),
+                ca.vec(inward),
+                opening,
+            ),
+            cost=cost,
+            g=ca.vertcat(*equal, *above),
+            options={
                 "ipopt.max_iter": MAX_ITERATIONS,
                 "ipopt.tol": 1e-3,
                 "ipopt.constr_viol_tol": 1e-6,
                 "ipopt.mu_init": 1e-3,
-                **LINEAR_SOLVER,
             },
+            points=self.surface.field,
         )
 
     def solve(
@@ -168,52 +158,26 @@ class PregraspProblem:
         T = to_object * T_world_base
         state = HandState(hand, q)
         begin = np.array([T.act(state.pad_center(f)) for f in self.fingers])
-        table_normal, table_offset = table_in_object(task)
         parts: list[Any] = [
             q,
             np.array(T.rotation).ravel(order="F"),
             T.translation,
             self.surface.size(task.object.shape),
-            table_normal,
-            [table_offset],
+            Surroundings.values(table_in_object(task), obstacles_in_object(task)),
             begin.ravel(),
             (normals @ task.T_world_object.rotation).ravel(),
             [opening],
         ]
-        for obstacle in task.obstacles:
-            inverse = (to_object * obstacle.T_world_obstacle).inverse()
-            parts += [
-                np.array(inverse.rotation).ravel(order="F"),
-                inverse.translation,
-                obstacle.size / 2,
-            ]
         lower, upper = hand.q_lower.copy(), hand.q_upper.copy()
         wrist = hand.wrist_index
         lower[wrist] = upper[wrist] = q[wrist]
-        result = self._solver(
+        x, stats = self._nlp.bind(self.surface.field_of(task.object.shape))(
             x0=q, p=np.concatenate(parts), lbx=lower, ubx=upper, lbg=0, ubg=self._upper
         )
-        stats = self._solver.stats()
-        if stats["return_status"] == INTERRUPTED:
-            raise KeyboardInterrupt
         if not stats["success"]:
             return None
-        opened: FloatArray = np.clip(np.array(result["x"]).ravel(), lower, upper)
+        opened: FloatArray = np.clip(x, lower, upper)
         return opened
-
-
-def table_in_object(task: GraspTask) -> tuple[FloatArray, float]:
-    """Table plane in the object's frame: unit normal (3,) and offset, m."""
-    inverse = task.T_world_object.inverse()
-    normal = inverse.rotation @ np.array([0.0, 0.0, 1.0])
-    if task.table_height is None:
-        return normal, -NO_TABLE
-    on_table = inverse.act(np.array([0.0, 0.0, task.table_height]))
-    return normal, float(normal @ on_table)
-
-
-NO_TABLE = 10.0
-"""Distance (m) at which the NLPs put the table when there is none: beyond any hand."""
 
 
 def find_approach(

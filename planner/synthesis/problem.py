@@ -34,7 +34,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -45,6 +45,8 @@ from planner.shapes import Shape
 from planner.spatial import SE3, FloatArray
 from planner.symbolic import SymbolicHand
 from planner.synthesis.clearance import ClearanceTerms
+from planner.synthesis.nlp import Field, Nlp
+from planner.synthesis.options import OPTION_NAMES, SynthesisOptions
 from planner.synthesis.surfaces import (
     CODE_DIM,
     SIZE_DIM,
@@ -52,47 +54,12 @@ from planner.synthesis.surfaces import (
     Surface,
     surface_of,
 )
+from planner.synthesis.surroundings import Surroundings
 
-__all__ = ["GraspProblem", "NlpSolution", "Start", "SynthesisOptions", "build_problem"]
+__all__ = ["GraspProblem", "NlpSolution", "Start", "build_problem"]
 
 PRESS_MIN = 0.25
 """Smallest normal force of a finger over the mean normal force (-)."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class SynthesisOptions:
-    """Margins and weights of the NLP; all are NLP parameters, none needs a rebuild.
-
-    Attributes:
-        cone_share: Share k of the friction coefficient that the internal force may use (-).
-        clear_object: Distance from the object that is asked of the balls in the links (not pads),
-            m. Between two balls the true link may be nearer; the verdict is on the true geometry.
-        clear_tip: The same for the body that carries a pad, m.
-        clear_table: Distance from table and obstacles that is asked of the links, m.
-        clear_fingers: Distance asked between two fingers, m.
-        weight_tangential: Cost of tangential force (-).
-        weight_share: Cost of unequal normal forces (-).
-        weight_posture: Cost of leaving the pinch posture, per squared share of joint range (-).
-        weight_center: Cost of the mean contact point's squared distance from the centre of mass, in
-            characteristic lengths (-): a grasp far from it bears the weight with torsion.
-    """
-
-    cone_share: float = 0.7
-    clear_object: float = 0.003
-    clear_tip: float = 0.0007
-    clear_table: float = 0.003
-    clear_fingers: float = 0.002
-    weight_tangential: float = 1.0
-    weight_share: float = 0.1
-    weight_posture: float = 0.3
-    weight_center: float = 1.0
-
-    def values(self) -> FloatArray:
-        """The numbers in the order of the NLP's parameters."""
-        return np.array([getattr(self, name) for name in _OPTION_NAMES])
-
-
-_OPTION_NAMES = tuple(SynthesisOptions.__dataclass_fields__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,32 +147,23 @@ class GraspProblem:
         fingers: Fingers that take part, in order of the contacts.
         surface: NLP form of the shape.
         n_obstacles: Number of obstacle boxes.
-        x: Decision variables (SX column).
-        p: Parameters (SX column).
-        cost: Objective (SX scalar).
         terms: Constraints.
-        max_iterations: IPOPT iterations of one attempt; nine of ten that succeed need under 50.
+        nlp: Unknowns, parameters, cost and constraints as expressions, and their solver.
     """
 
     hand: Hand
     fingers: tuple[Finger, ...]
     surface: Surface
     n_obstacles: int
-    x: Any
-    p: Any
-    cost: Any
     terms: tuple[Term, ...]
-    max_iterations: int = 60
-    _solver: Any = field(default=None, repr=False)
-    _evaluate: Any = field(default=None, repr=False)
-    _normals: Any = field(default=None, repr=False)
+    nlp: Nlp
 
     def __str__(self) -> str:
         """Variables, parameters and terms, one line each."""
         lines = [
             f"grasp problem: {self.hand.name}, {', '.join(f.name for f in self.fingers)}, "
             f"{self.surface.kind}",
-            f"  {self.x.numel()} variables, {self.p.numel()} parameters",
+            f"  {self.nlp.x.numel()} variables, {self.nlp.p.numel()} parameters",
         ]
         lines += [
             f"  {t.name:10s} {t.expression.numel():4d} {' =' if t.equality else '>='} 0  [{t.unit}]"
@@ -213,13 +171,17 @@ class GraspProblem:
         ]
         return "\n".join(lines)
 
-    def solve(self, start: Start, parameters: FloatArray) -> NlpSolution:
+    def solve(
+        self, start: Start, parameters: FloatArray, field: Field | None = None
+    ) -> NlpSolution:
         """Run IPOPT from one start.
 
         Args:
             start: The start.
             parameters: From ``parameters``.
+            field: The object's distance field, where its kind of shape needs one.
         """
+        solver = self.nlp.bind(field)
         n, nq = len(self.fingers), self.hand.nq
         lower_q = np.where(start.frozen, start.q, self.hand.q_lower)
         upper_q = np.where(start.frozen, start.q, self.hand.q_upper)
@@ -244,31 +206,27 @@ class GraspProblem:
             [np.full(t.expression.numel(), 0.0 if t.equality else np.inf) for t in self.terms]
         )
         begin = time.process_time()
-        result = self._solver(
+        x, stats = solver(
             x0=np.clip(x0, lower, upper), p=parameters, lbx=lower, ubx=upper, lbg=lbg, ubg=ubg
         )
         cpu = time.process_time() - begin
-        x = np.array(result["x"]).ravel()
-        stats = self._solver.stats()
-        if stats["return_status"] == INTERRUPTED:
-            raise KeyboardInterrupt
+        g, normals = solver.evaluate(x, parameters)
         rotation = start.T_object_base.rotation @ np.array(_mrp_numeric(x[:3]))
         points = x[6 + nq : 6 + nq + 3 * n].reshape(n, 3)
         return NlpSolution(
             T_object_base=SE3(rotation, x[3:6]),
             q=x[6 : 6 + nq],
             points=points,
-            normals=np.array(self._normals(x, parameters)).T,
+            normals=normals.T,
             forces=x[6 + nq + 3 * n :].reshape(n, 3),
-            violation=self.violations(x, parameters),
+            violation=self.violations(g.ravel()),
             status=str(stats["return_status"]),
             iterations=int(stats["iter_count"]),
             cpu_s=cpu,
         )
 
-    def violations(self, x: FloatArray, parameters: FloatArray) -> dict[str, float]:
-        """Largest violation of each term at x, in the term's unit."""
-        g = np.array(self._evaluate(x, parameters)).ravel()
+    def violations(self, g: FloatArray) -> dict[str, float]:
+        """Largest violation of each term, in its unit, from the values of all constraints."""
         out, at = {}, 0
         for t in self.terms:
             part = g[at : at + t.expression.numel()]
@@ -304,20 +262,13 @@ class GraspProblem:
             np.array(start.T_object_base.rotation).ravel(order="F"),
             self.surface.size(shape),
             *[patch.code for patch in start.patches],
-            table[0],
-            [table[1]],
+            Surroundings.values(table, obstacles),
             [mu, shape.bounding_radius],
             posture,
             options.values(),
         ]
-        for pose, half in obstacles:
-            inverse = pose.inverse()
-            parts += [np.array(inverse.rotation).ravel(order="F"), inverse.translation, half]
         return np.concatenate([np.asarray(v, dtype=np.float64).ravel() for v in parts])
 
-
-INTERRUPTED = "NonIpopt_Exception_Thrown"
-"""IPOPT's status when Ctrl-C ended it: CasADi swallows the exception."""
 
 TURN_MAX = 1.0
 """Bound of each modified Rodrigues parameter: a full half turn from the start's orientation."""
@@ -346,14 +297,10 @@ def build_problem(
     r0 = ca.SX.sym("R0", 3, 3)
     size = ca.SX.sym("size", SIZE_DIM)
     codes = [ca.SX.sym(f"code{i}", CODE_DIM) for i in range(n)]
-    table_normal, table_offset = ca.SX.sym("table_n", 3), ca.SX.sym("table_d")
+    surroundings = Surroundings(n_obstacles)
     mu, length = ca.SX.sym("mu"), ca.SX.sym("length")
     posture = ca.SX.sym("posture", hand.nq)
-    option = {name: ca.SX.sym(name) for name in _OPTION_NAMES}
-    obstacle = [
-        (ca.SX.sym("R_ob", 3, 3), ca.SX.sym("t_ob", 3), ca.SX.sym("h_ob", 3))
-        for _ in range(n_obstacles)
-    ]
+    option = {name: ca.SX.sym(name) for name in OPTION_NAMES}
 
     rotation = r0 @ _mrp(s)
     symbolic = SymbolicHand(hand, q)
@@ -393,12 +340,8 @@ def build_problem(
     above["object"] = links.from_object(
         surface, size, names, option["clear_object"], option["clear_tip"]
     )
-    above["table"] = links.from_plane(table_normal, table_offset, option["clear_table"])
-    above["obstacle"] = [
-        row
-        for r_ob, t_ob, h_ob in obstacle
-        for row in links.from_box(r_ob, t_ob, h_ob, option["clear_table"])
-    ]
+    above["table"] = surroundings.from_table(links, option["clear_table"])
+    above["obstacle"] = surroundings.from_obstacles(links, option["clear_table"])
     above["fingers"] = links.between_fingers(option["clear_fingers"])
 
     span = hand.q_upper - hand.q_lower
@@ -415,67 +358,51 @@ def build_problem(
         for name, parts in group.items()
         if parts
     )
-    problem = GraspProblem(
+    return GraspProblem(
         hand=hand,
         fingers=fingers,
         surface=surface,
         n_obstacles=n_obstacles,
-        x=ca.vertcat(s, t, q, *points, *forces),
-        p=ca.vertcat(
-            ca.vec(r0),
-            size,
-            *codes,
-            table_normal,
-            table_offset,
-            mu,
-            length,
-            posture,
-            *option.values(),
-            *[v for r_ob, t_ob, h_ob in obstacle for v in (ca.vec(r_ob), t_ob, h_ob)],
-        ),
-        cost=cost,
         terms=terms,
+        nlp=Nlp(
+            "grasp",
+            x=ca.vertcat(s, t, q, *points, *forces),
+            p=ca.vertcat(
+                ca.vec(r0),
+                size,
+                *codes,
+                surroundings.symbols,
+                mu,
+                length,
+                posture,
+                *option.values(),
+            ),
+            cost=cost,
+            g=ca.vertcat(*[t.expression for t in terms]),
+            options=IPOPT_OPTIONS,
+            points=surface.field,
+            outputs=(ca.horzcat(*normals),),
+        ),
     )
-    _compile(problem, normals)
-    return problem
 
-
-def _compile(problem: GraspProblem, normals: list[Any]) -> None:
-    g = ca.vertcat(*[t.expression for t in problem.terms])
-    problem._solver = ca.nlpsol(
-        "grasp",
-        "ipopt",
-        {"x": problem.x, "p": problem.p, "f": problem.cost, "g": g},
-        {
-            "print_time": False,
-            "error_on_fail": False,
-            "ipopt.print_level": 0,
-            "ipopt.sb": "yes",
-            "ipopt.max_iter": problem.max_iterations,
-            "ipopt.tol": IPOPT_TOL,
-            "ipopt.constr_viol_tol": 1e-7,
-            "ipopt.acceptable_tol": 1e-2,
-            "ipopt.acceptable_constr_viol_tol": 1e-6,
-            "ipopt.acceptable_iter": 3,
-            "ipopt.mu_strategy": "adaptive",
-            "ipopt.adaptive_mu_globalization": "never-monotone-mode",
-            **LINEAR_SOLVER,
-        },
-    )
-    problem._evaluate = ca.Function("terms", [problem.x, problem.p], [g])
-    problem._normals = ca.Function("normals", [problem.x, problem.p], [ca.horzcat(*normals)])
-
-
-LINEAR_SOLVER = {
-    "ipopt.mumps_pivot_order": 0,
-    "ipopt.mumps_permuting_scaling": 0,
-    "ipopt.mumps_scaling": 0,
-}
-"""MUMPS with plain approximate-minimum-degree ordering and no scaling: for systems this small its
-analysis costs more than the factorisation; measured 3.0-4.1 against 4.8-6.8 ms per iteration."""
 
 IPOPT_TOL = 1e-4
 """IPOPT's scaled optimality tolerance (-). Constraints are held to 1e-7 m; the cost only ranks."""
+
+MAX_ITERATIONS = 60
+"""IPOPT iterations of one attempt; nine of ten that succeed need under 50."""
+
+IPOPT_OPTIONS = {
+    "ipopt.max_iter": MAX_ITERATIONS,
+    "ipopt.tol": IPOPT_TOL,
+    "ipopt.constr_viol_tol": 1e-7,
+    "ipopt.acceptable_tol": 1e-2,
+    "ipopt.acceptable_constr_viol_tol": 1e-6,
+    "ipopt.acceptable_iter": 3,
+    "ipopt.mu_strategy": "adaptive",
+    "ipopt.adaptive_mu_globalization": "never-monotone-mode",
+}
+"""Never-monotone adaptive barrier: more attempts succeed than with any other of IPOPT's."""
 
 
 def _mrp(s: Any) -> Any:

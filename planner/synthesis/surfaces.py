@@ -25,6 +25,7 @@ import numpy as np
 from planner.errors import ObjectError
 from planner.shapes import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
 from planner.spatial import FloatArray
+from planner.synthesis.nlp import Field, FieldPoints
 
 __all__ = ["CODE_DIM", "SIZE_DIM", "Patch", "Surface", "box_clearance", "surface_of"]
 
@@ -63,6 +64,12 @@ class Surface(ABC):
     """How one kind of shape enters the NLP. All expressions are in the object's frame, m."""
 
     kind: ClassVar[str]
+    field: FieldPoints | None = None
+    """Where the expressions need a distance field; None for those that are formulas."""
+
+    def field_of(self, shape: Any) -> Field | None:
+        """The distance field of a shape, where ``field`` is not None."""
+        return None
 
     @abstractmethod
     def size(self, shape: Any) -> FloatArray:
