@@ -1,19 +1,29 @@
-"""Objects to grasp: a shape and a mass, by name, by specification or by parameters.
+"""Objects to grasp: a shape and a mass, by name, by specification, by file or by parameters.
 
     sphere:RADIUS   box:XxYxZ   cylinder:RADIUSxHEIGHT   capsule:RADIUSxHEIGHT   ellipsoid:XxYxZ
+    mug:RADIUSxHEIGHT   lbracket:LENGTHxHEIGHTxWIDTHxTHICKNESS   torus:RINGxTUBE
+    hammer:LENGTHxHEADxRADIUS   superquadric:XxYxZxE1xE2   knot:RADIUSxTUBE
+    FILE.stl   FILE.obj*SCALE   FILE.xml#BODY
 
-All in metres; X, Y, Z and HEIGHT are full lengths, end to end. A name alone has default sizes.
+All in metres; X, Y, Z and HEIGHT are full lengths, end to end. A name alone has default sizes. A
+mesh file (OBJ, STL, PLY) is in metres unless a scale says how many metres its unit is.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from numbers import Real
+from pathlib import Path
 
 import numpy as np
 
+from planner.bridge.object_body import object_body
 from planner.errors import NotFoundError, ObjectError
-from planner.shapes import SHAPES, Shape
+from planner.regions import TouchRegion
+from planner.shapes import SIZED_SHAPES, Mesh, Shape
+from planner.shapes.mesh_io import MESH_SUFFIXES
+from planner.spatial import SE3
 
 __all__ = ["DEFAULT_MASS", "OBJECT_NAMES", "GraspObject", "parse_object"]
 
@@ -29,10 +39,21 @@ _DEFAULT_SIZES: dict[str, tuple[float, ...]] = {
     "cylinder": (0.03, 0.10),
     "capsule": (0.03, 0.12),
     "ellipsoid": (0.09, 0.07, 0.06),
+    "mug": (0.04, 0.09),
+    "lbracket": (0.09, 0.08, 0.045, 0.025),
+    "torus": (0.035, 0.015),
+    "hammer": (0.20, 0.09, 0.02),
+    "superquadric": (0.06, 0.06, 0.09, 0.5, 0.5),
+    "knot": (0.04, 0.007),
 }
 
 OBJECT_NAMES = tuple(_DEFAULT_SIZES)
 """Names that ``parse_object`` knows."""
+
+_MESH_FILE = re.compile(
+    rf"(.*(?:{'|'.join(re.escape(s) for s in MESH_SUFFIXES)}))(?:\*(.*))?", re.I
+)
+_MODEL_BODY = re.compile(r"(.*\.(?:xml|mjcf|urdf))#(.*)", re.I)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,11 +64,15 @@ class GraspObject:
         name: What to call it.
         shape: Its shape; the origin is its centre of mass.
         mass: kg.
+        touch: Where it may and must be touched; anywhere if None.
+        resting: Which of the shape's stable poses it stands in on a table.
     """
 
     name: str
     shape: Shape
     mass: float = DEFAULT_MASS
+    touch: TouchRegion | None = None
+    resting: int = 0
 
     def __post_init__(self) -> None:
         """Check the mass."""
@@ -59,35 +84,88 @@ class GraspObject:
             )
         object.__setattr__(self, "mass", mass)
 
+    def resting_pose(self, table_height: float = 0.0) -> SE3:
+        """``T_world_object`` where it stands on a table, above the world's origin.
+
+        Args:
+            table_height: z of the table's top, m.
+
+        Raises:
+            ObjectError: The shape has no stable pose of the number ``resting``.
+        """
+        return self.shape.resting_pose(table_height, self.resting)
+
 
 def parse_object(
-    spec: str, *, mass: float | None = None, density: float | None = None
+    spec: str,
+    *,
+    mass: float | None = None,
+    density: float | None = None,
+    repair: bool = False,
+    touch: TouchRegion | None = None,
+    resting: int = 0,
 ) -> GraspObject:
-    """An object from a specification such as "box" or "box:0.05x0.05x0.08".
+    """An object from a specification such as "box", "torus:0.04x0.012" or "mug.stl*0.001".
 
     Args:
-        spec: Name, or name and sizes in m.
-        mass: kg; ``DEFAULT_MASS`` if neither it nor a density is given.
+        spec: Name, name and sizes in m, mesh file, or model file and body; see the module.
+        mass: kg; if neither it nor a density is given, that of the model for a body of a model,
+            else ``DEFAULT_MASS``.
         density: kg/m3; give this or ``mass``, not both.
+        repair: Whether to mend a mesh that does not bound a solid.
+        touch: Where it may and must be touched.
+        resting: Which of its stable poses it stands in on a table.
 
     Raises:
-        NotFoundError: Unknown name.
-        ObjectError: Wrong number of sizes, not numbers, out of range, or mass and density given.
+        NotFoundError: Unknown name or body.
+        ModelError: A model file that cannot be read.
+        ObjectError: Wrong number of sizes, not numbers, out of range, a mesh that is missing or
+            bounds no solid, or mass and density given.
     """
-    kind, colon, numbers = spec.strip().lower().partition(":")
-    kind = kind.strip()
-    if kind not in _DEFAULT_SIZES:
-        hint = "Sizes follow a colon, in metres: box:0.05x0.05x0.08."
-        raise NotFoundError("object", kind, OBJECT_NAMES, hint)
-    sizes = _parse_sizes(spec, numbers, SHAPES[kind]) if colon else _DEFAULT_SIZES[kind]
-    shape = SHAPES[kind].from_sizes(sizes)
     if mass is not None and density is not None:
         raise ObjectError(
             f"{spec!r}: mass {mass} kg and density {density} kg/m3 are both given; give one of them"
         )
+    name, shape, own_mass = _parse_shape(spec.strip(), repair)
     if density is not None:
-        mass = _positive(f"{kind}: density", density, "kg/m3") * shape.volume
-    return GraspObject(name=kind, shape=shape, mass=DEFAULT_MASS if mass is None else mass)
+        mass = _positive(f"{name}: density", density, "kg/m3") * shape.volume
+    elif mass is None:
+        mass = own_mass
+    return GraspObject(name=name, shape=shape, mass=mass, touch=touch, resting=resting)
+
+
+def _parse_shape(spec: str, repair: bool) -> tuple[str, Shape, float]:
+    """Name, shape, and mass (kg) if nothing else is said."""
+    mesh = _MESH_FILE.fullmatch(spec)
+    if mesh:
+        path = Path(mesh[1])
+        return path.stem, Mesh.load(path, scale=_scale(spec, mesh[2]), repair=repair), DEFAULT_MASS
+    model = _MODEL_BODY.fullmatch(spec)
+    if model:
+        body = object_body(Path(model[1]), model[2], repair=repair)
+        return model[2], body.shape, body.mass if body.mass > 0 else DEFAULT_MASS
+    kind, colon, numbers = spec.lower().partition(":")
+    kind = kind.strip()
+    if kind not in _DEFAULT_SIZES:
+        hint = (
+            "Sizes follow a colon, in metres: box:0.05x0.05x0.08. A mesh is the path of an OBJ, "
+            "STL or PLY file: mug.stl, or mug.stl*0.001 if in millimetres."
+        )
+        raise NotFoundError("object", kind, OBJECT_NAMES, hint)
+    sizes = _parse_sizes(spec, numbers, SIZED_SHAPES[kind]) if colon else _DEFAULT_SIZES[kind]
+    return kind, SIZED_SHAPES[kind].from_sizes(sizes), DEFAULT_MASS
+
+
+def _scale(spec: str, text: str | None) -> float:
+    if text is None:
+        return 1.0
+    try:
+        return float(text)
+    except ValueError:
+        raise ObjectError(
+            f"{spec!r}: scale {text!r} is not a number; give metres per unit of the file, for "
+            "example *0.001 for millimetres"
+        ) from None
 
 
 def _parse_sizes(spec: str, text: str, shape: type[Shape]) -> tuple[float, ...]:

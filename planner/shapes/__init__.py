@@ -4,18 +4,30 @@ from planner.shapes.base import Shape
 from planner.shapes.box import Box
 from planner.shapes.capsule import Capsule
 from planner.shapes.cylinder import Cylinder
-from planner.shapes.data import SHAPES, shape_from_dict, shape_to_dict
+from planner.shapes.data import SHAPES, SIZED_SHAPES, shape_from_dict, shape_to_dict
 from planner.shapes.ellipsoid import Ellipsoid
+from planner.shapes.made import Hammer, Knot, LBracket, Mug, Superquadric, Torus
+from planner.shapes.mesh import Mesh
 from planner.shapes.sphere import Sphere
+from planner.shapes.stable import StablePose
 
 __all__ = [
     "SHAPES",
+    "SIZED_SHAPES",
     "Box",
     "Capsule",
     "Cylinder",
     "Ellipsoid",
+    "Hammer",
+    "Knot",
+    "LBracket",
+    "Mesh",
+    "Mug",
     "Shape",
     "Sphere",
+    "StablePose",
+    "Superquadric",
+    "Torus",
     "shape_from_dict",
     "shape_to_dict",
 ]

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from planner.errors import ObjectError
+from planner.shapes.stable import StablePose
 from planner.spatial import SE3, FloatArray
 
 __all__ = ["LARGEST", "SMALLEST", "Shape", "checked_extents", "checked_length", "checked_points"]
@@ -22,9 +23,10 @@ SMALLEST = 1e-4
 
 
 class Shape(ABC):
-    """A convex solid of uniform density; the origin of its frame is its centre of mass.
+    """A solid of uniform density; the origin of its frame is its centre of mass.
 
-    Lengths are in m, points and directions in the shape's frame. Symmetry axes are along z.
+    Lengths are in m, points and directions in the shape's frame. Symmetry axes are along z. The
+    primitives are convex; a mesh need not be.
 
     Attributes:
         kind: Name of the kind, for example "box".
@@ -62,7 +64,7 @@ class Shape(ABC):
     @property
     @abstractmethod
     def half_extents(self) -> FloatArray:
-        """Half extents (3,) of the bounding box in the shape's axes, m."""
+        """Half extents (3,) of the smallest box about the centre, in its axes, m."""
 
     @property
     @abstractmethod
@@ -122,13 +124,28 @@ class Shape(ABC):
         """Rotation (3, 3) world from object of a stable pose on a horizontal table."""
         return np.eye(3)
 
-    def resting_pose(self, table_height: float = 0.0) -> SE3:
+    def resting_poses(self) -> tuple[StablePose, ...]:
+        """Stable poses on a horizontal table, the preferred one first; one for most primitives."""
+        rotation = self.resting_rotation
+        return (StablePose(rotation=rotation, height=self.support(-rotation[2])),)
+
+    def resting_pose(self, table_height: float = 0.0, index: int = 0) -> SE3:
         """``T_world_object`` of a stable pose on a table, above the world's origin.
 
         Args:
             table_height: z of the table's top, m.
+            index: Which of ``resting_poses``.
+
+        Raises:
+            ObjectError: There is no such pose.
         """
-        rotation = self.resting_rotation
+        poses = self.resting_poses()
+        if not 0 <= index < len(poses):
+            raise ObjectError(
+                f"{self.kind} has {len(poses)} stable pose(s), 0 to {len(poses) - 1}; there is no "
+                f"pose {index}"
+            )
+        rotation = poses[index].rotation
         height = self.support(-rotation[2])
         return SE3(rotation, np.array([0.0, 0.0, table_height + height]))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, ClassVar, Self
 
 import coal
@@ -11,6 +12,7 @@ import numpy as np
 
 from planner.shapes.base import Shape, checked_extents, checked_points
 from planner.shapes.nearest import nearest_of_faces, sign
+from planner.shapes.stable import StablePose, stable_poses
 from planner.spatial import FloatArray
 
 __all__ = ["Box"]
@@ -83,6 +85,15 @@ class Box(Shape):
             face_normals[:, k, k] = side[:, k]
         clamped = np.clip(p, -half, half)
         return nearest_of_faces(p, clamped, half - np.abs(p), face_points, face_normals)
+
+    def resting_poses(self) -> tuple[StablePose, ...]:
+        """Standing as it is, then on each of the other faces, those that tilt farthest first."""
+        corners = np.array(list(product((-1.0, 1.0), repeat=3))) * self.half_extents
+        poses = stable_poses(corners)
+        standing = StablePose(rotation=np.eye(3), height=self.size[2] / 2)
+        others = [p for p in poses if not np.allclose(p.rotation, np.eye(3))]
+        kept = [p for p in poses if np.allclose(p.rotation, np.eye(3))]
+        return (*(kept or [standing]), *others)
 
     def support(self, direction: FloatArray) -> float:
         """Sum of |direction_i| half_i, m."""

@@ -1,0 +1,161 @@
+"""A body of an MJCF or URDF file as an object to grasp.
+
+One primitive becomes that primitive. Several geoms, or meshes, become one mesh: side by side if
+they are apart, united by manifold3d if they overlap. A mesh keeps its true triangles, though
+MuJoCo itself would let its convex hull collide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from planner.bridge.load import compile_spec, load_spec
+from planner.errors import NotFoundError, ObjectError
+from planner.shapes import Box, Capsule, Cylinder, Ellipsoid, Mesh, Shape, Sphere
+from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
+
+__all__ = ["ObjectBody", "object_body"]
+
+FINENESS = 64
+"""Points around a round geom that becomes triangles: 0.1 % of the radius from the true surface."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectBody:
+    """A body as an object.
+
+    Attributes:
+        shape: Its shape; the origin is the centre of mass of a uniform solid.
+        mass: As the model has it, kg; 0 if the model gives none.
+        T_body_object: Pose of the shape in the body's frame.
+    """
+
+    shape: Shape
+    mass: float
+    T_body_object: SE3
+
+
+def object_body(path: Path, name: str, *, repair: bool = False) -> ObjectBody:
+    """The object that a body of a model file is; bodies below it are not part of it.
+
+    Args:
+        path: MJCF or URDF file.
+        name: Of the body.
+        repair: Whether to mend meshes that do not bound a solid.
+
+    Raises:
+        ModelError: The file cannot be read.
+        NotFoundError: No such body.
+        ObjectError: The body has no geom with a volume, or its geoms do not make one solid.
+    """
+    model = compile_spec(load_spec(path), str(path))
+    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+    if body < 0:
+        names = [model.body(i).name for i in range(1, model.nbody)]
+        raise NotFoundError("body", name, [n for n in names if n])
+    what = f"body {name!r} of {path.name}"
+    own = [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) == body]
+    colliding = [g for g in own if model.geom_contype[g] or model.geom_conaffinity[g]]
+    geoms = colliding or own  # a body that is only drawn is what is drawn
+    if not geoms:
+        raise ObjectError(f"{what} has no geom; name a body that carries one")
+    mass = float(model.body_mass[body])
+    if len(geoms) == 1 and int(model.geom_type[geoms[0]]) in _PRIMITIVES:
+        g = geoms[0]
+        pose = pose_from_wxyz(model.geom_pos[g], model.geom_quat[g])
+        shape = _PRIMITIVES[int(model.geom_type[g])](*(float(v) for v in model.geom_size[g]))
+        return ObjectBody(shape=shape, mass=mass, T_body_object=pose)
+    parts = [_triangles(model, g, what) for g in geoms]
+    mesh = _united(what, parts, repair)
+    return ObjectBody(shape=mesh, mass=mass, T_body_object=SE3(np.eye(3), mesh.offset))
+
+
+_TYPE = mujoco.mjtGeom
+_PRIMITIVES: dict[int, Callable[[float, float, float], Shape]] = {
+    int(_TYPE.mjGEOM_SPHERE): lambda r, _b, _c: Sphere(r),
+    int(_TYPE.mjGEOM_BOX): lambda a, b, c: Box((2 * a, 2 * b, 2 * c)),
+    int(_TYPE.mjGEOM_CYLINDER): lambda r, h, _c: Cylinder(r, 2 * h),
+    int(_TYPE.mjGEOM_CAPSULE): lambda r, h, _c: Capsule(r, 2 * (h + r)),
+    int(_TYPE.mjGEOM_ELLIPSOID): lambda a, b, c: Ellipsoid((2 * a, 2 * b, 2 * c)),
+}
+
+
+def _triangles(model: Any, g: int, what: str) -> tuple[FloatArray, IntArray]:
+    """Vertices (n, 3), m, in the body's frame, and faces (m, 3) of one geom."""
+    import trimesh
+
+    kind = int(model.geom_type[g])
+    a, b, c = (float(v) for v in model.geom_size[g])
+    if kind in (int(_TYPE.mjGEOM_MESH), int(_TYPE.mjGEOM_SDF)):
+        number = int(model.geom_dataid[g])
+        at, count = int(model.mesh_vertadr[number]), int(model.mesh_vertnum[number])
+        vertices = np.array(model.mesh_vert[at : at + count], dtype=np.float64)
+        at, count = int(model.mesh_faceadr[number]), int(model.mesh_facenum[number])
+        faces = np.array(model.mesh_face[at : at + count], dtype=np.int64)
+    elif kind == int(_TYPE.mjGEOM_BOX):
+        made = trimesh.creation.box((2 * a, 2 * b, 2 * c))
+        vertices, faces = np.array(made.vertices), np.array(made.faces)
+    elif kind == int(_TYPE.mjGEOM_CYLINDER):
+        made = trimesh.creation.cylinder(a, 2 * b, sections=FINENESS)
+        vertices, faces = np.array(made.vertices), np.array(made.faces)
+    elif kind == int(_TYPE.mjGEOM_CAPSULE):
+        made = trimesh.creation.capsule(2 * b, a, count=(FINENESS // 2, FINENESS))
+        vertices, faces = np.array(made.vertices), np.array(made.faces)
+        vertices[:, 2] -= (vertices[:, 2].min() + vertices[:, 2].max()) / 2
+    elif kind in (int(_TYPE.mjGEOM_SPHERE), int(_TYPE.mjGEOM_ELLIPSOID)):
+        made = trimesh.creation.uv_sphere(1.0, count=(FINENESS // 2, FINENESS))
+        half = np.array([a, b, c]) if kind == int(_TYPE.mjGEOM_ELLIPSOID) else np.full(3, a)
+        vertices, faces = np.array(made.vertices) * half, np.array(made.faces)
+    else:
+        raise ObjectError(f"{what} has a plane or a height field, which is no solid; use a box")
+    pose = pose_from_wxyz(model.geom_pos[g], model.geom_quat[g])
+    return vertices @ pose.rotation.T + pose.translation, faces
+
+
+def _united(what: str, parts: list[tuple[FloatArray, IntArray]], repair: bool) -> Mesh:
+    """One mesh of parts that are closed each."""
+    starts = np.cumsum([0, *(len(v) for v, _ in parts)])
+    together = (
+        np.concatenate([v for v, _ in parts]),
+        np.concatenate([f + s for (_, f), s in zip(parts, starts, strict=False)]),
+    )
+    if len(parts) == 1:
+        return Mesh.from_triangles(*together, name=what, repair=repair)
+    solids = [Mesh.from_triangles(v, f, name=f"a geom of {what}", repair=repair) for v, f in parts]
+    boxes = [(s.offset + s.bounds[0], s.offset + s.bounds[1]) for s in solids]
+    apart = all(
+        (boxes[i][0] > boxes[j][1]).any() or (boxes[j][0] > boxes[i][1]).any()
+        for i in range(len(boxes))
+        for j in range(i)
+    )
+    if apart:
+        return Mesh.from_triangles(*together, name=what, repair=repair)
+    try:
+        import manifold3d
+    except ImportError:
+        raise ObjectError(
+            f"{what} has {len(parts)} geoms that overlap or touch; uniting them needs manifold3d: "
+            'pip install "opposable[meshes]"'
+        ) from None
+    united = manifold3d.Manifold.batch_boolean(
+        [
+            manifold3d.Manifold(
+                manifold3d.Mesh64(
+                    np.ascontiguousarray(s.vertices + s.offset),
+                    np.ascontiguousarray(s.faces, dtype=np.uint64),
+                )
+            )
+            for s in solids
+        ],
+        manifold3d.OpType.Add,
+    ).to_mesh64()
+    vertices = np.array(united.vert_properties, dtype=np.float64)[:, :3]
+    return Mesh.from_triangles(
+        vertices, np.array(united.tri_verts, dtype=np.int64), name=what, repair=repair
+    )

@@ -1,0 +1,326 @@
+"""Solids bounded by triangles: convex or not, of one body or several, with cavities.
+
+Every query is on the true triangles. ``Mesh.field`` is the smooth distance for the NLP.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from planner.errors import ObjectError
+from planner.shapes.base import Shape, checked_points
+from planner.shapes.cache import read_arrays, write_arrays
+from planner.shapes.field import DistanceField
+from planner.shapes.mesh_distance import FIELD_VERSION, fit_mesh_field
+from planner.shapes.mesh_io import check_solid, read_mesh
+from planner.shapes.nearby import NearestTriangles, coal_tree
+from planner.shapes.nearest import ON_SURFACE, unit
+from planner.shapes.polyhedron import checked_triangles, digest_of, moments
+from planner.shapes.stable import StablePose, stable_poses
+from planner.shapes.triangles import winding_number
+from planner.spatial import FloatArray, IntArray
+
+__all__ = ["Mesh", "MeshSource"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshSource:
+    """Where a mesh came from.
+
+    Attributes:
+        path: File.
+        scale: Metres per unit of the file.
+        repair: Whether it was mended.
+        done: What was mended, in words.
+    """
+
+    path: Path
+    scale: float = 1.0
+    repair: bool = False
+    done: tuple[str, ...] = ()
+
+
+class Mesh(Shape):
+    """A solid bounded by triangles; axes as in the file, origin at the centre of mass.
+
+    Two meshes are equal if their vertices and faces are.
+
+    Attributes:
+        vertices: (n, 3), m; read-only.
+        faces: (m, 3), indices of vertices, counter-clockwise seen from outside; read-only.
+        offset: The centre of mass (3,) in the axes and from the origin of what was given, m.
+        source: The file; None for a mesh that was made.
+    """
+
+    kind: ClassVar[str] = "mesh"
+    size_names: ClassVar[tuple[str, ...]] = ()
+    vertices: FloatArray
+    faces: IntArray
+    offset: FloatArray
+    source: MeshSource | None
+
+    def __init__(
+        self, vertices: FloatArray, faces: IntArray, *, source: MeshSource | None = None
+    ) -> None:
+        """A mesh of triangles that are known to bound a solid; see ``from_triangles``.
+
+        Args:
+            vertices: (n, 3), m.
+            faces: (m, 3).
+            source: The file it is from.
+        """
+        v, f = np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64)
+        volume, center, second = moments(v[f])
+        v -= center
+        v.setflags(write=False)
+        f.setflags(write=False)
+        second -= volume * np.outer(center, center)
+        # generators are frozen dataclasses, hence this way of setting
+        values = {"vertices": v, "faces": f, "offset": center, "source": source}
+        for name, value in (values | {"_volume": volume, "_second": second}).items():
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def from_triangles(
+        cls, vertices: FloatArray, faces: IntArray, *, name: str = "mesh", repair: bool = False
+    ) -> Mesh:
+        """A mesh of triangles in m, checked.
+
+        Args:
+            vertices: (n, 3), m.
+            faces: (m, 3), counter-clockwise seen from outside.
+            name: What to call it in messages.
+            repair: Whether to mend what can be mended.
+
+        Raises:
+            ObjectError: The triangles do not bound a solid; says what is wrong, where, what to do.
+        """
+        v, f = checked_triangles(name, vertices, faces)
+        v, f, _ = check_solid(name, v, f, repair=repair)
+        return Mesh(v, f)
+
+    @classmethod
+    def load(cls, path: Path | str, *, scale: float = 1.0, repair: bool = False) -> Mesh:
+        """A mesh from an OBJ, STL or PLY file.
+
+        Args:
+            path: The file.
+            scale: Metres per unit of the file: 0.001 for millimetres.
+            repair: Whether to merge vertices, close small holes and turn triangles where needed;
+                ``source.done`` says what was done.
+
+        Raises:
+            ObjectError: The file cannot be read, or bounds no solid; says what is wrong and what
+                to do.
+        """
+        file = Path(path)
+        vertices, faces = read_mesh(file, scale)
+        key = f"v1-{digest_of(vertices, faces)}"
+        known = None if repair else read_arrays("sound", key)
+        done: tuple[str, ...] = ()
+        if known is None:
+            vertices, faces, done = check_solid(file.name, vertices, faces, repair=repair)
+            if not done:
+                write_arrays("sound", key, {"sound": np.ones(1)})
+        source = MeshSource(path=file.resolve(), scale=scale, repair=bool(done), done=done)
+        return Mesh(vertices, faces, source=source)
+
+    @classmethod
+    def from_sizes(cls, sizes: Sequence[float]) -> Self:
+        """Not for meshes of files: they are named by their path."""
+        raise ObjectError("a mesh has no sizes; give the path of an OBJ, STL or PLY file")
+
+    @property
+    def sizes(self) -> tuple[float, ...]:
+        """None: a mesh is its triangles."""
+        return ()
+
+    @property
+    def spec(self) -> str:
+        """The path, with the scale where it is not 1: "mug.stl*0.001"; "mesh" without a file."""
+        if self.source is None:
+            return self.kind
+        scale = "" if self.source.scale == 1 else f"*{self.source.scale!r}"
+        return f"{self.source.path}{scale}"
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of vertices and faces, as hexadecimal."""
+        return digest_of(self.vertices, self.faces)
+
+    def __eq__(self, other: object) -> bool:
+        """Equal triangles."""
+        return isinstance(other, Mesh) and self.digest == other.digest
+
+    def __hash__(self) -> int:
+        """Of the triangles."""
+        return hash(self.digest)
+
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper corner (3,) of the bounding box, m."""
+        return self.vertices.min(axis=0), self.vertices.max(axis=0)
+
+    @property
+    def half_extents(self) -> FloatArray:
+        """Largest |coordinate| along each axis, (3,), m: the box need not be even about the centre.
+
+        Half the extents of the bounding box itself follow from ``bounds``.
+        """
+        reach: FloatArray = np.abs(self.vertices).max(axis=0)
+        return reach
+
+    @cached_property
+    def bounding_radius(self) -> float:
+        """Distance of the farthest vertex from the centre of mass, m."""
+        return float(np.linalg.norm(self.vertices, axis=1).max())
+
+    @property
+    def volume(self) -> float:
+        """By the divergence theorem, exact for the polyhedron, m3."""
+        volume: float = getattr(self, "_volume")  # noqa: B009
+        return volume
+
+    def inertia(self, mass: float) -> FloatArray:
+        """By the divergence theorem, exact for the polyhedron; (3, 3), kg m2."""
+        second: FloatArray = getattr(self, "_second")  # noqa: B009
+        inertia: FloatArray = np.trace(second) * np.eye(3) - second
+        return mass / self.volume * inertia
+
+    @cached_property
+    def _surface(self) -> NearestTriangles:
+        return NearestTriangles(self.vertices, self.faces)
+
+    @cached_property
+    def hull_vertices(self) -> FloatArray:
+        """Vertices (k, 3) of the convex hull, m."""
+        points: FloatArray = self.vertices[ConvexHull(self.vertices).vertices]
+        return points
+
+    def coal_geometry(self) -> Any:
+        """``coal.BVHModelOBBRSS``: a triangle soup without an inside."""
+        return self._coal_tree
+
+    @cached_property
+    def _coal_tree(self) -> Any:
+        return coal_tree(self.vertices, self.faces)
+
+    def mujoco_geom(self) -> tuple[str, tuple[float, ...]]:
+        """None fits: see ``planner.shapes.solid``."""
+        raise ObjectError("a mesh is no single MuJoCo geom; use planner.shapes.solid.solid_geoms")
+
+    def closest_point(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """See ``Shape``; on the surface, the normal of the face, edge or vertex."""
+        p = checked_points(points)
+        if len(p) == 0:
+            return p.copy(), p.copy()
+        surface, _, feature = self._surface.nearest(p)
+        feature = unit(feature)
+        gap = p - surface
+        distance = np.linalg.norm(gap, axis=1, keepdims=True)
+        side = np.where(np.einsum("nd,nd->n", gap, feature) < 0, -1.0, 1.0)
+        away = distance[:, 0] > ON_SURFACE
+        normals = feature
+        normals[away] = (side[:, None] * gap / np.where(distance > 0, distance, 1.0))[away]
+        return surface, normals
+
+    def winding_number(self, points: FloatArray) -> FloatArray:
+        """How often the surface surrounds each point (n,): 1 inside, 0 outside; exact, but slow.
+
+        The second witness of the sign of ``signed_distance``; 4 ms per point and 20,000 triangles.
+
+        Args:
+            points: (n, 3), m, not on the surface.
+        """
+        return winding_number(checked_points(points), self._surface.corners)
+
+    def support(self, direction: FloatArray) -> float:
+        """Of the farthest vertex, m."""
+        return float((self.hull_vertices @ direction).max())
+
+    def normal_spread(self, point: FloatArray, radius: float) -> float:
+        """Largest angle (rad) between outward normals of the surface around a surface point.
+
+        Counted is the surface that is connected to the point within a ball; the far side of a thin
+        wall is not. It is near 0 on a flat face and at least the dihedral angle over an edge.
+
+        Args:
+            point: (3,), m; its nearest surface point is taken.
+            radius: Of the ball, m.
+        """
+        around, (start,), _ = self._surface.nearest(checked_points(point))
+        near = set(self._surface.within(around[0], radius).tolist())
+        reached, queue = {int(start)}, [int(start)]
+        while queue:
+            for other in self._surface.neighbours[queue.pop()].tolist():
+                if other in near and other not in reached:
+                    reached.add(other)
+                    queue.append(other)
+        some = np.array(sorted(reached))
+        normals = self._surface.normals[some[self._surface.areas[some] > 0]]
+        least = float((normals @ normals.T).min(initial=1.0))
+        return float(np.arccos(np.clip(least, -1.0, 1.0)))
+
+    def normal_dispersion(self, point: FloatArray, radius: float) -> float:
+        """How much the outward normals around a surface point differ (rad), weighted by area.
+
+        arccos |sum a n| / sum a over the triangles within a ball: 0 on a flat face, 45 degrees on a
+        right-angled edge, small where a scan is merely rough.
+
+        Args:
+            point: (3,), m, on the surface.
+            radius: Of the ball, m.
+        """
+        near = self._surface.within(point, radius)
+        areas = self._surface.areas[near]
+        if areas.sum() == 0.0:
+            return 0.0
+        mean = areas @ self._surface.normals[near] / areas.sum()
+        return float(np.arccos(np.clip(np.linalg.norm(mean), -1.0, 1.0)))
+
+    def surface_samples(self, n: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """Points (n, 3), m, uniform by area, and outward unit normals (n, 3) of their faces."""
+        areas = self._surface.areas
+        triangle = rng.choice(len(areas), size=n, p=areas / areas.sum())
+        u, v = rng.random((2, n, 1))
+        over = u + v > 1
+        u, v = np.where(over, 1 - u, u), np.where(over, 1 - v, v)
+        a, b, c = (self._surface.corners[triangle, k] for k in range(3))
+        return a + u * (b - a) + v * (c - a), self._surface.normals[triangle]
+
+    def field(self) -> DistanceField:
+        """The smooth distance: prepared once, kept in memory and on disk."""
+        return self._field
+
+    @cached_property
+    def _field(self) -> DistanceField:
+        key = f"{FIELD_VERSION}-{self.digest}"
+        stored = read_arrays("field", key)
+        if stored is not None:
+            try:
+                return DistanceField.from_arrays(stored)
+            except (KeyError, ValueError, IndexError):
+                pass  # of another form: made anew
+        field = fit_mesh_field(self._surface)
+        write_arrays("field", key, field.to_arrays())
+        return field
+
+    @cached_property
+    def _resting_poses(self) -> tuple[StablePose, ...]:
+        return stable_poses(self.hull_vertices)
+
+    def resting_poses(self) -> tuple[StablePose, ...]:
+        """Stable poses on a horizontal table, the one that can be tilted farthest first."""
+        return self._resting_poses
+
+    @property
+    def resting_rotation(self) -> FloatArray:
+        """Of the stable pose that can be tilted farthest."""
+        return self.resting_poses()[0].rotation

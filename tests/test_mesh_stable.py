@@ -1,0 +1,113 @@
+"""How objects stand on a table: known solids, and invariants of all."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from planner.errors import ObjectError
+from planner.objects import GraspObject, parse_object
+from planner.shapes import Box, Hammer, Knot, LBracket, Mesh, Mug, Shape, Sphere, Torus
+from planner.shapes.stable import stable_poses
+from planner.spatial import FloatArray
+
+SIZES = np.array([0.04, 0.06, 0.10])
+
+
+def box_corners() -> FloatArray:
+    return np.asarray(np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, -1).T * SIZES)
+
+
+def test_a_box_stands_on_six_faces_as_worked_out_by_hand() -> None:
+    poses = stable_poses(box_corners())
+    assert len(poses) == 6
+    assert [round(p.height, 9) for p in poses] == [0.02, 0.02, 0.03, 0.03, 0.05, 0.05]
+    for pose in poses:
+        across = np.delete(np.sort(SIZES), np.argmin(np.abs(np.sort(SIZES) - 2 * pose.height)))
+        # it falls over its nearer edge when the centre is beyond it
+        fall = np.degrees(np.arctan2(across.min() / 2, pose.height))
+        assert pose.margin_deg == pytest.approx(fall)
+    # solid angle of a rectangle a x b at height h: 4 atan(ab / (h sqrt(a^2 + b^2 + h^2))), halves
+    a, b, h = 0.03, 0.05, 0.02
+    share = 4 * np.arctan(a * b / (h * np.sqrt(a * a + b * b + h * h))) / (4 * np.pi)
+    assert poses[0].probability == pytest.approx(share)
+    assert sum(p.probability or 0 for p in poses) == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    "shape", [Mug(), Torus(), LBracket(), Hammer(), Knot(), Box((0.05, 0.05, 0.08))], ids=str
+)
+def test_every_pose_is_a_minimum_of_height(shape: Shape) -> None:
+    # tilted a little in any direction, the centre of mass rises; and nothing is below the table
+    rng = np.random.default_rng(0)
+    for pose in shape.resting_poses():
+        np.testing.assert_allclose(pose.rotation @ pose.rotation.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(pose.rotation) == pytest.approx(1)
+        height = shape.support(-pose.rotation[2])
+        # facets within half a degree are one face, whose mean normal is what stands
+        assert pose.height == pytest.approx(height, abs=5e-4)
+        assert pose.margin_deg is not None
+        tilt = np.radians(max(0.6 * pose.margin_deg, 1.0))
+        for angle in rng.uniform(0, 2 * np.pi, size=12):
+            axis = np.array([np.cos(angle), np.sin(angle), 0.0])
+            turn = trimesh.transformations.rotation_matrix(tilt, axis)[:3, :3]
+            rotation = turn @ pose.rotation
+            assert shape.support(-rotation[2]) > height + 1e-6
+
+
+def test_the_first_pose_is_the_one_that_is_hardest_to_tip() -> None:
+    for shape in (Mug(), Torus(), LBracket(), Hammer()):
+        margins = [p.margin_deg for p in shape.resting_poses()]
+        assert margins == sorted(margins, key=lambda m: -round(m or 0, 1))
+    np.testing.assert_allclose(Mug().resting_rotation, np.eye(3), atol=1e-9)  # upright
+    np.testing.assert_allclose(Torus().resting_rotation, np.eye(3), atol=1e-9)  # flat
+    assert abs(Hammer().resting_rotation[2] @ [0, 1, 0]) > 0.99  # head and handle on the table
+    lying = LBracket().resting_pose().rotation @ [0.0, 1.0, 0.0]
+    assert abs(lying[2]) == pytest.approx(1)
+
+
+def test_what_topples_ends_where_it_falls_to() -> None:
+    # a slanted prism whose upper end overhangs: of its two ends it stands on neither
+    lower = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]) * 0.02
+    upper = lower + np.array([0.06, 0.0, 0.03])
+    hull = trimesh.convex.convex_hull(np.concatenate([lower, upper]))
+    mesh = Mesh.from_triangles(np.array(hull.vertices), np.array(hull.faces))
+    down = np.array([p.rotation[2] for p in mesh.resting_poses()])
+    assert (np.abs(down @ [0, 0, 1]) < 0.999).all()
+    assert sum(p.probability or 0 for p in mesh.resting_poses()) == pytest.approx(1)
+
+
+def test_a_round_flank_is_not_one_face() -> None:
+    can = trimesh.creation.cylinder(0.03, 0.1, sections=200)
+    poses = Mesh.from_triangles(np.array(can.vertices), np.array(can.faces)).resting_poses()
+    ends = [p for p in poses if p.height > 0.04]
+    assert len(ends) == 2 and poses[0] in ends
+    # a flank of 1.8 degrees does not hold it: it rolls
+    assert len(poses) == 2
+
+
+def test_a_ball_still_gets_a_pose() -> None:
+    ball = trimesh.creation.icosphere(4, 0.03)
+    (pose,) = Mesh.from_triangles(np.array(ball.vertices), np.array(ball.faces)).resting_poses()
+    assert pose.height == pytest.approx(0.03, abs=3e-4)
+
+
+def test_an_object_stands_in_the_pose_that_is_asked_for() -> None:
+    upside_down = parse_object("mug", resting=1)
+    np.testing.assert_allclose(upside_down.resting_pose(0.1).rotation[2], [0, 0, -1], atol=1e-9)
+    lowest = upside_down.shape.support(-upside_down.resting_pose(0.1).rotation[2])
+    assert upside_down.resting_pose(0.1).translation[2] == pytest.approx(0.1 + lowest)
+    for shape, index, there in ((Mug(), 4, "4 stable"), (Sphere(0.03), 1, "1 stable")):
+        item = GraspObject(name="thing", shape=shape, resting=index)
+        with pytest.raises(ObjectError, match=rf"{there} pose\(s\).*there is no pose {index}"):
+            item.resting_pose()
+    with pytest.raises(ObjectError, match="there is no pose -1"):
+        Mug().resting_pose(0.0, -1)
+
+
+def test_a_box_stands_as_it_always_did() -> None:
+    for size in ((0.05, 0.05, 0.08), (0.004, 0.1, 0.2)):
+        poses = Box(size).resting_poses()
+        np.testing.assert_array_equal(poses[0].rotation, np.eye(3))
+        assert poses[0].height == pytest.approx(size[2] / 2)
