@@ -6,7 +6,10 @@ Lengths, forces and joint torques are related by the transmission
 
 with F clipped to ``force_range`` and ctrl to ``ctrl_range``, as MuJoCo does for actuators on joints
 and fixed tendons. One-sided stops S q >= s (joint limits, tendon stops) add the torque S^T lam,
-lam >= 0, while they are active. Units: rad, N m, s for hinges (m, N, s for slides).
+lam >= 0, while they are active. A two-sided coupling is a pair of stops, one each way, that are
+active everywhere.
+Springs of joints and tendons add the passive torque t0 - K q. Units: rad, N m, s for hinges (m, N,
+s for slides).
 
 A transmission differs from a kinematic coupling: it says which torques exist, not which q do.
 """
@@ -14,7 +17,7 @@ A transmission differs from a kinematic coupling: it says which torques exist, n
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -35,6 +38,8 @@ _ALIGNED_TOL = 1e-9
 """A stop whose share outside the range of R^T is below this (-) can do nothing that the actuators
 cannot, and is left to them."""
 
+_SPRINGS = ("stiffness", "spring_torque")
+
 _CLIPPED_TOL = 1e-12
 """Change of an actuator force (N m) above which it counts as clipped: rounding is below."""
 
@@ -53,8 +58,10 @@ class Actuation:
         force_range: (nu, 2), N m, infinite where unlimited.
         ctrl_range: (nu, 2), infinite where unlimited.
         stop_rows: S (ns, nv).
-        stop_values: s (ns,), rad.
+        stop_values: s (ns,), rad; infinite for a stop that is active everywhere.
         stop_names: ns names.
+        stiffness: K (nv, nv), N m/rad; no springs if not given.
+        spring_torque: t0 (nv,), N m: passive torque at q = 0.
     """
 
     names: tuple[str, ...]
@@ -68,6 +75,8 @@ class Actuation:
     stop_rows: FloatArray
     stop_values: FloatArray
     stop_names: tuple[str, ...]
+    stiffness: FloatArray = field(default_factory=lambda: np.zeros(0))
+    spring_torque: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         """Check shapes, finiteness, gains and ranges; freeze the arrays."""
@@ -81,15 +90,20 @@ class Actuation:
             "ctrl_range": (nu, 2),
             "stop_rows": (ns, nv),
             "stop_values": (ns,),
+            "stiffness": (nv, nv),
+            "spring_torque": (nv,),
         }
         for name, shape in shapes.items():
             value = np.array(getattr(self, name), dtype=np.float64)
+            if name in _SPRINGS and value.size == 0:
+                value = np.zeros(shape)
             if value.shape != shape:
                 raise ModelError(
                     f"{name} has shape {value.shape}; {nu} actuators, {nv} joints and {ns} stops "
                     f"need {shape}"
                 )
-            bad = np.isnan(value) if name.endswith("_range") else ~np.isfinite(value)
+            may_be_infinite = name.endswith("_range") or name == "stop_values"
+            bad = np.isnan(value) if may_be_infinite else ~np.isfinite(value)
             if bad.any():
                 raise ModelError(f"{name} holds NaN or infinity; give finite numbers")
             value.flags.writeable = False
@@ -125,12 +139,17 @@ class Actuation:
         """Which stops touch at q, (ns,): S q - s <= ``STOP_TOL``."""
         return np.asarray(self.stop_rows @ q - self.stop_values <= STOP_TOL)
 
+    def passive_torque(self, q: FloatArray) -> FloatArray:
+        """Joint torque (nv,) of the springs at q, N m."""
+        return np.asarray(self.spring_torque - self.stiffness @ q)
+
     def split_torque(self, q: FloatArray, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Actuator forces and stop multipliers for a joint torque, ranges left aside.
 
-        With N a basis of the torques that no actuator makes (N R^T = 0), lam >= 0 of the active
-        stops minimises |N (torque - S^T lam)|, and F = pinv(R^T) (torque - S^T lam). Together they
-        minimise |R^T F + S^T lam - torque|, and stops carry only what actuators cannot.
+        What the springs make at q is taken off the torque first. With N a basis of the torques that
+        no actuator makes (N R^T = 0), lam >= 0 of the active stops minimises
+        |N (torque - S^T lam)|, and F = pinv(R^T) (torque - S^T lam). Together they minimise
+        |R^T F + S^T lam - torque|, and stops carry only what actuators cannot.
 
         Args:
             q: Joints (nv,), rad.
@@ -156,8 +175,8 @@ class Actuation:
             torque: Wanted joint torque (nv,), N m.
 
         Returns:
-            ctrl (nu,) and the torque (nv,) that the actuators then make together with the reaction
-            of the active stops to what is still missing, N m.
+            ctrl (nu,) and the torque (nv,) that actuators and springs then make together with the
+            reaction of the active stops to what is still missing, N m.
 
         Raises:
             HandError: Wrong shape, or NaN.
@@ -167,7 +186,7 @@ class Actuation:
         ctrl = (np.minimum(np.maximum(wanted, low), high) - offset) / self.gain
         ctrl = np.minimum(np.maximum(ctrl, ctrl_low), ctrl_high)
         force = np.minimum(np.maximum(self.gain * ctrl + offset, low), high)
-        achieved = self._tables.moment_t @ force
+        achieved = self._tables.moment_t @ force + self.passive_torque(q)
         change = force - wanted
         if change @ change > _CLIPPED_TOL**2:
             missing = np.asarray(torque, dtype=np.float64) - achieved
@@ -231,8 +250,8 @@ class _Tables:
     """What ``Actuation`` computes once.
 
     Attributes:
-        linear, constant: (q, v, torque) -> [force at ctrl = 0 (nu); pinv(R^T) torque (nu);
-            N torque (k); gaps S q - s of the useful stops].
+        linear, constant: (q, v, torque) -> [force at ctrl = 0 (nu); pinv(R^T) tau (nu);
+            N tau (k); gaps S q - s of the useful stops], where tau is torque less that of springs.
         parts: Where those four parts stand.
         useful: Stops that make torques which no actuator makes.
         stops_undriven: N S^T (k, ns).
@@ -271,13 +290,14 @@ class _Tables:
         linear = np.block(
             [
                 [stiffness, damping, none],
-                [none, none, inverse],
-                [np.zeros((k, 2 * nv)), null],
+                [inverse @ a.stiffness, none, inverse],
+                [null @ a.stiffness, np.zeros((k, nv)), null],
                 [a.stop_rows[useful], np.zeros((m, 2 * nv))],
             ]
         )
         offset = a.bias[:, 0] + a.bias[:, 1] * a.length0
-        constant = np.concatenate([offset, np.zeros(nu + k), -a.stop_values[useful]])
+        springs = [-inverse @ a.spring_torque, -null @ a.spring_torque]
+        constant = np.concatenate([offset, *springs, -a.stop_values[useful]])
         choices = None
         if part.sum(axis=0).max(initial=0) <= 1:
             aligned = np.abs(in_null) / size

@@ -1,19 +1,63 @@
-"""From a name or a path to the files of a hand model on disk.
+"""From a name or a path to the files of a hand on disk: shipped, in a package, or downloaded.
 
 The models travel inside the wheel (``planner/_models``) and stand at the top of a checkout
-(``models``); both are found from any working directory.
+(``models``); both are found from any working directory. Hands of other projects stay in the Python
+packages that ship them and are looked up there.
 """
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
 import os
+import re
+from importlib import metadata
 from pathlib import Path
 
 from planner.errors import ModelError, NotFoundError
 
-__all__ = ["find_hand", "hand_names", "models_dir"]
+__all__ = [
+    "FOREIGN_HANDS",
+    "MODEL_SUFFIXES",
+    "PACKAGE_SCHEME",
+    "find_hand",
+    "foreign_hand_names",
+    "hand_names",
+    "hand_reference",
+    "model_file",
+    "models_dir",
+]
 
 DESCRIPTION_FILE = "hand.toml"
+
+MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
+"""How the name of a file ends that is a model and not its description."""
+
+PACKAGE_SCHEME = "package:"
+"""``package:PACKAGE/PATH`` is a file inside an installed Python package."""
+
+ASSETS_HINT = 'install it, for example with pip install "opposable[assets]"'
+
+_GYM = "package:gymnasium_robotics/envs/assets"
+_ALLEGRO = "package:example-robot-data/robots/allegro_hand_description/urdf"
+_SUITE = "package:robosuite/models/assets/grippers"
+
+FOREIGN_HANDS = {
+    "gymnasium-robotics:adroit": f"{_GYM}/adroit_hand/adroit_pen.xml",
+    "gymnasium-robotics:shadow": f"{_GYM}/hand/reach.xml",
+    "example-robot-data:allegro_left": f"{_ALLEGRO}/allegro_left_hand.urdf",
+    "example-robot-data:allegro_right": f"{_ALLEGRO}/allegro_right_hand.urdf",
+    "robosuite:fourier_left": f"{_SUITE}/fourier_left_hand.xml",
+    "robosuite:fourier_right": f"{_SUITE}/fourier_right_hand.xml",
+    "robosuite:inspire_left": f"{_SUITE}/inspire_left_hand.xml",
+    "robosuite:inspire_right": f"{_SUITE}/inspire_right_hand.xml",
+    "robosuite:jaco_three_finger": f"{_SUITE}/jaco_three_finger_gripper.xml",
+    "robosuite:robotiq_3f": f"{_SUITE}/robotiq_gripper_s.xml",
+}
+"""Hands that others ship in packages, ``PACKAGE:NAME`` -> model. The fragment ``hand/robot.xml`` of
+gymnasium-robotics is empty by itself, so a scene that includes it stands here."""
+
+_PACKAGE_NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def models_dir() -> Path:
@@ -35,28 +79,169 @@ def hand_names() -> tuple[str, ...]:
     return tuple(sorted(f.name for f in folders if (f / DESCRIPTION_FILE).is_file()))
 
 
+def foreign_hand_names() -> tuple[str, ...]:
+    """Names ``PACKAGE:NAME`` of known hands in packages of others, installed or not, sorted."""
+    return tuple(sorted(FOREIGN_HANDS))
+
+
 def find_hand(name_or_path: str | Path) -> Path:
-    """Path of a hand's description file.
+    """Path of a hand's description file, or of its model where there is no description.
 
     Args:
-        name_or_path: A name out of ``hand_names()``, a description file (``hand.toml``), or a
-            folder that holds one.
+        name_or_path: A name out of ``hand_names()`` or ``foreign_hand_names()``; ``menagerie:NAME``
+            or ``menagerie:NAME/ENTRY``; ``robot_descriptions:ID``; ``package:PACKAGE/PATH``; a
+            description file (``hand.toml``) or a folder that holds one; a model file.
 
     Raises:
         NotFoundError: It is neither a known name nor an existing path.
-        ModelError: The path exists but is not a hand description.
+        ModelError: The path exists but is neither a description nor a model, or the package or
+            download that has the model is missing.
     """
+    text = str(name_or_path)
+    if text in hand_names():
+        return models_dir() / "hands" / text / DESCRIPTION_FILE
+    if text.startswith(PACKAGE_SCHEME):
+        return model_file(text, Path())
+    source, _, name = text.partition(":")
+    if source == "menagerie":
+        return _menagerie_model(name)
+    if source == "robot_descriptions":
+        return _robot_descriptions_model(name)
+    known = f"{source.replace('_', '-')}:{name}"
+    if known in FOREIGN_HANDS:
+        return model_file(FOREIGN_HANDS[known], Path())
     path = Path(name_or_path)
-    if str(name_or_path) in hand_names():
-        return models_dir() / "hands" / str(name_or_path) / DESCRIPTION_FILE
     if os.path.isdir(path):  # False, not an error, where the name is too long or the way is barred
         path = path / DESCRIPTION_FILE
     if os.path.isfile(path):
-        if path.suffix != ".toml":
-            raise ModelError(f"{path} is not a hand description; give the hand.toml beside it")
+        if path.suffix != ".toml" and path.suffix.lower() not in MODEL_SUFFIXES:
+            raise ModelError(
+                f"{path} is neither a hand description nor a model; give a hand.toml or a model "
+                f"that ends in {', '.join(MODEL_SUFFIXES)}"
+            )
         return path
     looks_like_path = path.suffix or len(path.parts) > 1
-    hint = "Or give the path of a hand.toml." + (
+    hint = "Or give the path of a hand.toml or of a model." + (
         " That path does not exist." * bool(looks_like_path)
     )
-    raise NotFoundError("hand", str(name_or_path), hand_names(), hint)
+    names = (*hand_names(), *(foreign_hand_names() if name else ()))
+    raise NotFoundError("hand", text, names, hint)
+
+
+def hand_reference(name_or_path: str | Path) -> str:
+    """What finds the same hand again from any folder: the name, or the path made absolute."""
+    text = str(name_or_path)
+    is_name = text in hand_names() or (":" in text and not os.path.exists(text))
+    return text if is_name else str(Path(name_or_path).absolute())
+
+
+def model_file(model: str, folder: Path) -> Path:
+    """The file that the ``model`` line of a description means.
+
+    Args:
+        model: A path, relative to ``folder`` or absolute, or ``package:PACKAGE/PATH``.
+        folder: Folder of the description.
+
+    Raises:
+        ModelError: The package is not installed, or has no such file.
+    """
+    if not model.startswith(PACKAGE_SCHEME):
+        return folder / model
+    package, _, inside = model.removeprefix(PACKAGE_SCHEME).partition("/")
+    roots = _package_folders(package)
+    if not roots:
+        raise ModelError(
+            f"{model}: the package {package!r} is not installed; {ASSETS_HINT} or pip install "
+            f"{package.replace('_', '-')}"
+        )
+    for root in roots:
+        if inside and os.path.isfile(root / inside):
+            return root / inside
+    raise ModelError(
+        f"{model}: the installed package {package!r} has no file {inside!r}; correct the path, or "
+        "install another version of the package"
+    )
+
+
+def _package_folders(package: str) -> list[Path]:
+    """Where a package keeps its data: beside its modules, or as a share of a cmeel wheel."""
+    if not _PACKAGE_NAME.fullmatch(package):
+        return []
+    found = importlib.util.find_spec(package) if package.isidentifier() else None
+    folders = [Path(f) for f in (found.submodule_search_locations or ())] if found else []
+    try:
+        wheel = metadata.distribution(package)
+    except metadata.PackageNotFoundError:
+        return folders
+    share = Path(str(wheel.locate_file(f"cmeel.prefix/share/{package}")))
+    return [*folders, share] if share.is_dir() else folders
+
+
+def _menagerie_model(name: str) -> Path:
+    """Model file of MuJoCo Menagerie, downloaded by the package ``mujoco-menagerie`` if need be.
+
+    Raises:
+        NotFoundError: Menagerie has no such model, or the model no such entry.
+        ModelError: The package is not installed, or the model is neither cached nor reachable.
+    """
+    if importlib.util.find_spec("mujoco_menagerie") is None:
+        raise ModelError(
+            f"menagerie:{name} needs a package that is not installed; pip install mujoco-menagerie"
+        )
+    menagerie = importlib.import_module("mujoco_menagerie")
+    robot_name, _, entry = name.partition("/")
+    if robot_name not in menagerie.names():
+        hands = [robot.name for robot in menagerie.robots("end_effector")]
+        raise NotFoundError("model of MuJoCo Menagerie", robot_name, hands)
+    robot = menagerie.get(robot_name)
+    if entry and entry not in robot.entry_names:
+        raise NotFoundError(f"entry of menagerie:{robot_name}", entry, robot.entry_names)
+    try:
+        return Path(robot.xml(entry or robot.default_model))
+    except (menagerie.MenagerieError, OSError) as error:
+        raise ModelError(
+            f"menagerie:{name} is neither cached nor can it be downloaded ({error}); run python -m "
+            f"mujoco_menagerie prefetch {robot_name} where there is a network, or let "
+            "MENAGERIE_ROOT name a copy of MuJoCo Menagerie"
+        ) from error
+
+
+def _robot_descriptions_model(name: str) -> Path:
+    """Model file that the package ``robot_descriptions`` finds, cloned by it if need be.
+
+    Raises:
+        NotFoundError: The package has no such description.
+        ModelError: The package or git is not installed, the model is neither cached nor reachable,
+            or the description holds no model file.
+    """
+    if importlib.util.find_spec("robot_descriptions") is None:
+        raise ModelError(
+            f"robot_descriptions:{name} needs a package that is not installed; pip install "
+            "robot_descriptions"
+        )
+    known = importlib.import_module("robot_descriptions._descriptions").DESCRIPTIONS
+    module = name if name in known else f"{name}_description"
+    if module not in known:
+        hands = [n.removesuffix("_description") for n in known if "end_effector" in known[n].tags]
+        raise NotFoundError("model of robot_descriptions", name, hands)
+    try:
+        git = importlib.import_module("git")  # an ImportError where the program git is missing
+    except ImportError as error:
+        raise ModelError(
+            f"robot_descriptions:{name} is cloned with git, which is missing ({error}); install "
+            "git and pip install GitPython"
+        ) from error
+    try:
+        found = importlib.import_module(f"robot_descriptions.{module}")
+    except (git.exc.GitError, OSError) as error:
+        raise ModelError(
+            f"robot_descriptions:{name} is neither cached nor can it be cloned ({error}); run "
+            f"python -m robot_descriptions pull {module} where there is a network, or give the "
+            "path of the model"
+        ) from error
+    for field in ("MJCF_PATH", "URDF_PATH"):
+        if hasattr(found, field):
+            return Path(getattr(found, field))
+    raise ModelError(
+        f"robot_descriptions:{name} names neither an MJCF nor a URDF file; give the path of a model"
+    )

@@ -2,42 +2,30 @@
 
 It lies beside the model and names fingers, tip frames, pads, palm, couplings and postures. See
 ``models/hands/shadow_hand/hand.toml`` for one with everything in it.
-
-A hand of the other side is described by reference, ``mirror_of``: it has the model and the
-description of that hand, both reflected through a coordinate plane of the base's frame. Names of
-bodies, joints, tips and pads stay those of the hand it mirrors. See
-``models/hands/shadow_hand_left/hand.toml``.
 """
 
 from __future__ import annotations
 
-import tomllib
-from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, Literal, TypeAlias, TypeVar
+from typing import Annotated, Literal, Self
 
-import numpy as np
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, field_validator, model_validator
 
-from planner.errors import HandError
-from planner.schema import StrictData, faults_of
-from planner.spatial import FloatArray
+from planner.schema import StrictData
 
 __all__ = [
+    "ActuatorDescription",
     "CouplingDescription",
-    "DescribedHand",
     "FingerDescription",
     "HandDescription",
-    "MirrorAxis",
-    "MirrorDescription",
+    "JointDefaults",
     "PadDescription",
-    "read_description",
-    "reflection_signs",
+    "RepairDescription",
+    "TipDescription",
+    "Vector",
 ]
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
-MirrorAxis: TypeAlias = Literal["x", "y", "z"]
 
 
 def _unit(v: Vector) -> Vector:
@@ -70,17 +58,47 @@ class PadDescription(StrictData):
         return _unit(v)
 
 
+class TipDescription(StrictData):
+    """A tip frame where the model has no site: axes of a body, origin at ``position`` in it, m."""
+
+    body: str
+    position: Vector
+
+
 class FingerDescription(StrictData):
-    """One finger: joints from the palm outwards, the site that is its tip frame, its pad."""
+    """One finger: joints from the palm outwards, its tip frame and its pad.
+
+    Attributes:
+        name: What the finger is called.
+        joints: Joint names from the palm outwards.
+        tip_site: Site of the model that is the tip frame; or
+        tip: The tip frame itself. It becomes a site called ``<finger>_tip``.
+        pad: Where it touches.
+    """
 
     name: str
     joints: tuple[str, ...] = Field(min_length=1)
-    tip_site: str
+    tip_site: str = ""
+    tip: TipDescription | None = None
     pad: PadDescription
+
+    @model_validator(mode="after")
+    def _has_one_tip(self) -> Self:
+        if bool(self.tip_site) == (self.tip is not None):
+            raise ValueError("give either tip_site or a [fingers.tip] table with body and position")
+        return self
+
+    @property
+    def tip_frame(self) -> str:
+        """Name of the site that is the tip frame in the loaded model."""
+        return self.tip_site or f"{self.name}_tip"
 
 
 class CouplingDescription(StrictData):
     """Kinematic coupling: sum of coefficient times joint position equals ``value`` in a grasp.
+
+    Equalities of the model itself (``<equality>`` on joints or tendons, URDF ``mimic``) need no
+    description. One that is described is added to the model.
 
     Attributes:
         name: What the coupling is called.
@@ -96,8 +114,73 @@ class CouplingDescription(StrictData):
     kind: Literal["stop", "equality"]
 
 
+class RepairDescription(StrictData):
+    """What is wrong in a model file and is put right when it is loaded.
+
+    Attributes:
+        angle: Unit of the angles in a file that does not say it, or says it wrongly.
+        balance_inertia: Replace inertias that break the triangle inequality A + B >= C by their
+            mean, as MuJoCo's ``balanceinertia`` does.
+        drop_collision: Geoms that only look: they collide with nothing.
+        drop_couplings: Tendons and equalities that are wrong, by name; equalities and actuators on
+            such a tendon go with it.
+        exclude: Pairs of bodies that overlap by construction and shall not collide.
+    """
+
+    angle: Literal["radian", "degree"] | None = None
+    balance_inertia: bool = False
+    drop_collision: tuple[str, ...] = ()
+    drop_couplings: tuple[str, ...] = ()
+    exclude: tuple[tuple[str, str], ...] = ()
+
+
+class JointDefaults(StrictData):
+    """Passive properties that replace what the model says, for every joint of the hand.
+
+    Attributes:
+        damping: N m s/rad (N s/m); the model's own if not given.
+        frictionloss: N m (N); the same.
+        armature: kg m^2 (kg); the same.
+    """
+
+    damping: float | None = Field(default=None, ge=0)
+    frictionloss: float | None = Field(default=None, ge=0)
+    armature: float | None = Field(default=None, ge=0)
+
+
+class ActuatorDescription(StrictData):
+    """Position servos that are added to a model without (enough) actuators.
+
+    Their force is kp (ctrl - length) - damping * velocity, clipped to +- ``force_limit``. An
+    actuator is called like what it drives.
+
+    Attributes:
+        joints: One servo for each of these joints; ctrl range is the joint's range; or
+        tendon: One servo for this tendon of the model.
+        kp: N m/rad (N/m).
+        damping: N m s/rad (N s/m).
+        force_limit: N m (N).
+    """
+
+    joints: tuple[str, ...] = ()
+    tendon: str = ""
+    kp: float = Field(gt=0)
+    damping: float = Field(default=0.0, ge=0)
+    force_limit: float = Field(gt=0)
+
+    @model_validator(mode="after")
+    def _drives_something(self) -> Self:
+        if bool(self.joints) == bool(self.tendon):
+            raise ValueError("give either joints = [...] or tendon = ...")
+        return self
+
+
 class HandDescription(StrictData):
-    """Everything in a ``hand.toml``; angles of postures in rad (slides in m)."""
+    """Everything in a ``hand.toml``; angles of postures in rad (slides in m).
+
+    ``model`` is relative to the file, absolute, or ``package:PACKAGE/PATH``: a path inside an
+    installed Python package.
+    """
 
     schema_version: Literal[1] = Field(alias="schema")
     name: str
@@ -110,6 +193,9 @@ class HandDescription(StrictData):
     wrist_joints: tuple[str, ...] = ()
     default_fingers: tuple[str, ...] = ()
     allowed_contacts: tuple[tuple[str, str], ...] = ()
+    repair: RepairDescription = RepairDescription()
+    joint_defaults: JointDefaults = JointDefaults()
+    actuators: tuple[ActuatorDescription, ...] = ()
     fingers: tuple[FingerDescription, ...] = ()
     couplings: tuple[CouplingDescription, ...] = ()
     postures: dict[str, dict[str, Finite]] = Field(default_factory=dict)
@@ -118,130 +204,3 @@ class HandDescription(StrictData):
     @classmethod
     def _normalise(cls, v: Vector) -> Vector:
         return _unit(v)
-
-
-class MirrorDescription(StrictData):
-    """A ``hand.toml`` that only says which hand it is the mirror image of.
-
-    Attributes:
-        name: Name of the mirrored hand.
-        summary: One line.
-        mirror_of: Description file of the hand to mirror, relative to this file.
-        mirror_axis: Normal of the mirror plane through the base's origin, an axis of the base.
-    """
-
-    schema_version: Literal[1] = Field(alias="schema")
-    name: str
-    summary: str = ""
-    mirror_of: str
-    mirror_axis: MirrorAxis
-
-
-@dataclass(frozen=True, kw_only=True)
-class DescribedHand:
-    """What description files say about a hand.
-
-    Attributes:
-        description: The description, reflected already if the hand is a mirror image; its ``model``
-            is relative to the file that was read.
-        model_path: The model file, as it is on disk.
-        mirror_axis: Axis along which that model is still to be reflected, or None.
-        described_in: The file that holds fingers, pads and postures.
-        files: Every file that determines the hand.
-    """
-
-    description: HandDescription
-    model_path: Path
-    mirror_axis: MirrorAxis | None
-    described_in: Path
-    files: tuple[Path, ...]
-
-
-def reflection_signs(axis: MirrorAxis) -> FloatArray:
-    """Diagonal (3,) of the reflection M along a coordinate axis: -1 there, +1 elsewhere."""
-    return np.where(np.arange(3) == "xyz".index(axis), -1.0, 1.0)
-
-
-def read_description(path: Path) -> DescribedHand:
-    """Read and validate a description file, and the one that it mirrors if it does.
-
-    Raises:
-        HandError: Not TOML, a field is missing, unknown or out of range (each one is named), or the
-            hand to mirror is missing or a mirror image itself.
-    """
-    raw = _read_toml(path)
-    if "mirror_of" not in raw:
-        description = _validated(path, HandDescription, raw)
-        model = path.parent / description.model
-        return DescribedHand(
-            description=description,
-            model_path=model,
-            mirror_axis=None,
-            described_in=path,
-            files=(path, model),
-        )
-    mirror = _validated(path, MirrorDescription, raw)
-    other = path.parent / mirror.mirror_of
-    if not other.is_file():
-        raise HandError(f"{path}: mirror_of names {other}, which does not exist; correct it")
-    original_raw = _read_toml(other)
-    if "mirror_of" in original_raw:
-        raise HandError(
-            f"{path}: mirror_of names {other}, which is a mirror image itself; name the hand that "
-            f"it mirrors, {original_raw['mirror_of']!r} beside it"
-        )
-    original = _validated(other, HandDescription, original_raw)
-    model = other.parent / original.model
-    return DescribedHand(
-        description=_mirrored(original, mirror),
-        model_path=model,
-        mirror_axis=mirror.mirror_axis,
-        described_in=other,
-        files=(path, other, model),
-    )
-
-
-def _mirrored(original: HandDescription, mirror: MirrorDescription) -> HandDescription:
-    """The description of the mirror image: positions and directions p -> M p, all else as it is."""
-    signs = reflection_signs(mirror.mirror_axis)
-
-    def reflect(v: Vector) -> Vector:
-        x, y, z = (float(c) for c in signs * v + 0.0)  # + 0.0 turns -0.0 into 0.0
-        return (x, y, z)
-
-    fingers = tuple(
-        f.model_copy(
-            update={
-                "pad": f.pad.model_copy(
-                    update={"center": reflect(f.pad.center), "axis": reflect(f.pad.axis)}
-                )
-            }
-        )
-        for f in original.fingers
-    )
-    return original.model_copy(
-        update={
-            "name": mirror.name,
-            "model": str(PurePosixPath(mirror.mirror_of).parent / original.model),
-            "summary": mirror.summary,
-            "palm_normal": reflect(original.palm_normal),
-            "fingers": fingers,
-        }
-    )
-
-
-def _read_toml(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise HandError(f"{path} is not a TOML file: {error}") from error
-
-
-_Described = TypeVar("_Described", bound=StrictData)
-
-
-def _validated(path: Path, kind: type[_Described], raw: dict[str, Any]) -> _Described:
-    try:
-        return kind.model_validate(raw)
-    except ValidationError as error:
-        raise HandError(f"{path} does not describe a hand: {faults_of(error)}") from error

@@ -1,6 +1,6 @@
 """Fingers, pads and couplings: the names of a description resolved in its model and checked.
 
-Called by ``Hand.load``, once per hand.
+Called once per hand, when it is built.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -16,14 +15,15 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from planner.bridge import LinkGeometry
+from planner.bridge import LinkGeometry, couplings_from_mujoco
 from planner.bridge.pinocchio_model import body_name
+from planner.couplings import Coupling, check_couplings, independent_couplings
 from planner.description import FingerDescription, HandDescription
 from planner.errors import HandError, NotFoundError
 from planner.proximity import DistancePair
 from planner.spatial import SE3, FloatArray, IntArray
 
-__all__ = ["Coupling", "Finger", "Pad", "Resolver"]
+__all__ = ["Finger", "Pad", "Resolver"]
 
 PAD_TOL = 5e-4
 """How far (m) a pad's sphere may be from the surface of its geometry: what counts as touching."""
@@ -76,29 +76,19 @@ class Finger:
     bodies: frozenset[str]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Coupling:
-    """Kinematic coupling row @ q = value; ``one_sided`` if a stop that only pushes upwards."""
-
-    name: str
-    row: FloatArray
-    value: float
-    one_sided: bool
-
-
 class Resolver:
-    """Resolves the names of a description in its model."""
+    """Resolves the names of a description in its model; ``where`` is what messages call it."""
 
     def __init__(
         self,
-        path: Path,
+        where: str,
         description: HandDescription,
         mj_model: Any,
         pin_model: Any,
         geometries: tuple[LinkGeometry, ...],
     ) -> None:
         """Check what the description says of the hand as a whole."""
-        self.path, self.description = path, description
+        self.where, self.description = where, description
         self.geometries = {g.name: g for g in geometries}
         self.mj_model, self.pin_model = mj_model, pin_model
         self.joints = tuple(pin_model.names)[1:]
@@ -115,7 +105,10 @@ class Resolver:
             if not np.isfinite([low, high]).all()
         ]
         if endless:
-            raise HandError(f"joints {endless} of {description.model} have no range; give them one")
+            raise HandError(
+                f"joints {endless} of {description.model} have no range; give them one in the "
+                "model (range in MJCF, a <limit> and type revolute in URDF)"
+            )
         for field in ("base_body", "palm_body"):
             self._need("body", getattr(description, field), self.bodies)
         for joint in description.wrist_joints:
@@ -126,7 +119,7 @@ class Resolver:
 
     def _need(self, kind: str, name: str, available: Any) -> None:
         if name not in available:
-            hint = f"Correct it in {self.path}."
+            hint = f"Correct it in {self.where}."
             raise NotFoundError(f"{kind} of {self.description.model}", name, available, hint)
 
     def fingers(self) -> Mapping[str, Finger]:
@@ -137,14 +130,14 @@ class Resolver:
             NotFoundError: A name that the model does not have.
         """
         if not self.description.fingers:
-            raise HandError(f"{self.path} describes no finger; add at least one [[fingers]] table")
+            raise HandError(f"{self.where} describes no finger; add at least one [[fingers]] table")
         out = {f.name: self._finger(f) for f in self.description.fingers}
         if len(out) != len(self.description.fingers):
-            raise HandError(f"{self.path} describes two fingers of one name; rename one")
+            raise HandError(f"{self.where} describes two fingers of one name; rename one")
         used = Counter(joint for f in self.description.fingers for joint in f.joints)
         shared = sorted(joint for joint, count in used.items() if count > 1)
         if shared:
-            raise HandError(f"{self.path}: joints {shared} are named twice among the fingers")
+            raise HandError(f"{self.where}: joints {shared} are named twice among the fingers")
         for name in self.description.default_fingers:
             self._need("finger", name, out)
         return MappingProxyType(out)
@@ -152,19 +145,20 @@ class Resolver:
     def _finger(self, finger: FingerDescription) -> Finger:
         for joint in finger.joints:
             self._need("joint", joint, self.joints)
-        self._need("site", finger.tip_site, self.sites)
-        tip = self.pin_model.getFrameId(finger.tip_site, pin.FrameType.OP_FRAME)
+        self._need("site", finger.tip_frame, self.sites)
+        tip = self.pin_model.getFrameId(finger.tip_frame, pin.FrameType.OP_FRAME)
         if self.pin_model.names[self.pin_model.frames[tip].parentJoint] not in finger.joints:
             raise HandError(
-                f"{self.path}: the tip site {finger.tip_site!r} of finger {finger.name!r} does not "
-                f"move with one of its joints {list(finger.joints)}; name a site of its last link"
+                f"{self.where}: the tip site {finger.tip_frame!r} of finger {finger.name!r} does "
+                f"not move with one of its joints {list(finger.joints)}; name a site of its last "
+                "link"
             )
         ids = {self.pin_model.getJointId(j) for j in finger.joints}
         return Finger(
             name=finger.name,
             joints=finger.joints,
             q_index=np.array([self.joints.index(j) for j in finger.joints]),
-            tip_frame=finger.tip_site,
+            tip_frame=finger.tip_frame,
             tip_frame_id=int(tip),
             pad=self._pad(finger),
             bodies=frozenset(
@@ -180,15 +174,16 @@ class Resolver:
         frame = self.pin_model.frames[self.pin_model.getBodyId(geometry.body)]
         if self.pin_model.names[frame.parentJoint] not in finger.joints:
             raise HandError(
-                f"{self.path}: the pad geom {finger.pad.geom!r} of finger {finger.name!r} does not "
-                f"move with one of its joints {list(finger.joints)}; name a geom of its last link"
+                f"{self.where}: the pad geom {finger.pad.geom!r} of finger {finger.name!r} does "
+                f"not move with one of its joints {list(finger.joints)}; name a geom of its last "
+                "link"
             )
         center = np.array(frame.placement.act(np.array(finger.pad.center)))
         point = DistancePair(geometry.geometry, coal.Sphere(_POINT))
         depth = -point.distance(geometry.T_joint_geometry, SE3(np.eye(3), center)) - _POINT
         if abs(depth - finger.pad.radius) > PAD_TOL:
             raise HandError(
-                f"{self.path}: the pad of finger {finger.name!r} has radius "
+                f"{self.where}: the pad of finger {finger.name!r} has radius "
                 f"{1e3 * finger.pad.radius:.2f} mm, but its center lies {1e3 * depth:.2f} mm below "
                 f"the surface of {finger.pad.geom!r}; the pad is a sphere that touches it inside"
             )
@@ -202,16 +197,23 @@ class Resolver:
         )
 
     def couplings(self) -> tuple[Coupling, ...]:
-        """The kinematic couplings.
+        """The couplings of the model, then the stops of the description, none of them twice.
 
         Raises:
             NotFoundError: A joint that the model does not have.
+            HandError: Couplings contradict each other or the joint ranges.
+            ModelError: An equality of the model is not linear in the joints.
         """
-        out = []
+        out = list(couplings_from_mujoco(self.mj_model))
         for c in self.description.couplings:
+            if c.kind == "equality":
+                continue  # the loader has added it to the model
             row = np.zeros(len(self.joints))
             for joint, coefficient in c.joints.items():
                 self._need("joint", joint, self.joints)
                 row[self.joints.index(joint)] = coefficient
-            out.append(Coupling(name=c.name, row=row, value=c.value, one_sided=c.kind == "stop"))
-        return tuple(out)
+            out.append(Coupling(name=c.name, row=row, value=c.value, one_sided=True))
+        kept = independent_couplings(out, self.where)
+        limits = self.pin_model.lowerPositionLimit, self.pin_model.upperPositionLimit
+        check_couplings(kept, *(np.array(v) for v in limits), self.where)
+        return kept

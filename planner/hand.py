@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -22,22 +23,23 @@ from planner.actuation import Actuation
 from planner.bridge import (
     LinkGeometry,
     actuation_from_mujoco,
+    add_described_parts,
     compile_spec,
     hand_geometries,
     load_spec,
     mirror_spec,
     pinocchio_from_mujoco,
+    prepare_spec,
+    spec_from_model,
 )
 from planner.bridge.geometry import allowed_pairs
-from planner.catalog import find_hand
-from planner.description import (
-    HandDescription,
-    MirrorAxis,
-    read_description,
-    reflection_signs,
-)
+from planner.bridge.load import model_bytes
+from planner.catalog import find_hand, hand_reference
+from planner.couplings import Coupling, check_held
+from planner.described import DescribedHand, MirrorAxis, read_description, reflection_signs
+from planner.description import HandDescription
 from planner.errors import HandError, NotFoundError, TaskError
-from planner.fingers import Coupling, Finger, Pad, Resolver
+from planner.fingers import Finger, Pad, Resolver
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["Coupling", "Finger", "Hand", "Pad"]
@@ -51,17 +53,21 @@ COUPLING_TOL = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Hand:
-    """A hand that the planner can use; make one with ``Hand.load``.
+    """A hand that the planner can use; make one with ``load``, ``from_spec`` or ``from_model``.
 
     Attributes:
         name: Name from the description.
         description: The validated description.
-        path: The description file.
-        digest: SHA-256 over the files that determine the hand: its description, the one that this
-            mirrors if it does, and the model; a plan keeps it.
+        path: The description file, the model file if the hand is described by its structure, or
+            None if it was made in Python.
+        reference: What ``Hand.load`` takes to get the same hand again, from any folder; None if
+            the hand was made in Python.
+        digest: SHA-256 over what determines the hand: its description, the one that this mirrors
+            if it does, the model and what that includes. A plan keeps it.
         mirror_axis: Normal of the plane, in the base's frame, through which the model file is
             reflected; None if the hand is as the file has it. A mirrored hand keeps the names of
             joints, frames and geometries of the hand that it mirrors.
+        spec: ``mujoco.MjSpec`` of the hand alone, repaired; ``new_spec`` gives copies of it.
         mj_model: Compiled ``mujoco.MjModel`` of the hand alone, base fixed to the world.
         pin_model: ``pinocchio.Model`` of the same.
         fingers: Name -> Finger, in the description's order.
@@ -73,9 +79,11 @@ class Hand:
 
     name: str
     description: HandDescription
-    path: Path
+    path: Path | None
+    reference: str | None
     digest: str
     mirror_axis: MirrorAxis | None
+    spec: Any
     mj_model: Any
     pin_model: Any
     fingers: Mapping[str, Finger]
@@ -86,30 +94,119 @@ class Hand:
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> Hand:
-        """Load a hand by name (``catalog.hand_names()``) or by the path of its description.
+        """Load a hand by name or path.
+
+        Args:
+            name_or_path: A shipped hand (``catalog.hand_names()``), a description (``hand.toml``)
+                or its folder; or a model, which is then described by its structure alone: a file
+                (MJCF, URDF), ``PACKAGE:NAME`` out of ``catalog.FOREIGN_HANDS``,
+                ``menagerie:NAME``, ``robot_descriptions:ID`` or ``package:PACKAGE/PATH``.
 
         Raises:
-            NotFoundError: No such hand.
-            ModelError: The model file is missing or MuJoCo refuses it.
+            NotFoundError: No such hand, or the description names what the model does not have.
+            ModelError: The model file is missing or not usable.
             HandError: Description and model do not fit.
         """
         path = find_hand(name_or_path)
-        described = read_description(path)
-        description, model_path = described.description, described.model_path
-        spec = _load_spec(model_path, described.mirror_axis)
-        mj_model = compile_spec(spec, str(model_path))
+        reference = hand_reference(name_or_path)
+        if path.suffix == ".toml":
+            described = read_description(path)
+        else:
+            described = DescribedHand(
+                description=_proposed(name_or_path),
+                model_path=path,
+                mirror_axis=None,
+                described_in=path,
+                files=(),
+            )
+        return cls._build(
+            load_spec(described.model_path),
+            described.description,
+            mirror_axis=described.mirror_axis,
+            path=path,
+            where=str(described.described_in),
+            model=str(described.model_path),
+            reference=reference,
+            digest=described.digest,
+        )
+
+    @classmethod
+    def from_spec(cls, spec: Any, description: HandDescription | None = None) -> Hand:
+        """A hand from a ``mujoco.MjSpec`` made in Python; the spec itself is left as it is.
+
+        Args:
+            spec: The model; what is outside the base's subtree is dropped.
+            description: The description; one proposed from the structure if None.
+
+        Raises:
+            NotFoundError: The description names what the model does not have.
+            ModelError: The model is not usable.
+            HandError: Description and model do not fit.
+        """
+        what = f"the model {spec.modelname!r}"
+        return cls._build(
+            spec.copy(),
+            description or _proposed(spec),
+            mirror_axis=None,
+            path=None,
+            where=f"the description of {what}",
+            model=what,
+            reference=None,
+            digest=None,
+        )
+
+    @classmethod
+    def from_model(cls, model: Any, description: HandDescription | None = None) -> Hand:
+        """A hand from a compiled ``mujoco.MjModel``; see ``from_spec``.
+
+        Raises:
+            NotFoundError: The description names what the model does not have.
+            ModelError: The model has parts that cannot be turned back into a spec; or as above.
+            HandError: Description and model do not fit.
+        """
+        return cls.from_spec(spec_from_model(model), description)
+
+    @classmethod
+    def _build(
+        cls,
+        spec: Any,
+        description: HandDescription,
+        *,
+        mirror_axis: MirrorAxis | None,
+        path: Path | None,
+        where: str,
+        model: str,
+        reference: str | None,
+        digest: str | None,
+    ) -> Hand:
+        prepare_spec(spec, description, model)
+        if mirror_axis is not None:
+            mirror_spec(spec, reflection_signs(mirror_axis), model)
+        add_described_parts(spec, description, model)
+        mj_model = compile_spec(spec, model)
         if mj_model.nq != mj_model.nv or mj_model.nq != mj_model.njnt:
-            raise HandError(f"{model_path} has free or ball joints; a hand has hinges and slides")
+            raise HandError(
+                f"{model} has free or ball joints below {description.base_body!r}; a hand has "
+                "hinges and slides: replace a ball joint by hinges, or name another base_body"
+            )
+        if mj_model.nq == 0:
+            raise HandError(
+                f"{model} has no joint below {description.base_body!r}; name another base_body"
+            )
+        if digest is None:
+            content = description.model_dump_json().encode() + model_bytes(mj_model)
+            digest = hashlib.sha256(content).hexdigest()
         pin_model = pinocchio_from_mujoco(mj_model)
-        digest = hashlib.sha256(b"".join(f.read_bytes() for f in described.files)).hexdigest()
         geometries = hand_geometries(mj_model, pin_model)
-        resolver = Resolver(described.described_in, description, mj_model, pin_model, geometries)
+        resolver = Resolver(where, description, mj_model, pin_model, geometries)
         hand = cls(
             name=description.name,
             description=description,
             path=path,
+            reference=reference,
             digest=digest,
-            mirror_axis=described.mirror_axis,
+            mirror_axis=mirror_axis,
+            spec=spec,
             mj_model=mj_model,
             pin_model=pin_model,
             fingers=resolver.fingers(),
@@ -118,13 +215,14 @@ class Hand:
             actuation=actuation_from_mujoco(mj_model),
             couplings=resolver.couplings(),
         )
+        check_held(hand.joint_names, hand.actuation.moment, hand.couplings, where)
         for posture in description.postures:
             hand.posture(posture)
         return hand
 
     def new_spec(self) -> Any:
         """A fresh ``mujoco.MjSpec`` of the hand, to be edited or attached to a scene."""
-        return _load_spec(self.path.parent / self.description.model, self.mirror_axis)
+        return self.spec.copy()
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -150,6 +248,13 @@ class Hand:
     def wrist_index(self) -> IntArray:
         """Where the wrist's joints stand in q."""
         return np.array([self.joint_index(j) for j in self.description.wrist_joints], dtype=int)
+
+    @cached_property
+    def finger_of_body(self) -> Mapping[str, str]:
+        """Name of a body -> name of the finger that it belongs to; other bodies are left out."""
+        return MappingProxyType(
+            {body: finger.name for finger in self.fingers.values() for body in finger.bodies}
+        )
 
     @property
     def palm_frame_id(self) -> int:
@@ -195,7 +300,7 @@ class Hand:
         for coupling, error in zip(self.couplings, matrix @ q - value, strict=True):
             if abs(error) > COUPLING_TOL:
                 raise HandError(
-                    f"posture {name!r} of {self.path} violates the coupling {coupling.name!r} by "
+                    f"posture {name!r} of {self.name} violates the coupling {coupling.name!r} by "
                     f"{error:.4f}; correct its joints"
                 )
         return q
@@ -248,8 +353,8 @@ class Hand:
         return f"<Hand: {self.name}, {self.nq} joints, fingers {', '.join(self.fingers)}>"
 
 
-def _load_spec(model_path: Path, mirror_axis: MirrorAxis | None) -> Any:
-    spec = load_spec(model_path)
-    if mirror_axis is not None:
-        mirror_spec(spec, reflection_signs(mirror_axis), str(model_path))
-    return spec
+def _proposed(model: Any) -> HandDescription:
+    """A description from the structure of a model, a path or a ``mujoco.MjSpec``, alone."""
+    from planner.describe import propose  # stands above this room: it checks hands as well
+
+    return propose(model).description

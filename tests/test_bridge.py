@@ -239,9 +239,9 @@ def test_joint_order_is_that_of_mujoco(right_hand: Hand) -> None:
     np.testing.assert_array_equal(right_hand.q_upper, model.jnt_range[:, 1])
 
 
-def test_a_joint_without_name_is_refused() -> None:
-    with pytest.raises(ModelError, match=r"joint number 1 .* no name; name every joint"):
-        pinocchio_from_mujoco(compiled(ARM.replace('name="c"', "")))
+def test_a_joint_without_name_is_called_by_its_number() -> None:
+    ours = pinocchio_from_mujoco(compiled(ARM.replace('name="c"', "")))
+    assert tuple(ours.names)[1:] == ("a", "joint_1")
 
 
 # --- reading and compiling ------------------------------------------------------------------------
@@ -357,7 +357,7 @@ def test_a_geom_without_name_is_refused() -> None:
 
 def test_a_plane_is_refused() -> None:
     model = compiled(SOLIDS + '<geom name="floor" type="plane" size="1 1 1"/>', WEDGE)
-    with pytest.raises(ModelError, match="'floor' is a plane or a height field; use a solid"):
+    with pytest.raises(ModelError, match=r"'floor' is a plane, a height field or .*; use a solid"):
         hand_geometries(model, pinocchio_from_mujoco(model))
 
 
@@ -486,7 +486,6 @@ def test_stops_are_the_limits_of_joints_and_tendons() -> None:
     ("actuator", "reason"),
     [
         ('<motor name="u" site="near"/>', "'u' drives neither a joint nor a fixed tendon"),
-        ('<motor name="u" jointinparent="a"/>', "'u' drives neither a joint nor a fixed tendon"),
         ('<muscle name="u" joint="a" ctrlrange="0 1"/>', "'u' is not affine in ctrl"),
         ('<damper name="u" joint="a" kv="1" ctrlrange="0 1"/>', "'u' is not affine in ctrl"),
         ('<motor name="u" tendon="rope"/>', "'rope' runs through space; only fixed tendons"),
@@ -499,14 +498,83 @@ def test_actuators_of_other_kinds_are_refused(actuator: str, reason: str) -> Non
         actuation_from_mujoco(model)
 
 
-@pytest.mark.parametrize(
-    "actuator",
-    [
-        '<intvelocity name="u" joint="a" kp="1" actrange="-1 1"/>',
-        '<general name="u" joint="a" dyntype="filter" dynprm="0.1"/>',
-    ],
-)
-def test_actuators_with_a_state_of_their_own_are_refused(actuator: str) -> None:
-    # Their force follows the state, not ctrl: no ctrl gives a wanted torque at once.
-    with pytest.raises(ModelError, match="'u'"):
+def test_an_actuator_whose_force_follows_a_state_is_refused() -> None:
+    actuator = '<intvelocity name="u" joint="a" kp="1" actrange="-1 1"/>'
+    with pytest.raises(ModelError, match=r"'u' has dynamics of its own .*whose force follows ctrl"):
         actuation_from_mujoco(compiled(ARM, f"<actuator>{actuator}</actuator>"))
+
+
+def test_a_filter_counts_by_what_it_does_at_rest() -> None:
+    actuator = (
+        '<general name="u" joint="a" dyntype="filter" dynprm="0.01" gainprm="3" ctrlrange="-1 2" '
+        'actlimited="true" actrange="-0.5 5"/>'
+    )
+    model = compiled(ARM, f"<actuator>{actuator}</actuator>")
+    ours = actuation_from_mujoco(model)
+    np.testing.assert_array_equal(ours.ctrl_range, [[-0.5, 2.0]])
+    data = mujoco.MjData(model)
+    for ctrl, force in ((0.4, 1.2), (-0.9, -1.5)):  # the state stops at -0.5
+        data.ctrl[0] = ctrl
+        for _ in range(200):  # twenty time constants of 10 ms, with the arm held
+            data.qpos[:] = data.qvel[:] = 0.0
+            mujoco.mj_step(model, data)
+        assert data.actuator_force[0] == pytest.approx(force, abs=1e-6)
+        assert ours.gain[0] * np.clip(ctrl, *ours.ctrl_range[0]) == pytest.approx(force, abs=1e-12)
+
+
+def test_a_motor_in_the_parent_frame_is_a_motor_on_the_joint() -> None:
+    model = compiled(ARM, '<actuator><motor name="u" jointinparent="a" gear="2"/></actuator>')
+    np.testing.assert_array_equal(actuation_from_mujoco(model).moment, [[2.0, 0.0]])
+
+
+def test_a_limit_of_a_joint_limits_its_actuator() -> None:
+    arm = ARM.replace('name="a"', 'name="a" actuatorfrcrange="-1 3"')
+    text = (
+        '<actuator><motor name="u" joint="a" gear="-2" forcelimited="true" forcerange="-9 0.25"/>'
+        "</actuator>"
+    )
+    model = compiled(arm, text)
+    ours = actuation_from_mujoco(model)
+    np.testing.assert_array_equal(ours.force_range, [[-1.5, 0.25]])
+    data = mujoco.MjData(model)
+    for ctrl, torque in ((9.0, -0.5), (-9.0, 3.0)):  # torque = -2 force
+        data.ctrl[0] = ctrl
+        mujoco.mj_forward(model, data)
+        assert data.qfrc_actuator[0] == torque
+        assert -2 * np.clip(ctrl, *ours.force_range[0]) == torque
+
+
+def test_a_limit_on_the_sum_of_two_actuators_is_refused() -> None:
+    arm = ARM.replace('name="a"', 'name="a" actuatorfrcrange="-1 3"')
+    text = '<actuator><motor name="u" joint="a"/><motor name="v" joint="a"/></actuator>'
+    with pytest.raises(ModelError, match=r"joint 'a' limits the sum of .*'u', 'v'.* forcerange"):
+        actuation_from_mujoco(compiled(arm, text))
+
+
+def test_springs_are_those_of_mujoco() -> None:
+    arm = ARM.replace('name="a"', 'name="a" stiffness="2" springref="0.3"')
+    text = (
+        '<tendon><fixed name="t" stiffness="5" springlength="0.2">'
+        '<joint joint="a" coef="1.5"/><joint joint="c" coef="-2"/></fixed></tendon>'
+    )
+    model = compiled(arm, text)
+    ours = actuation_from_mujoco(model)
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        data.qpos[:] = rng.uniform(-0.4, 0.4, 2)
+        mujoco.mj_forward(model, data)
+        expected = data.qfrc_spring
+        assert np.abs(expected).max() > 0.01
+        np.testing.assert_allclose(ours.passive_torque(data.qpos), expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("joint", "tendon"),
+    [('stiffness="2 1"', 'stiffness="0"'), ("", 'stiffness="5" springlength="0.1 0.4"')],
+)
+def test_springs_that_are_not_linear_are_refused(joint: str, tendon: str) -> None:
+    text = f'<tendon><fixed name="t" {tendon}><joint joint="c" coef="1"/></fixed></tendon>'
+    model = compiled(ARM.replace('name="a"', f'name="a" {joint}'), text)
+    with pytest.raises(ModelError, match=r"springs of .*('a'|'t') are not linear; give each one"):
+        actuation_from_mujoco(model)

@@ -17,7 +17,7 @@ import pinocchio as pin
 import pytest
 
 from planner.bridge import compile_spec, mirror_spec
-from planner.description import MirrorAxis, reflection_signs
+from planner.described import MirrorAxis, reflection_signs
 from planner.errors import HandError
 from planner.hand import Hand
 from planner.kinematics import HandState

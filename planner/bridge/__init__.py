@@ -1,17 +1,26 @@
 """The one door to MuJoCo in ``planner``: compiled models become Pinocchio and coal models here."""
 
 from planner.bridge.actuation import actuation_from_mujoco
+from planner.bridge.couplings import couplings_from_mujoco
+from planner.bridge.decompile import spec_from_model
 from planner.bridge.geometry import LinkGeometry, hand_geometries
 from planner.bridge.load import compile_spec, load_spec
 from planner.bridge.mirror import mirror_spec
 from planner.bridge.pinocchio_model import pinocchio_from_mujoco
+from planner.bridge.prepare import add_described_parts, isolate_base, name_parts, prepare_spec
 
 __all__ = [
     "LinkGeometry",
     "actuation_from_mujoco",
+    "add_described_parts",
     "compile_spec",
+    "couplings_from_mujoco",
     "hand_geometries",
+    "isolate_base",
     "load_spec",
     "mirror_spec",
+    "name_parts",
     "pinocchio_from_mujoco",
+    "prepare_spec",
+    "spec_from_model",
 ]

@@ -9,6 +9,7 @@ from typing import Any
 import coal
 import mujoco
 import numpy as np
+from scipy.spatial import ConvexHull, QhullError
 
 from planner.bridge.pinocchio_model import body_name
 from planner.errors import ModelError
@@ -53,7 +54,7 @@ def hand_geometries(model: Any, pin_model: Any) -> tuple[LinkGeometry, ...]:
     """Every geom of the model that can collide (contype or conaffinity set).
 
     Raises:
-        ModelError: A geom has no name, or a type that a moving body cannot have.
+        ModelError: A geom has no name, a type that a moving body cannot have, or a flat mesh.
     """
     out = []
     for g in range(model.ngeom):
@@ -66,7 +67,9 @@ def hand_geometries(model: Any, pin_model: Any) -> tuple[LinkGeometry, ...]:
             raise ModelError(f"a colliding geom of body {body!r} has no name; name every geom")
         kind = _TYPE.get(int(model.geom_type[g]))
         if kind is None:
-            raise ModelError(f"geom {name!r} is a plane or a height field; use a solid instead")
+            raise ModelError(
+                f"geom {name!r} is a plane, a height field or a distance field; use a solid instead"
+            )
         local = pose_from_wxyz(model.geom_pos[g], model.geom_quat[g])
         joint, pose = 0, local
         if number > 0:
@@ -102,13 +105,25 @@ def coal_geometry(model: Any, g: int) -> Any:
         return coal.Ellipsoid(a, b, c)
     mesh = int(model.geom_dataid[g])
     start, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-    return _convex_hull(model.mesh_vert[start : start + count])
+    return _convex_hull(model.mesh_vert[start : start + count], model.geom(g).name)
 
 
-def _convex_hull(vertices: FloatArray) -> Any:
+def _convex_hull(vertices: FloatArray, name: str) -> Any:
+    """The convex hull of points as a coal geometry.
+
+    Raises:
+        ModelError: The points lie in a plane.
+    """
+    try:
+        hull = ConvexHull(vertices)  # coal crashes where this raises
+    except QhullError as error:
+        raise ModelError(
+            f"the mesh of geom {name!r} is flat, so that it has no convex hull; give it a "
+            f"thickness, or write drop_collision = [{name!r}] under [repair]"
+        ) from error
     points = coal.StdVec_Vec3s()
-    points.extend([np.array(v, dtype=np.float64) for v in vertices])
-    return coal.Convex.convexHull(points, True, "")
+    points.extend(list(np.asarray(vertices[hull.vertices], dtype=np.float64)))
+    return coal.Convex.convexHull(points, True, "Qt")  # triangulated, as coal asks for
 
 
 def allowed_pairs(model: Any, extra: Iterable[tuple[str, str]]) -> frozenset[frozenset[str]]:

@@ -2,21 +2,23 @@
 
 Pinocchio's own MJCF reader loses the root pose, limits, masses and more; this conversion reads the
 compiled ``MjModel``, where all of MuJoCo's defaults are already applied. Joints keep MuJoCo's order
-(depth first), so for hinge and slide joints Pinocchio's q and v are MuJoCo's qpos and qvel.
+(depth first), so for hinge and slide joints Pinocchio's q and v are MuJoCo's qpos and qvel. A free
+or a ball joint differs: quaternions are w, x, y, z in MuJoCo and x, y, z, w in Pinocchio, and the
+linear velocity of a free joint is in world axes in MuJoCo, in body axes in Pinocchio.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
 import numpy as np
 import pinocchio as pin
 
-from planner.errors import ModelError
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 
-__all__ = ["body_name", "pinocchio_from_mujoco"]
+__all__ = ["body_name", "effort_limits", "joint_name", "pinocchio_from_mujoco", "site_name"]
 
 _HINGE, _SLIDE, _BALL, _FREE = (
     int(t)
@@ -27,20 +29,31 @@ _HINGE, _SLIDE, _BALL, _FREE = (
         mujoco.mjtJoint.mjJNT_FREE,
     )
 )
+_BY_JOINT, _BY_JOINT_IN_PARENT, _BY_TENDON = (
+    int(t)
+    for t in (
+        mujoco.mjtTrn.mjTRN_JOINT,
+        mujoco.mjtTrn.mjTRN_JOINTINPARENT,
+        mujoco.mjtTrn.mjTRN_TENDON,
+    )
+)
+_WRAP_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 
 
 def pinocchio_from_mujoco(model: Any) -> Any:
     """Build a ``pinocchio.Model`` with the kinematics and inertia of a compiled ``MjModel``.
 
-    Every body and every site becomes a frame of the same name (BODY and OP_FRAME); ``armature``,
-    position limits and gravity are copied. Effort limits stay infinite: which joint torques are
-    possible depends on the actuators and on q, see ``planner.actuation``.
+    Every body and every site becomes a frame of the same name (BODY and OP_FRAME); armature,
+    linear damping, dry friction, position limits and gravity are copied. A part without a name is
+    called by its kind and number, as ``body_3``. Bodies without joints, mocap bodies among them,
+    stand where they are drawn. Effort limits are those of ``effort_limits``, a bound: the torque
+    that is possible at one q may be smaller, see ``planner.actuation``.
+
+    Left out, since ``pinocchio.Model`` has no place for it: springs, damping that is a polynomial,
+    gravity compensation, fluid forces, armature of tendons, couplings.
 
     Args:
-        model: ``mujoco.MjModel``; every joint needs a name.
-
-    Raises:
-        ModelError: A joint has no name.
+        model: ``mujoco.MjModel``.
     """
     out = pin.Model()
     out.name = "hand"
@@ -48,7 +61,6 @@ def pinocchio_from_mujoco(model: Any) -> Any:
     parent_joint = np.zeros(model.nbody, dtype=int)  # Pinocchio joint that carries each body
     in_joint: list[SE3] = [SE3.Identity() for _ in range(model.nbody)]  # body pose in that joint
     body_frame = np.zeros(model.nbody, dtype=int)
-    armature: list[FloatArray] = []
     for body in range(1, model.nbody):
         up = int(model.body_parentid[body])
         joint = int(parent_joint[up])
@@ -56,12 +68,10 @@ def pinocchio_from_mujoco(model: Any) -> Any:
         first = int(model.body_jntadr[body])
         for j in range(first, first + int(model.body_jntnum[body])):
             joint = _add_joint(out, model, j, joint, pose)
-            address, size = int(model.jnt_dofadr[j]), out.joints[joint].nv
-            armature.append(np.array(model.dof_armature[address : address + size]))
             is_free = int(model.jnt_type[j]) == _FREE
             pose = SE3.Identity() if is_free else SE3(np.eye(3), -np.array(model.jnt_pos[j]))
         parent_joint[body], in_joint[body] = joint, pose
-        if model.body_mass[body] > 0:
+        if model.body_mass[body] > 0 or model.body_inertia[body].any():
             turn = pose_from_wxyz(np.zeros(3), model.body_iquat[body]).rotation
             inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
             out.appendBodyToJoint(
@@ -76,22 +86,91 @@ def pinocchio_from_mujoco(model: Any) -> Any:
     for s in range(model.nsite):
         body = int(model.site_bodyid[s])
         pose = in_joint[body] * pose_from_wxyz(model.site_pos[s], model.site_quat[s])
-        name = model.site(s).name or f"site_{s}"
+        name = site_name(model, s)
         out.addFrame(pin.Frame(name, int(parent_joint[body]), pose, pin.FrameType.OP_FRAME), False)
-    out.armature = np.concatenate(armature) if armature else np.zeros(0)
+    out.armature = np.array(model.dof_armature)
+    out.damping = np.array(model.dof_damping)
+    out.lowerDryFrictionLimit = -np.array(model.dof_frictionloss)
+    out.upperDryFrictionLimit = np.array(model.dof_frictionloss)
+    out.lowerEffortLimit, out.upperEffortLimit = effort_limits(model).T
     return out
 
 
 def body_name(model: Any, body: int) -> str:
     """Name of a body; a body without one is called by its number."""
-    return model.body(body).name or f"body_{body}"
+    return model.body(body).name or _invented(
+        "body", body, lambda i: model.body(i).name, model.nbody
+    )
+
+
+def joint_name(model: Any, joint: int) -> str:
+    """Name of a joint; a joint without one is called by its number."""
+    return model.joint(joint).name or _invented(
+        "joint", joint, lambda i: model.joint(i).name, model.njnt
+    )
+
+
+def site_name(model: Any, site: int) -> str:
+    """Name of a site; a site without one is called by its number."""
+    return model.site(site).name or _invented(
+        "site", site, lambda i: model.site(i).name, model.nsite
+    )
+
+
+def _invented(kind: str, number: int, name: Callable[[int], str], count: int) -> str:
+    """``kind_number``, with underscores behind it until no part of that kind is called so."""
+    taken = {name(i) for i in range(count)}
+    out = f"{kind}_{number}"
+    while out in taken:
+        out += "_"
+    return out
+
+
+def effort_limits(model: Any) -> FloatArray:
+    """Bounds (nv, 2) in N m or N of what all actuators together give each joint.
+
+    The sum over actuators of force range times moment, for gears and fixed tendons, within the
+    joint's own ``actuatorfrcrange``. Infinite where an actuator without force range or with a
+    moment that depends on q acts, and where no actuator acts.
+    """
+    out = np.zeros((model.nv, 2))
+    for i in range(model.nu):
+        row = _moment(model, i)
+        for dof in np.flatnonzero(row):
+            if model.actuator_forcelimited[i] and np.isfinite(row[dof]):
+                out[dof] += np.sort(row[dof] * model.actuator_forcerange[i])
+            else:
+                out[dof] += [-np.inf, np.inf]
+    idle = ~out.any(axis=1)
+    out[idle] = [-np.inf, np.inf]
+    for j in np.flatnonzero(model.jnt_actfrclimited):
+        at = int(model.jnt_dofadr[j])
+        out[at] = np.clip(out[at], *model.jnt_actfrcrange[j])
+    return out
+
+
+def _moment(model: Any, actuator: int) -> FloatArray:
+    """Moment arms (nv,) of an actuator; infinite where they depend on q."""
+    row = np.zeros(model.nv)
+    kind, target = int(model.actuator_trntype[actuator]), int(model.actuator_trnid[actuator, 0])
+    gear = float(model.actuator_gear[actuator, 0])
+    if kind in (_BY_JOINT, _BY_JOINT_IN_PARENT) and int(model.jnt_type[target]) in (_HINGE, _SLIDE):
+        row[int(model.jnt_dofadr[target])] = gear
+        return row
+    if kind == _BY_TENDON:
+        start = int(model.tendon_adr[target])
+        wraps = range(start, start + int(model.tendon_num[target]))
+        if all(int(model.wrap_type[w]) == _WRAP_JOINT for w in wraps):
+            for w in wraps:
+                dof = int(model.jnt_dofadr[int(model.wrap_objid[w])])
+                row[dof] += gear * float(model.wrap_prm[w])
+            return row
+    return np.full(model.nv, np.inf)
 
 
 def _add_joint(out: Any, model: Any, j: int, parent: int, pose: SE3) -> int:
     """Append MuJoCo joint j below Pinocchio joint ``parent``; ``pose`` is the body's pose there."""
-    name = model.joint(j).name
-    if not name:
-        raise ModelError(f"joint number {j} of the model has no name; name every joint")
+    name = joint_name(model, j)
     kind = int(model.jnt_type[j])
     axis, anchor = np.array(model.jnt_axis[j]), np.array(model.jnt_pos[j])
     placement = pose * SE3(np.eye(3), anchor)

@@ -80,7 +80,7 @@ def build_force_problem(
             minimises sum |f|^2; more prefers forces near the normals.
         jacobians: (n, 3 or 6, nv), velocity of each contact point per joint velocity, linear rows
             first, in the contacts' axes. Soft contacts with torsion need all six.
-        actuation: Limits the joint torques; needs ``jacobians`` and ``q``.
+        actuation: Limits the joint torques; needs ``jacobians`` and ``q``. Its springs help.
         q: Joints (nv,) at which the actuators' limits and the active stops are taken.
         gravity_torque: Joint torques (nv,) that hold the hand itself, N m; 0 unless given.
 
@@ -121,7 +121,7 @@ def build_force_problem(
                 [-joint_map[hand.joints], hand.drive],
             ]
         ),
-        equality_value=np.concatenate([-balance, gravity[hand.joints]]),
+        equality_value=np.concatenate([-balance, gravity[hand.joints] - hand.passive]),
         faces=np.hstack([part.faces, np.zeros((len(part.faces), na + ns))]),
         lower=np.concatenate([part.lower, hand.limits[:, 0], np.zeros(ns)]),
         upper=np.concatenate([part.upper, hand.limits[:, 1], np.full(ns, np.inf)]),

@@ -16,7 +16,7 @@ __all__ = ["HandPart"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HandPart:
-    """Joint torques R^T F + S^T lam of the loaded joints.
+    """Joint torques R^T F + S^T lam + passive of the loaded joints.
 
     Attributes:
         joints: Loaded joints (nt,): moved by a contact, or tied to such a joint by an actuator or
@@ -25,6 +25,7 @@ class HandPart:
         stops: Active stops on those joints (ns,).
         drive: (nt, na + ns): [R^T, S^T] of them.
         limits: (na, 2), what the actuators can produce at q, N m.
+        passive: (nt,), what springs produce at q, N m.
         column_names: na + ns names.
         row_names: nt names.
     """
@@ -34,6 +35,7 @@ class HandPart:
     stops: IntArray
     drive: FloatArray
     limits: FloatArray
+    passive: FloatArray
     column_names: tuple[str, ...]
     row_names: tuple[str, ...]
 
@@ -62,6 +64,7 @@ class HandPart:
                 stops=none,
                 drive=np.zeros((0, 0)),
                 limits=np.zeros((0, 2)),
+                passive=np.zeros(0),
                 column_names=(),
                 row_names=(),
             )
@@ -100,6 +103,7 @@ class HandPart:
                 ]
             ),
             limits=actuation.force_limits(at)[actuators],
+            passive=actuation.passive_torque(at)[joints],
             column_names=(
                 *(actuation.names[i] for i in actuators),
                 *(actuation.stop_names[i] for i in stops),

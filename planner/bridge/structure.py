@@ -1,0 +1,279 @@
+"""The structure of a compiled MuJoCo model as plain data: what a hand description is proposed from.
+
+Bodies, joints, geoms, sites, actuators and fixed tendons with the numbers that tell a finger from
+a wrist, a pad from a shell, or a servo from a spring. No decision is made here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from planner.bridge.couplings import tendon_row
+from planner.bridge.decompile import spec_from_model
+from planner.bridge.load import compile_spec, load_spec
+from planner.bridge.pinocchio_model import body_name
+from planner.errors import ModelError
+from planner.spatial import SE3, FloatArray, pose_from_wxyz
+
+__all__ = [
+    "ActuatorPart",
+    "BodyPart",
+    "GeomPart",
+    "JointPart",
+    "ModelStructure",
+    "TendonPart",
+    "compile_balanced",
+    "joint_inertia",
+    "read_spec",
+    "structure_of",
+]
+
+_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_JOINT, _TENDON = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_TENDON)
+_WRAP_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
+_BIAS_AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyPart:
+    """A body: ``parent`` and ``link`` are numbers of bodies; bodies of one link move as one.
+
+    Attributes:
+        name: Its name.
+        parent: The body that it is attached to (the world's is itself, 0).
+        link: The first body of the rigid link that it is part of (0: fixed to the world).
+        mass: kg.
+        T_parent_body: Its pose in the parent as the file draws it.
+    """
+
+    name: str
+    parent: int
+    link: int
+    mass: float
+    T_parent_body: SE3
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointPart:
+    """A joint.
+
+    Attributes:
+        name: Its name.
+        body: Number of the body that it moves.
+        kind: "hinge", "slide" or "other" (ball, free).
+        limits: Lower and upper end of its range, rad or m; None if it has none.
+        damping: N m s/rad (N s/m).
+        frictionloss: N m (N).
+        effort: Largest torque the model lets actuators put on it, N m (N); infinite if not said.
+    """
+
+    name: str
+    body: int
+    kind: str
+    limits: tuple[float, float] | None
+    damping: float
+    frictionloss: float
+    effort: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeomPart:
+    """A geom: its name, the number of its body, and whether it can collide."""
+
+    name: str
+    body: int
+    collides: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ActuatorPart:
+    """An actuator.
+
+    Attributes:
+        name: Its name.
+        row: Moment arms (nv,), m/rad or -.
+        stiffness: Force per length by which it holds its target, N m/rad; 0 if it does not.
+        force_limit: Largest force, N m; infinite if not limited.
+    """
+
+    name: str
+    row: FloatArray
+    stiffness: float
+    force_limit: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TendonPart:
+    """A fixed tendon, length = row @ q.
+
+    Attributes:
+        name: Its name.
+        row: Coefficients (nv,).
+        limits: Least and greatest length; None if not limited.
+        stiffness: Of its spring, N/m; 0 if it has none.
+        rest: Lengths between which the spring pulls nothing.
+    """
+
+    name: str
+    row: FloatArray
+    limits: tuple[float, float] | None
+    stiffness: float
+    rest: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelStructure:
+    """Everything above of one model, in the model's order; nv is the number of joints."""
+
+    bodies: tuple[BodyPart, ...]
+    joints: tuple[JointPart, ...]
+    geoms: tuple[GeomPart, ...]
+    actuators: tuple[ActuatorPart, ...]
+    tendons: tuple[TendonPart, ...]
+
+    @property
+    def hinges_and_slides(self) -> bool:
+        """Whether every joint is one, so that joint j is also degree of freedom j."""
+        return all(j.kind != "other" for j in self.joints)
+
+    def children(self, link: int) -> list[int]:
+        """Numbers of the links attached to a link by joints, in the model's order."""
+        bodies = self.bodies
+        return [
+            i
+            for i, b in enumerate(bodies)
+            if i and b.link == i and bodies[b.parent].link == link and self.joints_of(i)
+        ]
+
+    def joints_of(self, body: int) -> list[int]:
+        """Numbers of the joints of a body."""
+        return [k for k, j in enumerate(self.joints) if j.body == body]
+
+    def bodies_of(self, link: int) -> list[int]:
+        """Numbers of the bodies of a rigid link, the first one first."""
+        return [i for i, b in enumerate(self.bodies) if b.link == link]
+
+
+def compile_balanced(spec: Any, what: str) -> tuple[Any, bool]:
+    """Compile a spec; balance its inertias if MuJoCo refuses it otherwise.
+
+    Returns:
+        The ``mujoco.MjModel``, and whether inertias had to be balanced.
+
+    Raises:
+        ModelError: MuJoCo refuses the model for another reason.
+    """
+    try:
+        return compile_spec(spec, what), False
+    except ModelError as error:
+        if "A + B >= C" not in str(error):
+            raise
+        spec.compiler.balanceinertia = True
+        return compile_spec(spec, what), True
+
+
+def joint_inertia(model: Any, q: FloatArray) -> FloatArray:
+    """Diagonal (nv,) of the mass matrix at q (nv,), kg m^2 (kg): what each servo has to move."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_forward(model, data)
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    return np.diag(full).copy()
+
+
+def read_spec(source: Any) -> Any:
+    """A fresh ``mujoco.MjSpec`` from a path, a spec, or a compiled model.
+
+    Raises:
+        ModelError: The file is missing or not a model, or a compiled model cannot be taken apart.
+    """
+    if isinstance(source, mujoco.MjModel):
+        return spec_from_model(source)
+    return load_spec(source) if isinstance(source, Path) else source.copy()
+
+
+def structure_of(model: Any) -> ModelStructure:
+    """The structure of a compiled ``mujoco.MjModel``; tendons through space are left out."""
+    return ModelStructure(
+        bodies=tuple(
+            BodyPart(
+                name=body_name(model, i),
+                parent=int(model.body_parentid[i]),
+                link=int(model.body_weldid[i]),
+                mass=float(model.body_mass[i]),
+                T_parent_body=pose_from_wxyz(model.body_pos[i], model.body_quat[i]),
+            )
+            for i in range(model.nbody)
+        ),
+        joints=tuple(_joint(model, j) for j in range(model.njnt)),
+        geoms=tuple(
+            GeomPart(
+                name=model.geom(g).name,
+                body=int(model.geom_bodyid[g]),
+                collides=bool(model.geom_contype[g] or model.geom_conaffinity[g]),
+            )
+            for g in range(model.ngeom)
+        ),
+        actuators=tuple(_actuator(model, i) for i in range(model.nu)),
+        tendons=tuple(_tendon(model, t) for t in range(model.ntendon) if _is_fixed(model, t)),
+    )
+
+
+def _joint(model: Any, j: int) -> JointPart:
+    kind = int(model.jnt_type[j])
+    first = int(model.jnt_dofadr[j])
+    low, high = (float(v) for v in model.jnt_range[j])
+    limited = bool(model.jnt_limited[j]) and kind in (_HINGE, _SLIDE)
+    effort = np.inf
+    if model.jnt_actfrclimited[j]:
+        effort = float(np.abs(model.jnt_actfrcrange[j]).max())
+    return JointPart(
+        name=model.joint(j).name,
+        body=int(model.jnt_bodyid[j]),
+        kind={_HINGE: "hinge", _SLIDE: "slide"}.get(kind, "other"),
+        limits=(low, high) if limited else None,
+        damping=float(model.dof_damping[first]),
+        frictionloss=float(model.dof_frictionloss[first]),
+        effort=effort,
+    )
+
+
+def _actuator(model: Any, i: int) -> ActuatorPart:
+    row = np.zeros(model.nv)
+    target, kind = int(model.actuator_trnid[i, 0]), int(model.actuator_trntype[i])
+    gear = float(model.actuator_gear[i, 0])
+    if kind == _JOINT:
+        row[int(model.jnt_dofadr[target])] = gear
+    elif kind == _TENDON and _is_fixed(model, target):
+        row = gear * tendon_row(model, target)
+    affine = int(model.actuator_biastype[i]) == _BIAS_AFFINE
+    limited = bool(model.actuator_forcelimited[i])
+    return ActuatorPart(
+        name=model.actuator(i).name,
+        row=row,
+        stiffness=-float(model.actuator_biasprm[i, 1]) if affine else 0.0,
+        force_limit=float(np.abs(model.actuator_forcerange[i]).max()) if limited else np.inf,
+    )
+
+
+def _tendon(model: Any, t: int) -> TendonPart:
+    low, high = (float(v) for v in model.tendon_range[t])
+    first, last = (float(v) for v in model.tendon_lengthspring[t])
+    return TendonPart(
+        name=model.tendon(t).name,
+        row=tendon_row(model, t),
+        limits=(low, high) if model.tendon_limited[t] else None,
+        stiffness=float(model.tendon_stiffness[t]),
+        rest=(first, last),
+    )
+
+
+def _is_fixed(model: Any, t: int) -> bool:
+    start, count = int(model.tendon_adr[t]), int(model.tendon_num[t])
+    return all(int(k) == _WRAP_JOINT for k in model.wrap_type[start : start + count])

@@ -1,0 +1,144 @@
+"""``Coupling``: a linear tie between joints, C q = d, and sets of them without contradiction.
+
+A kinematic coupling says which q exist; which torques exist is the transmission's matter
+(``planner.actuation``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linprog
+
+from planner.errors import HandError
+from planner.spatial import FloatArray
+
+__all__ = ["Coupling", "check_couplings", "check_held", "independent_couplings"]
+
+RANK_TOL = 1e-8
+"""A coupling whose row, by unit length, leaves less than this outside the rows before it repeats
+them (-)."""
+
+LOOSE_TOL = 1e-6
+"""Share of a joint (-) that neither actuators nor couplings hold: rounding is below."""
+
+VALUE_TOL = 1e-6
+"""How far (rad, for a row of unit length) a repeated coupling may ask for another value."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coupling:
+    """Kinematic coupling row @ q = value.
+
+    Attributes:
+        name: What it is called in the model or the description.
+        row: (nq,), coefficients.
+        value: rad (m), or whatever the row makes of it.
+        one_sided: Whether it is a stop that only pushes row @ q upwards, and is active in a grasp;
+            an equality holds always and both ways.
+    """
+
+    name: str
+    row: FloatArray
+    value: float
+    one_sided: bool
+
+
+def independent_couplings(couplings: Sequence[Coupling], what: str) -> tuple[Coupling, ...]:
+    """Couplings without those that repeat the ones before them: C then has full rank.
+
+    Equalities come first, since a stop along an equality never acts.
+
+    Args:
+        couplings: Any couplings.
+        what: Whose they are, for messages.
+
+    Raises:
+        HandError: Two of them contradict each other, or one has no coefficient.
+    """
+    kept: list[Coupling] = []
+    basis: list[FloatArray] = []  # orthonormal rows
+    values: list[float] = []  # basis @ q
+    for coupling in sorted(couplings, key=lambda c: c.one_sided):
+        size = float(np.linalg.norm(coupling.row))
+        if size == 0.0:
+            raise HandError(f"{what}: coupling {coupling.name!r} acts on no joint; leave it out")
+        rest, value = coupling.row / size, coupling.value / size
+        for row, known in zip(basis, values, strict=True):
+            share = float(row @ rest)
+            rest, value = rest - share * row, value - share * known
+        left = float(np.linalg.norm(rest))
+        if left > RANK_TOL:
+            kept.append(coupling)
+            basis.append(rest / left)
+            values.append(value / left)
+        elif (value if coupling.one_sided else abs(value)) > VALUE_TOL:
+            raise HandError(
+                f"{what}: coupling {coupling.name!r} contradicts the couplings before it, "
+                f"{[c.name for c in kept]}, by {abs(value) * size:.4f}; correct or drop one of them"
+            )
+    return tuple(kept)
+
+
+def check_couplings(
+    couplings: Sequence[Coupling], lower: FloatArray, upper: FloatArray, what: str
+) -> None:
+    """See that some q within the joint ranges keeps every coupling.
+
+    Args:
+        couplings: The couplings.
+        lower: Joint limits (nq,), finite.
+        upper: Joint limits (nq,), finite.
+        what: Whose they are, for messages.
+
+    Raises:
+        HandError: None does; the message names the coupling if one alone is impossible.
+    """
+    for c in couplings:
+        reach = np.stack([c.row * lower, c.row * upper])
+        low, high = float(reach.min(axis=0).sum()), float(reach.max(axis=0).sum())
+        if not low - VALUE_TOL <= c.value <= high + VALUE_TOL:
+            raise HandError(
+                f"{what}: coupling {c.name!r} asks for {c.value:.4f}, and the joint ranges allow "
+                f"[{low:.4f}, {high:.4f}]; correct the ranges, or write drop_couplings = "
+                f"[{c.name!r}] under [repair] and describe the right coupling"
+            )
+    if couplings:
+        matrix = np.array([c.row for c in couplings])
+        value = np.array([c.value for c in couplings])
+        bounds = np.column_stack([lower, upper])
+        found = linprog(np.zeros(len(lower)), A_eq=matrix, b_eq=value, bounds=bounds)
+        if found.status == 2:  # infeasible
+            raise HandError(
+                f"{what}: no q within the joint ranges keeps all couplings "
+                f"{[c.name for c in couplings]} at once; correct them or the ranges"
+            )
+
+
+def check_held(
+    joint_names: Sequence[str], moment: FloatArray, couplings: Sequence[Coupling], what: str
+) -> None:
+    """See that actuators and couplings together hold every joint.
+
+    Args:
+        joint_names: nq names.
+        moment: R (nu, nq) of the actuators.
+        couplings: The couplings.
+        what: Whose they are, for messages.
+
+    Raises:
+        HandError: Joints that can move while no actuator and no coupling notices.
+    """
+    rows = np.vstack([moment, *(c.row[None] for c in couplings)])
+    size = np.linalg.norm(rows, axis=1, keepdims=True)
+    rows = rows / np.where(size > 0, size, 1.0)
+    loose = np.eye(len(joint_names)) - np.linalg.pinv(rows) @ rows  # projector on the rest
+    free = [j for j, part in zip(joint_names, loose, strict=True) if abs(part).max() > LOOSE_TOL]
+    if free:
+        raise HandError(
+            f"{what}: no actuator and no coupling holds the joints {free}; add an [[actuators]] "
+            "table with joints = [...], kp and force_limit for those that a motor drives, and a "
+            "[[couplings]] table for those that follow others"
+        )

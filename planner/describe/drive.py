@@ -1,0 +1,346 @@
+"""What drives a hand: couplings that cannot hold, stops that carry a contact, servos it lacks.
+
+A stop is a tendon limit that takes up what no actuator can: the side is the one that resists a
+contact pressing on the pad. Servos are proposed for joints that nothing holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linprog
+
+from planner.bridge.structure import ModelStructure, TendonPart
+from planner.couplings import Coupling
+from planner.describe.proposal import Reason
+from planner.description import ActuatorDescription, CouplingDescription, JointDefaults
+from planner.spatial import FloatArray
+
+__all__ = [
+    "Drive",
+    "PadContact",
+    "impossible_couplings",
+    "joint_defaults",
+    "missing_servos",
+    "stops_and_springs",
+]
+
+LARGEST_EFFORT = {"hinge": 5.0, "slide": 500.0}
+"""Efforts (N m, N) above these are not those of a finger's joint: URDF files often hold fillers."""
+
+USUAL_EFFORT = {"hinge": 0.7, "slide": 20.0}
+"""Effort (N m, N) where the model names none that is credible: 7 N at a fingertip 0.1 m from the
+joint, what servo-driven hands of a human's size do."""
+
+SERVO_TRAVEL = {"hinge": 0.25, "slide": 0.005}
+"""Error (rad, m) at which a proposed servo pushes with its whole force."""
+
+SLOWEST_JOINT = 0.3
+"""Time constant damping/kp (s) above which a joint's own damping makes closing a hand a matter of
+seconds."""
+
+STICKIEST_JOINT = 0.3
+"""Share of a servo's force that dry friction may eat (-)."""
+
+USUAL_ARMATURE = {"hinge": 2e-4, "slide": 1e-2}
+"""Inertia (kg m2, kg) of a small geared motor seen from the joint."""
+
+LEAST_TRAVEL = 0.05
+"""A coupling that leaves every joint that it ties less than this share of its range is wrong."""
+
+NARROW = 0.25
+"""A tendon whose limits are nearer together than this share of what the joints allow ties them."""
+
+SAMPLES = 64
+"""Configurations at which is seen which side of a tendon's limits resists a contact."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drive:
+    """Lines of a description and why; ``questions`` are for the user."""
+
+    couplings: tuple[CouplingDescription, ...] = ()
+    actuators: tuple[ActuatorDescription, ...] = ()
+    reasons: tuple[Reason, ...] = ()
+    questions: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PadContact:
+    """What a contact asks of the joints: torque (nq,) with which unit force is pressed at q."""
+
+    q: FloatArray
+    torque: FloatArray
+
+
+def impossible_couplings(
+    couplings: Sequence[Coupling], lower: FloatArray, upper: FloatArray
+) -> tuple[str, ...]:
+    """Names of equalities that the joint ranges forbid, or that freeze every joint they tie."""
+    bounds = np.column_stack([lower, upper])
+    span = np.maximum(upper - lower, 1e-12)
+    out = []
+    kept: list[Coupling] = []
+    for coupling in couplings:
+        trial = [*kept, coupling]
+        matrix = np.array([c.row for c in trial])
+        value = np.array([c.value for c in trial])
+        joints = np.flatnonzero(coupling.row)
+        travel = 0.0
+        for k in joints:
+            ends = []
+            for sign in (1.0, -1.0):
+                cost = np.zeros(len(lower))
+                cost[k] = sign
+                found = linprog(cost, A_eq=matrix, b_eq=value, bounds=bounds)
+                ends.append(float(found.x[k]) if found.status == 0 else np.nan)
+            travel = max(travel, np.nan_to_num((ends[1] - ends[0]) / span[k]))
+        if travel >= LEAST_TRAVEL:
+            kept.append(coupling)
+        else:
+            out.append(coupling.name)
+    return tuple(out)
+
+
+def stops_and_springs(
+    structure: ModelStructure,
+    equalities: Sequence[Coupling],
+    lower: FloatArray,
+    upper: FloatArray,
+    contacts: Sequence[PadContact],
+) -> Drive:
+    """Couplings for limited and for elastic tendons that hold joints which nothing else holds."""
+    names = [j.name for j in structure.joints]
+    held = [a.row for a in structure.actuators] + [c.row for c in equalities]
+    out, reasons = [], []
+    for tendon in structure.tendons:
+        tied = np.flatnonzero(tendon.row)
+        if len(tied) < 2 or _is_driven(structure, tendon):
+            continue
+        low, high = _reach(tendon.row, lower, upper)
+        loose = not _in_span(tendon.row, held)
+        scale = float(np.abs(tendon.row).max())
+        limits = tendon.limits
+        narrow = limits is not None and limits[1] - limits[0] < NARROW * (high - low)
+        joints = {names[k]: _tidy(tendon.row[k] / scale) for k in tied}
+        if limits is not None and (loose or narrow):
+            sign = _resisting_side(tendon.row, held, contacts)
+            bound = limits[0] if sign > 0 else limits[1]
+            if low + 1e-6 < bound < high - 1e-6:
+                coupling = CouplingDescription(
+                    name=tendon.name,
+                    joints={j: sign * c for j, c in joints.items()},
+                    value=_tidy(sign * bound / scale),
+                    kind="stop",
+                )
+                out.append(coupling)
+                held.append(tendon.row)
+                reasons.append(
+                    Reason(
+                        key=f"couplings.{coupling.name}",
+                        value=f"{'lower' if sign > 0 else 'upper'} limit of tendon {tendon.name}",
+                        why="a contact that presses on the pad runs the tendon to this limit"
+                        + (
+                            ", and no actuator holds what it ties"
+                            if loose
+                            else "; its limits leave the joints hardly any freedom"
+                        ),
+                    )
+                )
+                continue
+        if loose and tendon.stiffness > 0:
+            rest = (tendon.rest[0] + tendon.rest[1]) / 2
+            coupling = CouplingDescription(
+                name=tendon.name,
+                joints=joints,
+                value=_tidy(rest / scale),
+                kind="equality",
+            )
+            out.append(coupling)
+            held.append(tendon.row)
+            reasons.append(
+                Reason(
+                    key=f"couplings.{coupling.name}",
+                    value="the spring of the tendon at rest, as if it were stiff",
+                    why=f"only the spring of tendon {tendon.name} ({tendon.stiffness:g} N/m) holds "
+                    "what it ties; give the real coupling if you know it",
+                )
+            )
+    return Drive(couplings=tuple(out), reasons=tuple(reasons))
+
+
+def missing_servos(
+    structure: ModelStructure,
+    held: Sequence[FloatArray],
+    joints: Sequence[int],
+    inertia: FloatArray,
+) -> Drive:
+    """Servos for joints that neither actuators nor couplings hold, nearest to the palm first.
+
+    Args:
+        structure: The hand.
+        held: Rows (nv,) of actuators and couplings.
+        joints: Every joint, in the order in which servos are preferred.
+        inertia: (nv,), what each joint has to move, kg m2 (kg).
+    """
+    rows = list(held)
+    groups: dict[tuple[float, float, float], list[str]] = {}
+    reasons, questions = [], []
+    unsaid, unbelieved = [], []
+    for j in joints:
+        unit = np.eye(len(structure.joints))[j]
+        if _in_span(unit, rows):
+            continue
+        rows.append(unit)
+        part = structure.joints[j]
+        effort = part.effort
+        if not np.isfinite(effort):
+            unsaid.append(part.name)
+            effort = USUAL_EFFORT[part.kind]
+        elif not 0 < effort <= LARGEST_EFFORT[part.kind]:
+            unbelieved.append(part.name)
+            effort = USUAL_EFFORT[part.kind]
+        kp = _two_digits(effort / SERVO_TRAVEL[part.kind])
+        groups.setdefault((kp, effort, 0.0), []).append(part.name)
+    index = {j.name: k for k, j in enumerate(structure.joints)}
+    actuators = []
+    for (kp, effort, _), names in groups.items():
+        heaviest = max(inertia[index[n]] for n in names)
+        actuators.append(
+            ActuatorDescription(
+                joints=tuple(names),
+                kp=kp,
+                damping=_two_digits(2 * np.sqrt(kp * heaviest)),
+                force_limit=effort,
+            )
+        )
+    if actuators:
+        reasons.append(
+            Reason(
+                key="actuators",
+                value=f"position servos for {sum(len(a.joints) for a in actuators)} joints",
+                why="neither an actuator nor a coupling of the model holds them; kp brings the "
+                f"whole force at {SERVO_TRAVEL['hinge']} rad ({1e3 * SERVO_TRAVEL['slide']:g} mm), "
+                "damping is critical for the inertia that the heaviest of them moves",
+            )
+        )
+    if unbelieved:
+        worst = max(structure.joints[index[n]].effort for n in unbelieved)
+        questions.append(
+            f"the model allows up to {worst:g} N m on {_listed(unbelieved)}, which no finger has: "
+            f"{USUAL_EFFORT['hinge']} N m is proposed; set force_limit to your hand's"
+        )
+    if unsaid:
+        questions.append(
+            f"the model does not say how strong {_listed(unsaid)} are: {USUAL_EFFORT['hinge']} N m "
+            f"({USUAL_EFFORT['slide']} N) is proposed; set force_limit to your hand's"
+        )
+    return Drive(actuators=tuple(actuators), reasons=tuple(reasons), questions=tuple(questions))
+
+
+def joint_defaults(
+    structure: ModelStructure, added: Sequence[ActuatorDescription], inertia: FloatArray
+) -> tuple[JointDefaults, tuple[Reason, ...]]:
+    """Damping, friction and armature that replace those with which no servo could work."""
+    n = len(structure.joints)
+    index = {j.name: k for k, j in enumerate(structure.joints)}
+    kp, force = np.full(n, np.nan), np.full(n, np.inf)
+    for actuator in structure.actuators:
+        for k in np.flatnonzero(actuator.row):
+            kp[k] = np.nanmax([kp[k], actuator.stiffness * actuator.row[k] ** 2])
+            force[k] = min(force[k], actuator.force_limit * abs(actuator.row[k]))
+    for servo in added:
+        for name in servo.joints:
+            kp[index[name]], force[index[name]] = servo.kp, servo.force_limit
+    damping = np.array([j.damping for j in structure.joints])
+    friction = np.array([j.frictionloss for j in structure.joints])
+    driven = kp > 0
+    slow = driven & (damping > SLOWEST_JOINT * kp)
+    sticky = driven & (friction > STICKIEST_JOINT * force)
+    reasons, values = [], {}
+    if slow.any():
+        worst = int(np.argmax(np.where(slow, damping / np.where(driven, kp, 1.0), 0.0)))
+        values["damping"] = _two_digits(float(np.nanmax(2 * np.sqrt(kp * inertia)[driven])) / 2)
+        reasons.append(
+            Reason(
+                key="joint_defaults.damping",
+                value=f"{values['damping']:g} N m s/rad, half the critical damping",
+                why=f"the model says {damping[worst]:g} for {structure.joints[worst].name}, whose "
+                f"servo has kp {kp[worst]:g}: it would take {damping[worst] / kp[worst]:.1f} s to "
+                "close most of an error",
+            )
+        )
+    if sticky.any():
+        worst = int(np.argmax(np.where(sticky, friction, 0.0)))
+        values["frictionloss"] = 0.0
+        reasons.append(
+            Reason(
+                key="joint_defaults.frictionloss",
+                value="0",
+                why=f"the model says {friction[worst]:g} for {structure.joints[worst].name}, whose "
+                f"servo gives {force[worst]:g} at most: it would hardly move",
+            )
+        )
+    if added:
+        values["armature"] = USUAL_ARMATURE["hinge"]
+        reasons.append(
+            Reason(
+                key="joint_defaults.armature",
+                value=f"{USUAL_ARMATURE['hinge']:g} kg m2",
+                why="the proposed servos have rotors, which the model does not know; light links "
+                "would swing at rates that a time step of 2 ms does not resolve",
+            )
+        )
+    return JointDefaults(**values), tuple(reasons)
+
+
+def _is_driven(structure: ModelStructure, tendon: TendonPart) -> bool:
+    """Whether an actuator pulls along the tendon itself: its limits are that actuator's range."""
+    return any(_in_span(tendon.row, [a.row]) for a in structure.actuators)
+
+
+def _resisting_side(
+    row: FloatArray, held: Sequence[FloatArray], contacts: Sequence[PadContact]
+) -> float:
+    """+1 if the contacts need a push towards larger row @ q, -1 if towards smaller.
+
+    What nothing holds decides: the wanted torque and the row are looked at outside the span of the
+    rows that hold; along the row itself where everything is held.
+    """
+    basis = np.array(held).reshape(-1, len(row))
+    free = np.eye(len(row)) - np.linalg.pinv(basis) @ basis if len(basis) else np.eye(len(row))
+    part = free @ row
+    if np.linalg.norm(part) < 1e-6 * np.linalg.norm(row):
+        part = row
+    votes = [np.sign(part @ c.torque) for c in contacts]
+    return 1.0 if sum(votes) >= 0 else -1.0
+
+
+def _in_span(row: FloatArray, rows: Sequence[FloatArray]) -> bool:
+    if not len(rows):
+        return False
+    basis = np.array([r / max(float(np.linalg.norm(r)), 1e-12) for r in rows])
+    rest = row - basis.T @ np.linalg.lstsq(basis.T, row, rcond=1e-9)[0]
+    return bool(np.linalg.norm(rest) < 1e-6 * np.linalg.norm(row))
+
+
+def _reach(row: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[float, float]:
+    ends = np.stack([row * lower, row * upper])
+    return float(ends.min(axis=0).sum()), float(ends.max(axis=0).sum())
+
+
+def _tidy(value: float) -> float:
+    """Without the noise of the last digits."""
+    return float(f"{value:.9g}") + 0.0
+
+
+def _two_digits(value: float) -> float:
+    return float(f"{value:.2g}")
+
+
+def _listed(names: Sequence[str]) -> str:
+    """The first names and how many there are."""
+    few = ", ".join(names[:3])
+    return few if len(names) <= 3 else f"{few} and {len(names) - 3} other joints"

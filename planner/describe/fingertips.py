@@ -1,0 +1,175 @@
+"""Where a finger ends and which way it closes: the distal link's bone and flexion direction.
+
+All in the frame of the finger's last joint, with every joint as near to zero as its range allows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from planner.bridge import LinkGeometry
+from planner.bridge.structure import ModelStructure
+from planner.describe.solids import Solid, cone_directions
+from planner.describe.tree import Branch
+from planner.spatial import SE3, FloatArray
+
+__all__ = ["Fingertip", "Skeleton", "fingertip_of"]
+
+END_CONE = np.deg2rad(20.0)
+"""Half angle (rad) of the cone about the bone whose support points are averaged into the end, so
+that a flat or a lopsided end is met in its middle."""
+
+LEAST_LEVER = 0.5
+"""A joint bends the finger if the sine between its axis and the bone is at least this; else it
+twists or spreads it."""
+
+ONE_SIDED = 1.25
+"""A range tells the closing side if one side is this many times the other."""
+
+
+class Skeleton:
+    """The moving links of an isolated hand: placements at q, geometry by joint.
+
+    Attributes:
+        structure: Its bodies and joints.
+        pin_model: ``pinocchio.Model``; joint j of the structure is Pinocchio joint j + 1.
+        solids: The colliding geometries by Pinocchio joint (0: the base).
+        q_lower: (nq,), rad or m.
+        q_upper: (nq,).
+        neutral: (nq,): zero, or the end of the range nearest to it.
+    """
+
+    def __init__(
+        self,
+        structure: ModelStructure,
+        pin_model: Any,
+        geometries: tuple[LinkGeometry, ...],
+    ) -> None:
+        """Sort the geometries by joint."""
+        self.structure, self.pin_model = structure, pin_model
+        self.solids: dict[int, list[Solid]] = {}
+        for g in geometries:
+            self.solids.setdefault(g.joint_id, []).append(Solid(g))
+        self.q_lower = np.array(pin_model.lowerPositionLimit)
+        self.q_upper = np.array(pin_model.upperPositionLimit)
+        self.neutral = np.clip(np.zeros(pin_model.nq), self.q_lower, self.q_upper)
+        self._data = pin_model.createData()
+
+    def place(self, q: FloatArray) -> list[SE3]:
+        """Pose of every Pinocchio joint in the base at q (nq,)."""
+        pin.forwardKinematics(self.pin_model, self._data, q)
+        return [SE3(pose) for pose in self._data.oMi]
+
+    def axis(self, joint: int) -> FloatArray:
+        """Axis (3,) of joint ``joint`` of the structure in its own frame: what q turns or moves."""
+        model = self.pin_model.joints[joint + 1]
+        data = model.createData()
+        model.calc(data, np.zeros(1))
+        motion = np.array(data.S).ravel()
+        return motion[3:] if self.is_hinge(joint) else motion[:3]
+
+    def is_hinge(self, joint: int) -> bool:
+        """Whether a joint of the structure turns."""
+        return self.structure.joints[joint].kind == "hinge"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fingertip:
+    """The end of one finger, in the frame of its last joint.
+
+    Attributes:
+        joint_id: Pinocchio joint of that frame.
+        bone: (3,), unit: from the last joint to the end.
+        flexion: (3,), unit, orthogonal to the bone: the way the end moves when the finger closes.
+        end: (3,), m: the middle of the end.
+        closing: +1 or -1: the sign of the flexion joint that closes.
+        flexion_joint: Number of the joint that bends the end.
+        certain: Whether the joint's range told the sign.
+    """
+
+    joint_id: int
+    bone: FloatArray
+    flexion: FloatArray
+    end: FloatArray
+    closing: float
+    flexion_joint: int
+    certain: bool
+
+
+def fingertip_of(skeleton: Skeleton, branch: Branch, others: FloatArray | None) -> Fingertip | None:
+    """Where a finger ends and closes; None if nothing on its last link can touch.
+
+    Args:
+        skeleton: The hand.
+        branch: The finger.
+        others: Middle (3,) of the other fingers' ends in the base, m, if known: it decides the
+            closing side of slides and of joints that bend both ways alike.
+    """
+    last = branch.joints[-1]
+    joint_id = last + 1
+    solids = skeleton.solids.get(joint_id, [])
+    if not solids:
+        return None
+    poses = skeleton.place(skeleton.neutral)
+    bone, end = _bone(skeleton, last, solids, poses)
+    for joint in reversed(branch.joints):
+        carried = poses[joint_id].inverse() * poses[joint + 1]
+        axis = carried.rotation @ skeleton.axis(joint)
+        way = np.cross(axis, end - carried.translation) if skeleton.is_hinge(joint) else axis
+        way = way - bone * (bone @ way)
+        lever = float(np.linalg.norm(np.cross(axis, bone)))
+        if lever >= LEAST_LEVER or joint == branch.joints[0]:
+            break
+    way /= np.linalg.norm(way)
+    low, high = skeleton.q_lower[joint], skeleton.q_upper[joint]
+    tells = skeleton.is_hinge(joint) and max(abs(low), abs(high)) > ONE_SIDED * min(
+        abs(low), abs(high)
+    )
+    sign = 1.0 if abs(high) >= abs(low) else -1.0
+    if not tells and others is not None:
+        toward = poses[joint_id].actInv(others) - end
+        sign = 1.0 if toward @ way >= 0 else -1.0
+    return Fingertip(
+        joint_id=joint_id,
+        bone=bone,
+        flexion=sign * way,
+        end=end,
+        closing=sign,
+        flexion_joint=joint,
+        certain=tells,
+    )
+
+
+def _bone(
+    skeleton: Skeleton, last: int, solids: list[Solid], poses: list[SE3]
+) -> tuple[FloatArray, FloatArray]:
+    """Direction from the last joint to the end of its link, and that end."""
+    axis = skeleton.axis(last)
+    start = np.zeros(3)
+    if not skeleton.is_hinge(last):
+        # a sliding finger has no joint to start from: it points away from the palm
+        parent = skeleton.pin_model.parents[last + 1]
+        start = np.array(poses[last + 1].actInv(poses[parent].translation))
+    middle = np.mean([s.center for s in solids], axis=0) - start
+    bone = _across(middle, axis)
+    end = middle
+    for _ in range(4):
+        near = cone_directions(bone, END_CONE)
+        tips = np.array([s.support_points(near) for s in solids])  # (n_solids, n, 3)
+        furthest = np.argmax((tips * near).sum(axis=2), axis=0)
+        end = tips[furthest, np.arange(len(near))].mean(axis=0)
+        bone = _across(end - start, axis)
+    reach = max(float(s.support(bone[None])[0]) for s in solids)
+    return bone, end + bone * (reach - bone @ end)
+
+
+def _across(v: FloatArray, axis: FloatArray) -> FloatArray:
+    """Unit vector of what of v is orthogonal to an axis; of v itself where nothing is left."""
+    flat = v - axis * (axis @ v)
+    flat = flat if np.linalg.norm(flat) > 1e-6 else v
+    length = float(np.linalg.norm(flat))
+    return flat / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])

@@ -1,0 +1,251 @@
+"""Base, wrist, palm and fingers: read off the tree of bodies and joints, without any geometry.
+
+A palm is the link from which the most unbranched chains of joints start; each chain is a finger.
+Joints between it and the root are the wrist, or, if there are many, an arm that carries the hand.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from planner.bridge.structure import ModelStructure
+from planner.errors import HandError, NotFoundError
+
+__all__ = ["Branch", "HandTree", "find_base", "finger_names", "read_tree"]
+
+LONGEST_WRIST = 2
+"""Joints between root and palm up to which they are a wrist; more are an arm that carries the hand
+and that the base leaves out."""
+
+FEWEST_FINGERS = 2
+"""A hand has at least two fingers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Branch:
+    """A chain of joints that starts at the palm: a finger.
+
+    Attributes:
+        links: Numbers of its links (first bodies), outwards.
+        joints: Numbers of its joints, outwards.
+        side_joints: Joints on side branches that the chain leaves out.
+    """
+
+    links: tuple[int, ...]
+    joints: tuple[int, ...]
+    side_joints: tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandTree:
+    """How the bodies and joints of an isolated hand are divided up.
+
+    Attributes:
+        palm: Number of the palm's link.
+        wrist: Numbers of the joints between base and palm, outwards.
+        branches: The fingers, in the model's order.
+        others: Joints that are in neither.
+    """
+
+    palm: int
+    wrist: tuple[int, ...]
+    branches: tuple[Branch, ...]
+    others: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class _Palm:
+    """A link that could be a palm: its link, the root body above it, its chains."""
+
+    link: int
+    root: int
+    chains: int
+    joints: int
+
+
+def find_base(
+    structure: ModelStructure, base_body: str | None, what: str
+) -> tuple[str, str, tuple[str, ...]]:
+    """The body to take as the hand's base, out of everything that a model file holds.
+
+    Args:
+        structure: The whole model.
+        base_body: The user's choice, or None.
+        what: What the model is called in messages.
+
+    Returns:
+        The body's name, why it was chosen, and what remains open.
+
+    Raises:
+        NotFoundError: The user's choice does not exist.
+        HandError: Nothing in the model looks like a hand, or several things do equally.
+    """
+    names = [b.name for b in structure.bodies]
+    if base_body is not None:
+        if base_body not in names[1:]:
+            raise NotFoundError(f"body of {what}", base_body, names[1:])
+        return base_body, "you named it", ()
+    palms = _palms(structure)
+    if not palms:
+        raise HandError(
+            f"nothing in {what} looks like a hand: no body carries {FEWEST_FINGERS} or more chains "
+            "of hinges or slides. If the fingers stand directly in the world, put them into one "
+            "body; if the file is a fragment, describe the file that includes it"
+        )
+    best = max((p.chains, p.joints) for p in palms)
+    first, *rest = [p for p in palms if (p.chains, p.joints) == best]
+    if rest:
+        found = [_base_of(structure, p)[0] for p in (first, *rest)]
+        raise HandError(
+            f"{what} holds several hands that look alike, on the bodies {found}; say which one is "
+            "meant by base_body (--base on the command line)"
+        )
+    base, upstream = _base_of(structure, first)
+    why = f"the root above the link that carries {first.chains} chains of joints"
+    if upstream <= LONGEST_WRIST:
+        return base, why, ()
+    return (
+        base,
+        f"the link that carries {first.chains} chains of joints",
+        (
+            f"{upstream} joints lie between the root of {what} and the hand: they are taken for an "
+            "arm and left out; name another base_body (--base) to keep some of them as a wrist",
+        ),
+    )
+
+
+def read_tree(structure: ModelStructure, base_body: str, what: str) -> HandTree:
+    """Palm, wrist and fingers of a hand whose base is ``base_body`` (fixed to the world).
+
+    Raises:
+        HandError: No link below the base carries two chains.
+    """
+    base = [b.name for b in structure.bodies].index(base_body)
+    palms = [p for p in _palms(structure) if _is_below(structure, p.link, base) or p.link == 0]
+    if not palms:
+        raise HandError(
+            f"below {base_body!r} of {what} no link carries {FEWEST_FINGERS} or more chains of "
+            "joints; name another base_body (--base)"
+        )
+    palm = max(palms, key=lambda p: (p.chains, p.joints)).link
+    wrist: list[int] = []
+    link = palm
+    while link:
+        wrist = structure.joints_of(link) + wrist
+        link = structure.bodies[structure.bodies[link].parent].link
+    branches = tuple(_branch(structure, child) for child in structure.children(palm))
+    used = {*wrist, *(j for b in branches for j in b.joints)}
+    return HandTree(
+        palm=palm,
+        wrist=tuple(wrist),
+        branches=branches,
+        others=tuple(j for j in range(len(structure.joints)) if j not in used),
+    )
+
+
+def _palms(structure: ModelStructure) -> list[_Palm]:
+    """Every link that carries at least two unbranched chains of hinges and slides."""
+    out = []
+    for link in {b.link for b in structure.bodies}:
+        below = structure.children(link)
+        for root in {_root(structure, child) for child in below}:
+            mine = [c for c in below if _root(structure, c) == root and _is_chain(structure, c)]
+            joints = sum(len(_branch(structure, c).joints) for c in mine)
+            if len(mine) >= FEWEST_FINGERS:
+                out.append(_Palm(link=link, root=root, chains=len(mine), joints=joints))
+    return out
+
+
+def _base_of(structure: ModelStructure, palm: _Palm) -> tuple[str, int]:
+    """Name of the base for a palm, and the number of joints between root and palm."""
+    bodies = structure.bodies
+    upstream, link = 0, palm.link
+    while link:
+        upstream += sum(structure.joints[j].kind != "other" for j in structure.joints_of(link))
+        link = bodies[bodies[link].parent].link
+    base = palm.root if upstream <= LONGEST_WRIST else palm.link
+    return bodies[base].name, upstream
+
+
+def _root(structure: ModelStructure, body: int) -> int:
+    """The child of the world above a body."""
+    while structure.bodies[body].parent:
+        body = structure.bodies[body].parent
+    return body
+
+
+def _is_below(structure: ModelStructure, body: int, above: int) -> bool:
+    while body and body != above:
+        body = structure.bodies[body].parent
+    return body == above
+
+
+def _is_chain(structure: ModelStructure, link: int) -> bool:
+    """Whether a link and all below it are a chain without branches, of hinges and slides."""
+    while True:
+        if any(structure.joints[j].kind == "other" for j in structure.joints_of(link)):
+            return False
+        below = structure.children(link)
+        if not below:
+            return True
+        if len(below) > 1:
+            return False
+        link = below[0]
+
+
+def _branch(structure: ModelStructure, link: int) -> Branch:
+    """The chain of most joints that starts with a link; the first of equals."""
+    tails = [_branch(structure, child) for child in structure.children(link)]
+    own = tuple(structure.joints_of(link))
+    if not tails:
+        return Branch(links=(link,), joints=own, side_joints=())
+    longest = max(tails, key=lambda t: len(t.joints))
+    aside = [j for t in tails if t is not longest for j in (*t.joints, *t.side_joints)]
+    return Branch(
+        links=(link, *longest.links),
+        joints=own + longest.joints,
+        side_joints=(*longest.side_joints, *aside),
+    )
+
+
+_SHORT = r"(?=$|[_:\-.\s\d]|j\d|tip|knuckle|proximal|middle|distal|base|hub|metacarpal|pip|dip|mcp)"
+_WORDS = {
+    "thumb": rf"thumb|(?<![a-z])th{_SHORT}",
+    "index": rf"index|fore_?finger|(?<![a-z])[fi]f{_SHORT}",
+    "middle": rf"middle|(?<![a-z])mf{_SHORT}",
+    "ring": rf"(?<![a-z])ring|(?<![a-z])rf{_SHORT}",
+    "little": rf"little|pinky|pinkie|(?<![a-z])lf{_SHORT}",
+}
+"""What names of bodies and joints say of a finger: whole words, and the abbreviations of Shadow-type
+hands where a part of a finger follows."""
+
+
+def finger_names(
+    structure: ModelStructure, branches: Sequence[Branch]
+) -> tuple[list[str], list[str]]:
+    """Names for the fingers, and why each one.
+
+    The word that most names of a finger's bodies and joints hold; a finger whose names hold none,
+    or the same as another's, is numbered.
+    """
+    votes = []
+    for branch in branches:
+        bodies = [b.name for b in structure.bodies if b.link in branch.links]
+        texts = [t.lower() for t in (*bodies, *(structure.joints[j].name for j in branch.joints))]
+        count = Counter(
+            {word: sum(bool(re.search(p, t)) for t in texts) for word, p in _WORDS.items()}
+        )
+        votes.append((count.most_common(1)[0], len(texts)))
+    names, reasons = [], []
+    for i, ((word, count), total) in enumerate(votes):
+        rivals = [v for k, ((w, v), _) in enumerate(votes) if w == word and k != i]
+        if count and count > max(rivals, default=0):
+            names.append(word)
+            reasons.append(f"{count} of {total} names of its bodies and joints say so")
+        else:
+            names.append(f"finger{i + 1}")
+            reasons.append("the names of its bodies and joints do not tell one; rename it freely")
+    return names, reasons

@@ -1,0 +1,175 @@
+"""Reading a ``hand.toml``: the description in it, its model, and what a mirror image changes.
+
+A hand of the other side is described by reference, ``mirror_of``: it has the model and the
+description of that hand, both reflected through a coordinate plane of the base's frame. Names of
+bodies, joints, tips and pads stay those of the hand it mirrors. See
+``models/hands/shadow_hand_left/hand.toml``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any, Literal, TypeAlias, TypeVar
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from planner.bridge.load import model_files
+from planner.catalog import PACKAGE_SCHEME, model_file
+from planner.description import FingerDescription, HandDescription, Vector
+from planner.errors import HandError
+from planner.schema import StrictData, faults_of
+from planner.spatial import FloatArray
+
+__all__ = [
+    "DescribedHand",
+    "MirrorAxis",
+    "MirrorDescription",
+    "read_description",
+    "reflection_signs",
+]
+
+MirrorAxis: TypeAlias = Literal["x", "y", "z"]
+
+
+class MirrorDescription(StrictData):
+    """A ``hand.toml`` that only says which hand it is the mirror image of.
+
+    Attributes:
+        name: Name of the mirrored hand.
+        summary: One line.
+        mirror_of: Description file of the hand to mirror, relative to this file.
+        mirror_axis: Normal of the mirror plane through the base's origin, an axis of the base.
+    """
+
+    schema_version: Literal[1] = Field(alias="schema")
+    name: str
+    summary: str = ""
+    mirror_of: str
+    mirror_axis: MirrorAxis
+
+
+@dataclass(frozen=True, kw_only=True)
+class DescribedHand:
+    """What description files say about a hand.
+
+    Attributes:
+        description: The description, reflected already if the hand is a mirror image; its ``model``
+            is relative to the file that was read.
+        model_path: The model file, as it is on disk.
+        mirror_axis: Axis along which that model is still to be reflected, or None.
+        described_in: The file that holds fingers, pads and postures.
+        files: The description files, the one that was read first; none if the description is a
+            proposal.
+    """
+
+    description: HandDescription
+    model_path: Path
+    mirror_axis: MirrorAxis | None
+    described_in: Path
+    files: tuple[Path, ...]
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 over the description and the model, with all that the model includes.
+
+        Raises:
+            ModelError: The model cannot be read.
+        """
+        files = (*self.files, *model_files(self.model_path))
+        content = b"".join(f.read_bytes() for f in files)
+        if not self.files:
+            content += self.description.model_dump_json(exclude={"model"}).encode()
+        return hashlib.sha256(content).hexdigest()
+
+
+def reflection_signs(axis: MirrorAxis) -> FloatArray:
+    """Diagonal (3,) of the reflection M along a coordinate axis: -1 there, +1 elsewhere."""
+    return np.where(np.arange(3) == "xyz".index(axis), -1.0, 1.0)
+
+
+def read_description(path: Path) -> DescribedHand:
+    """Read and validate a description file, and the one that it mirrors if it does.
+
+    Raises:
+        HandError: Not TOML, a field is missing, unknown or out of range (each one is named), or the
+            hand to mirror is missing or a mirror image itself.
+        ModelError: The model is in a package that is not installed.
+    """
+    raw = _read_toml(path)
+    if "mirror_of" not in raw:
+        description = _validated(path, HandDescription, raw)
+        model = model_file(description.model, path.parent)
+        return DescribedHand(
+            description=description,
+            model_path=model,
+            mirror_axis=None,
+            described_in=path,
+            files=(path,),
+        )
+    mirror = _validated(path, MirrorDescription, raw)
+    other = path.parent / mirror.mirror_of
+    if not other.is_file():
+        raise HandError(f"{path}: mirror_of names {other}, which does not exist; correct it")
+    original_raw = _read_toml(other)
+    if "mirror_of" in original_raw:
+        raise HandError(
+            f"{path}: mirror_of names {other}, which is a mirror image itself; name the hand that "
+            f"it mirrors, {original_raw['mirror_of']!r} beside it"
+        )
+    original = _validated(other, HandDescription, original_raw)
+    model = model_file(original.model, other.parent)
+    return DescribedHand(
+        description=_mirrored(original, mirror),
+        model_path=model,
+        mirror_axis=mirror.mirror_axis,
+        described_in=other,
+        files=(path, other),
+    )
+
+
+def _mirrored(original: HandDescription, mirror: MirrorDescription) -> HandDescription:
+    """The description of the mirror image: positions and directions p -> M p, all else as it is."""
+    signs = reflection_signs(mirror.mirror_axis)
+
+    def reflect(v: Vector) -> Vector:
+        x, y, z = (float(c) for c in signs * v + 0.0)  # + 0.0 turns -0.0 into 0.0
+        return (x, y, z)
+
+    def reflected(f: FingerDescription) -> FingerDescription:
+        pad = {"center": reflect(f.pad.center), "axis": reflect(f.pad.axis)}
+        tip = f.tip and f.tip.model_copy(update={"position": reflect(f.tip.position)})
+        return f.model_copy(update={"pad": f.pad.model_copy(update=pad), "tip": tip})
+
+    model = original.model
+    if not model.startswith(PACKAGE_SCHEME):
+        model = str(PurePosixPath(mirror.mirror_of).parent / model)
+    return original.model_copy(
+        update={
+            "name": mirror.name,
+            "model": model,
+            "summary": mirror.summary,
+            "palm_normal": reflect(original.palm_normal),
+            "fingers": tuple(reflected(f) for f in original.fingers),
+        }
+    )
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise HandError(f"{path} is not a TOML file: {error}") from error
+
+
+_Described = TypeVar("_Described", bound=StrictData)
+
+
+def _validated(path: Path, kind: type[_Described], raw: dict[str, Any]) -> _Described:
+    try:
+        return kind.model_validate(raw)
+    except ValidationError as error:
+        raise HandError(f"{path} does not describe a hand: {faults_of(error)}") from error
