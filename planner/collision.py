@@ -15,12 +15,13 @@ import numpy as np
 import pinocchio as pin
 
 from planner.errors import NotFoundError, TaskError
+from planner.mesh_proximity import MeshPair
 from planner.proximity import DistancePair, Proximity
-from planner.shapes import Box, Shape
+from planner.shapes import Box, Mesh, Shape
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 
-__all__ = ["TABLE_SIZE", "Clearance", "CollisionWorld"]
+__all__ = ["TABLE_SIZE", "Clearance", "CollisionWorld", "shape_pair"]
 
 OBJECT = "object"
 TABLE = "table"
@@ -99,8 +100,8 @@ class CollisionWorld:
                 "each obstacle differently"
             )
         for name, pose, shape in fixed[1:]:
-            query = DistancePair(task.object.shape.coal_geometry(), shape.coal_geometry())
-            depth = -query.distance(task.T_world_object, pose)
+            query = shape_pair(shape.coal_geometry(), task.object.shape)
+            depth = -query.distance(pose, task.T_world_object)
             if depth > OVERLAP_TOL:
                 raise TaskError(
                     f"the object is {1e3 * depth:.2f} mm inside {name!r}; move them apart"
@@ -118,7 +119,8 @@ class CollisionWorld:
         self._n_hand = n_hand
         self._pairs = [(names[a], names[b]) for a, b in pairs]
         self._names = tuple(names)
-        self._queries: dict[tuple[int, int], DistancePair] = {}
+        self._queries: dict[tuple[int, int], DistancePair | MeshPair] = {}
+        self._object = n_hand
         self._outward = np.array([second in self.surroundings for _, second in self._pairs])
         self._model = model
         self._data = pin.GeometryData(model)
@@ -194,7 +196,7 @@ class CollisionWorld:
         for i, (pose, shape) in enumerate(self._fixed):
             to_shape = pose.inverse() * T_world_base
             local = centers @ to_shape.rotation.T + to_shape.translation
-            bounds[self._second == n + i] = shape.signed_distance(local) - self._radii[:n]
+            bounds[self._second == n + i] = _least_distance(shape, local) - self._radii[:n]
         return bounds
 
     def _place(self, T_world_base: SE3, q: FloatArray) -> None:
@@ -206,12 +208,39 @@ class CollisionWorld:
             self.task.hand.pin_model, self._pin_data, self._model, self._data, np.asarray(q)
         )
 
-    def _pair(self, a: int, b: int) -> DistancePair:
+    def _pair(self, a: int, b: int) -> DistancePair | MeshPair:
         """The query of two geometries, made when first needed."""
         if (a, b) not in self._queries:
-            objects = self._model.geometryObjects
-            self._queries[a, b] = DistancePair(objects[a].geometry, objects[b].geometry)
+            first, second = (self._model.geometryObjects[i].geometry for i in (a, b))
+            self._queries[a, b] = (
+                shape_pair(first, self.task.object.shape)
+                if b == self._object
+                else DistancePair(first, second)
+            )
         return self._queries[a, b]
+
+
+def shape_pair(geometry: Any, shape: Shape) -> DistancePair | MeshPair:
+    """The distance query of a convex coal geometry (a) and a shape (b)."""
+    if isinstance(shape, Mesh):
+        return MeshPair(geometry, shape)
+    return DistancePair(geometry, shape.coal_geometry())
+
+
+def _least_distance(shape: Shape, points: FloatArray) -> FloatArray:
+    """Lower bounds (n,) of the signed distance (m) of points (n, 3): exact where that is cheap."""
+    if not isinstance(shape, Mesh):
+        return shape.signed_distance(points)
+    lower, upper = shape.bounds
+    outside = np.linalg.norm(np.maximum(np.maximum(lower - points, points - upper), 0.0), axis=1)
+    within = shape.field().taylor(points, 0)[:, 0] - FIELD_SLACK
+    return np.where(outside > 0.0, outside, within)
+
+
+FIELD_SLACK = 0.008
+"""How far (m) a mesh's smooth field may be above the true distance within the mesh's bounding box.
+A Gaussian of standard deviation s moves a distance by at most s sqrt(8 / pi), 6.4 mm for the 4 mm
+that are the most that is used; the rest is for the spline."""
 
 
 def _bounding_radius(geometry: Any) -> float:

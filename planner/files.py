@@ -23,10 +23,11 @@ from pydantic import BaseModel, Field, ValidationError
 
 from planner.catalog import hand_names
 from planner.contacts import ContactModel, ContactSet
-from planner.errors import FileFormatError
+from planner.errors import FileFormatError, TaskError
 from planner.hand import Hand
 from planner.objects import GraspObject
 from planner.plan import GraspPlan, JointTrajectory, SolveRecord
+from planner.regions import Region, TouchRegion
 from planner.schema import StrictData, faults_of
 from planner.search import judge_grasp
 from planner.shapes import shape_from_dict, shape_to_dict
@@ -92,12 +93,64 @@ class HandData(StrictData):
     sha256: str
 
 
+class RegionData(StrictData):
+    """A box in the object's frame; null where it has no bound."""
+
+    name: str
+    lower_m: tuple[Finite | None, Finite | None, Finite | None]
+    upper_m: tuple[Finite | None, Finite | None, Finite | None]
+
+    @classmethod
+    def of(cls, region: Region) -> RegionData:
+        """From a region."""
+        bounds = (
+            tuple(v if math.isfinite(v) else None for v in corner)
+            for corner in (region.lower, region.upper)
+        )
+        lower, upper = bounds
+        return cls.model_validate({"name": region.name, "lower_m": lower, "upper_m": upper})
+
+    def region(self) -> Region:
+        """As a region."""
+        x, y, z = (-math.inf if v is None else v for v in self.lower_m)
+        a, b, c = (math.inf if v is None else v for v in self.upper_m)
+        return Region(name=self.name, lower=(x, y, z), upper=(a, b, c))
+
+
+class TouchData(StrictData):
+    """Where the object may, must not, and must (by finger) be touched."""
+
+    allowed: list[RegionData]
+    forbidden: list[RegionData]
+    required: dict[str, RegionData]
+
+    @classmethod
+    def of(cls, touch: TouchRegion | None) -> TouchData | None:
+        """From regions; None for none."""
+        if touch is None:
+            return None
+        return cls(
+            allowed=[RegionData.of(r) for r in touch.allowed],
+            forbidden=[RegionData.of(r) for r in touch.forbidden],
+            required={f: RegionData.of(r) for f, r in touch.required.items()},
+        )
+
+    def touch(self) -> TouchRegion:
+        """As regions."""
+        return TouchRegion(
+            allowed=tuple(r.region() for r in self.allowed),
+            forbidden=tuple(r.region() for r in self.forbidden),
+            required={f: r.region() for f, r in self.required.items()},
+        )
+
+
 class ObjectData(StrictData):
     """Which object: shape as its kind and sizes in metres (full extents, radii), and mass."""
 
     name: str
     shape: dict[str, str | Finite | list[Finite]]
     mass_kg: float = Field(gt=0, allow_inf_nan=False)
+    touch: TouchData | None = None
 
 
 class ObstacleData(StrictData):
@@ -187,7 +240,12 @@ class PlanFile(StrictData):
 def plan_to_dict(plan: GraspPlan) -> dict[str, Any]:
     """A plan as plain data that follows ``PlanFile``."""
     task, hand = plan.task, plan.task.hand
-    path = "" if hand.name in hand_names() else str(hand.path)
+    if hand.reference is None:
+        raise TaskError(
+            f"{hand.name} was made in Python, so no file can name it; write its model and its "
+            "description to files and load it from there"
+        )
+    path = "" if hand.reference in hand_names() else hand.reference
     data = PlanFile(
         written_by=f"opposable {version('opposable')}",
         task=TaskData(
@@ -196,6 +254,7 @@ def plan_to_dict(plan: GraspPlan) -> dict[str, Any]:
                 name=task.object.name,
                 shape=shape_to_dict(task.object.shape),
                 mass_kg=task.object.mass,
+                touch=TouchData.of(task.object.touch),
             ),
             T_world_object=PoseData.of(task.T_world_object),
             table_height_m=task.table_height,
@@ -352,8 +411,9 @@ def read_plan(path: Path | str, *, hand: Hand | None = None) -> GraspPlan:
     hand = hand or Hand.load(given.description_path or given.name)
     if hand.digest != given.sha256:
         raise FileFormatError(
-            f"{path} was planned for a different {given.name!r} than {hand.path}: the files have "
-            "changed since; plan again, or give the hand that it was planned for"
+            f"{path} was planned for a different {given.name!r} than "
+            f"{hand.reference or hand.name}: the files have changed since; plan again, or give the "
+            "hand that it was planned for"
         )
     if list(hand.joint_names) != file.grasp.joint_names:
         raise FileFormatError(f"{path} has other joints than {hand.name}; it is damaged")
@@ -411,6 +471,7 @@ def _task(data: TaskData, hand: Hand) -> GraspTask:
             name=data.object.name,
             shape=shape_from_dict(data.object.shape),
             mass=data.object.mass_kg,
+            touch=None if data.object.touch is None else data.object.touch.touch(),
         ),
         T_world_object=data.T_world_object.pose(),
         table_height=data.table_height_m,

@@ -23,8 +23,9 @@ from planner.hand import Hand
 from planner.kinematics import HandState
 from planner.plan import GraspPlan, SolveRecord
 from planner.quality import force_closure
-from planner.shapes import Shape
+from planner.shapes import Mesh, Shape
 from planner.spatial import SE3, FloatArray
+from planner.synthesis.mesh_seeds import seeder_for
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.pregrasp import (
     Approach,
@@ -34,6 +35,8 @@ from planner.synthesis.pregrasp import (
 )
 from planner.synthesis.problem import GraspProblem, build_problem
 from planner.synthesis.seeds import Seeder
+from planner.synthesis.settle import settle
+from planner.synthesis.surfaces import surface_of
 from planner.synthesis.surroundings import obstacles_in_object, table_in_object
 from planner.synthesis.verify import contacts_at, verify
 from planner.task import GraspTask
@@ -110,16 +113,16 @@ def problems_for(task: GraspTask) -> Problems:
 
 
 class _Kind:
-    """A shape that compares by its kind, for the cache."""
+    """A shape that compares by the NLP form of its kind, for the cache."""
 
     def __init__(self, shape: Shape) -> None:
-        self.shape = shape
+        self.shape, self.kind = shape, surface_of(shape).kind
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Kind) and other.shape.kind == self.shape.kind
+        return isinstance(other, _Kind) and other.kind == self.kind
 
     def __hash__(self) -> int:
-        return hash(self.shape.kind)
+        return hash(self.kind)
 
 
 @lru_cache(maxsize=16)
@@ -147,7 +150,7 @@ def attempts(
     if not isinstance(seed, int | np.integer) or seed < 0:
         raise TaskError(f"seed is {seed!r}; give an integer >= 0")
     options = options or SynthesisOptions()
-    seeder = Seeder(task)
+    seeder = seeder_for(task)
     world = CollisionWorld(task)
     problems = problems_for(task)
     total = 0.0
@@ -251,6 +254,7 @@ def _attempt(
     )
     q = np.clip(solution.q, task.hand.q_lower, task.hand.q_upper)
     T_world_base = task.T_world_object * solution.T_object_base
+    q = settle(task, T_world_base, q)
     return judge_grasp(task, T_world_base, q, record=record, world=world)
 
 
@@ -278,6 +282,8 @@ def judge_grasp(
     if not verification.ok:
         return f"true geometry: {'; '.join(verification.faults)}"
     contacts = contacts_at(task, T_world_base, q)
+    if edge := edge_fault(task, contacts):
+        return f"edge: {edge}"
     closure = force_closure(contacts, edges=CLOSURE_EDGES)
     if not closure.closed:
         return f"no force closure: {closure.reason}"
@@ -304,6 +310,33 @@ def judge_grasp(
         verification=verification,
         record=record,
     )
+
+
+def edge_fault(task: GraspTask, contacts: ContactSet) -> str:
+    """Which contact is on an edge of a mesh, "" for none.
+
+    The NLP sees rounded edges. On the true one a pad that creeps by a millimetre meets another
+    normal. Primitives need no look: their contacts keep away from edges by construction.
+    """
+    shape = task.object.shape
+    if not isinstance(shape, Mesh):
+        return ""
+    local = contacts.transformed(task.T_world_object.inverse())
+    for finger, point in zip(task.finger_names, local.positions, strict=True):
+        spread = shape.normal_dispersion(point, EDGE_RADIUS)
+        if spread > EDGE_SPREAD:
+            return (
+                f"{finger} is on an edge: normals differ by {np.rad2deg(spread):.0f} degrees "
+                f"within {1e3 * EDGE_RADIUS:.0f} mm"
+            )
+    return ""
+
+
+EDGE_RADIUS = 0.002
+"""How far (m) around a contact normals are looked at: what a pad creeps and rolls in a grasp."""
+
+EDGE_SPREAD = float(np.deg2rad(25.0))
+"""Largest dispersion of normals there (rad); it is 45 degrees on a right-angled edge."""
 
 
 def plan_forces(

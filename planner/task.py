@@ -147,7 +147,7 @@ class GraspTask:
         if isinstance(fingers, str):
             raise TaskError(f"fingers is the text {fingers!r}; give a list of names")
         if T_world_object is None:
-            T_world_object = item.shape.resting_pose(0.0 if table_height is None else table_height)
+            T_world_object = item.resting_pose(0.0 if table_height is None else table_height)
         chosen = hand.choose_fingers(fingers)
         if grip_force is None:
             weight = item.mass * float(np.linalg.norm(gravity))
@@ -197,6 +197,12 @@ class GraspTask:
                 raise TaskError(f"{name} is a {type(pose).__name__}; give a pinocchio.SE3")
             if pose is not None and not np.isfinite(pose.homogeneous).all():
                 raise TaskError(f"{name} holds NaN or infinity")
+        for finger in self.object.touch.required if self.object.touch is not None else ():
+            if finger not in self.finger_names:
+                raise TaskError(
+                    f"a region is required of {finger!r}, which does not take part; there are "
+                    f"{', '.join(self.finger_names)}"
+                )
         if self.contact_model not in CONTACT_DIM:
             allowed = list(CONTACT_DIM)
             raise TaskError(f"contact_model is {self.contact_model!r}; use one of {allowed}")

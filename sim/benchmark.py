@@ -7,6 +7,7 @@ import statistics
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from importlib.metadata import version
 from typing import Any, Literal
 
@@ -15,7 +16,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
 from rich.table import Table
 
-from planner.errors import NoGraspFoundError
+from planner.errors import NoGraspFoundError, TaskError
+from planner.hand import Hand
 from planner.objects import parse_object
 from planner.search import plan_grasp, problems_for
 from planner.task import GraspTask
@@ -62,23 +64,34 @@ class Outcome:
     force_errors_percent: tuple[float, ...] = ()
 
 
+@lru_cache(maxsize=32)
+def _task(hand: str, object: str) -> GraspTask:
+    """One task for all seeds of a cell: meshes and their fields are read once."""
+    return GraspTask.create(_hand(hand), parse_object(object))
+
+
+@lru_cache(maxsize=16)
+def _hand(name: str) -> Hand:
+    return Hand.load(name)
+
+
 def _one(hand: str, object: str, seed: int, mu: float) -> Outcome:
-    task = GraspTask.create(hand, object)
+    task = _task(hand, object)
     name = object
     build_s = problems_for(task).build_s
     try:
         plan = plan_grasp(task, seed=seed)
-    except NoGraspFoundError as error:
-        cpu = sum(a.cpu_s for a in error.attempts)
+    except (NoGraspFoundError, TaskError) as error:
+        made = error.attempts if isinstance(error, NoGraspFoundError) else ()
         return Outcome(
             hand=hand,
             object=name,
             seed=seed,
             found=False,
-            attempts=len(error.attempts),
-            cpu_s=cpu,
+            attempts=len(made),
+            cpu_s=sum(a.cpu_s for a in made),
             build_s=build_s,
-            reason="no plan",
+            reason=str(error),
         )
     report = simulate(plan, physics=PhysicsOptions(mu=mu))
     slip_mm, slip_deg = report.largest_slip
@@ -126,7 +139,7 @@ def run_benchmark(
     jobs = [(h, o, s) for h in hands for o in objects for s in seeds]
     for hand in dict.fromkeys(h for h, _, _ in jobs):
         for object in objects:
-            GraspTask.create(hand, parse_object(object))  # bad input ends here, not after minutes
+            _task(hand, object)  # bad input ends here, not after minutes
     outcomes: list[Outcome] = []
     interrupted = False
     columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())

@@ -93,7 +93,8 @@ class ClearanceTerms:
             touches = ball.finger in touching
             if not (ball.is_pad and touches):
                 least = tip_margin if ball.on_tip and touches else margin
-                out.append(surface.clearance(size, center) - ball.radius - least)
+                reach = ball.radius + least + surface.distance_error
+                out.append(surface.clearance(size, center) - reach)
         return out
 
     def from_plane(self, normal: Any, offset: Any, margin: Any) -> list[Any]:
@@ -145,7 +146,7 @@ def hull_balls(hand: Hand) -> tuple[LinkBall, ...]:
 
 
 def _balls(hand: Hand, *, corners: bool) -> list[LinkBall]:
-    finger_of = {body: f.name for f in hand.fingers.values() for body in f.bodies}
+    finger_of = hand.finger_of_body
     out = []
     for geometry in hand.geometries:
         centers, radius = _fill(geometry, corners=corners)
@@ -198,7 +199,7 @@ class LinkBone:
 
 def finger_bones(hand: Hand) -> tuple[LinkBone, ...]:
     """A bone for every geometry on the last three joints of every finger."""
-    finger_of = {body: f.name for f in hand.fingers.values() for body in f.bodies}
+    finger_of = hand.finger_of_body
     last = {
         name: sorted({g.joint_id for g in hand.geometries if finger_of.get(g.body) == name})[-3:]
         for name in hand.fingers

@@ -74,8 +74,8 @@ class FieldPoints:
         b, d, quadratic = self._expand(point, SECOND)[:3]
         return b[0] + ca.dot(b[1:4], d) + ca.dot(d, quadratic @ d) / 2
 
-    def value_and_gradient(self, point: Any) -> tuple[Any, Any]:
-        """Phi and its gradient (3,) at a point (3,) made of symbols; both twice differentiable."""
+    def on_surface(self, point: Any) -> tuple[Any, Any]:
+        """Value and gradient (3,) of phi at a point (3,) made of symbols; twice differentiable."""
         key = tuple(point[k].element_hash() for k in range(3))
         if key not in self._known:
             b, d, h, third = self._expand(point, THIRD)

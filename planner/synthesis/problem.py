@@ -317,7 +317,8 @@ def build_problem(
         if error is not None:
             equal["surface"].append(error)
         axis = rotation @ symbolic.direction(pad.joint_id, pad.axis)
-        above["facing"].append(-ca.dot(axis, normals[i]) - float(np.cos(pad.half_angle)))
+        rim = max(pad.half_angle - surface.normal_error, 0.0)
+        above["facing"].append(-ca.dot(axis, normals[i]) - float(np.cos(rim)))
         fn = -ca.dot(forces[i], normals[i])
         ft2 = ca.dot(forces[i], forces[i]) - fn**2
         normal_forces.append(fn)
@@ -433,16 +434,22 @@ def _contact_torque(
 
 
 def _stop_torques(hand: Hand, fingers: tuple[Finger, ...], torque: Any) -> list[Any]:
-    """Multiplier of each one-sided coupling: tau = R^T F + c lam, by least squares in (F, lam)."""
-    stops = [c for c in hand.couplings if c.one_sided]
-    moving = {int(i) for f in fingers for i in f.q_index}
-    used = [c for c in stops if set(np.flatnonzero(c.row)) <= moving]
-    if not used:
-        return []
-    drive = np.column_stack([hand.actuation.moment.T, *[c.row for c in used]])
-    split = np.linalg.pinv(drive)[hand.actuation.moment.shape[0] :]
-    return [ca.DM(split) @ torque / LEVER]
+    """Multiplier of each one-sided coupling: tau = R^T F + C^T mu + S^T lam, by least squares.
 
+    A stop counts for what actuators (F) and two-sided couplings (mu) cannot do; one for which
+    nothing is left does not count.
+    """
+    moving = {int(i) for f in fingers for i in f.q_index}
+    firm = [c.row for c in hand.couplings if not c.one_sided]
+    drive = np.column_stack([hand.actuation.moment.T, *firm])
+    rest = np.eye(hand.nq) - drive @ np.linalg.pinv(drive)
+    stops = [c for c in hand.couplings if c.one_sided and set(np.flatnonzero(c.row)) <= moving]
+    left = [rest @ c.row for c in stops if np.linalg.norm(rest @ c.row) > ALIGNED_TOL]
+    return [ca.DM(np.linalg.pinv(np.column_stack(left))) @ torque / LEVER] if left else []
+
+
+ALIGNED_TOL = 1e-9
+"""A stop of which less than this is outside what actuators and couplings hold is left to them."""
 
 LEVER = 0.05
 """Typical lever arm of a fingertip force, m; makes stop torques comparable to unit forces."""

@@ -9,7 +9,7 @@ pads. Which face each finger is assigned to follows from those points.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -18,10 +18,10 @@ from planner.errors import TaskError
 from planner.kinematics import HandState
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.problem import Start
-from planner.synthesis.surfaces import Surface, surface_of
+from planner.synthesis.surfaces import Patch, Surface, surface_of
 from planner.task import GraspTask
 
-__all__ = ["Opposition", "Seeder", "opposition"]
+__all__ = ["Opposition", "Seeder", "frame_of", "opposition"]
 
 PINCH, OPEN = "pinch", "open"
 """Postures that every description gives: pads opposed, and wide open."""
@@ -105,40 +105,37 @@ class Seeder:
         pinch = self._with_wrist(task.hand.posture(PINCH))
         self.posture = np.where(self._resting(), self.open, pinch)
         self.pinch = opposition(task, self.posture)
-        stretches = np.linspace(0.0, MOST_STRETCHED, STRETCHES)
-        gaps = np.array([opposition(task, self._stretched(s)).gap for s in stretches])
-        self.widest = float(gaps.max())
+        self.stretches = np.linspace(0.0, MOST_STRETCHED, STRETCHES)
+        self.gaps = np.array([opposition(task, self._stretched(s)).gap for s in self.stretches])
+        self.widest = float(self.gaps.max())
         self.frozen = self._frozen()
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Find the directions of the object across which the hand can close."""
+        task = self.task
         candidates = self._directions()
         widths = [2 * _half_width(task.object.shape, c) for c in candidates]
         self.smallest = min(widths)
         # an object wider than the open hand is started with fingers stretched just around it
         reach, self._stretch = max(opposition(task, self.open).gap, self.pinch.gap), None
         if self.smallest >= reach:
-            reach, self._stretch = self.widest, float(stretches[np.argmax(gaps > self.smallest)])
+            wide = self.gaps > self.smallest
+            reach, self._stretch = self.widest, float(self.stretches[np.argmax(wide)])
         self.directions = [c for c, w in zip(candidates, widths, strict=True) if w < reach]
         self._check_size()
 
     def draw(self, rng: np.random.Generator) -> Start:
         """One start."""
-        task, pinch = self.task, self.pinch
-        q = self._noisy_posture(rng)
-        now = opposition(task, q)
-        T_world_base = task.T_world_base
-        if T_world_base is None:
-            direction = self._noisy(self.directions[rng.integers(len(self.directions))], rng)
-            axis = task.T_world_object.rotation @ direction
-            above = self._free_side(axis, rng)
-            rotation = _frame(axis, above) @ _frame(now.axis, now.palm_side).T
-            center = task.T_world_object.translation + rng.normal(0, POSITION_NOISE, 3)
-            T_world_base = SE3(rotation, center - rotation @ now.center)
+        task = self.task
+        T_world_base, q = self._place(rng)
         T_object_base = task.T_world_object.inverse() * T_world_base
         state = HandState(task.hand, q)
         pads = np.array([T_object_base.act(state.pad_center(f)) for f in task.fingers])
         points, normals = task.object.shape.closest_point(pads)
         patches = tuple(
-            self.surface.patch_at(task.object.shape, p, n)
-            for p, n in zip(points, normals, strict=True)
+            self._patch(finger, p, n, rng)
+            for finger, p, n in zip(task.finger_names, points, normals, strict=True)
         )
         return Start(
             T_object_base=T_object_base,
@@ -146,11 +143,42 @@ class Seeder:
             points=np.array(
                 [np.clip(p, c.lower, c.upper) for p, c in zip(points, patches, strict=True)]
             ),
-            forces=_opposed_forces(normals, pinch.opposer),
+            forces=_opposed_forces(normals, self.pinch.opposer),
             patches=patches,
             frozen=self.frozen,
             base_fixed=task.T_world_base is not None,
         )
+
+    def _patch(
+        self, finger: str, point: FloatArray, normal: FloatArray, rng: np.random.Generator
+    ) -> Patch:
+        """The patch under a pad, cut down to a region that the finger may touch."""
+        shape, touch = self.task.object.shape, self.task.object.touch
+        nearest = self.surface.patch_at(shape, point, normal)
+        regions = [] if touch is None else list(touch.allowed)
+        if touch is not None and finger in touch.required:
+            regions = [touch.required[finger]]
+        for k in rng.permutation(len(regions)):
+            for patch in (nearest, *self.surface.patches(shape)):
+                lower = np.maximum(patch.lower, regions[k].lower)
+                upper = np.minimum(patch.upper, regions[k].upper)
+                if (lower <= upper).all():
+                    return replace(patch, lower=lower, upper=upper)
+        return nearest
+
+    def _place(self, rng: np.random.Generator) -> tuple[SE3, FloatArray]:
+        """Base pose and joints (nq,) of a start."""
+        task = self.task
+        q = self._noisy_posture(rng)
+        if task.T_world_base is not None:
+            return task.T_world_base, q
+        now = opposition(task, q)
+        direction = self._noisy(self.directions[rng.integers(len(self.directions))], rng)
+        axis = task.T_world_object.rotation @ direction
+        above = self._free_side(axis, rng)
+        rotation = frame_of(axis, above) @ frame_of(now.axis, now.palm_side).T
+        center = task.T_world_object.translation + rng.normal(0, POSITION_NOISE, 3)
+        return SE3(rotation, center - rotation @ now.center), q
 
     def _check_size(self) -> None:
         """Refuse objects that are too wide for the open hand, or too small for the pads."""
@@ -227,11 +255,14 @@ class Seeder:
         return np.array(pin.exp3(axis * rng.normal(0, TILT_NOISE)) @ up)
 
     def _noisy_posture(self, rng: np.random.Generator) -> FloatArray:
-        hand = self.task.hand
-        span = hand.q_upper - hand.q_lower
         share = rng.uniform(0.0, MOST_OPEN)
-        q = self._stretched(share if self._stretch is None else self._stretch + share)
-        noise = rng.normal(0, JOINT_NOISE, hand.nq) * span
+        return self._with_noise(
+            self._stretched(share if self._stretch is None else self._stretch + share), rng
+        )
+
+    def _with_noise(self, q: FloatArray, rng: np.random.Generator) -> FloatArray:
+        hand = self.task.hand
+        noise = rng.normal(0, JOINT_NOISE, hand.nq) * (hand.q_upper - hand.q_lower)
         return self._with_wrist(np.clip(q + noise, hand.q_lower, hand.q_upper))
 
     def _noisy(self, direction: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -254,7 +285,8 @@ def _half_width(shape: object, direction: FloatArray) -> float:
     return float(shape.support(direction))  # type: ignore[attr-defined]
 
 
-def _frame(axis: FloatArray, side: FloatArray) -> FloatArray:
+def frame_of(axis: FloatArray, side: FloatArray) -> FloatArray:
+    """Rotation (3, 3) whose columns are two orthogonal unit vectors and their product."""
     return np.column_stack([axis, side, np.cross(axis, side)])
 
 

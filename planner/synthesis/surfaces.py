@@ -23,7 +23,7 @@ import casadi as ca
 import numpy as np
 
 from planner.errors import ObjectError
-from planner.shapes import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
+from planner.shapes import Box, Capsule, Cylinder, Ellipsoid, Mesh, Shape, Sphere
 from planner.spatial import FloatArray
 from planner.synthesis.nlp import Field, FieldPoints
 
@@ -66,6 +66,10 @@ class Surface(ABC):
     kind: ClassVar[str]
     field: FieldPoints | None = None
     """Where the expressions need a distance field; None for those that are formulas."""
+    normal_error: ClassVar[float] = 0.0
+    """How far (rad) ``outward_normal`` may be from the true one; pads keep that from their rim."""
+    distance_error: ClassVar[float] = 0.0
+    """How far (m) ``clearance`` may be from the true one; links keep that much more away."""
 
     def field_of(self, shape: Any) -> Field | None:
         """The distance field of a shape, where ``field`` is not None."""
@@ -294,6 +298,40 @@ class _CapsuleSurface(Surface):
         return _soft_norm(c[0], c[1], beyond) - size[0]
 
 
+class _MeshSurface(Surface):
+    """The zero level of a mesh's smooth distance field; one object per programme."""
+
+    kind = "mesh"
+    normal_error = 0.1
+    distance_error = 0.0007
+
+    def __init__(self) -> None:
+        """Begin to collect the points at which the programme needs the field."""
+        self.field: FieldPoints = FieldPoints()
+
+    def field_of(self, shape: Mesh) -> Field:
+        return shape.field()
+
+    def size(self, shape: Mesh) -> FloatArray:
+        return np.zeros(SIZE_DIM)
+
+    def patches(self, shape: Mesh) -> tuple[Patch, ...]:
+        return (_everywhere("surface", 2 * shape.half_extents),)
+
+    def patch_at(self, shape: Mesh, point: FloatArray, normal: FloatArray) -> Patch:
+        return self.patches(shape)[0]
+
+    def outward_normal(self, size: Any, code: Any, p: Any) -> Any:
+        gradient = self.field.on_surface(p)[1]
+        return gradient / _soft_norm(gradient[0], gradient[1], gradient[2])
+
+    def surface_error(self, size: Any, code: Any, p: Any) -> Any:
+        return self.field.on_surface(p)[0]
+
+    def clearance(self, size: Any, c: Any) -> Any:
+        return self.field.value(c)
+
+
 _SURFACES: dict[str, Surface] = {
     s.kind: s
     for s in (
@@ -312,6 +350,8 @@ def surface_of(shape: Shape) -> Surface:
     Raises:
         ObjectError: Synthesis does not know this kind of shape.
     """
+    if isinstance(shape, Mesh):
+        return _MeshSurface()
     if shape.kind not in _SURFACES:
         raise ObjectError(f"cannot plan on a {shape.kind!r}; use one of {sorted(_SURFACES)}")
     return _SURFACES[shape.kind]

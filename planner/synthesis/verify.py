@@ -13,8 +13,8 @@ import numpy as np
 
 from planner.collision import OBJECT, Clearance, CollisionWorld
 from planner.contacts import ContactSet
-from planner.kinematics import HandState
 from planner.spatial import SE3, FloatArray
+from planner.synthesis.touch import pad_touches
 from planner.task import GraspTask
 
 __all__ = ["TOUCH_TOL", "Verification", "contacts_at", "verify"]
@@ -32,7 +32,8 @@ class Verification:
     """Residuals of a grasp on the true geometry.
 
     Attributes:
-        pad_gaps: Signed distance of each finger's pad sphere from the surface, (n,), m.
+        pad_gaps: Signed distance of each finger's pad from the surface, (n,), m: of its sphere, or
+            of the geometry that carries it where the sphere only approximates that.
         pad_geometry_gaps: The same for the whole geometry that carries the pad, by coal, (n,), m.
         pad_angles: Angle between pad axis and contact direction, (n,), rad.
         closest: The smallest clearances that are not pad contacts, nearest first.
@@ -71,6 +72,9 @@ def _given_faults(task: GraspTask, T_world_base: SE3, q: FloatArray) -> list[str
 ANGLE_TOL = 1e-3
 """How far (rad) a contact may lie outside the pad's cone: the solver's accuracy."""
 
+FLAT_ANGLE_TOL = 0.15
+"""The same where the pad's sphere approximates a box or a hull: its normals differ by that much."""
+
 JOINT_TOL = 1e-6
 """How far (rad) couplings and joint limits may be violated: the solver's accuracy."""
 
@@ -78,15 +82,12 @@ JOINT_TOL = 1e-6
 def contacts_at(task: GraspTask, T_world_base: SE3, q: FloatArray) -> ContactSet:
     """Contacts of the task's pads with the true surface, in the world, forces unknown.
 
-    A contact is the surface point nearest to the pad's centre.
+    A contact is the surface point nearest to the pad (``planner.synthesis.touch``).
     """
-    state = HandState(task.hand, q)
-    to_object = task.T_world_object.inverse() * T_world_base
-    centers = np.array([to_object.act(state.pad_center(f)) for f in task.fingers])
-    points, outward = task.object.shape.closest_point(centers)
+    touches = pad_touches(task, T_world_base, q)
     return ContactSet.from_arrays(
-        points,
-        -outward,
+        np.array([touch.point for touch in touches]),
+        -np.array([touch.outward for touch in touches]),
         mu=task.mu,
         mu_torsion=task.mu_torsion,
         model=task.contact_model,
@@ -98,22 +99,15 @@ def verify(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> Verificat
     """Recompute everything that must hold of a grasp, on the true geometry."""
     task = world.task
     hand = task.hand
-    state = HandState(hand, q)
-    to_object = task.T_world_object.inverse() * T_world_base
-    centers = np.array([to_object.act(state.pad_center(f)) for f in task.fingers])
-    radii = np.array([f.pad.radius for f in task.fingers])
-    gaps = task.object.shape.signed_distance(centers) - radii
-    _, outward = task.object.shape.closest_point(centers)
-    axes = np.array([to_object.rotation @ state.pad_axis(f) for f in task.fingers])
-    angles = np.arccos(np.clip(-(axes * outward).sum(axis=1), -1.0, 1.0))
+    touches = pad_touches(task, T_world_base, q)
+    gaps = np.array([t.sphere_gap if t.round else t.gap for t in touches])
+    whole = np.array([t.gap for t in touches])
+    angles = np.array([t.angle for t in touches])
 
-    pads = {f.pad.geom: i for i, f in enumerate(task.fingers)}
-    whole, others = np.full(len(pads), np.inf), []
-    for clearance in world.distances(T_world_base, q):
-        if clearance.second == OBJECT and clearance.first in pads:
-            whole[pads[clearance.first]] = clearance.distance
-        else:
-            others.append(clearance)
+    pads = {f.pad.geom for f in task.fingers}
+    others = [
+        c for c in world.distances(T_world_base, q) if not (c.second == OBJECT and c.first in pads)
+    ]
     others.sort(key=lambda c: c.distance)
 
     matrix, value = hand.coupling_matrix
@@ -131,9 +125,19 @@ def verify(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> Verificat
     ]
     faults += [
         f"{f.name} touches {np.rad2deg(angle):.0f} degrees off its pad axis, outside the pad"
-        for f, angle in zip(task.fingers, angles, strict=True)
-        if angle > f.pad.half_angle + ANGLE_TOL
+        for f, touch, angle in zip(task.fingers, touches, angles, strict=True)
+        if angle > f.pad.half_angle + (ANGLE_TOL if touch.round else FLAT_ANGLE_TOL)
     ]
+    region = task.object.touch
+    if region is not None:
+        points = np.array([touch.point for touch in touches])
+        faults += [
+            f"{f.name} touches where it may not, at {np.round(point, 4)} m of the object"
+            for f, point, good in zip(
+                task.fingers, points, region.permits(points, task.finger_names), strict=True
+            )
+            if not good
+        ]
     faults += [f"penetration, {c}" for c in others if c.distance < -PENETRATION_TOL]
     if coupling > JOINT_TOL:
         faults.append(f"a coupling is violated by {coupling:.1e} rad")

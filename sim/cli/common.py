@@ -22,12 +22,18 @@ out = Console()
 err = Console(stderr=True)
 
 HandArgument = Annotated[
-    str, typer.Argument(help="A hand's name, or the path of its hand.toml.", metavar="HAND")
+    str,
+    typer.Argument(
+        help="A hand's name, or the path of its hand.toml or of an MJCF or URDF file.",
+        metavar="HAND",
+    ),
 ]
 ObjectArgument = Annotated[
     str,
     typer.Argument(
-        help="sphere, box, cylinder, capsule, ellipsoid; or with sizes in m: box:0.05x0.05x0.08",
+        help="sphere, box, cylinder, capsule, ellipsoid, mug, lbracket, torus, hammer, "
+        "superquadric, knot; with sizes in m: box:0.05x0.05x0.08; a mesh: mug.stl, part.obj*0.001; a body of a "
+        "model: scene.xml#mug",
         metavar="OBJECT",
     ),
 ]
@@ -39,6 +45,17 @@ MuOption = Annotated[float, typer.Option(help="Sliding friction that planning re
 MassOption = Annotated[float | None, typer.Option(help="Mass of the object, kg (default 0.1).")]
 DensityOption = Annotated[
     float | None, typer.Option(help="Density of the object, kg/m3, instead of its mass.")
+]
+RepairOption = Annotated[bool, typer.Option(help="Mend a mesh that does not bound a solid.")]
+PoseOption = Annotated[
+    int, typer.Option(min=0, help="Which of its stable poses the object stands in.")
+]
+TouchOption = Annotated[
+    list[str] | None,
+    typer.Option(help="Where fingers may touch, m from the centre of mass: z>0.01,x<0.02"),
+]
+AvoidOption = Annotated[
+    list[str] | None, typer.Option(help="Where they must not touch, in the same form.")
 ]
 AttemptsOption = Annotated[int, typer.Option(min=1, help="Attempts before giving up.")]
 CpuOption = Annotated[

@@ -10,6 +10,7 @@ from rich.markup import escape
 
 from sim.cli.common import (
     AttemptsOption,
+    AvoidOption,
     CpuOption,
     DensityOption,
     FingersOption,
@@ -19,8 +20,11 @@ from sim.cli.common import (
     MuOption,
     ObjectArgument,
     PlanArgument,
+    PoseOption,
+    RepairOption,
     SeedOption,
     SimMuOption,
+    TouchOption,
     ViewOption,
     check_folder,
     err,
@@ -44,6 +48,10 @@ def _plan(
     mu: float,
     mass: float | None,
     density: float | None,
+    repair: bool,
+    resting: int,
+    touch: list[str] | None,
+    avoid: list[str] | None,
     attempts: int,
     max_cpu_s: float | None,
 ) -> Any:
@@ -54,7 +62,14 @@ def _plan(
 
     task = GraspTask.create(
         hand,
-        parse_object(object, mass=mass, density=density),
+        parse_object(
+            object,
+            mass=mass,
+            density=density,
+            repair=repair,
+            resting=resting,
+            touch=_touch_region(touch, avoid),
+        ),
         mu=mu,
         fingers=None if fingers is None else names(fingers),
     )
@@ -69,6 +84,18 @@ def _plan(
         return plan_grasp(
             task, seed=seed, max_attempts=attempts, max_cpu_s=max_cpu_s, progress=show
         )
+
+
+def _touch_region(touch: list[str] | None, avoid: list[str] | None) -> Any:
+    """Regions as the options give them; None for none."""
+    from planner.regions import TouchRegion, parse_region
+
+    if not touch and not avoid:
+        return None
+    return TouchRegion(
+        allowed=tuple(parse_region(text) for text in touch or ()),
+        forbidden=tuple(parse_region(text) for text in avoid or ()),
+    )
 
 
 def _simulate(plan: Any, *, mu: float, view: bool, picture: Path | None) -> Any:
@@ -102,6 +129,10 @@ def run(
     sim_mu: SimMuOption = 0.6,
     mass: MassOption = None,
     density: DensityOption = None,
+    repair: RepairOption = False,
+    pose: PoseOption = 0,
+    touch: TouchOption = None,
+    avoid: AvoidOption = None,
     max_attempts: AttemptsOption = 40,
     max_cpu_s: CpuOption = None,
     view: ViewOption = False,
@@ -124,6 +155,10 @@ def run(
         mu=mu,
         mass=mass,
         density=density,
+        repair=repair,
+        resting=pose,
+        touch=touch,
+        avoid=avoid,
         attempts=max_attempts,
         max_cpu_s=max_cpu_s,
     )
@@ -156,6 +191,10 @@ def plan(
     mu: MuOption = 0.5,
     mass: MassOption = None,
     density: DensityOption = None,
+    repair: RepairOption = False,
+    pose: PoseOption = 0,
+    touch: TouchOption = None,
+    avoid: AvoidOption = None,
     max_attempts: AttemptsOption = 40,
     max_cpu_s: CpuOption = None,
     as_json: JsonOption = False,
@@ -173,6 +212,10 @@ def plan(
         mu=mu,
         mass=mass,
         density=density,
+        repair=repair,
+        resting=pose,
+        touch=touch,
+        avoid=avoid,
         attempts=max_attempts,
         max_cpu_s=max_cpu_s,
     )
