@@ -27,6 +27,8 @@ from planner.bridge import compile_spec
 from planner.collision import TABLE_SIZE
 from planner.hand import Hand
 from planner.kinematics import HandState
+from planner.shapes import Mesh
+from planner.shapes.solid import solid_of
 from planner.spatial import SE3, FloatArray, IntArray, pose_to_wxyz
 from planner.task import GraspTask
 from sim.physics import CONTACT_SOLIMP, CONTACT_SOLREF, PhysicsOptions
@@ -39,6 +41,9 @@ HAND_PREFIX = "hand/"
 
 OBJECT, TABLE, MOUNT, SUPPORT = "object", "table", "mount", "support"
 """Names of bodies in the scene, and of the constraint that holds an object without a table."""
+
+OBJECT_COLOR = (0.42, 0.72, 0.38, 1.0)
+"""Red, green, blue, opacity."""
 
 OBSTACLE_PREFIX = "obstacle/"
 """Prefix of the names of obstacles, so that none is taken for something else."""
@@ -190,6 +195,10 @@ def _add_hand(spec: Any, hand: Hand, T_world_base: SE3, physics: PhysicsOptions)
     for geom in child.geoms:
         geom.friction = physics.friction
         geom.priority = 0
+        if geom.contype or geom.conaffinity:
+            # whatever bits the model chose, its links touch object, table and obstacles; those are
+            # 1 and 1, so it is enough that a link has the first bit of one of the two
+            geom.contype |= 1
     spec.attach(child, prefix=HAND_PREFIX, frame=mount.add_frame(quat=quaternion))
     for axis in MOUNT_AXES:
         servo = spec.add_actuator(name=f"{MOUNT}_{axis}", target=f"{MOUNT}_{axis}")
@@ -208,9 +217,17 @@ def _add_object(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
     body.mass = item.mass
     body.ipos = np.zeros(3)
     body.fullinertia = [*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]]
-    kind, size = item.shape.mujoco_geom()
-    geom = body.add_geom(name=OBJECT, condim=4, priority=1, rgba=(0.42, 0.72, 0.38, 1.0))
-    _solid(geom, kind, size, physics)
+    solid = solid_of(item.shape)
+    for k, part in enumerate(solid.geoms):
+        name = OBJECT if k == 0 else f"{OBJECT}/{k}"
+        geom = body.add_geom(name=name, condim=4, priority=1, rgba=OBJECT_COLOR)
+        if part.kind == "mesh":
+            _add_mesh(spec, name, part.vertices, part.faces)
+            geom.meshname = name
+            geom.rgba[3] = 0.0  # the true mesh is shown instead
+        _solid(geom, part.kind, part.size, physics)
+    if isinstance(item.shape, Mesh):
+        _add_picture(spec, body, item.shape)
     if task.table_height is None:
         weld = spec.add_equality(name=SUPPORT, type=mujoco.mjtEq.mjEQ_WELD)
         weld.objtype = mujoco.mjtObj.mjOBJ_BODY
@@ -218,6 +235,22 @@ def _add_object(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
         # Anchor (in the world, the second body), relative pose as it is, torque scale.
         weld.data = [*position, *(0.0,) * 7, 1.0, 0.0]
         weld.solref = CONTACT_SOLREF
+
+
+def _add_mesh(spec: Any, name: str, vertices: FloatArray, faces: IntArray) -> None:
+    mesh = spec.add_mesh(name=name)
+    mesh.uservert, mesh.userface = vertices.ravel(), faces.ravel()
+
+
+def _add_picture(spec: Any, body: Any, mesh: Mesh) -> None:
+    """The true triangles, to be seen only."""
+    name = f"{OBJECT}/seen"
+    _add_mesh(spec, name, mesh.vertices, mesh.faces)
+    spec.mesh(name).inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    geom = body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, rgba=OBJECT_COLOR)
+    geom.meshname = name
+    geom.contype = geom.conaffinity = 0
+    geom.density = 0.0
 
 
 def _add_surroundings(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
@@ -237,7 +270,8 @@ def _add_surroundings(spec: Any, task: GraspTask, physics: PhysicsOptions) -> No
 
 def _solid(geom: Any, kind: str, size: tuple[float, ...], physics: PhysicsOptions) -> None:
     geom.type = getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}")
-    geom.size = [*size, *(0.0,) * (3 - len(size))]
+    if size:
+        geom.size = [*size, *(0.0,) * (3 - len(size))]
     geom.friction = physics.friction
     geom.solref = CONTACT_SOLREF
     geom.solimp = CONTACT_SOLIMP
@@ -274,10 +308,9 @@ def _indexed(task: GraspTask, physics: PhysicsOptions, T_world_base: SE3, model:
 
 
 def _finger_of_geom(hand: Hand, model: Any) -> Mapping[int, str]:
-    finger_of_body = {body: f.name for f in hand.fingers.values() for body in f.bodies}
     return MappingProxyType(
         {
-            int(model.geom(HAND_PREFIX + g.name).id): finger_of_body.get(g.body, "")
+            int(model.geom(HAND_PREFIX + g.name).id): hand.finger_of_body.get(g.body, "")
             for g in hand.geometries
         }
     )

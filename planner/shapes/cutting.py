@@ -25,7 +25,7 @@ __all__ = ["MAX_CELLS", "Guards", "cut"]
 MAX_CELLS = 240
 """Cells at most: a mesh that needs more is left with pieces that reach farther than asked."""
 
-SPACING = 1.5
+SPACING = 2.0
 """Distance between guards, in tolerances."""
 
 MAX_GUARDS = 40_000
@@ -37,10 +37,10 @@ FREE = 0.95
 SHARES = np.arange(1, 10) / 10
 """Where planes across an axis are tried, as shares of the extent."""
 
-TANGENTS = 10
+TANGENTS = 6
 """Tangent planes at guards that are tried per cut: they find the corners of a bracket."""
 
-SURFACE_POINTS, PAIRS, ON_LINE = 300, 1500, 7
+SURFACE_POINTS, PAIRS, ON_LINE = 250, 1000, 5
 """Surface points and pairs of them per cell, and points on the line between the two."""
 
 FINALISTS = 6
@@ -88,9 +88,12 @@ class Guards:
         free = near[mesh.signed_distance(points[near]) > FREE * tolerance]
         self.points, self.feet, self.normals = points[free], feet[free], normals[free]
 
-    def within(self, hull: Hull) -> IntArray:
-        """Indices of those in a hull."""
-        return hull.inside(self.points)
+    def within(self, hull: Hull, among: IntArray | None = None) -> IntArray:
+        """Indices of those in a hull, out of some indices or of all."""
+        if among is None:
+            return hull.inside(self.points)
+        some: IntArray = among[hull.inside(self.points[among])]
+        return some
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -159,7 +162,7 @@ def _half(
     hull = hull_of(np.concatenate([surface.reshape(-1, 3), corners]))
     if hull is None:
         return None
-    return _Cell(surface=surface, walls=walls, hull=hull, bad=guards.within(hull))
+    return _Cell(surface=surface, walls=walls, hull=hull, bad=guards.within(hull, cell.bad))
 
 
 def _best_plane(mesh: Mesh, guards: Guards, cell: _Cell, tolerance: float) -> FloatArray | None:

@@ -36,7 +36,7 @@ PIECES_VERSION = "v1"
 """Part of the key in the cache; changes whenever the result does."""
 
 MEASURED = 0.001
-"""Distance (m) between the points by which the deviation is measured, at the corners too."""
+"""Distance (m) between the points by which the deviation is measured."""
 
 TOUCHING = 1e-4
 """Gap (m) between bounding boxes up to which two pieces are neighbours."""
@@ -130,6 +130,8 @@ def merge(guards: Guards, hulls: list[Hull]) -> list[Hull]:
 def _reach(mesh: Mesh, hull: Hull) -> float:
     """How far (m) a hull reaches out of the solid."""
     points, _ = cover(hull.triangles, MEASURED)
+    _, one = np.unique(np.floor(points / MEASURED), axis=0, return_index=True)
+    points = points[one]
     return float(mesh.signed_distance(points).max())
 
 
