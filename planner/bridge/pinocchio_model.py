@@ -37,6 +37,15 @@ _BY_JOINT, _BY_JOINT_IN_PARENT, _BY_TENDON = (
         mujoco.mjtTrn.mjTRN_TENDON,
     )
 )
+_SAME_AS_BODY, _SAME_AS_INERTIA, _TURNED_AS_BODY, _TURNED_AS_INERTIA = (
+    int(t)
+    for t in (
+        mujoco.mjtSameFrame.mjSAMEFRAME_BODY,
+        mujoco.mjtSameFrame.mjSAMEFRAME_INERTIA,
+        mujoco.mjtSameFrame.mjSAMEFRAME_BODYROT,
+        mujoco.mjtSameFrame.mjSAMEFRAME_INERTIAROT,
+    )
+)
 _WRAP_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 
 
@@ -72,11 +81,12 @@ def pinocchio_from_mujoco(model: Any) -> Any:
             pose = SE3.Identity() if is_free else SE3(np.eye(3), -np.array(model.jnt_pos[j]))
         parent_joint[body], in_joint[body] = joint, pose
         if model.body_mass[body] > 0 or model.body_inertia[body].any():
-            turn = pose_from_wxyz(np.zeros(3), model.body_iquat[body]).rotation
+            principal = _inertial_pose(model, body)
+            turn = principal.rotation
             inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
             out.appendBodyToJoint(
                 joint,
-                pin.Inertia(float(model.body_mass[body]), np.array(model.body_ipos[body]), inertia),
+                pin.Inertia(float(model.body_mass[body]), principal.translation, inertia),
                 pose,
             )
         body_frame[body] = out.addFrame(
@@ -85,7 +95,9 @@ def pinocchio_from_mujoco(model: Any) -> Any:
         )
     for s in range(model.nsite):
         body = int(model.site_bodyid[s])
-        pose = in_joint[body] * pose_from_wxyz(model.site_pos[s], model.site_quat[s])
+        local = pose_from_wxyz(model.site_pos[s], model.site_quat[s])
+        inertial = _inertial_pose(model, body)
+        pose = in_joint[body] * _snapped(local, inertial, int(model.site_sameframe[s]))
         name = site_name(model, s)
         out.addFrame(pin.Frame(name, int(parent_joint[body]), pose, pin.FrameType.OP_FRAME), False)
     out.armature = np.array(model.dof_armature)
@@ -94,6 +106,29 @@ def pinocchio_from_mujoco(model: Any) -> Any:
     out.upperDryFrictionLimit = np.array(model.dof_frictionloss)
     out.lowerEffortLimit, out.upperEffortLimit = effort_limits(model).T
     return out
+
+
+def _inertial_pose(model: Any, body: int) -> SE3:
+    """Pose of a body's principal axes of inertia in the body's frame."""
+    pose = pose_from_wxyz(model.body_ipos[body], model.body_iquat[body])
+    return _snapped(pose, pose, int(model.body_sameframe[body]))
+
+
+def _snapped(pose: SE3, inertial: SE3, same: int) -> SE3:
+    """A pose in a body as MuJoCo uses it.
+
+    What is within 1e-6 of the body's frame, or of its inertial frame, MuJoCo takes to be there
+    (``mjtSameFrame``; found in the compiled model, not in its documentation).
+    """
+    if same == _SAME_AS_BODY:
+        return SE3.Identity()
+    if same == _SAME_AS_INERTIA:
+        return inertial
+    if same == _TURNED_AS_BODY:
+        return SE3(np.eye(3), pose.translation)
+    if same == _TURNED_AS_INERTIA:
+        return SE3(inertial.rotation, pose.translation)
+    return pose
 
 
 def body_name(model: Any, body: int) -> str:

@@ -1,0 +1,227 @@
+"""``crosscheck`` and ``compare_models``: the library calls behind ``opposable crosscheck``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from planner.bridge import pinocchio_from_mujoco
+from planner.errors import TaskError
+from sim.crosscheck.cause_context import Context
+from sim.crosscheck.causes import explain
+from sim.crosscheck.causes_structure import explain_failure
+from sim.crosscheck.compare import compare_local, compare_observations, compare_parts
+from sim.crosscheck.equalities import EqualityCheck, compare_couplings, equality_names
+from sim.crosscheck.geometry import GeometryCheck
+from sim.crosscheck.matching import match
+from sim.crosscheck.mujoco_side import MujocoSide, layout_of, left_out
+from sim.crosscheck.parts import Side
+from sim.crosscheck.quantities import Tally, Tolerances
+from sim.crosscheck.reader import ReaderResult, read_with_pinocchio
+from sim.crosscheck.reader_geometry import compare_boxes
+from sim.crosscheck.report import Column, CrosscheckReport, column_from
+from sim.crosscheck.sources import Source, compiled
+from sim.crosscheck.states import as_drawn, random_states
+
+__all__ = ["BRIDGE", "READER", "compare_models", "crosscheck"]
+
+BRIDGE, READER = "bridge", "Pinocchio's reader"
+"""Names of the columns of ``crosscheck``."""
+
+PAIRS_PER_CONFIGURATION = 60
+"""Pairs of geometries that are compared per configuration; meshes take up to a millisecond each."""
+
+
+def crosscheck(
+    model: Any,
+    *,
+    seed: int = 0,
+    n_configurations: int = 20,
+    tolerances: Tolerances | None = None,
+    own_reader: bool = True,
+    judge_reader: bool = False,
+    timeout: float = 60.0,
+) -> CrosscheckReport:
+    """Check a model in MuJoCo against Pinocchio and coal, at seeded random configurations.
+
+    The columns are Pinocchio as the bridge builds it from the compiled model, with coal for its
+    geometries, and what Pinocchio's own reader makes of the same file.
+
+    Args:
+        model: Path of an MJCF or URDF file, a hand as for ``Hand.load``, ``mujoco.MjSpec`` or
+            ``mujoco.MjModel``. Pinocchio's own reader is asked only about a model file.
+        seed: Of the configurations.
+        n_configurations: How many.
+        tolerances: What counts as equal.
+        own_reader: Whether to ask Pinocchio's own reader.
+        judge_reader: Whether what it gets wrong makes the report not ok.
+        timeout: Seconds that Pinocchio's own reader has.
+
+    Raises:
+        ModelError: MuJoCo cannot read or compile the model.
+        TaskError: A number is out of range.
+    """
+    _check_counts(seed, n_configurations)
+    limits = tolerances or Tolerances()
+    source = compiled(model)
+    layout = layout_of(source.model)
+    reference = MujocoSide(source.model, "MuJoCo", layout)
+    bridge = match(pinocchio_from_mujoco(source.model), BRIDGE, layout)
+    run = _Run(source, reference, seed, n_configurations, limits)
+    columns = [run.column(bridge, engines=True)]
+    if own_reader and source.path is not None:
+        result = read_with_pinocchio(source.path, timeout)
+        columns.append(_reader_column(run, result, judged=judge_reader))
+    return CrosscheckReport(
+        model=source.name,
+        reference="MuJoCo",
+        columns=tuple(columns),
+        seed=seed,
+        n_configurations=n_configurations,
+        tolerances=limits,
+        notes=(*source.notes, *(f"not compared: {what}" for what in left_out(source.model))),
+    )
+
+
+def compare_models(
+    reference: Any,
+    other: Any,
+    *,
+    names: Mapping[str, str] | None = None,
+    seed: int = 0,
+    n_configurations: int = 20,
+    tolerances: Tolerances | None = None,
+) -> CrosscheckReport:
+    """Compare two models of the same thing, part by part: a URDF with an MJCF, a copy with it.
+
+    Joints, bodies and sites belong together by name. The report's one column names the parts at
+    fault (``Column.faults``).
+
+    Args:
+        reference: As for ``crosscheck``.
+        other: The same, or a ``pinocchio.Model``.
+        names: Reference's name -> the other's name, for joints, bodies and sites that are called
+            otherwise there.
+        seed: Of the configurations.
+        n_configurations: How many.
+        tolerances: What counts as equal.
+
+    Raises:
+        ModelError: MuJoCo cannot read or compile a model.
+        TaskError: A number is out of range, or ``names`` names what is not there.
+    """
+    _check_counts(seed, n_configurations)
+    limits = tolerances or Tolerances()
+    source = compiled(reference)
+    layout = layout_of(source.model)
+    here = MujocoSide(source.model, source.name, layout)
+    notes = list(source.notes)
+    there: Side
+    if isinstance(other, pin.Model):
+        there = match(other, other.name or "pinocchio.Model", layout, names)
+    else:
+        second = compiled(other)
+        notes += second.notes
+        there = MujocoSide(second.model, second.name, layout, names)
+    _check_names(names or {}, here, there)
+    run = _Run(source, here, seed, n_configurations, limits)
+    return CrosscheckReport(
+        model=there.name,
+        reference=source.name,
+        columns=(run.column(there, engines=False),),
+        seed=seed,
+        n_configurations=n_configurations,
+        tolerances=limits,
+        notes=tuple(notes),
+    )
+
+
+class _Run:
+    """One reference and its configurations."""
+
+    def __init__(
+        self, source: Source, reference: MujocoSide, seed: int, count: int, limits: Tolerances
+    ) -> None:
+        self.source, self.reference, self.limits = source, reference, limits
+        self.layout = reference.layout
+        self.parts = reference.parts()
+        self._seed, self._count = seed, count
+        self._mass = float(source.model.body_mass.sum())
+
+    def tally(self, side: Side) -> Tally:
+        """Everything except distances and equalities."""
+        tally, layout = Tally(tolerances=self.limits), self.layout
+        compare_parts(tally, layout, self.parts, side.parts())
+        drawn = as_drawn(layout)
+        compare_local(tally, layout, self.reference.observe(drawn), side.observe(drawn))
+        for state in self._states(side):
+            here, there = self.reference.observe(state), side.observe(state)
+            compare_observations(tally, layout, side.moving, self._mass, state, here, there)
+        return tally
+
+    def column(self, side: Side, *, engines: bool) -> Column:
+        """Compare a side; with ``engines`` also coal and equalities, which need our own bridge."""
+        tally = self.tally(side)
+        notes: list[str] = []
+        if isinstance(side, MujocoSide):
+            compare_couplings(tally, self.reference, side)
+        if engines:
+            geometry = GeometryCheck(self.source.model, PAIRS_PER_CONFIGURATION)
+            geometry.shuffle(np.random.default_rng(self._seed))
+            equalities = EqualityCheck(self.source.model)
+            for state in self._states(side):
+                there = side.observe(state)
+                geometry.run(tally, state, there)
+                equalities.run(tally, state, there)
+            notes += [f"not compared: {what}" for what in geometry.left_out + equalities.left_out]
+        return column_from(side.name, tally, notes=tuple(notes))
+
+    def _states(self, side: Side) -> Any:
+        generator = np.random.default_rng(self._seed)
+        return random_states(
+            self.layout, dict(self.parts.joints), side.moving, generator, self._count
+        )
+
+
+def _reader_column(run: _Run, result: ReaderResult, *, judged: bool) -> Column:
+    """What Pinocchio's own reader got, with causes."""
+    if result.model is None:
+        column = column_from(READER, Tally(tolerances=run.limits), judged=judged)
+        return replace(column, failure=explain_failure(run.source, result.failure))
+    notes = []
+    side = match(result.model, READER, run.layout)
+    tally = run.tally(side)
+    for name in equality_names(run.source.model):
+        tally.add("equality rows", name, np.inf)
+    if result.geometry_failure:
+        reason = " ".join(result.geometry_failure.rsplit("message:", 1)[-1].split())
+        notes.append(f"its geometries could not be read: {reason}")
+    else:
+        compare_boxes(tally, run.source.model, result)
+    column = column_from(READER, tally, judged=judged, notes=tuple(notes))
+    return explain(column, Context(run.source, run.reference, side, result))
+
+
+def _check_counts(seed: int, count: int) -> None:
+    if seed < 0 or count < 1:
+        raise TaskError(
+            f"seed is {seed} and n_configurations {count}; give a seed of 0 or more and at least "
+            "one configuration"
+        )
+
+
+def _check_names(names: Mapping[str, str], here: Side, there: Side) -> None:
+    """See that a map of names is about parts that exist."""
+    mine, theirs = here.parts(), there.parts()
+    known = {*mine.joints, *mine.bodies, *mine.sites}
+    matched = {*theirs.joints, *theirs.bodies, *theirs.sites}
+    wrong = [f"{a} = {b}" for a, b in names.items() if a not in known or a not in matched]
+    if wrong:
+        raise TaskError(
+            f"the map of names says {', '.join(wrong)}, and the parts of that name are not in both "
+            "models; write REFERENCE = OTHER with names of joints, bodies or sites"
+        )

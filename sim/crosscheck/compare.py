@@ -1,0 +1,250 @@
+"""Two sides of a cross-check, quantity by quantity.
+
+Local facts (the pose of a body relative to its parent, a joint's axis in its own body) are read off
+the motion of each side where the model stands as it is drawn. They name the part that is at fault;
+poses, forces and the mass matrix then differ everywhere behind it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from planner.spatial import SE3, FloatArray
+from sim.crosscheck.parts import (
+    HINGE,
+    SLIDE,
+    BoolArray,
+    Layout,
+    LinkInertia,
+    Observation,
+    Parts,
+    State,
+)
+from sim.crosscheck.quantities import Tally
+
+__all__ = ["compare_local", "compare_observations", "compare_parts", "local_pose"]
+
+_HUGE = 1e15
+"""Limit, in any unit, beyond which a number stands for "none" (largest float and the like)."""
+
+_ROUNDING = 1e-14
+"""Share of the largest force at hand that rounding may take, where forces cancel."""
+
+_GRAVITY = 10.0
+"""Size of gravity, m/s2, in what forces are at hand."""
+
+
+def compare_parts(tally: Tally, layout: Layout, here: Parts, there: Parts) -> None:
+    """Names, kinds, limits, armature, damping, friction, efforts, masses and inertias."""
+    for slot in layout.joints:
+        tally.add("joints present", slot.name, float(slot.name not in there.joints))
+    for body in layout.parents:
+        tally.add("bodies present", body, float(body not in there.bodies))
+    for site in layout.sites:
+        tally.add("sites present", site, float(site not in there.sites))
+    for name in there.others:
+        kind, _, part = name.partition(" ")
+        title = {"joint": "joints", "body": "bodies", "site": "sites"}[kind] + " present"
+        tally.add(title, f"{part} (not in the reference)", 1.0)
+    for name, theirs in there.joints.items():
+        mine = here.joints[name]
+        kinds = mine.kind, theirs.kind
+        tally.add("joint kind", name, float(kinds[0] != kinds[1]), values=kinds)
+        if kinds[0] != kinds[1]:
+            continue
+        if mine.range is not None and theirs.range is not None:
+            _relative(tally, "joint range", name, mine.range, theirs.range)
+        _relative(tally, "armature", name, mine.armature, theirs.armature)
+        _relative(tally, "damping", name, mine.damping, theirs.damping)
+        _relative(tally, "dry friction", name, mine.friction, theirs.friction)
+        _relative(tally, "effort limit", name, mine.effort, theirs.effort)
+    tally.add(
+        "gravity",
+        "the model",
+        float(np.abs(here.gravity - there.gravity).max()),
+        values=(here.gravity, there.gravity),
+    )
+    alone = bool(here.inertias and there.inertias)
+    mine_all, theirs_all = (here.inertias, there.inertias) if alone else (here.links, there.links)
+    for body in layout.parents:
+        if body in there.bodies and (body in mine_all or body in theirs_all):
+            _inertia(tally, body, mine_all.get(body), theirs_all.get(body))
+
+
+def _inertia(tally: Tally, body: str, mine: LinkInertia | None, theirs: LinkInertia | None) -> None:
+    masses = (0.0 if mine is None else mine.mass), (0.0 if theirs is None else theirs.mass)
+    _relative(tally, "mass", body, np.array(masses[:1]), np.array(masses[1:]))
+    if mine is None or theirs is None:
+        return
+    apart = float(np.abs(mine.center - theirs.center).max())
+    if min(masses) > 0:
+        tally.add("link centre", body, apart, values=(mine.center, theirs.center))
+    scale = float(np.abs(mine.inertia).max()) or 1.0
+    error = float(np.abs(mine.inertia - theirs.inertia).max()) / scale
+    tally.add(
+        "inertia",
+        body,
+        error,
+        values=(np.diag(mine.inertia), np.diag(theirs.inertia)),
+    )
+
+
+def _relative(tally: Tally, title: str, part: str, mine: FloatArray, theirs: FloatArray) -> None:
+    """Error relative to the reference's own size; infinities must stand at the same places."""
+    mine, theirs = (np.where(np.abs(v) > _HUGE, np.copysign(np.inf, v), v) for v in (mine, theirs))
+    same = mine == theirs  # infinities too
+    error = 0.0
+    if not same.all():
+        a, b = mine[~same], theirs[~same]
+        finite = np.isfinite(a) & np.isfinite(b)
+        size = np.abs(mine[np.isfinite(mine)]).max(initial=0.0)
+        size = size or np.abs(theirs[np.isfinite(theirs)]).max(initial=0.0)
+        error = float(np.abs(a - b).max() / size) if finite.all() and size > 0 else np.inf
+    tally.add(title, part, error, values=(mine, theirs))
+
+
+def compare_local(tally: Tally, layout: Layout, here: Observation, there: Observation) -> None:
+    """Offsets of bodies and sites, axes and anchors of joints; both as drawn."""
+    for body in there.bodies:
+        local = [local_pose(layout, there, o, body) for o in (here, there)]
+        _pose(tally, ("body offset", "body turn"), body, local[0], local[1], -1)
+    for site in there.sites:
+        local = [local_pose(layout, there, o, site, site=True) for o in (here, there)]
+        _pose(tally, ("site offset", "site turn"), site, local[0], local[1], -1)
+    for slot in layout.joints:
+        if slot.kind not in (HINGE, SLIDE) or slot.body not in there.bodies:
+            continue
+        screws = [_screw(o, slot.body, slot.v.start) for o in (here, there)]
+        if not screws[1].any():  # the joint is not there
+            continue
+        part = screws[0][3:], screws[1][3:]
+        if slot.kind == SLIDE:
+            part = screws[0][:3], screws[1][:3]
+        angle = _angle(*part)
+        tally.add("joint axis", slot.name, angle, values=part)
+        if slot.kind == HINGE:
+            # the point of each axis that is nearest to the body's origin: w x v
+            points = [np.cross(s[3:], s[:3]) for s in screws]
+            error = float(np.linalg.norm(points[0] - points[1]))
+            tally.add(
+                "joint anchor",
+                slot.name,
+                error if angle < _PARALLEL else 0.0,
+                values=(points[0], points[1]),
+            )
+
+
+_PARALLEL = 1e-6
+"""Angle, rad, above which only the axis is blamed and not the point that it passes through."""
+
+
+def compare_observations(
+    tally: Tally,
+    layout: Layout,
+    moving: BoolArray,
+    mass: float,
+    state: State,
+    here: Observation,
+    there: Observation,
+) -> None:
+    """Poses, Jacobians, centres of mass and smooth dynamics at one configuration.
+
+    Args:
+        tally: Takes the results.
+        layout: The reference's.
+        moving: (nv,) booleans: degrees of freedom that both have.
+        mass: Of the whole model, kg.
+        state: The configuration.
+        here: The reference's values.
+        there: The other side's.
+    """
+    i = state.index
+    for body, pose in there.bodies.items():
+        _pose(tally, ("body position", "body orientation"), body, here.bodies[body], pose, i)
+    for site, pose in there.sites.items():
+        _pose(tally, ("site position", "site orientation"), site, here.sites[site], pose, i)
+    for title, mine, theirs in (
+        ("body Jacobian", here.body_jacobians, there.body_jacobians),
+        ("site Jacobian", here.site_jacobians, there.site_jacobians),
+    ):
+        for name, jacobian in theirs.items():
+            error = np.abs(mine[name] - jacobian)[:, moving].max(initial=0.0)
+            tally.add(title, name, float(error), state=i)
+    for body, center in there.centers.items():
+        if body in here.centers:
+            error = float(np.abs(here.centers[body] - center).max())
+            tally.add("centre of mass", body, error, state=i)
+    if not moving.any():
+        return
+    on = np.flatnonzero(moving)
+    block = np.ix_(on, on)
+    diagonal = np.sqrt(np.diag(here.mass_matrix)[on])
+    # forces m g l of a mass m whose inertia m l^2 is on the diagonal
+    forces = np.sqrt(mass) * float(diagonal.max()) * (_GRAVITY + float((state.qvel**2).max()))
+    scaled = np.abs(here.mass_matrix - there.mass_matrix)[block] / np.outer(diagonal, diagonal)
+    for k, error in zip(on, scaled.max(axis=1), strict=True):
+        tally.add("mass matrix", layout.dof_name(int(k)), float(error), state=i)
+    for title, a, b in (
+        ("Coriolis force", here.coriolis, there.coriolis),
+        ("gravity force", here.gravity, there.gravity),
+        ("forward dynamics", here.acceleration, there.acceleration),
+    ):
+        errors = np.abs(a - b)[on]
+        if title != "forward dynamics":
+            errors[errors < _ROUNDING * forces] = 0.0
+        scale = float(np.abs(a[on]).max()) or 1.0
+        for k, error in zip(on, errors / scale, strict=True):
+            tally.add(title, layout.dof_name(int(k)), float(error), state=i)
+
+
+def _pose(
+    tally: Tally, titles: tuple[str, str], part: str, mine: SE3, theirs: SE3, state: int
+) -> None:
+    shift = float(np.abs(mine.translation - theirs.translation).max())
+    tally.add(
+        titles[0],
+        part,
+        shift,
+        state=state,
+        values=(mine.translation, theirs.translation),
+    )
+    turn = mine.rotation.T @ theirs.rotation
+    # exact for small angles too, unlike the arc cosine of the trace
+    sine = np.linalg.norm(turn - turn.T) / np.sqrt(8)
+    angle = float(np.arctan2(sine, (np.trace(turn) - 1) / 2))
+    tally.add(
+        titles[1],
+        part,
+        angle,
+        state=state,
+        values=(pin.log3(mine.rotation), pin.log3(theirs.rotation)),
+    )
+
+
+def local_pose(
+    layout: Layout,
+    common: Observation,
+    observation: Observation,
+    part: str,
+    *,
+    site: bool = False,
+) -> SE3:
+    """Pose of a body or site in its parent's frame; an ancestor's where ``common`` lacks that."""
+    above = layout.sites if site else layout.parents
+    pose = (observation.sites if site else observation.bodies)[part]
+    parent = above[part]
+    while parent in layout.parents and parent not in common.bodies:
+        parent = layout.parents[parent]
+    return observation.bodies[parent].actInv(pose) if parent in common.bodies else pose
+
+
+def _screw(observation: Observation, body: str, dof: int) -> FloatArray:
+    """Velocity (6,) of a body by one of its joints, in its own frame."""
+    column = observation.body_jacobians[body][:, dof]
+    turn = observation.bodies[body].rotation.T
+    return np.concatenate([turn @ column[:3], turn @ column[3:]])
+
+
+def _angle(a: FloatArray, b: FloatArray) -> float:
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))

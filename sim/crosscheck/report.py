@@ -1,0 +1,192 @@
+"""What a cross-check found: rows with verdicts, differences with causes, data for machines."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from sim.crosscheck.quantities import QUANTITIES, Difference, Quantity, Tally, Tolerances
+
+__all__ = ["SCHEMA", "Cell", "Column", "CrosscheckReport", "column_from"]
+
+SCHEMA = 1
+"""Version of the JSON that ``CrosscheckReport.to_dict`` gives."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One quantity of one side.
+
+    Attributes:
+        quantity: Its title.
+        verdict: "agrees", "differs", or "reported" for what is not judged.
+        error: Largest error, in the quantity's unit.
+        where: The part with the largest error.
+        state: Number of its configuration; -1 if that does not matter.
+        compared: How many comparisons were made.
+        tolerance: What was allowed.
+    """
+
+    quantity: str
+    verdict: str
+    error: float
+    where: str
+    state: int
+    compared: int
+    tolerance: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Column:
+    """One side against the reference.
+
+    Attributes:
+        name: The side.
+        cells: One for each quantity that was compared.
+        differences: The worst difference of each quantity and part, those that name a part at
+            fault (structure, parameters) before their consequences.
+        failure: Why there is nothing to compare, or "".
+        judged: Whether the side counts for ``CrosscheckReport.ok``.
+        notes: What was not compared, and why.
+    """
+
+    name: str
+    cells: tuple[Cell, ...]
+    differences: tuple[Difference, ...]
+    failure: str = ""
+    judged: bool = True
+    notes: tuple[str, ...] = ()
+
+    @property
+    def ok(self) -> bool:
+        """Whether the side could be compared and nothing differs."""
+        return not self.failure and all(cell.verdict != "differs" for cell in self.cells)
+
+    @property
+    def faults(self) -> tuple[Difference, ...]:
+        """Differences of single parts (not their consequences in poses, forces and distances)."""
+        groups = ("structure", "parameters", "couplings")
+        return tuple(d for d in self.differences if QUANTITIES[d.quantity].group in groups)
+
+    @property
+    def causes(self) -> dict[str, str]:
+        """Key of each known cause that was found -> the cause in words."""
+        return {d.cause: d.reason for d in self.differences if d.cause}
+
+    @property
+    def unexplained(self) -> tuple[Difference, ...]:
+        """Faults without a known cause."""
+        return tuple(d for d in self.faults if not d.cause)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CrosscheckReport:
+    """What was compared with what, and how it came out.
+
+    Attributes:
+        model: What was checked.
+        reference: What the columns are compared with.
+        columns: The sides.
+        seed: Of the random configurations.
+        n_configurations: How many.
+        tolerances: What counted as equal.
+        notes: What was not compared, and why.
+    """
+
+    model: str
+    reference: str
+    columns: tuple[Column, ...]
+    seed: int
+    n_configurations: int
+    tolerances: Tolerances
+    notes: tuple[str, ...] = ()
+
+    @property
+    def ok(self) -> bool:
+        """Whether every side that is judged agrees."""
+        return all(column.ok for column in self.columns if column.judged)
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What differs in the sides that are judged, in words; faults of parts come first."""
+        return tuple(str(d) for c in self.columns if c.judged for d in c.differences)
+
+    def column(self, name: str) -> Column:
+        """The side of that name.
+
+        Raises:
+            KeyError: There is none.
+        """
+        return {column.name: column for column in self.columns}[name]
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON; an infinite error becomes None."""
+        columns = [
+            {
+                "name": c.name,
+                "ok": c.ok,
+                "judged": c.judged,
+                "failure": c.failure,
+                "cells": [_plain(asdict(cell)) for cell in c.cells],
+                "differences": [_plain(asdict(d)) for d in c.differences],
+                "causes": c.causes,
+                "notes": list(c.notes),
+            }
+            for c in self.columns
+        ]
+        return {
+            "kind": "crosscheck",
+            "schema": SCHEMA,
+            "model": self.model,
+            "reference": self.reference,
+            "ok": self.ok,
+            "seed": self.seed,
+            "n_configurations": self.n_configurations,
+            "tolerances": asdict(self.tolerances),
+            "notes": list(self.notes),
+            "columns": columns,
+        }
+
+
+def column_from(
+    name: str, tally: Tally, *, judged: bool = True, notes: tuple[str, ...] = ()
+) -> Column:
+    """Verdicts from what was measured."""
+    cells = []
+    for title, quantity in QUANTITIES.items():
+        if title in tally.worst:
+            error, where, state = tally.worst[title]
+            cells.append(
+                Cell(
+                    quantity=title,
+                    verdict=_verdict(quantity, error, tally.allowed(title)),
+                    error=error,
+                    where=where,
+                    state=state,
+                    compared=tally.count[title],
+                    tolerance=tally.allowed(title),
+                )
+            )
+    order = list(QUANTITIES)
+    differences = sorted(
+        (d for d in tally.differences.values() if QUANTITIES[d.quantity].group != "overlap"),
+        key=lambda d: order.index(d.quantity),
+    )
+    return Column(
+        name=name, cells=tuple(cells), differences=tuple(differences), judged=judged, notes=notes
+    )
+
+
+def _verdict(quantity: Quantity, error: float, tolerance: float) -> str:
+    if quantity.group == "overlap":
+        return "reported"
+    return "agrees" if error <= tolerance else "differs"
+
+
+def _plain(data: dict[str, Any]) -> dict[str, Any]:
+    return {
+        key: None if isinstance(value, float) and not np.isfinite(value) else value
+        for key, value in data.items()
+    }

@@ -1,0 +1,87 @@
+"""Where a model to be checked comes from: a file, a spec or a compiled model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+
+from planner.bridge import compile_spec, load_spec
+from planner.catalog import find_hand
+from planner.errors import ModelError
+from planner.hand import Hand
+
+__all__ = ["Source", "compiled"]
+
+DESCRIPTION = ".toml"
+"""How the name of a file ends that describes a hand and is no model."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """A model, ready to be compared.
+
+    Attributes:
+        name: For tables.
+        model: ``mujoco.MjModel``.
+        spec: ``mujoco.MjSpec`` that it was compiled from; None if a compiled model was given.
+        path: The file that Pinocchio's own reader gets; None if there is no file.
+        notes: What had to be changed before MuJoCo took the model.
+    """
+
+    name: str
+    model: Any
+    spec: Any
+    path: Path | None
+    notes: tuple[str, ...] = ()
+
+
+def compiled(model: Any) -> Source:
+    """Compile what was given.
+
+    Args:
+        model: Path of an MJCF or URDF file, a hand as for ``Hand.load``, ``mujoco.MjSpec`` or
+            ``mujoco.MjModel``.
+
+    Raises:
+        NotFoundError: There is no such file or hand.
+        ModelError: MuJoCo cannot read or compile it, or it is none of these.
+    """
+    if isinstance(model, mujoco.MjModel):
+        return Source(name="model", model=model, spec=None, path=None)
+    if isinstance(model, mujoco.MjSpec):
+        spec = model.copy()
+        name = spec.modelname or "model"
+        return Source(name=name, model=compile_spec(spec, name), spec=spec, path=None)
+    if not isinstance(model, str | Path):
+        raise ModelError(
+            f"a {type(model).__name__} is no model; give the path of an MJCF or URDF file, a "
+            "mujoco.MjSpec or a mujoco.MjModel"
+        )
+    path = Path(model)
+    if not path.is_file() or path.suffix == DESCRIPTION:
+        path = find_hand(model)
+    if path.suffix == DESCRIPTION:
+        hand = Hand.load(model)
+        note = (
+            "checked as the hand is loaded; Pinocchio's own reader is asked only about model "
+            "files: give the path of one"
+        )
+        return Source(name=hand.name, model=hand.mj_model, spec=None, path=None, notes=(note,))
+    spec = load_spec(path)
+    try:
+        return Source(name=str(path), model=compile_spec(spec, str(path)), spec=spec, path=path)
+    except ModelError as error:
+        if "A + B >= C" not in str(error):
+            raise
+    # impossible inertias are common in URDF files, and not what a cross-check is about
+    spec = load_spec(path)
+    spec.compiler.balanceinertia = True
+    note = (
+        "some inertias are impossible (the largest moment exceeds the sum of the others) and "
+        "were balanced by MuJoCo: compared is the balanced model"
+    )
+    model = compile_spec(spec, str(path))
+    return Source(name=str(path), model=model, spec=spec, path=path, notes=(note,))
