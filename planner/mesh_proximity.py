@@ -29,6 +29,8 @@ class _Mesh(Protocol):
 
     def signed_distance(self, points: FloatArray) -> FloatArray: ...
 
+    def closest_point(self, points: FloatArray) -> tuple[FloatArray, FloatArray]: ...
+
     def field(self) -> Any: ...
 
 
@@ -55,6 +57,10 @@ class MeshPair:
             pose: ``T_world_geometry``.
             pose_mesh: ``T_world_mesh``.
         """
+        if isinstance(self.geometry, coal.Sphere):
+            # coal gives minus the radius for some spheres that are far from the triangles
+            center = pose_mesh.actInv(pose.translation)[None]
+            return float(self.mesh.signed_distance(center)[0]) - float(self.geometry.radius)
         self._result.clear()
         found = float(
             self._compute(
@@ -75,10 +81,22 @@ class MeshPair:
     def query(self, pose: SE3, pose_mesh: SE3) -> Proximity:
         """Distance, nearest points and normal; exact where they are apart."""
         distance = self.distance(pose, pose_mesh)
+        if isinstance(self.geometry, coal.Sphere):
+            return self._from_sphere(distance, pose, pose_mesh)
         point = np.array(self._result.getNearestPoint1())
         return Proximity(
             distance=distance,
             point_a=point,
             point_b=np.array(self._result.getNearestPoint2()),
             normal=np.array(self._result.normal),
+        )
+
+    def _from_sphere(self, distance: float, pose: SE3, pose_mesh: SE3) -> Proximity:
+        surface, outward = self.mesh.closest_point(pose_mesh.actInv(pose.translation)[None])
+        normal = -(pose_mesh.rotation @ outward[0])
+        return Proximity(
+            distance=distance,
+            point_a=pose.translation + self.geometry.radius * normal,
+            point_b=pose_mesh.act(surface[0]),
+            normal=normal,
         )

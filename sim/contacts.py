@@ -23,7 +23,7 @@ import numpy as np
 
 from planner.contacts import Contact, ContactModel, ContactSet
 from planner.spatial import FloatArray
-from sim.scene import HAND_PREFIX, OBSTACLE_PREFIX, TABLE, Scene
+from sim.scene import HAND_PREFIX, OBJECT, OBSTACLE_PREFIX, TABLE, Scene
 
 __all__ = [
     "Touch",
@@ -154,7 +154,7 @@ def other_touches(scene: Scene, data: Any) -> list[Touch]:
         force = float(_force(scene.model, data, i)[0])
         if force > NO_FORCE:
             pair = [sides[side] for side in kind.split("-")] if len(sides) == 2 else [first, second]
-            names = [scene.model.geom(g).name for g in pair]
+            names = [_name(scene, g) for g in pair]
             touches.append(
                 Touch(
                     kind=kind,
@@ -230,6 +230,14 @@ def _side(scene: Scene, geom: int) -> str:
     if int(scene.model.geom_bodyid[geom]) == scene.object_body:
         return "object"
     return "table" if scene.model.geom(geom).name == TABLE else "obstacle"
+
+
+def _name(scene: Scene, geom: int) -> str:
+    """Name of a geom; the pieces of an object all bear the object's."""
+    if int(scene.model.geom_bodyid[geom]) == scene.object_body:
+        return OBJECT
+    name: str = scene.model.geom(geom).name
+    return name
 
 
 def _kind(sides: set[str]) -> TouchKind | None:

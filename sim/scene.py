@@ -11,6 +11,8 @@ Friction is explicit. MuJoCo mixes the friction of two geoms by their maximum un
 higher priority; here the object decides against the hand (condim 4: sliding and torsion), and
 table and obstacles decide against the object (condim 6: with rolling too, so that a ball stays
 where it is put).
+
+A mesh collides as convex pieces that cover it (``planner.shapes.pieces``) and is shown as it is.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ from planner.collision import TABLE_SIZE
 from planner.hand import Hand
 from planner.kinematics import HandState
 from planner.shapes import Mesh
-from planner.shapes.solid import solid_of
+from planner.shapes.solid import solid_deviation, solid_geoms
 from planner.spatial import SE3, FloatArray, IntArray, pose_to_wxyz
 from planner.task import GraspTask
 from sim.physics import CONTACT_SOLIMP, CONTACT_SOLREF, PhysicsOptions
@@ -44,6 +46,13 @@ OBJECT, TABLE, MOUNT, SUPPORT = "object", "table", "mount", "support"
 
 OBJECT_COLOR = (0.42, 0.72, 0.38, 1.0)
 """Red, green, blue, opacity."""
+
+WORLD_BIT = 1 << 30
+"""Bit of contype and conaffinity by which object, table and obstacles meet the hand and each other.
+The other bits are the hand model's own and decide which of its links touch each other."""
+
+PIECE_GROUP = 3
+"""Group of the pieces of a mesh object: not drawn, but the viewer can show it."""
 
 OBSTACLE_PREFIX = "obstacle/"
 """Prefix of the names of obstacles, so that none is taken for something else."""
@@ -84,6 +93,8 @@ class Scene:
         finger_of_geom: Colliding geom id of the hand -> finger name, "" for the palm.
         mount_gains: (2, 6), stiffness (N/m, N m/rad) and damping of the mount's servos.
         support: Equality id that holds the object before the lift, -1 where a table does.
+        deviation: How far (m) the geoms of the object reach out of its true shape at most: 0 for a
+            primitive, measured for the convex pieces of a mesh.
     """
 
     task: GraspTask
@@ -104,6 +115,7 @@ class Scene:
     finger_of_geom: Mapping[int, str]
     mount_gains: FloatArray
     support: int
+    deviation: float
 
     def start(self, q: FloatArray, T_world_base: SE3) -> Any:
         """Fresh ``mujoco.MjData`` at rest: hand at q (nq,) and a base pose, object at its place."""
@@ -168,7 +180,7 @@ def build_scene(
     spec = mujoco.MjSpec()
     spec.modelname = f"{task.hand.name}, {task.object.name}"
     physics.apply(spec, task.gravity)
-    _add_hand(spec, task.hand, T_world_base, physics)
+    _add_hand(spec, task, T_world_base, physics)
     _add_object(spec, task, physics)
     _add_surroundings(spec, task, physics)
     hand = task.hand
@@ -185,26 +197,40 @@ def build_scene(
     return _indexed(task, physics, T_world_base, model)
 
 
-def _add_hand(spec: Any, hand: Hand, T_world_base: SE3, physics: PhysicsOptions) -> None:
+def _add_hand(spec: Any, task: GraspTask, T_world_base: SE3, physics: PhysicsOptions) -> None:
     position, quaternion = pose_to_wxyz(T_world_base)
     mount = spec.worldbody.add_body(name=MOUNT, pos=position)
     for k, axis in enumerate(MOUNT_AXES):
         kind = mujoco.mjtJoint.mjJNT_SLIDE if k < 3 else mujoco.mjtJoint.mjJNT_HINGE
         mount.add_joint(name=f"{MOUNT}_{axis}", type=kind, axis=np.eye(3)[k % 3])
-    child = hand.new_spec()
+    child = task.hand.new_spec()
+    _drop_options(child)
+    physics.apply(child, task.gravity)
     for geom in child.geoms:
         geom.friction = physics.friction
         geom.priority = 0
+        # forces at a distance are not what contacts are judged by
+        geom.margin = geom.gap = 0.0
         if geom.contype or geom.conaffinity:
-            # whatever bits the model chose, its links touch object, table and obstacles; those are
-            # 1 and 1, so it is enough that a link has the first bit of one of the two
-            geom.contype |= 1
+            geom.contype &= ~WORLD_BIT
+            geom.conaffinity |= WORLD_BIT
     spec.attach(child, prefix=HAND_PREFIX, frame=mount.add_frame(quat=quaternion))
     for axis in MOUNT_AXES:
         servo = spec.add_actuator(name=f"{MOUNT}_{axis}", target=f"{MOUNT}_{axis}")
         servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
         servo.gaintype = mujoco.mjtGain.mjGAIN_FIXED
         servo.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+
+
+def _drop_options(spec: Any) -> None:
+    """Forget how a model wants to be computed: the scene decides, and MuJoCo warns of conflicts."""
+    fresh = mujoco.MjSpec()
+    for name in dir(fresh.option):
+        if not name.startswith("_"):
+            setattr(spec.option, name, getattr(fresh.option, name))
+    for name in dir(fresh):
+        if name in ("njmax", "nconmax") or name.startswith("nuser_"):
+            setattr(spec, name, getattr(fresh, name))
 
 
 def _add_object(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
@@ -217,14 +243,14 @@ def _add_object(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
     body.mass = item.mass
     body.ipos = np.zeros(3)
     body.fullinertia = [*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]]
-    solid = solid_of(item.shape)
-    for k, part in enumerate(solid.geoms):
+    for k, part in enumerate(solid_geoms(item.shape)):
         name = OBJECT if k == 0 else f"{OBJECT}/{k}"
         geom = body.add_geom(name=name, condim=4, priority=1, rgba=OBJECT_COLOR)
-        if part.kind == "mesh":
+        geom.pos, geom.quat = pose_to_wxyz(part.T_object_geom)
+        if part.vertices is not None and part.faces is not None:
             _add_mesh(spec, name, part.vertices, part.faces)
             geom.meshname = name
-            geom.rgba[3] = 0.0  # the true mesh is shown instead
+            geom.group = PIECE_GROUP  # the true mesh is shown instead
         _solid(geom, part.kind, part.size, physics)
     if isinstance(item.shape, Mesh):
         _add_picture(spec, body, item.shape)
@@ -270,6 +296,7 @@ def _add_surroundings(spec: Any, task: GraspTask, physics: PhysicsOptions) -> No
 
 def _solid(geom: Any, kind: str, size: tuple[float, ...], physics: PhysicsOptions) -> None:
     geom.type = getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}")
+    geom.contype = geom.conaffinity = WORLD_BIT
     if size:
         geom.size = [*size, *(0.0,) * (3 - len(size))]
     geom.friction = physics.friction
@@ -304,6 +331,7 @@ def _indexed(task: GraspTask, physics: PhysicsOptions, T_world_base: SE3, model:
         finger_of_geom=_finger_of_geom(hand, model),
         mount_gains=gains,
         support=int(model.equality(SUPPORT).id) if task.table_height is None else -1,
+        deviation=solid_deviation(task.object.shape),
     )
 
 

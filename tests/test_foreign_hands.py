@@ -296,7 +296,8 @@ def test_servos_that_the_description_adds() -> None:
     np.testing.assert_array_equal(ours.gain, [2, 2])
     np.testing.assert_array_equal(ours.bias, [[0, -2, -0.1]] * 2)
     np.testing.assert_array_equal(ours.force_range, [[-0.5, 0.5]] * 2)
-    np.testing.assert_array_equal(ours.ctrl_range, [[-0.5, 1]] * 2)
+    # commanded 0.5 N m / (2 N m/rad) beyond the stops, so that the full force is there at them
+    np.testing.assert_array_equal(ours.ctrl_range, [[-0.75, 1.25]] * 2)
 
 
 def test_servos_in_a_file_in_degrees_have_ranges_in_radians() -> None:

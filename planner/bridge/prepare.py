@@ -209,7 +209,9 @@ def _add_servo(
     _Names(spec.actuators).give(actuator, target)
     actuator.set_to_position(kp=servo.kp, kv=servo.damping)
     actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
-    low, high = ctrl_range
+    # a servo commanded at most to a joint's stop has no force left near it
+    beyond = servo.force_limit / servo.kp
+    low, high = (end + side * beyond for end, side in zip(ctrl_range, (-1.0, 1.0), strict=True))
     if np.isfinite(high - low):
         actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
         actuator.ctrlrange = (low, high)

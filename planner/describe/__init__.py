@@ -1,12 +1,17 @@
 """Hand descriptions from a model's structure, and what is to be said of a description."""
 
+from planner.describe.check import check_hand
 from planner.describe.proposal import Proposal, Reason
 from planner.describe.propose import propose
+from planner.describe.report import CheckReport, Finding
 from planner.describe.write import description_text, write_description, write_proposal
 
 __all__ = [
+    "CheckReport",
+    "Finding",
     "Proposal",
     "Reason",
+    "check_hand",
     "description_text",
     "propose",
     "write_description",

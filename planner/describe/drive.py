@@ -117,7 +117,8 @@ def stops_and_springs(
     out, reasons = [], []
     for tendon in structure.tendons:
         tied = np.flatnonzero(tendon.row)
-        if len(tied) < 2 or _is_driven(structure, tendon):
+        settled = _is_driven(structure, tendon) or _in_span(tendon.row, [c.row for c in equalities])
+        if len(tied) < 2 or settled:
             continue
         low, high = _reach(tendon.row, lower, upper)
         loose = not _in_span(tendon.row, held)

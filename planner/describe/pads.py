@@ -27,7 +27,7 @@ FIT_TOL = 2e-3
 """Difference (m) between geom and sphere up to which a direction belongs to the pad's cone."""
 
 OTHERS_TOL = 4e-3
-"""How far (m) other geoms of the link may stand out there: the edges of a box beside a round tip."""
+"""How far (m) other geoms of the link may stand out there: the edges of a box beside a ball."""
 
 NARROWEST, WIDEST = np.deg2rad(20.0), np.deg2rad(45.0)
 """Half angles (rad) of a pad's cone: below, grasps are hardly found; above, it would face backwards
@@ -49,7 +49,7 @@ STEEPEST_FACE = np.deg2rad(40.0)
 FACE_SHARE = 0.5
 """Where on a flat face the pad is: this share of the way from its middle to its end at the tip."""
 
-SHEET = 6e-4
+SHEET = 1.5e-3
 """How far (m) a geom may stand out before a thicker one that it covers: a friction pad, a skin."""
 
 NEARLY_AS_WIDE = np.deg2rad(5.0)
@@ -135,7 +135,11 @@ def _fit_face(tip: Fingertip, solids: Sequence[Solid]) -> PadFit | None:
         error=float((solid.support(directions) - directions @ center).max()) - radius,
         exact=False,
         flat=True,
-        sheets=tuple(n for n, r in reach.items() if r > reach[solid.name] + 1e-5),
+        sheets=tuple(
+            s.name
+            for s in boxes
+            if reach[s.name] > reach[solid.name] + 1e-5 and s.depth(s.center) < SHEET
+        ),
     )
 
 

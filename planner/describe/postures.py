@@ -13,16 +13,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-import coal
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.optimize import least_squares
 
+from planner.describe.gaps import HandGaps
 from planner.hand import Finger, Hand
 from planner.kinematics import HandState
-from planner.proximity import DistancePair
-from planner.spatial import SE3, FloatArray
+from planner.spatial import FloatArray
 
 __all__ = ["OPEN_RADII", "PINCH_RADII", "PosturePart", "PostureSolver"]
 
@@ -32,10 +32,10 @@ PINCH_RADII = (0.022, 0.028, 0.018, 0.034)
 OPEN_RADII = (0.045, 0.040, 0.035, 0.030, 0.026)
 """The same for the open posture: as wide as the hand can."""
 
-STARTS = 10
-"""Starts of the search for a posture; half of them random, always the same ones."""
+STARTS = 6
+"""Starts of the search for a posture where resting fingers do not lead to one."""
 
-KEPT = 3
+KEPT = 2
 """How many of the results are carried on with collisions, which cost most."""
 
 LENGTH = 0.003
@@ -56,6 +56,9 @@ CONE_SHARE = 0.6
 PRESS = 6.0
 """Force (N) with which each pad shall be able to press: a servo at the end of its range cannot."""
 
+MARGIN = 0.05
+"""Share of a joint's range that it should keep from both ends: there a servo has no force left."""
+
 STRENGTH = 0.1
 """Missing torque (N m) that costs as much as one radian."""
 
@@ -71,7 +74,10 @@ ALIKE = 0.7
 REST_SHARE = 0.35
 """Resting place of a joint that bends one way: this share of its range (-)."""
 
-GOOD_DISTANCE, GOOD_OPPOSITION, GOOD_FACING = 0.004, np.deg2rad(35.0), np.deg2rad(8.0)
+MOST_BENT = 0.55
+"""Resting place (rad) that no joint exceeds, however far it bends."""
+
+GOOD_DISTANCE, GOOD_OPPOSITION, GOOD_FACING = 0.004, np.deg2rad(35.0), np.deg2rad(10.0)
 """A posture is good if pads miss the ball by at most this (m), the opposer looks against the others
 within this angle (rad), and pads leave their cones by at most that (rad)."""
 
@@ -121,6 +127,7 @@ class PostureSolver:
         self._span = np.maximum(high - low, 1e-9)
         one_way = np.abs(high + low) > 0.3 * self._span
         bent = np.where(np.abs(high) >= np.abs(low), high, low) * REST_SHARE
+        bent = np.clip(bent, -MOST_BENT, MOST_BENT)
         self.rest = np.clip(np.where(one_way & self._curling(), bent, 0.0), low, high)
         matrix, value = hand.coupling_matrix
         # fingers that take no part may make room
@@ -133,10 +140,8 @@ class PostureSolver:
         self._pads = [f.pad for f in self.fingers]
         self._radii = np.array([p.radius for p in self._pads])
         self._cones = np.array([p.half_angle for p in self._pads])
-        self._self_pairs = self._pairs()
-        carriers = {hand.pin_model.getJointId(f.joints[-1]) for f in self.fingers}
-        self._others = [g for g in hand.geometries if g.joint_id not in carriers]
-        self._ball_pairs: dict[float, list[DistancePair]] = {}
+        self._gaps = HandGaps(hand, PAD_GAP)
+        self._carriers = {hand.pin_model.getJointId(f.joints[-1]) for f in self.fingers}
         self._row, self._half = self._row_of_fingers()
 
     def solve(self, radii: Sequence[float], near: FloatArray | None = None) -> PosturePart:
@@ -146,12 +151,15 @@ class PostureSolver:
             radii: Radii to try in this order, m.
             near: A posture (nq,) to start from as well.
         """
+        rest = self.rest[self._free] if near is None else near[self._free]
         found = []
-        for radius in radii:
-            part = self._best(radius, near)
-            if part.good:
-                return part
-            found.append(part)
+        # from where the fingers rest the way is mostly short; only else is it worth looking around
+        for starts in ([rest], self._starts()):
+            for radius in radii:
+                part = self._best(radius, starts)
+                if part.good:
+                    return part
+                found.append(part)
         return min(found, key=_badness)
 
     def complete(self, free: FloatArray) -> FloatArray:
@@ -171,7 +179,13 @@ class PostureSolver:
         out = self.complete(free[self._free])
         return np.where(np.isin(np.arange(len(q)), self._dependent), out, np.clip(out, low, high))
 
-    def _curling(self) -> FloatArray:
+    def _from_handle(self, point: FloatArray, radius: float) -> FloatArray:
+        """Signed distance of the handle from every part that must not touch it, m."""
+        return self._gaps.from_handle(
+            self._data.oMi, self._carriers, point, self._row, self._half, radius
+        )
+
+    def _curling(self) -> NDArray[np.bool_]:
         """Which joints (nq,) curl their finger: their axis is like that of its last joint."""
         hand = self.hand
         neutral = np.clip(np.zeros(hand.nq), hand.q_lower, hand.q_upper)
@@ -202,26 +216,27 @@ class PostureSolver:
             return np.array([0.0, 0.0, 1.0]), 0.0
         return np.asarray(reach[i, j] / length), ROW_SHARE * length / 2
 
-    def _best(self, radius: float, near: FloatArray | None) -> PosturePart:
+    def _starts(self) -> list[FloatArray]:
+        """Free joints to start from: fingers stretched, half bent, mid-range, and random ones."""
         rng = np.random.default_rng(0)
         low, high = self.hand.q_lower[self._free], self.hand.q_upper[self._free]
-        starts = [self.rest[self._free]] if near is None else [near[self._free]]
-        middle = (low + high) / 2
-        starts += [middle, (middle + self.rest[self._free]) / 2]
-        while len(starts) < STARTS:
-            starts.append(low + (high - low) * rng.uniform(0.1, 0.9, len(low)))
+        out = [share * self.rest[self._free] for share in (0.2, 0.6)] + [(low + high) / 2]
+        while len(out) < STARTS:
+            out.append(low + (high - low) * rng.uniform(0.1, 0.9, len(low)))
+        return out
+
+    def _best(self, radius: float, starts: Sequence[FloatArray]) -> PosturePart:
+        """The first good posture around a handle of one radius, or the best."""
+        rough = sorted(
+            (self._descend(start, None, radius, collisions=False) for start in starts),
+            key=lambda r: r[0],
+        )
         parts: list[PosturePart] = []
-        # from where the fingers rest the way is mostly short; only else is it worth looking around
-        for group in (starts[:1], starts[1:]):
-            rough = sorted(
-                (self._descend(start, None, radius, collisions=False) for start in group),
-                key=lambda r: r[0],
-            )
-            for _, free, point in rough[:KEPT]:
-                _, free, point = self._descend(free, point, radius, collisions=True)
-                parts.append(self.judge(self.complete(free), radius, point))
-                if parts[-1].good:
-                    return parts[-1]
+        for _, start, around in rough[:KEPT]:
+            _, free, point = self._descend(start, around, radius, collisions=True)
+            parts.append(self.judge(self.complete(free), radius, point))
+            if parts[-1].good:
+                break
         return min(parts, key=_badness)
 
     def _descend(
@@ -273,11 +288,14 @@ class PostureSolver:
         weak = np.maximum(np.maximum(force - limits[:, 1], limits[:, 0] - force), 0.0) / STRENGTH
         weak = np.concatenate([weak, np.maximum(-stops, 0.0) / STRENGTH])
         rest = REST_WEIGHT * (free - self.rest[self._free]) / self._span[self._free]
-        parts = [distance, facing, opposed, before, gaps, beyond, weak, rest]
+        span = self._span[self._free]
+        end = np.minimum(free - low[self._free], high[self._free] - free)
+        margin = np.maximum(1.0 - end / (MARGIN * span), 0.0)
+        parts = [distance, facing, opposed, before, gaps, beyond, weak, margin, rest]
         if collisions:
             parts += [
-                np.minimum(self._self_distances() - PAD_GAP, 0.0) / LENGTH,
-                np.minimum(self._ball_distances(point, radius) - BALL_GAP, 0.0) / LENGTH,
+                np.minimum(self._gaps.between_parts(self._data.oMi) - PAD_GAP, 0.0) / LENGTH,
+                np.minimum(self._from_handle(point, radius) - BALL_GAP, 0.0) / LENGTH,
             ]
         return np.concatenate([np.ravel(p) for p in parts])
 
@@ -297,7 +315,7 @@ class PostureSolver:
             distance_error=float(np.abs(away - self._radii - radius).max()),
             opposition_error=float(np.arccos(np.clip(-looks[0] @ others, -1, 1))),
             facing_error=float(max((angles - self._cones).max(), 0.0)),
-            clearance=float(self._self_distances().min(initial=np.inf)),
+            clearance=float(self._gaps.between_parts(self._data.oMi).min(initial=np.inf)),
         )
 
     def _views(self, centers: FloatArray, point: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -327,49 +345,8 @@ class PostureSolver:
             torque += jacobian.T @ np.concatenate([force, np.cross(center, force)])
         return torque
 
-    def _pairs(self) -> list[tuple[int, int, DistancePair, float]]:
-        """Pairs of the hand's geometries that must not touch, with their bounding radii's sum."""
-        out = []
-        geometries = self.hand.geometries
-        self._bounds = [_bounding_ball(g.geometry) for g in geometries]
-        for i, j in combinations(range(len(geometries)), 2):
-            a, b = geometries[i], geometries[j]
-            apart = frozenset((a.name, b.name)) not in self.hand.allowed_pairs
-            if apart and a.joint_id != b.joint_id:
-                pair = DistancePair(a.geometry, b.geometry)
-                out.append((i, j, pair, self._bounds[i][1] + self._bounds[j][1]))
-        return out
 
-    def _self_distances(self) -> FloatArray:
-        """Signed distance (n_pairs,) of the pairs where the hand was last looked at, m."""
-        poses = [
-            SE3(self._data.oMi[g.joint_id]) * g.T_joint_geometry for g in self.hand.geometries
-        ]
-        centers = [p.act(b[0]) for p, b in zip(poses, self._bounds, strict=True)]
-        out = np.empty(len(self._self_pairs))
-        for k, (i, j, pair, reach) in enumerate(self._self_pairs):
-            bound = float(np.linalg.norm(centers[i] - centers[j])) - reach
-            out[k] = bound if bound > PAD_GAP else pair.distance(poses[i], poses[j])
-        return out
-
-    def _ball_distances(self, point: FloatArray, radius: float) -> FloatArray:
-        """Signed distance of the handle from every part that must not touch it, m."""
-        if radius not in self._ball_pairs:
-            ball = coal.Capsule(radius, 2 * self._half)
-            self._ball_pairs[radius] = [DistancePair(ball, g.geometry) for g in self._others]
-        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), self._row)
-        pose = SE3(turn.toRotationMatrix(), point)
-        return np.array(
-            [
-                pair.distance(pose, SE3(self._data.oMi[g.joint_id]) * g.T_joint_geometry)
-                for pair, g in zip(self._ball_pairs[radius], self._others, strict=True)
-            ]
-        )
-
-
-def _eliminate(
-    matrix: FloatArray, value: FloatArray
-) -> tuple[list[int], FloatArray, FloatArray]:
+def _eliminate(matrix: FloatArray, value: FloatArray) -> tuple[list[int], FloatArray, FloatArray]:
     """Joints that C q = d determines, and q[dependent] = M q + b with M zero on them."""
     if not len(matrix):
         return [], np.zeros((0, 0)), np.zeros(0)
@@ -386,18 +363,12 @@ def _eliminate(
 
 def _badness(part: PosturePart) -> float:
     """By how much a posture misses being good, in units of what would be good."""
-    return (
+    return float(
         part.distance_error / GOOD_DISTANCE
         + part.opposition_error / GOOD_OPPOSITION
         + part.facing_error / GOOD_FACING
         + 10 * max(TOUCHING - part.clearance, 0.0) / LENGTH
     )
-
-
-def _bounding_ball(geometry: object) -> tuple[FloatArray, float]:
-    """Centre (3,) in the geometry's frame and radius (m) of the ball around its bounding box."""
-    geometry.computeLocalAABB()  # type: ignore[attr-defined]
-    return np.array(geometry.aabb_center), float(geometry.aabb_radius)  # type: ignore[attr-defined]
 
 
 def _unit(v: FloatArray) -> FloatArray:

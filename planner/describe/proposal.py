@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from planner.description import HandDescription
 
-__all__ = ["Proposal", "Reason"]
+__all__ = ["Notes", "Proposal", "Reason"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,3 +37,24 @@ class Proposal:
     description: HandDescription
     reasons: tuple[Reason, ...]
     open_questions: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Notes:
+    """What is noted down while a proposal is made.
+
+    Attributes:
+        reasons: Why the lines say what they say.
+        questions: What remains open.
+    """
+
+    reasons: list[Reason] = field(default_factory=list)
+    questions: list[str] = field(default_factory=list)
+
+    def because(self, key: str, value: str, why: str) -> None:
+        """Note a reason."""
+        self.reasons.append(Reason(key=key, value=value, why=why))
+
+    def ask(self, question: str) -> None:
+        """Note an open question."""
+        self.questions.append(question)

@@ -7,7 +7,6 @@ Joints between it and the root are the wrist, or, if there are many, an arm that
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -166,8 +165,21 @@ def _base_of(structure: ModelStructure, palm: _Palm) -> tuple[str, int]:
     while link:
         upstream += sum(structure.joints[j].kind != "other" for j in structure.joints_of(link))
         link = bodies[bodies[link].parent].link
-    base = palm.root if upstream <= LONGEST_WRIST else palm.link
-    return bodies[base].name, upstream
+    if upstream <= LONGEST_WRIST:
+        return bodies[palm.root].name, upstream
+    return bodies[_common_body(structure, palm)].name, upstream
+
+
+def _common_body(structure: ModelStructure, palm: _Palm) -> int:
+    """The lowest body of a palm's link that all its chains hang from."""
+    ways = []
+    for child in structure.children(palm.link):
+        if _root(structure, child) == palm.root:
+            way = [structure.bodies[child].parent]
+            while way[-1] != palm.link and way[-1]:
+                way.append(structure.bodies[way[-1]].parent)
+            ways.append(way)
+    return next(body for body in ways[0] if all(body in way for way in ways))
 
 
 def _root(structure: ModelStructure, body: int) -> int:
@@ -219,8 +231,8 @@ _WORDS = {
     "ring": rf"(?<![a-z])ring|(?<![a-z])rf{_SHORT}",
     "little": rf"little|pinky|pinkie|(?<![a-z])lf{_SHORT}",
 }
-"""What names of bodies and joints say of a finger: whole words, and the abbreviations of Shadow-type
-hands where a part of a finger follows."""
+"""What names of bodies and joints say of a finger: whole words, and the abbreviations of
+Shadow-type hands where a part of a finger follows."""
 
 
 def finger_names(
@@ -231,17 +243,16 @@ def finger_names(
     The word that most names of a finger's bodies and joints hold; a finger whose names hold none,
     or the same as another's, is numbered.
     """
-    votes = []
+    votes: list[tuple[str, int, int]] = []
     for branch in branches:
         bodies = [b.name for b in structure.bodies if b.link in branch.links]
         texts = [t.lower() for t in (*bodies, *(structure.joints[j].name for j in branch.joints))]
-        count = Counter(
-            {word: sum(bool(re.search(p, t)) for t in texts) for word, p in _WORDS.items()}
-        )
-        votes.append((count.most_common(1)[0], len(texts)))
+        counts = {word: sum(bool(re.search(p, t)) for t in texts) for word, p in _WORDS.items()}
+        best = max(counts, key=lambda word: counts[word])
+        votes.append((best, counts[best], len(texts)))
     names, reasons = [], []
-    for i, ((word, count), total) in enumerate(votes):
-        rivals = [v for k, ((w, v), _) in enumerate(votes) if w == word and k != i]
+    for i, (word, count, total) in enumerate(votes):
+        rivals = [n for k, (other, n, _) in enumerate(votes) if other == word and k != i]
         if count and count > max(rivals, default=0):
             names.append(word)
             reasons.append(f"{count} of {total} names of its bodies and joints say so")

@@ -1,4 +1,4 @@
-"""``write_description``: a description as a TOML file, with the reasons as comments beside its lines.
+"""``write_description``: a description as a TOML file, with the reasons as comments in it.
 
 Python reads TOML but does not write it; what a hand description needs of it is little: strings,
 numbers, lists, and tables one and two levels deep.
@@ -38,7 +38,9 @@ def write_description(
         FileFormatError: The file exists already, or cannot be written.
     """
     if path.exists() and not overwrite:
-        raise FileFormatError(f"{path} exists already; name another file, or overwrite it (--force)")
+        raise FileFormatError(
+            f"{path} exists already; name another file, or overwrite it (--force)"
+        )
     text = description_text(description, path.parent, reasons, open_questions)
     try:
         path.write_text(text, encoding="utf-8")
@@ -136,9 +138,7 @@ def _line(key: str, value: Any, why: str | None = None) -> list[str]:
 
 
 def _comments(texts: Iterable[str], *, gap: bool = False) -> list[str]:
-    lines = [
-        f"# {line}" for text in texts for line in textwrap.wrap(text, width=COMMENT_WIDTH - 2)
-    ]
+    lines = [f"# {line}" for text in texts for line in textwrap.wrap(text, width=COMMENT_WIDTH - 2)]
     return ["", *lines] if gap and lines else lines
 
 

@@ -20,7 +20,7 @@ from planner.shapes.mesh import Mesh
 from planner.shapes.triangles import cover
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["MAX_CELLS", "Guards", "cut"]
+__all__ = ["MAX_CELLS", "Cell", "Guards", "cut", "half_of"]
 
 MAX_CELLS = 240
 """Cells at most: a mesh that needs more is left with pieces that reach farther than asked."""
@@ -97,7 +97,7 @@ class Guards:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Cell:
+class Cell:
     """A convex part of space with the surface in it.
 
     Attributes:
@@ -130,7 +130,7 @@ def cut(mesh: Mesh, guards: Guards, whole: Hull, tolerance: float) -> list[Hull]
         return [whole]
     done: list[Hull] = []
     number = count()
-    first = _Cell(
+    first = Cell(
         surface=mesh.vertices[mesh.faces], walls=walls, hull=whole, bad=guards.within(whole)
     )
     queue = [(-len(first.bad), next(number), first)]
@@ -143,15 +143,15 @@ def cut(mesh: Mesh, guards: Guards, whole: Hull, tolerance: float) -> list[Hull]
             done.append(cell.hull)
             continue
         for side in (1.0, -1.0):
-            half = _half(mesh, guards, cell, side * plane[:3], side * float(plane[3]))
+            half = half_of(mesh, guards, cell, side * plane[:3], side * float(plane[3]))
             if half is not None:
                 heappush(queue, (-len(half.bad), next(number), half))
     return done
 
 
-def _half(
-    mesh: Mesh, guards: Guards, cell: _Cell, normal: FloatArray, offset: float
-) -> _Cell | None:
+def half_of(
+    mesh: Mesh, guards: Guards, cell: Cell, normal: FloatArray, offset: float
+) -> Cell | None:
     """What of a cell is where normal x <= offset; None if no solid is."""
     surface = clip(cell.surface, normal, offset)
     walls = hull_of(clip(cell.walls.triangles, normal, offset).reshape(-1, 3))
@@ -162,10 +162,10 @@ def _half(
     hull = hull_of(np.concatenate([surface.reshape(-1, 3), corners]))
     if hull is None:
         return None
-    return _Cell(surface=surface, walls=walls, hull=hull, bad=guards.within(hull, cell.bad))
+    return Cell(surface=surface, walls=walls, hull=hull, bad=guards.within(hull, cell.bad))
 
 
-def _best_plane(mesh: Mesh, guards: Guards, cell: _Cell, tolerance: float) -> FloatArray | None:
+def _best_plane(mesh: Mesh, guards: Guards, cell: Cell, tolerance: float) -> FloatArray | None:
     """The plane (4,), normal and offset (m), to cut a cell by; None if there is none."""
     points = _spread(cell.surface)
     _, _, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
@@ -212,7 +212,7 @@ def _across(hull: Hull, axes: FloatArray) -> FloatArray:
     return np.concatenate([normals, offsets.reshape(-1, 1)], axis=1)
 
 
-def _tangents(guards: Guards, cell: _Cell, tolerance: float) -> FloatArray:
+def _tangents(guards: Guards, cell: Cell, tolerance: float) -> FloatArray:
     """Tangent planes (n, 4) of the surface under the deepest guards that differ."""
     feet, normals = guards.feet[cell.bad], guards.normals[cell.bad]
     depth = cell.hull.depths(guards.points[cell.bad])
@@ -230,9 +230,7 @@ def _tangents(guards: Guards, cell: _Cell, tolerance: float) -> FloatArray:
     return np.array(planes).reshape(-1, 4)
 
 
-def _pair_cost(
-    mesh: Mesh, points: FloatArray, planes: FloatArray, tolerance: float
-) -> FloatArray:
+def _pair_cost(mesh: Mesh, points: FloatArray, planes: FloatArray, tolerance: float) -> FloatArray:
     """How much of the lines outside the solid planes leave uncut, in [0, 1], and what they spoil.
 
     Args:
@@ -257,7 +255,7 @@ def _pair_cost(
     return cost
 
 
-def _hull_cost(guards: Guards, cell: _Cell, points: FloatArray, plane: FloatArray) -> float:
+def _hull_cost(guards: Guards, cell: Cell, points: FloatArray, plane: FloatArray) -> float:
     """Share of the cell's guards that stay in a hull, and the volume of both hulls."""
     normal, offset = plane[:3], float(plane[3])
     some = guards.points[cell.bad[:: max(1, len(cell.bad) // SAMPLE)]]

@@ -58,7 +58,8 @@ class Hull:
 
     def depths(self, points: FloatArray) -> FloatArray:
         """How deep (n,), m, inside of the nearest plane points (n, 3) are."""
-        return -np.max(points @ self.planes[:, :3].T + self.planes[:, 3], axis=1)
+        depths: FloatArray = -(points @ self.planes[:, :3].T + self.planes[:, 3]).max(axis=1)
+        return depths
 
 
 def hull_of(points: FloatArray) -> Hull | None:

@@ -137,7 +137,7 @@ def _reach(mesh: Mesh, hull: Hull) -> float:
 
 def _to_arrays(made: Pieces) -> dict[str, FloatArray]:
     arrays = {f"vertices_{k}": v for k, v in enumerate(made.vertices)}
-    arrays |= {f"faces_{k}": f for k, f in enumerate(made.faces)}
+    arrays |= {f"faces_{k}": f.astype(np.float64) for k, f in enumerate(made.faces)}
     return arrays | {"number_and_deviation": np.array([len(made), made.deviation])}
 
 
@@ -145,6 +145,6 @@ def _from_arrays(arrays: dict[str, FloatArray]) -> Pieces:
     number, deviation = arrays["number_and_deviation"]
     return Pieces(
         vertices=tuple(arrays[f"vertices_{k}"] for k in range(int(number))),
-        faces=tuple(arrays[f"faces_{k}"] for k in range(int(number))),
+        faces=tuple(arrays[f"faces_{k}"].astype(np.int64) for k in range(int(number))),
         deviation=float(deviation),
     )

@@ -25,7 +25,9 @@ from planner.hand import Hand
 from planner.kinematics import HandState
 from planner.spatial import FloatArray
 from planner.symbolic import SymbolicHand
+from planner.synthesis.filling import fill, span
 from planner.synthesis.surfaces import Surface, box_clearance
+from planner.synthesis.touch import ROUND, pad_geometry
 
 __all__ = [
     "ClearanceTerms",
@@ -36,9 +38,6 @@ __all__ = [
     "link_balls",
     "meeting_bones",
 ]
-
-SPACING = 2.0
-"""Largest distance between neighbouring balls of a link, in radii."""
 
 _PAD_OVERLAP = 1e-6
 """A ball closer (m) to a pad's centre than this is the pad itself."""
@@ -146,15 +145,27 @@ def hull_balls(hand: Hand) -> tuple[LinkBall, ...]:
 
 
 def _balls(hand: Hand, *, corners: bool) -> list[LinkBall]:
-    finger_of = hand.finger_of_body
     out = []
     for geometry in hand.geometries:
-        centers, radius = _fill(geometry, corners=corners)
-        name = finger_of.get(geometry.body, "")
-        for center in centers:
+        name = hand.finger_of_body.get(geometry.body, "")
+        if corners:
+            centers, radius = span(geometry)
+            radii = np.full(len(centers), radius)
+        else:
+            centers, radii = fill(geometry, slender=bool(name))
+            if geometry.kind == "box" and name:
+                # beside a contact the corners matter
+                edges = span(geometry)[0]
+                centers, radii = np.vstack([centers, edges]), np.append(radii, np.zeros(len(edges)))
+        for center, radius in zip(centers, radii, strict=True):
             at = np.array(geometry.T_joint_geometry.act(center))
-            out.append(_ball(hand, geometry, name, at, radius))
+            out.append(_ball(hand, geometry, name, at, float(radius)))
     return out
+
+
+def on_tip(hand: Hand, geometry: LinkGeometry, finger: str) -> bool:
+    """Whether a geometry moves with the link that carries a finger's pad."""
+    return bool(geometry.joint_id == hand.fingers[finger].pad.joint_id)
 
 
 def _distinct(hand: Hand, balls: list[LinkBall]) -> tuple[LinkBall, ...]:
@@ -209,13 +220,31 @@ def finger_bones(hand: Hand) -> tuple[LinkBone, ...]:
         name = finger_of.get(g.body, "")
         if not name or g.joint_id not in last[name]:
             continue
-        centers, radius = _fill(g)
+        centers, radius = _bone(g)
         ends = [np.array(g.T_joint_geometry.act(c)) for c in (centers[0], centers[-1])]
         ends.sort(key=lambda end: float(np.linalg.norm(end)))
         out.append(
             LinkBone(finger=name, joint_id=g.joint_id, inner=ends[0], outer=ends[1], radius=radius)
         )
     return tuple(out)
+
+
+def _bone(geometry: LinkGeometry) -> tuple[FloatArray, float]:
+    """Ends (2, 3), m, of a bone and its radius (m); of a box or a hull between its wider half
+    width and its half diagonal.
+    """
+    centers, radii = fill(geometry)
+    if geometry.kind not in ("box", "mesh"):
+        return centers[[0, -1]], float(radii.max())
+    points = span(geometry)[0]
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    half = (upper - lower) / 2
+    along = int(np.argmax(half))
+    thin, wide = (float(h) for h in np.sort(half)[:2])
+    radius = (wide + float(np.hypot(thin, wide))) / 2
+    reach = np.eye(3)[along] * max(float(half[along]) - radius, 0.0)
+    middle = (lower + upper) / 2
+    return np.array([middle - reach, middle + reach]), radius
 
 
 @lru_cache(maxsize=8)
@@ -273,11 +302,15 @@ BALL_LENGTH = 1e-6
 def _ball(
     hand: Hand, geometry: LinkGeometry, finger: str, center: FloatArray, radius: float
 ) -> LinkBall:
-    is_pad = on_tip = False
+    is_pad = tip = False
     if finger:
         pad = hand.fingers[finger].pad
-        on_tip = geometry.joint_id == pad.joint_id
-        is_pad = on_tip and float(np.linalg.norm(center - pad.center)) < _PAD_OVERLAP
+        tip = on_tip(hand, geometry, finger)
+        apart = float(np.linalg.norm(center - pad.center))
+        is_pad = tip and apart < _PAD_OVERLAP
+        if tip and pad_geometry(hand, pad.geom).kind not in ROUND:
+            # the pad's sphere is a part of a box or a hull: balls that share room with it may touch
+            is_pad = apart < radius + pad.radius
     return LinkBall(
         geometry=geometry.name,
         finger=finger,
@@ -285,43 +318,5 @@ def _ball(
         center=center,
         radius=radius,
         is_pad=is_pad,
-        on_tip=on_tip,
+        on_tip=tip,
     )
-
-
-def _fill(geometry: LinkGeometry, *, corners: bool = False) -> tuple[FloatArray, float]:
-    """Ball centres (n, 3) in the geometry's frame and their radius: all through, or the corners."""
-    a, b, c = (float(v) for v in geometry.size)
-    if geometry.kind == "sphere":
-        return np.zeros((1, 3)), a
-    if geometry.kind in ("capsule", "cylinder"):
-        if corners and geometry.kind == "cylinder":
-            return _prism(a, b), 0.0
-        # a cylinder's end balls reach exactly to its flat ends
-        reach = b if geometry.kind == "capsule" else max(b - a, 0.0)
-        z = np.array([-reach, reach]) if corners else _row(reach, a)
-        return np.column_stack([np.zeros_like(z), np.zeros_like(z), z]), a
-    if geometry.kind in ("box", "ellipsoid"):
-        half = np.array([a, b, c])
-    else:
-        lower, upper = geometry.geometry.aabb_local.min_, geometry.geometry.aabb_local.max_
-        half = np.array(upper - lower) / 2
-    if corners:
-        return np.array(list(product(*([-h, h] for h in half)))), 0.0
-    radius = float(half.min())
-    rows = [_row(float(h - radius), radius) for h in half]
-    grid = np.stack(np.meshgrid(*rows, indexing="ij"), axis=-1).reshape(-1, 3)
-    return grid, radius
-
-
-def _prism(radius: float, half: float) -> FloatArray:
-    """Corners (16, 3) of an octagonal prism around a cylinder along z."""
-    turns = np.arange(8) * np.pi / 4
-    ring = radius / np.cos(np.pi / 8) * np.column_stack([np.cos(turns), np.sin(turns)])
-    return np.vstack([np.column_stack([ring, np.full(8, z)]) for z in (-half, half)])
-
-
-def _row(reach: float, radius: float) -> FloatArray:
-    """Evenly spaced coordinates from -reach to reach, no further apart than ``SPACING`` radii."""
-    count = int(np.ceil(2 * reach / (SPACING * radius))) + 1 if reach > 0 else 1
-    return np.linspace(-reach, reach, count)

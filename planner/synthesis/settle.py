@@ -26,7 +26,7 @@ SETTLED = 2e-5
 STEPS = 8
 """Most steps; two or three are usual."""
 
-FARTHEST = 0.004
+FARTHEST = 0.006
 """Largest gap (m) that is still a matter of models; more than that is no solution."""
 
 

@@ -12,13 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from planner.bridge import LinkGeometry
 from planner.collision import shape_pair
-from planner.hand import Finger
+from planner.hand import Finger, Hand
 from planner.kinematics import HandState
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 
-__all__ = ["PadTouch", "pad_touches"]
+__all__ = ["ROUND", "PadTouch", "pad_geometry", "pad_touches", "touching_geometries"]
 
 ROUND = ("sphere", "capsule")
 """Kinds of geometry whose surface is a pad's sphere where the pad may touch."""
@@ -34,7 +35,7 @@ class PadTouch:
 
     Attributes:
         sphere_gap: Signed distance of the pad's sphere, m.
-        gap: Signed distance of the whole geometry that carries the pad, m.
+        gap: Signed distance of all that may touch with the finger, m.
         round: Whether the pad's sphere is the geometry's surface, or only approximates it.
         point: Nearest point of the object's surface (3,), m.
         outward: Normal of the object there (3,), unit, out of the object.
@@ -62,6 +63,19 @@ def pad_touches(task: GraspTask, T_world_base: SE3, q: FloatArray) -> list[PadTo
     ]
 
 
+def pad_geometry(hand: Hand, name: str) -> LinkGeometry:
+    """The geometry of a hand that a pad is part of."""
+    return next(g for g in hand.geometries if g.name == name)
+
+
+def touching_geometries(hand: Hand, finger: Finger) -> list[LinkGeometry]:
+    """What may touch with a finger: the geometry of its pad; of a box or a hull all of its link."""
+    geometry = pad_geometry(hand, finger.pad.geom)
+    if geometry.kind in ROUND:
+        return [geometry]
+    return [g for g in hand.geometries if g.joint_id == geometry.joint_id]
+
+
 def _touch(
     task: GraspTask,
     state: HandState,
@@ -73,12 +87,16 @@ def _touch(
     distance: float,
 ) -> PadTouch:
     pad, shape = finger.pad, task.object.shape
-    geometry = next(g for g in task.hand.geometries if g.name == pad.geom)
-    pose = T_object_base * state.joint_pose(geometry.joint_id) * geometry.T_joint_geometry
-    pair = shape_pair(geometry.geometry, shape)
     sphere_gap = float(distance) - pad.radius
-    gap = pair.distance(pose, SE3.Identity())
-    is_round = geometry.kind in ROUND
+    T_object_joint = T_object_base * state.joint_pose(pad.joint_id)
+    pairs = [
+        (shape_pair(g.geometry, shape), T_object_joint * g.T_joint_geometry)
+        for g in touching_geometries(task.hand, finger)
+    ]
+    gaps = [pair.distance(pose, SE3.Identity()) for pair, pose in pairs]
+    gap = min(gaps)
+    pair, pose = pairs[gaps.index(gap)]
+    is_round = pad_geometry(task.hand, pad.geom).kind in ROUND
     if not is_round:
         lifted = SE3(pose.rotation, pose.translation + (LIFTED + max(-gap, 0.0)) * outward)
         found = pair.query(lifted, SE3.Identity())

@@ -14,7 +14,7 @@ import numpy as np
 from planner.collision import OBJECT, Clearance, CollisionWorld
 from planner.contacts import ContactSet
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.touch import pad_touches
+from planner.synthesis.touch import pad_touches, touching_geometries
 from planner.task import GraspTask
 
 __all__ = ["TOUCH_TOL", "Verification", "contacts_at", "verify"]
@@ -104,7 +104,7 @@ def verify(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> Verificat
     whole = np.array([t.gap for t in touches])
     angles = np.array([t.angle for t in touches])
 
-    pads = {f.pad.geom for f in task.fingers}
+    pads = {g.name for f in task.fingers for g in touching_geometries(hand, f)}
     others = [
         c for c in world.distances(T_world_base, q) if not (c.second == OBJECT and c.first in pads)
     ]

@@ -1,0 +1,211 @@
+"""``check_hand``: what the planner will see of a hand, and what stands in its way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from planner.bridge.pinocchio_model import body_name
+from planner.bridge.structure import body_positions, geom_distance, touching_geoms
+from planner.describe.grip import check_pads, check_postures
+from planner.describe.report import CheckReport, Finding, JointRow, TouchRow, WorkspaceRow
+from planner.hand import Hand
+from planner.kinematics import HandState
+from planner.proximity import DistancePair
+from planner.spatial import SE3, FloatArray
+
+__all__ = ["check_hand"]
+
+SAMPLES = 500
+"""Random configurations from which a finger's workspace is told."""
+
+KINEMATICS_TOL = 1e-10
+"""Difference (m) between Pinocchio and MuJoCo that is rounding."""
+
+DISTANCE_TOL = 1e-4
+"""Difference (m) between coal and MuJoCo, where geometries touch, that is worth telling."""
+
+TOUCHING = -5e-5
+"""Signed distance (m) below which two parts overlap."""
+
+
+def check_hand(hand: Hand, *, seed: int = 0) -> CheckReport:
+    """Look at everything that the planner will use of a hand.
+
+    Args:
+        hand: The hand.
+        seed: Of the random configurations.
+    """
+    rng = np.random.default_rng(seed)
+    findings: list[Finding] = []
+    fingers = hand.choose_fingers()
+    postures = check_postures(hand, fingers, findings)
+    joints = _joints(hand, findings)
+    return CheckReport(
+        hand=hand.name,
+        joints=joints,
+        couplings=_couplings(hand),
+        workspaces=_workspaces(hand, rng),
+        pads=check_pads(hand, findings),
+        touches=_touches(hand, findings),
+        postures=postures,
+        kinematics_error=_kinematics_error(hand, rng, findings),
+        findings=tuple(sorted(findings, key=lambda f: ("error", "warning", "note").index(f.level))),
+    )
+
+
+def _joints(hand: Hand, findings: list[Finding]) -> tuple[JointRow, ...]:
+    middle = (hand.q_lower + hand.q_upper) / 2
+    limits = hand.actuation.force_limits(middle)
+    moment = hand.actuation.moment
+    owner = {j: f.name for f in hand.fingers.values() for j in f.joints}
+    owner |= dict.fromkeys(hand.description.wrist_joints, "wrist")
+    out = []
+    for k, name in enumerate(hand.joint_names):
+        acting = np.flatnonzero(moment[:, k])
+        ends = [np.sort(moment[i, k] * limits[i]) for i in acting]
+        torque = np.sum(ends, axis=0) if ends else np.zeros(2)
+        out.append(
+            JointRow(
+                name=name,
+                belongs_to=owner.get(name, ""),
+                q_index=k,
+                qpos_index=int(hand.mj_model.joint(name).qposadr[0]),
+                lower=float(hand.q_lower[k]),
+                upper=float(hand.q_upper[k]),
+                torque=(float(torque[0]), float(torque[1])),
+                actuators=tuple(hand.actuation.names[i] for i in acting),
+            )
+        )
+    unlimited = [r.name for r in out if np.isinf(r.torque).any()]
+    if unlimited:
+        findings.append(
+            Finding(
+                level="warning",
+                what=f"nothing limits the torque of {_listed(unlimited)}",
+                what_to_do="give the actuators a forcerange, or a ctrlrange: plans may ask for "
+                "forces that the hand does not have",
+            )
+        )
+    idle = [r.name for r in out if not r.belongs_to]
+    if idle:
+        findings.append(
+            Finding(
+                level="note",
+                what=f"{_listed(idle)} belong to no finger and not to the wrist",
+                what_to_do="the planner may move them; name them in a finger's joints or in "
+                "wrist_joints if they belong there",
+            )
+        )
+    return tuple(out)
+
+
+def _couplings(hand: Hand) -> tuple[str, ...]:
+    out = []
+    for c in hand.couplings:
+        terms = " ".join(
+            f"{c.row[k]:+.4g} {hand.joint_names[int(k)]}" for k in np.flatnonzero(c.row)
+        )
+        kind = "stop, active in a grasp" if c.one_sided else "equality"
+        out.append(f"{c.name}: {terms} = {c.value:.4g} ({kind})")
+    return tuple(out)
+
+
+def _workspaces(hand: Hand, rng: np.random.Generator) -> tuple[WorkspaceRow, ...]:
+    matrix, value = hand.coupling_matrix
+    inverse = np.linalg.pinv(matrix) if len(value) else np.zeros((hand.nq, 0))
+    tips: dict[str, list[FloatArray]] = {name: [] for name in hand.fingers}
+    for sample in rng.uniform(hand.q_lower, hand.q_upper, (SAMPLES, hand.nq)):
+        q = sample - inverse @ (matrix @ sample - value)
+        q = np.clip(q, hand.q_lower, hand.q_upper)
+        q[hand.wrist_index] = np.clip(0, hand.q_lower, hand.q_upper)[hand.wrist_index]
+        state = HandState(hand, q)
+        for finger in hand.fingers.values():
+            tips[finger.name].append(np.array(state.tip_pose(finger).translation))
+    return tuple(
+        WorkspaceRow(
+            finger=name, lower=_triple(np.min(p, axis=0)), upper=_triple(np.max(p, axis=0))
+        )
+        for name, p in tips.items()
+    )
+
+
+def _touches(hand: Hand, findings: list[Finding]) -> tuple[TouchRow, ...]:
+    """Parts that overlap at rest and must not, as coal and as MuJoCo see it."""
+    q = np.clip(np.zeros(hand.nq), hand.q_lower, hand.q_upper)
+    state = HandState(hand, q)
+    in_mujoco = {(a, b) for a, b, d in touching_geoms(hand.mj_model, q) if d < 0}
+    out = []
+    for i, a in enumerate(hand.geometries):
+        for b in hand.geometries[i + 1 :]:
+            if a.joint_id == b.joint_id or frozenset((a.name, b.name)) in hand.allowed_pairs:
+                continue
+            pair = DistancePair(a.geometry, b.geometry)
+            depth = pair.distance(
+                SE3(state.joint_pose(a.joint_id)) * a.T_joint_geometry,
+                SE3(state.joint_pose(b.joint_id)) * b.T_joint_geometry,
+            )
+            names = (min(a.name, b.name), max(a.name, b.name))
+            if depth >= TOUCHING and names not in in_mujoco:
+                continue
+            out.append(
+                TouchRow(
+                    first=names[0],
+                    second=names[1],
+                    coal=float(depth),
+                    mujoco=geom_distance(hand.mj_model, q, a.name, b.name),
+                    collides_in_mujoco=names in in_mujoco,
+                )
+            )
+    body = {g.name: g.body for g in hand.geometries}
+    for row in out:
+        findings.append(
+            Finding(
+                level="warning",
+                what=f"{row.first} and {row.second} overlap by {-1e3 * row.coal:.2f} mm at rest",
+                what_to_do=f'if they always do, write exclude = [["{body[row.first]}", '
+                f'"{body[row.second]}"]] under [repair]; a pose in which they part will do as well',
+            )
+        )
+        if abs(row.coal - row.mujoco) > DISTANCE_TOL:
+            findings.append(
+                Finding(
+                    level="note",
+                    what=f"coal says {1e3 * row.coal:.2f} mm and MuJoCo {1e3 * row.mujoco:.2f} mm "
+                    f"for {row.first} and {row.second}",
+                    what_to_do="nothing: engines measure deep overlaps differently",
+                )
+            )
+    return tuple(out)
+
+
+def _kinematics_error(hand: Hand, rng: np.random.Generator, findings: list[Finding]) -> float:
+    """Largest distance (m) between the same body in Pinocchio and in MuJoCo."""
+    model = hand.mj_model
+    frames = [hand.pin_model.getBodyId(body_name(model, i)) for i in range(1, model.nbody)]
+    worst = 0.0
+    for q in rng.uniform(hand.q_lower, hand.q_upper, (5, hand.nq)):
+        data = hand.pin_model.createData()
+        pin.framesForwardKinematics(hand.pin_model, data, q)
+        ours = np.array([data.oMf[f].translation for f in frames])
+        worst = max(worst, float(np.abs(ours - body_positions(model, q)[1:]).max()))
+    if worst > KINEMATICS_TOL:
+        findings.append(
+            Finding(
+                level="error",
+                what=f"Pinocchio and MuJoCo place a body {1e3 * worst:.3g} mm apart",
+                what_to_do="report it with the model: opposable crosscheck shows where",
+            )
+        )
+    return worst
+
+
+def _triple(v: FloatArray) -> tuple[float, float, float]:
+    return (float(v[0]), float(v[1]), float(v[2]))
+
+
+def _listed(names: Sequence[str]) -> str:
+    few = ", ".join(names[:4])
+    return few if len(names) <= 4 else f"{few} and {len(names) - 4} more"

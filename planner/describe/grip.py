@@ -1,0 +1,239 @@
+"""Pads and postures of a hand, judged: where it touches, and with what force."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from planner.describe.postures import PostureSolver
+from planner.describe.report import Finding, PadRow, PostureRow
+from planner.describe.solids import Solid, cone_directions
+from planner.hand import Finger, Hand
+from planner.kinematics import HandState
+from planner.spatial import FloatArray
+
+__all__ = ["check_pads", "check_postures"]
+
+TOUCHING = -5e-5
+"""Signed distance (m) below which two parts overlap."""
+
+LEAST_PRESS = 1.5
+"""Force (N) that a pad should be able to press with in the pinch posture: what a default grasp of
+100 g asks of each finger."""
+
+MOST_PRESS = 100.0
+"""Force (N) up to which pressing is looked at."""
+
+LEAST_GAP, LEAST_OPENING = 0.01, 0.03
+"""Free width (m) between the pads below which pinch does not hold anything, and open is not wide
+enough for what people grasp."""
+
+ROUND_TOL = 2e-3
+"""How far (m) a pad's geom may stand out before its sphere within the cone without a word."""
+
+
+def check_pads(hand: Hand, findings: list[Finding]) -> tuple[PadRow, ...]:
+    """Every pad against its geom, and whether its finger can press; what is wrong is noted."""
+    solids = {g.name: Solid(g) for g in hand.geometries}
+    joint = {g.name: g.joint_id for g in hand.geometries}
+    presses = _presses(hand)
+    out = []
+    for finger in hand.fingers.values():
+        pad = finger.pad
+        solid = solids[pad.geom]
+        directions = cone_directions(pad.axis, pad.half_angle)
+        sphere = directions @ pad.center + pad.radius
+        others = [s for n, s in solids.items() if joint[n] == pad.joint_id and n != pad.geom]
+        beside = max((float(s.support(pad.axis[None])[0]) for s in others), default=-np.inf)
+        own = float(solid.support(pad.axis[None])[0])
+        row = PadRow(
+            finger=finger.name,
+            geom=pad.geom,
+            kind=solid.kind,
+            radius=pad.radius,
+            half_angle_deg=float(np.rad2deg(pad.half_angle)),
+            depth_error=solid.depth(pad.center) - pad.radius,
+            stands_out=float((solid.support(directions) - sphere).max()),
+            hidden=max(beside - own, 0.0),
+            presses=presses.get(finger.name, np.nan),
+        )
+        out.append(row)
+        if row.hidden > TOUCHING + 1e-4:
+            findings.append(
+                Finding(
+                    level="warning",
+                    what=f"another geom of its link stands {1e3 * row.hidden:.2f} mm out before "
+                    f"the pad of {finger.name}",
+                    what_to_do="put the pad on the outermost geom, or name the other one in "
+                    "drop_collision under [repair]",
+                )
+            )
+        if row.stands_out > ROUND_TOL:
+            findings.append(
+                Finding(
+                    level="warning",
+                    what=f"the pad of {finger.name} is not round: {pad.geom} stands up to "
+                    f"{1e3 * row.stands_out:.1f} mm out before its sphere",
+                    what_to_do="make half_angle_deg smaller, or give the tip a sphere or capsule",
+                )
+            )
+        if row.presses < LEAST_PRESS:
+            findings.append(
+                Finding(
+                    level="error" if row.presses <= 0 else "warning",
+                    what=f"in the pinch posture {finger.name} presses with {row.presses:.2f} N at "
+                    "most",
+                    what_to_do="give its actuators more force, wider control ranges, or the "
+                    "posture joints further from the ends of their ranges",
+                )
+            )
+    return tuple(out)
+
+
+def _presses(hand: Hand) -> dict[str, float]:
+    """Force with which each default finger can press towards the others in the pinch posture."""
+    if "pinch" not in hand.description.postures:
+        return {}
+    q = hand.posture("pinch")
+    state = HandState(hand, q)
+    out = {}
+    for finger, look in zip(hand.choose_fingers(), _looks(hand, state), strict=True):
+        jacobian = state.point_jacobian(finger.pad.joint_id, state.pad_center(finger))
+        out[finger.name] = _largest_press(hand, q, np.asarray(jacobian[:3].T @ look))
+    return out
+
+
+def _largest_press(hand: Hand, q: FloatArray, torque: FloatArray) -> float:
+    """Largest factor up to ``MOST_PRESS`` on a torque (nq,) that the actuators make, by halving."""
+    limits = hand.actuation.force_limits(q)
+
+    def makes(factor: float) -> bool:
+        force, _ = hand.actuation.split_torque(q, factor * torque)
+        inside = (force >= limits[:, 0] - 1e-9) & (force <= limits[:, 1] + 1e-9)
+        acting = np.abs(hand.actuation.moment @ torque) > 1e-12
+        return bool(inside[acting].all())
+
+    low, high = 0.0, MOST_PRESS
+    if makes(high):
+        return high
+    for _ in range(30):
+        middle = (low + high) / 2
+        low, high = (middle, high) if makes(middle) else (low, middle)
+    return low
+
+
+def _looks(hand: Hand, state: HandState) -> list[FloatArray]:
+    """Unit vectors: the opposer towards the middle of the others, and those back."""
+    fingers = hand.choose_fingers()
+    centers = np.array([state.pad_center(f) for f in fingers])
+    opposer = _opposer(fingers, state)
+    others = np.delete(centers, opposer, axis=0).mean(axis=0)
+    way = others - centers[opposer]
+    way = way / max(float(np.linalg.norm(way)), 1e-9)
+    return [way if i == opposer else -way for i in range(len(fingers))]
+
+
+def _opposer(fingers: Sequence[Finger], state: HandState) -> int:
+    axes = np.array([state.pad_axis(f) for f in fingers])
+    return int(np.argmin(axes @ axes.sum(axis=0)))
+
+
+def check_postures(
+    hand: Hand, fingers: Sequence[Finger], findings: list[Finding]
+) -> tuple[PostureRow, ...]:
+    """Every posture: free width, how pads face each other, overlaps; what is wrong is noted."""
+    missing = [name for name in ("pinch", "open") if name not in hand.description.postures]
+    for name in missing:
+        findings.append(
+            Finding(
+                level="error",
+                what=f"there is no posture {name!r}",
+                what_to_do=f"add a [postures.{name}] table; opposable describe proposes one",
+            )
+        )
+    if len(fingers) < 2:
+        findings.append(
+            Finding(
+                level="error",
+                what="fewer than two fingers take part",
+                what_to_do="name two or more in default_fingers",
+            )
+        )
+        return ()
+    if len(fingers) == 2:
+        findings.append(
+            Finding(
+                level="warning",
+                what="two fingers take part, whose contacts are no force closure without torsion",
+                what_to_do="name a third one in default_fingers, or plan with the soft-finger "
+                'contact model (contact_model="soft")',
+            )
+        )
+    out = []
+    solver = PostureSolver(hand, fingers)
+    for name in hand.description.postures:
+        q = hand.posture(name)
+        state = HandState(hand, q)
+        centers = np.array([state.pad_center(f) for f in fingers])
+        opposer = _opposer(fingers, state)
+        looks = _looks(hand, state)
+        width = float(
+            np.linalg.norm(np.delete(centers, opposer, axis=0).mean(axis=0) - centers[opposer])
+        )
+        radii = np.array([f.pad.radius for f in fingers])
+        cosines = [float(state.pad_axis(f) @ w) for f, w in zip(fingers, looks, strict=True)]
+        out.append(
+            PostureRow(
+                name=name,
+                gap=width - radii[opposer] - float(np.delete(radii, opposer).mean()),
+                facing_deg=tuple(float(np.rad2deg(np.arccos(np.clip(c, -1, 1)))) for c in cosines),
+                clearance=solver.judge(q, 0.02).clearance,
+            )
+        )
+    _judge_postures({r.name: r for r in out}, findings)
+    return tuple(out)
+
+
+def _judge_postures(rows: dict[str, PostureRow], findings: list[Finding]) -> None:
+    for name in ("pinch", "open"):
+        row = rows.get(name)
+        if row is None:
+            continue
+        if max(row.facing_deg) > 90.0:
+            findings.append(
+                Finding(
+                    level="error",
+                    what=f"in posture {name!r} a pad faces {max(row.facing_deg):.0f} degrees away "
+                    "from the pads opposite",
+                    what_to_do="turn the pad's axis to where the finger touches, or change the "
+                    "posture so that pads look at each other",
+                )
+            )
+        if row.clearance < TOUCHING:
+            findings.append(
+                Finding(
+                    level="warning",
+                    what=f"in posture {name!r} the hand overlaps itself by "
+                    f"{-1e3 * row.clearance:.2f} mm",
+                    what_to_do="open the posture a little, or exclude the pair under [repair] if "
+                    "it always overlaps",
+                )
+            )
+    pinch, wide = rows.get("pinch"), rows.get("open")
+    if pinch and pinch.gap < LEAST_GAP:
+        findings.append(
+            Finding(
+                level="warning",
+                what=f"the pinch posture leaves {1e3 * pinch.gap:.0f} mm between the pads",
+                what_to_do="open it to some 40 mm: starts lie between pinch and open",
+            )
+        )
+    if wide and wide.gap < LEAST_OPENING:
+        findings.append(
+            Finding(
+                level="warning",
+                what=f"the open posture leaves {1e3 * wide.gap:.0f} mm between the pads",
+                what_to_do="open it as wide as the hand can",
+            )
+        )

@@ -1,0 +1,175 @@
+"""What a model needs to be read rightly: units, inertias, couplings that cannot hold, overlaps."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import Any, Literal
+
+import numpy as np
+
+from planner.bridge import compile_spec, couplings_from_mujoco
+from planner.bridge.pinocchio_model import pinocchio_from_mujoco
+from planner.bridge.prepare import name_parts, prepare_spec
+from planner.bridge.structure import compile_balanced, structure_of
+from planner.describe.drive import impossible_couplings
+from planner.describe.proposal import Notes
+from planner.describe.tree import find_base
+from planner.description import HandDescription, RepairDescription
+from planner.hand import Hand
+from planner.kinematics import HandState
+from planner.proximity import DistancePair
+from planner.spatial import SE3
+
+__all__ = ["prepared_model", "repair_and_base", "without_impossible_couplings", "without_overlaps"]
+
+NARROW_HINGE, WIDE_HINGE = 0.1, 20.0
+"""Widest range (rad) of all hinges below which a file was written in radians and read in degrees,
+and above which the reverse."""
+
+OVERLAP_SAMPLES = 60
+"""Random configurations at which parts are looked at that always overlap."""
+
+ALWAYS, OFTEN = 0.8, 0.4
+"""Share of configurations in which two links must overlap to do so by construction; and if they do
+at rest, where fingers are stretched and nothing folds."""
+
+NEIGHBOURS = 2
+"""Joints between two links up to which they can overlap by construction; further ones fold."""
+
+TOUCHING = -5e-5
+"""Signed distance (m) below which two parts overlap."""
+
+
+def repair_and_base(
+    spec: Any, base_body: str | None, what: str, notes: Notes
+) -> tuple[RepairDescription, str]:
+    """What the file needs to be read rightly, and the root of the hand in it."""
+    raw = spec.copy()
+    name_parts(raw)
+    model, balanced = compile_balanced(raw, what)
+    structure = structure_of(model)
+    angle: Literal["radian", "degree"] | None = None
+    ranges = [j.limits[1] - j.limits[0] for j in structure.joints if j.kind == "hinge" and j.limits]
+    if ranges and max(ranges) < NARROW_HINGE and raw.compiler.degree:
+        angle = "radian"
+        notes.because(
+            "repair.angle",
+            "radian",
+            f"read in degrees, no hinge turns more than {np.rad2deg(max(ranges)):.1f} degrees: "
+            "the file is written in radians and does not say so",
+        )
+    elif ranges and max(ranges) > WIDE_HINGE and not raw.compiler.degree:
+        angle = "degree"
+        notes.because(
+            "repair.angle",
+            "degree",
+            f"read in radians, a hinge turns {max(ranges):.0f} rad: the file is in degrees",
+        )
+    if balanced:
+        notes.because(
+            "repair.balance_inertia",
+            "true",
+            "MuJoCo refuses inertias of this model that no body can have (A + B < C)",
+        )
+    base, why, questions = find_base(structure, base_body, what)
+    notes.because("base_body", base, why)
+    for question in questions:
+        notes.ask(question)
+    return RepairDescription(angle=angle, balance_inertia=balanced), base
+
+
+def without_impossible_couplings(
+    spec: Any, description: HandDescription, what: str, notes: Notes
+) -> HandDescription:
+    """A description that drops the couplings which the joint ranges forbid."""
+    model = prepared_model(spec, description, what)
+    pin_model = pinocchio_from_mujoco(model)
+    wrong = impossible_couplings(
+        couplings_from_mujoco(model),
+        np.array(pin_model.lowerPositionLimit),
+        np.array(pin_model.upperPositionLimit),
+    )
+    if not wrong:
+        return description
+    notes.because(
+        "repair.drop_couplings",
+        ", ".join(wrong),
+        "within the joint ranges these couplings cannot hold, or leave the joints that they "
+        "tie no room to move",
+    )
+    notes.ask(
+        f"the model's couplings {', '.join(wrong)} contradict its joint ranges and are left "
+        'out: give the real ones as [[couplings]] with kind = "equality"'
+    )
+    repair = description.repair.model_copy(update={"drop_couplings": wrong})
+    return description.model_copy(update={"repair": repair})
+
+
+def without_overlaps(spec: Any, description: HandDescription, notes: Notes) -> HandDescription:
+    """Exclude pairs of bodies that overlap nearly wherever the joints are."""
+    hand = Hand.from_spec(spec, description)
+    always = _overlapping(hand)
+    if not always:
+        return description
+    listed = ", ".join(" - ".join(pair) for pair in always)
+    notes.because(
+        "repair.exclude",
+        listed,
+        f"they overlap in {100 * ALWAYS:.0f} % of all configurations, or at rest and in "
+        f"{100 * OFTEN:.0f} %: neighbours by construction, or hulls of hollow parts",
+    )
+    repair = description.repair.model_copy(update={"exclude": always})
+    return description.model_copy(update={"repair": repair})
+
+
+def prepared_model(spec: Any, description: HandDescription, what: str) -> Any:
+    """The compiled hand alone, repaired and named as a description asks."""
+    spec = spec.copy()
+    prepare_spec(spec, description, what)
+    return compile_spec(spec, what)
+
+
+def _overlapping(hand: Hand) -> tuple[tuple[str, str], ...]:
+    """Pairs of bodies with geometries that overlap in nearly all configurations."""
+    rng = np.random.default_rng(0)
+    rest = np.clip(np.zeros(hand.nq), hand.q_lower, hand.q_upper)
+    samples = rng.uniform(hand.q_lower, hand.q_upper, (OVERLAP_SAMPLES, hand.nq))
+    placed = []
+    for q in (rest, *samples):
+        state = HandState(hand, q)
+        placed.append(
+            [SE3(state.joint_pose(g.joint_id)) * g.T_joint_geometry for g in hand.geometries]
+        )
+    out = []
+    for i, j in combinations(range(len(hand.geometries)), 2):
+        a, b = hand.geometries[i], hand.geometries[j]
+        if a.joint_id == b.joint_id or frozenset((a.name, b.name)) in hand.allowed_pairs:
+            continue
+        if _joints_between(hand.pin_model, a.joint_id, b.joint_id) > NEIGHBOURS:
+            continue
+        pair = DistancePair(a.geometry, b.geometry)
+        apart_at_rest = pair.distance(placed[0][i], placed[0][j]) >= TOUCHING
+        share = ALWAYS if apart_at_rest else OFTEN
+        apart, allowed = 0, int((1 - share) * OVERLAP_SAMPLES)
+        for poses in placed[1:]:
+            apart += pair.distance(poses[i], poses[j]) >= TOUCHING
+            if apart > allowed:
+                break
+        if apart <= allowed and (a.body, b.body) not in out:
+            out.append((a.body, b.body))
+    return tuple(out)
+
+
+def _joints_between(pin_model: Any, first: int, second: int) -> int:
+    """Number of joints on the way from one link to another."""
+    above = {}
+    steps, joint = 0, first
+    while True:
+        above[joint] = steps
+        if joint == 0:
+            break
+        joint, steps = int(pin_model.parents[joint]), steps + 1
+    steps, joint = 0, second
+    while joint not in above:
+        joint, steps = int(pin_model.parents[joint]), steps + 1
+    return steps + above[joint]

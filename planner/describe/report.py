@@ -1,0 +1,150 @@
+"""``CheckReport``: what is found out about a hand, as plain data.
+
+Each finding says what to do. "error" forbids planning, "warning" costs grasps or realism, "note" is
+worth knowing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+__all__ = [
+    "CheckReport",
+    "Finding",
+    "JointRow",
+    "PadRow",
+    "PostureRow",
+    "TouchRow",
+    "WorkspaceRow",
+]
+
+Level = Literal["error", "warning", "note"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One thing to know: how bad it is, what it is, what to do."""
+
+    level: Level
+    what: str
+    what_to_do: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointRow:
+    """A joint: where it stands in both engines, its range (rad, m), torque mid-range (N m, N).
+
+    Attributes:
+        name: Its name.
+        belongs_to: Its finger, "wrist", or "".
+        q_index: Its number in Pinocchio's q.
+        qpos_index: Its number in MuJoCo's qpos.
+        lower: Lower end of its range.
+        upper: Upper end.
+        torque: Least and greatest torque that its actuators make there; infinite if unlimited.
+        actuators: Names of the actuators that act on it.
+    """
+
+    name: str
+    belongs_to: str
+    q_index: int
+    qpos_index: int
+    lower: float
+    upper: float
+    torque: tuple[float, float]
+    actuators: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorkspaceRow:
+    """Where a tip gets to: corners of its box in the base's frame, m."""
+
+    finger: str
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PadRow:
+    """A pad: its sphere against its geom.
+
+    Attributes:
+        finger: Name of the finger.
+        geom: Its geom.
+        kind: Of the geom.
+        radius: m.
+        half_angle_deg: Of its cone.
+        depth_error: Depth of its centre in the geom less its radius, m.
+        stands_out: How far the geom stands out before the sphere within the cone, m.
+        hidden: How far another geom of the link stands out before both along the axis, m.
+        presses: Force along the pad's look that the actuators make in the pinch posture, N.
+    """
+
+    finger: str
+    geom: str
+    kind: str
+    radius: float
+    half_angle_deg: float
+    depth_error: float
+    stands_out: float
+    hidden: float
+    presses: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class TouchRow:
+    """Two geometries that overlap at rest: distance by coal and by MuJoCo, m; whether allowed."""
+
+    first: str
+    second: str
+    coal: float
+    mujoco: float
+    collides_in_mujoco: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureRow:
+    """A posture: free width between pads (m), how pads face each other (deg), clearance (m)."""
+
+    name: str
+    gap: float
+    facing_deg: tuple[float, ...]
+    clearance: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckReport:
+    """What ``check_hand`` found."""
+
+    hand: str
+    joints: tuple[JointRow, ...]
+    couplings: tuple[str, ...]
+    workspaces: tuple[WorkspaceRow, ...]
+    pads: tuple[PadRow, ...]
+    touches: tuple[TouchRow, ...]
+    postures: tuple[PostureRow, ...]
+    kinematics_error: float
+    findings: tuple[Finding, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing forbids planning."""
+        return not any(f.level == "error" for f in self.findings)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON; infinities are None."""
+        return {"ok": self.ok, **_plain(asdict(self))}
+
+
+def _plain(value: Any) -> Any:
+    """Lists for tuples, None for infinity and NaN."""
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

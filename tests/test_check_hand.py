@@ -1,0 +1,237 @@
+"""``check_hand`` and the commands about hands: what is found, what it says, exit codes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from planner.catalog import models_dir
+from planner.describe import CheckReport, check_hand
+from planner.hand import Hand
+from planner.kinematics import HandState
+from planner.synthesis.seeds import opposition
+from planner.task import GraspTask
+from sim.cli import hands
+from sim.cli.common import EXIT_BAD_INPUT, EXIT_NO
+
+EditHand = Callable[..., Path]
+
+
+@pytest.fixture(scope="module")
+def app() -> typer.Typer:
+    app = typer.Typer()
+    hands.register(app)
+    return app
+
+
+@pytest.fixture(scope="module")
+def runner() -> CliRunner:
+    return CliRunner()
+
+
+@pytest.fixture(scope="module")
+def allegro_report() -> CheckReport:
+    return check_hand(Hand.load("allegro_hand"))
+
+
+def levels(report: CheckReport) -> dict[str, list[str]]:
+    return {
+        level: [f.what for f in report.findings if f.level == level]
+        for level in ("error", "warning", "note")
+    }
+
+
+@pytest.mark.parametrize("name", ["allegro_hand", "shadow_hand", "shadow_hand_left"])
+def test_nothing_is_wrong_with_a_shipped_hand(name: str) -> None:
+    report = check_hand(Hand.load(name))
+    assert report.ok
+    assert report.findings == ()
+    assert report.kinematics_error < 1e-12
+    assert report.touches == ()
+
+
+def test_joints_are_told_in_the_order_of_both_engines(allegro_report: CheckReport) -> None:
+    hand = Hand.load("allegro_hand")
+    for k, row in enumerate(allegro_report.joints):
+        assert row.name == hand.joint_names[k] == hand.mj_model.joint(row.qpos_index).name
+        assert row.q_index == k
+        assert (row.lower, row.upper) == tuple(hand.mj_model.joint(row.name).range)
+        assert row.torque == (-0.7, 0.7)  # the servos' force range, reached mid-range
+        assert row.belongs_to == row.name.split("_")[0]
+        assert row.actuators == (f"A_{row.name}",)
+
+
+def test_workspaces_hold_the_tips_of_other_configurations(allegro_report: CheckReport) -> None:
+    hand = Hand.load("allegro_hand")
+    rng = np.random.default_rng(99)
+    margin = 0.01  # m: a sample of 500 does not reach every corner
+    for row in allegro_report.workspaces:
+        finger = hand.fingers[row.finger]
+        tips = [
+            HandState(hand, rng.uniform(hand.q_lower, hand.q_upper)).tip_pose(finger).translation
+            for _ in range(100)
+        ]
+        assert (np.array(tips) > np.array(row.lower) - margin).all()
+        assert (np.array(tips) < np.array(row.upper) + margin).all()
+        assert (np.array(row.upper) - np.array(row.lower) > 0.05).all()
+
+
+def test_gaps_are_those_of_the_seeder(allegro_report: CheckReport) -> None:
+    hand = Hand.load("allegro_hand")
+    task = GraspTask.create(hand, "sphere")
+    for row in allegro_report.postures:
+        found = opposition(task, hand.posture(row.name))
+        assert row.gap == pytest.approx(found.gap)
+        state = HandState(hand, hand.posture(row.name))
+        thumb = state.pad_axis(task.fingers[found.opposer]) @ found.axis
+        assert row.facing_deg[found.opposer] == pytest.approx(np.rad2deg(np.arccos(thumb)))
+
+
+def test_the_force_of_a_finger_is_limited_by_its_weakest_servo(edit_hand: EditHand) -> None:
+    strong = {p.finger: p.presses for p in check_hand(Hand.load(edit_hand())).pads}
+    path = edit_hand(xml={'kp="3" forcerange="-0.7 0.7"': 'kp="3" forcerange="-0.35 0.35"'})
+    weak = {p.finger: p.presses for p in check_hand(Hand.load(path)).pads}
+    for finger, presses in strong.items():
+        assert weak[finger] == pytest.approx(presses / 2, rel=1e-3)
+    # index_1 carries most: 0.7 N m at the height of its pad above it, along the look
+    hand = Hand.load("allegro_hand")
+    task = GraspTask.create(hand, "sphere")
+    q = hand.posture("pinch")
+    state = HandState(hand, q)
+    index = hand.fingers["index"]
+    axis = opposition(task, q).axis
+    jacobian = state.point_jacobian(index.pad.joint_id, state.pad_center(index))[:3]
+    assert strong["index"] == pytest.approx(0.7 / np.abs(jacobian.T @ axis).max(), rel=1e-3)
+
+
+def test_a_hand_without_postures_cannot_be_planned_with(edit_hand: EditHand) -> None:
+    report = check_hand(Hand.load(edit_hand({"[postures.pinch]": "[postures.other]"})))
+    assert not report.ok
+    assert levels(report)["error"] == ["there is no posture 'pinch'"]
+    assert "opposable describe" in report.findings[0].what_to_do
+
+
+def test_a_pad_that_faces_backwards_is_an_error(edit_hand: EditHand) -> None:
+    toml = (models_dir() / "hands" / "allegro_hand" / "hand.toml").read_text(encoding="utf-8")
+    thumb = toml.split("[[fingers]]")[1]
+    turned = thumb.replace("axis = [0.7071067811865476, 0.0,", "axis = [-0.7071067811865476, 0.0,")
+    turned = turned.replace("0.0, 0.7071067811865476]", "0.0, -0.7071067811865476]")
+    report = check_hand(Hand.load(edit_hand({thumb: turned})))
+    assert not report.ok
+    assert any("faces" in what and "away" in what for what in levels(report)["error"])
+
+
+def test_a_servo_at_the_end_of_its_range_cannot_press(edit_hand: EditHand) -> None:
+    # index_1 is at 0.538 in the pinch posture: a command range that ends there gives no torque
+    xml = {
+        'joint="index_1" ctrlrange="-0.4294 1.8434"': 'joint="index_1" ctrlrange="-0.4294 0.538"'
+    }
+    report = check_hand(Hand.load(edit_hand(xml=xml)))
+    assert any(
+        what.startswith("in the pinch posture index presses")
+        for what in levels(report)["error"] + levels(report)["warning"]
+    )
+
+
+def test_missing_force_limits_are_told(edit_hand: EditHand) -> None:
+    text = (models_dir() / "hands" / "allegro_hand" / "allegro_hand.xml").read_text("utf-8")
+    xml = {'kp="3" forcerange="-0.7 0.7"': 'kp="3"'}
+    for line in text.splitlines():
+        if "ctrlrange" in line:
+            xml[line] = line.split(" ctrlrange")[0] + "/>"
+    report = check_hand(Hand.load(edit_hand(xml=xml)))
+    assert report.ok
+    assert any("nothing limits the torque" in what for what in levels(report)["warning"])
+    assert report.to_dict()["joints"][0]["torque"] == [None, None]  # JSON knows no infinity
+
+
+def test_overlap_at_rest_is_told_with_its_remedy(edit_hand: EditHand) -> None:
+    # the middle finger's first link as thick as a fist
+    xml = {
+        '<geom name="middle_proximal" class="link" fromto="0 0 0 0 0 0.054"/>': "<geom name="
+        '"middle_proximal" class="link" fromto="0 0 0 0 0 0.054" size="0.04"/>'
+    }
+    report = check_hand(Hand.load(edit_hand(xml=xml)))
+    touching = {frozenset((t.first, t.second)) for t in report.touches}
+    assert frozenset(("middle_proximal", "index_proximal")) in touching
+    row = next(t for t in report.touches if "index_proximal" in (t.first, t.second))
+    assert row.collides_in_mujoco
+    # axes some 45 mm apart, radii 40 and 9.8: both engines measure the same depth
+    assert row.coal == pytest.approx(row.mujoco, abs=1e-4)
+    assert row.coal < -0.004
+    finding = next(f for f in report.findings if "index_proximal" in f.what)
+    assert 'exclude = [["' in finding.what_to_do
+    assert "middle_proximal" in finding.what_to_do
+
+
+def test_a_pad_below_another_geom_is_told(edit_hand: EditHand) -> None:
+    xml = {
+        '<geom name="index_pad" class="pad" pos="0 0 0.0267"/>': '<geom name="index_pad" '
+        'class="pad" pos="0 0 0.0267"/><geom name="glove" class="pad" pos="0.001 0 0.0277"/>'
+    }
+    report = check_hand(Hand.load(edit_hand(xml=xml)))
+    found = [f for f in report.findings if "before the pad of index" in f.what]
+    assert len(found) == 1
+    assert "1.41 mm" in found[0].what  # |(1, 0, 1)| mm along the axis (1, 0, 1) / sqrt 2
+    assert "drop_collision" in found[0].what_to_do
+
+
+def test_two_fingers_are_warned_about(edit_hand: EditHand) -> None:
+    toml = {
+        'default_fingers = ["thumb", "index", "middle", "ring"]': 'default_fingers = ["thumb", '
+        '"index"]'
+    }
+    report = check_hand(Hand.load(edit_hand(toml)))
+    assert report.ok
+    assert any("two fingers" in what for what in levels(report)["warning"])
+
+
+def test_the_report_is_plain_data(allegro_report: CheckReport) -> None:
+    data = json.loads(json.dumps(allegro_report.to_dict(), allow_nan=False))
+    assert data["ok"] is True
+    assert data["hand"] == "allegro_hand"
+    assert len(data["joints"]) == 16
+
+
+def test_check_hand_command(app: typer.Typer, runner: CliRunner, edit_hand: EditHand) -> None:
+    good = runner.invoke(app, ["check-hand", "allegro_hand"])
+    assert good.exit_code == 0, good.output
+    assert "nothing forbids planning" in good.output
+    as_json = runner.invoke(app, ["check-hand", "allegro_hand", "--json"])
+    assert json.loads(as_json.output)["ok"] is True
+    path = edit_hand({"[postures.pinch]": "[postures.other]"})
+    bad = runner.invoke(app, ["check-hand", str(path)])
+    assert bad.exit_code == EXIT_NO
+    assert "no posture 'pinch'" in " ".join(bad.output.split())
+    missing = runner.invoke(app, ["check-hand", "no_such_hand"])
+    assert missing.exit_code == EXIT_BAD_INPUT
+
+
+def test_describe_command(app: typer.Typer, runner: CliRunner, tmp_path: Path) -> None:
+    model = models_dir() / "hands" / "allegro_hand" / "allegro_hand.xml"
+    printed = runner.invoke(app, ["describe", str(model), "--name", "mine"])
+    assert printed.exit_code == 0, printed.output
+    assert 'name = "mine"' in printed.output
+    path = tmp_path / "hand.toml"
+    wrote = runner.invoke(app, ["describe", str(model), "-o", str(path)])
+    assert wrote.exit_code == 0, wrote.output
+    assert Hand.load(path).joint_names == Hand.load("allegro_hand").joint_names
+    again = runner.invoke(app, ["describe", str(model), "-o", str(path)])
+    assert again.exit_code == EXIT_BAD_INPUT
+    assert "--force" in again.output
+    nowhere = runner.invoke(app, ["describe", str(model), "-o", str(tmp_path / "no" / "h.toml")])
+    assert nowhere.exit_code == EXIT_BAD_INPUT
+    assert runner.invoke(app, ["describe", str(tmp_path / "no.xml")]).exit_code == EXIT_BAD_INPUT
+
+
+def test_hands_command_lists_ours_and_those_of_others(app: typer.Typer, runner: CliRunner) -> None:
+    result = runner.invoke(app, ["hands"])
+    assert result.exit_code == 0
+    assert "allegro_hand" in result.output
+    assert "robosuite:inspire_right" in result.output
