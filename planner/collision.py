@@ -21,7 +21,7 @@ from planner.shapes import Box, Mesh, Shape
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 
-__all__ = ["TABLE_SIZE", "Clearance", "CollisionWorld", "shape_pair"]
+__all__ = ["TABLE_SIZE", "Clearance", "CollisionWorld", "bounding_radius", "shape_pair"]
 
 OBJECT = "object"
 TABLE = "table"
@@ -111,9 +111,16 @@ class CollisionWorld:
             for a, b in combinations(range(n_hand), 2)
             if frozenset((names[a], names[b])) not in hand.allowed_pairs
         ]
-        pairs += [(a, b) for a in range(n_hand) for b in range(n_hand, len(names))]
+        # an arm stands on the table
+        standing = {g.name for g in hand.geometries if hand.arm is not None and g.joint_id == 0}
+        pairs += [
+            (a, b)
+            for a in range(n_hand)
+            for b in range(n_hand, len(names))
+            if not (names[a] in standing and names[b] == TABLE)
+        ]
         self.surroundings = frozenset(names[n_hand:])
-        self._radii = np.array([_bounding_radius(g.geometry) for g in model.geometryObjects])
+        self._radii = np.array([bounding_radius(g.geometry) for g in model.geometryObjects])
         self._first = np.array([a for a, _ in pairs])
         self._second = np.array([b for _, b in pairs])
         self._n_hand = n_hand
@@ -122,6 +129,9 @@ class CollisionWorld:
         self._queries: dict[tuple[int, int], DistancePair | MeshPair] = {}
         self._object = n_hand
         self._outward = np.array([second in self.surroundings for _, second in self._pairs])
+        arm = hand.arm.geometries if hand.arm is not None else frozenset()
+        self._of_arm = np.array([a in arm or b in arm for a, b in self._pairs])
+        self._on_object = np.array([b == OBJECT for _, b in self._pairs])
         self._model = model
         self._data = pin.GeometryData(model)
         self._pin_data = hand.pin_model.createData()
@@ -141,6 +151,33 @@ class CollisionWorld:
         bounds = self._bounds(T_world_base, q)
         if surroundings_only:
             bounds = np.where(self._outward, bounds, np.inf)
+        return self._nearest(bounds)
+
+    def nearest_on_arm(
+        self, T_world_base: SE3, q: FloatArray, *, T_world_object: SE3 | None = None
+    ) -> Clearance:
+        """The pair of smallest signed distance among those that change when the arm moves.
+
+        Arm and hand against the surroundings, and the arm against itself and the hand.
+
+        Args:
+            T_world_base: Pose of the arm's root.
+            q: Joints (nq,).
+            T_world_object: Where the object is if the hand holds it; only the arm's distance from
+                it counts then.
+        """
+        moving = self._outward | self._of_arm
+        if T_world_object is None:
+            return self._nearest(np.where(moving, self._bounds(T_world_base, q), np.inf))
+        (where, shape), self._fixed[0] = self._fixed[0], (T_world_object, self._fixed[0][1])
+        try:
+            moving = moving & ~(self._on_object & ~self._of_arm)
+            return self._nearest(np.where(moving, self._bounds(T_world_base, q), np.inf))
+        finally:
+            self._fixed[0] = (where, shape)
+
+    def _nearest(self, bounds: FloatArray) -> Clearance:
+        """The pair of smallest signed distance, given lower bounds of all where things are."""
         nearest, smallest = 0, np.inf
         # pairs in the order of their bounds, until a bound exceeds the smallest distance: exact
         for k in np.argsort(bounds):
@@ -196,7 +233,8 @@ class CollisionWorld:
         for i, (pose, shape) in enumerate(self._fixed):
             to_shape = pose.inverse() * T_world_base
             local = centers @ to_shape.rotation.T + to_shape.translation
-            bounds[self._second == n + i] = _least_distance(shape, local) - self._radii[:n]
+            mine = self._second == n + i
+            bounds[mine] = (_least_distance(shape, local) - self._radii[:n])[self._first[mine]]
         return bounds
 
     def _place(self, T_world_base: SE3, q: FloatArray) -> None:
@@ -243,7 +281,7 @@ A Gaussian of standard deviation s moves a distance by at most s sqrt(8 / pi), 6
 that are the most that is used; the rest is for the spline."""
 
 
-def _bounding_radius(geometry: Any) -> float:
+def bounding_radius(geometry: Any) -> float:
     """Radius (m) of the ball about the geometry's origin that contains it."""
     geometry.computeLocalAABB()
     box = geometry.aabb_local

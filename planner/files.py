@@ -19,7 +19,13 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import (
+    BaseModel,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+)
 
 from planner.catalog import hand_names
 from planner.contacts import ContactModel, ContactSet
@@ -32,6 +38,7 @@ from planner.schema import StrictData, faults_of
 from planner.search import judge_grasp
 from planner.shapes import shape_from_dict, shape_to_dict
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
+from planner.synthesis.carried import ArmPath
 from planner.synthesis.pregrasp import Approach
 from planner.task import GraspTask, Obstacle
 
@@ -180,8 +187,38 @@ class TaskData(StrictData):
     wrist_q_rad: list[Finite]
 
 
+class ArmData(StrictData):
+    """Paths of the arm that carries the hand: rows of its joints, rad (m for slides)."""
+
+    joint_names: list[str]
+    approach_q_rad: list[list[Finite]]
+    lift_q_rad: list[list[Finite]]
+
+    @classmethod
+    def of(cls, plan: GraspPlan, path: ArmPath) -> ArmData:
+        """From a plan."""
+        hand = plan.task.hand
+        return cls(
+            joint_names=[hand.joint_names[k] for k in hand.arm_index],
+            approach_q_rad=path.approach.tolist(),
+            lift_q_rad=path.lift.tolist(),
+        )
+
+    def path(self, hand: Hand) -> ArmPath:
+        """As paths.
+
+        Raises:
+            FileFormatError: They are of other joints, or rows differ in length.
+        """
+        names = [hand.joint_names[k] for k in hand.arm_index]
+        rows = [*self.approach_q_rad, *self.lift_q_rad]
+        if self.joint_names != names or any(len(row) != len(names) for row in rows):
+            raise FileFormatError(f"the paths of the arm are not those of the joints {names}")
+        return ArmPath(approach=np.array(self.approach_q_rad), lift=np.array(self.lift_q_rad))
+
+
 class GraspData(StrictData):
-    """The grasp itself; joints in the order of ``joint_names``."""
+    """The grasp itself; joints in the order of ``joint_names``; ``arm`` if the hand is on one."""
 
     T_world_base: PoseData
     T_world_base_start: PoseData
@@ -190,6 +227,15 @@ class GraspData(StrictData):
     q_rad: list[Finite]
     q_pregrasp_rad: list[Finite]
     opening_m: Finite
+    arm: ArmData | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_absent_arm(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """All fields; files of hands without an arm stay as they were before there were arms."""
+        data: dict[str, Any] = handler(self)
+        if self.arm is None:
+            del data["arm"]
+        return data
 
 
 class ContactData(StrictData):
@@ -286,6 +332,7 @@ def plan_to_dict(plan: GraspPlan) -> dict[str, Any]:
             q_rad=list(plan.q),
             q_pregrasp_rad=list(plan.q_pregrasp),
             opening_m=plan.opening,
+            arm=None if plan.arm is None else ArmData.of(plan, plan.arm),
         ),
         contacts=[_contact_data(plan, i) for i in range(len(plan.contacts))],
         joint_torques_N_m=list(plan.forces.joint_torques),
@@ -427,6 +474,7 @@ def _rebuild(file: PlanFile, hand: Hand, path: Path) -> GraspPlan:
         q=hand.checked_q(grasp.q_pregrasp_rad, "q_pregrasp_rad"),
         opening=grasp.opening_m,
         T_world_base_start=grasp.T_world_base_start.pose(),
+        arm=None if grasp.arm is None else grasp.arm.path(hand),
     )
     plan = judge_grasp(
         task,

@@ -214,6 +214,6 @@ class Resolver:
                 row[self.joints.index(joint)] = coefficient
             out.append(Coupling(name=c.name, row=row, value=c.value, one_sided=True))
         kept = independent_couplings(out, self.where)
-        limits = self.pin_model.lowerPositionLimit, self.pin_model.upperPositionLimit
-        check_couplings(kept, *(np.array(v) for v in limits), self.where)
+        lower, upper = self.pin_model.lowerPositionLimit, self.pin_model.upperPositionLimit
+        check_couplings(kept, np.array(lower), np.array(upper), self.where)
         return kept

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -33,13 +33,14 @@ from planner.bridge import (
     spec_from_model,
 )
 from planner.bridge.geometry import allowed_pairs
-from planner.bridge.load import model_bytes
+from planner.bridge.load import model_bytes, model_files
 from planner.catalog import find_hand, hand_reference
 from planner.couplings import Coupling, check_held
 from planner.described import DescribedHand, MirrorAxis, read_description, reflection_signs
 from planner.description import HandDescription
 from planner.errors import HandError, NotFoundError, TaskError
 from planner.fingers import Finger, Pad, Resolver
+from planner.mount import Arm, Mount, read_mount
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["Coupling", "Finger", "Hand", "Pad"]
@@ -75,6 +76,8 @@ class Hand:
         allowed_pairs: Pairs of geometry names that may touch.
         actuation: Transmission, actuator laws, ranges and stops.
         couplings: Kinematic couplings that hold in a grasp.
+        arm: What carries the hand: its joints are part of q, and the base is its root, which stands
+            fixed; None for a hand alone.
     """
 
     name: str
@@ -91,6 +94,7 @@ class Hand:
     allowed_pairs: frozenset[frozenset[str]]
     actuation: Actuation
     couplings: tuple[Coupling, ...]
+    arm: Arm | None = None
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> Hand:
@@ -110,6 +114,9 @@ class Hand:
         path = find_hand(name_or_path)
         reference = hand_reference(name_or_path)
         if path.suffix == ".toml":
+            mount = read_mount(path)
+            if mount is not None:
+                return cls.load(mount.hand_path)._on_arm(mount, reference)
             described = read_description(path)
         else:
             described = DescribedHand(
@@ -220,6 +227,42 @@ class Hand:
             hand.posture(posture)
         return hand
 
+    def _on_arm(self, mount: Mount, reference: str) -> Hand:
+        """This hand, carried by an arm."""
+        where = str(mount.path)
+        spec, root = mount.attach(self.new_spec())
+        mj_model = compile_spec(spec, where)
+        if mj_model.nq != mj_model.njnt:
+            raise HandError(f"{mount.arm_path} has free or ball joints; use hinges and slides")
+        pin_model = pinocchio_from_mujoco(mj_model)
+        geometries = hand_geometries(mj_model, pin_model)
+        described = mount.description
+        description = self.description.model_copy(
+            update={"name": described.name, "summary": described.summary, "base_body": root}
+        )
+        resolver = Resolver(where, description, mj_model, pin_model, geometries)
+        files = (mount.path, *model_files(mount.arm_path))
+        content = self.digest.encode() + b"".join(f.read_bytes() for f in files)
+        hand = replace(
+            self,
+            name=described.name,
+            description=description,
+            path=mount.path,
+            reference=reference,
+            digest=hashlib.sha256(content).hexdigest(),
+            spec=spec,
+            mj_model=mj_model,
+            pin_model=pin_model,
+            fingers=resolver.fingers(),
+            geometries=geometries,
+            allowed_pairs=allowed_pairs(mj_model, description.allowed_contacts),
+            actuation=actuation_from_mujoco(mj_model),
+            couplings=resolver.couplings(),
+            arm=mount.arm(pin_model, int(pin_model.getBodyId(description.palm_body)), geometries),
+        )
+        check_held(hand.joint_names, hand.actuation.moment, hand.couplings, where)
+        return hand
+
     def new_spec(self) -> Any:
         """A fresh ``mujoco.MjSpec`` of the hand, to be edited or attached to a scene."""
         return self.spec.copy()
@@ -256,6 +299,11 @@ class Hand:
             {body: finger.name for finger in self.fingers.values() for body in finger.bodies}
         )
 
+    @cached_property
+    def arm_index(self) -> IntArray:
+        """Where the joints of the arm that carries the hand stand in q; empty without one."""
+        return np.zeros(0, dtype=int) if self.arm is None else self.arm.index
+
     @property
     def palm_frame_id(self) -> int:
         """Number of the palm's body frame in ``pin_model.frames``."""
@@ -285,6 +333,8 @@ class Hand:
     def posture(self, name: str) -> FloatArray:
         """A described posture as q (nq,); joints that it does not name are at 0 or their limit.
 
+        The arm that carries a hand is at its ready posture.
+
         Raises:
             NotFoundError: No such posture, or it names a joint that does not exist.
             HandError: It leaves a joint's range, or violates a coupling.
@@ -293,6 +343,8 @@ class Hand:
         if name not in postures:
             raise NotFoundError(f"posture of {self.name}", name, postures)
         q = np.clip(np.zeros(self.nq), self.q_lower, self.q_upper)
+        if self.arm is not None:
+            q[self.arm.index] = self.arm.ready
         for joint, angle in postures[name].items():
             q[self.joint_index(joint)] = angle
         q = self.checked_q(q, f"posture {name!r}")

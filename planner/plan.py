@@ -12,6 +12,7 @@ from planner.forces import ForceSolution
 from planner.kinematics import HandState
 from planner.quality import QualityReport, analyse
 from planner.spatial import SE3, FloatArray
+from planner.synthesis.carried import ArmPath
 from planner.synthesis.verify import Verification
 from planner.task import GraspTask
 
@@ -75,6 +76,7 @@ class GraspPlan:
         forces: The force distribution that balances the object's weight, with its residuals.
         verification: Residuals on the true geometry.
         record: Where the plan comes from.
+        arm: Way in and lift of the arm that carries the hand; None without one.
     """
 
     task: GraspTask
@@ -87,6 +89,7 @@ class GraspPlan:
     forces: ForceSolution
     verification: Verification
     record: SolveRecord
+    arm: ArmPath | None = None
 
     def __repr__(self) -> str:
         """One line; the attributes hold the rest."""
@@ -101,6 +104,14 @@ class GraspPlan:
     def T_world_palm(self) -> SE3:
         """Pose of the palm's body at the grasp."""
         return self.T_world_base * HandState(self.task.hand, self.q).T_base_palm
+
+    @property
+    def q_start(self) -> FloatArray:
+        """Joints (nq,) where the approach begins: fingers at the pre-grasp, an arm retreated."""
+        q = self.q_pregrasp.copy()
+        if self.arm is not None:
+            q[self.task.hand.arm_index] = self.arm.approach[0]
+        return q
 
     @property
     def contacts_in_object(self) -> ContactSet:
@@ -125,13 +136,22 @@ class GraspPlan:
         start, end = self.T_world_base_start.translation, self.T_world_base.translation
         bases = [SE3(self.T_world_base.rotation, start + a * (end - start)) for a in smooth(s)]
         closing = self.q_pregrasp + smooth(r)[:, None] * (self.q - self.q_pregrasp)
+        approach = np.tile(self.q_pregrasp, (n_approach, 1))
+        if self.arm is not None:
+            approach[:, self.task.hand.arm_index] = along(self.arm.approach, smooth(s))
         return JointTrajectory(
             joint_names=self.task.hand.joint_names,
             times=np.concatenate([s * approach_s, approach_s + r * close_s]),
-            positions=np.vstack([np.tile(self.q_pregrasp, (n_approach, 1)), closing]),
+            positions=np.vstack([approach, closing]),
             phases=("approach",) * n_approach + ("close",) * len(r),
             T_world_base=(*bases, *(self.T_world_base,) * len(r)),
         )
+
+
+def along(path: FloatArray, share: FloatArray) -> FloatArray:
+    """Joints (k, n) at shares (k,) in [0, 1] of a path (m, n) of evenly spaced postures."""
+    at = np.linspace(0.0, 1.0, len(path))
+    return np.column_stack([np.interp(share, at, column) for column in path.T])
 
 
 def smooth(s: FloatArray) -> FloatArray:

@@ -228,6 +228,8 @@ def _attempt(
 ) -> GraspPlan | str:
     """One attempt: a plan, or why not."""
     start = seeder.draw(rng)
+    if isinstance(start, str):
+        return start
     parameters = problems.grasp.parameters(
         shape=task.object.shape,
         start=start,
@@ -305,6 +307,7 @@ def judge_grasp(
         q=q,
         q_pregrasp=approach.q,
         opening=approach.opening,
+        arm=approach.arm,
         contacts=forces.contacts,
         forces=forces,
         verification=verification,

@@ -50,22 +50,27 @@ class _Placement:
 class SymbolicHand:
     """Kinematics of a hand as CasADi SX expressions of a given q.
 
-    Everything is in the hand's base frame, as in ``HandState``.
+    Everything is in the hand's base frame, as in ``HandState``. With ``from_flange`` the last joint
+    of the arm that carries the hand and all that it moves is in that joint's frame instead.
     """
 
-    def __init__(self, hand: Hand, q: Any) -> None:
+    def __init__(self, hand: Hand, q: Any, *, from_flange: bool = False) -> None:
         """Build the placements of all joints.
 
         Args:
             hand: The hand.
             q: CasADi SX column (nq, 1), rad or m.
+            from_flange: Whether to leave out where the arm puts its last joint, see ``flange``.
         """
         self.hand = hand
         self.q = q
         model = hand.pin_model
         axes = joint_axes(model)
         self._axes = axes
-        self._joints = [_Placement(ca.SX.eye(3), ca.SX.zeros(3))]
+        cut = hand.arm.flange if from_flange and hand.arm is not None else 0
+        self._flange = self._root = _Placement(ca.SX.eye(3), ca.SX.zeros(3))
+        self._joints = [self._root]
+        self._moved = [cut == 0]
         for j in range(1, model.njoints):
             parent = self._joints[model.parents[j]]
             fixed = model.jointPlacements[j]
@@ -77,7 +82,20 @@ class SymbolicHand:
                 rotation = rotation @ _rodrigues(angular, angle)
             else:
                 translation = translation + rotation @ (linear * angle)
-            self._joints.append(_Placement(rotation, translation))
+            placement = _Placement(rotation, translation)
+            if j == cut:
+                self._flange, placement = placement, self._root
+            self._joints.append(placement)
+            self._moved.append(j == cut or self._moved[model.parents[j]])
+
+    @property
+    def flange(self) -> tuple[Any, Any]:
+        """Rotation (3, 3) and origin (3,) of the arm's last joint in the base, if cut there."""
+        return self._flange.rotation, self._flange.translation
+
+    def is_cut_off(self, joint_id: int) -> bool:
+        """Whether a joint is upstream of the cut, in the base's frame while the hand is not."""
+        return not self._moved[joint_id]
 
     def joint(self, joint_id: int) -> tuple[Any, Any]:
         """Rotation (3, 3) and origin (3,) of a joint's frame in the base."""

@@ -79,7 +79,8 @@ class GraspTask:
         contact_model: Friction law of the planned contacts.
         finger_names: Fingers that take part.
         grip_force: Smallest normal force per finger in the planned grasp, N.
-        T_world_base: Pose of the hand's base if it is fixed; None if it is free.
+        T_world_base: Pose of the hand's base if it is fixed; None if it is free. The base of a hand
+            on an arm is the arm's root, which is fixed.
         wrist_free: Whether the wrist joints may move; they stay at ``wrist_q`` otherwise.
         wrist_q: Wrist joints where they are held, rad.
     """
@@ -132,7 +133,8 @@ class GraspTask:
             contact_model: Friction law of the planned contacts.
             fingers: Finger names; the hand's default set if None.
             grip_force: N per finger; from weight and friction if None (``GRIP_SAFETY``).
-            T_world_base: Pose of the hand's base if it is fixed.
+            T_world_base: Pose of the hand's base if it is fixed. A hand on an arm has its arm stand
+                where its description says, seen from the object, if None.
             wrist_free: Whether the wrist joints may move.
             wrist_q: Wrist joints, rad; zero if None.
 
@@ -148,6 +150,10 @@ class GraspTask:
             raise TaskError(f"fingers is the text {fingers!r}; give a list of names")
         if T_world_object is None:
             T_world_object = item.resting_pose(0.0 if table_height is None else table_height)
+        if T_world_base is None and hand.arm is not None:
+            spot = np.array(T_world_object.translation)
+            spot[2] = 0.0 if table_height is None else table_height
+            T_world_base = SE3(np.eye(3), spot) * hand.arm.T_spot_base
         chosen = hand.choose_fingers(fingers)
         if grip_force is None:
             weight = item.mass * float(np.linalg.norm(gravity))
@@ -222,6 +228,11 @@ class GraspTask:
                 "mu is 0: fingertips cannot close a grasp without friction; give mu > 0"
             )
         self._check_wrist()
+        if self.hand.arm is not None and self.T_world_base is None:
+            raise TaskError(
+                f"{self.hand.name} is on an arm, which stands somewhere; give T_world_base, the "
+                "pose of the arm's root"
+            )
         if self.table_height is not None:
             self._check_object_above_table(self.table_height)
 

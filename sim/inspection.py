@@ -93,10 +93,11 @@ def _other_joints(hand: Hand, torque: Any) -> list[dict[str, Any]]:
     """Joints that belong to no finger: the wrist's, and any others."""
     wrist = {int(k) for k in hand.wrist_index}
     in_fingers = {int(k) for f in hand.fingers.values() for k in f.q_index}
-    rest = set(range(hand.nq)) - in_fingers - wrist
+    arm = {int(k) for k in hand.arm_index}
+    rest = set(range(hand.nq)) - in_fingers - wrist - arm
     return [
         {"name": name, "joints": [_joint(hand, k, torque) for k in sorted(members)]}
-        for name, members in (("wrist", wrist), ("other", rest))
+        for name, members in (("arm", arm), ("wrist", wrist), ("other", rest))
         if members
     ]
 

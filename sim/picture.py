@@ -67,6 +67,7 @@ def add_scenery(
     base: FloatArray,
     palm_faces: FloatArray,
     table_height: float | None,
+    scale: float = 1.0,
 ) -> None:
     """Add what is only to be looked at: sky, lights, camera, and a floor where no table is.
 
@@ -76,10 +77,11 @@ def add_scenery(
         base: Position (3,) of the hand's base at the grasp, m.
         palm_faces: Direction (3,) in which the palm faces then.
         table_height: Height of the table's top, m; None for no table.
+        scale: How much more than object and hand is to be seen, a factor on the distance.
     """
     spec.visual.global_.offwidth, spec.visual.global_.offheight = PICTURE_SIZE
     spec.visual.quality.shadowsize = 4096
-    spec.stat.center, spec.stat.extent = focus, EXTENT
+    spec.stat.center, spec.stat.extent = focus, scale * EXTENT
     spec.visual.headlight.ambient = (0.35, 0.35, 0.36)
     spec.visual.headlight.diffuse = (0.45, 0.45, 0.45)
     spec.visual.headlight.specular = (0.2, 0.2, 0.2)
@@ -98,7 +100,7 @@ def add_scenery(
         for turn in (CAMERA_TURN, -CAMERA_TURN)
     ]
     toward = max(sides, key=lambda side: float(side @ palm_faces))
-    eye = focus + CAMERA_DISTANCE * toward + np.array([0.0, 0.0, CAMERA_HEIGHT])
+    eye = focus + scale * (CAMERA_DISTANCE * toward + np.array([0.0, 0.0, CAMERA_HEIGHT]))
     spec.worldbody.add_camera(
         name=CAMERA,
         pos=eye,

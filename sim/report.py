@@ -70,6 +70,7 @@ class TrialReport:
         simulated_s: Simulated time.
         wall_s: Time it took.
         supported: Whether the object was held by a constraint until the lift, for want of a table.
+        carried_by: What carried the hand: "mount", six driven axes, or "arm".
         picture: Picture of the held object, None if there is none.
         picture_reason: Why there is none.
     """
@@ -90,6 +91,7 @@ class TrialReport:
     simulated_s: float
     wall_s: float
     supported: bool
+    carried_by: Literal["mount", "arm"] = "mount"
     picture: Path | None = None
     picture_reason: str = "none was asked for"
 
@@ -147,6 +149,7 @@ class TrialReport:
             simulated_s=self.simulated_s,
             wall_s=self.wall_s,
             supported_until_lift=self.supported,
+            carried_by=self.carried_by,
             picture=None if self.picture is None else self.picture.name,
             picture_reason=self.picture_reason,
             samples=SampleData(
@@ -232,6 +235,7 @@ class ReportFile(StrictData):
     simulated_s: float
     wall_s: float
     supported_until_lift: bool
+    carried_by: Literal["mount", "arm"] = "mount"
     picture: str | None
     picture_reason: str
     samples: SampleData

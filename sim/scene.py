@@ -5,7 +5,8 @@ slides along the world's axes, then three hinges about them, so that
 
     T_world_base = Trans(p0 + [x, y, z]) Rx(rx) Ry(ry) Rz(rz) R0.
 
-The mount's servos carry the hand's weight by feed-forward, so that it does not sag.
+The mount's servos carry the hand's weight by feed-forward, so that it does not sag. A hand on an
+arm has no mount: the arm's root stands fixed, and its own servos carry the hand (``sim.carrier``).
 
 Friction is explicit. MuJoCo mixes the friction of two geoms by their maximum unless one has the
 higher priority; here the object decides against the hand (condim 4: sliding and torsion), and
@@ -64,6 +65,9 @@ MOUNT_FREQUENCY = 60.0
 """Undamped natural frequency of each mount axis under the mass it carries, rad/s: an arm of about
 10 Hz, which a payload of 0.1 kg lets sag by less than 0.3 mm."""
 
+ARM_VIEW = 2.3
+"""From how much farther away a hand on an arm is shown: an arm of 1 m beside the object."""
+
 MOUNT_DAMPING = 1.0
 """Damping ratio of each mount axis (-): no overshoot."""
 
@@ -82,7 +86,9 @@ class Scene:
         hand_dof: (nq,), where they stand in ``data.qvel``.
         hand_ctrl: (nu,), where the hand's actuators, in the order of ``hand.actuation.names``,
             stand in ``data.ctrl``.
-        mount_qpos: (6,), the mount's joints in ``data.qpos``, order of ``MOUNT_AXES``.
+        arm_ctrl: (n,), those of them that drive the joints of the arm that carries the hand.
+        mount_qpos: (6,), the mount's joints in ``data.qpos``, order of ``MOUNT_AXES``; none for a
+            hand on an arm, nor below.
         mount_dof: (6,), the same in ``data.qvel``.
         mount_ctrl: (6,), the mount's servos in ``data.ctrl``.
         object_qpos: (7,), the object's pose in ``data.qpos``: position, quaternion w, x, y, z.
@@ -104,6 +110,7 @@ class Scene:
     hand_qpos: IntArray
     hand_dof: IntArray
     hand_ctrl: IntArray
+    arm_ctrl: IntArray
     mount_qpos: IntArray
     mount_dof: IntArray
     mount_ctrl: IntArray
@@ -121,7 +128,8 @@ class Scene:
         """Fresh ``mujoco.MjData`` at rest: hand at q (nq,) and a base pose, object at its place."""
         data = mujoco.MjData(self.model)
         data.qpos[self.hand_qpos] = q
-        data.qpos[self.mount_qpos] = self.mount_coordinates(T_world_base)
+        if len(self.mount_qpos):
+            data.qpos[self.mount_qpos] = self.mount_coordinates(T_world_base)
         data.qpos[self.object_qpos] = np.concatenate(pose_to_wxyz(self.task.T_world_object))
         mujoco.mj_forward(self.model, data)
         return data
@@ -164,13 +172,18 @@ class Scene:
 
 
 def build_scene(
-    task: GraspTask, *, T_world_base: SE3, physics: PhysicsOptions | None = None
+    task: GraspTask,
+    *,
+    T_world_base: SE3,
+    q: FloatArray | None = None,
+    physics: PhysicsOptions | None = None,
 ) -> Scene:
     """Assemble and compile the scene of a task.
 
     Args:
         task: Hand, object and its pose, table, obstacles, gravity.
         T_world_base: Base pose at which the mount's joints read zero: that of the grasp.
+        q: Joints (nq,) at the grasp, from which the camera takes its place; zero if None.
         physics: How MuJoCo computes; defaults if None.
 
     Raises:
@@ -184,7 +197,8 @@ def build_scene(
     _add_object(spec, task, physics)
     _add_surroundings(spec, task, physics)
     hand = task.hand
-    q = np.clip(np.zeros(hand.nq), hand.q_lower, hand.q_upper)
+    if q is None:
+        q = np.clip(np.zeros(hand.nq), hand.q_lower, hand.q_upper)
     T_world_palm = T_world_base * HandState(hand, q).T_base_palm
     add_scenery(
         spec,
@@ -192,6 +206,7 @@ def build_scene(
         T_world_base.translation,
         T_world_palm.rotation @ hand.palm_normal,
         task.table_height,
+        1.0 if hand.arm is None else ARM_VIEW,
     )
     model = compile_spec(spec, f"the scene of {spec.modelname}")
     return _indexed(task, physics, T_world_base, model)
@@ -200,7 +215,8 @@ def build_scene(
 def _add_hand(spec: Any, task: GraspTask, T_world_base: SE3, physics: PhysicsOptions) -> None:
     position, quaternion = pose_to_wxyz(T_world_base)
     mount = spec.worldbody.add_body(name=MOUNT, pos=position)
-    for k, axis in enumerate(MOUNT_AXES):
+    axes = _mount_axes(task.hand)
+    for k, axis in enumerate(axes):
         kind = mujoco.mjtJoint.mjJNT_SLIDE if k < 3 else mujoco.mjtJoint.mjJNT_HINGE
         mount.add_joint(name=f"{MOUNT}_{axis}", type=kind, axis=np.eye(3)[k % 3])
     child = task.hand.new_spec()
@@ -215,7 +231,7 @@ def _add_hand(spec: Any, task: GraspTask, T_world_base: SE3, physics: PhysicsOpt
             geom.contype &= ~WORLD_BIT
             geom.conaffinity |= WORLD_BIT
     spec.attach(child, prefix=HAND_PREFIX, frame=mount.add_frame(quat=quaternion))
-    for axis in MOUNT_AXES:
+    for axis in axes:
         servo = spec.add_actuator(name=f"{MOUNT}_{axis}", target=f"{MOUNT}_{axis}")
         servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
         servo.gaintype = mujoco.mjtGain.mjGAIN_FIXED
@@ -231,6 +247,10 @@ def _drop_options(spec: Any) -> None:
     for name in dir(fresh):
         if name in ("njmax", "nconmax") or name.startswith("nuser_"):
             setattr(spec, name, getattr(fresh, name))
+
+
+def _mount_axes(hand: Hand) -> tuple[str, ...]:
+    return MOUNT_AXES if hand.arm is None else ()
 
 
 def _add_object(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
@@ -307,10 +327,12 @@ def _solid(geom: Any, kind: str, size: tuple[float, ...], physics: PhysicsOption
 def _indexed(task: GraspTask, physics: PhysicsOptions, T_world_base: SE3, model: Any) -> Scene:
     hand = task.hand
     hand_joints = [model.joint(HAND_PREFIX + name) for name in hand.joint_names]
-    mount_joints = [model.joint(f"{MOUNT}_{axis}") for axis in MOUNT_AXES]
+    axes = _mount_axes(hand)
+    mount_joints = [model.joint(f"{MOUNT}_{axis}") for axis in axes]
+    hand_ctrl = np.array([model.actuator(HAND_PREFIX + n).id for n in hand.actuation.names])
     free = model.joint(OBJECT)
-    mount_ctrl = np.array([model.actuator(f"{MOUNT}_{axis}").id for axis in MOUNT_AXES])
-    mount_dof = np.array([int(j.dofadr[0]) for j in mount_joints])
+    mount_ctrl = np.array([model.actuator(f"{MOUNT}_{axis}").id for axis in axes], dtype=int)
+    mount_dof = np.array([int(j.dofadr[0]) for j in mount_joints], dtype=int)
     gains = _tune_mount(model, task.object.mass, mount_dof, mount_ctrl)
     return Scene(
         task=task,
@@ -319,8 +341,9 @@ def _indexed(task: GraspTask, physics: PhysicsOptions, T_world_base: SE3, model:
         model=model,
         hand_qpos=np.array([int(j.qposadr[0]) for j in hand_joints]),
         hand_dof=np.array([int(j.dofadr[0]) for j in hand_joints]),
-        hand_ctrl=np.array([model.actuator(HAND_PREFIX + n).id for n in hand.actuation.names]),
-        mount_qpos=np.array([int(j.qposadr[0]) for j in mount_joints]),
+        hand_ctrl=hand_ctrl,
+        arm_ctrl=hand_ctrl[hand.actuation.moment[:, hand.arm_index].any(axis=1)],
+        mount_qpos=np.array([int(j.qposadr[0]) for j in mount_joints], dtype=int),
         mount_dof=mount_dof,
         mount_ctrl=mount_ctrl,
         object_qpos=int(free.qposadr[0]) + np.arange(7),
@@ -346,6 +369,8 @@ def _finger_of_geom(hand: Hand, model: Any) -> Mapping[int, str]:
 
 def _tune_mount(model: Any, payload: float, dof: IntArray, ctrl: IntArray) -> FloatArray:
     """Set the mount's servo gains from the inertia that each axis carries; returns them (2, 6)."""
+    if not len(dof):
+        return np.zeros((2, 0))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     mass_matrix = np.zeros((model.nv, model.nv))

@@ -52,6 +52,11 @@ class Timeline:
         """Nominal duration without waiting, s."""
         return float(sum(getattr(self, phase) for phase in PHASES))
 
+    @staticmethod
+    def profile(share: float) -> tuple[float, float]:
+        """How far a motion is at a share of its time, and the derivative: at rest at both ends."""
+        return float(smooth(np.asarray(share))), 30.0 * share**2 * (1.0 - share) ** 2
+
     def mount_motion(
         self, phase: Phase, share: float, start: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
@@ -62,8 +67,7 @@ class Timeline:
             share: How much of it has passed.
             start: Mount joints (6,) at the beginning of the approach; those of the grasp are zero.
         """
-        s = float(smooth(np.asarray(share)))
-        rate = 30.0 * share**2 * (1.0 - share) ** 2  # derivative of smooth
+        s, rate = self.profile(share)
         lifted = np.array([0.0, 0.0, self.lift_height, 0.0, 0.0, 0.0])
         if phase == "approach":
             return (1.0 - s) * start, -rate / self.approach * start

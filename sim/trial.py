@@ -1,7 +1,7 @@
 """``simulate``: execute a plan in MuJoCo and judge what happened.
 
-The trial moves the mount along the timeline (approach, close, squeeze, settle, lift, hold) and asks
-a controller for the hand's commands at every time step::
+The trial moves the mount, or the arm that the hand is on, along the timeline (approach, close,
+squeeze, settle, lift, hold) and asks a controller for the hand's commands at every time step::
 
     report = simulate(plan)
     print(report.success, report.reason, report.verdict.detail)
@@ -25,6 +25,7 @@ from planner.plan import GraspPlan
 from planner.quality import analyse
 from planner.spatial import FloatArray
 from planner.task import FINGERS_NEEDED
+from sim.carrier import carrier_of
 from sim.contacts import NO_FORCE, hand_contacts, merge_per_finger, normal_forces
 from sim.controllers import (
     PHASES,
@@ -91,9 +92,11 @@ class Trial:
         self.timeline = timeline or Timeline()
         self.thresholds = thresholds or Thresholds()
         self.controller: Controller = controller or GraspController(plan)
-        self.scene: Scene = build_scene(plan.task, T_world_base=plan.T_world_base, physics=physics)
-        self.data = self.scene.start(plan.q_pregrasp, plan.T_world_base_start)
-        self._start = self.scene.mount_coordinates(plan.T_world_base_start)
+        self.scene: Scene = build_scene(
+            plan.task, T_world_base=plan.T_world_base, q=plan.q, physics=physics
+        )
+        self.data = self.scene.start(plan.q_start, plan.T_world_base_start)
+        self._carrier = carrier_of(plan, self.scene, self.timeline)
         self._every = max(1, round(record_every / self.scene.physics.timestep))
         self._recorder = Recorder(plan, self.scene)
         self._steps = 0
@@ -196,10 +199,9 @@ class Trial:
         """One time step; whether every finger touched at its beginning."""
         scene, data = self.scene, self.data
         observation = self._observe(phase, share)
-        target, velocity = self.timeline.mount_motion(phase, share, self._start)
-        self._ctrl = self._commands(observation)
-        data.ctrl[scene.hand_ctrl] = self._ctrl
-        data.ctrl[scene.mount_ctrl] = scene.mount_command(data, target, velocity)
+        data.ctrl[scene.hand_ctrl] = self._commands(observation)
+        self._carrier.drive(data, phase, share)
+        self._ctrl = data.ctrl[scene.hand_ctrl].copy()
         mujoco.mj_step(scene.model, data)
         self._steps += 1
         return bool((observation.normal_forces >= TOUCH_FORCE).all())
@@ -286,6 +288,7 @@ class Trial:
             simulated_s=float(self.data.time),
             wall_s=time.perf_counter() - begin,
             supported=task.table_height is None,
+            carried_by="mount" if plan.arm is None else "arm",
         )
 
 

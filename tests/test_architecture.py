@@ -133,6 +133,8 @@ ALLOWED = {
     "planner.described": ("errors", "schema", "spatial", "bridge", "catalog", "description"),
     "planner.bridge": ("errors", "spatial", "actuation", "couplings", "description", "shapes"),
     "planner.fingers": ("errors", "spatial", "bridge", "couplings", "description", "proximity"),
+    "planner.mount": ("errors", "spatial", "bridge", "description", "schema"),
+    "planner.ik": ("errors", "spatial", "hand", "mount"),
     "planner.hand": (
         "errors",
         "spatial",
@@ -143,6 +145,7 @@ ALLOWED = {
         "described",
         "description",
         "fingers",
+        "mount",
     ),
     "planner.proximity": ("errors", "spatial", "shapes"),
     "planner.mesh_proximity": ("spatial", "proximity"),

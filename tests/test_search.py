@@ -26,8 +26,8 @@ from planner.search import (
     plan_grasp,
 )
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.pregrasp import APPROACH_CLEARANCE, OPENED_SHARE, Approach
 from planner.synthesis.options import SynthesisOptions
+from planner.synthesis.pregrasp import APPROACH_CLEARANCE, OPENED_SHARE, Approach
 from planner.task import GraspTask, Obstacle
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -72,16 +72,26 @@ class ClearanceTerms:
     All in the object's frame: a point b of the base is at rotation @ b + shift.
     """
 
-    def __init__(self, symbolic: SymbolicHand, rotation: Any, shift: Any) -> None:
-        """Place the balls of every link."""
+    def __init__(
+        self,
+        symbolic: SymbolicHand,
+        rotation: Any,
+        shift: Any,
+        root: tuple[Any, Any] | None = None,
+    ) -> None:
+        """Place the balls of every link; ``root`` is rotation and shift of what is cut off."""
         self._symbolic, self._rotation, self._shift = symbolic, rotation, shift
+        self._root = root
         self._hand = symbolic.hand
-        self._balls = link_balls(symbolic.hand)
+        self._balls = _moving(symbolic.hand, link_balls(symbolic.hand))
         self._centers = [self._place(b.joint_id, b.center) for b in self._balls]
 
     def _place(self, joint_id: int, local: FloatArray) -> Any:
         """A point fixed in a joint's frame, in the object's frame."""
-        return self._rotation @ self._symbolic.point(joint_id, local) + self._shift
+        rotation, shift = self._rotation, self._shift
+        if self._root is not None and self._symbolic.is_cut_off(joint_id):
+            rotation, shift = self._root
+        return rotation @ self._symbolic.point(joint_id, local) + shift
 
     def from_object(
         self, surface: Surface, size: Any, touching: Sequence[str], margin: Any, tip_margin: Any
@@ -100,7 +110,7 @@ class ClearanceTerms:
         """Height of every link over the plane normal . x = offset, less a margin (m)."""
         return [
             ca.dot(normal, self._place(b.joint_id, b.center)) - offset - b.radius - margin
-            for b in hull_balls(self._hand)
+            for b in _moving(self._hand, hull_balls(self._hand))
         ]
 
     def from_box(self, rotation: Any, shift: Any, half: Any, margin: Any) -> list[Any]:
@@ -125,6 +135,11 @@ class ClearanceTerms:
                 arm = arm - share * along
             out.append(ca.sumsqr(arm) - (bones[i].radius + bones[j].radius + margin) ** 2)
         return out
+
+
+def _moving(hand: Hand, balls: tuple[LinkBall, ...]) -> tuple[LinkBall, ...]:
+    """The balls that move with q or the base: not those of an arm's root, which stands fixed."""
+    return tuple(b for b in balls if hand.arm is None or b.joint_id > 0)
 
 
 def link_balls(hand: Hand) -> tuple[LinkBall, ...]:
@@ -230,9 +245,7 @@ def finger_bones(hand: Hand) -> tuple[LinkBone, ...]:
 
 
 def _bone(geometry: LinkGeometry) -> tuple[FloatArray, float]:
-    """Ends (2, 3), m, of a bone and its radius (m); of a box or a hull between its wider half
-    width and its half diagonal.
-    """
+    """Ends (2, 3), m, of a bone, and its radius (m): of bars, half width to half diagonal."""
     centers, radii = fill(geometry)
     if geometry.kind not in ("box", "mesh"):
         return centers[[0, -1]], float(radii.max())

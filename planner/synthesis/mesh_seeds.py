@@ -83,7 +83,8 @@ class MeshSeeder(Seeder):
         far = np.linalg.norm(pairs.centers, axis=1) / (NEAR_CENTER * mesh.bounding_radius)
         weight = np.where(able, np.exp(-(far**2)), 0.0)
         self._pairs, self._chance = pairs, weight / weight.sum()
-        self._balls = link_balls(task.hand)
+        arm = task.hand.arm.geometries if task.hand.arm is not None else frozenset()
+        self._balls = [b for b in link_balls(task.hand) if b.geometry not in arm]
         self._radii = np.array([b.radius for b in self._balls])
         self._touching = np.array([b.is_pad and b.finger in task.finger_names for b in self._balls])
 
@@ -92,7 +93,7 @@ class MeshSeeder(Seeder):
         number = rng.choice(len(self._chance), p=self._chance)
         width = float(self._pairs.widths[number])
         q = self._with_noise(self._opened(width + rng.uniform(0.0, SPARE)), rng)
-        if task.T_world_base is not None:
+        if task.T_world_base is not None and task.hand.arm is None:
             return task.T_world_base, q
         now = opposition(task, q)
         axis = task.T_world_object.rotation @ self._pairs.directions[number]

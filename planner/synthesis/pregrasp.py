@@ -13,7 +13,7 @@ to each other may have to move sideways as well while they open.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +26,14 @@ from planner.kinematics import HandState
 from planner.shapes import Shape
 from planner.spatial import SE3, FloatArray
 from planner.symbolic import SymbolicHand
+from planner.synthesis.carried import (
+    ArmPath,
+    approach_line_fault,
+    find_lift,
+    lift_fault,
+    path_fault,
+    retreats,
+)
 from planner.synthesis.clearance import ClearanceTerms
 from planner.synthesis.nlp import Nlp
 from planner.synthesis.surfaces import SIZE_DIM, surface_of
@@ -77,11 +85,13 @@ class Approach:
         q: Pre-grasp joints (nq,), pads opened along the normals.
         opening: By how much, m.
         T_world_base_start: Base pose from which it moves straight to the grasp with ``q``.
+        arm: The way in and the lift of the arm that carries the hand; its root stays.
     """
 
     q: FloatArray
     opening: float
     T_world_base_start: SE3
+    arm: ArmPath | None = None
 
 
 class PregraspProblem:
@@ -169,8 +179,8 @@ class PregraspProblem:
             [opening],
         ]
         lower, upper = hand.q_lower.copy(), hand.q_upper.copy()
-        wrist = hand.wrist_index
-        lower[wrist] = upper[wrist] = q[wrist]
+        held = np.concatenate([hand.wrist_index, hand.arm_index])
+        lower[held] = upper[held] = q[held]
         x, stats = self._nlp.bind(self.surface.field_of(task.object.shape))(
             x0=q, p=np.concatenate(parts), lbx=lower, ubx=upper, lbg=0, ubg=self._upper
         )
@@ -197,13 +207,16 @@ def find_approach(
         normals: Contact normals into the object (n, 3), world.
     """
     reason = "the fingers cannot open along the contact normals"
+    carried = world.task.hand.arm is not None
+    lift = find_lift(world, T_world_base, q) if carried else None
+    if isinstance(lift, str):
+        return lift
     for opening in OPENINGS:
         opened = problem.solve(world.task, T_world_base, q, normals, opening)
         if opened is None:
             continue
-        for start in _starts(world, T_world_base, opened):
-            approach = Approach(q=opened, opening=opening, T_world_base_start=start)
-            reason = approach_fault(world, T_world_base, q, approach)
+        for approach in _ways_in(world, T_world_base, opened, opening, lift):
+            reason = _way_in_fault(world, T_world_base, q, approach)
             if not reason:
                 return approach
     return reason
@@ -216,12 +229,58 @@ def approach_fault(
 
     The straight way in is checked without a gap: from a pose with clearance d the hand may move by
     d less ``APPROACH_CLEARANCE`` before it could touch. Closing is sampled, all fingers in step.
+    An arm's lift is looked at too.
     """
+    fault = _way_in_fault(world, T_world_base, q, approach)
+    if fault or approach.arm is None:
+        return fault
+    return lift_fault(world, T_world_base, q, approach.arm.lift)
+
+
+def _way_in_fault(
+    world: CollisionWorld, T_world_base: SE3, q: FloatArray, approach: Approach
+) -> str:
+    """What is wrong with pre-grasp, way in and closing, "" if nothing is."""
     hand = world.task.hand
     outside = np.maximum(hand.q_lower - approach.q, approach.q - hand.q_upper).max()
     matrix, value = hand.coupling_matrix
     if outside > JOINT_TOL or np.abs(matrix @ approach.q - value).max(initial=0.0) > JOINT_TOL:
         return "the pre-grasp violates a joint limit or a coupling"
+    if hand.arm is not None:
+        fault = _carried_fault(world, T_world_base, q, approach)
+    elif approach.arm is not None:
+        fault = "there are paths of an arm, but the hand is not on one"
+    else:
+        fault = _straight_fault(world, T_world_base, approach)
+    if fault:
+        return fault
+    for s in np.linspace(1.0, 0.0, CLOSING_SAMPLES, endpoint=False):
+        nearest = world.nearest(T_world_base, q + s * (approach.q - q))
+        if nearest.distance <= 0:
+            return f"the fingers touch while they close: {nearest}"
+    return ""
+
+
+def _carried_fault(
+    world: CollisionWorld, T_world_base: SE3, q: FloatArray, approach: Approach
+) -> str:
+    """What is wrong with the paths of the arm, "" if nothing is."""
+    hand, arm = world.task.hand, approach.arm
+    if arm is None:
+        return "the arm's way in and lift are missing"
+    if not np.allclose(approach.T_world_base_start.homogeneous, T_world_base.homogeneous):
+        return "the root of the arm moves"
+    if np.abs(approach.q - q)[hand.arm_index].max() > JOINT_TOL:
+        return "the arm moves while the fingers close"
+    fault = approach_line_fault(hand, T_world_base, approach.q, arm.approach)
+    if fault:
+        return fault
+    near = path_fault(world, T_world_base, approach.q, arm.approach, clearance=APPROACH_CLEARANCE)
+    return f"the hand touches on its way in: {near}" if near else ""
+
+
+def _straight_fault(world: CollisionWorld, T_world_base: SE3, approach: Approach) -> str:
+    """What a floating hand touches on the straight way in, "" if nothing."""
     begin, end = approach.T_world_base_start, T_world_base
     if not np.allclose(begin.rotation, end.rotation, atol=SAME_ROTATION):
         return "the hand turns on its way in"
@@ -237,10 +296,6 @@ def approach_fault(
             break
         free = nearest.distance - APPROACH_CLEARANCE
         done = min(length, done + max(free, LEAST_STEP))
-    for s in np.linspace(1.0, 0.0, CLOSING_SAMPLES, endpoint=False):
-        nearest = world.nearest(end, q + s * (approach.q - q))
-        if nearest.distance <= 0:
-            return f"the fingers touch while they close: {nearest}"
     return ""
 
 
@@ -248,23 +303,35 @@ SAME_ROTATION = 1e-9
 """Largest difference of rotation matrix entries (-) along a straight approach: rounding."""
 
 
-def _starts(world: CollisionWorld, T_world_base: SE3, opened: FloatArray) -> list[SE3]:
-    """Where a straight way may begin: upwards, against the palm's normal, or between the two.
-
-    A base that is fixed stays where it is.
-    """
+def _ways_in(
+    world: CollisionWorld,
+    T_world_base: SE3,
+    opened: FloatArray,
+    opening: float,
+    lift: FloatArray | None,
+) -> Iterator[Approach]:
+    """Approaches to be looked at; a base that is fixed without an arm stays where it is."""
     hand = world.task.hand
-    if world.task.T_world_base is not None:
-        return [T_world_base]
+    if hand.arm is not None and lift is not None:
+        for path in retreats(hand, T_world_base, opened, _ways_back(hand, T_world_base, opened)):
+            arm = ArmPath(approach=path, lift=lift)
+            yield Approach(q=opened, opening=opening, T_world_base_start=T_world_base, arm=arm)
+        return
+    ways = [np.zeros(3)]
+    if world.task.T_world_base is None:
+        ways = _ways_back(hand, T_world_base, opened)
+    for way in ways:
+        start = SE3(T_world_base.rotation, T_world_base.translation + way)
+        yield Approach(q=opened, opening=opening, T_world_base_start=start)
+
+
+def _ways_back(hand: Hand, T_world_base: SE3, opened: FloatArray) -> list[FloatArray]:
+    """Where the palm may come from, (3,), m: above, against its normal, or between the two."""
     palm = T_world_base * HandState(hand, opened).T_base_palm
     back = -(palm.rotation @ hand.palm_normal)
     up = np.array([0.0, 0.0, 1.0])
     lengths = [(d, float(np.linalg.norm(d))) for d in (up, back + up, back)]
-    return [
-        SE3(T_world_base.rotation, T_world_base.translation + STANDOFF * d / length)
-        for d, length in lengths
-        if length > SHORTEST
-    ]
+    return [STANDOFF * d / length for d, length in lengths if length > SHORTEST]
 
 
 SHORTEST = 1e-6

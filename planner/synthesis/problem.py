@@ -23,6 +23,11 @@ Terms (named residuals, each an equality or an inequality):
     obstacle clearance of balls from obstacles  >= 0
     fingers  squared distance of link ends from bones of other fingers, less the least  >= 0
     coupling C q - d                             = 0
+    arm      where the arm's joints put its last link, less where s and t put it = 0
+
+The base of a hand on an arm is the arm's root, which is fixed. There s and t move the arm's last
+link, to which the arm's joints are tied by the term ``arm``: the terms of the hand stay as they are
+for a floating one. With the joints alone as unknowns 30 of 60 attempts were solved, so 41.
 
 An internal force strictly inside all cones together with rank G = 6 is force closure (Murray, Li,
 Sastry 1994, proposition 5.3); rank follows from three contacts that are not on a line. The cost
@@ -41,6 +46,7 @@ import casadi as ca
 import numpy as np
 
 from planner.hand import Finger, Hand
+from planner.kinematics import HandState
 from planner.shapes import Shape
 from planner.spatial import SE3, FloatArray
 from planner.symbolic import SymbolicHand
@@ -130,6 +136,7 @@ UNITS = {
     "touch": "m",
     "surface": "m",
     "coupling": "rad",
+    "arm": "m",
     "object": "m",
     "table": "m",
     "obstacle": "m",
@@ -183,10 +190,12 @@ class GraspProblem:
         """
         solver = self.nlp.bind(field)
         n, nq = len(self.fingers), self.hand.nq
+        T_object_carrier = self._carrier(start)
         lower_q = np.where(start.frozen, start.q, self.hand.q_lower)
         upper_q = np.where(start.frozen, start.q, self.hand.q_upper)
-        turn, shift = (0.0, 0.0) if start.base_fixed else (TURN_MAX, SHIFT_MAX)
-        origin = np.array(start.T_object_base.translation)
+        still = start.base_fixed and self.hand.arm is None
+        turn, shift = (0.0, 0.0) if still else (TURN_MAX, SHIFT_MAX)
+        origin = np.array(T_object_carrier.translation)
         force_max = float(4 * n)
         lower = np.concatenate(
             [np.full(3, -turn), origin - shift, lower_q]
@@ -211,10 +220,13 @@ class GraspProblem:
         )
         cpu = time.process_time() - begin
         g, normals = solver.evaluate(x, parameters)
-        rotation = start.T_object_base.rotation @ np.array(_mrp_numeric(x[:3]))
+        T_object_base = start.T_object_base
+        if self.hand.arm is None:
+            turned = T_object_base.rotation @ np.array(_mrp_numeric(x[:3]))
+            T_object_base = SE3(turned, x[3:6])
         points = x[6 + nq : 6 + nq + 3 * n].reshape(n, 3)
         return NlpSolution(
-            T_object_base=SE3(rotation, x[3:6]),
+            T_object_base=T_object_base,
             q=x[6 : 6 + nq],
             points=points,
             normals=normals.T,
@@ -224,6 +236,13 @@ class GraspProblem:
             iterations=int(stats["iter_count"]),
             cpu_s=cpu,
         )
+
+    def _carrier(self, start: Start) -> SE3:
+        """Pose in the object's frame of what s and t move: the base, or the last link of an arm."""
+        if self.hand.arm is None:
+            return start.T_object_base
+        state = HandState(self.hand, start.q)
+        return start.T_object_base * state.joint_pose(self.hand.arm.flange)
 
     def violations(self, g: FloatArray) -> dict[str, float]:
         """Largest violation of each term, in its unit, from the values of all constraints."""
@@ -255,11 +274,18 @@ class GraspProblem:
                 n . x - d >= 0.
             obstacles: Pose in the object's frame and half extents (3,), m, of each.
             mu: Friction (-).
-            posture: Preferred q (nq,).
+            posture: Preferred q (nq,); that of an arm's joints is where the start has them.
             options: Margins and weights.
         """
+        root: list[Any] = []
+        posture = posture.copy()
+        posture[self.hand.arm_index] = start.q[self.hand.arm_index]
+        if self.hand.arm is not None:
+            T = start.T_object_base
+            root = [np.array(T.rotation).ravel(order="F"), T.translation]
         parts = [
-            np.array(start.T_object_base.rotation).ravel(order="F"),
+            np.array(self._carrier(start).rotation).ravel(order="F"),
+            *root,
             self.surface.size(shape),
             *[patch.code for patch in start.patches],
             Surroundings.values(table, obstacles),
@@ -303,7 +329,8 @@ def build_problem(
     option = {name: ca.SX.sym(name) for name in OPTION_NAMES}
 
     rotation = r0 @ _mrp(s)
-    symbolic = SymbolicHand(hand, q)
+    symbolic = SymbolicHand(hand, q, from_flange=True)
+    root = (ca.SX.sym("R_root", 3, 3), ca.SX.sym("t_root", 3)) if hand.arm is not None else None
     normals = [surface.outward_normal(size, codes[i], points[i]) for i in range(n)]
     equal: dict[str, list[Any]] = {"touch": [], "surface": []}
     above: dict[str, list[Any]] = {"facing": [], "cone": [], "press": []}
@@ -334,10 +361,11 @@ def build_problem(
     equal["level"] = [sum(normal_forces[1:], normal_forces[0]) / n - 1]
     matrix, value = hand.coupling_matrix
     equal["coupling"] = [ca.DM(matrix) @ q - value] if len(value) else []
+    equal["arm"] = [] if root is None else _arm_gap(symbolic, root, rotation, t)
     above["stop"] = _stop_torques(hand, fingers, torque)
 
     names = [f.name for f in fingers]
-    links = ClearanceTerms(symbolic, rotation, t)
+    links = ClearanceTerms(symbolic, rotation, t, root)
     above["object"] = links.from_object(
         surface, size, names, option["clear_object"], option["clear_tip"]
     )
@@ -346,7 +374,9 @@ def build_problem(
     above["fingers"] = links.between_fingers(option["clear_fingers"])
 
     span = hand.q_upper - hand.q_lower
-    posture_cost = ca.sumsqr((q - posture) / span) / hand.nq * len(fingers)
+    span[hand.arm_index] /= np.sqrt(ARM_POSTURE)
+    n_hand = hand.nq - len(hand.arm_index)
+    posture_cost = ca.sumsqr((q - posture) / span) / n_hand * len(fingers)
     middle = sum(points[1:], points[0]) / n
     cost = (
         option["weight_tangential"] * tangential_cost
@@ -370,6 +400,7 @@ def build_problem(
             x=ca.vertcat(s, t, q, *points, *forces),
             p=ca.vertcat(
                 ca.vec(r0),
+                *(() if root is None else (ca.vec(root[0]), root[1])),
                 size,
                 *codes,
                 surroundings.symbols,
@@ -386,6 +417,12 @@ def build_problem(
         ),
     )
 
+
+ARM_POSTURE = 1e-3
+"""Cost of an arm's joint that leaves its start against that of a finger's joint that leaves the
+pinch posture, by the same share of their ranges (-). The start comes from inverse kinematics that
+set out from the ready posture. With 0.1, or with the ready posture itself as the aim, 44 and 41 of
+60 attempts are solved on sphere, box and cylinder, so 48."""
 
 IPOPT_TOL = 1e-4
 """IPOPT's scaled optimality tolerance (-). Constraints are held to 1e-7 m; the cost only ranks."""
@@ -431,6 +468,13 @@ def _contact_torque(
     for name, index in zip(finger.joints, finger.q_index, strict=True):
         out[int(index)] = symbolic.joint_torque(name, point, local)
     return out
+
+
+def _arm_gap(symbolic: SymbolicHand, root: tuple[Any, Any], rotation: Any, shift: Any) -> list[Any]:
+    """Offset (m) and turn (sine of the angle) of the arm's last link from where s and t put it."""
+    turn, origin = symbolic.flange
+    apart = rotation.T @ root[0] @ turn
+    return [root[0] @ origin + root[1] - shift, ca.inv_skew(apart - apart.T) / 2]
 
 
 def _stop_torques(hand: Hand, fingers: tuple[Finger, ...], torque: Any) -> list[Any]:

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.errors import TaskError
+from planner.ik import reach
 from planner.kinematics import HandState
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.problem import Start
@@ -41,6 +42,13 @@ MOST_OPEN = 0.6
 MOST_STRETCHED, STRETCHES = 4.0, 17
 """How far beyond the open posture (1) the fingers are stretched to find the widest object (-), and
 how many postures are looked at."""
+
+DRAWS = 8
+"""How many palm poses are drawn in search of one that the arm reaches."""
+
+SPARE_REACH = 2.0
+"""How far from the palm an object may be grasped, in distances of a pinched one from it (-):
+only what is surely out of reach is refused unseen."""
 
 AXIS_NOISE = 0.15
 """Standard deviation (rad) of the opposition axis about the chosen direction of the object."""
@@ -109,6 +117,7 @@ class Seeder:
         self.gaps = np.array([opposition(task, self._stretched(s)).gap for s in self.stretches])
         self.widest = float(self.gaps.max())
         self.frozen = self._frozen()
+        self._check_within_reach()
         self._prepare()
 
     def _prepare(self) -> None:
@@ -125,10 +134,16 @@ class Seeder:
         self.directions = [c for c, w in zip(candidates, widths, strict=True) if w < reach]
         self._check_size()
 
-    def draw(self, rng: np.random.Generator) -> Start:
-        """One start."""
+    def draw(self, rng: np.random.Generator) -> Start | str:
+        """One start; or why there is none."""
         task = self.task
-        T_world_base, q = self._place(rng)
+        if task.hand.arm is None:
+            T_world_base, q = self._place(rng)
+        else:
+            carried = self._carried(rng)
+            if isinstance(carried, str):
+                return carried
+            T_world_base, q = carried
         T_object_base = task.T_world_object.inverse() * T_world_base
         state = HandState(task.hand, q)
         pads = np.array([T_object_base.act(state.pad_center(f)) for f in task.fingers])
@@ -167,10 +182,10 @@ class Seeder:
         return nearest
 
     def _place(self, rng: np.random.Generator) -> tuple[SE3, FloatArray]:
-        """Base pose and joints (nq,) of a start."""
+        """Base pose and joints (nq,) of a start, as if the base could be anywhere."""
         task = self.task
         q = self._noisy_posture(rng)
-        if task.T_world_base is not None:
+        if task.T_world_base is not None and task.hand.arm is None:
             return task.T_world_base, q
         now = opposition(task, q)
         direction = self._noisy(self.directions[rng.integers(len(self.directions))], rng)
@@ -179,6 +194,39 @@ class Seeder:
         rotation = frame_of(axis, above) @ frame_of(now.axis, now.palm_side).T
         center = task.T_world_object.translation + rng.normal(0, POSITION_NOISE, 3)
         return SE3(rotation, center - rotation @ now.center), q
+
+    def _carried(self, rng: np.random.Generator) -> tuple[SE3, FloatArray] | str:
+        """A start that the arm can reach: where its root stands, and all joints."""
+        hand, T_world_base = self.task.hand, SE3(self.task.T_world_base)
+        least = np.inf
+        for _ in range(DRAWS):
+            T_world_free, q = self._place(rng)
+            T_world_palm = T_world_free * HandState(hand, q).T_base_palm
+            reached = reach(hand, T_world_base.inverse() * T_world_palm, q)
+            if reached.there:
+                return T_world_base, reached.q
+            least = min(least, reached.distance)
+        return (
+            f"out of reach: of {DRAWS} palm poses drawn the arm reaches none; the nearest it comes "
+            f"to one is {1e3 * least:.0f} mm"
+        )
+
+    def _check_within_reach(self) -> None:
+        """Refuse objects that no posture of the arm brings the palm to."""
+        task, hand = self.task, self.task.hand
+        if hand.arm is None or task.T_world_base is None:
+            return
+        state = HandState(hand, self.posture)
+        first = task.T_world_base.act(state.joint_pose(int(hand.arm.chain[0]) + 1).translation)
+        palm = float(np.linalg.norm(state.T_base_palm.translation - self.pinch.center))
+        far = float(np.linalg.norm(task.T_world_object.translation - first))
+        longest = hand.arm.longest + SPARE_REACH * palm + task.object.shape.bounding_radius
+        if far > longest:
+            raise TaskError(
+                f"the object is out of the arm's reach: it is {far:.2f} m from the first joint of "
+                f"{hand.name}, and arm and hand stretched straight are {longest:.2f} m long; bring "
+                "it nearer, or give T_world_base, the pose of the arm's root"
+            )
 
     def _check_size(self) -> None:
         """Refuse objects that are too wide for the open hand, or too small for the pads."""
@@ -208,15 +256,19 @@ class Seeder:
     def _with_wrist(self, q: FloatArray) -> FloatArray:
         q = q.copy()
         q[self.task.hand.wrist_index] = self.task.wrist_q
+        if self.task.hand.arm is not None:
+            q[self.task.hand.arm.index] = self.task.hand.arm.ready
         return q
 
     def _frozen(self) -> FloatArray:
-        """Joints that stay where they are: the wrist's, unless it is free.
+        """Joints that stay: the wrist's, unless it is free, and those of an arm's side branches.
 
         Fingers that do not take part may move out of the way.
         """
         frozen = np.zeros(self.task.hand.nq, dtype=bool)
         frozen[self.task.hand.wrist_index] = not self.task.wrist_free
+        if self.task.hand.arm is not None:
+            frozen[np.setdiff1d(self.task.hand.arm.index, self.task.hand.arm.chain)] = True
         return frozen
 
     def _resting(self) -> FloatArray:

@@ -32,8 +32,8 @@ ObjectArgument = Annotated[
     str,
     typer.Argument(
         help="sphere, box, cylinder, capsule, ellipsoid, mug, lbracket, torus, hammer, "
-        "superquadric, knot; with sizes in m: box:0.05x0.05x0.08; a mesh: mug.stl, part.obj*0.001; a body of a "
-        "model: scene.xml#mug",
+        "superquadric, knot; with sizes in m: box:0.05x0.05x0.08; a mesh: "
+        "mug.stl, part.obj*0.001; a body of a model: scene.xml#mug",
         metavar="OBJECT",
     ),
 ]

@@ -66,7 +66,10 @@ class Observation:
 
 
 class Controller(Protocol):
-    """Anything with this method can drive the hand in a trial; the trial moves the mount."""
+    """Anything with this method can drive the hand in a trial; the trial moves the mount.
+
+    The trial also moves an arm that carries the hand: commands for its actuators are not used.
+    """
 
     def step(self, observation: Observation) -> FloatArray:
         """Commands (nu,) for the hand's actuators, order of ``hand.actuation.names``."""

@@ -27,7 +27,7 @@ from planner.plan import GraspPlan, smooth
 from planner.spatial import SE3, FloatArray, skew
 from sim.controllers.base import Observation
 
-__all__ = ["GraspController"]
+__all__ = ["GraspController", "motor_servo"]
 
 TOUCH_FORCE = 0.1
 """Normal force (N) at which a finger counts as touching while it closes: a tenth of what moves an
@@ -81,7 +81,7 @@ class GraspController:
         self._search = self._search_directions()
         self._share = np.zeros(len(self._fingers))
         self._reach = np.zeros(len(self._fingers))
-        self._stiffness, self._damping = _motor_servo(self._hand, plan.q)
+        self._stiffness, self._damping = motor_servo(self._hand, plan.q)
         self._pin_data: Any = self._hand.pin_model.createData()
         self._torque = np.zeros(self._hand.nq)
         self._latched = False
@@ -175,7 +175,7 @@ class GraspController:
         return out
 
 
-def _motor_servo(hand: Hand, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+def motor_servo(hand: Hand, q: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Stiffness and damping (nq,) for joints that are driven but have no servo of their own."""
     actuation = hand.actuation
     squared = actuation.moment**2

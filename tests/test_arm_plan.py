@@ -1,0 +1,355 @@
+"""Grasps by a hand on an arm: the plan, its paths, its file, and its execution."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from planner.collision import CollisionWorld
+from planner.errors import FileFormatError, TaskError
+from planner.files import read_plan, write_plan
+from planner.hand import Hand
+from planner.ik import palm_pose
+from planner.objects import GraspObject
+from planner.plan import GraspPlan, along
+from planner.search import plan_grasp
+from planner.spatial import SE3, FloatArray, rotation_angle
+from planner.synthesis.carried import LIFT_HEIGHT, _Radii, lift_fault, path_fault
+from planner.synthesis.pregrasp import APPROACH_CLEARANCE, Approach, approach_fault
+from planner.task import GraspTask, Obstacle
+from sim.carrier import ArmCarrier
+from sim.scene import build_scene
+from sim.timeline import Timeline
+from sim.trial import Trial
+
+
+@pytest.fixture(scope="module")
+def plan() -> GraspPlan:
+    return plan_grasp(GraspTask.create("allegro_on_arm7", "sphere"), seed=0)
+
+
+@pytest.fixture(scope="module")
+def paths(plan: GraspPlan) -> tuple[FloatArray, FloatArray]:
+    assert plan.arm is not None
+    return plan.arm.approach, plan.arm.lift
+
+
+def palm_by_mujoco(plan: GraspPlan, q: FloatArray) -> SE3:
+    """Pose of the palm in the world by the other engine."""
+    hand: Hand = plan.task.hand
+    data = mujoco.MjData(hand.mj_model)
+    data.qpos[:] = q
+    mujoco.mj_kinematics(hand.mj_model, data)
+    palm = data.body(hand.description.palm_body)
+    return plan.T_world_base * SE3(palm.xmat.reshape(3, 3), palm.xpos)
+
+
+def with_arm(plan: GraspPlan, q: FloatArray, posture: FloatArray) -> FloatArray:
+    q = q.copy()
+    q[plan.task.hand.arm_index] = posture
+    return q
+
+
+def test_the_palm_is_where_the_arm_puts_it(plan: GraspPlan) -> None:
+    assert plan.task.T_world_base is not None
+    np.testing.assert_allclose(
+        plan.T_world_base.homogeneous, plan.task.T_world_base.homogeneous, atol=1e-12
+    )
+    expected = palm_by_mujoco(plan, plan.q).homogeneous
+    np.testing.assert_allclose(plan.T_world_palm.homogeneous, expected, atol=1e-10)
+    assert (np.abs(plan.verification.pad_gaps) <= 5e-4).all()
+
+
+def test_every_posture_is_within_the_limits(
+    plan: GraspPlan, paths: tuple[FloatArray, FloatArray]
+) -> None:
+    hand = plan.task.hand
+    index = hand.arm_index
+    for posture in (*paths[0], *paths[1], plan.q[index], plan.q_pregrasp[index]):
+        assert (posture >= hand.q_lower[index]).all()
+        assert (posture <= hand.q_upper[index]).all()
+
+
+def test_the_palm_comes_straight_in_and_lifts_straight_up(
+    plan: GraspPlan, paths: tuple[FloatArray, FloatArray]
+) -> None:
+    approach, lift = (
+        [palm_by_mujoco(plan, with_arm(plan, plan.q, posture)) for posture in path]
+        for path in paths
+    )
+    grasp = plan.T_world_palm
+    up = lift[-1].translation - grasp.translation
+    np.testing.assert_allclose(up, [0, 0, LIFT_HEIGHT], atol=1e-4)
+    back = approach[0].translation - grasp.translation
+    assert np.linalg.norm(back) == pytest.approx(0.12, abs=1e-4)
+    for path, way in ((approach[::-1], back), (lift, up)):
+        for share, pose in zip(np.linspace(0, 1, len(path)), path, strict=True):
+            off = pose.translation - grasp.translation - share * way
+            assert np.linalg.norm(off) < 1e-4
+            assert rotation_angle(grasp.rotation.T @ pose.rotation) < 1e-3
+    hand = plan.task.hand
+    np.testing.assert_array_equal(plan.q_start[hand.arm_index], paths[0][0])
+    np.testing.assert_allclose(paths[0][-1], plan.q_pregrasp[hand.arm_index], atol=1e-9)
+
+
+def test_nothing_is_near_between_the_postures(
+    plan: GraspPlan, paths: tuple[FloatArray, FloatArray]
+) -> None:
+    world = CollisionWorld(plan.task)
+    for posture in along(paths[0], np.linspace(0, 1, 150)):
+        q = with_arm(plan, plan.q_pregrasp, posture)
+        near = world.nearest_on_arm(plan.T_world_base, q)
+        assert near.distance >= APPROACH_CLEARANCE - 5e-4, near
+
+
+def test_a_thin_wall_between_two_postures_is_found(
+    plan: GraspPlan, paths: tuple[FloatArray, FloatArray]
+) -> None:
+    """The palm crosses a plate of 0.2 mm in one step from far on one side to the other."""
+    hand = plan.task.hand
+    far = paths[1][-1].copy()
+    far[0] += 0.8
+    path = np.array([paths[1][-1], far])
+    ends = [plan.T_world_base * palm_pose(hand, with_arm(plan, plan.q, p)) for p in path]
+    middle = (ends[0].translation + ends[1].translation) / 2
+    way = ends[1].translation - ends[0].translation
+    turn = np.arctan2(way[1], way[0])
+    rotation = np.array(
+        [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
+    )
+    plate = Obstacle(
+        name="plate",
+        size=np.array([0.0002, 0.01, 0.01]),
+        T_world_obstacle=SE3(rotation, middle + np.array([0, 0, 0.03])),
+    )
+    task = dataclasses.replace(plan.task, obstacles=(plate,))
+    q = with_arm(plan, plan.q, path[0])
+    world, free = CollisionWorld(task), CollisionWorld(plan.task)
+    for posture in path:
+        at = with_arm(plan, q, posture)
+        assert world.proximity(plan.T_world_base, at, "palm", "plate").distance > 0.05
+    assert path_fault(free, plan.T_world_base, q, path, clearance=0.001) == ""
+    assert "plate" in path_fault(world, plan.T_world_base, q, path, clearance=0.001)
+
+
+def test_no_point_moves_farther_than_the_bound(plan: GraspPlan) -> None:
+    hand = plan.task.hand
+    rng = np.random.default_rng(0)
+    index, radii = hand.arm_index, _Radii(hand)
+    data = hand.pin_model.createData()
+
+    def corners(q: FloatArray) -> FloatArray:
+        pin.forwardKinematics(hand.pin_model, data, q)
+        out = []
+        for g in hand.geometries:
+            box = g.geometry.aabb_local
+            for corner in (box.min_, box.max_):
+                out.append(data.oMi[g.joint_id].act(g.T_joint_geometry.act(corner)))
+        return np.array(out)
+
+    tightest = np.inf
+    for _ in range(50):
+        q = plan.q.copy()
+        q[index] = rng.uniform(hand.q_lower[index], hand.q_upper[index])
+        step = np.zeros(hand.nq)
+        step[index] = rng.normal(0, 0.1, len(index)) * (rng.random(len(index)) < 0.4)
+        moved = np.linalg.norm(corners(q + step) - corners(q), axis=1).max()
+        bound = np.abs(step[index]) @ radii.at(q)
+        assert moved <= bound + 1e-12
+        if bound > 0:
+            tightest = min(tightest, bound / max(moved, 1e-12))
+    assert tightest < 1.6  # the bound is worth something
+
+
+def test_a_lift_into_an_obstacle_is_refused(
+    plan: GraspPlan, paths: tuple[FloatArray, FloatArray]
+) -> None:
+    top = palm_by_mujoco(plan, with_arm(plan, plan.q, paths[1][-1]))
+    beam = Obstacle(
+        name="beam",
+        size=np.array([0.02, 0.02, 0.02]),
+        T_world_obstacle=SE3(np.eye(3), top.translation),
+    )
+    world = CollisionWorld(dataclasses.replace(plan.task, obstacles=(beam,)))
+    assert "beam" in lift_fault(world, plan.T_world_base, plan.q, paths[1])
+    free = CollisionWorld(plan.task)
+    assert lift_fault(free, plan.T_world_base, plan.q, paths[1]) == ""
+
+
+def test_an_object_too_heavy_for_the_arm_is_refused(
+    plan: GraspPlan, paths: tuple[FloatArray, FloatArray]
+) -> None:
+    heavy = GraspObject(name="lead", shape=plan.task.object.shape, mass=40.0)
+    world = CollisionWorld(dataclasses.replace(plan.task, object=heavy))
+    fault = lift_fault(world, plan.T_world_base, plan.q, paths[1])
+    assert "arm/A_joint" in fault
+    assert "beyond its limits" in fault
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("jump", "path jumps"),
+        ("bend", "the palm leaves the line"),
+        ("limit", "beyond its range"),
+        ("cut", "the palm leaves the line"),
+        ("away", "does not meet the grasp"),
+        ("flat", "needs rows of 7 joints"),
+    ],
+)
+def test_a_lift_that_is_none_is_refused(
+    plan: GraspPlan, paths: tuple[FloatArray, FloatArray], change: str, message: str
+) -> None:
+    path = paths[1].copy()
+    if change == "jump":
+        path[5, 0] += 0.5
+    elif change == "bend":
+        path[5, 0] += 0.02
+    elif change == "limit":
+        path[-1, 3] = 0.0
+    elif change == "cut":
+        path = path[:-3]
+    elif change == "away":
+        path[0, 0] += 0.01
+    else:
+        path = path.ravel()
+    world = CollisionWorld(plan.task)
+    assert message in lift_fault(world, plan.T_world_base, plan.q, path)
+
+
+def test_an_approach_by_arm_must_be_complete(plan: GraspPlan) -> None:
+    world = CollisionWorld(plan.task)
+    approach = Approach(
+        q=plan.q_pregrasp, opening=plan.opening, T_world_base_start=plan.T_world_base, arm=plan.arm
+    )
+    assert approach_fault(world, plan.T_world_base, plan.q, approach) == ""
+    without = dataclasses.replace(approach, arm=None)
+    assert "missing" in approach_fault(world, plan.T_world_base, plan.q, without)
+    q = plan.q_pregrasp.copy()
+    q[1] += 0.01
+    moved = dataclasses.replace(approach, q=q)
+    assert "while the fingers close" in approach_fault(world, plan.T_world_base, plan.q, moved)
+    shifted = SE3(np.eye(3), plan.T_world_base.translation + np.array([0, 0, 0.1]))
+    rolling = dataclasses.replace(approach, T_world_base_start=shifted)
+    assert "root of the arm moves" in approach_fault(world, plan.T_world_base, plan.q, rolling)
+
+
+def test_the_root_of_the_arm_may_stand_on_the_table_and_the_object_stays(plan: GraspPlan) -> None:
+    world = CollisionWorld(plan.task)
+    pairs = {(c.first, c.second) for c in world.distances(plan.T_world_base, plan.q)}
+    assert ("arm/base", "table") not in pairs
+    assert ("arm/link2", "table") in pairs
+    assert ("arm/base", "object") in pairs
+    before = world.distances(plan.T_world_base, plan.q)
+    lifted = SE3(np.eye(3), plan.task.T_world_object.translation + np.array([0, 0, 1.0]))
+    world.nearest_on_arm(plan.T_world_base, plan.q, T_world_object=lifted)
+    assert world.distances(plan.T_world_base, plan.q) == before
+
+
+def test_a_plan_file_keeps_the_paths(plan: GraspPlan, tmp_path: Path) -> None:
+    path = tmp_path / "plan.json"
+    write_plan(plan, path)
+    again = read_plan(path)
+    assert plan.arm is not None
+    assert again.arm is not None
+    np.testing.assert_array_equal(again.arm.approach, plan.arm.approach)
+    np.testing.assert_array_equal(again.arm.lift, plan.arm.lift)
+
+
+def _drop(arm: dict[str, Any]) -> None:
+    arm["lift_q_rad"] = []
+
+
+def _swap(arm: dict[str, Any]) -> None:
+    arm["joint_names"] = arm["joint_names"][::-1]
+
+
+def _shake(arm: dict[str, Any]) -> None:
+    arm["approach_q_rad"][3][0] += 0.05
+
+
+def _short(arm: dict[str, Any]) -> None:
+    arm["lift_q_rad"][2] = arm["lift_q_rad"][2][:-1]
+
+
+@pytest.mark.parametrize("damage", [_drop, _swap, _shake, _short])
+def test_damaged_paths_are_refused(plan: GraspPlan, tmp_path: Path, damage: Any) -> None:
+    path = tmp_path / "plan.json"
+    write_plan(plan, path)
+    data = json.loads(path.read_text())
+    damage(data["grasp"]["arm"])
+    path.write_text(json.dumps(data))
+    with pytest.raises(FileFormatError):
+        read_plan(path)
+
+
+def test_a_plan_without_its_paths_is_refused(plan: GraspPlan, tmp_path: Path) -> None:
+    path = tmp_path / "plan.json"
+    write_plan(plan, path)
+    data = json.loads(path.read_text())
+    del data["grasp"]["arm"]
+    path.write_text(json.dumps(data))
+    with pytest.raises(FileFormatError, match="way in and lift are missing"):
+        read_plan(path)
+
+
+def test_the_trajectory_moves_the_arm_in(
+    plan: GraspPlan, paths: tuple[FloatArray, FloatArray]
+) -> None:
+    trajectory = plan.joint_trajectory()
+    np.testing.assert_allclose(trajectory.positions[0], plan.q_start, atol=1e-12)
+    np.testing.assert_allclose(trajectory.positions[-1], plan.q, atol=1e-12)
+    assert np.abs(np.diff(trajectory.positions, axis=0)).max() < 0.1
+
+
+def test_the_scene_has_no_mount(plan: GraspPlan) -> None:
+    scene = build_scene(plan.task, T_world_base=plan.T_world_base, q=plan.q)
+    assert len(scene.mount_qpos) == len(scene.mount_ctrl) == 0
+    assert scene.model.nq == plan.task.hand.nq + 7
+    names = [scene.model.actuator(int(i)).name for i in scene.arm_ctrl]
+    assert names == [f"hand/arm/A_joint{k}" for k in range(1, 8)]
+    data = scene.start(plan.q, plan.T_world_base)
+    palm = scene.body_pose(data, scene.palm_body)
+    np.testing.assert_allclose(palm.homogeneous, plan.T_world_palm.homogeneous, atol=1e-9)
+
+
+def test_rates_are_the_derivative_of_the_motion(plan: GraspPlan) -> None:
+    assert plan.arm is not None
+    scene = build_scene(plan.task, T_world_base=plan.T_world_base)
+    timeline = Timeline()
+    carrier = ArmCarrier(plan, plan.arm, scene, timeline)
+    for phase in ("approach", "lift"):
+        h = 1e-6
+        for share in (0.13, 0.52, 0.91):
+            _, rate = carrier.motion(phase, share)
+            ends = [carrier.motion(phase, share + s * h)[0] for s in (-1, 1)]
+            expected = (ends[1] - ends[0]) / (2 * h) / getattr(timeline, phase)
+            np.testing.assert_allclose(rate, expected, atol=1e-6)
+    np.testing.assert_allclose(carrier.motion("approach", 1.0)[0], plan.arm.lift[0], atol=1e-9)
+    np.testing.assert_allclose(carrier.motion("hold", 0.5)[0], plan.arm.lift[-1], atol=1e-12)
+
+
+def test_the_arm_holds_the_object_up(plan: GraspPlan) -> None:
+    trial = Trial(plan)
+    report = trial.run()
+    assert report.success, report.verdict.detail
+    assert report.carried_by == "arm"
+    assert report.to_dict()["carried_by"] == "arm"
+    assert report.samples.lift_mm[-1] == pytest.approx(1e3 * LIFT_HEIGHT, abs=1.0)
+    # and the palm is where the plan has it, to the servos' accuracy
+    assert plan.arm is not None
+    q = with_arm(plan, plan.q, plan.arm.lift[-1])
+    at = trial.scene.body_pose(trial.data, trial.scene.palm_body)
+    assert np.linalg.norm(at.translation - palm_by_mujoco(plan, q).translation) < 5e-4
+
+
+def test_a_lift_that_was_not_planned_is_refused(plan: GraspPlan) -> None:
+    with pytest.raises(TaskError, match=r"lifts by 0\.2 m; with an arm a plan lifts by 0\.1 m"):
+        Trial(plan, timeline=Timeline(lift_height=0.2))
