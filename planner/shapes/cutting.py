@@ -22,7 +22,7 @@ from planner.spatial import FloatArray, IntArray
 
 __all__ = ["MAX_CELLS", "Cell", "Guards", "cut", "half_of"]
 
-MAX_CELLS = 240
+MAX_CELLS = 160
 """Cells at most: a mesh that needs more is left with pieces that reach farther than asked."""
 
 SPACING = 2.0
@@ -35,7 +35,10 @@ FREE = 0.95
 """A guard is one if it is so far from the solid, in tolerances: in a concave corner it is not."""
 
 SHARES = np.arange(1, 10) / 10
-"""Where planes across an axis are tried, as shares of the extent."""
+"""Where planes across an axis are tried, as shares of the extent of the hull."""
+
+GUARD_SHARES = np.array([0.25, 0.5, 0.75])
+"""The same, as shares of the extent of the guards in it: a small hollow is cut where it is."""
 
 TANGENTS = 6
 """Tangent planes at guards that are tried per cut: they find the corners of a bracket."""
@@ -133,7 +136,8 @@ def cut(mesh: Mesh, guards: Guards, whole: Hull, tolerance: float) -> list[Hull]
     first = Cell(
         surface=mesh.vertices[mesh.faces], walls=walls, hull=whole, bad=guards.within(whole)
     )
-    queue = [(-len(first.bad), next(number), first)]
+    # the worst first, so that what is left at the limit is the best there is
+    queue = [(-_depth(guards, first), next(number), first)]
     while queue:
         _, _, cell = heappop(queue)
         plane = None
@@ -145,8 +149,15 @@ def cut(mesh: Mesh, guards: Guards, whole: Hull, tolerance: float) -> list[Hull]
         for side in (1.0, -1.0):
             half = half_of(mesh, guards, cell, side * plane[:3], side * float(plane[3]))
             if half is not None:
-                heappush(queue, (-len(half.bad), next(number), half))
+                heappush(queue, (-_depth(guards, half), next(number), half))
     return done
+
+
+def _depth(guards: Guards, cell: Cell) -> float:
+    """How deep (m) the deepest guard is in a cell's hull; 0 without any."""
+    if len(cell.bad) == 0:
+        return 0.0
+    return float(cell.hull.depths(guards.points[cell.bad]).max())
 
 
 def half_of(
@@ -169,7 +180,13 @@ def _best_plane(mesh: Mesh, guards: Guards, cell: Cell, tolerance: float) -> Flo
     """The plane (4,), normal and offset (m), to cut a cell by; None if there is none."""
     points = _spread(cell.surface)
     _, _, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
-    across = _across(cell.hull, np.concatenate([axes, np.eye(3)]))
+    axes = np.concatenate([axes, np.eye(3)])
+    across = np.concatenate(
+        [
+            _across(cell.hull.points, axes, SHARES),
+            _across(guards.points[cell.bad], axes, GUARD_SHARES),
+        ]
+    )
     planes = np.concatenate([across, _tangents(guards, cell, tolerance)])
     heights = cell.hull.points @ planes[:, :3].T
     low, high = heights.min(axis=0), heights.max(axis=0)
@@ -203,12 +220,12 @@ def _spread(triangles: FloatArray) -> FloatArray:
     return few
 
 
-def _across(hull: Hull, axes: FloatArray) -> FloatArray:
-    """Planes (n, 4) across axes (k, 3)."""
-    heights = hull.points @ axes.T
+def _across(points: FloatArray, axes: FloatArray, shares: FloatArray) -> FloatArray:
+    """Planes (n, 4) across axes (k, 3), at shares of the extent of points."""
+    heights = points @ axes.T
     low, high = heights.min(axis=0), heights.max(axis=0)
-    offsets = low + SHARES[:, None] * (high - low)  # (shares, k)
-    normals = np.tile(axes, (len(SHARES), 1))
+    offsets = low + shares[:, None] * (high - low)  # (shares, k)
+    normals = np.tile(axes, (len(shares), 1))
     return np.concatenate([normals, offsets.reshape(-1, 1)], axis=1)
 
 

@@ -167,8 +167,9 @@ def _balls(hand: Hand, *, corners: bool) -> list[LinkBall]:
             centers, radius = span(geometry)
             radii = np.full(len(centers), radius)
         else:
-            centers, radii = fill(geometry, slender=bool(name))
-            if geometry.kind == "box" and name:
+            bar = bool(name) and is_bar(hand, geometry, name)
+            centers, radii = fill(geometry, slender=bar)
+            if bar:
                 # beside a contact the corners matter
                 edges = span(geometry)[0]
                 centers, radii = np.vstack([centers, edges]), np.append(radii, np.zeros(len(edges)))
@@ -181,6 +182,18 @@ def _balls(hand: Hand, *, corners: bool) -> list[LinkBall]:
 def on_tip(hand: Hand, geometry: LinkGeometry, finger: str) -> bool:
     """Whether a geometry moves with the link that carries a finger's pad."""
     return bool(geometry.joint_id == hand.fingers[finger].pad.joint_id)
+
+
+def is_bar(hand: Hand, geometry: LinkGeometry, finger: str) -> bool:
+    """Whether a geometry of a finger is a box that reaches far: a long one, or that of the tip."""
+    if geometry.kind != "box":
+        return False
+    _, wide, long = np.sort(geometry.size)
+    return bool(long >= LONG * wide) or on_tip(hand, geometry, finger)
+
+
+LONG = 1.5
+"""Length over width from which a box is a bar and not a knuckle (-)."""
 
 
 def _distinct(hand: Hand, balls: list[LinkBall]) -> tuple[LinkBall, ...]:
@@ -235,7 +248,7 @@ def finger_bones(hand: Hand) -> tuple[LinkBone, ...]:
         name = finger_of.get(g.body, "")
         if not name or g.joint_id not in last[name]:
             continue
-        centers, radius = _bone(g)
+        centers, radius = _bone(hand, g, name)
         ends = [np.array(g.T_joint_geometry.act(c)) for c in (centers[0], centers[-1])]
         ends.sort(key=lambda end: float(np.linalg.norm(end)))
         out.append(
@@ -244,10 +257,10 @@ def finger_bones(hand: Hand) -> tuple[LinkBone, ...]:
     return tuple(out)
 
 
-def _bone(geometry: LinkGeometry) -> tuple[FloatArray, float]:
+def _bone(hand: Hand, geometry: LinkGeometry, finger: str) -> tuple[FloatArray, float]:
     """Ends (2, 3), m, of a bone, and its radius (m): of bars, half width to half diagonal."""
     centers, radii = fill(geometry)
-    if geometry.kind not in ("box", "mesh"):
+    if geometry.kind != "mesh" and not is_bar(hand, geometry, finger):
         return centers[[0, -1]], float(radii.max())
     points = span(geometry)[0]
     lower, upper = points.min(axis=0), points.max(axis=0)
