@@ -48,6 +48,19 @@ EXPECTED: dict[str, tuple[str, ...]] = {
         "NoGraspFoundError: no grasp of box with allegro_hand",
         "attempt 0: forces:",
     ),
+    "08_your_own_mesh": ("stable pose 0", "found at attempt", "allowed: 4 of 4; closed: rank 6"),
+    "09_crosscheck": (
+        "bridge: agrees",
+        "Pinocchio's reader: differs actuators are not read",
+        "copy differs: joint axis of index_1 differs by 0.0087 rad",
+        "mass of index_middle differs by 0.01 relative",
+    ),
+    "10_hand_on_an_arm": (
+        "found at attempt",
+        "7 joints of the arm",
+        "carried by the arm: held",
+        "TaskError: the object is out of the arm's reach",
+    ),
 }
 """What must appear in the output, runs of blanks counted as one."""
 

@@ -48,4 +48,4 @@ def test_the_command_table_names_every_command() -> None:
 
     for command in app.registered_commands:
         assert command.callback is not None
-        assert f"opposable {command.callback.__name__}" in README
+        assert f"opposable {command.name or command.callback.__name__}" in README

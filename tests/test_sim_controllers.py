@@ -176,6 +176,7 @@ def test_a_finger_that_misses_goes_on_along_its_normal(plan: GraspPlan) -> None:
 
 def test_motors_hold_the_object_too(plan: GraspPlan, tmp_path: Path) -> None:
     """The same hand with bare motors: its stiffness comes from the controller."""
+    assert plan.task.hand.path is not None
     source = plan.task.hand.path.parent
     shutil.copytree(source, tmp_path / "hand")
     model = tmp_path / "hand" / plan.task.hand.description.model

@@ -230,6 +230,7 @@ def test_a_hand_too_weak_for_the_plan_reaches_its_torque_limit(
     plan: GraspPlan, tmp_path: Path, attribute: str, value: str
 ) -> None:
     """The plan of the true hand on a copy whose thumb is weak or whose commands are clipped."""
+    assert plan.task.hand.path is not None
     shutil.copytree(plan.task.hand.path.parent, tmp_path / "hand")
     model = tmp_path / "hand" / plan.task.hand.description.model
     spec = mujoco.MjSpec.from_file(str(model))

@@ -20,13 +20,13 @@ from planner.kinematics import HandState
 from planner.search import NLP_TOL, problems_for
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.clearance import LinkBall, hull_balls, link_balls
+from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import (
     LEVER,
     PRESS_MIN,
     GraspProblem,
     NlpSolution,
     Start,
-    SynthesisOptions,
 )
 from planner.synthesis.seeds import Seeder
 from planner.synthesis.surfaces import EDGE_MARGIN
@@ -93,6 +93,7 @@ def solve(task: GraspTask) -> Solved:
 
     for seed in range(20):
         start = seeder.draw(np.random.default_rng(seed))
+        assert isinstance(start, Start)
         solution = problem.solve(start, parameters(start))
         if max(solution.violation.values()) <= NLP_TOL:
             here = replace(start, T_object_base=solution.T_object_base)

@@ -25,6 +25,7 @@ from planner.synthesis.clearance import (
     meeting_bones,
 )
 from planner.synthesis.options import SynthesisOptions
+from planner.synthesis.problem import Start
 from planner.synthesis.seeds import Seeder
 from planner.synthesis.surroundings import table_in_object
 from planner.task import GraspTask, Obstacle
@@ -98,6 +99,7 @@ def test_grasp_problem_has_exact_derivatives(task: GraspTask, seed: int) -> None
     problem, seeder, hand = problems_for(task).grasp, Seeder(task), task.hand
     assert {t.name for t in problem.terms} >= {"surface", "coupling", "stop", "obstacle"}
     start = seeder.draw(rng)
+    assert isinstance(start, Start)
     to_object = task.T_world_object.inverse()
     parameters = problem.parameters(
         shape=task.object.shape,
@@ -125,6 +127,7 @@ def test_pregrasp_problem_has_exact_derivatives(
 ) -> None:
     problem, hand = problems_for(task).pregrasp, task.hand
     start = Seeder(task).draw(np.random.default_rng(0))
+    assert isinstance(start, Start)
     taken: dict[str, FloatArray] = {}
 
     def stands_in(**given: Any) -> tuple[FloatArray, dict[str, Any]]:

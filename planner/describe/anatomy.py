@@ -60,9 +60,9 @@ def find_fingers(
             continue
         if not tip.certain:
             notes.ask(
-                f"joint {skeleton.structure.joints[tip.flexion_joint].name} bends both ways "
-                "alike: the side of the other fingers is taken for the closing one; turn the "
-                "pad's axis if it is the other"
+                f"the range of joint {skeleton.structure.joints[tip.flexion_joint].name} does not "
+                "tell which way it closes: the side of the other fingers is taken; turn the pad's "
+                "axis if it is the other"
             )
         aside = [skeleton.structure.joints[j].name for j in branch.side_joints]
         if aside:

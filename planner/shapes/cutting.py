@@ -40,6 +40,9 @@ SHARES = np.arange(1, 10) / 10
 GUARD_SHARES = np.array([0.25, 0.5, 0.75])
 """The same, as shares of the extent of the guards in it: a small hollow is cut where it is."""
 
+LOCAL = 0.5
+"""Extent of the guards, as share of that of the hull, below which a hollow is small."""
+
 TANGENTS = 6
 """Tangent planes at guards that are tried per cut: they find the corners of a bracket."""
 
@@ -181,12 +184,10 @@ def _best_plane(mesh: Mesh, guards: Guards, cell: Cell, tolerance: float) -> Flo
     points = _spread(cell.surface)
     _, _, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     axes = np.concatenate([axes, np.eye(3)])
-    across = np.concatenate(
-        [
-            _across(cell.hull.points, axes, SHARES),
-            _across(guards.points[cell.bad], axes, GUARD_SHARES),
-        ]
-    )
+    across = _across(cell.hull.points, axes, SHARES)
+    bad = guards.points[cell.bad]
+    if np.ptp(bad, axis=0).max() < LOCAL * np.ptp(cell.hull.points, axis=0).max():
+        across = np.concatenate([across, _across(bad, axes, GUARD_SHARES)])
     planes = np.concatenate([across, _tangents(guards, cell, tolerance)])
     heights = cell.hull.points @ planes[:, :3].T
     low, high = heights.min(axis=0), heights.max(axis=0)
