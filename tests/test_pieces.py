@@ -10,7 +10,7 @@ import pytest
 
 from planner.shapes import Box, Mesh, Sphere
 from planner.shapes.cache import CACHE_VARIABLE
-from planner.shapes.cutting import Cell, Guards, half_of
+from planner.shapes.cutting import Cell, Guards, cut, half_of
 from planner.shapes.hulls import clip, crossing_points, hull_of
 from planner.shapes.made import LBracket, Superquadric, Torus
 from planner.shapes.pieces import TOLERANCE, Pieces, convex_pieces
@@ -86,6 +86,23 @@ def test_a_cell_with_a_corner_in_the_solid_is_filled_to_that_corner() -> None:
         assert half is not None
         cell = half
     assert cell.hull.volume == pytest.approx(0.06**3)
+
+
+def test_cutting_ends_where_a_plane_cuts_nothing_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = LBracket()
+    whole = hull_of(mesh.hull_vertices)
+    assert whole is not None
+    asked = []
+
+    def beside(*_: object) -> FloatArray:
+        asked.append(1)
+        if len(asked) > 10:
+            raise AssertionError("the same cell is cut again and again")
+        return np.array([1.0, 0.0, 0.0, 1.0])
+
+    monkeypatch.setattr("planner.shapes.cutting._best_plane", beside)
+    hulls = cut(mesh, Guards(mesh, whole, TOLERANCE), whole, TOLERANCE)
+    assert [h.volume for h in hulls] == [pytest.approx(whole.volume)]
 
 
 def test_faces_of_pieces_are_closed_and_outward() -> None:

@@ -149,10 +149,14 @@ def cut(mesh: Mesh, guards: Guards, whole: Hull, tolerance: float) -> list[Hull]
         if plane is None:
             done.append(cell.hull)
             continue
-        for side in (1.0, -1.0):
-            half = half_of(mesh, guards, cell, side * plane[:3], side * float(plane[3]))
-            if half is not None:
-                heappush(queue, (-_depth(guards, half), next(number), half))
+        normal, offset = plane[:3], float(plane[3])
+        below = half_of(mesh, guards, cell, normal, offset)
+        above = half_of(mesh, guards, cell, -normal, -offset)
+        if below is None or above is None:  # nothing was gained, nor would be by trying again
+            done.append(cell.hull)
+            continue
+        for half in (below, above):
+            heappush(queue, (-_depth(guards, half), next(number), half))
     return done
 
 

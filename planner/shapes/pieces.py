@@ -32,11 +32,14 @@ TOLERANCE = 0.001
 """How far (m) a piece may reach out of the solid. Half of it doubles the pieces of a mug (60, at
 1 mm) and the time to make them."""
 
-PIECES_VERSION = "v1"
+PIECES_VERSION = "v2"
 """Part of the key in the cache; changes whenever the result does."""
 
 MEASURED = 0.001
 """Distance (m) between the points by which the deviation is measured."""
+
+MEASURED_EXACTLY = 2_000
+"""How many of these points are measured to the true triangles."""
 
 FEW = 30
 """Corners of a hull by which most pairs are found not to be joined."""
@@ -85,11 +88,10 @@ def _make(mesh: Mesh, tolerance: float) -> Pieces:
         return Pieces(vertices=(mesh.vertices,), faces=(mesh.faces,), deviation=0.0)
     guards = Guards(mesh, whole, tolerance)
     hulls = merge(guards, cut(mesh, guards, whole, tolerance))
-    deviation = max(_reach(mesh, hull) for hull in hulls)
     return Pieces(
         vertices=tuple(hull.points for hull in hulls),
         faces=tuple(hull.faces for hull in hulls),
-        deviation=max(0.0, deviation),
+        deviation=_deviation(mesh, hulls),
     )
 
 
@@ -138,12 +140,14 @@ def _some(points: FloatArray) -> FloatArray:
     return points[:: max(1, len(points) // FEW)]
 
 
-def _reach(mesh: Mesh, hull: Hull) -> float:
-    """How far (m) a hull reaches out of the solid."""
-    points, _ = cover(hull.triangles, MEASURED)
-    _, one = np.unique(np.floor(points / MEASURED), axis=0, return_index=True)
-    points = points[one]
-    return float(mesh.signed_distance(points).max())
+def _deviation(mesh: Mesh, hulls: list[Hull]) -> float:
+    """How far (m) hulls reach out of the solid; >= 0.
+
+    Exact at those of many points on them that are farthest out by the smooth field.
+    """
+    points = np.concatenate([cover(hull.triangles, MEASURED)[0] for hull in hulls])
+    farthest = np.argsort(mesh.field().value(points))[-MEASURED_EXACTLY:]
+    return max(0.0, float(mesh.signed_distance(points[farthest]).max()))
 
 
 def _to_arrays(made: Pieces) -> dict[str, FloatArray]:

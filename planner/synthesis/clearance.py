@@ -260,7 +260,7 @@ def finger_bones(hand: Hand) -> tuple[LinkBone, ...]:
 def _bone(hand: Hand, geometry: LinkGeometry, finger: str) -> tuple[FloatArray, float]:
     """Ends (2, 3), m, of a bone, and its radius (m): of bars, half width to half diagonal."""
     centers, radii = fill(geometry)
-    if geometry.kind != "mesh" and not is_bar(hand, geometry, finger):
+    if not is_bar(hand, geometry, finger):
         return centers[[0, -1]], float(radii.max())
     points = span(geometry)[0]
     lower, upper = points.min(axis=0), points.max(axis=0)
