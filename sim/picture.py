@@ -181,7 +181,7 @@ def _draw(model: Any, data: Any, width: int, height: int) -> Any:
     mujoco.mjv_updateScene(
         model,
         data,
-        mujoco.MjvOption(),
+        _options(),
         mujoco.MjvPerturb(),
         camera,
         int(mujoco.mjtCatBit.mjCAT_ALL),
@@ -193,3 +193,10 @@ def _draw(model: Any, data: Any, width: int, height: int) -> Any:
     mujoco.mjr_readPixels(pixels, None, viewport, renderer)
     renderer.free()
     return np.flipud(pixels)
+
+
+def _options() -> Any:
+    """What is drawn: no sites, which some models have as rays and boxes around the hand."""
+    options = mujoco.MjvOption()
+    options.sitegroup[:] = 0
+    return options

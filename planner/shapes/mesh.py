@@ -245,29 +245,6 @@ class Mesh(Shape):
         """Of the farthest vertex, m."""
         return float((self.hull_vertices @ direction).max())
 
-    def normal_spread(self, point: FloatArray, radius: float) -> float:
-        """Largest angle (rad) between outward normals of the surface around a surface point.
-
-        Counted is the surface that is connected to the point within a ball; the far side of a thin
-        wall is not. It is near 0 on a flat face and at least the dihedral angle over an edge.
-
-        Args:
-            point: (3,), m; its nearest surface point is taken.
-            radius: Of the ball, m.
-        """
-        around, (start,), _ = self._surface.nearest(checked_points(point))
-        near = set(self._surface.within(around[0], radius).tolist())
-        reached, queue = {int(start)}, [int(start)]
-        while queue:
-            for other in self._surface.neighbours[queue.pop()].tolist():
-                if other in near and other not in reached:
-                    reached.add(other)
-                    queue.append(other)
-        some = np.array(sorted(reached))
-        normals = self._surface.normals[some[self._surface.areas[some] > 0]]
-        least = float((normals @ normals.T).min(initial=1.0))
-        return float(np.arccos(np.clip(least, -1.0, 1.0)))
-
     def normal_dispersion(self, point: FloatArray, radius: float) -> float:
         """How much the outward normals around a surface point differ (rad), weighted by area.
 

@@ -1,0 +1,229 @@
+"""Grasps on meshes: starts, the last step onto the true triangles, the verdict, regions, files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.spatial import ConvexHull
+
+from planner.bridge import LinkGeometry
+from planner.collision import CollisionWorld
+from planner.errors import TaskError
+from planner.files import read_plan, write_plan
+from planner.hand import Hand
+from planner.mesh_proximity import MeshPair
+from planner.objects import GraspObject, parse_object
+from planner.plan import GraspPlan
+from planner.proximity import DistancePair
+from planner.regions import Region, TouchRegion, parse_region
+from planner.search import edge_fault, plan_grasp
+from planner.shapes import Box, Mesh, Shape, Torus
+from planner.spatial import SE3, FloatArray
+from planner.synthesis.filling import fill, span
+from planner.synthesis.mesh_seeds import MeshSeeder, seeder_for
+from planner.synthesis.opposed import FACING, opposed_pairs
+from planner.synthesis.seeds import Seeder
+from planner.synthesis.settle import SETTLED, settle
+from planner.synthesis.touch import pad_touches
+from planner.synthesis.verify import TOUCH_TOL, verify
+from planner.task import GraspTask
+
+
+def box_mesh(x: float, y: float, z: float, cells: int = 8) -> Mesh:
+    """A box of triangles; every face is cut into cells, so that it is no special case."""
+    ends = np.linspace(-0.5, 0.5, cells + 1)
+    vertices, faces = [], []
+    for axis in range(3):
+        for side in (-0.5, 0.5):
+            first = len(vertices)
+            for a in ends:
+                for b in ends:
+                    p = np.zeros(3)
+                    p[axis], p[(axis + 1) % 3], p[(axis + 2) % 3] = side, a, b
+                    vertices.append(p * [x, y, z])
+            for i in range(cells):
+                for j in range(cells):
+                    k = first + i * (cells + 1) + j
+                    quad = [k, k + cells + 1, k + cells + 2, k + 1]
+                    if side < 0:
+                        quad.reverse()
+                    faces += [[quad[0], quad[1], quad[2]], [quad[0], quad[2], quad[3]]]
+    points, index = np.unique(np.round(vertices, 9), axis=0, return_inverse=True)
+    return Mesh.from_triangles(points, index.ravel()[np.array(faces)], name="box", repair=False)
+
+
+@pytest.fixture(scope="module")
+def torus_plan(allegro: Hand) -> GraspPlan:
+    return plan_grasp(GraspTask.create(allegro, "torus"), seed=0)
+
+
+def test_opposed_pairs_of_a_box_are_its_faces() -> None:
+    size = np.array([0.05, 0.06, 0.08])
+    pairs = opposed_pairs(box_mesh(*size))
+    axis = np.abs(pairs.directions).argmax(axis=1)
+    assert set(axis.tolist()) == {0, 1, 2}
+    assert (np.abs(pairs.directions).max(axis=1) > FACING).all()
+    # the smooth field is a little inside at edges: widths and middles are those of the faces
+    np.testing.assert_allclose(pairs.widths, size[axis], atol=2e-3)
+    middle = pairs.centers[np.arange(len(axis)), axis]
+    np.testing.assert_allclose(middle, 0.0, atol=2e-3)
+
+
+def test_opposed_pairs_of_a_torus_go_through_its_tube() -> None:
+    torus = Torus(0.04, 0.012)
+    pairs = opposed_pairs(torus)
+    through = np.isclose(pairs.widths, 0.024, atol=3e-3)
+    assert through.mean() > 0.8
+    # the middle of a line through the tube is near the ring
+    ring = np.linalg.norm(pairs.centers[through, :2], axis=1)
+    np.testing.assert_allclose(ring, 0.04, atol=6e-3)
+
+
+def test_starts_on_a_mesh_are_drawn_from_pairs(allegro: Hand) -> None:
+    task = GraspTask.create(allegro, "torus")
+    seeder = seeder_for(task)
+    assert isinstance(seeder, MeshSeeder)
+    assert type(seeder_for(GraspTask.create(allegro, "box"))) is Seeder
+    start = seeder.draw(np.random.default_rng(0))
+    again = seeder_for(task).draw(np.random.default_rng(0))
+    assert not isinstance(start, str)
+    assert not isinstance(again, str)
+    np.testing.assert_array_equal(start.q, again.q)
+    np.testing.assert_allclose(task.object.shape.signed_distance(start.points), 0, atol=1e-9)
+
+
+def test_an_object_that_is_too_wide_everywhere_is_refused(allegro: Hand) -> None:
+    wide = GraspObject(name="slab", shape=box_mesh(0.5, 0.5, 0.4))
+    with pytest.raises(TaskError, match="finds nowhere to close on slab"):
+        seeder_for(GraspTask.create(allegro, wide))
+
+
+def test_a_plan_touches_the_true_triangles_and_nothing_else(torus_plan: GraspPlan) -> None:
+    task, shape = torus_plan.task, torus_plan.task.object.shape
+    points = torus_plan.contacts_in_object.positions
+    np.testing.assert_allclose(shape.signed_distance(points), 0.0, atol=TOUCH_TOL)
+    assert np.abs(torus_plan.verification.pad_gaps).max() <= SETTLED + 1e-6
+    assert all(c.distance > -5e-6 for c in torus_plan.verification.closest)
+    assert torus_plan.quality.closure.closed
+    assert edge_fault(task, torus_plan.contacts) == ""
+
+
+def test_settling_undoes_a_small_error_and_leaves_a_large_one(torus_plan: GraspPlan) -> None:
+    task, base, q = torus_plan.task, torus_plan.T_world_base, torus_plan.q
+    index = [int(f.q_index[2]) for f in task.fingers]
+    off = q.copy()
+    off[index] += 0.02
+    gaps = [abs(t.sphere_gap) for t in pad_touches(task, base, off)]
+    assert max(gaps) > 5e-4
+    settled = settle(task, base, off)
+    assert max(abs(t.sphere_gap) for t in pad_touches(task, base, settled)) <= SETTLED
+    far = q.copy()
+    far[index] -= 0.3
+    np.testing.assert_array_equal(settle(task, base, far), far)
+
+
+def test_a_plan_on_a_mesh_survives_its_file(torus_plan: GraspPlan, tmp_path: Path) -> None:
+    write_plan(torus_plan, tmp_path / "plan.json")
+    back = read_plan(tmp_path / "plan.json")
+    assert isinstance(back.task.object.shape, Torus)
+    np.testing.assert_array_equal(back.q, torus_plan.q)
+
+
+def test_the_verdict_names_contacts_where_none_may_be(torus_plan: GraspPlan) -> None:
+    task = torus_plan.task
+    first = torus_plan.contacts_in_object.positions[0]
+    around = Region(name="spot", lower=tuple(first - 0.004), upper=tuple(first + 0.004))
+    for touch, faults in (
+        (TouchRegion(forbidden=(around,)), 1),
+        (TouchRegion(allowed=(around,)), len(task.fingers) - 1),
+        (TouchRegion(required={task.finger_names[0]: around}), 0),
+        (TouchRegion(required={task.finger_names[1]: around}), 1),
+    ):
+        asked = replace(task, object=replace(task.object, touch=touch))
+        found = verify(CollisionWorld(asked), torus_plan.T_world_base, torus_plan.q).faults
+        assert sum("touches where it may not" in f for f in found) == faults
+
+
+@pytest.mark.parametrize("item", ["box", "torus"])
+def test_a_region_is_kept_and_stored(allegro: Hand, item: str, tmp_path: Path) -> None:
+    region = parse_region("x>-0.02" if item == "torus" else "z>0.01")
+    asked = parse_object(item, touch=TouchRegion(allowed=(region,)))
+    plan = plan_grasp(GraspTask.create(allegro, asked), seed=1)
+    assert region.contains(plan.contacts_in_object.positions).all()
+    write_plan(plan, tmp_path / "plan.json")
+    stored = read_plan(tmp_path / "plan.json").task.object.touch
+    assert stored == asked.touch
+
+
+LINKS: dict[str, tuple[object, Shape]] = {
+    "box": (coal.Box(0.02, 0.02, 0.02), Box((0.02, 0.02, 0.02))),
+    "capsule": (coal.Capsule(0.01, 0.03), Box((0.02, 0.02, 0.05))),
+    "sphere": (coal.Sphere(0.01), Box((0.02, 0.02, 0.02))),
+}
+
+
+@pytest.mark.parametrize("link", LINKS)
+@pytest.mark.parametrize("seed", range(3))
+def test_mesh_distances_are_those_of_the_same_box(link: str, seed: int) -> None:
+    size = (0.05, 0.06, 0.08)
+    geometry = LINKS[link][0]
+    mesh, exact = MeshPair(geometry, box_mesh(*size)), DistancePair(geometry, coal.Box(*size))
+    rng = np.random.default_rng(seed)
+    for _ in range(50):
+        pose = SE3(pin.exp3(rng.normal(size=3)), rng.normal(0, 0.05, 3))
+        there = SE3(pin.exp3(rng.normal(size=3)), rng.normal(0, 0.02, 3))
+        told, true = mesh.distance(pose, there), exact.distance(pose, there)
+        assert (told > 0) == (true > 0)
+        if true > 0:
+            assert told == pytest.approx(true, abs=2e-6)
+            found = mesh.query(pose, there)
+            np.testing.assert_allclose(
+                found.point_b - found.point_a, told * found.normal, atol=1e-5
+            )
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_a_link_wholly_inside_a_mesh_is_inside(link: str) -> None:
+    """Apart from every triangle, and in the middle of the solid: coal alone calls it apart."""
+    mesh = box_mesh(0.2, 0.2, 0.2)
+    geometry = LINKS[link][0]
+    alone = coal.DistanceResult()
+    here = coal.Transform3s()
+    if link != "sphere":
+        request = coal.DistanceRequest()
+        assert coal.distance(geometry, here, mesh.coal_geometry(), here, request, alone) > 0.05
+    assert MeshPair(geometry, mesh).distance(SE3.Identity(), SE3.Identity()) < -0.05
+
+
+def hull_geometry(points: FloatArray) -> LinkGeometry:
+    vertices = coal.StdVec_Vec3s()
+    vertices.extend(list(points))
+    return LinkGeometry(
+        name="hull",
+        body="link",
+        joint_id=1,
+        T_joint_geometry=SE3.Identity(),
+        geometry=coal.Convex.convexHull(vertices, True, "Qt"),
+        kind="mesh",
+        size=np.zeros(3),
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_balls_of_a_hull_are_inside_it_and_its_span_is_its_corners(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(40, 3)) * [0.01, 0.015, 0.04] + rng.normal(0, 0.05, 3)
+    geometry, hull = hull_geometry(points), ConvexHull(points)
+    centers, radii = fill(geometry)
+    depth = -(centers @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1)
+    np.testing.assert_allclose(radii, depth, atol=1e-9)
+    assert radii.max() > 0.004
+    corners, radius = span(geometry)
+    assert radius == 0
+    known = {tuple(np.round(p, 9)) for p in points[hull.vertices]}
+    assert {tuple(np.round(p, 9)) for p in corners} <= known
