@@ -37,7 +37,8 @@ from planner.task import GraspTask
 def box_mesh(x: float, y: float, z: float, cells: int = 8) -> Mesh:
     """A box of triangles; every face is cut into cells, so that it is no special case."""
     ends = np.linspace(-0.5, 0.5, cells + 1)
-    vertices, faces = [], []
+    vertices: list[FloatArray] = []
+    faces: list[list[int]] = []
     for axis in range(3):
         for side in (-0.5, 0.5):
             first = len(vertices)

@@ -13,8 +13,9 @@ from planner.shapes.cache import CACHE_VARIABLE
 from planner.shapes.cutting import Cell, Guards, cut, half_of
 from planner.shapes.hulls import clip, crossing_points, hull_of
 from planner.shapes.made import LBracket, Superquadric, Torus
-from planner.shapes.pieces import TOLERANCE, Pieces, convex_pieces
+from planner.shapes.pieces import TOLERANCE, Pieces, convex_pieces, deviation
 from planner.shapes.solid import solid_deviation, solid_geoms
+from planner.shapes.triangles import cover
 from planner.spatial import FloatArray
 
 MADE = (LBracket(), Torus())
@@ -103,6 +104,17 @@ def test_cutting_ends_where_a_plane_cuts_nothing_off(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("planner.shapes.cutting._best_plane", beside)
     hulls = cut(mesh, Guards(mesh, whole, TOLERANCE), whole, TOLERANCE)
     assert [h.volume for h in hulls] == [pytest.approx(whole.volume)]
+
+
+@pytest.mark.parametrize("mesh", MADE, ids=lambda m: m.kind)
+def test_deviation_is_what_measuring_every_point_gives(mesh: Mesh) -> None:
+    """Of the hull alone, which bridges centimetres: the smooth field must hide none of it."""
+    hull = hull_of(mesh.hull_vertices)
+    assert hull is not None
+    points, _ = cover(hull.triangles, 0.001)
+    exact = mesh.signed_distance(points).max()
+    assert exact > 0.01
+    assert deviation(mesh, [hull]) == pytest.approx(exact, abs=1e-12)
 
 
 def test_faces_of_pieces_are_closed_and_outward() -> None:

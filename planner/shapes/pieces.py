@@ -24,14 +24,15 @@ from planner.shapes.cache import read_arrays, write_arrays
 from planner.shapes.cutting import Guards, cut
 from planner.shapes.hulls import Hull, hull_of
 from planner.shapes.mesh import Mesh
+from planner.shapes.mesh_distance import SMOOTHED_MOST
 from planner.shapes.triangles import cover
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["TOLERANCE", "Pieces", "convex_pieces"]
+__all__ = ["TOLERANCE", "Pieces", "convex_pieces", "deviation", "merge"]
 
 TOLERANCE = 0.001
-"""How far (m) a piece may reach out of the solid. Half of it doubles the pieces of a mug (60, at
-1 mm) and the time to make them."""
+"""How far (m) a piece may reach out of the solid, about: what it does is measured. Half of it nearly
+doubles the pieces of a mug (some 60 at 1 mm) and the time to make them."""
 
 PIECES_VERSION = "v2"
 """Part of the key in the cache; changes whenever the result does."""
@@ -39,8 +40,9 @@ PIECES_VERSION = "v2"
 MEASURED = 0.001
 """Distance (m) between the points by which the deviation is measured."""
 
-SURELY_INSIDE = 0.003
-"""Depth (m) by the smooth field at which a point is inside: more than the field is ever wrong."""
+SURELY_INSIDE = 2 * SMOOTHED_MOST
+"""Depth (m) by the smooth field at which a point is inside: a distance changes by 1 m per m, so that
+smoothing by a normal distribution of deviation s changes it by sqrt(8 / pi) s = 1.6 s at most."""
 
 BATCH = 500
 """Points that are measured at once."""
@@ -95,7 +97,7 @@ def _make(mesh: Mesh, tolerance: float) -> Pieces:
     return Pieces(
         vertices=tuple(hull.points for hull in hulls),
         faces=tuple(hull.faces for hull in hulls),
-        deviation=_deviation(mesh, hulls),
+        deviation=deviation(mesh, hulls),
     )
 
 
@@ -144,7 +146,7 @@ def _some(points: FloatArray) -> FloatArray:
     return points[:: max(1, len(points) // FEW)]
 
 
-def _deviation(mesh: Mesh, hulls: list[Hull]) -> float:
+def deviation(mesh: Mesh, hulls: list[Hull]) -> float:
     """How far (m) hulls reach out of the solid, at points on them; >= 0.
 
     No point is farther from the surface than from the nearest of some points on it, so points are
