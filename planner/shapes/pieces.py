@@ -31,8 +31,8 @@ from planner.spatial import FloatArray, IntArray
 __all__ = ["TOLERANCE", "Pieces", "convex_pieces", "deviation", "merge"]
 
 TOLERANCE = 0.001
-"""How far (m) a piece may reach out of the solid, about: what it does is measured. Half of it nearly
-doubles the pieces of a mug (some 60 at 1 mm) and the time to make them."""
+"""How far (m) a piece may reach out of the solid, about: what it does is measured. Half of it
+nearly doubles the pieces of a mug (65 at 1 mm) and the time to make them."""
 
 PIECES_VERSION = "v2"
 """Part of the key in the cache; changes whenever the result does."""
@@ -41,8 +41,9 @@ MEASURED = 0.001
 """Distance (m) between the points by which the deviation is measured."""
 
 SURELY_INSIDE = 2 * SMOOTHED_MOST
-"""Depth (m) by the smooth field at which a point is inside: a distance changes by 1 m per m, so that
-smoothing by a normal distribution of deviation s changes it by sqrt(8 / pi) s = 1.6 s at most."""
+"""Depth (m) by the smooth field at which a point is inside: a distance changes by 1 m per m, so
+that smoothing by a normal distribution of deviation s changes it by sqrt(8 / pi) s = 1.6 s at
+most."""
 
 BATCH = 500
 """Points that are measured at once."""
