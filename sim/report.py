@@ -71,6 +71,7 @@ class TrialReport:
         wall_s: Time it took.
         supported: Whether the object was held by a constraint until the lift, for want of a table.
         carried_by: What carried the hand: "mount", six driven axes, or "arm".
+        object_deviation_mm: How far convex pieces that stood for a mesh reach out of it at most.
         picture: Picture of the held object, None if there is none.
         picture_reason: Why there is none.
     """
@@ -92,6 +93,7 @@ class TrialReport:
     wall_s: float
     supported: bool
     carried_by: Literal["mount", "arm"] = "mount"
+    object_deviation_mm: float = 0.0
     picture: Path | None = None
     picture_reason: str = "none was asked for"
 
@@ -150,6 +152,7 @@ class TrialReport:
             wall_s=self.wall_s,
             supported_until_lift=self.supported,
             carried_by=self.carried_by,
+            object_deviation_mm=self.object_deviation_mm,
             picture=None if self.picture is None else self.picture.name,
             picture_reason=self.picture_reason,
             samples=SampleData(
@@ -236,6 +239,7 @@ class ReportFile(StrictData):
     wall_s: float
     supported_until_lift: bool
     carried_by: Literal["mount", "arm"] = "mount"
+    object_deviation_mm: float = 0.0
     picture: str | None
     picture_reason: str
     samples: SampleData

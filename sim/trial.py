@@ -289,6 +289,7 @@ class Trial:
             wall_s=time.perf_counter() - begin,
             supported=task.table_height is None,
             carried_by="mount" if plan.arm is None else "arm",
+            object_deviation_mm=1e3 * self.scene.deviation,
         )
 
 

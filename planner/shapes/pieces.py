@@ -7,7 +7,7 @@ tolerance, where cutting succeeds. What other parts of the solid fill does not c
 Afterwards pieces are merged where their common hull keeps the tolerance too.
 
 Why not one of MuJoCo's signed-distance geoms: a step of a hold by four fingertips took 10 ms with
-those (40 starting points) against 0.5 ms, and friction crept ten times faster. Why not a library's
+those (40 starting points) against 0.5 ms, and on a torus friction crept faster. Why not a library's
 decomposition: CoACD 1.0.14 took 55 s for a mug, and neither it nor V-HACD bounds the distance.
 """
 
