@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import platform
 import statistics
 from collections.abc import Callable, Iterable
@@ -106,11 +107,16 @@ def _one(hand: str, object: str, seed: int, mu: float) -> Outcome:
         epsilon=plan.quality.epsilon,
         held=report.success,
         reason=report.reason,
-        slip_mm=slip_mm,
-        slip_deg=slip_deg,
-        position_errors_mm=tuple(c.position_error_mm for c in report.comparison),
-        force_errors_percent=tuple(c.force_error_percent for c in report.comparison),
+        slip_mm=slip_mm if math.isfinite(slip_mm) else None,
+        slip_deg=slip_deg if math.isfinite(slip_deg) else None,
+        position_errors_mm=_known(c.position_error_mm for c in report.comparison),
+        force_errors_percent=_known(c.force_error_percent for c in report.comparison),
     )
+
+
+def _known(values: Iterable[float]) -> tuple[float, ...]:
+    """Without those that were not measured: a finger that lost its contact has no error."""
+    return tuple(v for v in values if math.isfinite(v))
 
 
 def run_benchmark(
