@@ -305,7 +305,9 @@ def test_servos_in_a_file_in_degrees_have_ranges_in_radians() -> None:
     degrees = degrees.replace('range="-0.5 1"', 'range="-30 60"')
     servo = {"joints": ["right", "left"], "kp": 2.0, "force_limit": 0.5}
     hand = gripper(degrees, actuators=[servo])
-    np.testing.assert_allclose(hand.actuation.ctrl_range, np.deg2rad([[-30, 60]] * 2), rtol=1e-12)
+    beyond = np.array([-0.25, 0.25])  # force limit over kp, rad
+    wanted = np.deg2rad([[-30, 60]] * 2) + beyond
+    np.testing.assert_allclose(hand.actuation.ctrl_range, wanted, rtol=1e-12)
 
 
 def test_a_servo_on_a_tendon_and_a_described_equality_hold_two_joints() -> None:
@@ -324,7 +326,7 @@ def test_a_servo_on_a_tendon_and_a_described_equality_hold_two_joints() -> None:
     )
     assert hand.actuation.names == ("t",)
     np.testing.assert_array_equal(hand.actuation.moment, [[2, -1]])
-    np.testing.assert_allclose(hand.actuation.ctrl_range, [[-2, 2.5]], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(hand.actuation.ctrl_range, [[-3, 3.5]], rtol=0, atol=1e-15)
     (c,) = hand.couplings
     assert not c.one_sided
     np.testing.assert_allclose(c.row, [1, -1], rtol=0, atol=1e-15)

@@ -45,6 +45,10 @@ model = "slider.xml"
 base_body = "base"
 palm_body = "base"
 palm_normal = [0, 0, 1]
+[[actuators]]
+joints = ["slide", "hinge"]
+kp = 10.0
+force_limit = 1.0
 [[fingers]]
 name = "only"
 joints = ["slide", "hinge"]
