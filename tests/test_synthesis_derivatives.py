@@ -135,9 +135,9 @@ def test_pregrasp_problem_has_exact_derivatives(
         taken.update(given)
         return given["x0"], {"success": True}
 
-    solver = problem._nlp.bind(None)
+    solver = problem.nlp.bind(None)
     with monkeypatch.context() as patch:
-        patch.setattr(problem._nlp, "bind", lambda _: stands_in)
+        patch.setattr(problem.nlp, "bind", lambda _: stands_in)
         T_world_base = task.T_world_object * start.T_object_base
         problem.solve(task, T_world_base, start.q, -start.points / 0.03, 0.02)
     x = np.clip(start.q + 0.1, hand.q_lower, hand.q_upper)

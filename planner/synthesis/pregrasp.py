@@ -127,7 +127,7 @@ class PregraspProblem:
         above += surroundings.from_obstacles(links, OPEN_CLEARANCE)
         above += links.between_fingers(FINGER_CLEARANCE)
         self._upper = np.concatenate([np.zeros(len(value)), np.full(len(above), np.inf)])
-        self._nlp = Nlp(
+        self.nlp = Nlp(
             "pregrasp",
             x=q,
             p=ca.vertcat(
@@ -181,7 +181,7 @@ class PregraspProblem:
         lower, upper = hand.q_lower.copy(), hand.q_upper.copy()
         held = np.concatenate([hand.wrist_index, hand.arm_index])
         lower[held] = upper[held] = q[held]
-        x, stats = self._nlp.bind(self.surface.field_of(task.object.shape))(
+        x, stats = self.nlp.bind(self.surface.field_of(task.object.shape))(
             x0=q, p=np.concatenate(parts), lbx=lower, ubx=upper, lbg=0, ubg=self._upper
         )
         if not stats["success"]:
