@@ -13,6 +13,7 @@ from scipy.spatial import ConvexHull
 
 from planner.bridge import LinkGeometry
 from planner.collision import CollisionWorld
+from planner.contacts import ContactSet
 from planner.errors import TaskError
 from planner.files import read_plan, write_plan
 from planner.hand import Hand
@@ -228,3 +229,17 @@ def test_balls_of_a_hull_are_inside_it_and_its_span_is_its_corners(seed: int) ->
     assert radius == 0
     known = {tuple(np.round(p, 9)) for p in points[hull.vertices]}
     assert {tuple(np.round(p, 9)) for p in corners} <= known
+
+
+def test_a_contact_on_an_edge_of_a_mesh_is_named(allegro: Hand) -> None:
+    item = GraspObject(name="brick", shape=box_mesh(0.05, 0.06, 0.08))
+    task = GraspTask.create(allegro, item, fingers=["thumb", "index", "middle"])
+
+    def fault(last: list[float]) -> str:
+        points = np.array([[0.025, 0.0, 0.0], [-0.025, 0.01, 0.0], last])
+        inward = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+        local = ContactSet.from_arrays(points, inward, mu=0.5, fingers=task.finger_names)
+        return edge_fault(task, local.transformed(task.T_world_object))
+
+    assert fault([-0.025, -0.01, 0.0]) == ""
+    assert fault([-0.025, -0.03, 0.0]).startswith("middle is on an edge")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar, Self
 
@@ -36,9 +37,9 @@ class Made(Mesh):
     def _check(self) -> None:
         """Whether the sizes fit each other; ObjectError if not."""
 
+    @abstractmethod
     def _triangles(self) -> tuple[FloatArray, IntArray]:
         """Vertices (n, 3), m, and outward faces (m, 3)."""
-        raise NotImplementedError
 
     @classmethod
     def from_sizes(cls, sizes: Sequence[float]) -> Self:
