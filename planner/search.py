@@ -53,6 +53,10 @@ __all__ = [
 DEFAULT_MAX_ATTEMPTS = 40
 """Attempts before giving up. On the shipped shapes one to three are usual."""
 
+SPARE_AFTER = 5
+"""Attempts after which every other one is made with three fingers alone, if the choice of fingers
+was left to us: on narrow faces, rims and handles four fingers find no room."""
+
 CLOSURE_EDGES = 8
 """Sides of the friction pyramid with which closure is decided."""
 
@@ -158,15 +162,17 @@ def attempts(
     if not isinstance(seed, int | np.integer) or seed < 0:
         raise TaskError(f"seed is {seed!r}; give an integer >= 0")
     options = options or SynthesisOptions()
-    seeder = seeder_for(task)
-    world = CollisionWorld(task)
-    problems = problems_for(task)
+    whole = spared = _Ground.of(task)
     total = 0.0
     index = 0
     while True:
+        if index == SPARE_AFTER and task.may_spare_fingers:
+            spared = _Ground.of(task.with_fingers(whole.seeder.tripod))
+        past = index - SPARE_AFTER
+        ground = spared if past >= 0 and past % 2 == 0 else whole
         start_cpu = time.process_time()
         rng = np.random.default_rng([seed, index])
-        outcome = _attempt(task, problems, seeder, world, rng, options)
+        outcome = _attempt(ground, rng, options)
         cpu = time.process_time() - start_cpu
         total += cpu
         if isinstance(outcome, str):
@@ -178,7 +184,7 @@ def attempts(
                 attempt=index,
                 attempts=index + 1,
                 cpu_s=total,
-                build_s=problems.build_s,
+                build_s=ground.problems.build_s,
             )
             plan = replace(outcome, record=record)
             yield Attempt(index=index, plan=plan, reason="", cpu_s=cpu)
@@ -226,15 +232,26 @@ def plan_grasp(
     raise _nothing_found(task, tuple(made))
 
 
+@dataclass(frozen=True)
+class _Ground:
+    """What all attempts at a task share."""
+
+    task: GraspTask
+    problems: Problems
+    seeder: Seeder
+    world: CollisionWorld
+
+    @classmethod
+    def of(cls, task: GraspTask) -> _Ground:
+        seeder = seeder_for(task)
+        return cls(task, problems_for(task), seeder, CollisionWorld(task))
+
+
 def _attempt(
-    task: GraspTask,
-    problems: Problems,
-    seeder: Seeder,
-    world: CollisionWorld,
-    rng: np.random.Generator,
-    options: SynthesisOptions,
+    ground: _Ground, rng: np.random.Generator, options: SynthesisOptions
 ) -> GraspPlan | str:
     """One attempt: a plan, or why not."""
+    task, problems, seeder = ground.task, ground.problems, ground.seeder
     start = seeder.draw(rng)
     if isinstance(start, str):
         return start
@@ -265,7 +282,7 @@ def _attempt(
     q = np.clip(solution.q, task.hand.q_lower, task.hand.q_upper)
     T_world_base = task.T_world_object * solution.T_object_base
     q = settle(task, T_world_base, q)
-    return judge_grasp(task, T_world_base, q, record=record, world=world)
+    return judge_grasp(task, T_world_base, q, record=record, world=ground.world)
 
 
 def judge_grasp(

@@ -7,7 +7,7 @@ execution cannot disagree about the world.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from numbers import Real
 from pathlib import Path
 
@@ -78,6 +78,8 @@ class GraspTask:
         mu_torsion: Torsional friction (m); matters with ``contact_model="soft"``.
         contact_model: Friction law of the planned contacts.
         finger_names: Fingers that take part.
+        may_spare_fingers: Whether the search may go on with fewer fingers where all of these find
+            nothing.
         grip_force: Smallest normal force per finger in the planned grasp, N.
         T_world_base: Pose of the hand's base if it is fixed; None if it is free. The base of a hand
             on an arm is the arm's root, which is fixed.
@@ -95,6 +97,7 @@ class GraspTask:
     mu_torsion: float = 0.0
     contact_model: ContactModel = "point"
     finger_names: tuple[str, ...]
+    may_spare_fingers: bool = False
     grip_force: float
     T_world_base: SE3 | None = None
     wrist_free: bool = False
@@ -131,7 +134,8 @@ class GraspTask:
             mu: Sliding friction that planning may rely on (-).
             mu_torsion: Torsional friction (m).
             contact_model: Friction law of the planned contacts.
-            fingers: Finger names; the hand's default set if None.
+            fingers: Finger names; if None the hand's default set, of which the search may spare
+                some where all of them find nothing.
             grip_force: N per finger; from weight and friction if None (``GRIP_SAFETY``).
             T_world_base: Pose of the hand's base if it is fixed. A hand on an arm has its arm stand
                 where its description says, seen from the object, if None.
@@ -156,9 +160,7 @@ class GraspTask:
             T_world_base = SE3(np.eye(3), spot) * hand.arm.T_spot_base
         chosen = hand.choose_fingers(fingers)
         if grip_force is None:
-            weight = item.mass * float(np.linalg.norm(gravity))
-            share = weight / (max(mu, LEAST_MU) * len(chosen))
-            grip_force = float(max(MIN_GRIP, GRIP_SAFETY * share))
+            grip_force = _default_grip(item.mass, gravity, mu, len(chosen))
         n_wrist = len(hand.wrist_index)
         return cls(
             hand=hand,
@@ -171,10 +173,25 @@ class GraspTask:
             mu_torsion=mu_torsion,
             contact_model=contact_model,
             finger_names=tuple(f.name for f in chosen),
+            may_spare_fingers=fingers is None,
             grip_force=grip_force,
             T_world_base=T_world_base,
             wrist_free=wrist_free,
             wrist_q=np.zeros(n_wrist) if wrist_q is None else np.array(wrist_q, dtype=float),
+        )
+
+    def with_fingers(self, names: Sequence[str]) -> GraspTask:
+        """The same task for these fingers and no others, each gripping no less than before.
+
+        Raises:
+            TaskError, NotFoundError: They are not fingers of the hand, or too few.
+        """
+        least = _default_grip(self.object.mass, self.gravity, self.mu, len(names))
+        return replace(
+            self,
+            finger_names=tuple(names),
+            may_spare_fingers=False,
+            grip_force=max(self.grip_force, least),
         )
 
     def __repr__(self) -> str:
@@ -264,6 +281,14 @@ class GraspTask:
                 "fall before it is grasped; lower T_world_object, or give table_height=None for an "
                 "object that is held until it is lifted"
             )
+
+
+def _default_grip(
+    mass: float, gravity: Sequence[float] | FloatArray, mu: float, n_fingers: int
+) -> float:
+    """Normal force per finger (N) that carries the weight with a reserve."""
+    share = mass * float(np.linalg.norm(gravity)) / (max(mu, LEAST_MU) * n_fingers)
+    return float(max(MIN_GRIP, GRIP_SAFETY * share))
 
 
 def _check_number(name: str, value: object) -> None:

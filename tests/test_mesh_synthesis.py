@@ -86,6 +86,22 @@ def test_opposed_pairs_of_a_torus_go_through_its_tube() -> None:
     np.testing.assert_allclose(ring, 0.04, atol=6e-3)
 
 
+def test_opposed_pairs_of_a_mug_cross_its_wall_and_its_hollow() -> None:
+    mug = parse_object("mug").shape
+    assert isinstance(mug, Mesh)
+    pairs = opposed_pairs(mug)
+    outer, wall = 0.080, 0.004  # diameter and wall of the default mug, m
+    along = np.abs(pairs.directions[:, 2]) < 0.1
+    assert (np.abs(pairs.widths[along] - wall) < 0.001).sum() > 50
+    across = along & (np.abs(pairs.widths - outer) < 0.002)
+    assert across.sum() > 50
+    # those that cross the hollow have their middles on the cup's axis
+    middles = pairs.centers[across, :2]
+    np.testing.assert_allclose(
+        middles, np.broadcast_to(middles.mean(axis=0), middles.shape), atol=4e-3
+    )
+
+
 def test_starts_on_a_mesh_are_drawn_from_pairs(allegro: Hand) -> None:
     task = GraspTask.create(allegro, "torus")
     seeder = seeder_for(task)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import coal
 import numpy as np
@@ -20,12 +21,14 @@ from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.search import (
     FRICTION_SHARE,
+    SPARE_AFTER,
     Attempt,
     attempts,
     judge_grasp,
     plan_grasp,
 )
 from planner.spatial import SE3, FloatArray
+from planner.synthesis.mesh_seeds import seeder_for
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.pregrasp import APPROACH_CLEARANCE, OPENED_SHARE, Approach
 from planner.task import GraspTask, Obstacle
@@ -251,6 +254,31 @@ def test_three_fingers_by_name(allegro: Hand) -> None:
     assert len(plan.forces.forces) == 3
 
 
+@pytest.mark.parametrize("fingers", [None, ["thumb", "index", "middle", "ring"]])
+def test_fingers_are_spared_only_where_the_choice_was_left_open(
+    allegro: Hand, fingers: list[str] | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried: list[int] = []
+
+    def nothing(ground: Any, rng: Any, options: Any) -> str:
+        tried.append(len(ground.task.fingers))
+        return "nothing: for the test"
+
+    monkeypatch.setattr("planner.search._attempt", nothing)
+    task = GraspTask.create(allegro, "sphere", fingers=fingers)
+    with pytest.raises(NoGraspFoundError):
+        plan_grasp(task, max_attempts=SPARE_AFTER + 4)
+    late = [3, 4, 3, 4] if fingers is None else [4] * 4
+    assert tried == [4] * SPARE_AFTER + late
+
+
+def test_the_three_fingers_are_the_thumb_and_its_neighbours(shadow: Hand) -> None:
+    seeder = seeder_for(GraspTask.create(shadow, "sphere"))
+    assert seeder.tripod[0] == "thumb"
+    assert len(seeder.tripod) == 3
+    assert set(seeder.tripod) < set(seeder.task.finger_names)
+
+
 def test_a_grasp_is_the_same_wherever_the_world_is_shifted_to(allegro: Hand) -> None:
     """Starts are drawn about the object; the rest is rounding, which the solver may enlarge."""
     shift, rest = np.array([1.3, -0.4, 0.8]), np.array([0.0, 0.0, 0.04])
@@ -271,6 +299,7 @@ def test_the_verdict_on_a_grasp_turns_with_the_world(allegro: Hand) -> None:
     """Up is special to the draw of starts, so plans differ in a turned world; verdicts do not."""
     task = GraspTask.create(allegro, "box", table_height=None)
     plan = plan_grasp(task, seed=1)
+    task = plan.task  # with the fingers that were chosen
     move = SE3(pin.exp3(np.array([1.0, -2.0, 0.5])), np.array([0.3, 0.7, -1.1]))
     turned = replace(
         task, T_world_object=move * task.T_world_object, gravity=move.rotation @ task.gravity

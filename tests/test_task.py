@@ -46,6 +46,18 @@ def test_default_grip_carries_twice_the_weight_by_friction(allegro: Hand) -> Non
     assert on_the_moon.grip_force == pytest.approx(1.62)
 
 
+def test_fewer_fingers_grip_harder_and_never_less_than_asked(allegro: Hand) -> None:
+    """By hand: 2 * 1 kg * 9.81 / (0.5 * 3) = 13.08 N per finger."""
+    three = ["thumb", "index", "middle"]
+    task = GraspTask.create(allegro, parse_object("box", mass=1.0)).with_fingers(three)
+    assert task.finger_names == tuple(three)
+    assert task.grip_force == pytest.approx(13.08)
+    strong = GraspTask.create(allegro, parse_object("box", mass=1.0), grip_force=20.0)
+    assert strong.with_fingers(three).grip_force == 20.0
+    with pytest.raises(TaskError, match="at least 3"):
+        task.with_fingers(three[:2])
+
+
 def test_object_rests_on_a_raised_table(allegro: Hand) -> None:
     task = GraspTask.create(allegro, "sphere", table_height=0.7)
     np.testing.assert_allclose(task.T_world_object.translation, [0, 0, 0.735], atol=1e-12)

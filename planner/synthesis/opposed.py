@@ -1,8 +1,8 @@
 """Places on a mesh where fingers can oppose each other: pairs of surface points, face to face.
 
-From points spread over the surface one looks straight into the body until the other side. Where
-that side faces back, within the friction cone or nearly, the two points can be pressed against each
-other. Handles, rims and walls of a concave object are found like the sides of a box.
+From points spread over the surface one looks straight into the body until the other side: the first
+one, of a wall, a handle or a rim, and the last one, across a hollow. Where that side faces back,
+within the friction cone or nearly, the two points can be pressed against each other.
 """
 
 from __future__ import annotations
@@ -48,21 +48,22 @@ def opposed_pairs(mesh: Mesh) -> OpposedPairs:
     """Opposed pairs of a mesh; always the same ones."""
     points, normals = mesh.surface_samples(SAMPLES, np.random.default_rng(0))
     field = mesh.field()
-    reach = 2 * mesh.bounding_radius
-    depths = np.arange(2 * STEP, reach, STEP)
-    width = np.zeros(len(points))
+    depths = np.arange(STEP, 2 * mesh.bounding_radius, STEP)
+    first, last = np.zeros(len(points)), np.zeros(len(points))
     before = np.full(len(points), -STEP)
     for depth in depths:
-        open_ = np.flatnonzero(width == 0.0)
-        if not len(open_):
-            break
-        value = field.taylor(points[open_] - depth * normals[open_], 0)[:, 0]
-        out = value >= 0.0
-        share = value[out] / np.maximum(value[out] - before[open_[out]], 1e-9)
-        width[open_[out]] = depth - STEP * np.clip(share, 0.0, 1.0)
-        before[open_] = value
+        value = field.taylor(points - depth * normals, 0)[:, 0]
+        out = (before < 0.0) & (value >= 0.0) & (depth > STEP)
+        share = value / np.where(out, value - before, 1.0)
+        last[out] = (depth - STEP * np.clip(share, 0.0, 1.0))[out]
+        first[out & (first == 0.0)] = last[out & (first == 0.0)]
+        before = value
+    through = last > first
+    points = np.vstack([points, points[through]])
+    directions = -np.vstack([normals, normals[through]])
+    width = np.concatenate([first, last[through]])
     found = width > 0.0
-    points, directions, width = points[found], -normals[found], width[found]
+    points, directions, width = points[found], directions[found], width[found]
     gradients = field.taylor(points + width[:, None] * directions, 1)[:, 1:4]
     gradients /= np.maximum(np.linalg.norm(gradients, axis=1, keepdims=True), 1e-9)
     back = np.einsum("ij,ij->i", gradients, directions) >= FACING

@@ -50,6 +50,9 @@ SPARE_REACH = 2.0
 """How far from the palm an object may be grasped, in distances of a pinched one from it (-):
 only what is surely out of reach is refused unseen."""
 
+TRIPOD = 3
+"""Fingers that close a grasp with friction and without torsion."""
+
 AXIS_NOISE = 0.15
 """Standard deviation (rad) of the opposition axis about the chosen direction of the object."""
 
@@ -246,6 +249,15 @@ class Seeder:
                 f"fit around a ball of {1e3 * shape.bounding_radius:.1f} mm radius; use a larger "
                 "object or fewer fingers"
             )
+
+    @property
+    def tripod(self) -> tuple[str, ...]:
+        """The opposer and the two fingers nearest to it, or all where there are no more."""
+        state = HandState(self.task.hand, self.posture)
+        pads = np.array([state.pad_center(f) for f in self.task.fingers])
+        away = np.linalg.norm(pads - pads[self.pinch.opposer], axis=1)
+        kept = set(np.argsort(away, kind="stable")[:TRIPOD])
+        return tuple(name for i, name in enumerate(self.task.finger_names) if i in kept)
 
     def _stretched(self, share: float) -> FloatArray:
         """Posture at a share of the way from pinch (0) to open (1) and beyond, within limits."""
