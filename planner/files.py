@@ -31,11 +31,11 @@ from planner.catalog import hand_names
 from planner.contacts import ContactModel, ContactSet
 from planner.errors import FileFormatError, TaskError
 from planner.hand import Hand
+from planner.judge import judge_grasp
 from planner.objects import GraspObject
 from planner.plan import GraspPlan, JointTrajectory, SolveRecord
 from planner.regions import Region, TouchRegion
 from planner.schema import StrictData, faults_of
-from planner.search import judge_grasp
 from planner.shapes import shape_from_dict, shape_to_dict
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 from planner.synthesis.carried import ArmPath

@@ -10,44 +10,25 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
 from planner.collision import CollisionWorld
-from planner.contacts import ContactSet
 from planner.errors import NoGraspFoundError, TaskError
-from planner.forces import ForceSolution, distribute_forces, gravity_wrench
-from planner.hand import Hand
-from planner.kinematics import HandState
+from planner.judge import judge_grasp
 from planner.plan import GraspPlan, SolveRecord
-from planner.quality import force_closure
-from planner.shapes import Mesh, Shape
-from planner.spatial import SE3, FloatArray
 from planner.synthesis.mesh_seeds import seeder_for
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.pregrasp import (
-    Approach,
-    PregraspProblem,
-    approach_fault,
-    find_approach,
-)
-from planner.synthesis.problem import GraspProblem, build_problem
+from planner.synthesis.problems import Problems, problems_for
 from planner.synthesis.seeds import Seeder
 from planner.synthesis.settle import settle
-from planner.synthesis.surfaces import surface_of
 from planner.synthesis.surroundings import obstacles_in_object, table_in_object
-from planner.synthesis.verify import contacts_at, verify
 from planner.task import GraspTask
 
 __all__ = [
     "Attempt",
     "attempts",
-    "judge_grasp",
-    "plan_forces",
     "plan_grasp",
-    "problems_for",
 ]
 
 DEFAULT_MAX_ATTEMPTS = 40
@@ -56,13 +37,6 @@ DEFAULT_MAX_ATTEMPTS = 40
 SPARE_AFTER = 5
 """Attempts after which every other one is made with three fingers alone, if the choice of fingers
 was left to us: on narrow faces, rims and handles four fingers find no room."""
-
-CLOSURE_EDGES = 8
-"""Sides of the friction pyramid with which closure is decided."""
-
-FRICTION_SHARE = 0.8
-"""Share of the friction coefficient that planned forces may use, so that they keep off the cone's
-edge when contacts turn out a little different (-)."""
 
 NLP_TOL = 1e-5
 """Largest violation of an NLP term (in its unit) with which a candidate is looked at further."""
@@ -98,54 +72,6 @@ def _nothing_found(task: GraspTask, made: tuple[Attempt, ...]) -> NoGraspFoundEr
         "friction or less grip",
         made,
     )
-
-
-@dataclass(frozen=True)
-class Problems:
-    """The NLPs of a task: the grasp's and the pre-grasp's, and the time (s) both took to build."""
-
-    grasp: GraspProblem
-    pregrasp: PregraspProblem
-    build_s: float
-
-
-def problems_for(task: GraspTask) -> Problems:
-    """The NLPs for a task; built once per hand, fingers, kind of shape and number of obstacles.
-
-    A mesh's field is bound to them here too, so that attempts take no time for either.
-    """
-    problems = _cached_problems(
-        task.hand, task.finger_names, _Kind(task.object.shape), len(task.obstacles)
-    )
-    begin = time.perf_counter()
-    field = problems.grasp.surface.field_of(task.object.shape)
-    problems.grasp.nlp.bind(field)
-    problems.pregrasp.nlp.bind(field)
-    return replace(problems, build_s=problems.build_s + time.perf_counter() - begin)
-
-
-class _Kind:
-    """A shape that compares by the NLP form of its kind, for the cache."""
-
-    def __init__(self, shape: Shape) -> None:
-        self.shape, self.kind = shape, surface_of(shape).kind
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Kind) and other.kind == self.kind
-
-    def __hash__(self) -> int:
-        return hash(self.kind)
-
-
-@lru_cache(maxsize=16)
-def _cached_problems(
-    hand: Hand, finger_names: tuple[str, ...], kind: _Kind, n_obstacles: int
-) -> Problems:
-    begin = time.perf_counter()
-    fingers = hand.choose_fingers(finger_names)
-    grasp = build_problem(hand, fingers, kind.shape, n_obstacles)
-    pregrasp = PregraspProblem(hand, fingers, kind.shape, n_obstacles)
-    return Problems(grasp=grasp, pregrasp=pregrasp, build_s=time.perf_counter() - begin)
 
 
 def attempts(
@@ -283,119 +209,3 @@ def _attempt(
     T_world_base = task.T_world_object * solution.T_object_base
     q = settle(task, T_world_base, q)
     return judge_grasp(task, T_world_base, q, record=record, world=ground.world)
-
-
-def judge_grasp(
-    task: GraspTask,
-    T_world_base: SE3,
-    q: FloatArray,
-    *,
-    record: SolveRecord,
-    approach: Approach | None = None,
-    world: CollisionWorld | None = None,
-) -> GraspPlan | str:
-    """A plan out of a base pose and joints if everything holds on the true geometry; else why not.
-
-    Args:
-        task: The task.
-        T_world_base: Base pose at the grasp.
-        q: Joints (nq,), within their limits.
-        record: Where the candidate comes from.
-        approach: Pre-grasp and way in, checked; searched for if None.
-        world: True geometry of the task, if it is at hand already.
-    """
-    world = world or CollisionWorld(task)
-    verification = verify(world, T_world_base, q)
-    if not verification.ok:
-        return f"true geometry: {'; '.join(verification.faults)}"
-    contacts = contacts_at(task, T_world_base, q)
-    if edge := edge_fault(task, contacts):
-        return f"edge: {edge}"
-    closure = force_closure(contacts, edges=CLOSURE_EDGES)
-    if not closure.closed:
-        return f"no force closure: {closure.reason}"
-    forces = plan_forces(task, contacts, T_world_base, q)
-    if not forces.found:
-        return f"forces: with {task.grip_force:.3g} N per finger, {forces.reason}"
-    if approach is None:
-        pregrasp = problems_for(task).pregrasp
-        found = find_approach(world, pregrasp, T_world_base, q, contacts.normals)
-        if isinstance(found, str):
-            return f"approach: {found}"
-        approach = found
-    elif fault := approach_fault(world, T_world_base, q, approach):
-        return f"approach: {fault}"
-    return GraspPlan(
-        task=task,
-        T_world_base=T_world_base,
-        T_world_base_start=approach.T_world_base_start,
-        q=q,
-        q_pregrasp=approach.q,
-        opening=approach.opening,
-        arm=approach.arm,
-        contacts=forces.contacts,
-        forces=forces,
-        verification=verification,
-        record=record,
-    )
-
-
-def edge_fault(task: GraspTask, contacts: ContactSet) -> str:
-    """Which contact is on an edge of a mesh, "" for none.
-
-    The NLP sees rounded edges. On the true one a pad that creeps by a millimetre meets another
-    normal. Primitives need no look: their contacts keep away from edges by construction.
-    """
-    shape = task.object.shape
-    if not isinstance(shape, Mesh):
-        return ""
-    local = contacts.transformed(task.T_world_object.inverse())
-    for finger, point in zip(task.finger_names, local.positions, strict=True):
-        spread = shape.normal_dispersion(point, EDGE_RADIUS)
-        if spread > EDGE_SPREAD:
-            return (
-                f"{finger} is on an edge: normals differ by {np.rad2deg(spread):.0f} degrees "
-                f"within {1e3 * EDGE_RADIUS:.0f} mm"
-            )
-    return ""
-
-
-EDGE_RADIUS = 0.002
-"""How far (m) around a contact normals are looked at: what a pad creeps and rolls in a grasp."""
-
-EDGE_SPREAD = float(np.deg2rad(25.0))
-"""Largest dispersion of normals there (rad); it is 45 degrees on a right-angled edge."""
-
-
-def plan_forces(
-    task: GraspTask, contacts: ContactSet, T_world_base: SE3, q: FloatArray, **options: Any
-) -> ForceSolution:
-    """Contact forces (world) that carry the object's weight, within torque limits, at a grasp.
-
-    Args:
-        task: Gives weight, friction and grip.
-        contacts: One contact per finger of the task, world.
-        T_world_base: Base pose.
-        q: Joints (nq,).
-        **options: Passed to ``distribute_forces``.
-    """
-    state = HandState(task.hand, q)
-    inverse = T_world_base.inverse()
-    rotation = T_world_base.rotation
-    jacobians = np.array(
-        [
-            rotation @ state.point_jacobian(f.pad.joint_id, inverse.act(p)).reshape(2, 3, -1)
-            for f, p in zip(task.fingers, contacts.positions, strict=True)
-        ]
-    ).reshape(len(contacts), 6, -1)
-    return distribute_forces(
-        contacts,
-        wrench=gravity_wrench(task.object.mass, task.gravity),
-        min_normal=task.grip_force,
-        friction_scale=FRICTION_SHARE,
-        jacobians=jacobians,
-        actuation=task.hand.actuation,
-        q=q,
-        gravity_torque=state.gravity_torque(rotation.T @ task.gravity),
-        **options,
-    )

@@ -20,7 +20,8 @@ from rich.table import Table
 from planner.errors import NoGraspFoundError, TaskError
 from planner.hand import Hand
 from planner.objects import parse_object
-from planner.search import plan_grasp, problems_for
+from planner.search import plan_grasp
+from planner.synthesis.problems import problems_for
 from planner.task import GraspTask
 from sim.scene import PhysicsOptions
 from sim.trial import simulate

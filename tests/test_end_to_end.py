@@ -16,9 +16,10 @@ import pytest
 from planner.errors import NoGraspFoundError
 from planner.files import read_plan, write_plan
 from planner.hand import Hand
+from planner.judge import judge_grasp
 from planner.objects import parse_object
 from planner.plan import GraspPlan
-from planner.search import judge_grasp, plan_grasp
+from planner.search import plan_grasp
 from planner.task import GraspTask
 from sim.contacts import hand_contacts
 from sim.physics import PhysicsOptions

@@ -20,9 +20,10 @@ from planner.bridge import compile_spec, mirror_spec
 from planner.described import MirrorAxis, reflection_signs
 from planner.errors import HandError
 from planner.hand import Hand
+from planner.judge import judge_grasp
 from planner.kinematics import HandState
 from planner.plan import GraspPlan
-from planner.search import judge_grasp, plan_grasp
+from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.pregrasp import Approach
 from planner.task import GraspTask

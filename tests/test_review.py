@@ -10,9 +10,10 @@ import pytest
 
 from planner.collision import CollisionWorld
 from planner.errors import TaskError
+from planner.judge import judge_grasp
 from planner.kinematics import HandState
 from planner.plan import GraspPlan
-from planner.search import judge_grasp, plan_grasp
+from planner.search import plan_grasp
 from planner.spatial import SE3
 from planner.synthesis.pregrasp import Approach, approach_fault
 from planner.task import GraspTask, Obstacle

@@ -16,17 +16,11 @@ import pytest
 
 from planner.errors import NoGraspFoundError, TaskError
 from planner.hand import Hand
+from planner.judge import FRICTION_SHARE, judge_grasp
 from planner.kinematics import HandState
 from planner.objects import parse_object
 from planner.plan import GraspPlan
-from planner.search import (
-    FRICTION_SHARE,
-    SPARE_AFTER,
-    Attempt,
-    attempts,
-    judge_grasp,
-    plan_grasp,
-)
+from planner.search import SPARE_AFTER, Attempt, attempts, plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.mesh_seeds import seeder_for
 from planner.synthesis.options import SynthesisOptions
@@ -100,7 +94,8 @@ def test_same_seed_same_plan_in_a_fresh_process_that_built_other_problems_first(
 ) -> None:
     script = (
         "from planner.hand import Hand\n"
-        "from planner.search import plan_grasp, problems_for\n"
+        "from planner.search import plan_grasp\n"
+        "from planner.synthesis.problems import problems_for\n"
         "from planner.task import GraspTask\n"
         "hand = Hand.load('allegro_hand')\n"
         "problems_for(GraspTask.create(hand, 'sphere'))\n"

@@ -17,7 +17,7 @@ import pytest
 from planner.contacts import ContactSet
 from planner.hand import Hand
 from planner.kinematics import HandState
-from planner.search import NLP_TOL, problems_for
+from planner.search import NLP_TOL
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.clearance import LinkBall, hull_balls, link_balls
 from planner.synthesis.options import SynthesisOptions
@@ -28,6 +28,7 @@ from planner.synthesis.problem import (
     NlpSolution,
     Start,
 )
+from planner.synthesis.problems import problems_for
 from planner.synthesis.seeds import Seeder
 from planner.synthesis.surfaces import EDGE_MARGIN
 from planner.synthesis.surroundings import table_in_object
@@ -282,3 +283,13 @@ def test_contacts_stay_inside_the_patch_that_a_finger_was_given(solved: Solved) 
             assert p[axis] == pytest.approx(patch.code[axis] * half[axis], abs=1e-9)
             others = np.arange(3) != axis
             assert (np.abs(p) <= half - margin + 1e-9)[others].all()
+
+
+def test_programmes_are_built_once_for_a_hand_however_often_it_is_loaded() -> None:
+    first, again = (
+        problems_for(GraspTask.create(Hand.load("allegro_hand"), size))
+        for size in ("sphere:0.03", "sphere:0.04")
+    )
+    assert first.grasp is again.grasp
+    other = problems_for(GraspTask.create(Hand.load("shadow_hand"), "sphere"))
+    assert other.grasp is not first.grasp

@@ -13,7 +13,6 @@ import pytest
 
 from planner.hand import Hand
 from planner.kinematics import HandState
-from planner.search import problems_for
 from planner.spatial import SE3, FloatArray
 from planner.symbolic import SymbolicHand
 from planner.synthesis.clearance import (
@@ -26,6 +25,7 @@ from planner.synthesis.clearance import (
 )
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Start
+from planner.synthesis.problems import problems_for
 from planner.synthesis.seeds import Seeder
 from planner.synthesis.surroundings import table_in_object
 from planner.task import GraspTask, Obstacle

@@ -42,7 +42,7 @@ def settle(task: GraspTask, T_world_base: SE3, q: FloatArray) -> FloatArray:
     q = q.copy()
     for _ in range(STEPS):
         touches = pad_touches(task, T_world_base, q)
-        gaps = np.array([_gap(t) for t in touches])
+        gaps = np.array([t.pad_gap for t in touches])
         if np.abs(gaps).max() <= SETTLED or np.abs(gaps).max() > FARTHEST:
             break
         rows = np.vstack([_rows(task, T_world_base, q, touches)[:, index], matrix[:, index]])
@@ -54,10 +54,6 @@ def settle(task: GraspTask, T_world_base: SE3, q: FloatArray) -> FloatArray:
 
 RCOND = 1e-6
 """Singular values below this share of the largest count as zero (couplings may repeat)."""
-
-
-def _gap(touch: PadTouch) -> float:
-    return touch.sphere_gap if touch.round else touch.gap
 
 
 def _rows(task: GraspTask, T_world_base: SE3, q: FloatArray, touches: list[PadTouch]) -> FloatArray:

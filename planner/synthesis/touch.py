@@ -49,6 +49,11 @@ class PadTouch:
     outward: FloatArray
     angle: float
 
+    @property
+    def pad_gap(self) -> float:
+        """Signed distance, m, of the pad: of its sphere where that is the geometry's surface."""
+        return self.sphere_gap if self.round else self.gap
+
 
 def pad_touches(task: GraspTask, T_world_base: SE3, q: FloatArray) -> list[PadTouch]:
     """The touch of every finger of the task, touching or not."""

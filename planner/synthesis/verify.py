@@ -7,17 +7,19 @@ from the true surface.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from planner.collision import OBJECT, Clearance, CollisionWorld
 from planner.contacts import ContactSet
+from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.touch import pad_touches, touching_geometries
+from planner.synthesis.touch import PadTouch, pad_touches, touching_geometries
 from planner.task import GraspTask
 
-__all__ = ["TOUCH_TOL", "Verification", "contacts_at", "verify"]
+__all__ = ["TOUCH_TOL", "Verification", "contacts_at", "contacts_of", "edge_faults", "verify"]
 
 TOUCH_TOL = 5e-4
 """A pad touches when its signed distance to the true surface is at most this (m), either sign."""
@@ -56,6 +58,31 @@ class Verification:
         return not self.faults
 
 
+def edge_faults(task: GraspTask, points: FloatArray) -> list[str]:
+    """Which contacts, at points (n, 3) of the object's frame, m, are on an edge of a mesh.
+
+    The NLP sees rounded edges. On the true one a pad that creeps by a millimetre meets another
+    normal. Primitives need no look: their contacts keep away from edges by construction.
+    """
+    shape = task.object.shape
+    if not isinstance(shape, Mesh):
+        return []
+    spread = [shape.normal_dispersion(point, EDGE_RADIUS) for point in points]
+    return [
+        f"{finger} is on an edge: normals differ by {np.rad2deg(angle):.0f} degrees within "
+        f"{1e3 * EDGE_RADIUS:.0f} mm"
+        for finger, angle in zip(task.finger_names, spread, strict=True)
+        if angle > EDGE_SPREAD
+    ]
+
+
+EDGE_RADIUS = 0.002
+"""How far (m) around a contact normals are looked at: what a pad creeps and rolls in a grasp."""
+
+EDGE_SPREAD = float(np.deg2rad(25.0))
+"""Largest dispersion of normals there (rad); it is 45 degrees on a right-angled edge."""
+
+
 def _given_faults(task: GraspTask, T_world_base: SE3, q: FloatArray) -> list[str]:
     """Whether base and wrist are where the task fixes them."""
     faults = []
@@ -84,7 +111,11 @@ def contacts_at(task: GraspTask, T_world_base: SE3, q: FloatArray) -> ContactSet
 
     A contact is the surface point nearest to the pad (``planner.synthesis.touch``).
     """
-    touches = pad_touches(task, T_world_base, q)
+    return contacts_of(task, pad_touches(task, T_world_base, q))
+
+
+def contacts_of(task: GraspTask, touches: Sequence[PadTouch]) -> ContactSet:
+    """The same from the touches of all fingers, if they are at hand."""
     return ContactSet.from_arrays(
         np.array([touch.point for touch in touches]),
         -np.array([touch.outward for touch in touches]),
@@ -95,12 +126,25 @@ def contacts_at(task: GraspTask, T_world_base: SE3, q: FloatArray) -> ContactSet
     ).transformed(task.T_world_object)
 
 
-def verify(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> Verification:
-    """Recompute everything that must hold of a grasp, on the true geometry."""
+def verify(
+    world: CollisionWorld,
+    T_world_base: SE3,
+    q: FloatArray,
+    touches: Sequence[PadTouch] | None = None,
+) -> Verification:
+    """Recompute everything that must hold of a grasp, on the true geometry.
+
+    Args:
+        world: True geometry of the task.
+        T_world_base: Base pose.
+        q: Joints (nq,).
+        touches: The touch of every finger there, if it is at hand.
+    """
     task = world.task
     hand = task.hand
-    touches = pad_touches(task, T_world_base, q)
-    gaps = np.array([t.sphere_gap if t.round else t.gap for t in touches])
+    if touches is None:
+        touches = pad_touches(task, T_world_base, q)
+    gaps = np.array([t.pad_gap for t in touches])
     whole = np.array([t.gap for t in touches])
     angles = np.array([t.angle for t in touches])
 
@@ -128,9 +172,9 @@ def verify(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> Verificat
         for f, touch, angle in zip(task.fingers, touches, angles, strict=True)
         if angle > f.pad.half_angle + (ANGLE_TOL if touch.round else FLAT_ANGLE_TOL)
     ]
+    points = np.array([touch.point for touch in touches])
     region = task.object.touch
     if region is not None:
-        points = np.array([touch.point for touch in touches])
         faults += [
             f"{f.name} touches where it may not, at {np.round(point, 4)} m of the object"
             for f, point, good in zip(
@@ -138,6 +182,7 @@ def verify(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> Verificat
             )
             if not good
         ]
+    faults += edge_faults(task, points)
     faults += [f"penetration, {c}" for c in others if c.distance < -PENETRATION_TOL]
     if coupling > JOINT_TOL:
         faults.append(f"a coupling is violated by {coupling:.1e} rad")

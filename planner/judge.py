@@ -1,0 +1,120 @@
+"""``judge_grasp``: a base pose and joints become a plan if everything holds, or a reason why not.
+
+The search asks it about what the NLP found, and whoever reads a plan from a file asks it again.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.collision import CollisionWorld
+from planner.contacts import ContactSet
+from planner.forces import ForceSolution, distribute_forces, gravity_wrench
+from planner.kinematics import HandState
+from planner.plan import GraspPlan, SolveRecord
+from planner.quality import force_closure
+from planner.spatial import SE3, FloatArray
+from planner.synthesis.pregrasp import Approach, approach_fault, find_approach
+from planner.synthesis.problems import problems_for
+from planner.synthesis.touch import pad_touches
+from planner.synthesis.verify import contacts_of, verify
+from planner.task import GraspTask
+
+__all__ = ["judge_grasp", "plan_forces"]
+
+CLOSURE_EDGES = 8
+"""Sides of the friction pyramid with which closure is decided."""
+
+FRICTION_SHARE = 0.8
+"""Share of the friction coefficient that planned forces may use, so that they keep off the cone's
+edge when contacts turn out a little different (-)."""
+
+
+def judge_grasp(
+    task: GraspTask,
+    T_world_base: SE3,
+    q: FloatArray,
+    *,
+    record: SolveRecord,
+    approach: Approach | None = None,
+    world: CollisionWorld | None = None,
+) -> GraspPlan | str:
+    """A plan out of a base pose and joints if everything holds on the true geometry; else why not.
+
+    Args:
+        task: The task.
+        T_world_base: Base pose at the grasp.
+        q: Joints (nq,), within their limits.
+        record: Where the candidate comes from.
+        approach: Pre-grasp and way in, checked; searched for if None.
+        world: True geometry of the task, if it is at hand already.
+    """
+    world = world or CollisionWorld(task)
+    touches = pad_touches(task, T_world_base, q)
+    verification = verify(world, T_world_base, q, touches)
+    if not verification.ok:
+        return f"true geometry: {'; '.join(verification.faults)}"
+    contacts = contacts_of(task, touches)
+    closure = force_closure(contacts, edges=CLOSURE_EDGES)
+    if not closure.closed:
+        return f"no force closure: {closure.reason}"
+    forces = plan_forces(task, contacts, T_world_base, q)
+    if not forces.found:
+        return f"forces: with {task.grip_force:.3g} N per finger, {forces.reason}"
+    if approach is None:
+        pregrasp = problems_for(task).pregrasp
+        found = find_approach(world, pregrasp, T_world_base, q, contacts.normals)
+        if isinstance(found, str):
+            return f"approach: {found}"
+        approach = found
+    elif fault := approach_fault(world, T_world_base, q, approach):
+        return f"approach: {fault}"
+    return GraspPlan(
+        task=task,
+        T_world_base=T_world_base,
+        T_world_base_start=approach.T_world_base_start,
+        q=q,
+        q_pregrasp=approach.q,
+        opening=approach.opening,
+        arm=approach.arm,
+        contacts=forces.contacts,
+        forces=forces,
+        verification=verification,
+        record=record,
+    )
+
+
+def plan_forces(
+    task: GraspTask, contacts: ContactSet, T_world_base: SE3, q: FloatArray, **options: Any
+) -> ForceSolution:
+    """Contact forces (world) that carry the object's weight, within torque limits, at a grasp.
+
+    Args:
+        task: Gives weight, friction and grip.
+        contacts: One contact per finger of the task, world.
+        T_world_base: Base pose.
+        q: Joints (nq,).
+        **options: Passed to ``distribute_forces``.
+    """
+    state = HandState(task.hand, q)
+    inverse = T_world_base.inverse()
+    rotation = T_world_base.rotation
+    jacobians = np.array(
+        [
+            rotation @ state.point_jacobian(f.pad.joint_id, inverse.act(p)).reshape(2, 3, -1)
+            for f, p in zip(task.fingers, contacts.positions, strict=True)
+        ]
+    ).reshape(len(contacts), 6, -1)
+    return distribute_forces(
+        contacts,
+        wrench=gravity_wrench(task.object.mass, task.gravity),
+        min_normal=task.grip_force,
+        friction_scale=FRICTION_SHARE,
+        jacobians=jacobians,
+        actuation=task.hand.actuation,
+        q=q,
+        gravity_torque=state.gravity_torque(rotation.T @ task.gravity),
+        **options,
+    )

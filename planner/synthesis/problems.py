@@ -1,0 +1,76 @@
+"""The NLPs of a task, built once and kept: for the search and for the check of a plan."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+from planner.hand import Hand
+from planner.shapes import Shape
+from planner.synthesis.pregrasp import PregraspProblem
+from planner.synthesis.problem import GraspProblem, build_problem
+from planner.synthesis.surfaces import surface_of
+from planner.task import GraspTask
+
+__all__ = ["Problems", "problems_for"]
+
+
+@dataclass(frozen=True)
+class Problems:
+    """The NLPs of a task: the grasp's and the pre-grasp's, and the time (s) both took to build."""
+
+    grasp: GraspProblem
+    pregrasp: PregraspProblem
+    build_s: float
+
+
+def problems_for(task: GraspTask) -> Problems:
+    """The NLPs for a task; built once per hand, fingers, kind of shape and number of obstacles.
+
+    A mesh's field is bound to them here too, so that attempts take no time for either.
+    """
+    kind = _Kind(task.object.shape)
+    problems = _cached_problems(_SameHand(task.hand), task.finger_names, kind, len(task.obstacles))
+    begin = time.perf_counter()
+    field = problems.grasp.surface.field_of(task.object.shape)
+    problems.grasp.nlp.bind(field)
+    problems.pregrasp.nlp.bind(field)
+    return replace(problems, build_s=problems.build_s + time.perf_counter() - begin)
+
+
+class _Kind:
+    """A shape that compares by the NLP form of its kind, for the cache."""
+
+    def __init__(self, shape: Shape) -> None:
+        self.shape, self.kind = shape, surface_of(shape).kind
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Kind) and other.kind == self.kind
+
+    def __hash__(self) -> int:
+        return hash(self.kind)
+
+
+class _SameHand:
+    """A hand that compares by what determines it, for the cache: loaded twice it is the same."""
+
+    def __init__(self, hand: Hand) -> None:
+        self.hand = hand
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _SameHand) and other.hand.digest == self.hand.digest
+
+    def __hash__(self) -> int:
+        return hash(self.hand.digest)
+
+
+@lru_cache(maxsize=16)
+def _cached_problems(
+    same: _SameHand, finger_names: tuple[str, ...], kind: _Kind, n_obstacles: int
+) -> Problems:
+    begin = time.perf_counter()
+    fingers = same.hand.choose_fingers(finger_names)
+    grasp = build_problem(same.hand, fingers, kind.shape, n_obstacles)
+    pregrasp = PregraspProblem(same.hand, fingers, kind.shape, n_obstacles)
+    return Problems(grasp=grasp, pregrasp=pregrasp, build_s=time.perf_counter() - begin)
