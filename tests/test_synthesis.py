@@ -17,27 +17,23 @@ import pytest
 from planner.contacts import ContactSet
 from planner.hand import Hand
 from planner.kinematics import HandState
-from planner.search import NLP_TOL
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.clearance import LinkBall, hull_balls, link_balls
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.problem import (
-    LEVER,
-    PRESS_MIN,
-    GraspProblem,
-    NlpSolution,
-    Start,
-)
+from planner.synthesis.problem import Candidate, GraspProblem, Start
 from planner.synthesis.problems import problems_for
 from planner.synthesis.seeds import Seeder
 from planner.synthesis.surfaces import EDGE_MARGIN
-from planner.synthesis.surroundings import table_in_object
+from planner.synthesis.terms import LEVER, PRESS_MIN
 from planner.task import GraspTask, Obstacle
 
 SOFT = 4e-5
 """How far (m) a ball that keeps its margin in the NLP may miss it: softened face distances."""
 
 OPTIONS = SynthesisOptions()
+
+NLP_TOL = 1e-5
+"""Largest violation of a term (in its unit) that IPOPT may leave."""
 
 
 @dataclass(frozen=True)
@@ -46,13 +42,23 @@ class Solved:
 
     task: GraspTask
     problem: GraspProblem
-    solution: NlpSolution
+    solution: Candidate
     start: Start
     parameters: FloatArray
 
     @property
     def x(self) -> FloatArray:
         return pack(self.solution, np.zeros(3))
+
+    @property
+    def normals(self) -> FloatArray:
+        """Outward normals (n, 3) of the contacts, by the terms' own form of the shape."""
+        surface = self.problem.surface
+        size = ca.DM(surface.size(self.task.object.shape))
+        pairs = zip(self.start.patches, self.solution.points, strict=True)
+        return np.array(
+            [np.array(surface.outward_normal(size, c.code, ca.DM(p))).ravel() for c, p in pairs]
+        )
 
     def disturbed(self, rng: np.random.Generator) -> FloatArray:
         """The unknowns away from the solution, contact points still on their patches."""
@@ -71,7 +77,7 @@ class Solved:
         return pack(other, rng.normal(0, 0.1, 3))
 
 
-def pack(s: NlpSolution, turn: FloatArray) -> FloatArray:
+def pack(s: Candidate, turn: FloatArray) -> FloatArray:
     return np.concatenate(
         [turn, s.T_object_base.translation, s.q, s.points.ravel(), s.forces.ravel()]
     )
@@ -81,16 +87,7 @@ def solve(task: GraspTask) -> Solved:
     problem, seeder = problems_for(task).grasp, Seeder(task)
 
     def parameters(start: Start) -> FloatArray:
-        to_object = task.T_world_object.inverse()
-        return problem.parameters(
-            shape=task.object.shape,
-            start=start,
-            table=table_in_object(task),
-            obstacles=[(to_object * o.T_world_obstacle, o.size / 2) for o in task.obstacles],
-            mu=task.mu,
-            posture=seeder.posture,
-            options=OPTIONS,
-        )
+        return problem.parameters(task, start, seeder.posture, OPTIONS)
 
     for seed in range(20):
         start = seeder.draw(np.random.default_rng(seed))
@@ -118,7 +115,8 @@ def solved(request: pytest.FixtureRequest, allegro: Hand, shadow: Hand) -> Solve
 def terms(case: Solved, x: FloatArray) -> dict[str, FloatArray]:
     """Value of every term at x."""
     problem = case.problem
-    f = ca.Function("t", [problem.nlp.x, problem.nlp.p], [t.expression for t in problem.terms])
+    form = problem.formulation
+    f = ca.Function("t", [form.x, form.p], [t.expression for t in problem.terms])
     values = f(x, case.parameters)
     return {t.name: np.array(v).ravel() for t, v in zip(problem.terms, values, strict=True)}
 
@@ -264,7 +262,7 @@ def test_a_solution_satisfies_every_term_with_its_own_base_as_reference(solved: 
     assert max(solved.problem.violations(g).values()) <= NLP_TOL
     ref = Reference(solved, solved.x)
     check(terms(solved, solved.x), ref, tolerance=1e-6)
-    np.testing.assert_allclose(ref.outward, solved.solution.normals, atol=1e-6)
+    np.testing.assert_allclose(ref.outward, solved.normals, atol=1e-6)
 
 
 def test_contacts_stay_inside_the_patch_that_a_finger_was_given(solved: Solved) -> None:
@@ -272,7 +270,7 @@ def test_contacts_stay_inside_the_patch_that_a_finger_was_given(solved: Solved) 
     margin = np.minimum(EDGE_MARGIN, half / 4)
     assert len({patch.name for patch in solved.start.patches}) > 1 or half[0] == half[1]
     for patch, p, n in zip(
-        solved.start.patches, solved.solution.points, solved.solution.normals, strict=True
+        solved.start.patches, solved.solution.points, solved.normals, strict=True
     ):
         if patch.name == "side":
             assert n[2] == 0.0

@@ -27,7 +27,6 @@ from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Start
 from planner.synthesis.problems import problems_for
 from planner.synthesis.seeds import Seeder
-from planner.synthesis.surroundings import table_in_object
 from planner.task import GraspTask, Obstacle
 
 STEP = 1e-6
@@ -100,16 +99,7 @@ def test_grasp_problem_has_exact_derivatives(task: GraspTask, seed: int) -> None
     assert {t.name for t in problem.terms} >= {"surface", "coupling", "stop", "obstacle"}
     start = seeder.draw(rng)
     assert isinstance(start, Start)
-    to_object = task.T_world_object.inverse()
-    parameters = problem.parameters(
-        shape=task.object.shape,
-        start=start,
-        table=table_in_object(task),
-        obstacles=[(to_object * o.T_world_obstacle, o.size / 2) for o in task.obstacles],
-        mu=task.mu,
-        posture=seeder.posture,
-        options=SynthesisOptions(),
-    )
+    parameters = problem.parameters(task, start, seeder.posture, SynthesisOptions())
     x = np.concatenate(
         [
             rng.normal(0, 0.2, 3),

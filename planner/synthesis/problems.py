@@ -34,7 +34,6 @@ def problems_for(task: GraspTask) -> Problems:
     problems = _cached_problems(_SameHand(task.hand), task.finger_names, kind, len(task.obstacles))
     begin = time.perf_counter()
     field = problems.grasp.surface.field_of(task.object.shape)
-    problems.grasp.nlp.bind(field)
     problems.pregrasp.nlp.bind(field)
     return replace(problems, build_s=problems.build_s + time.perf_counter() - begin)
 

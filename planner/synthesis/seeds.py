@@ -151,6 +151,9 @@ class Seeder:
         state = HandState(task.hand, q)
         pads = np.array([T_object_base.act(state.pad_center(f)) for f in task.fingers])
         points, normals = task.object.shape.closest_point(pads)
+        if task.object.shape.kind == "box":
+            # the nearest faces are often neighbours; those that the pads face are opposed
+            normals = -np.array([T_object_base.rotation @ state.pad_axis(f) for f in task.fingers])
         patches = tuple(
             self._patch(finger, p, n, rng)
             for finger, p, n in zip(task.finger_names, points, normals, strict=True)
