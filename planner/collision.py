@@ -21,7 +21,14 @@ from planner.shapes import Box, Mesh, Shape
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 
-__all__ = ["TABLE_SIZE", "Clearance", "CollisionWorld", "bounding_radius", "shape_pair"]
+__all__ = [
+    "TABLE_SIZE",
+    "Clearance",
+    "CollisionWorld",
+    "bounding_radius",
+    "least_distance",
+    "shape_pair",
+]
 
 OBJECT = "object"
 TABLE = "table"
@@ -234,7 +241,7 @@ class CollisionWorld:
             to_shape = pose.inverse() * T_world_base
             local = centers @ to_shape.rotation.T + to_shape.translation
             mine = self._second == n + i
-            bounds[mine] = (_least_distance(shape, local) - self._radii[:n])[self._first[mine]]
+            bounds[mine] = (least_distance(shape, local) - self._radii[:n])[self._first[mine]]
         return bounds
 
     def _place(self, T_world_base: SE3, q: FloatArray) -> None:
@@ -265,20 +272,15 @@ def shape_pair(geometry: Any, shape: Shape) -> DistancePair | MeshPair:
     return DistancePair(geometry, shape.coal_geometry())
 
 
-def _least_distance(shape: Shape, points: FloatArray) -> FloatArray:
+def least_distance(shape: Shape, points: FloatArray) -> FloatArray:
     """Lower bounds (n,) of the signed distance (m) of points (n, 3): exact where that is cheap."""
     if not isinstance(shape, Mesh):
         return shape.signed_distance(points)
     lower, upper = shape.bounds
     outside = np.linalg.norm(np.maximum(np.maximum(lower - points, points - upper), 0.0), axis=1)
-    within = shape.field().taylor(points, 0)[:, 0] - FIELD_SLACK
+    field = shape.field()
+    within = field.value(points) - field.error
     return np.where(outside > 0.0, outside, within)
-
-
-FIELD_SLACK = 0.008
-"""How far (m) a mesh's smooth field may be above the true distance within the mesh's bounding box.
-A Gaussian of standard deviation s moves a distance by at most s sqrt(8 / pi), 6.4 mm for the 4 mm
-that are the most that is used; the rest is for the spline."""
 
 
 def bounding_radius(geometry: Any) -> float:

@@ -19,11 +19,6 @@ from planner.spatial import SE3, FloatArray
 __all__ = ["MeshPair"]
 
 
-CLEARLY_OUTSIDE = 0.008
-"""Value (m) of a mesh's smooth field from which a point is outside without a closer look: more than
-smoothing can add to a distance."""
-
-
 class _Mesh(Protocol):
     def coal_geometry(self) -> Any: ...
 
@@ -73,7 +68,8 @@ class MeshPair:
         if found <= 0.0:
             return found
         inner = pose_mesh.actInv(pose.act(self._inner))[None]
-        if self.mesh.field().taylor(inner, 0)[0, 0] > CLEARLY_OUTSIDE:
+        field = self.mesh.field()
+        if field.value(inner)[0] > field.error:  # outside without a closer look
             return found
         depth = self.mesh.signed_distance(inner)[0]
         return float(depth) if depth < 0.0 else found

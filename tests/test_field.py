@@ -180,15 +180,39 @@ def test_an_order_that_a_cubic_has_not_is_refused() -> None:
         field_of(SHAPES[0]).taylor(np.zeros((1, 3)), 4)
 
 
+@pytest.mark.parametrize(
+    "shape",
+    [*SHAPES, Box((1.0, 1.0, 1.0)), Box((2.0, 0.05, 0.05)), Capsule(0.1, 1.5)],
+    ids=lambda s: s.spec,
+)
+def test_its_error_within_the_bounding_box_is_bounded(shape: Shape) -> None:
+    field = field_of(shape)
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-1, 1, size=(20_000, 3)) * shape.half_extents
+    error = np.abs(field.value(points) - shape.signed_distance(points))
+    assert error.max() <= field.error
+    assert field.error < 5 * field.spacing  # useful: smoothing, rounding and the spacing itself
+
+
+def test_a_large_shape_has_a_field_too() -> None:
+    # a grid of coarse nodes has room for the tapering of corrections around it
+    shape = Box((2.0, 0.05, 0.05))
+    field = field_of(shape)
+    normals = np.vstack([np.eye(3), -np.eye(3)])
+    on_faces = normals * shape.half_extents
+    np.testing.assert_allclose(field.value(on_faces), 0, atol=5e-4)
+    np.testing.assert_allclose(field.value(on_faces + 0.02 * normals), 0.02, atol=1e-3)
+
+
 def test_it_is_the_same_after_a_file() -> None:
     field = field_of(SHAPES[0])
     again = DistanceField.from_arrays(field.to_arrays())
     points = on_spheres(100, 0.0, 2.0)
     np.testing.assert_array_equal(again.taylor(points, 3), field.taylor(points, 3))
-    assert again.spacing == field.spacing
+    assert again.spacing == field.spacing and again.error == field.error
 
 
-@pytest.mark.parametrize("missing", ["coefficients0", "far_radius", "place0"])
+@pytest.mark.parametrize("missing", ["coefficients0", "error", "far_radius", "place0"])
 def test_arrays_of_another_form_are_told(missing: str) -> None:
     arrays_of = dict(field_of(SHAPES[0]).to_arrays())
     del arrays_of[missing]

@@ -71,10 +71,13 @@ class DistanceField:
     Attributes:
         levels: From the finest to the coarsest.
         far_radius: Radius r of the far distance |p| - r, m.
+        error: How far (m) the value is from the true distance at most, within the solid's bounding
+            box: proven when the field is fitted, see ``planner.shapes.fit.error_bound``.
     """
 
     levels: tuple[Level, ...]
     far_radius: float
+    error: float
     _tables: _Tables = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -120,7 +123,10 @@ class DistanceField:
 
     def to_arrays(self) -> dict[str, FloatArray]:
         """As named arrays, for a file."""
-        out: dict[str, FloatArray] = {"far_radius": np.array([self.far_radius])}
+        out: dict[str, FloatArray] = {
+            "far_radius": np.array([self.far_radius]),
+            "error": np.array([self.error]),
+        }
         for i, level in enumerate(self.levels):
             out[f"place{i}"] = np.array([*level.first, level.spacing], dtype=np.float64)
             out[f"coefficients{i}"] = level.coefficients
@@ -139,7 +145,11 @@ class DistanceField:
             levels.append(Level(first=first, spacing=float(spacing), coefficients=coefficients))
         if not levels:
             raise KeyError("place0")
-        return cls(levels=tuple(levels), far_radius=float(arrays["far_radius"][0]))
+        return cls(
+            levels=tuple(levels),
+            far_radius=float(arrays["far_radius"][0]),
+            error=float(arrays["error"][0]),
+        )
 
 
 class _Tables:

@@ -2,6 +2,7 @@
 
 The samples of the finest grid are smoothed with a Gaussian before they are interpolated: kinks of
 the distance (edges, medial axis) are what a solver stumbles over, and it costs little accuracy.
+How much it costs is bounded, for those that must know on which side of the surface a point is.
 """
 
 from __future__ import annotations
@@ -14,7 +15,15 @@ from scipy.ndimage import gaussian_filter, spline_filter
 from planner.shapes.field import DistanceField, Level
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["RIM_STEP", "Distance", "GridDistance", "fit_field", "grid_nodes"]
+__all__ = [
+    "RIM_STEP",
+    "Bracket",
+    "Distance",
+    "GridDistance",
+    "error_bound",
+    "fit_field",
+    "grid_nodes",
+]
 
 RIM_STEP = 1e-5
 """Largest step (m) of the value at the rim of the coarsest level; measured, see the tests."""
@@ -33,13 +42,17 @@ FAR_RATIO = 8
 """How many times the second grid's spacing the coarsest has; a power of two."""
 
 MARGIN = 0.025
-"""How far (m) the finest grid reaches beyond the object: what a fingertip's centre needs."""
+"""How far (m) the finest grid reaches beyond the object at least: what a fingertip's centre needs.
+Where ``TAPER`` nodes are more than that, it reaches so far: within the object nothing is tapered.
+"""
 
 MIDDLE_MARGIN = 0.12
-"""How far (m) the second grid reaches: links of a hand around the object."""
+"""How far (m) the second grid reaches at least: links of a hand around the object. In the same way
+it reaches ``TAPER`` of its own nodes beyond the finest one."""
 
 FAR_REACH = 0.8
-"""Half width of the coarsest grid, m: a hand's base."""
+"""Half width of the coarsest grid at least, m: a hand's base. More where the blending to |p| - r
+would begin within the second grid."""
 
 BLEND_FROM = 0.35
 """Fraction of the coarsest grid's half width from which its samples are blended to |p| - r."""
@@ -57,11 +70,18 @@ RIM = 3
 TAPER = 5
 """Nodes over which a correction is brought to zero inside of these."""
 
+SETTLING = 4
+"""Times that spacing and margin of the finest grid are adapted to one another; each changes the
+spacing by a seventh of the time before."""
+
 Distance = Callable[[FloatArray], FloatArray]
 """Signed distance (n,), m, of points (n, 3), m."""
 
 GridDistance = Callable[[IntArray, tuple[int, int, int], float], FloatArray]
 """Signed distance (nx, ny, nz), m, of the nodes of a grid: first node (3,), counts, spacing (m)."""
+
+Bracket = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+"""Lower and upper bounds (n,), m, of the signed distance of points (n, 3), m."""
 
 
 def fit_field(
@@ -70,6 +90,7 @@ def fit_field(
     upper: FloatArray,
     *,
     on_grid: GridDistance | None = None,
+    bracket: Bracket | None = None,
     smoothing: float = 0.0,
 ) -> DistanceField:
     """A field for a solid whose origin is inside its bounding box.
@@ -78,25 +99,62 @@ def fit_field(
         distance: Used for the coarser grids; near the surface it need not be exact.
         lower: Lower corner (3,) of the solid's bounding box, m.
         upper: Upper corner (3,), m.
-        on_grid: Used for the finest grid, and called first; exact. ``distance`` if None.
+        on_grid: Used for the finest grid, and called first. ``distance`` if None.
+        bracket: What bounds the error at the nodes of the finest grid, called last. ``distance`` if
+            None, which is exact then.
         smoothing: Standard deviation of the Gaussian, m, if that is more than ``SMOOTHING`` cells.
     """
-    extent = upper - lower + 2 * MARGIN
-    spacing = max(FINEST, float(np.cbrt(np.prod(extent) / CELLS)))
+    margin = MARGIN
+    for _ in range(SETTLING):
+        extent = upper - lower + 2 * margin
+        spacing = max(FINEST, float(np.cbrt(np.prod(extent) / CELLS)))
+        margin = max(MARGIN, TAPER * spacing)
     far_radius = float(np.mean(np.abs([lower, upper])))
-    first, shape = _grid(lower - MARGIN, upper + MARGIN, spacing)
+    first, shape = _grid(lower - margin, upper + margin, spacing)
     if on_grid is None:
         samples = distance(grid_nodes(first, shape, spacing)).reshape(shape)
     else:
         samples = on_grid(first, shape, spacing)
     h = spacing * MIDDLE_RATIO
-    far = _far_level(distance, h * FAR_RATIO, far_radius)
-    middle_first, middle_shape = _grid(lower - MIDDLE_MARGIN, upper + MIDDLE_MARGIN, h)
+    around = max(MIDDLE_MARGIN, margin + TAPER * h)
+    reach = max(FAR_REACH, float(np.max(np.abs([lower, upper])) + around) / BLEND_FROM)
+    far = _far_level(distance, h * FAR_RATIO, far_radius, reach)
+    middle_first, middle_shape = _grid(lower - around, upper + around, h)
     middle_samples = distance(grid_nodes(middle_first, middle_shape, h)).reshape(middle_shape)
     middle = _corrected(far, FAR_RATIO, middle_first, middle_samples)
     smooth = gaussian_filter(samples, max(SMOOTHING, smoothing / spacing), mode="nearest")
     fine = _corrected(middle, MIDDLE_RATIO, first, smooth)
-    return DistanceField(levels=(fine, middle, far), far_radius=far_radius)
+    error = error_bound(fine, lower, upper, bracket or (lambda points: (distance(points),) * 2))
+    return DistanceField(levels=(fine, middle, far), far_radius=far_radius, error=error)
+
+
+def error_bound(level: Level, lower: FloatArray, upper: FloatArray, bracket: Bracket) -> float:
+    """How far (m) a level is from the true distance at most, at any point of a box.
+
+    With I the trilinear interpolation between the nodes around a point, f the level, d the
+    distance: f - d = (f - I f) + I (f - d) + (I d - d). The first is at most an eighth of the
+    spacing squared times the sum of the largest second derivatives along the axes, which are
+    averages of second differences of the coefficients. The second is at most what is found at the
+    nodes. The third is at most the mean distance from the nodes, with their weights: sqrt(3) / 2
+    of the spacing, since d changes by 1 m per m at most.
+
+    Args:
+        level: Grid that reaches a node beyond the box.
+        lower: Lower corner (3,) of the box, m.
+        upper: Upper corner (3,), m.
+        bracket: Bounds of the distance, asked for at the nodes around the box.
+    """
+    h = level.spacing
+    first = np.floor(lower / h).astype(np.int64)
+    x, y, z = (int(v) for v in np.ceil(upper / h).astype(np.int64) - first + 1)
+    at = first - level.first
+    box = tuple(slice(a, a + s) for a, s in zip(at, (x, y, z), strict=True))
+    values = _at_nodes(level.coefficients)[box].ravel()
+    low, high = bracket(grid_nodes(first, (x, y, z), h))
+    at_nodes = float(np.maximum(values - low, high - values).max())
+    near = level.coefficients[tuple(slice(b.start - 1, b.stop + 1) for b in box)]
+    bend = sum(float(np.abs(np.diff(near, n=2, axis=axis)).max()) for axis in range(3)) / 8
+    return at_nodes + bend + float(np.sqrt(3) / 2 * h)
 
 
 def _corrected(coarse: Level, ratio: int, first: IntArray, samples: FloatArray) -> Level:
@@ -111,14 +169,14 @@ def _corrected(coarse: Level, ratio: int, first: IntArray, samples: FloatArray) 
     )
 
 
-def _far_level(distance: Distance, h: float, far_radius: float) -> Level:
-    """The coarsest level: its samples become |p| - r towards the rim."""
-    box = np.full(3, FAR_REACH)
+def _far_level(distance: Distance, h: float, far_radius: float, reach: float) -> Level:
+    """The coarsest level, of a half width: its samples become |p| - r towards the rim."""
+    box = np.full(3, reach)
     first, shape = _grid(-box, box, h)
     # a spline filter assumes a mirror at its ends: let it die out in nodes that are dropped again
     wide = shape[0] + 2 * SETTLE, shape[1] + 2 * SETTLE, shape[2] + 2 * SETTLE
     nodes = grid_nodes(first - SETTLE, wide, h)
-    share = np.abs(nodes).max(axis=1) / FAR_REACH
+    share = np.abs(nodes).max(axis=1) / reach
     t = np.clip((share - BLEND_FROM) / (1.0 - BLEND_FROM), 0.0, 1.0)
     weight = t**3 * (10 - 15 * t + 6 * t**2)  # two continuous derivatives
     samples = weight * (np.linalg.norm(nodes, axis=1) - far_radius)

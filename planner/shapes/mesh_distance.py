@@ -20,7 +20,7 @@ from planner.spatial import FloatArray, IntArray
 
 __all__ = ["FIELD_VERSION", "fit_mesh_field"]
 
-FIELD_VERSION = "v2"
+FIELD_VERSION = "v3"
 """Part of the key of fields on disk: to be changed whenever a fitted field would change."""
 
 APART = 0.55
@@ -30,6 +30,9 @@ crossing between two nodes is within 0.5 of one of them."""
 STEP = (1.0 - APART) / COVERED
 """Spacing of the points on the surface, in spacings of the grid, so that every node within
 ``APART`` is a corner of a cell with such a point."""
+
+HALF_DIAGONAL = 0.5 * 3**0.5
+"""Half a cell's diagonal, in spacings."""
 
 FAR_POINTS = 4_000
 """Points on the surface, about, of which the nearest chooses the triangle that a far node is
@@ -48,6 +51,7 @@ def fit_mesh_field(surface: NearestTriangles) -> DistanceField:
         corners.min(axis=0),
         corners.max(axis=0),
         on_grid=distance.on_grid,
+        bracket=distance.bracket,
         smoothing=min(SMOOTHED_SHARE * thickness, SMOOTHED_MOST),
     )
 
@@ -74,7 +78,10 @@ class _MeshDistance:
         self.far_owner, self.far_tree = owner[one], cKDTree(points[one])
 
     def on_grid(self, first: IntArray, shape: tuple[int, int, int], h: float) -> FloatArray:
-        """Signed distance (nx, ny, nz), m; kept for ``far_away``."""
+        """Signed distance (nx, ny, nz), m; kept for ``far_away`` and ``bracket``.
+
+        Where many triangles are near a node, it may be up to a spacing too large in size.
+        """
         corners = self.surface.corners
         points, owner = cover(corners, STEP * h)
         cells = np.floor(points / h).astype(np.int64) - first
@@ -91,7 +98,7 @@ class _MeshDistance:
         )
         of_node = np.zeros(shape, dtype=np.int64)
         of_node[band] = triangle
-        source = distance_transform_edt(~band, return_distances=False, return_indices=True)
+        self.cells_to_band, source = distance_transform_edt(~band, return_indices=True)
         beyond = ~band
         away = nodes[beyond]
         onto, _ = nearest_on_triangles(away, corners[of_node[tuple(source[:, beyond])]])
@@ -109,6 +116,20 @@ class _MeshDistance:
         signs = np.where(np.concatenate([[False], inside]), -1.0, 1.0)
         out: FloatArray = np.where(region > 0, signs[region] * np.abs(distance), distance)
         return out
+
+    def bracket(self, nodes: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Bounds (n,), m, of the signed distance of nodes (n, 3) of the finest grid.
+
+        Samples are distances of points of the surface, and have the right sign. Around every point
+        of the surface, the nearest corner of a cell is next to it: half a spacing off at most along
+        each axis, and no nearer to a node than the nearest of those that were measured.
+        """
+        index = tuple((np.rint(nodes / self.h).astype(np.int64) - self.first).T)
+        sample = self.samples[index]
+        most = np.abs(sample)
+        least = self.h * np.maximum(self.cells_to_band[index] - HALF_DIAGONAL, 0.0)
+        inside = sample < 0
+        return np.where(inside, -most, least), np.where(inside, -least, most)
 
     def far_away(self, points: FloatArray) -> FloatArray:
         """Signed distance (n,), m; interpolated linearly where the finest grid is."""

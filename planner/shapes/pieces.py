@@ -24,7 +24,6 @@ from planner.shapes.cache import read_arrays, write_arrays
 from planner.shapes.cutting import Guards, cut
 from planner.shapes.hulls import Hull, hull_of
 from planner.shapes.mesh import Mesh
-from planner.shapes.mesh_distance import SMOOTHED_MOST
 from planner.shapes.triangles import cover
 from planner.spatial import FloatArray, IntArray
 
@@ -34,16 +33,11 @@ TOLERANCE = 0.001
 """How far (m) a piece may reach out of the solid, about: what it does is measured. Half of it
 nearly doubles the pieces of a mug (65 at 1 mm) and the time to make them."""
 
-PIECES_VERSION = "v2"
+PIECES_VERSION = "v3"
 """Part of the key in the cache; changes whenever the result does."""
 
 MEASURED = 0.001
 """Distance (m) between the points by which the deviation is measured."""
-
-SURELY_INSIDE = 2 * SMOOTHED_MOST
-"""Depth (m) by the smooth field at which a point is inside: a distance changes by 1 m per m, so
-that smoothing by a normal distribution of deviation s changes it by sqrt(8 / pi) s = 1.6 s at
-most."""
 
 BATCH = 500
 """Points that are measured at once."""
@@ -154,7 +148,8 @@ def deviation(mesh: Mesh, hulls: list[Hull]) -> float:
     measured in that order until this bound is below what was found: the same as measuring all.
     """
     points = np.concatenate([cover(hull.triangles, MEASURED)[0] for hull in hulls])
-    points = points[mesh.field().value(points) > -SURELY_INSIDE]
+    field = mesh.field()
+    points = points[field.value(points) > -field.error]  # the others are inside
     on_surface, _ = cover(mesh.vertices[mesh.faces], MEASURED / 2)
     bounds, _ = cKDTree(on_surface).query(points)
     farthest = 0.0
