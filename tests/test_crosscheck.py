@@ -30,6 +30,7 @@ from sim.crosscheck import (
     reader,
 )
 from sim.crosscheck.mujoco_side import MujocoSide, layout_of
+from sim.crosscheck.sources import compiled
 from sim.crosscheck.states import random_states
 
 SHIPPED = ("allegro_hand", "shadow_hand")
@@ -678,3 +679,18 @@ def test_hands_of_others_agree_and_the_reader_is_seen_through(name: str, causes:
     assert report.ok, report.faults
     assert set(report.column(READER).causes) == causes
     assert report.column(READER).unexplained == ()
+
+
+def test_impossible_inertias_of_a_file_are_balanced_and_named(tmp_path: Path) -> None:
+    text = (
+        '<mujoco><worldbody><body><joint axis="0 0 1"/><inertial pos="0 0 0" mass="1" '
+        'diaginertia="{}"/></body></worldbody></mujoco>'
+    )
+    rod, sound = tmp_path / "rod.xml", tmp_path / "sound.xml"
+    rod.write_text(text.format("1 1 3"))
+    sound.write_text(text.format("1 2 3"))
+    found = compiled(rod)
+    (note,) = found.notes
+    assert "some inertias are impossible" in note and "balanced" in note
+    np.testing.assert_allclose(found.model.body_inertia[1], [5 / 3] * 3)
+    assert compiled(sound).notes == ()

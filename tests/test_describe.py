@@ -517,6 +517,15 @@ def test_cone_directions_are_unit_symmetric_and_within() -> None:
     assert np.allclose(np.cross(directions.mean(axis=0), axis), 0.0, atol=1e-12)
 
 
+def test_an_actuator_in_the_parent_s_axes_drives_its_joint() -> None:
+    text = claw()
+    in_parent = text.replace("<position joint=", "<position jointinparent=")
+    assert in_parent != text
+    usual, other = (propose(mujoco.MjSpec.from_string(t)).description for t in (text, in_parent))
+    assert usual == other
+    assert other.actuators == ()  # no servos are missing
+
+
 @pytest.mark.parametrize(
     ("names", "expected"),
     [

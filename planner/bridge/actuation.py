@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.actuation import STOP_TOL, Actuation
-from planner.bridge.couplings import couplings_from_mujoco, tendon_row
+from planner.bridge.couplings import couplings_from_mujoco
+from planner.bridge.moments import actuator_row, tendon_row
 from planner.errors import ModelError
 from planner.spatial import FloatArray
 
 __all__ = ["actuation_from_mujoco"]
 
-_JOINTS = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
 _TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _FIXED_GAIN = int(mujoco.mjtGain.mjGAIN_FIXED)
 _BIAS_NONE = int(mujoco.mjtBias.mjBIAS_NONE)
@@ -46,14 +46,12 @@ def actuation_from_mujoco(model: Any) -> Actuation:
         )
     for i in range(model.nu):
         name = model.actuator(i).name
-        target, gear = int(model.actuator_trnid[i, 0]), float(model.actuator_gear[i, 0])
-        kind = int(model.actuator_trntype[i])
-        if kind in _JOINTS:
-            moment[i, int(model.jnt_dofadr[target])] = gear
-        elif kind == _TENDON:
-            moment[i] = gear * tendon_row(model, target)
-        else:
+        row = actuator_row(model, i)
+        if row is None:
+            if int(model.actuator_trntype[i]) == _TENDON:
+                tendon_row(model, int(model.actuator_trnid[i, 0]))  # says which, and what to do
             raise ModelError(f"actuator {name!r} drives neither a joint nor a fixed tendon")
+        moment[i] = row
         law = int(model.actuator_gaintype[i]), int(model.actuator_biastype[i])
         if law[0] != _FIXED_GAIN or law[1] not in (_BIAS_NONE, _BIAS_AFFINE):
             raise ModelError(f"actuator {name!r} is not affine in ctrl, length and velocity")

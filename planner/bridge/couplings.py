@@ -15,13 +15,13 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from planner.bridge.moments import tendon_row
 from planner.couplings import Coupling
 from planner.errors import ModelError
 from planner.spatial import FloatArray
 
-__all__ = ["couplings_from_mujoco", "tendon_row"]
+__all__ = ["couplings_from_mujoco"]
 
-_WRAP_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 _EQ_JOINT = int(mujoco.mjtEq.mjEQ_JOINT)
 _EQ_TENDON = int(mujoco.mjtEq.mjEQ_TENDON)
 
@@ -57,26 +57,6 @@ def couplings_from_mujoco(model: Any) -> tuple[Coupling, ...]:
             row, value = row - slope * other, value - slope * other_value
         out.append(Coupling(name=name, row=row, value=value, one_sided=False))
     return tuple(out)
-
-
-def tendon_row(model: Any, tendon: int) -> FloatArray:
-    """Coefficients (nv,) of a fixed tendon: length = row @ q.
-
-    Raises:
-        ModelError: The tendon runs through space.
-    """
-    row = np.zeros(model.nv)
-    start = int(model.tendon_adr[tendon])
-    for w in range(start, start + int(model.tendon_num[tendon])):
-        if int(model.wrap_type[w]) != _WRAP_JOINT:
-            name = model.tendon(tendon).name
-            raise ModelError(
-                f"tendon {name!r} runs through space; only fixed tendons, which are linear in the "
-                f"joints, are read: write drop_couplings = [{name!r}] under [repair] if the hand "
-                "works without it"
-            )
-        row[int(model.jnt_dofadr[int(model.wrap_objid[w])])] += float(model.wrap_prm[w])
-    return row
 
 
 def _part(model: Any, kind: int, number: int) -> tuple[FloatArray, float]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from planner.errors import ModelError
 
-__all__ = ["compile_spec", "load_spec", "model_bytes", "model_files"]
+__all__ = ["compile_balanced", "compile_spec", "load_spec", "model_bytes", "model_files"]
 
 RIGID_SOLREF = (0.004, 1.0)
 RIGID_SOLIMP = (0.99, 0.99, 0.001, 0.5, 2.0)
@@ -25,6 +25,10 @@ of 2 ms, the stiffest that MuJoCo takes. Under a torque t it gives way by t (1 -
 m is the inertia of the joint, d the impedance and k = 1 / (d time constant^2) (MuJoCo
 documentation, solver parameters): 0.2 N m on 2e-4 kg m^2 by 0.2 mrad, against 20 mrad with MuJoCo's
 defaults."""
+
+IMPOSSIBLE_INERTIA = "A + B >= C"
+"""What MuJoCo writes when it refuses moments of inertia, the largest above the sum of the others.
+"""
 
 _ROS_SCHEME = re.compile(r"package:/{1,2}")  # MuJoCo drops one of the two slashes of a URL
 _INCLUDE = re.compile(r"<include\s[^>]*file\s*=\s*[\"']([^\"']+)[\"']")
@@ -71,6 +75,24 @@ def compile_spec(spec: Any, what: str) -> Any:
     except ValueError as error:
         reason = str(error).replace("\n", "; ")
         raise ModelError(f"MuJoCo cannot compile {what}: {reason}{_remedy(reason)}") from error
+
+
+def compile_balanced(spec: Any, what: str) -> tuple[Any, bool]:
+    """Compile a spec; balance its inertias if MuJoCo refuses it otherwise.
+
+    Returns:
+        The ``mujoco.MjModel``, and whether inertias had to be balanced.
+
+    Raises:
+        ModelError: MuJoCo refuses the model for another reason.
+    """
+    try:
+        return compile_spec(spec, what), False
+    except ModelError as error:
+        if IMPOSSIBLE_INERTIA not in str(error):
+            raise
+        spec.compiler.balanceinertia = True
+        return compile_spec(spec, what), True
 
 
 def model_files(path: Path) -> tuple[Path, ...]:
@@ -127,7 +149,7 @@ def _ros_file(inside: str, urdf: Path) -> Path:
 
 def _remedy(message: str) -> str:
     """What to do about the refusals of MuJoCo that foreign models run into."""
-    if "A + B >= C" in message or "balanceinertia" in message:
+    if IMPOSSIBLE_INERTIA in message or "balanceinertia" in message:
         return "; write balance_inertia = true under [repair] in the hand.toml"
     if "coplanar" in message:
         return "; give the mesh a thickness, or name its geom in drop_collision under [repair]"

@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
+from planner.bridge.moments import actuator_row
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 
 __all__ = ["body_name", "effort_limits", "joint_name", "pinocchio_from_mujoco", "site_name"]
@@ -29,14 +30,6 @@ _HINGE, _SLIDE, _BALL, _FREE = (
         mujoco.mjtJoint.mjJNT_FREE,
     )
 )
-_BY_JOINT, _BY_JOINT_IN_PARENT, _BY_TENDON = (
-    int(t)
-    for t in (
-        mujoco.mjtTrn.mjTRN_JOINT,
-        mujoco.mjtTrn.mjTRN_JOINTINPARENT,
-        mujoco.mjtTrn.mjTRN_TENDON,
-    )
-)
 _SAME_AS_BODY, _SAME_AS_INERTIA, _TURNED_AS_BODY, _TURNED_AS_INERTIA = (
     int(t)
     for t in (
@@ -46,7 +39,6 @@ _SAME_AS_BODY, _SAME_AS_INERTIA, _TURNED_AS_BODY, _TURNED_AS_INERTIA = (
         mujoco.mjtSameFrame.mjSAMEFRAME_INERTIAROT,
     )
 )
-_WRAP_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 
 
 def pinocchio_from_mujoco(model: Any) -> Any:
@@ -170,7 +162,9 @@ def effort_limits(model: Any) -> FloatArray:
     """
     out = np.zeros((model.nv, 2))
     for i in range(model.nu):
-        row = _moment(model, i)
+        row = actuator_row(model, i)
+        if row is None:  # any joint, by any torque
+            row = np.full(model.nv, np.inf)
         for dof in np.flatnonzero(row):
             if model.actuator_forcelimited[i] and np.isfinite(row[dof]):
                 out[dof] += np.sort(row[dof] * model.actuator_forcerange[i])
@@ -182,25 +176,6 @@ def effort_limits(model: Any) -> FloatArray:
         at = int(model.jnt_dofadr[j])
         out[at] = np.clip(out[at], *model.jnt_actfrcrange[j])
     return out
-
-
-def _moment(model: Any, actuator: int) -> FloatArray:
-    """Moment arms (nv,) of an actuator; infinite where they depend on q."""
-    row = np.zeros(model.nv)
-    kind, target = int(model.actuator_trntype[actuator]), int(model.actuator_trnid[actuator, 0])
-    gear = float(model.actuator_gear[actuator, 0])
-    if kind in (_BY_JOINT, _BY_JOINT_IN_PARENT) and int(model.jnt_type[target]) in (_HINGE, _SLIDE):
-        row[int(model.jnt_dofadr[target])] = gear
-        return row
-    if kind == _BY_TENDON:
-        start = int(model.tendon_adr[target])
-        wraps = range(start, start + int(model.tendon_num[target]))
-        if all(int(model.wrap_type[w]) == _WRAP_JOINT for w in wraps):
-            for w in wraps:
-                dof = int(model.jnt_dofadr[int(model.wrap_objid[w])])
-                row[dof] += gear * float(model.wrap_prm[w])
-            return row
-    return np.full(model.nv, np.inf)
 
 
 def _add_joint(out: Any, model: Any, j: int, parent: int, pose: SE3) -> int:

@@ -13,11 +13,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from planner.bridge.couplings import tendon_row
 from planner.bridge.decompile import spec_from_model
-from planner.bridge.load import compile_spec, load_spec
+from planner.bridge.load import load_spec
+from planner.bridge.moments import actuator_row, is_fixed_tendon, tendon_row
 from planner.bridge.pinocchio_model import body_name
-from planner.errors import ModelError
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 
 __all__ = [
@@ -28,7 +27,6 @@ __all__ = [
     "ModelStructure",
     "TendonPart",
     "body_positions",
-    "compile_balanced",
     "geom_distance",
     "joint_inertia",
     "read_spec",
@@ -37,8 +35,6 @@ __all__ = [
 ]
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-_JOINT, _TENDON = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_TENDON)
-_WRAP_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 _BIAS_AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 
 
@@ -103,7 +99,7 @@ class ActuatorPart:
 
     Attributes:
         name: Its name.
-        row: Moment arms (nv,), m/rad or -.
+        row: Moment arms (nv,), m/rad or -; zero if they depend on q.
         stiffness: Force per length by which it holds its target, N m/rad; 0 if it does not.
         force_limit: Largest force, N m; infinite if not limited.
     """
@@ -166,24 +162,6 @@ class ModelStructure:
         return [i for i, b in enumerate(self.bodies) if b.link == link]
 
 
-def compile_balanced(spec: Any, what: str) -> tuple[Any, bool]:
-    """Compile a spec; balance its inertias if MuJoCo refuses it otherwise.
-
-    Returns:
-        The ``mujoco.MjModel``, and whether inertias had to be balanced.
-
-    Raises:
-        ModelError: MuJoCo refuses the model for another reason.
-    """
-    try:
-        return compile_spec(spec, what), False
-    except ModelError as error:
-        if "A + B >= C" not in str(error):
-            raise
-        spec.compiler.balanceinertia = True
-        return compile_spec(spec, what), True
-
-
 def joint_inertia(model: Any, q: FloatArray) -> FloatArray:
     """Diagonal (nv,) of the mass matrix at q (nv,), kg m^2 (kg): what each servo has to move."""
     data = mujoco.MjData(model)
@@ -228,7 +206,7 @@ def structure_of(model: Any) -> ModelStructure:
             for g in range(model.ngeom)
         ),
         actuators=tuple(_actuator(model, i) for i in range(model.nu)),
-        tendons=tuple(_tendon(model, t) for t in range(model.ntendon) if _is_fixed(model, t)),
+        tendons=tuple(_tendon(model, t) for t in range(model.ntendon) if is_fixed_tendon(model, t)),
     )
 
 
@@ -283,18 +261,12 @@ def _joint(model: Any, j: int) -> JointPart:
 
 
 def _actuator(model: Any, i: int) -> ActuatorPart:
-    row = np.zeros(model.nv)
-    target, kind = int(model.actuator_trnid[i, 0]), int(model.actuator_trntype[i])
-    gear = float(model.actuator_gear[i, 0])
-    if kind == _JOINT:
-        row[int(model.jnt_dofadr[target])] = gear
-    elif kind == _TENDON and _is_fixed(model, target):
-        row = gear * tendon_row(model, target)
+    row = actuator_row(model, i)
     affine = int(model.actuator_biastype[i]) == _BIAS_AFFINE
     limited = bool(model.actuator_forcelimited[i])
     return ActuatorPart(
         name=model.actuator(i).name,
-        row=row,
+        row=np.zeros(model.nv) if row is None else row,
         stiffness=-float(model.actuator_biasprm[i, 1]) if affine else 0.0,
         force_limit=float(np.abs(model.actuator_forcerange[i]).max()) if limited else np.inf,
     )
@@ -310,8 +282,3 @@ def _tendon(model: Any, t: int) -> TendonPart:
         stiffness=float(model.tendon_stiffness[t]),
         rest=(first, last),
     )
-
-
-def _is_fixed(model: Any, t: int) -> bool:
-    start, count = int(model.tendon_adr[t]), int(model.tendon_num[t])
-    return all(int(k) == _WRAP_JOINT for k in model.wrap_type[start : start + count])

@@ -8,9 +8,10 @@ from typing import Any, Literal
 import numpy as np
 
 from planner.bridge import compile_spec, couplings_from_mujoco
+from planner.bridge.load import compile_balanced
 from planner.bridge.pinocchio_model import pinocchio_from_mujoco
 from planner.bridge.prepare import name_parts, prepare_spec
-from planner.bridge.structure import compile_balanced, structure_of
+from planner.bridge.structure import structure_of
 from planner.describe.drive import impossible_couplings
 from planner.describe.proposal import Notes
 from planner.describe.tree import find_base

@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 
 from planner.bridge import compile_spec, load_spec
+from planner.bridge.load import compile_balanced
 from planner.catalog import find_hand
 from planner.errors import ModelError
 from planner.hand import Hand
@@ -17,6 +18,12 @@ __all__ = ["Source", "compiled"]
 
 DESCRIPTION = ".toml"
 """How the name of a file ends that describes a hand and is no model."""
+
+BALANCED = (
+    "some inertias are impossible (the largest moment exceeds the sum of the others) and were "
+    "balanced by MuJoCo: compared is the balanced model"
+)
+"""Note on a model that MuJoCo refuses as it is."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,17 +78,7 @@ def compiled(model: Any) -> Source:
         )
         return Source(name=hand.name, model=hand.mj_model, spec=None, path=None, notes=(note,))
     spec = load_spec(path)
-    try:
-        return Source(name=str(path), model=compile_spec(spec, str(path)), spec=spec, path=path)
-    except ModelError as error:
-        if "A + B >= C" not in str(error):
-            raise
     # impossible inertias are common in URDF files, and not what a cross-check is about
-    spec = load_spec(path)
-    spec.compiler.balanceinertia = True
-    note = (
-        "some inertias are impossible (the largest moment exceeds the sum of the others) and "
-        "were balanced by MuJoCo: compared is the balanced model"
-    )
-    model = compile_spec(spec, str(path))
-    return Source(name=str(path), model=model, spec=spec, path=path, notes=(note,))
+    model, balanced = compile_balanced(spec, str(path))
+    notes = (BALANCED,) if balanced else ()
+    return Source(name=str(path), model=model, spec=spec, path=path, notes=notes)
