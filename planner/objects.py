@@ -65,14 +65,12 @@ class GraspObject:
         shape: Its shape; the origin is its centre of mass.
         mass: kg.
         touch: Where it may and must be touched; anywhere if None.
-        resting: Which of the shape's stable poses it stands in on a table.
     """
 
     name: str
     shape: Shape
     mass: float = DEFAULT_MASS
     touch: TouchRegion | None = None
-    resting: int = 0
 
     def __post_init__(self) -> None:
         """Check the mass."""
@@ -84,16 +82,17 @@ class GraspObject:
             )
         object.__setattr__(self, "mass", mass)
 
-    def resting_pose(self, table_height: float = 0.0) -> SE3:
+    def resting_pose(self, table_height: float = 0.0, index: int = 0) -> SE3:
         """``T_world_object`` where it stands on a table, above the world's origin.
 
         Args:
             table_height: z of the table's top, m.
+            index: Which of the shape's stable poses.
 
         Raises:
-            ObjectError: The shape has no stable pose of the number ``resting``.
+            ObjectError: The shape has no stable pose of that number.
         """
-        return self.shape.resting_pose(table_height, self.resting)
+        return self.shape.resting_pose(table_height, index)
 
 
 def parse_object(
@@ -103,7 +102,6 @@ def parse_object(
     density: float | None = None,
     repair: bool = False,
     touch: TouchRegion | None = None,
-    resting: int = 0,
 ) -> GraspObject:
     """An object from a specification such as "box", "torus:0.04x0.012" or "mug.stl*0.001".
 
@@ -114,7 +112,6 @@ def parse_object(
         density: kg/m3; give this or ``mass``, not both.
         repair: Whether to mend a mesh that does not bound a solid.
         touch: Where it may and must be touched.
-        resting: Which of its stable poses it stands in on a table.
 
     Raises:
         NotFoundError: Unknown name or body.
@@ -131,7 +128,7 @@ def parse_object(
         mass = _positive(f"{name}: density", density, "kg/m3") * shape.volume
     elif mass is None:
         mass = own_mass
-    return GraspObject(name=name, shape=shape, mass=mass, touch=touch, resting=resting)
+    return GraspObject(name=name, shape=shape, mass=mass, touch=touch)
 
 
 def _parse_shape(spec: str, repair: bool) -> tuple[str, Shape, float]:

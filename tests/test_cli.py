@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from planner.files import PlanFile
+from planner.files import PlanFile, read_plan
 from planner.hand import Hand
 from sim.cli import main
 from sim.report import ReportFile
@@ -85,6 +85,17 @@ def test_inspect_as_json_agrees_with_the_hand() -> None:
             assert hand.joint_names[joint["index"]] == joint["name"]
             assert joint["lower"] == hand.q_lower[joint["index"]]
             assert joint["torque_limit_N_m"] == pytest.approx(0.7)
+
+
+def test_an_object_stands_in_the_pose_that_is_asked_for(tmp_path: Path) -> None:
+    box = ("allegro_hand", "box:0.05x0.06x0.09")
+    assert opposable("plan", *box, "--pose", "1", "-o", tmp_path / "plan.json").code == 0
+    task = read_plan(tmp_path / "plan.json").task
+    standing = task.object.resting_pose(index=1)
+    np.testing.assert_allclose(task.T_world_object.homogeneous, standing.homogeneous, atol=1e-12)
+    assert abs(standing.rotation[2, 2]) < 1e-12  # it lies
+    refused = opposable("plan", *box, "--pose", "9", "-o", tmp_path / "plan.json")
+    assert refused.code == 3 and "there is no pose 9" in refused.err
 
 
 def test_a_plan_file_is_valid_and_the_same_for_the_same_seed(planned: Path) -> None:

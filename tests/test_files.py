@@ -68,7 +68,7 @@ def test_a_plan_comes_back_as_it_was(plan: GraspPlan, tmp_path: Path) -> None:
     assert back.contacts.fingers == plan.contacts.fingers
     assert (back.record, back.opening) == (plan.record, plan.opening)
     a, b = back.task, plan.task
-    assert (a.object.name, a.object.shape, a.object.mass) == ("box", b.object.shape, 0.123)
+    assert (a.object.name, a.object.mass) == ("box", 0.123) and a.object == b.object
     for name in ("table_height", "mu", "grip_force", "finger_names", "contact_model", "wrist_free"):
         assert getattr(a, name) == getattr(b, name), name
     np.testing.assert_array_equal(a.gravity, b.gravity)

@@ -94,14 +94,15 @@ def test_a_ball_still_gets_a_pose() -> None:
 
 
 def test_an_object_stands_in_the_pose_that_is_asked_for() -> None:
-    upside_down = parse_object("mug", resting=1)
-    np.testing.assert_allclose(upside_down.resting_pose(0.1).rotation[2], [0, 0, -1], atol=1e-9)
-    lowest = upside_down.shape.support(-upside_down.resting_pose(0.1).rotation[2])
-    assert upside_down.resting_pose(0.1).translation[2] == pytest.approx(0.1 + lowest)
+    mug = parse_object("mug")
+    upside_down = mug.resting_pose(0.1, index=1)
+    np.testing.assert_allclose(upside_down.rotation[2], [0, 0, -1], atol=1e-9)
+    lowest = mug.shape.support(-upside_down.rotation[2])
+    assert upside_down.translation[2] == pytest.approx(0.1 + lowest)
     for shape, index, there in ((Mug(), 4, "4 stable"), (Sphere(0.03), 1, "1 stable")):
-        item = GraspObject(name="thing", shape=shape, resting=index)
+        item = GraspObject(name="thing", shape=shape)
         with pytest.raises(ObjectError, match=rf"{there} pose\(s\).*there is no pose {index}"):
-            item.resting_pose()
+            item.resting_pose(index=index)
     with pytest.raises(ObjectError, match="there is no pose -1"):
         Mug().resting_pose(0.0, -1)
 

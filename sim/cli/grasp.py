@@ -60,16 +60,17 @@ def _plan(
     from planner.search import Attempt, plan_grasp
     from planner.task import GraspTask
 
+    item = parse_object(
+        object,
+        mass=mass,
+        density=density,
+        repair=repair,
+        touch=_touch_region(touch, avoid),
+    )
     task = GraspTask.create(
         hand,
-        parse_object(
-            object,
-            mass=mass,
-            density=density,
-            repair=repair,
-            resting=resting,
-            touch=_touch_region(touch, avoid),
-        ),
+        item,
+        T_world_object=item.resting_pose(index=resting),
         mu=mu,
         fingers=None if fingers is None else names(fingers),
     )
