@@ -229,15 +229,12 @@ class GraspTask:
         if self.contact_model not in CONTACT_DIM:
             allowed = list(CONTACT_DIM)
             raise TaskError(f"contact_model is {self.contact_model!r}; use one of {allowed}")
-        # a soft finger without torsional friction is a point contact
-        without_torsion = self.contact_model == "soft" and self.mu_torsion == 0
-        needed = FINGERS_NEEDED["point" if without_torsion else self.contact_model]
-        if len(self.finger_names) < needed:
+        if len(self.finger_names) < self.fingers_needed:
             raise TaskError(
                 f"{len(self.finger_names)} finger(s) {list(self.finger_names)} cannot close a "
-                f"grasp with {self.contact_model} contacts, which needs at least {needed}; name "
-                f"more of {list(self.hand.fingers)}"
-                + (", or give mu_torsion > 0" if without_torsion else "")
+                f"grasp with {self.contact_model} contacts, which needs at least "
+                f"{self.fingers_needed}; name more of {list(self.hand.fingers)}"
+                + (", or give mu_torsion > 0" if self._is_without_torsion else "")
             )
         self.hand.choose_fingers(self.finger_names)
         if self.mu == 0 and self.contact_model != "frictionless":
@@ -252,6 +249,16 @@ class GraspTask:
             )
         if self.table_height is not None:
             self._check_object_above_table(self.table_height)
+
+    @property
+    def _is_without_torsion(self) -> bool:
+        """Whether soft fingers are point contacts, having no torsional friction."""
+        return self.contact_model == "soft" and self.mu_torsion == 0
+
+    @property
+    def fingers_needed(self) -> int:
+        """Fewest fingers that can close a grasp with these contacts."""
+        return FINGERS_NEEDED["point" if self._is_without_torsion else self.contact_model]
 
     @property
     def fingers(self) -> tuple[Finger, ...]:

@@ -24,7 +24,6 @@ from planner.errors import TaskError
 from planner.plan import GraspPlan
 from planner.quality import analyse
 from planner.spatial import FloatArray
-from planner.task import FINGERS_NEEDED
 from sim.carrier import carrier_of
 from sim.contacts import NO_FORCE, hand_contacts, merge_per_finger, normal_forces
 from sim.controllers import (
@@ -146,7 +145,7 @@ class Trial:
         verdict = judge(
             self._recorder.samples(),
             fingers=self.plan.task.finger_names,
-            needed=FINGERS_NEEDED[self.plan.task.contact_model],
+            needed=self.plan.task.fingers_needed,
             lift_mm=1e3 * self.timeline.lift_height,
             thresholds=self.thresholds,
             interrupted=interrupted,
@@ -238,7 +237,7 @@ class Trial:
     def _held_by_enough(self) -> bool:
         """Whether as many fingers touch as can hold the object."""
         forces = normal_forces(self.scene, self.data, self.plan.task.finger_names)
-        return int((forces > NO_FORCE).sum()) >= FINGERS_NEEDED[self.plan.task.contact_model]
+        return int((forces > NO_FORCE).sum()) >= self.plan.task.fingers_needed
 
     def _limited(self) -> tuple[str, ...]:
         """Names of the hand's actuators that could not do what was asked in the last step."""

@@ -164,6 +164,16 @@ def test_users_controller_takes_part_and_fingers_that_never_close_touch_nothing(
     assert last.T_world_base.isApprox(plan.T_world_base, 1e-3)
 
 
+@pytest.mark.parametrize(("mu_torsion", "needed"), [(0.0, 3), (0.004, 2)])
+def test_soft_fingers_without_torsion_are_counted_as_points(
+    plan: GraspPlan, mu_torsion: float, needed: int
+) -> None:
+    task = replace(plan.task, contact_model="soft", mu_torsion=mu_torsion)
+    assert task.fingers_needed == needed
+    failed = simulate(replace(plan, task=task), controller=Still(plan), timeline=QUICK)
+    assert f"{needed} fingers are needed" in failed.verdict.detail
+
+
 def test_commands_of_a_wrong_shape_are_refused(plan: GraspPlan) -> None:
     with pytest.raises(TaskError, match=r"shape \(3,\); the hand needs \(16,\)"):
         simulate(plan, controller=Still(plan, [0.0, 0.0, 0.0]), timeline=QUICK)
