@@ -1,0 +1,265 @@
+"""What plan files hold, as pydantic models.
+
+Field names carry units and frames; a pose is a position in metres and a quaternion w, x, y, z.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+
+from planner.contacts import ContactModel
+from planner.errors import FileFormatError
+from planner.hand import Hand
+from planner.plan import GraspPlan
+from planner.regions import Region, TouchRegion
+from planner.schema import StrictData
+from planner.spatial import SE3, pose_from_wxyz, pose_to_wxyz
+from planner.synthesis.carried import ArmPath
+
+__all__ = [
+    "LARGEST",
+    "PLAN_VERSION",
+    "ArmData",
+    "ContactData",
+    "Finite",
+    "GraspData",
+    "HandData",
+    "NotNegative",
+    "ObjectData",
+    "ObstacleData",
+    "PlanFile",
+    "PoseData",
+    "RecordData",
+    "RegionData",
+    "TaskData",
+    "TouchData",
+    "Vector3",
+    "Vector4",
+]
+
+PLAN_VERSION = 1
+
+QUATERNION_TOL = 1e-3
+"""How far (-) the length of a quaternion in a file may be from 1: figures typed with few digits."""
+
+LARGEST = 1e6
+"""Largest number, either sign, in SI units: no grasp has a larger one, and its square is finite."""
+
+Finite = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
+NotNegative = Annotated[float, Field(allow_inf_nan=False, ge=0, le=LARGEST)]
+Vector3 = tuple[Finite, Finite, Finite]
+Vector4 = tuple[Finite, Finite, Finite, Finite]
+
+
+class PoseData(StrictData):
+    """A pose: position (m) and unit quaternion w, x, y, z."""
+
+    position_m: Vector3
+    quaternion_wxyz: Vector4
+
+    @classmethod
+    def of(cls, pose: SE3) -> PoseData:
+        """From a pose."""
+        position, quaternion = pose_to_wxyz(pose)
+        return cls(position_m=tuple(position), quaternion_wxyz=tuple(quaternion))
+
+    def pose(self) -> SE3:
+        """As a pose."""
+        if not abs(math.hypot(*self.quaternion_wxyz) - 1.0) <= QUATERNION_TOL:
+            raise FileFormatError(f"the quaternion {self.quaternion_wxyz} is not of unit length")
+        return pose_from_wxyz(np.array(self.position_m), np.array(self.quaternion_wxyz))
+
+
+class HandData(StrictData):
+    """Which hand: its name, where it was described, and the digest of its files."""
+
+    name: str
+    description_path: str
+    sha256: str
+
+
+class RegionData(StrictData):
+    """A box in the object's frame; null where it has no bound."""
+
+    name: str
+    lower_m: tuple[Finite | None, Finite | None, Finite | None]
+    upper_m: tuple[Finite | None, Finite | None, Finite | None]
+
+    @classmethod
+    def of(cls, region: Region) -> RegionData:
+        """From a region."""
+        bounds = (
+            tuple(v if math.isfinite(v) else None for v in corner)
+            for corner in (region.lower, region.upper)
+        )
+        lower, upper = bounds
+        return cls.model_validate({"name": region.name, "lower_m": lower, "upper_m": upper})
+
+    def region(self) -> Region:
+        """As a region."""
+        x, y, z = (-math.inf if v is None else v for v in self.lower_m)
+        a, b, c = (math.inf if v is None else v for v in self.upper_m)
+        return Region(name=self.name, lower=(x, y, z), upper=(a, b, c))
+
+
+class TouchData(StrictData):
+    """Where the object may, must not, and must (by finger) be touched."""
+
+    allowed: list[RegionData]
+    forbidden: list[RegionData]
+    required: dict[str, RegionData]
+
+    @classmethod
+    def of(cls, touch: TouchRegion | None) -> TouchData | None:
+        """From regions; None for none."""
+        if touch is None:
+            return None
+        return cls(
+            allowed=[RegionData.of(r) for r in touch.allowed],
+            forbidden=[RegionData.of(r) for r in touch.forbidden],
+            required={f: RegionData.of(r) for f, r in touch.required.items()},
+        )
+
+    def touch(self) -> TouchRegion:
+        """As regions."""
+        return TouchRegion(
+            allowed=tuple(r.region() for r in self.allowed),
+            forbidden=tuple(r.region() for r in self.forbidden),
+            required={f: r.region() for f, r in self.required.items()},
+        )
+
+
+class ObjectData(StrictData):
+    """Which object: shape as its kind and sizes in metres (full extents, radii), and mass."""
+
+    name: str
+    shape: dict[str, str | Finite | list[Finite]]
+    mass_kg: float = Field(gt=0, allow_inf_nan=False)
+    touch: TouchData | None = None
+
+
+class ObstacleData(StrictData):
+    """A fixed box."""
+
+    name: str
+    size_m: Vector3
+    T_world_obstacle: PoseData
+
+
+class TaskData(StrictData):
+    """The task of a plan."""
+
+    hand: HandData
+    object: ObjectData
+    T_world_object: PoseData
+    table_height_m: Finite | None
+    obstacles: list[ObstacleData]
+    gravity_m_s2: Vector3
+    mu: Finite
+    mu_torsion_m: Finite
+    contact_model: ContactModel
+    fingers: list[str]
+    grip_force_N: Finite
+    T_world_base_fixed: PoseData | None
+    wrist_free: bool
+    wrist_q_rad: list[Finite]
+
+
+class ArmData(StrictData):
+    """Paths of the arm that carries the hand: rows of its joints, rad (m for slides)."""
+
+    joint_names: list[str]
+    approach_q_rad: list[list[Finite]]
+    lift_q_rad: list[list[Finite]]
+
+    @classmethod
+    def of(cls, plan: GraspPlan, path: ArmPath) -> ArmData:
+        """From a plan."""
+        hand = plan.task.hand
+        return cls(
+            joint_names=[hand.joint_names[k] for k in hand.arm_index],
+            approach_q_rad=path.approach.tolist(),
+            lift_q_rad=path.lift.tolist(),
+        )
+
+    def path(self, hand: Hand) -> ArmPath:
+        """As paths.
+
+        Raises:
+            FileFormatError: They are of other joints, or rows differ in length.
+        """
+        names = [hand.joint_names[k] for k in hand.arm_index]
+        rows = [*self.approach_q_rad, *self.lift_q_rad]
+        if self.joint_names != names or any(len(row) != len(names) for row in rows):
+            raise FileFormatError(f"the paths of the arm are not those of the joints {names}")
+        return ArmPath(approach=np.array(self.approach_q_rad), lift=np.array(self.lift_q_rad))
+
+
+class GraspData(StrictData):
+    """The grasp itself; joints in the order of ``joint_names``; ``arm`` if the hand is on one."""
+
+    T_world_base: PoseData
+    T_world_base_start: PoseData
+    T_world_palm: PoseData
+    joint_names: list[str]
+    q_rad: list[Finite]
+    q_pregrasp_rad: list[Finite]
+    opening_m: Finite
+    arm: ArmData | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_absent_arm(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """All fields; files of hands without an arm stay as they were before there were arms."""
+        data: dict[str, Any] = handler(self)
+        if self.arm is None:
+            del data["arm"]
+        return data
+
+
+class ContactData(StrictData):
+    """One planned contact, world frame; force on the object in the contact frame."""
+
+    finger: str
+    position_world_m: Vector3
+    normal_into_object_world: Vector3
+    tangent1_world: Vector3
+    tangent2_world: Vector3
+    model: ContactModel
+    mu: Finite
+    mu_torsion_m: Finite
+    force_normal_N: Finite
+    force_tangent1_N: Finite
+    force_tangent2_N: Finite
+    torque_normal_N_m: Finite
+
+
+class RecordData(StrictData):
+    """Where the plan comes from."""
+
+    seed: int
+    attempt: int
+    attempts: int
+    iterations: int
+    status: str
+    cpu_s: Finite
+    build_s: Finite
+
+
+class PlanFile(StrictData):
+    """A grasp plan as JSON."""
+
+    format: Literal["opposable-plan"] = "opposable-plan"
+    version: Literal[1] = 1
+    written_by: str
+    task: TaskData
+    grasp: GraspData
+    contacts: list[ContactData]
+    joint_torques_N_m: list[Finite]
+    quality: dict[str, Any]
+    pad_gaps_m: list[Finite]
+    smallest_clearances_m: dict[str, Finite]
+    record: RecordData

@@ -1,0 +1,77 @@
+"""JSON objects and trajectories on disk, with errors that say why one cannot be read or written."""
+
+from __future__ import annotations
+
+import csv
+import json
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner.errors import FileFormatError
+from planner.plan import JointTrajectory
+from planner.spatial import pose_to_wxyz
+
+__all__ = ["read_json", "write_json", "write_trajectory"]
+
+
+def write_json(data: dict[str, Any], path: Path | str) -> None:
+    """Write JSON whole or not at all: a file beside it is renamed into place.
+
+    Raises:
+        FileFormatError: The folder does not exist or cannot be written.
+    """
+    path = Path(path)
+    partial = path.with_name(path.name + ".part")
+    try:
+        partial.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            partial.unlink()
+        raise FileFormatError(f"cannot write {path}: {error.strerror}") from error
+
+
+def write_trajectory(trajectory: JointTrajectory, path: Path | str) -> None:
+    """Write a trajectory as CSV: time, phase, one column per joint (rad or m), pose of the base.
+
+    Raises:
+        FileFormatError: The folder does not exist or cannot be written.
+    """
+    base = ["x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"]
+    header = ["time_s", "phase", *trajectory.joint_names, *(f"base_{name}" for name in base)]
+    rows = [
+        [f"{t:.6f}", phase, *(f"{v:.9f}" for v in np.concatenate([q, *pose_to_wxyz(pose)]))]
+        for t, phase, q, pose in zip(
+            trajectory.times,
+            trajectory.phases,
+            trajectory.positions,
+            trajectory.T_world_base,
+            strict=True,
+        )
+    ]
+    try:
+        with Path(path).open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file).writerows([header, *rows])
+    except OSError as error:
+        raise FileFormatError(f"cannot write {path}: {error.strerror}") from error
+
+
+def read_json(path: Path | str, what: str) -> dict[str, Any]:
+    """Read a JSON object.
+
+    Raises:
+        FileFormatError: Missing, unreadable or not a JSON object.
+    """
+    path = Path(path)
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FileFormatError(f"cannot read {what} {path}: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:  # not JSON, not text, too long or too deep
+        raise FileFormatError(f"{path} is damaged or not JSON: {error}") from error
+    if not isinstance(data, dict):
+        raise FileFormatError(f"{path} holds a {type(data).__name__}; {what} is a JSON object")
+    return data

@@ -1,0 +1,248 @@
+"""Plan files: versioned JSON that can be read without this package.
+
+The schema is the pydantic model ``PlanFile`` (``opposable schema plan`` prints it as JSON Schema).
+Reading checks the format, the version and the hand's digest, rebuilds the task, and recomputes
+contacts, forces and quality from the joints: a file whose contacts are not those of its joints is
+refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ValidationError
+
+from planner.catalog import hand_names
+from planner.errors import FileFormatError, TaskError
+from planner.files.data import (
+    PLAN_VERSION,
+    ArmData,
+    ContactData,
+    GraspData,
+    HandData,
+    ObjectData,
+    ObstacleData,
+    PlanFile,
+    PoseData,
+    RecordData,
+    TaskData,
+    TouchData,
+)
+from planner.files.json_csv import read_json, write_json
+from planner.hand import Hand
+from planner.judge import judge_grasp
+from planner.objects import GraspObject
+from planner.plan import GraspPlan, SolveRecord
+from planner.schema import faults_of
+from planner.shapes import shape_from_dict, shape_to_dict
+from planner.spatial import FloatArray
+from planner.synthesis.pregrasp import Approach
+from planner.task import GraspTask, Obstacle
+
+__all__ = ["plan_to_dict", "read_plan", "write_plan"]
+
+CONTACT_TOL = 1e-4
+"""How far stored contacts (m), normals (-), forces (N) and torques (N m) may be from those
+recomputed from the stored joints: what rounding leaves after a quadratic programme."""
+
+
+def plan_to_dict(plan: GraspPlan) -> dict[str, Any]:
+    """A plan as plain data that follows ``PlanFile``."""
+    task, hand = plan.task, plan.task.hand
+    if hand.reference is None:
+        raise TaskError(
+            f"{hand.name} was made in Python, so no file can name it; write its model and its "
+            "description to files and load it from there"
+        )
+    path = "" if hand.reference in hand_names() else hand.reference
+    data = PlanFile(
+        written_by=f"opposable {version('opposable')}",
+        task=TaskData(
+            hand=HandData(name=hand.name, description_path=path, sha256=hand.digest),
+            object=ObjectData(
+                name=task.object.name,
+                shape=shape_to_dict(task.object.shape),
+                mass_kg=task.object.mass,
+                touch=TouchData.of(task.object.touch),
+            ),
+            T_world_object=PoseData.of(task.T_world_object),
+            table_height_m=task.table_height,
+            obstacles=[
+                ObstacleData(
+                    name=o.name,
+                    size_m=tuple(o.size),
+                    T_world_obstacle=PoseData.of(o.T_world_obstacle),
+                )
+                for o in task.obstacles
+            ],
+            gravity_m_s2=tuple(task.gravity),
+            mu=task.mu,
+            mu_torsion_m=task.mu_torsion,
+            contact_model=task.contact_model,
+            fingers=list(task.finger_names),
+            grip_force_N=task.grip_force,
+            T_world_base_fixed=None
+            if task.T_world_base is None
+            else PoseData.of(task.T_world_base),
+            wrist_free=task.wrist_free,
+            wrist_q_rad=list(task.wrist_q),
+        ),
+        grasp=GraspData(
+            T_world_base=PoseData.of(plan.T_world_base),
+            T_world_base_start=PoseData.of(plan.T_world_base_start),
+            T_world_palm=PoseData.of(plan.T_world_palm),
+            joint_names=list(hand.joint_names),
+            q_rad=list(plan.q),
+            q_pregrasp_rad=list(plan.q_pregrasp),
+            opening_m=plan.opening,
+            arm=None if plan.arm is None else ArmData.of(plan, plan.arm),
+        ),
+        contacts=[_contact_data(plan, i) for i in range(len(plan.contacts))],
+        joint_torques_N_m=list(plan.forces.joint_torques),
+        quality=plan.quality.to_dict(),
+        pad_gaps_m=list(plan.verification.pad_gaps),
+        smallest_clearances_m={
+            f"{c.first} - {c.second}": c.distance for c in plan.verification.closest
+        },
+        record=RecordData(**{k: getattr(plan.record, k) for k in RecordData.model_fields}),
+    )
+    return data.model_dump(mode="json")
+
+
+def _contact_data(plan: GraspPlan, i: int) -> ContactData:
+    contact = plan.contacts[i]
+    normal, tangent1, tangent2 = (tuple(column) for column in contact.frame.T)
+    fn, ft1, ft2, torque = (float(v) for v in contact.force)
+    return ContactData(
+        finger=contact.finger,
+        position_world_m=tuple(contact.position),
+        normal_into_object_world=normal,
+        tangent1_world=tangent1,
+        tangent2_world=tangent2,
+        model=contact.model,
+        mu=contact.mu,
+        mu_torsion_m=contact.mu_torsion,
+        force_normal_N=fn,
+        force_tangent1_N=ft1,
+        force_tangent2_N=ft2,
+        torque_normal_N_m=torque,
+    )
+
+
+def write_plan(plan: GraspPlan, path: Path | str) -> None:
+    """Write a plan file."""
+    write_json(plan_to_dict(plan), path)
+
+
+def read_plan(path: Path | str, *, hand: Hand | None = None) -> GraspPlan:
+    """Read a plan file and check it.
+
+    Args:
+        path: The file.
+        hand: The hand to use; the one that the file names if None.
+
+    Raises:
+        FileFormatError: Damaged, of another version, or for another hand.
+        PlannerError: The hand or object cannot be loaded.
+    """
+    data = read_json(path, "plan file")
+    if data.get("format") != "opposable-plan":
+        raise FileFormatError(f"{path} is not a plan file: its format is {data.get('format')!r}")
+    if data.get("version") != PLAN_VERSION:
+        raise FileFormatError(
+            f"{path} has plan version {data.get('version')!r}; this Opposable reads version "
+            f"{PLAN_VERSION}; plan again"
+        )
+    try:
+        file = PlanFile.model_validate(data)
+    except ValidationError as error:
+        raise FileFormatError(f"{path} is damaged: {faults_of(error)}") from error
+    given = file.task.hand
+    hand = hand or Hand.load(given.description_path or given.name)
+    if hand.digest != given.sha256:
+        raise FileFormatError(
+            f"{path} was planned for a different {given.name!r} than "
+            f"{hand.reference or hand.name}: the files have changed since; plan again, or give the "
+            "hand that it was planned for"
+        )
+    if list(hand.joint_names) != file.grasp.joint_names:
+        raise FileFormatError(f"{path} has other joints than {hand.name}; it is damaged")
+    return _rebuild(file, hand, Path(path))
+
+
+def _rebuild(file: PlanFile, hand: Hand, path: Path) -> GraspPlan:
+    task = _task(file.task, hand)
+    grasp = file.grasp
+    approach = Approach(
+        q=hand.checked_q(grasp.q_pregrasp_rad, "q_pregrasp_rad"),
+        opening=grasp.opening_m,
+        T_world_base_start=grasp.T_world_base_start.pose(),
+        arm=None if grasp.arm is None else grasp.arm.path(hand),
+    )
+    plan = judge_grasp(
+        task,
+        grasp.T_world_base.pose(),
+        hand.checked_q(grasp.q_rad, "q_rad"),
+        record=SolveRecord(**file.record.model_dump()),
+        approach=approach,
+    )
+    if isinstance(plan, str):
+        raise FileFormatError(f"{path} holds a grasp that fails its checks: {plan}")
+    again = PlanFile.model_validate(plan_to_dict(plan))
+    if [c.finger for c in file.contacts] != [c.finger for c in again.contacts]:
+        raise FileFormatError(f"{path}: its contacts are not those of its fingers; it is damaged")
+    for what, stored, true, tolerance in (
+        ("contacts", _numbers(file.contacts), _numbers(again.contacts), CONTACT_TOL),
+        ("torques", file.joint_torques_N_m, again.joint_torques_N_m, CONTACT_TOL),
+        ("palm pose", _numbers([grasp.T_world_palm]), _numbers([again.grasp.T_world_palm]), 1e-6),
+    ):
+        if np.shape(stored) != np.shape(true) or not np.allclose(
+            stored, true, atol=tolerance, rtol=CONTACT_TOL
+        ):
+            raise FileFormatError(f"{path}: its {what} are not those of its joints; it is damaged")
+    return plan
+
+
+def _numbers(items: Sequence[BaseModel]) -> FloatArray:
+    """All numbers in some data, in order."""
+    flat: list[float] = []
+    for item in items:
+        for value in item.model_dump().values():
+            if isinstance(value, tuple):
+                flat += value
+            elif isinstance(value, float):
+                flat.append(value)
+    return np.array(flat)
+
+
+def _task(data: TaskData, hand: Hand) -> GraspTask:
+    return GraspTask(
+        hand=hand,
+        object=GraspObject(
+            name=data.object.name,
+            shape=shape_from_dict(data.object.shape),
+            mass=data.object.mass_kg,
+            touch=None if data.object.touch is None else data.object.touch.touch(),
+        ),
+        T_world_object=data.T_world_object.pose(),
+        table_height=data.table_height_m,
+        obstacles=tuple(
+            Obstacle(
+                name=o.name, size=np.array(o.size_m), T_world_obstacle=o.T_world_obstacle.pose()
+            )
+            for o in data.obstacles
+        ),
+        gravity=np.array(data.gravity_m_s2),
+        mu=data.mu,
+        mu_torsion=data.mu_torsion_m,
+        contact_model=data.contact_model,
+        finger_names=tuple(data.fingers),
+        grip_force=data.grip_force_N,
+        T_world_base=None if data.T_world_base_fixed is None else data.T_world_base_fixed.pose(),
+        wrist_free=data.wrist_free,
+        wrist_q=np.array(data.wrist_q_rad),
+    )
