@@ -22,10 +22,11 @@ from planner.spatial import FloatArray
 from planner.synthesis.carried import LIFT_HEIGHT, ArmPath
 from sim.controllers.base import Phase
 from sim.controllers.grasp import motor_servo
+from sim.mount import MountCarrier
 from sim.scene import Scene
 from sim.timeline import Timeline
 
-__all__ = ["ArmCarrier", "Carrier", "MountCarrier", "carrier_of"]
+__all__ = ["ArmCarrier", "Carrier", "carrier_of"]
 
 
 class Carrier(Protocol):
@@ -34,21 +35,6 @@ class Carrier(Protocol):
     def drive(self, data: Any, phase: Phase, share: float) -> None:
         """Set its commands in ``data.ctrl`` for a share in [0, 1] of a phase."""
         ...
-
-
-class MountCarrier:
-    """The six driven axes of the scene's mount."""
-
-    def __init__(self, plan: GraspPlan, scene: Scene, timeline: Timeline) -> None:
-        """Note where the approach begins."""
-        self._scene, self._timeline = scene, timeline
-        self._start = scene.mount_coordinates(plan.T_world_base_start)
-
-    def drive(self, data: Any, phase: Phase, share: float) -> None:
-        """Set the mount's commands."""
-        target, velocity = self._timeline.mount_motion(phase, share, self._start)
-        scene = self._scene
-        data.ctrl[scene.mount_ctrl] = scene.mount_command(data, target, velocity)
 
 
 class ArmCarrier:
@@ -101,8 +87,10 @@ class ArmCarrier:
 
 def carrier_of(plan: GraspPlan, scene: Scene, timeline: Timeline) -> Carrier:
     """What carries the hand of a plan."""
+    if scene.mount is not None:
+        return MountCarrier(plan, scene.mount, timeline)
     if plan.arm is None:
-        return MountCarrier(plan, scene, timeline)
+        raise TaskError(f"the plan holds no way of the arm of {plan.task.hand.name}; plan again")
     return ArmCarrier(plan, plan.arm, scene, timeline)
 
 

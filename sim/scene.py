@@ -1,12 +1,7 @@
 """``Scene``: the MuJoCo world of a ``GraspTask``: driven mount, hand, table, obstacles, object.
 
-The hand hangs on a mount of six driven joints that all read zero at the planned base pose: three
-slides along the world's axes, then three hinges about them, so that
-
-    T_world_base = Trans(p0 + [x, y, z]) Rx(rx) Ry(ry) Rz(rz) R0.
-
-The mount's servos carry the hand's weight by feed-forward, so that it does not sag. A hand on an
-arm has no mount: the arm's root stands fixed, and its own servos carry the hand (``sim.carrier``).
+The hand hangs on a mount of six driven joints (``sim.mount``). A hand on an arm has no mount: the
+arm's root stands fixed, and its own servos carry the hand (``sim.carrier``).
 
 Friction is explicit. MuJoCo mixes the friction of two geoms by their maximum unless one has the
 higher priority; here the object decides against the hand (condim 4: sliding and torsion), and
@@ -34,6 +29,7 @@ from planner.shapes import Mesh
 from planner.shapes.solid import solid_deviation, solid_geoms
 from planner.spatial import SE3, FloatArray, IntArray, pose_to_wxyz
 from planner.task import GraspTask
+from sim.mount import MOUNT, Mount, add_mount, tuned_mount
 from sim.physics import CONTACT_SOLIMP, CONTACT_SOLREF, PhysicsOptions
 from sim.picture import add_scenery
 
@@ -42,7 +38,7 @@ __all__ = ["HAND_PREFIX", "OBJECT", "TABLE", "PhysicsOptions", "Scene", "build_s
 HAND_PREFIX = "hand/"
 """Prefix of every name of the hand's model in the scene."""
 
-OBJECT, TABLE, MOUNT, SUPPORT = "object", "table", "mount", "support"
+OBJECT, TABLE, SUPPORT = "object", "table", "support"
 """Names of bodies in the scene, and of the constraint that holds an object without a table."""
 
 OBJECT_COLOR = (0.42, 0.72, 0.38, 1.0)
@@ -58,18 +54,8 @@ PIECE_GROUP = 3
 OBSTACLE_PREFIX = "obstacle/"
 """Prefix of the names of obstacles, so that none is taken for something else."""
 
-MOUNT_AXES = ("x", "y", "z", "rx", "ry", "rz")
-"""The mount's joints, in order: ``mount_x`` and so on."""
-
-MOUNT_FREQUENCY = 60.0
-"""Undamped natural frequency of each mount axis under the mass it carries, rad/s: an arm of about
-10 Hz, which a payload of 0.1 kg lets sag by less than 0.3 mm."""
-
 ARM_VIEW = 2.3
 """From how much farther away a hand on an arm is shown: an arm of 1 m beside the object."""
-
-MOUNT_DAMPING = 1.0
-"""Damping ratio of each mount axis (-): no overshoot."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,7 +65,7 @@ class Scene:
     Attributes:
         task: What it shows.
         physics: How it computes.
-        T_world_base: Base pose at which all mount joints read zero.
+        T_world_base: Base pose of the grasp.
         model: Compiled ``mujoco.MjModel``.
         hand_qpos: (nq,), where the hand's joints, in the order of ``hand.joint_names``, stand in
             ``data.qpos``.
@@ -87,17 +73,13 @@ class Scene:
         hand_ctrl: (nu,), where the hand's actuators, in the order of ``hand.actuation.names``,
             stand in ``data.ctrl``.
         arm_ctrl: (n,), those of them that drive the joints of the arm that carries the hand.
-        mount_qpos: (6,), the mount's joints in ``data.qpos``, order of ``MOUNT_AXES``; none for a
-            hand on an arm, nor below.
-        mount_dof: (6,), the same in ``data.qvel``.
-        mount_ctrl: (6,), the mount's servos in ``data.ctrl``.
+        mount: What carries the hand; None for a hand on an arm.
         object_qpos: (7,), the object's pose in ``data.qpos``: position, quaternion w, x, y, z.
         object_dof: (6,), its velocity in ``data.qvel``: linear in world axes, angular in its own.
         object_body: Body id of the object.
         base_body: Body id of the hand's base.
         palm_body: Body id of the hand's palm.
         finger_of_geom: Colliding geom id of the hand -> finger name, "" for the palm.
-        mount_gains: (2, 6), stiffness (N/m, N m/rad) and damping of the mount's servos.
         support: Equality id that holds the object before the lift, -1 where a table does.
         deviation: How far (m) the geoms of the object reach out of its true shape at most: 0 for a
             primitive, measured for the convex pieces of a mesh.
@@ -111,16 +93,13 @@ class Scene:
     hand_dof: IntArray
     hand_ctrl: IntArray
     arm_ctrl: IntArray
-    mount_qpos: IntArray
-    mount_dof: IntArray
-    mount_ctrl: IntArray
+    mount: Mount | None
     object_qpos: IntArray
     object_dof: IntArray
     object_body: int
     base_body: int
     palm_body: int
     finger_of_geom: Mapping[int, str]
-    mount_gains: FloatArray
     support: int
     deviation: float
 
@@ -128,38 +107,11 @@ class Scene:
         """Fresh ``mujoco.MjData`` at rest: hand at q (nq,) and a base pose, object at its place."""
         data = mujoco.MjData(self.model)
         data.qpos[self.hand_qpos] = q
-        if len(self.mount_qpos):
-            data.qpos[self.mount_qpos] = self.mount_coordinates(T_world_base)
+        if self.mount is not None:
+            data.qpos[self.mount.qpos] = self.mount.coordinates(T_world_base)
         data.qpos[self.object_qpos] = np.concatenate(pose_to_wxyz(self.task.T_world_object))
         mujoco.mj_forward(self.model, data)
         return data
-
-    def mount_coordinates(self, T_world_base: SE3) -> FloatArray:
-        """Mount joints (6,), m and rad, that put the hand's base at a pose.
-
-        The hinges turn by Rx Ry Rz; they cannot turn about y by 90 degrees away from the grasp.
-        """
-        turn = T_world_base.rotation @ self.T_world_base.rotation.T
-        ry = np.arcsin(np.clip(turn[0, 2], -1.0, 1.0))
-        rx = np.arctan2(-turn[1, 2], turn[2, 2])
-        rz = np.arctan2(-turn[0, 1], turn[0, 0])
-        shift = T_world_base.translation - self.T_world_base.translation
-        return np.concatenate([shift, [rx, ry, rz]])
-
-    def mount_command(self, data: Any, target: FloatArray, velocity: FloatArray) -> FloatArray:
-        """Servo commands (6,) that move the mount.
-
-        The servos' law is F = kp (ctrl - q) - kd v. The command adds what makes the mount follow
-        without lag, kd velocity, and what carries the hand, MuJoCo's bias force.
-
-        Args:
-            data: ``mujoco.MjData``.
-            target: Mount joints (6,), m and rad.
-            velocity: Their rates (6,), per second.
-        """
-        kp, kd = self.mount_gains
-        forward = kd * velocity + data.qfrc_bias[self.mount_dof]
-        return np.asarray(target + forward / kp)
 
     def body_pose(self, data: Any, body: int) -> SE3:
         """Pose of a body in the world."""
@@ -215,10 +167,6 @@ def build_scene(
 def _add_hand(spec: Any, task: GraspTask, T_world_base: SE3, physics: PhysicsOptions) -> None:
     position, quaternion = pose_to_wxyz(T_world_base)
     mount = spec.worldbody.add_body(name=MOUNT, pos=position)
-    axes = _mount_axes(task.hand)
-    for k, axis in enumerate(axes):
-        kind = mujoco.mjtJoint.mjJNT_SLIDE if k < 3 else mujoco.mjtJoint.mjJNT_HINGE
-        mount.add_joint(name=f"{MOUNT}_{axis}", type=kind, axis=np.eye(3)[k % 3])
     child = task.hand.new_spec()
     _drop_options(child)
     physics.apply(child, task.gravity)
@@ -231,11 +179,8 @@ def _add_hand(spec: Any, task: GraspTask, T_world_base: SE3, physics: PhysicsOpt
             geom.contype &= ~WORLD_BIT
             geom.conaffinity |= WORLD_BIT
     spec.attach(child, prefix=HAND_PREFIX, frame=mount.add_frame(quat=quaternion))
-    for axis in axes:
-        servo = spec.add_actuator(name=f"{MOUNT}_{axis}", target=f"{MOUNT}_{axis}")
-        servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        servo.gaintype = mujoco.mjtGain.mjGAIN_FIXED
-        servo.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    if task.hand.arm is None:
+        add_mount(spec, mount)
 
 
 def _drop_options(spec: Any) -> None:
@@ -247,10 +192,6 @@ def _drop_options(spec: Any) -> None:
     for name in dir(fresh):
         if name in ("njmax", "nconmax") or name.startswith("nuser_"):
             setattr(spec, name, getattr(fresh, name))
-
-
-def _mount_axes(hand: Hand) -> tuple[str, ...]:
-    return MOUNT_AXES if hand.arm is None else ()
 
 
 def _add_object(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
@@ -327,13 +268,11 @@ def _solid(geom: Any, kind: str, size: tuple[float, ...], physics: PhysicsOption
 def _indexed(task: GraspTask, physics: PhysicsOptions, T_world_base: SE3, model: Any) -> Scene:
     hand = task.hand
     hand_joints = [model.joint(HAND_PREFIX + name) for name in hand.joint_names]
-    axes = _mount_axes(hand)
-    mount_joints = [model.joint(f"{MOUNT}_{axis}") for axis in axes]
     hand_ctrl = np.array([model.actuator(HAND_PREFIX + n).id for n in hand.actuation.names])
     free = model.joint(OBJECT)
-    mount_ctrl = np.array([model.actuator(f"{MOUNT}_{axis}").id for axis in axes], dtype=int)
-    mount_dof = np.array([int(j.dofadr[0]) for j in mount_joints], dtype=int)
-    gains = _tune_mount(model, task.object.mass, mount_dof, mount_ctrl)
+    mount = None
+    if hand.arm is None:
+        mount = tuned_mount(model, T_world_base, task.object.mass, OBJECT)
     return Scene(
         task=task,
         physics=physics,
@@ -343,16 +282,13 @@ def _indexed(task: GraspTask, physics: PhysicsOptions, T_world_base: SE3, model:
         hand_dof=np.array([int(j.dofadr[0]) for j in hand_joints]),
         hand_ctrl=hand_ctrl,
         arm_ctrl=hand_ctrl[hand.actuation.moment[:, hand.arm_index].any(axis=1)],
-        mount_qpos=np.array([int(j.qposadr[0]) for j in mount_joints], dtype=int),
-        mount_dof=mount_dof,
-        mount_ctrl=mount_ctrl,
+        mount=mount,
         object_qpos=int(free.qposadr[0]) + np.arange(7),
         object_dof=int(free.dofadr[0]) + np.arange(6),
         object_body=int(model.body(OBJECT).id),
         base_body=int(model.body(HAND_PREFIX + hand.description.base_body).id),
         palm_body=int(model.body(HAND_PREFIX + hand.description.palm_body).id),
         finger_of_geom=_finger_of_geom(hand, model),
-        mount_gains=gains,
         support=int(model.equality(SUPPORT).id) if task.table_height is None else -1,
         deviation=solid_deviation(task.object.shape),
     )
@@ -365,22 +301,3 @@ def _finger_of_geom(hand: Hand, model: Any) -> Mapping[int, str]:
             for g in hand.geometries
         }
     )
-
-
-def _tune_mount(model: Any, payload: float, dof: IntArray, ctrl: IntArray) -> FloatArray:
-    """Set the mount's servo gains from the inertia that each axis carries; returns them (2, 6)."""
-    if not len(dof):
-        return np.zeros((2, 0))
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    mass_matrix = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, mass_matrix)
-    arm = np.array(data.body(OBJECT).xpos - data.body(MOUNT).xpos)
-    lever2 = arm @ arm - arm**2
-    carried = np.diag(mass_matrix)[dof] + payload * np.concatenate([np.ones(3), lever2])
-    kp = carried * MOUNT_FREQUENCY**2
-    kd = 2.0 * MOUNT_DAMPING * MOUNT_FREQUENCY * carried
-    model.actuator_gainprm[ctrl, 0] = kp
-    model.actuator_biasprm[ctrl, 1] = -kp
-    model.actuator_biasprm[ctrl, 2] = -kd
-    return np.array([kp, kd])

@@ -1,4 +1,4 @@
-"""``Timeline``: how long the phases of a trial take, and how the mount moves through them."""
+"""``Timeline``: how long the phases of a trial take."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import numpy as np
 
 from planner.errors import TaskError
 from planner.plan import smooth
-from planner.spatial import FloatArray
-from sim.controllers.base import PHASES, Phase
+from sim.controllers.base import PHASES
 
 __all__ = ["Timeline"]
 
@@ -56,21 +55,3 @@ class Timeline:
     def profile(share: float) -> tuple[float, float]:
         """How far a motion is at a share of its time, and the derivative: at rest at both ends."""
         return float(smooth(np.asarray(share))), 30.0 * share**2 * (1.0 - share) ** 2
-
-    def mount_motion(
-        self, phase: Phase, share: float, start: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Mount joints (6,) and their rates at a share in [0, 1] of a phase; at rest at its ends.
-
-        Args:
-            phase: The phase.
-            share: How much of it has passed.
-            start: Mount joints (6,) at the beginning of the approach; those of the grasp are zero.
-        """
-        s, rate = self.profile(share)
-        lifted = np.array([0.0, 0.0, self.lift_height, 0.0, 0.0, 0.0])
-        if phase == "approach":
-            return (1.0 - s) * start, -rate / self.approach * start
-        if phase == "lift":
-            return s * lifted, rate / self.lift * lifted
-        return (lifted if phase == "hold" else np.zeros(6)), np.zeros(6)

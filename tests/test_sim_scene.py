@@ -13,8 +13,9 @@ from planner.kinematics import HandState
 from planner.spatial import SE3
 from planner.task import GraspTask, Obstacle
 from sim.contacts import other_touches
+from sim.mount import MOUNT_FREQUENCY, Mount
 from sim.physics import PhysicsOptions
-from sim.scene import HAND_PREFIX, MOUNT_FREQUENCY, Scene, build_scene
+from sim.scene import HAND_PREFIX, Scene, build_scene
 
 ABOVE = SE3(pin.exp3(np.array([0.2, np.pi - 0.3, 0.4])), np.array([0.03, -0.02, 0.7]))
 
@@ -27,6 +28,11 @@ def hand(request: pytest.FixtureRequest) -> Hand:
 @pytest.fixture(scope="module")
 def scene(hand: Hand) -> Scene:
     return build_scene(GraspTask.create(hand, "box"), T_world_base=ABOVE)
+
+
+def mount_of(scene: Scene) -> Mount:
+    assert scene.mount is not None
+    return scene.mount
 
 
 def random_q(hand: Hand, rng: np.random.Generator) -> np.ndarray:
@@ -92,9 +98,9 @@ def test_velocity_and_command_addresses(scene: Scene) -> None:
         assert (joint.qposadr[0], joint.dofadr[0]) == (address, dof)
     for i, name in zip(scene.hand_ctrl, hand.actuation.names, strict=True):
         assert model.actuator(int(i)).name == HAND_PREFIX + name
-    all_dof = np.concatenate([scene.hand_dof, scene.mount_dof, scene.object_dof])
+    all_dof = np.concatenate([scene.hand_dof, mount_of(scene).dof, scene.object_dof])
     assert sorted(all_dof) == list(range(model.nv))
-    all_ctrl = np.concatenate([scene.hand_ctrl, scene.mount_ctrl])
+    all_ctrl = np.concatenate([scene.hand_ctrl, mount_of(scene).ctrl])
     assert sorted(all_ctrl) == list(range(model.nu))
 
 
@@ -108,7 +114,7 @@ def test_every_colliding_geom_of_the_hand_has_its_finger(scene: Scene) -> None:
 
 
 def test_mount_is_at_zero_at_the_grasp(scene: Scene) -> None:
-    np.testing.assert_allclose(scene.mount_coordinates(ABOVE), 0.0, atol=1e-12)
+    np.testing.assert_allclose(mount_of(scene).coordinates(ABOVE), 0.0, atol=1e-12)
 
 
 def test_object_has_the_mass_and_inertia_of_its_shape(hand: Hand) -> None:
@@ -157,7 +163,9 @@ def test_ball_stays_where_it_is_put_and_rolls_when_pushed() -> None:
         data = scene.start(scene.task.hand.posture("open"), ABOVE)
         data.xfrc_applied[scene.object_body, 0] = push
         for _ in range(200):
-            data.ctrl[scene.mount_ctrl] = scene.mount_command(data, np.zeros(6), np.zeros(6))
+            data.ctrl[mount_of(scene).ctrl] = mount_of(scene).command(
+                data, np.zeros(6), np.zeros(6)
+            )
             mujoco.mj_step(scene.model, data)
         moved[push] = data.xpos[scene.object_body, 0]
     assert abs(moved[0.01]) < 1e-4
@@ -167,7 +175,7 @@ def test_ball_stays_where_it_is_put_and_rolls_when_pushed() -> None:
 def test_mount_carries_the_hand_and_follows_without_lag(scene: Scene) -> None:
     hand = scene.task.hand
     start = SE3(pin.exp3(np.array([0.1, 0.2, -0.1])) @ ABOVE.rotation, ABOVE.translation + 0.05)
-    begin = scene.mount_coordinates(start)
+    begin = mount_of(scene).coordinates(start)
     q = hand.posture("open")
     data = scene.start(q, start)
     assert scene.body_pose(data, scene.base_body).isApprox(start, 1e-9)
@@ -177,14 +185,14 @@ def test_mount_carries_the_hand_and_follows_without_lag(scene: Scene) -> None:
         s = min(1.0, data.time / duration)
         share, rate = s**3 * (10 + s * (6 * s - 15)), 30 * s**2 * (1 - s) ** 2 / duration
         target = (1 - share) * begin
-        worst = max(worst, np.abs(data.qpos[scene.mount_qpos] - target)[:3].max())
+        worst = max(worst, np.abs(data.qpos[mount_of(scene).qpos] - target)[:3].max())
         gravity = HandState(hand, q).gravity_torque(ABOVE.rotation.T @ [0, 0, -9.81])
         data.ctrl[scene.hand_ctrl], _ = hand.actuation.ctrl_for_torque(q, still, gravity)
-        data.ctrl[scene.mount_ctrl] = scene.mount_command(data, target, -rate * begin)
+        data.ctrl[mount_of(scene).ctrl] = mount_of(scene).command(data, target, -rate * begin)
         mujoco.mj_step(scene.model, data)
     assert worst < 0.001
     sag_without_feed_forward = 9.81 / MOUNT_FREQUENCY**2  # 2.7 mm
-    left = np.abs(data.qpos[scene.mount_qpos[:3]]).max()
+    left = np.abs(data.qpos[mount_of(scene).qpos[:3]]).max()
     assert left < 0.1 * sag_without_feed_forward
 
 
@@ -215,7 +223,7 @@ def test_touches_that_are_not_hand_on_object_are_sorted_by_who_touches_whom(hand
     scene = build_scene(task, T_world_base=ABOVE)
     data = scene.start(hand.posture("open"), ABOVE)
     for _ in range(100):
-        data.ctrl[scene.mount_ctrl] = scene.mount_command(data, np.zeros(6), np.zeros(6))
+        data.ctrl[mount_of(scene).ctrl] = mount_of(scene).command(data, np.zeros(6), np.zeros(6))
         mujoco.mj_step(scene.model, data)
     resting = [t for t in other_touches(scene, data) if t.kind == "object-table"]
     assert {(t.first, t.second) for t in resting} == {("object", "table")}

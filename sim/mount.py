@@ -1,0 +1,156 @@
+"""The mount that a hand without an arm hangs on: six driven joints, and what drives them.
+
+All six read zero at the planned base pose: three slides along the world's axes, then three hinges
+about them, so that
+
+    T_world_base = Trans(p0 + [x, y, z]) Rx(rx) Ry(ry) Rz(rz) R0.
+
+The servos carry the hand's weight by feed-forward, so that it does not sag.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from planner.plan import GraspPlan
+from planner.spatial import SE3, FloatArray, IntArray
+from sim.controllers.base import Phase
+from sim.timeline import Timeline
+
+__all__ = ["MOUNT", "MOUNT_FREQUENCY", "Mount", "MountCarrier", "add_mount", "tuned_mount"]
+
+MOUNT = "mount"
+"""Name of the mount's body; its joints and servos are ``mount_x`` and so on."""
+
+MOUNT_AXES = ("x", "y", "z", "rx", "ry", "rz")
+"""The mount's joints, in order."""
+
+MOUNT_FREQUENCY = 60.0
+"""Undamped natural frequency of each mount axis under the mass it carries, rad/s: an arm of about
+10 Hz, which a payload of 0.1 kg lets sag by less than 0.3 mm."""
+
+MOUNT_DAMPING = 1.0
+"""Damping ratio of each mount axis (-): no overshoot."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Mount:
+    """The mount in a compiled model; rows in the order of ``MOUNT_AXES``.
+
+    Attributes:
+        T_world_base: Base pose at which all joints read zero.
+        qpos: (6,), its joints in ``data.qpos``.
+        dof: (6,), the same in ``data.qvel``.
+        ctrl: (6,), its servos in ``data.ctrl``.
+        gains: (2, 6), stiffness (N/m, N m/rad) and damping of the servos.
+    """
+
+    T_world_base: SE3
+    qpos: IntArray
+    dof: IntArray
+    ctrl: IntArray
+    gains: FloatArray
+
+    def coordinates(self, T_world_base: SE3) -> FloatArray:
+        """Joints (6,), m and rad, that put the hand's base at a pose.
+
+        The hinges turn by Rx Ry Rz; they cannot turn about y by 90 degrees away from the grasp.
+        """
+        turn = T_world_base.rotation @ self.T_world_base.rotation.T
+        ry = np.arcsin(np.clip(turn[0, 2], -1.0, 1.0))
+        rx = np.arctan2(-turn[1, 2], turn[2, 2])
+        rz = np.arctan2(-turn[0, 1], turn[0, 0])
+        shift = T_world_base.translation - self.T_world_base.translation
+        return np.concatenate([shift, [rx, ry, rz]])
+
+    def command(self, data: Any, target: FloatArray, velocity: FloatArray) -> FloatArray:
+        """Servo commands (6,) that move the mount.
+
+        The servos' law is F = kp (ctrl - q) - kd v. The command adds what makes the mount follow
+        without lag, kd velocity, and what carries the hand, MuJoCo's bias force.
+
+        Args:
+            data: ``mujoco.MjData``.
+            target: Joints (6,), m and rad.
+            velocity: Their rates (6,), per second.
+        """
+        kp, kd = self.gains
+        forward = kd * velocity + data.qfrc_bias[self.dof]
+        return np.asarray(target + forward / kp)
+
+
+class MountCarrier:
+    """Moves the hand by the mount: a ``sim.carrier.Carrier``."""
+
+    def __init__(self, plan: GraspPlan, mount: Mount, timeline: Timeline) -> None:
+        """Note where the approach begins."""
+        self._mount, self._timeline = mount, timeline
+        self._start = mount.coordinates(plan.T_world_base_start)
+
+    def drive(self, data: Any, phase: Phase, share: float) -> None:
+        """Set the mount's commands."""
+        target, velocity = self.motion(phase, share)
+        data.ctrl[self._mount.ctrl] = self._mount.command(data, target, velocity)
+
+    def motion(self, phase: Phase, share: float) -> tuple[FloatArray, FloatArray]:
+        """Mount joints (6,) and their rates at a share in [0, 1] of a phase; at rest at its ends.
+
+        Those of the grasp are zero.
+        """
+        timeline = self._timeline
+        s, rate = timeline.profile(share)
+        lifted = np.array([0.0, 0.0, timeline.lift_height, 0.0, 0.0, 0.0])
+        if phase == "approach":
+            return (1.0 - s) * self._start, -rate / timeline.approach * self._start
+        if phase == "lift":
+            return s * lifted, rate / timeline.lift * lifted
+        return (lifted if phase == "hold" else np.zeros(6)), np.zeros(6)
+
+
+def add_mount(spec: Any, body: Any) -> None:
+    """Give a body of a ``mujoco.MjSpec``, which stands where the base is, the joints and servos."""
+    for k, axis in enumerate(MOUNT_AXES):
+        name = f"{MOUNT}_{axis}"
+        kind = mujoco.mjtJoint.mjJNT_SLIDE if k < 3 else mujoco.mjtJoint.mjJNT_HINGE
+        body.add_joint(name=name, type=kind, axis=np.eye(3)[k % 3])
+        servo = spec.add_actuator(name=name, target=name)
+        servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        servo.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+        servo.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+
+
+def tuned_mount(model: Any, T_world_base: SE3, payload: float, payload_body: str) -> Mount:
+    """Set the servos' gains in a compiled model, from the inertia that each axis carries.
+
+    Args:
+        model: ``mujoco.MjModel``; changed.
+        T_world_base: Base pose at which the joints read zero.
+        payload: Mass that will be carried, kg.
+        payload_body: Name of its body.
+    """
+    names = [f"{MOUNT}_{axis}" for axis in MOUNT_AXES]
+    dof = np.array([int(model.joint(name).dofadr[0]) for name in names])
+    ctrl = np.array([int(model.actuator(name).id) for name in names])
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    mass_matrix = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass_matrix)
+    arm = np.array(data.body(payload_body).xpos - data.body(MOUNT).xpos)
+    lever2 = arm @ arm - arm**2
+    carried = np.diag(mass_matrix)[dof] + payload * np.concatenate([np.ones(3), lever2])
+    kp = carried * MOUNT_FREQUENCY**2
+    kd = 2.0 * MOUNT_DAMPING * MOUNT_FREQUENCY * carried
+    model.actuator_gainprm[ctrl, 0] = kp
+    model.actuator_biasprm[ctrl, 1] = -kp
+    model.actuator_biasprm[ctrl, 2] = -kd
+    return Mount(
+        T_world_base=T_world_base,
+        qpos=np.array([int(model.joint(name).qposadr[0]) for name in names]),
+        dof=dof,
+        ctrl=ctrl,
+        gains=np.array([kp, kd]),
+    )
