@@ -21,6 +21,7 @@ __all__ = [
     "MODEL_SUFFIXES",
     "PACKAGE_SCHEME",
     "find_hand",
+    "foreign_hand_model",
     "foreign_hand_names",
     "hand_names",
     "hand_reference",
@@ -84,6 +85,15 @@ def foreign_hand_names() -> tuple[str, ...]:
     return tuple(sorted(FOREIGN_HANDS))
 
 
+def foreign_hand_model(name: str) -> str | None:
+    """The ``model`` line of a known hand of others; None if a name ``PACKAGE:NAME`` is none.
+
+    The package may be spelt with underscores, as it is imported.
+    """
+    package, _, inside = name.partition(":")
+    return FOREIGN_HANDS.get(f"{package.replace('_', '-')}:{inside}")
+
+
 def find_hand(name_or_path: str | Path) -> Path:
     """Path of a hand's description file, or of its model where there is no description.
 
@@ -107,9 +117,9 @@ def find_hand(name_or_path: str | Path) -> Path:
         return _menagerie_model(name)
     if source == "robot_descriptions":
         return _robot_descriptions_model(name)
-    known = f"{source.replace('_', '-')}:{name}"
-    if known in FOREIGN_HANDS:
-        return model_file(FOREIGN_HANDS[known], Path())
+    foreign = foreign_hand_model(text)
+    if foreign is not None:
+        return model_file(foreign, Path())
     path = Path(name_or_path)
     if os.path.isdir(path):  # False, not an error, where the name is too long or the way is barred
         path = path / DESCRIPTION_FILE

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -203,9 +203,47 @@ class Hand:
         if digest is None:
             content = description.model_dump_json().encode() + model_bytes(mj_model)
             digest = hashlib.sha256(content).hexdigest()
+        hand = cls._of_model(
+            spec,
+            mj_model,
+            description,
+            where=where,
+            path=path,
+            reference=reference,
+            digest=digest,
+            mirror_axis=mirror_axis,
+        )
+        for posture in description.postures:
+            hand.posture(posture)
+        return hand
+
+    @classmethod
+    def _of_model(
+        cls,
+        spec: Any,
+        mj_model: Any,
+        description: HandDescription,
+        *,
+        where: str,
+        path: Path | None,
+        reference: str | None,
+        digest: str,
+        mirror_axis: MirrorAxis | None,
+        mount: Mount | None = None,
+    ) -> Hand:
+        """The hand of a compiled model: everything that follows from model and description.
+
+        Raises:
+            NotFoundError: The description names what the model does not have.
+            HandError: Description and model do not fit.
+        """
         pin_model = pinocchio_from_mujoco(mj_model)
         geometries = hand_geometries(mj_model, pin_model)
         resolver = Resolver(where, description, mj_model, pin_model, geometries)
+        arm = None
+        if mount is not None:
+            palm = int(pin_model.getBodyId(description.palm_body))
+            arm = mount.arm(pin_model, palm, geometries)
         hand = cls(
             name=description.name,
             description=description,
@@ -221,10 +259,9 @@ class Hand:
             allowed_pairs=allowed_pairs(mj_model, description.allowed_contacts),
             actuation=actuation_from_mujoco(mj_model),
             couplings=resolver.couplings(),
+            arm=arm,
         )
         check_held(hand.joint_names, hand.actuation.moment, hand.couplings, where)
-        for posture in description.postures:
-            hand.posture(posture)
         return hand
 
     def _on_arm(self, mount: Mount, reference: str) -> Hand:
@@ -234,34 +271,23 @@ class Hand:
         mj_model = compile_spec(spec, where)
         if mj_model.nq != mj_model.njnt:
             raise HandError(f"{mount.arm_path} has free or ball joints; use hinges and slides")
-        pin_model = pinocchio_from_mujoco(mj_model)
-        geometries = hand_geometries(mj_model, pin_model)
         described = mount.description
         description = self.description.model_copy(
             update={"name": described.name, "summary": described.summary, "base_body": root}
         )
-        resolver = Resolver(where, description, mj_model, pin_model, geometries)
         files = (mount.path, *model_files(mount.arm_path))
         content = self.digest.encode() + b"".join(f.read_bytes() for f in files)
-        hand = replace(
-            self,
-            name=described.name,
-            description=description,
+        return Hand._of_model(
+            spec,
+            mj_model,
+            description,
+            where=where,
             path=mount.path,
             reference=reference,
             digest=hashlib.sha256(content).hexdigest(),
-            spec=spec,
-            mj_model=mj_model,
-            pin_model=pin_model,
-            fingers=resolver.fingers(),
-            geometries=geometries,
-            allowed_pairs=allowed_pairs(mj_model, description.allowed_contacts),
-            actuation=actuation_from_mujoco(mj_model),
-            couplings=resolver.couplings(),
-            arm=mount.arm(pin_model, int(pin_model.getBodyId(description.palm_body)), geometries),
+            mirror_axis=self.mirror_axis,
+            mount=mount,
         )
-        check_held(hand.joint_names, hand.actuation.moment, hand.couplings, where)
-        return hand
 
     def new_spec(self) -> Any:
         """A fresh ``mujoco.MjSpec`` of the hand, to be edited or attached to a scene."""
@@ -286,6 +312,11 @@ class Hand:
     def q_upper(self) -> FloatArray:
         """Upper joint limits (nq,), rad or m."""
         return np.array(self.pin_model.upperPositionLimit)
+
+    @property
+    def neutral(self) -> FloatArray:
+        """Joints (nq,) at zero, or at the end of their range that is nearest to it."""
+        return np.clip(np.zeros(self.nq), self.q_lower, self.q_upper)
 
     @cached_property
     def wrist_index(self) -> IntArray:
@@ -342,7 +373,7 @@ class Hand:
         postures = self.description.postures
         if name not in postures:
             raise NotFoundError(f"posture of {self.name}", name, postures)
-        q = np.clip(np.zeros(self.nq), self.q_lower, self.q_upper)
+        q = self.neutral
         if self.arm is not None:
             q[self.arm.index] = self.arm.ready
         for joint, angle in postures[name].items():

@@ -15,7 +15,7 @@ __all__ = ["hand_tables", "inspect_hand"]
 
 def inspect_hand(hand: Hand) -> dict[str, Any]:
     """A hand as plain data: fingers, joints, actuators, couplings, masses (SI units, radians)."""
-    state = HandState(hand, np.clip(np.zeros(hand.nq), hand.q_lower, hand.q_upper))
+    state = HandState(hand, hand.neutral)
     torque = torque_limits(hand)
     masses = {hand.mj_model.body(i).name: float(m) for i, m in enumerate(hand.mj_model.body_mass)}
     return {

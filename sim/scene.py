@@ -150,7 +150,7 @@ def build_scene(
     _add_surroundings(spec, task, physics)
     hand = task.hand
     if q is None:
-        q = np.clip(np.zeros(hand.nq), hand.q_lower, hand.q_upper)
+        q = hand.neutral
     T_world_palm = T_world_base * HandState(hand, q).T_base_palm
     add_scenery(
         spec,

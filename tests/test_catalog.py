@@ -529,3 +529,11 @@ def test_a_tip_site_named_like_its_body(edit_hand: EditHand) -> None:
 def test_every_one_of_these_is_of_the_one_family() -> None:
     for leaf in (HandError, ModelError, NotFoundError):
         assert issubclass(leaf, PlannerError)
+
+
+def test_hands_of_others_are_found_by_either_spelling_of_their_package() -> None:
+    line = catalog.FOREIGN_HANDS["example-robot-data:allegro_right"]
+    assert catalog.foreign_hand_model("example-robot-data:allegro_right") == line
+    assert catalog.foreign_hand_model("example_robot_data:allegro_right") == line
+    assert catalog.foreign_hand_model("example-robot-data:allegro") is None
+    assert catalog.foreign_hand_model("allegro_hand") is None

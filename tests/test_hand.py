@@ -233,3 +233,13 @@ def test_a_new_spec_is_fresh_and_compiles_to_the_same_model(right_hand: Hand) ->
         d.qpos[:] = right_hand.posture("pinch")
         mujoco.mj_kinematics(m, d)
     np.testing.assert_array_equal(data.geom_xpos, ours.geom_xpos)
+
+
+def test_neutral_is_zero_or_the_nearest_end_of_the_range(right_hand: Hand) -> None:
+    neutral = right_hand.neutral
+    spans_zero = (right_hand.q_lower <= 0) & (right_hand.q_upper >= 0)
+    np.testing.assert_array_equal(neutral[spans_zero], 0)
+    for k in np.flatnonzero(~spans_zero):
+        ends = np.array([right_hand.q_lower[k], right_hand.q_upper[k]])
+        assert neutral[k] == ends[np.argmin(np.abs(ends))] != 0
+    right_hand.checked_q(neutral)

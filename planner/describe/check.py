@@ -134,7 +134,7 @@ def _workspaces(hand: Hand, rng: np.random.Generator) -> tuple[WorkspaceRow, ...
 
 def _touches(hand: Hand, findings: list[Finding]) -> tuple[TouchRow, ...]:
     """Parts that overlap at rest and must not, as coal and as MuJoCo see it."""
-    q = np.clip(np.zeros(hand.nq), hand.q_lower, hand.q_upper)
+    q = hand.neutral
     state = HandState(hand, q)
     in_mujoco = {(a, b) for a, b, d in touching_geoms(hand.mj_model, q) if d < 0}
     out = []

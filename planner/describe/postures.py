@@ -188,8 +188,7 @@ class PostureSolver:
     def _curling(self) -> NDArray[np.bool_]:
         """Which joints (nq,) curl their finger: their axis is like that of its last joint."""
         hand = self.hand
-        neutral = np.clip(np.zeros(hand.nq), hand.q_lower, hand.q_upper)
-        state = HandState(hand, neutral)
+        state = HandState(hand, hand.neutral)
         out = np.zeros(hand.nq, dtype=bool)
         for finger in hand.fingers.values():
             ids = [hand.pin_model.getJointId(j) for j in finger.joints]

@@ -20,7 +20,7 @@ from planner.bridge.structure import (
     read_spec,
     structure_of,
 )
-from planner.catalog import FOREIGN_HANDS, find_hand
+from planner.catalog import find_hand, foreign_hand_model
 from planner.describe.anatomy import (
     default_fingers,
     describe_finger,
@@ -82,10 +82,9 @@ def _located(model: Any) -> tuple[Path | None, str]:
     path = find_hand(model)
     if path.suffix == ".toml":
         raise HandError(f"{path} is a description already; give the model that it names")
-    source, _, rest = str(model).partition(":")
-    known = f"{source.replace('_', '-')}:{rest}"
-    if known in FOREIGN_HANDS:
-        return path, FOREIGN_HANDS[known]
+    line = foreign_hand_model(str(model))
+    if line is not None:
+        return path, line
     return path, str(model) if str(model).startswith("package:") else str(path.absolute())
 
 
@@ -246,10 +245,9 @@ class _Proposer:
         postures = {}
         for name, part in (("open", wide), ("pinch", pinch)):
             q = solver.rounded(part.q)
-            rest = np.clip(np.zeros(hand.nq), hand.q_lower, hand.q_upper)
             postures[name] = {
                 joint: float(f"{value:.12g}")
-                for joint, value, zero in zip(hand.joint_names, q, rest, strict=True)
+                for joint, value, zero in zip(hand.joint_names, q, hand.neutral, strict=True)
                 if value != zero
             }
             self.notes.because(

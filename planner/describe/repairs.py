@@ -133,10 +133,9 @@ def prepared_model(spec: Any, description: HandDescription, what: str) -> Any:
 def _overlapping(hand: Hand) -> tuple[tuple[str, str], ...]:
     """Pairs of bodies with geometries that overlap in nearly all configurations."""
     rng = np.random.default_rng(0)
-    rest = np.clip(np.zeros(hand.nq), hand.q_lower, hand.q_upper)
     samples = rng.uniform(hand.q_lower, hand.q_upper, (OVERLAP_SAMPLES, hand.nq))
     placed = []
-    for q in (rest, *samples):
+    for q in (hand.neutral, *samples):
         state = HandState(hand, q)
         placed.append(
             [SE3(state.joint_pose(g.joint_id)) * g.T_joint_geometry for g in hand.geometries]
