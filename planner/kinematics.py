@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from planner.errors import ModelError
 from planner.hand import Finger, Hand
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["HandState"]
+__all__ = ["HandState", "joint_axes"]
 
 
 class HandState:
@@ -95,3 +96,22 @@ class HandState:
         com_jacobian = pin.jacobianCenterOfMass(self.hand.pin_model, self.pin_data, self.q)
         moving_mass = float(self.pin_data.mass[0])
         return np.array(-moving_mass * com_jacobian.T @ gravity_base)
+
+
+def joint_axes(pin_model: Any) -> FloatArray:
+    """Motion subspaces (njoints, 6), [linear; angular] in each joint's frame; row 0 is zero.
+
+    A hinge has a unit angular axis, a slide a unit linear axis.
+
+    Raises:
+        ModelError: A joint has more than one degree of freedom.
+    """
+    data = pin_model.createData()
+    pin.computeJointJacobians(pin_model, data, pin.neutral(pin_model))
+    out = np.zeros((pin_model.njoints, 6))
+    for j in range(1, pin_model.njoints):
+        if pin_model.joints[j].nv != 1:
+            raise ModelError(f"joint {pin_model.names[j]!r} is neither a hinge nor a slide")
+        jac = pin.getJointJacobian(pin_model, data, j, pin.ReferenceFrame.LOCAL)
+        out[j] = jac[:, pin_model.joints[j].idx_v]
+    return out

@@ -11,32 +11,12 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import pinocchio as pin
 
-from planner.errors import ModelError
 from planner.hand import Finger, Hand
+from planner.kinematics import joint_axes
 from planner.spatial import FloatArray, skew
 
-__all__ = ["SymbolicHand", "joint_axes"]
-
-
-def joint_axes(pin_model: Any) -> FloatArray:
-    """Motion subspaces (njoints, 6), [linear; angular] in each joint's frame; row 0 is zero.
-
-    A hinge has a unit angular axis, a slide a unit linear axis.
-
-    Raises:
-        ModelError: A joint has more than one degree of freedom.
-    """
-    data = pin_model.createData()
-    pin.computeJointJacobians(pin_model, data, pin.neutral(pin_model))
-    out = np.zeros((pin_model.njoints, 6))
-    for j in range(1, pin_model.njoints):
-        if pin_model.joints[j].nv != 1:
-            raise ModelError(f"joint {pin_model.names[j]!r} is neither a hinge nor a slide")
-        jac = pin.getJointJacobian(pin_model, data, j, pin.ReferenceFrame.LOCAL)
-        out[j] = jac[:, pin_model.joints[j].idx_v]
-    return out
+__all__ = ["SymbolicHand"]
 
 
 @dataclass(frozen=True)

@@ -161,7 +161,7 @@ ALLOWED = {
     "planner.proximity": ("errors", "spatial", "shapes"),
     "planner.mesh_proximity": ("spatial", "proximity"),
     "planner.kinematics": ("errors", "spatial", "hand"),
-    "planner.symbolic": ("errors", "spatial", "hand"),
+    "planner.symbolic": ("errors", "spatial", "hand", "kinematics"),
     "planner.task": ("errors", "spatial", "contacts", "hand", "objects", "shapes"),
 }
 

@@ -14,9 +14,9 @@ import pytest
 from planner.bridge import pinocchio_from_mujoco
 from planner.errors import ModelError
 from planner.hand import Hand
-from planner.kinematics import HandState
+from planner.kinematics import HandState, joint_axes
 from planner.spatial import FloatArray
-from planner.symbolic import SymbolicHand, joint_axes
+from planner.symbolic import SymbolicHand
 
 SLIDER = """
 <mujoco>

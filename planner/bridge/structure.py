@@ -26,20 +26,12 @@ __all__ = [
     "JointPart",
     "ModelStructure",
     "TendonPart",
-    "body_positions",
-    "geom_distance",
-    "joint_inertia",
     "read_spec",
     "structure_of",
-    "touching_geoms",
 ]
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _BIAS_AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
-
-
-FURTHEST = 1.0
-"""Distance (m) beyond which MuJoCo is not asked how far apart two geoms are."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,16 +154,6 @@ class ModelStructure:
         return [i for i, b in enumerate(self.bodies) if b.link == link]
 
 
-def joint_inertia(model: Any, q: FloatArray) -> FloatArray:
-    """Diagonal (nv,) of the mass matrix at q (nv,), kg m^2 (kg): what each servo has to move."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = q
-    mujoco.mj_forward(model, data)
-    full = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, full)
-    return np.diag(full).copy()
-
-
 def read_spec(source: Any) -> Any:
     """A fresh ``mujoco.MjSpec`` from a path, a spec, or a compiled model.
 
@@ -208,37 +190,6 @@ def structure_of(model: Any) -> ModelStructure:
         actuators=tuple(_actuator(model, i) for i in range(model.nu)),
         tendons=tuple(_tendon(model, t) for t in range(model.ntendon) if is_fixed_tendon(model, t)),
     )
-
-
-def body_positions(model: Any, q: FloatArray) -> FloatArray:
-    """Positions (nbody, 3) of all bodies at q (nq,) by MuJoCo's kinematics, m."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = q
-    mujoco.mj_kinematics(model, data)
-    return np.array(data.xpos)
-
-
-def touching_geoms(model: Any, q: FloatArray) -> tuple[tuple[str, str, float], ...]:
-    """Pairs of geoms that MuJoCo finds in contact at q (nq,), with the signed distance, m."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = q
-    mujoco.mj_forward(model, data)
-    nearest: dict[tuple[str, str], float] = {}
-    for i in range(data.ncon):
-        contact = data.contact[i]
-        names = sorted(model.geom(int(g)).name for g in contact.geom)
-        pair = (names[0], names[1])
-        nearest[pair] = min(nearest.get(pair, np.inf), float(contact.dist))
-    return tuple((a, b, d) for (a, b), d in nearest.items())
-
-
-def geom_distance(model: Any, q: FloatArray, first: str, second: str) -> float:
-    """Signed distance of two geoms at q (nq,) by MuJoCo, m; at most ``FURTHEST``."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = q
-    mujoco.mj_forward(model, data)
-    ids = model.geom(first).id, model.geom(second).id
-    return float(mujoco.mj_geomDistance(model, data, *ids, FURTHEST, None))
 
 
 def _joint(model: Any, j: int) -> JointPart:

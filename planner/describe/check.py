@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
+from planner.bridge.measure import body_positions, geom_distance, touching_geoms
 from planner.bridge.pinocchio_model import body_name
-from planner.bridge.structure import body_positions, geom_distance, touching_geoms
+from planner.describe.gaps import TOUCHING
 from planner.describe.grip import check_pads, check_postures
 from planner.describe.report import CheckReport, Finding, JointRow, TouchRow, WorkspaceRow
 from planner.hand import Hand
@@ -26,9 +27,6 @@ KINEMATICS_TOL = 1e-10
 
 DISTANCE_TOL = 1e-4
 """Difference (m) between coal and MuJoCo, where geometries touch, that is worth telling."""
-
-TOUCHING = -5e-5
-"""Signed distance (m) below which two parts overlap."""
 
 
 def check_hand(hand: Hand, *, seed: int = 0) -> CheckReport:

@@ -14,7 +14,10 @@ from planner.hand import Hand
 from planner.proximity import DistancePair
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["HandGaps"]
+__all__ = ["TOUCHING", "HandGaps"]
+
+TOUCHING = -5e-5
+"""Signed distance (m) below which two parts of a hand overlap."""
 
 
 class HandGaps:

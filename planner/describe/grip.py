@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from planner.describe.gaps import TOUCHING
 from planner.describe.postures import PostureSolver
 from planner.describe.report import Finding, PadRow, PostureRow
 from planner.describe.solids import Solid, cone_directions
@@ -14,9 +15,6 @@ from planner.kinematics import HandState
 from planner.spatial import FloatArray
 
 __all__ = ["check_pads", "check_postures"]
-
-TOUCHING = -5e-5
-"""Signed distance (m) below which two parts overlap."""
 
 LEAST_PRESS = 1.5
 """Force (N) that a pad should be able to press with in the pinch posture: what a default grasp of

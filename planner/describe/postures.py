@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.optimize import least_squares
 
-from planner.describe.gaps import HandGaps
+from planner.describe.gaps import TOUCHING, HandGaps
 from planner.hand import Finger, Hand
 from planner.kinematics import HandState
 from planner.spatial import FloatArray
@@ -80,9 +80,6 @@ MOST_BENT = 0.55
 GOOD_DISTANCE, GOOD_OPPOSITION, GOOD_FACING = 0.004, np.deg2rad(35.0), np.deg2rad(10.0)
 """A posture is good if pads miss the ball by at most this (m), the opposer looks against the others
 within this angle (rad), and pads leave their cones by at most that (rad)."""
-
-TOUCHING = -5e-5
-"""Distance (m) below which parts of the hand count as touching."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,12 +14,9 @@ from typing import Any
 import numpy as np
 
 from planner.bridge import couplings_from_mujoco, hand_geometries
+from planner.bridge.measure import joint_inertia
 from planner.bridge.pinocchio_model import pinocchio_from_mujoco
-from planner.bridge.structure import (
-    joint_inertia,
-    read_spec,
-    structure_of,
-)
+from planner.bridge.structure import read_spec, structure_of
 from planner.catalog import find_hand, foreign_hand_model
 from planner.describe.anatomy import (
     default_fingers,

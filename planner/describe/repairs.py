@@ -13,6 +13,7 @@ from planner.bridge.pinocchio_model import pinocchio_from_mujoco
 from planner.bridge.prepare import name_parts, prepare_spec
 from planner.bridge.structure import structure_of
 from planner.describe.drive import impossible_couplings
+from planner.describe.gaps import TOUCHING
 from planner.describe.proposal import Notes
 from planner.describe.tree import find_base
 from planner.description import HandDescription, RepairDescription
@@ -36,9 +37,6 @@ at rest, where fingers are stretched and nothing folds."""
 
 NEIGHBOURS = 2
 """Joints between two links up to which they can overlap by construction; further ones fold."""
-
-TOUCHING = -5e-5
-"""Signed distance (m) below which two parts overlap."""
 
 
 def repair_and_base(

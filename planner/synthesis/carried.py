@@ -19,9 +19,8 @@ import numpy as np
 from planner.collision import CollisionWorld, bounding_radius
 from planner.hand import Hand
 from planner.ik import LARGEST_TURN, palm_pose, straight_path
-from planner.kinematics import HandState
+from planner.kinematics import HandState, joint_axes
 from planner.spatial import SE3, FloatArray, rotation_angle
-from planner.symbolic import joint_axes
 from planner.task import GraspTask
 
 __all__ = [
