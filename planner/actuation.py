@@ -135,6 +135,27 @@ class Actuation:
         ends = np.sort(self.gain[:, None] * self.ctrl_range, axis=1) + offset[:, None]
         return np.clip(ends, self.force_range[:, :1], self.force_range[:, 1:])
 
+    def torque_limits(self, q: FloatArray) -> FloatArray:
+        """Least and greatest torque that the actuators of each joint make together at rest at q.
+
+        The sum of their intervals: antagonists take one side each, and what pulls together adds up.
+        An actuator that drives several joints counts in full for each.
+
+        Args:
+            q: Joints (nv,), rad.
+
+        Returns:
+            (nv, 2), N m; infinite where nothing limits an actuator, zero where none acts.
+
+        Raises:
+            HandError: q has the wrong shape or holds NaN.
+        """
+        limits = self.force_limits(q)
+        out = np.zeros((len(self.joint_names), 2))
+        for i, k in np.argwhere(self.moment):
+            out[k] += np.sort(self.moment[i, k] * limits[i])
+        return out
+
     def active_stops(self, q: FloatArray) -> NDArray[np.bool_]:
         """Which stops touch at q, (ns,): S q - s <= ``STOP_TOL``."""
         return np.asarray(self.stop_rows @ q - self.stop_values <= STOP_TOL)

@@ -1,22 +1,31 @@
-"""What a hand is made of, as data and as tables: behind ``opposable inspect``."""
+"""What a hand is made of, and what was found out about it, for people.
+
+Behind ``opposable inspect`` and ``opposable check-hand``.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from planner.hand import Finger, Hand
 from planner.kinematics import HandState
 
-__all__ = ["hand_tables", "inspect_hand"]
+if TYPE_CHECKING:
+    from planner.describe import CheckReport
+
+__all__ = ["hand_tables", "inspect_hand", "print_check"]
 
 
 def inspect_hand(hand: Hand) -> dict[str, Any]:
     """A hand as plain data: fingers, joints, actuators, couplings, masses (SI units, radians)."""
     state = HandState(hand, hand.neutral)
-    torque = torque_limits(hand)
+    middle = (hand.q_lower + hand.q_upper) / 2
+    torque = np.abs(hand.actuation.torque_limits(middle)).max(axis=1)
     masses = {hand.mj_model.body(i).name: float(m) for i, m in enumerate(hand.mj_model.body_mass)}
     return {
         "name": hand.name,
@@ -55,13 +64,6 @@ def inspect_hand(hand: Hand) -> dict[str, Any]:
         ],
         "colliding_geometries": len(hand.geometries),
     }
-
-
-def torque_limits(hand: Hand) -> Any:
-    """Largest joint torque (nq,) in N m that the actuators give each joint alone, mid-range."""
-    middle = (hand.q_lower + hand.q_upper) / 2
-    limits = np.abs(hand.actuation.force_limits(middle)).max(axis=1)
-    return (np.abs(hand.actuation.moment) * limits[:, None]).max(axis=0, initial=0.0)
 
 
 def _finger(
@@ -156,3 +158,61 @@ def hand_tables(hand: Hand) -> list[Table]:
             couplings.add_row(c["name"], f"{terms} = {c['value']:g}", kind)
         tables.append(couplings)
     return tables
+
+
+def print_check(report: CheckReport, console: Console) -> None:
+    """What was found out about a hand: the tables, and the findings last."""
+
+    def say(text: str) -> None:
+        console.print(text, highlight=False, soft_wrap=True)
+
+    joints = Table(title=f"{report.hand}: joints in the order of q")
+    for column in ("joint", "of", "q", "qpos", "range", "torque N m", "actuators"):
+        joints.add_column(column)
+    for j in report.joints:
+        joints.add_row(
+            escape(j.name),
+            j.belongs_to,
+            str(j.q_index),
+            str(j.qpos_index),
+            f"{j.lower:.3f} .. {j.upper:.3f}",
+            f"{j.torque[0]:.2f} .. {j.torque[1]:.2f}",
+            escape(", ".join(j.actuators)),
+        )
+    console.print(joints)
+    for coupling in report.couplings:
+        say(escape(f"coupling {coupling}"))
+    pads = Table(title="pads")
+    for column in ("finger", "geom", "radius mm", "cone deg", "stands out mm", "presses N"):
+        pads.add_column(column)
+    for p in report.pads:
+        pads.add_row(
+            p.finger,
+            escape(f"{p.geom} ({p.kind})"),
+            f"{1e3 * p.radius:.2f}",
+            f"{p.half_angle_deg:.0f}",
+            f"{1e3 * p.stands_out:.2f}",
+            f"{p.presses:.1f}",
+        )
+    console.print(pads)
+    spaces = Table(title="where the tips get to, base frame, mm")
+    for column in ("finger", "x", "y", "z"):
+        spaces.add_column(column)
+    for w in report.workspaces:
+        ends = zip(w.lower, w.upper, strict=True)
+        spaces.add_row(w.finger, *(f"{1e3 * a:.0f} .. {1e3 * b:.0f}" for a, b in ends))
+    console.print(spaces)
+    postures = Table(title="postures")
+    for column in ("posture", "gap mm", "pads off the opposite ones, deg", "clearance mm"):
+        postures.add_column(column)
+    for r in report.postures:
+        facing = " ".join(f"{angle:.0f}" for angle in r.facing_deg)
+        postures.add_row(r.name, f"{1e3 * r.gap:.0f}", facing, f"{1e3 * r.clearance:.1f}")
+    console.print(postures)
+    say(f"Pinocchio and MuJoCo agree to {report.kinematics_error:.1e} m")
+    styles = {"error": "bold red", "warning": "bold yellow", "note": "bold"}
+    for f in report.findings:
+        style = styles[f.level]
+        say(f"[{style}]{f.level}:[/] {escape(f.what)}; {escape(f.what_to_do)}")
+    if report.ok:
+        say("nothing forbids planning")

@@ -107,6 +107,18 @@ def test_servo_is_limited_by_force_range_and_by_what_gain_and_ctrl_range_allow()
     assert (ctrl[0], torque[0]) == pytest.approx((-0.5, -1.0))
 
 
+def test_torques_of_a_joint_are_the_sum_of_what_its_actuators_make() -> None:
+    # two tendons pull the first joint either way, the stronger one the second joint too; a motor
+    # without limits drives the third; nothing drives the fourth
+    moment = np.array([[0.01, 0, 0, 0], [-0.02, 0.01, 0, 0], [0, 0, 1, 0]])
+    limits = np.array([[0, 30], [0, 40], [-np.inf, np.inf]])
+    tendons = make(
+        moment, gain=np.ones(3), bias=np.zeros((3, 3)), force_range=limits, ctrl_range=limits
+    )
+    expected = np.array([[-0.8, 0.3], [0, 0.4], [-np.inf, np.inf], [0, 0]])
+    np.testing.assert_allclose(tendons.torque_limits(np.zeros(4)), expected, atol=1e-15)
+
+
 def test_length0_shifts_the_servo() -> None:
     shifted = replace(servo(), length0=np.array([0.25]))
     ctrl, _ = shifted.ctrl_for_torque(np.array([0.1]), np.zeros(1), np.zeros(1))

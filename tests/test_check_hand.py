@@ -19,6 +19,7 @@ from planner.synthesis.seeds import opposition
 from planner.task import GraspTask
 from sim.cli import hands
 from sim.cli.common import EXIT_BAD_INPUT, EXIT_NO
+from sim.inspection import inspect_hand
 
 EditHand = Callable[..., Path]
 
@@ -199,6 +200,13 @@ def test_the_report_is_plain_data(allegro_report: CheckReport) -> None:
     assert len(data["joints"]) == 16
 
 
+def test_inspect_tells_the_same_torques(shadow: Hand) -> None:
+    told = {row.name: max(abs(t) for t in row.torque) for row in check_hand(shadow).joints}
+    data = inspect_hand(shadow)
+    joints = [j for part in (*data["other_joints"], *data["fingers"]) for j in part["joints"]]
+    assert {j["name"]: j["torque_limit_N_m"] for j in joints} == told
+
+
 def test_check_hand_command(app: typer.Typer, runner: CliRunner, edit_hand: EditHand) -> None:
     good = runner.invoke(app, ["check-hand", "allegro_hand"])
     assert good.exit_code == 0, good.output
@@ -219,7 +227,7 @@ def test_describe_command(app: typer.Typer, runner: CliRunner, tmp_path: Path) -
     assert printed.exit_code == 0, printed.output
     assert 'name = "mine"' in printed.output
     path = tmp_path / "hand.toml"
-    wrote = runner.invoke(app, ["describe", str(model), "-o", str(path)])
+    wrote = runner.invoke(app, ["describe", str(model), "--out", str(path)])
     assert wrote.exit_code == 0, wrote.output
     assert Hand.load(path).joint_names == Hand.load("allegro_hand").joint_names
     again = runner.invoke(app, ["describe", str(model), "-o", str(path)])

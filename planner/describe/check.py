@@ -56,15 +56,12 @@ def check_hand(hand: Hand, *, seed: int = 0) -> CheckReport:
 
 def _joints(hand: Hand, findings: list[Finding]) -> tuple[JointRow, ...]:
     middle = (hand.q_lower + hand.q_upper) / 2
-    limits = hand.actuation.force_limits(middle)
-    moment = hand.actuation.moment
+    torques = hand.actuation.torque_limits(middle)
     owner = {j: f.name for f in hand.fingers.values() for j in f.joints}
     owner |= dict.fromkeys(hand.description.wrist_joints, "wrist")
     out = []
     for k, name in enumerate(hand.joint_names):
-        acting = np.flatnonzero(moment[:, k])
-        ends = [np.sort(moment[i, k] * limits[i]) for i in acting]
-        torque = np.sum(ends, axis=0) if ends else np.zeros(2)
+        acting = np.flatnonzero(hand.actuation.moment[:, k])
         out.append(
             JointRow(
                 name=name,
@@ -73,7 +70,7 @@ def _joints(hand: Hand, findings: list[Finding]) -> tuple[JointRow, ...]:
                 qpos_index=int(hand.mj_model.joint(name).qposadr[0]),
                 lower=float(hand.q_lower[k]),
                 upper=float(hand.q_upper[k]),
-                torque=(float(torque[0]), float(torque[1])),
+                torque=(float(torques[k, 0]), float(torques[k, 1])),
                 actuators=tuple(hand.actuation.names[i] for i in acting),
             )
         )
