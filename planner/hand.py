@@ -65,10 +65,9 @@ class Hand:
             the hand was made in Python.
         digest: SHA-256 over what determines the hand: its description, the one that this mirrors
             if it does, the model and what that includes. A plan keeps it.
-        mirror_axis: Normal of the plane, in the base's frame, through which the model file is
-            reflected; None if the hand is as the file has it. A mirrored hand keeps the names of
-            joints, frames and geometries of the hand that it mirrors.
-        spec: ``mujoco.MjSpec`` of the hand alone, repaired; ``new_spec`` gives copies of it.
+        spec: ``mujoco.MjSpec`` of the hand alone, repaired; ``new_spec`` gives copies of it. If the
+            hand mirrors another one, it is reflected, and keeps the other's names of joints, frames
+            and geometries.
         mj_model: Compiled ``mujoco.MjModel`` of the hand alone, base fixed to the world.
         pin_model: ``pinocchio.Model`` of the same.
         fingers: Name -> Finger, in the description's order.
@@ -85,7 +84,6 @@ class Hand:
     path: Path | None
     reference: str | None
     digest: str
-    mirror_axis: MirrorAxis | None
     spec: Any
     mj_model: Any
     pin_model: Any
@@ -211,7 +209,6 @@ class Hand:
             path=path,
             reference=reference,
             digest=digest,
-            mirror_axis=mirror_axis,
         )
         for posture in description.postures:
             hand.posture(posture)
@@ -228,7 +225,6 @@ class Hand:
         path: Path | None,
         reference: str | None,
         digest: str,
-        mirror_axis: MirrorAxis | None,
         mount: Mount | None = None,
     ) -> Hand:
         """The hand of a compiled model: everything that follows from model and description.
@@ -250,7 +246,6 @@ class Hand:
             path=path,
             reference=reference,
             digest=digest,
-            mirror_axis=mirror_axis,
             spec=spec,
             mj_model=mj_model,
             pin_model=pin_model,
@@ -285,7 +280,6 @@ class Hand:
             path=mount.path,
             reference=reference,
             digest=hashlib.sha256(content).hexdigest(),
-            mirror_axis=self.mirror_axis,
             mount=mount,
         )
 

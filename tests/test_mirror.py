@@ -17,7 +17,8 @@ import pinocchio as pin
 import pytest
 
 from planner.bridge import compile_spec, mirror_spec
-from planner.described import MirrorAxis, reflection_signs
+from planner.catalog import find_hand
+from planner.described import MirrorAxis, read_description, reflection_signs
 from planner.errors import HandError
 from planner.hand import Hand
 from planner.judge import judge_grasp
@@ -82,9 +83,9 @@ def hand(name: str) -> Hand:
 
 def pair(name: str) -> tuple[Hand, Hand, FloatArray]:
     """A right hand, its left hand, and M as a matrix (3, 3)."""
-    left = hand(f"{name}_left")
-    assert left.mirror_axis is not None
-    return hand(name), left, np.diag(reflection_signs(left.mirror_axis))
+    axis = read_description(find_hand(f"{name}_left")).mirror_axis
+    assert axis is not None
+    return hand(name), hand(f"{name}_left"), np.diag(reflection_signs(axis))
 
 
 def random_joints(of: Hand, n: int, seed: int = 0) -> FloatArray:
@@ -302,7 +303,6 @@ def test_left_hand_plans_by_itself(name: str) -> None:
     plan = plan_grasp(GraspTask.create(hand(f"{name}_left"), "sphere"), seed=0)
     assert plan.verification.ok
     assert np.abs(plan.verification.pad_gaps).max() <= 5e-4
-    assert plan.task.hand.mirror_axis is not None
 
 
 def _write_mirror(folder: Path, of: Path | str, name: str = "hand.toml") -> Path:

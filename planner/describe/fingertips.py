@@ -86,7 +86,6 @@ class Fingertip:
         bone: (3,), unit: from the last joint to the end.
         flexion: (3,), unit, orthogonal to the bone: the way the end moves when the finger closes.
         end: (3,), m: the middle of the end.
-        closing: +1 or -1: the sign of the flexion joint that closes.
         flexion_joint: Number of the joint that bends the end.
         certain: Whether the joint's range told the sign.
     """
@@ -95,7 +94,6 @@ class Fingertip:
     bone: FloatArray
     flexion: FloatArray
     end: FloatArray
-    closing: float
     flexion_joint: int
     certain: bool
 
@@ -138,7 +136,6 @@ def fingertip_of(skeleton: Skeleton, branch: Branch, others: FloatArray | None) 
         bone=bone,
         flexion=sign * way,
         end=end,
-        closing=sign,
         flexion_joint=joint,
         certain=tells,
     )

@@ -34,8 +34,6 @@ from sim.crosscheck.parts import (
 
 __all__ = ["PinocchioSide", "joints_of"]
 
-_BODY, _SITE = pin.FrameType.BODY, pin.FrameType.OP_FRAME
-
 
 @dataclass(frozen=True, kw_only=True)
 class PinJoint:
