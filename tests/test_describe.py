@@ -19,8 +19,8 @@ from planner.bridge.structure import structure_of
 from planner.catalog import find_hand, models_dir
 from planner.couplings import Coupling
 from planner.describe import Proposal, description_text, propose, write_proposal
+from planner.describe.convex_links import ConvexLink, cone_directions, sphere_directions
 from planner.describe.drive import impossible_couplings
-from planner.describe.solids import Solid, cone_directions, sphere_directions
 from planner.describe.tree import finger_names, read_tree
 from planner.described import read_description
 from planner.errors import FileFormatError, HandError, ModelError, NotFoundError
@@ -491,7 +491,7 @@ def test_depth_is_what_coal_says_and_support_bounds_it(kind: str) -> None:
         'euler="10 20 30"/></body></worldbody></mujoco>'
     )
     (geometry,) = hand_geometries(model, pinocchio_from_mujoco(model))
-    solid = Solid(geometry)
+    solid = ConvexLink(geometry)
     directions = sphere_directions(3000)
     inside = 0
     for _ in range(60):

@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from planner.bridge import LinkGeometry
 from planner.bridge.structure import ModelStructure
-from planner.describe.solids import Solid, cone_directions
+from planner.describe.convex_links import ConvexLink, cone_directions
 from planner.describe.tree import Branch
 from planner.spatial import SE3, FloatArray
 
@@ -51,9 +51,9 @@ class Skeleton:
     ) -> None:
         """Sort the geometries by joint."""
         self.structure, self.pin_model = structure, pin_model
-        self.solids: dict[int, list[Solid]] = {}
+        self.solids: dict[int, list[ConvexLink]] = {}
         for g in geometries:
-            self.solids.setdefault(g.joint_id, []).append(Solid(g))
+            self.solids.setdefault(g.joint_id, []).append(ConvexLink(g))
         self.q_lower = np.array(pin_model.lowerPositionLimit)
         self.q_upper = np.array(pin_model.upperPositionLimit)
         self.neutral = np.clip(np.zeros(pin_model.nq), self.q_lower, self.q_upper)
@@ -142,7 +142,7 @@ def fingertip_of(skeleton: Skeleton, branch: Branch, others: FloatArray | None) 
 
 
 def _bone(
-    skeleton: Skeleton, last: int, solids: list[Solid], poses: list[SE3]
+    skeleton: Skeleton, last: int, solids: list[ConvexLink], poses: list[SE3]
 ) -> tuple[FloatArray, FloatArray]:
     """Direction from the last joint to the end of its link, and that end."""
     axis = skeleton.axis(last)

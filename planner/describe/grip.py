@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from planner.describe.convex_links import ConvexLink, cone_directions
 from planner.describe.gaps import TOUCHING
 from planner.describe.postures import PostureSolver
 from planner.describe.report import Finding, PadRow, PostureRow
-from planner.describe.solids import Solid, cone_directions
 from planner.hand import Finger, Hand
 from planner.kinematics import HandState
 from planner.spatial import FloatArray
@@ -33,7 +33,7 @@ ROUND_TOL = 2e-3
 
 def check_pads(hand: Hand, findings: list[Finding]) -> tuple[PadRow, ...]:
     """Every pad against its geom, and whether its finger can press; what is wrong is noted."""
-    solids = {g.name: Solid(g) for g in hand.geometries}
+    solids = {g.name: ConvexLink(g) for g in hand.geometries}
     joint = {g.name: g.joint_id for g in hand.geometries}
     presses = _presses(hand)
     out = []

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
+from planner.describe.convex_links import ConvexLink, cone_directions
 from planner.describe.fingertips import Fingertip
-from planner.describe.solids import Solid, cone_directions
 from planner.spatial import FloatArray
 
 __all__ = ["PadFit", "fit_pad"]
@@ -85,7 +85,7 @@ class PadFit:
     sheets: tuple[str, ...] = ()
 
 
-def fit_pad(tip: Fingertip, solids: Sequence[Solid]) -> PadFit | None:
+def fit_pad(tip: Fingertip, solids: Sequence[ConvexLink]) -> PadFit | None:
     """The pad of a fingertip whose link consists of ``solids``; None if nothing fits one."""
     fits = [fit for solid in solids if (fit := _fit_geom(tip, solid, solids)) is not None]
     round_fits = [fit for fit in fits if fit.error <= FIT_TOL]
@@ -96,7 +96,7 @@ def fit_pad(tip: Fingertip, solids: Sequence[Solid]) -> PadFit | None:
     return min(good, key=lambda fit: fit.error)
 
 
-def _fit_face(tip: Fingertip, solids: Sequence[Solid]) -> PadFit | None:
+def _fit_face(tip: Fingertip, solids: Sequence[ConvexLink]) -> PadFit | None:
     """A pad on the flat face of a box that faces the closing side: the ball under its middle."""
     faces = [
         (float(sign * solid.rotation[:, k] @ tip.flexion), sign, k, solid)
@@ -143,7 +143,7 @@ def _fit_face(tip: Fingertip, solids: Sequence[Solid]) -> PadFit | None:
     )
 
 
-def _fit_geom(tip: Fingertip, solid: Solid, solids: Sequence[Solid]) -> PadFit | None:
+def _fit_geom(tip: Fingertip, solid: ConvexLink, solids: Sequence[ConvexLink]) -> PadFit | None:
     best: PadFit | None = None
     for tilt in TILTS:
         axis = np.cos(tilt) * tip.flexion + np.sin(tilt) * tip.bone
@@ -178,7 +178,7 @@ def _fit_geom(tip: Fingertip, solid: Solid, solids: Sequence[Solid]) -> PadFit |
     return best
 
 
-def _end_of(solid: Solid, tip: Fingertip) -> FloatArray:
+def _end_of(solid: ConvexLink, tip: Fingertip) -> FloatArray:
     """Centre (3,) of a sphere, or of that end of a capsule which is nearer to the tip."""
     if solid.kind == "sphere":
         return solid.center
@@ -188,7 +188,7 @@ def _end_of(solid: Solid, tip: Fingertip) -> FloatArray:
 
 
 def _best_center(
-    tip: Fingertip, solid: Solid, directions: FloatArray, reach: FloatArray
+    tip: Fingertip, solid: ConvexLink, directions: FloatArray, reach: FloatArray
 ) -> FloatArray:
     """Centre of the inscribed sphere with the least mean difference over the directions."""
 

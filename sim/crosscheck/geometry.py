@@ -53,7 +53,7 @@ _COAL_TOLERANCE = 1e-10
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Solid:
+class _Geom:
     number: int
     name: str
     kind: str
@@ -86,11 +86,11 @@ class GeometryCheck:
             for g in numbers
             if int(model.geom_type[g]) not in _KINDS
         )
-        solids = [_solid(model, int(g)) for g in known]
+        geoms = [_geom(model, int(g)) for g in known]
         weld = model.body_weldid[model.geom_bodyid]
         self._pairs = [
             (a, b)
-            for a, b in combinations(solids, 2)
+            for a, b in combinations(geoms, 2)
             if weld[a.number] != weld[b.number] and (a.kind, b.kind) != ("plane", "plane")
         ]
         self._next = 0
@@ -110,7 +110,7 @@ class GeometryCheck:
             self._pair(tally, state, there, *self._pairs[(self._next + k) % len(self._pairs)])
         self._next += count
 
-    def _pair(self, tally: Tally, state: State, there: Observation, a: _Solid, b: _Solid) -> None:
+    def _pair(self, tally: Tally, state: State, there: Observation, a: _Geom, b: _Geom) -> None:
         segment = np.zeros(6)
         theirs = mujoco.mj_geomDistance(self._model, self._data, a.number, b.number, _FAR, segment)
         request, result = coal.DistanceRequest(), coal.DistanceResult()
@@ -137,11 +137,11 @@ def geom_name(model: Any, geom: int) -> str:
     return model.geom(geom).name or f"{body_name(model, body)}_geom{order}"
 
 
-def _solid(model: Any, g: int) -> _Solid:
+def _geom(model: Any, g: int) -> _Geom:
     kind = _KINDS[int(model.geom_type[g])]
     # a plane of MuJoCo has no end and no underside
     half_space = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
-    return _Solid(
+    return _Geom(
         number=g,
         name=geom_name(model, g),
         kind=kind,
@@ -151,8 +151,8 @@ def _solid(model: Any, g: int) -> _Solid:
     )
 
 
-def _world(there: Observation, solid: _Solid) -> SE3:
-    return there.bodies.get(solid.body, SE3.Identity())  # the world itself has no frame
+def _world(there: Observation, geom: _Geom) -> SE3:
+    return there.bodies.get(geom.body, SE3.Identity())  # the world itself has no frame
 
 
 def _transform(pose: SE3) -> Any:

@@ -12,14 +12,14 @@ from scipy.spatial import ConvexHull
 from planner.bridge import LinkGeometry
 from planner.spatial import FloatArray
 
-__all__ = ["Solid", "cone_directions", "sphere_directions"]
+__all__ = ["ConvexLink", "cone_directions", "sphere_directions"]
 
 ELLIPSOID_DIRECTIONS = 4000
 """Directions with which the depth in an ellipsoid is taken: at most 2 % of a radius too large where
 its proportions are 1 to 3, and the verdict is coal's."""
 
 
-class Solid:
+class ConvexLink:
     """One convex geometry in the frame of the joint that carries it.
 
     Attributes:
