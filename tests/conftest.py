@@ -1,16 +1,32 @@
-"""Fixtures that several test modules share."""
+"""Fixtures and meshes that several test modules share."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
+import trimesh
 
 from planner.catalog import models_dir
 from planner.hand import Hand
+from planner.shapes import Mesh
+from planner.spatial import FloatArray
 
 RIGHT_HANDS = ("allegro_hand", "shadow_hand")
+
+
+def of_trimesh(mesh: trimesh.Trimesh, *, repair: bool = False) -> Mesh:
+    return Mesh.from_triangles(np.array(mesh.vertices), np.array(mesh.faces), repair=repair)
+
+
+def box_mesh(size: Sequence[float] | FloatArray, halvings: int = 0) -> Mesh:
+    """A box of triangles, each cut into four as often as said, so that it is no special case."""
+    mesh = trimesh.creation.box(size)
+    for _ in range(halvings):
+        mesh = mesh.subdivide()
+    return of_trimesh(mesh)
 
 
 @pytest.fixture(scope="session")

@@ -8,14 +8,14 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-import trimesh
+from conftest import box_mesh
 
 from planner.collision import FAR, OBJECT, TABLE, Clearance, CollisionWorld, least_distance
 from planner.errors import NotFoundError, PlannerError, TaskError
 from planner.hand import Hand
 from planner.kinematics import HandState
 from planner.objects import GraspObject, parse_object
-from planner.shapes import Box, Mesh
+from planner.shapes import Box
 from planner.spatial import SE3, FloatArray, pose_to_wxyz
 from planner.task import GraspTask, Obstacle
 
@@ -246,8 +246,7 @@ def test_the_nearest_pair_is_exact_however_far(right_hand: Hand, item: str) -> N
 
 @pytest.mark.parametrize("size", [0.05, 1.0])
 def test_balls_are_never_said_to_be_farther_from_a_mesh_than_they_are(size: float) -> None:
-    triangles = trimesh.creation.box((size,) * 3)
-    mesh = Mesh.from_triangles(np.array(triangles.vertices), np.array(triangles.faces))
+    mesh = box_mesh((size,) * 3)
     points = np.random.default_rng(12).uniform(-0.6, 0.6, size=(5000, 3)) * size
     least, true = least_distance(mesh, points), Box((size,) * 3).signed_distance(points)
     assert (least <= true + 1e-9).all()

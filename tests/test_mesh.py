@@ -10,6 +10,7 @@ import coal
 import numpy as np
 import pytest
 import trimesh
+from conftest import box_mesh, of_trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -24,6 +25,8 @@ from planner.shapes.mesh_distance import SMOOTHED_MOST
 from planner.shapes.triangles import COVERED, cover, nearest_on_triangles, winding_number
 from planner.spatial import SE3, FloatArray
 
+BRICK = (0.05, 0.06, 0.1)
+
 
 @pytest.fixture(autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
@@ -31,14 +34,6 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(CACHE_VARIABLE, str(folder))
         yield folder
-
-
-def of_trimesh(mesh: trimesh.Trimesh, *, repair: bool = False) -> Mesh:
-    return Mesh.from_triangles(np.array(mesh.vertices), np.array(mesh.faces), repair=repair)
-
-
-def box_mesh(size: tuple[float, float, float] = (0.05, 0.06, 0.1)) -> Mesh:
-    return of_trimesh(trimesh.creation.box(size))
 
 
 def hollow() -> Mesh:
@@ -55,7 +50,7 @@ def example(name: str) -> Mesh:
         "mug": Mug,
         "torus": Torus,
         "lbracket": LBracket,
-        "box": box_mesh,
+        "box": lambda: box_mesh(BRICK),
         "hollow": hollow,
         "cube of 0.5 m": lambda: box_mesh((0.5,) * 3),
         "cube of 1 m": lambda: box_mesh((1.0,) * 3),
@@ -88,7 +83,7 @@ def example_field() -> DistanceField:
 
 
 def test_distances_from_a_box_are_those_of_the_box() -> None:
-    mesh, box = box_mesh(), Box((0.05, 0.06, 0.1))
+    mesh, box = box_mesh(BRICK), Box((0.05, 0.06, 0.1))
     points = np.random.default_rng(0).uniform(-0.1, 0.1, size=(500, 3))
     np.testing.assert_allclose(
         mesh.signed_distance(points), box.signed_distance(points), rtol=0, atol=1e-15
@@ -175,9 +170,9 @@ def ridge() -> tuple[Mesh, FloatArray]:
 
 
 def test_no_points_are_no_distances() -> None:
-    assert box_mesh().signed_distance(np.zeros((0, 3))).shape == (0,)
+    assert box_mesh(BRICK).signed_distance(np.zeros((0, 3))).shape == (0,)
     with pytest.raises(ObjectError, match="points hold NaN or infinity"):
-        box_mesh().closest_point(np.array([[np.nan, 0, 0]]))
+        box_mesh(BRICK).closest_point(np.array([[np.nan, 0, 0]]))
 
 
 # --- single triangles -----------------------------------------------------------------------------
@@ -361,22 +356,22 @@ def test_the_field_of_an_aligned_box_has_the_right_sign_inside() -> None:
 
 
 def test_the_field_is_kept_on_disk_by_content(own_cache: Path, quick_fit: list[object]) -> None:
-    first = box_mesh().field()
+    first = box_mesh(BRICK).field()
     (stored,) = (own_cache / "field").iterdir()
-    again = box_mesh().field()
+    again = box_mesh(BRICK).field()
     assert len(quick_fit) == 1
     box_mesh((0.05, 0.06, 0.11)).field()
     assert len(quick_fit) == 2
     points = np.random.default_rng(7).uniform(-0.2, 0.2, size=(50, 3))
     np.testing.assert_array_equal(again.taylor(points), first.taylor(points))
-    assert box_mesh().digest in stored.name
+    assert box_mesh(BRICK).digest in stored.name
 
 
 @pytest.mark.parametrize("damage", ["cut", "text", "empty", "other arrays", "folder"])
 def test_a_damaged_cache_is_made_anew(
     own_cache: Path, quick_fit: list[object], damage: str
 ) -> None:
-    mesh = box_mesh()
+    mesh = box_mesh(BRICK)
     value = mesh.field().value(np.zeros((1, 3)))
     (stored,) = (own_cache / "field").iterdir()
     if damage == "cut":
@@ -390,7 +385,7 @@ def test_a_damaged_cache_is_made_anew(
     else:
         stored.unlink()
         stored.mkdir()
-    np.testing.assert_array_equal(box_mesh().field().value(np.zeros((1, 3))), value)
+    np.testing.assert_array_equal(box_mesh(BRICK).field().value(np.zeros((1, 3))), value)
     assert len(quick_fit) == 2
     if damage != "folder":
         assert read_arrays("field", stored.stem) is not None
@@ -404,7 +399,7 @@ def test_without_a_cache_that_can_be_written_it_works(
     blocked.write_text("")
     monkeypatch.setenv(CACHE_VARIABLE, str(blocked))
     assert cache_directory() == blocked
-    assert box_mesh().field().value(np.zeros((1, 3)))[0] < 0
+    assert box_mesh(BRICK).field().value(np.zeros((1, 3)))[0] < 0
     assert read_arrays("field", "nothing") is None
 
 
@@ -412,15 +407,15 @@ def test_without_a_cache_that_can_be_written_it_works(
 
 
 def test_meshes_are_equal_by_their_triangles() -> None:
-    assert box_mesh() == box_mesh() and hash(box_mesh()) == hash(box_mesh())
-    assert box_mesh() != box_mesh((0.05, 0.06, 0.11))
+    assert box_mesh(BRICK) == box_mesh(BRICK) and hash(box_mesh(BRICK)) == hash(box_mesh(BRICK))
+    assert box_mesh(BRICK) != box_mesh((0.05, 0.06, 0.11))
     assert Torus() == Torus() and Torus() != Torus(0.04, 0.01)
-    assert box_mesh() != Box((0.05, 0.06, 0.1))
-    assert (box_mesh() == Sphere(0.03)) is False
+    assert box_mesh(BRICK) != Box((0.05, 0.06, 0.1))
+    assert (box_mesh(BRICK) == Sphere(0.03)) is False
 
 
 def test_triangles_cannot_be_changed_by_accident() -> None:
-    mesh = box_mesh()
+    mesh = box_mesh(BRICK)
     with pytest.raises(ValueError, match="read-only"):
         mesh.vertices[0] = 0.0
     with pytest.raises(ValueError, match="read-only"):
@@ -431,14 +426,14 @@ def test_what_a_mesh_has_not_is_said() -> None:
     with pytest.raises(ObjectError, match="a mesh has no sizes; give the path"):
         Mesh.from_sizes((0.1,))
     with pytest.raises(ObjectError, match="no single MuJoCo geom"):
-        box_mesh().mujoco_geom()
-    assert box_mesh().sizes == () and box_mesh().spec == "mesh"
+        box_mesh(BRICK).mujoco_geom()
+    assert box_mesh(BRICK).sizes == () and box_mesh(BRICK).spec == "mesh"
 
 
 def test_it_rests_on_a_table() -> None:
-    pose = box_mesh().resting_pose(0.2)
+    pose = box_mesh(BRICK).resting_pose(0.2)
     assert pose.translation[2] == pytest.approx(0.2 + 0.025)  # on its largest face
-    lowest = (box_mesh().vertices @ pose.rotation.T + pose.translation)[:, 2].min()
+    lowest = (box_mesh(BRICK).vertices @ pose.rotation.T + pose.translation)[:, 2].min()
     assert lowest == pytest.approx(0.2)
     table = SE3(np.eye(3), np.array([0.0, 0.0, -0.3]))
     assert DistancePair(Box((0.05, 0.06, 0.1)).coal_geometry(), coal.Box(4, 4, 1)).query(

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from conftest import of_trimesh
 
 from planner.errors import ObjectError
 from planner.objects import parse_object
@@ -84,7 +85,7 @@ def test_a_file_that_was_changed_is_told(tmp_path: Path) -> None:
 
 def test_plain_data_without_a_file_holds_the_triangles() -> None:
     box = trimesh.creation.box((0.05, 0.06, 0.1))
-    mesh = Mesh.from_triangles(np.array(box.vertices), np.array(box.faces))
+    mesh = of_trimesh(box)
     data = json.loads(json.dumps(shape_to_dict(mesh)))
     assert set(data) == {"kind", "vertices_m", "faces"}
     again = shape_from_dict(data)

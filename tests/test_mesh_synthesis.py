@@ -9,6 +9,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from conftest import box_mesh
 from scipy.spatial import ConvexHull
 
 from planner.bridge import LinkGeometry
@@ -34,30 +35,6 @@ from planner.synthesis.verify import TOUCH_TOL, edge_faults, verify
 from planner.task import GraspTask
 
 
-def box_mesh(x: float, y: float, z: float, cells: int = 8) -> Mesh:
-    """A box of triangles; every face is cut into cells, so that it is no special case."""
-    ends = np.linspace(-0.5, 0.5, cells + 1)
-    vertices: list[FloatArray] = []
-    faces: list[list[int]] = []
-    for axis in range(3):
-        for side in (-0.5, 0.5):
-            first = len(vertices)
-            for a in ends:
-                for b in ends:
-                    p = np.zeros(3)
-                    p[axis], p[(axis + 1) % 3], p[(axis + 2) % 3] = side, a, b
-                    vertices.append(p * [x, y, z])
-            for i in range(cells):
-                for j in range(cells):
-                    k = first + i * (cells + 1) + j
-                    quad = [k, k + cells + 1, k + cells + 2, k + 1]
-                    if side < 0:
-                        quad.reverse()
-                    faces += [[quad[0], quad[1], quad[2]], [quad[0], quad[2], quad[3]]]
-    points, index = np.unique(np.round(vertices, 9), axis=0, return_inverse=True)
-    return Mesh.from_triangles(points, index.ravel()[np.array(faces)], name="box", repair=False)
-
-
 @pytest.fixture(scope="module")
 def torus_plan(allegro: Hand) -> GraspPlan:
     return plan_grasp(GraspTask.create(allegro, "torus"), seed=0)
@@ -65,7 +42,7 @@ def torus_plan(allegro: Hand) -> GraspPlan:
 
 def test_opposed_pairs_of_a_box_are_its_faces() -> None:
     size = np.array([0.05, 0.06, 0.08])
-    pairs = opposed_pairs(box_mesh(*size))
+    pairs = opposed_pairs(box_mesh(size, 3))
     axis = np.abs(pairs.directions).argmax(axis=1)
     assert set(axis.tolist()) == {0, 1, 2}
     assert (np.abs(pairs.directions).max(axis=1) > FACING).all()
@@ -115,7 +92,7 @@ def test_starts_on_a_mesh_are_drawn_from_pairs(allegro: Hand) -> None:
 
 
 def test_an_object_that_is_too_wide_everywhere_is_refused(allegro: Hand) -> None:
-    wide = GraspObject(name="slab", shape=box_mesh(0.5, 0.5, 0.4))
+    wide = GraspObject(name="slab", shape=box_mesh((0.5, 0.5, 0.4), 3))
     with pytest.raises(TaskError, match="finds nowhere to close on slab"):
         seeder_for(GraspTask.create(allegro, wide))
 
@@ -188,7 +165,7 @@ LINKS: dict[str, tuple[object, Shape]] = {
 def test_mesh_distances_are_those_of_the_same_box(link: str, seed: int) -> None:
     size = (0.05, 0.06, 0.08)
     geometry = LINKS[link][0]
-    mesh, exact = MeshPair(geometry, box_mesh(*size)), DistancePair(geometry, coal.Box(*size))
+    mesh, exact = MeshPair(geometry, box_mesh(size, 3)), DistancePair(geometry, coal.Box(*size))
     rng = np.random.default_rng(seed)
     for _ in range(50):
         pose = SE3(pin.exp3(rng.normal(size=3)), rng.normal(0, 0.05, 3))
@@ -206,7 +183,7 @@ def test_mesh_distances_are_those_of_the_same_box(link: str, seed: int) -> None:
 @pytest.mark.parametrize("link", LINKS)
 def test_a_link_wholly_inside_a_mesh_is_inside(link: str) -> None:
     """Apart from every triangle, and in the middle of the solid: coal alone calls it apart."""
-    mesh = box_mesh(0.2, 0.2, 0.2)
+    mesh = box_mesh((0.2, 0.2, 0.2), 3)
     geometry = LINKS[link][0]
     alone = coal.DistanceResult()
     here = coal.Transform3s()
@@ -246,7 +223,7 @@ def test_balls_of_a_hull_are_inside_it_and_its_span_is_its_corners(seed: int) ->
 
 
 def test_a_contact_on_an_edge_of_a_mesh_is_named(allegro: Hand) -> None:
-    item = GraspObject(name="brick", shape=box_mesh(0.05, 0.06, 0.08))
+    item = GraspObject(name="brick", shape=box_mesh((0.05, 0.06, 0.08), 3))
     task = GraspTask.create(allegro, item, fingers=["thumb", "index", "middle"])
 
     def fault(last: list[float]) -> str:
