@@ -229,11 +229,12 @@ def test_any_mutation_is_a_plan_or_an_error_that_the_user_can_read(
             key = data.draw(st.sampled_from(keys))
         change = data.draw(st.sampled_from(["set", "set", "scale", "delete", "add"]))
         if change == "set":
-            inner[key] = data.draw(ANYTHING)
+            # a copy: the second change may be made in it, and the next example draws it again
+            inner[key] = copy.deepcopy(data.draw(ANYTHING))
         elif change == "scale" and isinstance(inner[key], float):
             inner[key] *= data.draw(st.sampled_from([-1.0, 1.0001, 1e10, 1e200, 1e-200]))
         elif change == "add" and isinstance(inner, dict):
-            inner[data.draw(st.text(max_size=3))] = data.draw(ANYTHING)
+            inner[data.draw(st.text(max_size=3))] = copy.deepcopy(data.draw(ANYTHING))
         elif isinstance(inner, list) or len(inner) > 1:
             del inner[key]
     try:
