@@ -179,23 +179,24 @@ def test_too_heavy_an_object_is_infeasible_when_planned(allegro: Hand) -> None:
         assert "A_index_1 at its greatest force 0.7 N m" in attempt.reason
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_obstacles_are_avoided_at_grasp_and_on_the_way(allegro: Hand, seed: int) -> None:
-    """With 15 mm to keep, which the search does not get by luck as the same seed shows without."""
+def test_obstacles_are_avoided_at_grasp_and_on_the_way(allegro: Hand) -> None:
+    """With 15 mm to keep, which is not got by luck: without the wall one plan of four is nearer."""
     options = SynthesisOptions(clear_table=0.015)
-    task = GraspTask.create(allegro, "box", T_world_object=AWAY, obstacles=(WALL,))
-    plan = plan_grasp(task, seed=seed, options=options)
-    check(plan)
-    # the balls in the links keep 15 mm; between two of them a link may be a little nearer
-    assert least_distance(allegro, plan.T_world_base, plan.q, WALL) > 0.014
-    start, end = plan.T_world_base_start.translation, plan.T_world_base.translation
-    for s in np.linspace(0, 1, 8):
-        at = SE3(plan.T_world_base.rotation, start + s * (end - start))
-        assert least_distance(allegro, at, plan.q_pregrasp, WALL) > APPROACH_CLEARANCE - 1e-6
-    without = plan_grasp(
-        GraspTask.create(allegro, "box", T_world_object=AWAY), seed=seed, options=options
-    )
-    assert least_distance(allegro, without.T_world_base, without.q, WALL) < 0.014
+    free = GraspTask.create(allegro, "box", T_world_object=AWAY)
+    task = replace(free, obstacles=(WALL,))
+    nearest = np.inf
+    for seed in range(4):
+        plan = plan_grasp(task, seed=seed, options=options)
+        check(plan)
+        # the balls in the links keep 15 mm; between two of them a link may be a little nearer
+        assert least_distance(allegro, plan.T_world_base, plan.q, WALL) > 0.014
+        start, end = plan.T_world_base_start.translation, plan.T_world_base.translation
+        for s in np.linspace(0, 1, 8):
+            at = SE3(plan.T_world_base.rotation, start + s * (end - start))
+            assert least_distance(allegro, at, plan.q_pregrasp, WALL) > APPROACH_CLEARANCE - 1e-6
+        other = plan_grasp(free, seed=seed, options=options)
+        nearest = min(nearest, least_distance(allegro, other.T_world_base, other.q, WALL))
+    assert nearest < 0.014
 
 
 def test_a_fixed_base_stays_where_it_is(allegro: Hand) -> None:

@@ -255,7 +255,10 @@ def test_a_hand_too_weak_for_the_plan_reaches_its_torque_limit(
 
 
 def test_the_hand_follows_its_way(plan: GraspPlan) -> None:
-    """Base on its straight line within 2 mm; without feed-forward of speed it would lag 10."""
+    """Base on its straight line within 2.5 mm; without feed-forward of speed it would lag 10.
+
+    At 0.75 m/s, the peak of this hurried approach, that is 3 ms.
+    """
     off = dict.fromkeys(("approach", "lift"), 0.0)
 
     def look(trial: Trial) -> None:
@@ -275,8 +278,8 @@ def test_the_hand_follows_its_way(plan: GraspPlan) -> None:
 
     began: list[float] = []
     simulate(plan, timeline=QUICK, on_step=look)
-    assert off["approach"] < 2e-3
-    assert off["lift"] < 2e-3
+    assert off["approach"] < 2.5e-3
+    assert off["lift"] < 2.5e-3
 
 
 def test_an_object_put_elsewhere_is_missed_or_disturbed(plan: GraspPlan) -> None:

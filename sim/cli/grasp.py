@@ -144,7 +144,7 @@ def run(
     pose: PoseOption = 0,
     touch: TouchOption = None,
     avoid: AvoidOption = None,
-    max_attempts: AttemptsOption = 40,
+    max_attempts: AttemptsOption = 100,
     max_cpu_s: CpuOption = None,
     view: ViewOption = False,
     as_json: JsonOption = False,
@@ -206,7 +206,7 @@ def plan(
     pose: PoseOption = 0,
     touch: TouchOption = None,
     avoid: AvoidOption = None,
-    max_attempts: AttemptsOption = 40,
+    max_attempts: AttemptsOption = 100,
     max_cpu_s: CpuOption = None,
     as_json: JsonOption = False,
 ) -> None:
