@@ -183,9 +183,8 @@ def _attempt(
     start = seeder.draw(rng)
     if isinstance(start, str):
         return start
-    field = problems.grasp.surface.field_of(task.object.shape)
     parameters = problems.grasp.parameters(task, start, seeder.posture, options)
-    candidate = problems.grasp.descend(start, parameters, field)
+    candidate = problems.grasp.descend(task, start, parameters, options.rounds)
     worst = max(candidate.violation, key=lambda name: candidate.violation[name] * WEIGHTS[name])
     violation = candidate.violation[worst]
     if not violation * WEIGHTS[worst] <= WORTH_A_LOOK:

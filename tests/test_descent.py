@@ -89,6 +89,7 @@ def test_residuals_of_a_grasp_have_exact_derivatives(shadow: Hand, item: str) ->
     problem.residuals.set_parameters(
         problem.parameters(task, start, seeder.posture, SynthesisOptions())
     )
+    problem.residuals.set_directions(np.random.default_rng(2).normal(size=(5, 6)))
     field = problem.surface.field_of(task.object.shape)
     x = problem.formulation.unknowns.pack(
         np.array([0.1, -0.2, 0.05]),
@@ -139,7 +140,10 @@ def test_descent_and_ipopt_agree_that_a_start_leads_to_a_grasp(allegro: Hand) ->
         start = seeder.draw(np.random.default_rng([5, k]))
         assert isinstance(start, Start)
         parameters = problem.parameters(task, start, seeder.posture, SynthesisOptions())
-        quick, slow = problem.descend(start, parameters), problem.solve(start, parameters)
+        quick, slow = (
+            problem.descend(task, start, parameters),
+            problem.solve(task, start, parameters),
+        )
         good = max(v * WEIGHTS[name] for name, v in quick.violation.items()) < 0.1
         both += good and max(slow.violation.values()) < 1e-5
     assert both >= 5

@@ -92,7 +92,7 @@ def solve(task: GraspTask) -> Solved:
     for seed in range(20):
         start = seeder.draw(np.random.default_rng(seed))
         assert isinstance(start, Start)
-        solution = problem.solve(start, parameters(start))
+        solution = problem.solve(task, start, parameters(start))
         if max(solution.violation.values()) <= NLP_TOL:
             here = replace(start, T_object_base=solution.T_object_base)
             return Solved(task, problem, solution, here, parameters(here))

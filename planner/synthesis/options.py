@@ -13,7 +13,7 @@ __all__ = ["OPTION_NAMES", "SynthesisOptions"]
 
 @dataclass(frozen=True, kw_only=True)
 class SynthesisOptions:
-    """Margins and weights of the NLP; all are NLP parameters, none needs a rebuild.
+    """Margins and weights of the NLP, and effort; none needs a rebuild.
 
     Attributes:
         cone_share: Share k of the friction coefficient that the internal force may use (-).
@@ -38,11 +38,12 @@ class SynthesisOptions:
     weight_share: float = 0.1
     weight_posture: float = 0.3
     weight_center: float = 1.0
+    rounds: int = 2
 
     def values(self) -> FloatArray:
         """The numbers in the order of the NLP's parameters."""
         return np.array([getattr(self, name) for name in OPTION_NAMES])
 
 
-OPTION_NAMES = tuple(SynthesisOptions.__dataclass_fields__)
-"""Names of the options in the order of ``SynthesisOptions.values``."""
+OPTION_NAMES = tuple(n for n in SynthesisOptions.__dataclass_fields__ if n != "rounds")
+"""Names of the NLP's options in the order of ``SynthesisOptions.values``."""

@@ -53,15 +53,16 @@ import numpy as np
 
 from planner.hand import Finger, Hand
 from planner.kinematics import HandState
+from planner.quality.weakest import weakest_directions
 from planner.shapes import Shape
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.descent import descend
-from planner.synthesis.nlp import Field, Nlp
+from planner.synthesis.descent import MAX_ITERATIONS, SOLVED, Descent, descend
+from planner.synthesis.nlp import Nlp
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.residuals import Residuals
 from planner.synthesis.surfaces import Patch, Surface, surface_of
 from planner.synthesis.surroundings import Surroundings, obstacles_in_object, table_in_object
-from planner.synthesis.terms import Formulation, Term, formulate
+from planner.synthesis.terms import N_DIRECTIONS, Formulation, Term, formulate
 from planner.task import GraspTask
 
 __all__ = ["Candidate", "GraspProblem", "Start", "build_problem"]
@@ -167,9 +168,20 @@ class GraspProblem:
         return "\n".join(lines)
 
     def descend(
-        self, start: Start, parameters: FloatArray, field: Field | None = None
+        self, task: GraspTask, start: Start, parameters: FloatArray, rounds: int = 0
     ) -> Candidate:
-        """Least squares from one start; arguments as for ``solve``."""
+        """Least squares from one start, then rounds that strengthen the grasp.
+
+        A round looks for the directions of wrench in which the grasp resists least, and descends
+        with their resistance as a further cost; the last descent is for the terms alone.
+
+        Args:
+            task: The task.
+            start: The start.
+            parameters: From ``parameters``.
+            rounds: How many rounds; none leaves the first grasp that is reached.
+        """
+        field = self.surface.field_of(task.object.shape)
         begin = time.process_time()
         lower, upper = self._bounds(start)
         hand = np.maximum(self.hand.q_upper - self.hand.q_lower, SMALLEST_RANGE)
@@ -182,27 +194,42 @@ class GraspProblem:
             np.full((n, 3), FORCE_SCALE),
         )
         self.residuals.set_parameters(parameters)
-        end = descend(
-            lambda x: self.residuals(x, field),
-            np.clip(self._first(start), lower, upper),
-            lower=lower,
-            upper=upper,
-            scale=scale,
-            equality=self.residuals.equality,
-            n_terms=self.residuals.n_terms,
-        )
+
+        def run(x: FloatArray, budget: int) -> Descent:
+            return descend(
+                lambda at: self.residuals(at, field),
+                x,
+                lower=lower,
+                upper=upper,
+                scale=scale,
+                equality=self.residuals.equality,
+                n_terms=self.residuals.n_terms,
+                max_iterations=budget,
+            )
+
+        end = run(np.clip(self._first(start), lower, upper), MAX_ITERATIONS)
+        iterations, status = end.iterations, end.status
+        if end.worst <= WORTH_IMPROVING:
+            for _ in range(rounds):
+                self.residuals.set_directions(self._weakest(task, end.x))
+                end = run(end.x, ROUND_ITERATIONS)
+                iterations += end.iterations
+            if rounds and end.worst > SOLVED:
+                self.residuals.set_directions(np.zeros((0, 6)))
+                end = run(end.x, ROUND_ITERATIONS)
+                iterations += end.iterations
         violation = self.residuals.violations()
-        return self._candidate(start, end.x, violation, end.status, end.iterations, begin)
+        return self._candidate(start, end.x, violation, status, iterations, begin)
 
-    def solve(self, start: Start, parameters: FloatArray, field: Field | None = None) -> Candidate:
-        """Run IPOPT from one start.
+    def _weakest(self, task: GraspTask, x: FloatArray) -> FloatArray:
+        """The directions (k, 6) in which the contacts of x resist least."""
+        shape = task.object.shape
+        points, outward = shape.closest_point(self.formulation.unknowns.points(x))
+        return weakest_directions(points, -outward, task.mu, shape.bounding_radius, N_DIRECTIONS)
 
-        Args:
-            start: The start.
-            parameters: From ``parameters``.
-            field: The object's distance field, where its kind of shape needs one.
-        """
-        solver = self.nlp.bind(field)
+    def solve(self, task: GraspTask, start: Start, parameters: FloatArray) -> Candidate:
+        """Run IPOPT from one start; arguments as for ``descend``."""
+        solver = self.nlp.bind(self.surface.field_of(task.object.shape))
         lower, upper = self._bounds(start)
         sizes = [(t.expression.numel(), t.equality) for t in self.terms]
         ubg = np.concatenate([np.full(m, 0.0 if equality else np.inf) for m, equality in sizes])
@@ -318,6 +345,7 @@ class GraspProblem:
             [task.mu, shape.bounding_radius],
             posture,
             options.values(),
+            np.zeros(6 * N_DIRECTIONS),
         ]
         return np.concatenate([np.asarray(v, dtype=np.float64).ravel() for v in parts])
 
@@ -331,6 +359,12 @@ SHIFT_MAX = 0.25
 TURN_SCALE, SHIFT_SCALE, JOINT_SCALE, POINT_SCALE, FORCE_SCALE = 0.3, 0.02, 0.3, 0.01, 0.5
 """Steps that count as alike in least squares: Rodrigues parameters (-), base (m), joints (rad or
 m), contact points (m), forces (in units of the mean normal force)."""
+
+WORTH_IMPROVING = 0.5
+"""Largest weighted residual of a term with which a grasp is worth strengthening."""
+
+ROUND_ITERATIONS = 8
+"""Evaluations of one round."""
 
 SMALLEST_RANGE = 1e-3
 """Least scale (rad or m) of a joint that can hardly move."""
@@ -357,11 +391,11 @@ def build_problem(
 IPOPT_TOL = 1e-4
 """IPOPT's scaled optimality tolerance (-). Constraints are held to 1e-7 m; the cost only ranks."""
 
-MAX_ITERATIONS = 60
+IPOPT_ITERATIONS = 60
 """IPOPT iterations of one attempt; nine of ten that succeed need under 50."""
 
 IPOPT_OPTIONS = {
-    "ipopt.max_iter": MAX_ITERATIONS,
+    "ipopt.max_iter": IPOPT_ITERATIONS,
     "ipopt.tol": IPOPT_TOL,
     "ipopt.constr_viol_tol": 1e-7,
     "ipopt.acceptable_tol": 1e-2,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planner.spatial import FloatArray
 from planner.synthesis.nlp import SECOND, THIRD, Field, FieldPoints
-from planner.synthesis.terms import Formulation
+from planner.synthesis.terms import N_DIRECTIONS, Formulation
 
 __all__ = ["COST_SHARE", "WEIGHTS", "Residuals"]
 
@@ -48,10 +48,13 @@ leaves no room: least squares end on the wrong side of an inequality by a little
 COST_SHARE = 0.2
 """Residual of one unit of the square root of the cost, which ranks grasps but must not outweigh
 contact. With half of it forces are infeasible more often, with twice of it descents are slower."""
+QUALITY_SHARE = 15.0
+"""Residual of one unit of missing resistance: enough to move contacts by centimetres. What it costs
+the terms is mended by a last descent without it."""
 
 
 class Residuals:
-    """Weighted residuals r(x) (m,) and their Jacobian (m, n): terms first, then the cost.
+    """Weighted residuals r(x) (m,) and their Jacobian (m, n): terms first, then costs.
 
     Attributes:
         values: (m,), overwritten by every call.
@@ -71,7 +74,7 @@ class Residuals:
         self._points = points if points is not None and len(points) else None
         tau = ca.SX(0, 1) if self._points is None else self._points.symbols
         rows = [WEIGHTS[t.name] * (t.expression - SPARE.get(t.name, 0.0)) for t in terms]
-        rows.append(COST_SHARE * formulation.cost_rows)
+        rows += [COST_SHARE * formulation.cost_rows, QUALITY_SHARE * formulation.quality_rows]
         residual = ca.densify(ca.vertcat(*rows))
         jacobian = ca.jacobian(residual, x)
         sizes = [t.expression.numel() for t in terms]
@@ -79,7 +82,9 @@ class Residuals:
         self.n_terms = sum(sizes)
         both = [t.equality for t, m in zip(terms, sizes, strict=True) for _ in range(m)]
         self.equality: NDArray[np.bool_] = np.array(
-            both + [True] * formulation.cost_rows.numel(), dtype=bool
+            both
+            + [True] * formulation.cost_rows.numel()
+            + [False] * formulation.quality_rows.numel()
         )
         self._x, self._p, self._tau = (np.zeros(v.numel()) for v in (x, p, tau))
         self.values: FloatArray = np.zeros(residual.numel())
@@ -106,6 +111,12 @@ class Residuals:
     def set_parameters(self, p: FloatArray) -> None:
         """Parameters for the calls that follow."""
         self._p[:] = p
+
+    def set_directions(self, directions: FloatArray) -> None:
+        """Directions (k, 6) of wrench to work on from now on."""
+        free = self._p[-6 * N_DIRECTIONS :]
+        free[:] = 0.0
+        free[: directions.size] = directions.ravel()
 
     def __call__(self, x: FloatArray, field: Field | None) -> tuple[FloatArray, FloatArray]:
         """``values`` and ``jacobian`` at x, overwritten by the next call."""

@@ -58,6 +58,8 @@ class Formulation:
         x, p: Unknowns and parameters, columns.
         terms: Constraints.
         cost_rows: The cost is the sum of their squares.
+        quality_rows: How much the grasp resists in given directions, less what is aimed at; a cost
+            where negative.
     """
 
     unknowns: Unknowns
@@ -65,6 +67,7 @@ class Formulation:
     p: Any
     terms: tuple[Term, ...]
     cost_rows: Any
+    quality_rows: Any
 
 
 def formulate(
@@ -132,6 +135,12 @@ def formulate(
     span[hand.arm_index] /= np.sqrt(ARM_POSTURE)
     n_hand = hand.nq - len(hand.arm_index)
     cost_rows.append(ca.sqrt(option["weight_posture"] / n_hand) * (q - posture) / span)
+    directions = ca.SX.sym("u", 6, N_DIRECTIONS)
+    quality_rows = [
+        _support(directions[:, k], points, normals, mu, length)
+        - SUPPORT_AIM * ca.sumsqr(directions[:, k])
+        for k in range(N_DIRECTIONS)
+    ]
     middle = sum(points[1:], points[0]) / n
     cost_rows.append(ca.sqrt(option["weight_center"]) * middle / length)
     terms = tuple(
@@ -153,8 +162,10 @@ def formulate(
             length,
             posture,
             *option.values(),
+            ca.vec(directions),
         ),
         terms=terms,
+        quality_rows=ca.vertcat(*quality_rows),
         cost_rows=ca.vertcat(*cost_rows),
     )
 
@@ -164,6 +175,34 @@ ARM_POSTURE = 1e-3
 pinch posture, by the same share of their ranges (-). The start comes from inverse kinematics that
 set out from the ready posture. With 0.1, or with the ready posture itself as the aim, 44 and 41 of
 60 attempts are solved on sphere, box and cylinder, so 48."""
+
+
+N_DIRECTIONS = 12
+"""Directions of wrench in which a descent can work on what a grasp resists."""
+
+SUPPORT_AIM = 0.3
+"""Resistance (normal forces sum to 1) that is aimed at in each: more than grasps reach."""
+
+
+def _support(u: Any, points: list[Any], outward: list[Any], mu: Any, length: Any) -> Any:
+    """Support of the round cones' unit wrenches in direction u (6,), torques over ``length``.
+
+    max_i  g_i . n_i + mu |g_i - (g_i . n_i) n_i|,   g_i = u_f + u_t x p_i / length.
+    """
+    values = []
+    for p, n in zip(points, outward, strict=True):
+        g = u[:3] + ca.cross(u[3:], p) / length
+        normal = -ca.dot(g, n)
+        tangential = g + normal * n
+        values.append(normal + mu * ca.sqrt(ca.sumsqr(tangential) + TINY))
+    top = values[0]
+    for value in values[1:]:
+        top = ca.fmax(top, value)
+    return top
+
+
+TINY = 1e-9
+"""Keeps the root of a sum of squares differentiable at zero."""
 
 
 def _contact_torque(

@@ -1,0 +1,58 @@
+"""The directions in which a grasp resists least, quickly: what an optimiser should work on.
+
+The hull of unit contact wrenches (normal forces sum to 1, torques over ``length``) is taken with
+coarse friction pyramids; the outward normals of its nearest faces are the directions. The round
+cones resist a little more in each of them, and what they resist at least is epsilon: bounds that
+are proven come from ``planner.quality.interval``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from planner.spatial import FloatArray
+
+__all__ = ["weakest_directions"]
+
+EDGES = 4
+"""Sides of the pyramids: a hull takes 1 ms with four, 4 ms with eight."""
+
+APART = float(np.cos(np.deg2rad(20.0)))
+"""Directions closer than this cosine are one."""
+
+
+def weakest_directions(
+    points: FloatArray, inward: FloatArray, mu: float, length: float, count: int
+) -> FloatArray:
+    """Up to ``count`` unit directions (k, 6), weakest first, at least 20 degrees apart.
+
+    None where the wrenches span no volume.
+
+    Args:
+        points: Contact points (n, 3) about the reference point, m.
+        inward: Unit normals into the object (n, 3).
+        mu: Friction (-).
+        length: Characteristic length, m.
+        count: How many.
+    """
+    least = np.argmin(np.abs(inward), axis=1)
+    first = np.cross(inward, np.eye(3)[least])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(inward, first)
+    turn = 2 * np.pi * np.arange(EDGES) / EDGES
+    across = np.cos(turn)[:, None, None] * first + np.sin(turn)[:, None, None] * second
+    force = inward + mu * across
+    wrenches = np.concatenate([force, np.cross(points / length, force)], axis=2).reshape(-1, 6)
+    try:
+        faces = ConvexHull(wrenches).equations
+    except QhullError:
+        return np.zeros((0, 6))
+    faces = faces[np.argsort(-faces[:, 6], kind="stable")]
+    chosen: FloatArray = faces[:1, :6]
+    for face in faces[1:, :6]:
+        if len(chosen) == count:
+            break
+        if (chosen @ face).max() < APART:
+            chosen = np.vstack([chosen, face])
+    return chosen
