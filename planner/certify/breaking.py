@@ -3,11 +3,11 @@
 Let S be the disturbances that the grasp can bear on top of the object's weight
 (``planner.certify.resist``): convex, with 0 inside. A disturbance of direction u breaks the grasp
 beyond the radial function t(u) = max {t : t u in S}. The smallest of them, over all directions, is
-the radius of the largest ball about 0 in S: 0 is inside, and a convex set holds a ball exactly where
-its support function h(u) is at least the radius. The search over directions is not convex, so
+the radius of the largest ball about 0 in S: 0 is inside, and a convex set holds a ball exactly if
+its support function h(u) is nowhere below the radius. The search over directions is not convex, so
 
-lower   is the largest ball in the hull of points that were found in S. Whatever is smaller is borne,
-        in every direction: proven.
+lower   is the largest ball in the hull of points that were found in S. Whatever is smaller is
+        borne, in every direction: proven.
 upper   is the least h(u) of all directions tried. h(u) u with ever so little more is outside the
         half-space of u, which holds S: it breaks the grasp. So the bound is a disturbance.
 
@@ -137,7 +137,9 @@ def smallest_breaking(
     )
 
 
-def breaking_along(problem: ForceProblem, direction: ArrayLike, *, rel_tol: float = 1e-3) -> Interval:
+def breaking_along(
+    problem: ForceProblem, direction: ArrayLike, *, rel_tol: float = 1e-3
+) -> Interval:
     """How much of a given wrench a force problem can balance on top of its own.
 
     Args:

@@ -86,7 +86,7 @@ class PoseErrors:
         return moved, turned
 
     def ceiling(self, kind: PoseError) -> float:
-        """Error (m or rad) at which a pad's centre can reach the surface; none beyond it is meant."""
+        """Error (m or rad) at which a pad's centre can reach the surface; more is not meant."""
         if kind == "shift":
             return float(self.radii.min(initial=np.inf))
         share = self.radii / np.maximum(2 * np.linalg.norm(self.centers, axis=1), self.radii)

@@ -24,10 +24,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import linprog
 
+from planner.certify.programme import minimise
 from planner.contacts import ContactSet
-from planner.errors import PlannerError
 from planner.forces import ForceProblem, pyramid_faces
 from planner.spatial import FloatArray
 
@@ -48,10 +47,6 @@ INNER_SIDES = 32
 
 ROUNDS = 8
 """Times that tangents are added for one direction (-). The gap falls by ten or more each time."""
-
-_LP_OPTIONS = {"primal_feasibility_tolerance": 1e-9, "dual_feasibility_tolerance": 1e-9}
-_OPTIMAL, _INFEASIBLE = 0, 2
-"""``status`` of scipy's linprog."""
 
 
 def without_grip(problem: ForceProblem) -> ForceProblem:
@@ -115,7 +110,7 @@ class Resistance:
         point = np.zeros(len(direction))
         bound = np.inf
         for _ in range(ROUNDS):
-            x = self._solve(cost, self._faces, np.zeros(len(self._faces)), self._bounds)
+            x = self._solve(cost, self._faces, self._bounds)
             if x is None:
                 return -np.inf, point
             value = -float(cost @ x)
@@ -137,7 +132,7 @@ class Resistance:
     def _excess(self, x: FloatArray) -> FloatArray:
         """How far x is outside each cone (n,), N; 0 inside."""
         sizes = [np.linalg.norm(side @ x) - normal @ x for normal, side in self._cones]
-        return np.maximum(np.array(sizes), 0.0)
+        return np.asarray(np.maximum(sizes, 0.0), dtype=np.float64)
 
     def _add_tangents(self, x: FloatArray) -> None:
         """Half-spaces that touch the cones where the forces of x leave them."""
@@ -163,14 +158,16 @@ class Resistance:
         bounds = np.vstack([self._bounds, np.tile([0.0, problem.force_scale], (n, 1))])
         bounds[total - k : total] = 0.0
         cost = np.concatenate([np.zeros(total), -np.ones(n)])
-        x = self._solve(cost, np.hstack([inner, owner]), np.zeros(len(inner)), bounds)
+        x = self._solve(cost, np.hstack([inner, owner]), bounds)
         if x is not None:
-            inside = [normal @ x[:total] - np.linalg.norm(s @ x[:total]) for normal, s in self._cones]
+            inside = [
+                normal @ x[:total] - np.linalg.norm(s @ x[:total]) for normal, s in self._cones
+            ]
             self._slack = np.maximum(np.array(inside), 0.0)
             return True
         still = self._bounds.copy()
         still[total - k :] = 0.0
-        outer = self._solve(np.zeros(total), self._faces, np.zeros(len(self._faces)), still)
+        outer = self._solve(np.zeros(total), self._faces, still)
         return False if outer is None else None
 
     def _pyramids(self, problem: ForceProblem, sides: int, cone: str, width: int) -> FloatArray:
@@ -188,35 +185,19 @@ class Resistance:
             at += dim
         return np.vstack(blocks)
 
-    def _solve(
-        self, cost: FloatArray, faces: FloatArray, limits: FloatArray, bounds: FloatArray
-    ) -> FloatArray | None:
-        """A minimiser of cost . x, None where there is no solution.
-
-        Raises:
-            PlannerError: HiGHS met numerical trouble.
-        """
+    def _solve(self, cost: FloatArray, faces: FloatArray, bounds: FloatArray) -> FloatArray | None:
+        """A minimiser of cost . x with faces @ x <= 0, None where there is no solution."""
         self.programmes += 1
         rows = np.zeros((len(self._rows), len(cost)))
         rows[:, : self._rows.shape[1]] = self._rows
-        result = linprog(
-            cost,
-            A_ub=faces if len(faces) else None,
-            b_ub=limits if len(faces) else None,
-            A_eq=rows,
-            b_eq=self._values,
-            bounds=bounds,
-            method="highs",
-            options=_LP_OPTIONS,
+        limits = np.vstack(
+            [
+                np.column_stack([self._values, self._values]),
+                np.tile([-np.inf, 0.0], (len(faces), 1)),
+            ]
         )
-        if result.status == _INFEASIBLE:
-            return None
-        if result.status != _OPTIMAL:
-            raise PlannerError(
-                f"HiGHS gave up on a disturbance ({result.message}); report this grasp, and "
-                "meanwhile certify it without breaking wrenches"
-            )
-        return np.asarray(result.x, dtype=np.float64)
+        found = minimise(cost, np.vstack([rows, faces]), limits, bounds)
+        return None if found is None else found.x
 
 
 def _cone_maps(

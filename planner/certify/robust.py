@@ -10,14 +10,14 @@ A force f (3,) and a torsion s that are inside the friction cone for *every* til
 
     H_i(u) >= f . (v + w x p_i) + s n_i . w - r_i |w x f| - 2 sin(a_i / 2) |s| |w|,
 
-because f . (w x d) >= -r_i |w x f| for |d| <= r_i, and |n' - n| <= 2 sin(a_i / 2). They are a convex
-cone (``_robust_forces``). Forces that balance, sum f_i = 0, make v drop out of the sum, and leave
+because f . (w x d) >= -r_i |w x f| for |d| <= r_i, and |n' - n| <= 2 sin(a_i / 2). They are a
+convex cone (``_robust_forces``). Forces that balance, sum f_i = 0, make v drop out of the sum, and leave
 
     M(w) = sum_i w . (p_i x f_i + s_i n_i) - r_i |w x f_i| - 2 sin(a_i / 2) |s_i| |w|.
 
 M is concave and homogeneous in w. So a single set of balanced forces with M > 0 at the three
-corners of a spherical triangle has M > 0 on all of it: no motion with such a rotation w, whatever v,
-escapes. Triangles that fill the sphere, each with its forces, and the same question without a
+corners of a spherical triangle has M > 0 on all of it: no motion with such a rotation w, whatever
+v, escapes. Triangles that fill the sphere, each with its forces, and the same question without a
 rotation (a ball in the hull of the f_i) prove closure under all errors. Only directions of rotation
 need to be searched, a sphere in space instead of one in six dimensions.
 
@@ -31,15 +31,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linprog
+from numpy.typing import NDArray
 
+from planner.certify.programme import Minimum, minimise
 from planner.certify.sphere import halved, icosphere
 from planner.contacts import ContactSet
 from planner.errors import ContactError
 from planner.quality import measure_hull
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["Verdict", "closure_survives"]
+__all__ = ["Verdict", "closure_survives", "weakest_motion"]
 
 MARGIN = 1e-6
 """M and the ball of forces must exceed this share of the lever arm or of the force (-): a thousand
@@ -51,15 +52,15 @@ HALVINGS = 1
 FINEST = 4
 """Times that a triangle may be halved further (-): 2 degrees."""
 
-MAX_PROGRAMMES = 150
+MAX_PROGRAMMES = 100
 """Linear programmes for one question (-), then the answer is "no"."""
+
+REFINED = (0.2, 0.2, 0.1, 0.1) * 3 + (0.03, 0.01) * 4
+"""Steps (rad) beside the best rotation so far that are tried, one after the other."""
 
 _RINGS = ((1.0, 24), (0.8, 12), (0.45, 8))
 """Rings of generators: share of the friction angle's tangent (-), and how many. The outer polygon
 loses 0.9 % of the friction; the inner rings are for forces that errors of position move less."""
-
-_LP_OPTIONS = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
-_OPTIMAL = 0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,6 +110,31 @@ def closure_survives(
     return proof.cover()
 
 
+def weakest_motion(
+    contacts: ContactSet, shifts: FloatArray, tilts: FloatArray, near: FloatArray | None = None
+) -> FloatArray:
+    """The motion (6,) of least support, of those with the rotations of a net, refined at random.
+
+    Args:
+        contacts: n contacts.
+        shifts: (n,), m, as for ``closure_survives``.
+        tilts: (n,), rad.
+        near: A motion (6,) to start from instead of the net.
+
+    Returns:
+        [v; w] about ``contacts.center``, m and rad; the best found, nothing is proven.
+    """
+    proof = _Proof(contacts, shifts, tilts)
+    starts = icosphere(HALVINGS)[0] if near is None else near[None, 3:]
+    best = min((proof.weakest(start) for start in starts), key=lambda pair: pair[0])
+    rng = np.random.default_rng(0)
+    for step in REFINED:
+        beside = best[1][3:] + step * rng.normal(size=3)
+        other = proof.weakest(beside / np.linalg.norm(beside))
+        best = min(best, other, key=lambda pair: pair[0])
+    return best[1]
+
+
 class _Proof:
     """Generators of the robust cones, and the programmes over them; lengths by the lever arm."""
 
@@ -136,6 +162,7 @@ class _Proof:
         self.slack = np.concatenate([np.zeros(0), *slack])
         self.owner: IntArray = np.concatenate([np.zeros(0, dtype=np.int64), *owner])
         self.shifts = shifts / self.length
+        self.share = (self.owner[:, None] == np.arange(len(contacts))).astype(float)  # (m, n)
 
     def translations_are_held(self) -> bool:
         """Whether the forces alone have a ball about 0 in their hull."""
@@ -155,14 +182,13 @@ class _Proof:
                 return self._no(self.weakest(center)[1])
             known.append(weights)
             # One set of forces often serves many triangles.
-            done = (self._margins(weights, corners) > MARGIN).all(axis=1)
+            done = self._served(weights[None], corners)
             if not done[0]:
                 support, motion = self.weakest(center)
                 if support <= MARGIN or depth[0] == FINEST:
                     return self._no(motion)
                 parts = halved(first)
-                served = [(self._margins(w, parts) > MARGIN).all(axis=1) for w in known]
-                parts = parts[~np.any(served, axis=0)]
+                parts = parts[~self._served(np.array(known), parts)]
                 # The parts come next, so that a size that is too large is seen soon.
                 corners, done = np.concatenate([parts, corners[1:]]), done[1:]
                 done = np.concatenate([np.zeros(len(parts), dtype=bool), done])
@@ -170,64 +196,54 @@ class _Proof:
             corners, depth = corners[~done], depth[~done]
         return Verdict(survives=True, motion=None, programmes=self.programmes)
 
-    def weakest(self, rotation: FloatArray) -> tuple[float, FloatArray | None]:
-        """The least support (-) of motions with a rotation (3,), unit, and the motion (6,)."""
+    def weakest(self, rotation: FloatArray) -> tuple[float, FloatArray]:
+        """The least support (-) of motions with a rotation (3,), unit, and the motion (6,).
+
+        -inf, and no velocity, where no forces balance.
+        """
         gain = self._gains(rotation[None])[0]
-        result = self._programme(-gain, np.zeros((0, len(gain))), np.zeros(0))
-        if result is None:
-            return -np.inf, None
-        value, _, velocity = result
-        return -value, np.concatenate([velocity * self.length, rotation])
+        found = self._programme(-gain, np.zeros((0, len(gain))))
+        if found is None:
+            return -np.inf, np.append(np.zeros(3), rotation)
+        return -found.value, np.append(found.prices[:3] * self.length, rotation)
 
     def _no(self, motion: FloatArray | None) -> Verdict:
         return Verdict(survives=False, motion=motion, programmes=self.programmes)
 
     def _gains(self, rotations: FloatArray) -> FloatArray:
         """M of each single generator at rotations (q, 3), (q, m)."""
-        across = np.linalg.norm(np.cross(rotations[:, None], self.forces), axis=2)
-        moved = self.shifts[self.owner] * across
+        squares = (self.forces**2).sum(axis=1) - (rotations @ self.forces.T) ** 2
+        moved = self.shifts[self.owner] * np.sqrt(np.maximum(squares, 0.0))
         return np.asarray(rotations @ self.torques.T - moved - self.slack)
 
     def _balanced(self, corners: FloatArray) -> FloatArray | None:
         """Weights (m,) of balanced forces whose least gain at the corners is greatest."""
         m = len(self.forces)
         cost = np.append(np.zeros(m), -1.0)
-        rows = np.column_stack([-self._gains(corners), np.ones(3)])
-        result = self._programme(cost, rows, np.zeros(3))
-        return None if result is None else result[1][:m]
+        found = self._programme(cost, np.column_stack([self._gains(corners), -np.ones(3)]))
+        return None if found is None else found.x[:m]
 
-    def _margins(self, weights: FloatArray, corners: FloatArray) -> FloatArray:
-        """M of the module at corners (k, 3, 3) for one set of forces, (k, 3)."""
-        n = len(self.shifts)
-        share = np.zeros((n, len(weights)))
-        share[self.owner, np.arange(len(weights))] = weights
-        forces = share @ self.forces  # (n, 3)
+    def _served(self, weights: FloatArray, corners: FloatArray) -> NDArray[np.bool_]:
+        """Whether one of k sets of forces (k, m) has M > 0 at all corners (q, 3, 3), (q,)."""
         flat = corners.reshape(-1, 3)
-        across = np.linalg.norm(np.cross(flat[:, None], forces), axis=2)
-        margin = flat @ (weights @ self.torques) - across @ self.shifts - weights @ self.slack
-        return np.asarray(margin.reshape(-1, 3))
+        # (k, n, 3): force of each contact; |w x f|^2 = |f|^2 - (w . f)^2 for unit w
+        forces = np.einsum("km,mn,md->knd", weights, self.share, self.forces, optimize=True)
+        along = forces @ flat.T  # (k, n, 3 q)
+        across = np.sqrt(np.maximum((forces**2).sum(axis=2)[:, :, None] - along**2, 0.0))
+        margin = weights @ self.torques @ flat.T - (weights @ self.slack)[:, None]
+        margin -= np.einsum("n,knq->kq", self.shifts, across)
+        good = (margin > MARGIN).reshape(len(weights), -1, 3)
+        return np.asarray(good.all(axis=2).any(axis=0))
 
-    def _programme(
-        self, cost: FloatArray, rows: FloatArray, limits: FloatArray
-    ) -> tuple[float, FloatArray, FloatArray] | None:
-        """Least cost over balanced weights of sum 1, with the weights and the force multipliers."""
+    def _programme(self, cost: FloatArray, rows: FloatArray) -> Minimum | None:
+        """Least cost over balanced weights of sum 1, and more unknowns, with rows @ x >= 0."""
         self.programmes += 1
-        m = len(self.forces)
-        extra = len(cost) - m
-        balance = np.vstack([self.forces.T, np.ones(m)])
-        result = linprog(
-            cost,
-            A_ub=rows if len(rows) else None,
-            b_ub=limits if len(rows) else None,
-            A_eq=np.hstack([balance, np.zeros((4, extra))]),
-            b_eq=np.array([0.0, 0.0, 0.0, 1.0]),
-            bounds=[(0.0, None)] * m + [(None, None)] * extra,
-            method="highs-ds",
-            options=_LP_OPTIONS,
-        )
-        if result.status != _OPTIMAL:
-            return None
-        return float(result.fun), np.asarray(result.x), np.asarray(result.eqlin.marginals[:3])
+        m, extra = len(self.forces), len(cost) - len(self.forces)
+        balance = np.hstack([np.vstack([self.forces.T, np.ones(m)]), np.zeros((4, extra))])
+        limits = np.vstack([np.tile([0.0, np.inf], (len(rows), 1)), np.zeros((4, 2))])
+        limits[-1] = 1.0
+        bounds = np.vstack([np.tile([0.0, np.inf], (m, 1)), np.tile([-np.inf, np.inf], (extra, 1))])
+        return minimise(cost, np.vstack([rows, balance]), limits, bounds)
 
 
 def _robust_forces(mu: float, mu_torsion: float, tilt: float) -> FloatArray:

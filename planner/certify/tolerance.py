@@ -21,7 +21,7 @@ from scipy.optimize import nnls
 
 from planner.certify.errors import random_errors, worst_errors
 from planner.certify.pose import PoseError, PoseErrors
-from planner.certify.robust import Verdict, closure_survives
+from planner.certify.robust import closure_survives, weakest_motion
 from planner.contacts import ContactSet
 from planner.quality import closure_of_wrenches, force_closure, primitive_wrenches
 from planner.spatial import FloatArray
@@ -37,10 +37,10 @@ JUDGE_EDGES = 32
 LEAST = 1e-3
 """Share of the first size that is tried below which nothing is promised (-)."""
 
-SEARCHED = 3.0
-"""Errors of contacts that break closure are sought up to this many times the promise (-)."""
+FACTORS = (1.03, 1.1, 1.3, 2.0, 4.0)
+"""Errors that break closure are sought at these multiples of the promise (-)."""
 
-HALVINGS = 8
+HALVINGS = 6
 """Steps of a bisection between a promise and an error that breaks it (-)."""
 
 LEVELS, DRAWS = 10, 12
@@ -50,8 +50,9 @@ SOUND = 1e-4
 """Shares (-): least singular value, root of the residual, least weight over the mean, beyond which
 closure is not in doubt; ``planner.quality`` asks for 1e-6 and less."""
 
-Ask: TypeAlias = Callable[[float, tuple[FloatArray, ...]], Verdict]
-Spoil: TypeAlias = Callable[[float, FloatArray], ContactSet]
+Sizes: TypeAlias = tuple[ContactSet, FloatArray, FloatArray]
+"""Contacts, and the largest errors of their positions (n,), m, and normals (n,), rad."""
+
 Draw: TypeAlias = Callable[[float, np.random.Generator], ContactSet]
 
 
@@ -92,40 +93,27 @@ def contact_tolerances(contacts: ContactSet) -> tuple[Tolerance, ...]:
         contacts: n contacts, closed.
     """
     none = np.zeros(len(contacts))
-    one = none + 1.0
     arm = float(np.linalg.norm(contacts.positions - contacts.center, axis=1).max(initial=0.0))
-    mm, deg = 1e-3, np.deg2rad(1.0)
 
-    def weaker(level: float) -> ContactSet:
+    def moved(level: float) -> Sizes:
+        return contacts, none + 1e-3 * level, none
+
+    def tilted(level: float) -> Sizes:
+        return contacts, none, none + np.deg2rad(level)
+
+    def weaker(level: float) -> Sizes:
         keep = max(1.0 - level / 100.0, 0.0)
+        return contacts.with_friction(keep * contacts.mu, keep * contacts.mu_torsion), none, none
+
+    def each_weaker(level: float, rng: np.random.Generator) -> ContactSet:
+        n = len(contacts)
+        keep = 1.0 - level / 100.0 * np.where(rng.random(n) < 0.5, 1.0, rng.random(n))
         return contacts.with_friction(keep * contacts.mu, keep * contacts.mu_torsion)
 
     return (
-        _tolerance(
-            "position",
-            "mm",
-            ask=lambda s, w: closure_survives(contacts, s * mm * one, none, suspects=w),
-            spoil=lambda s, u: worst_errors(contacts, s * mm * one, none, u),
-            draw=lambda s, rng: random_errors(contacts, s * mm * one, none, rng),
-            start=0.1 * arm / mm,
-        ),
-        _tolerance(
-            "normal",
-            "deg",
-            ask=lambda s, w: closure_survives(contacts, none, s * deg * one, suspects=w),
-            spoil=lambda s, u: worst_errors(contacts, none, s * deg * one, u),
-            draw=lambda s, rng: random_errors(contacts, none, s * deg * one, rng),
-            start=10.0,
-        ),
-        _tolerance(
-            "friction",
-            "%",
-            ask=lambda s, w: closure_survives(weaker(s), none, none, suspects=w),
-            spoil=lambda s, _: weaker(s),
-            draw=lambda s, rng: _each_weaker(contacts, s / 100.0, rng),
-            start=50.0,
-            ceiling=100.0,
-        ),
+        _tolerance("position", "mm", moved, start=100.0 * arm),
+        _tolerance("normal", "deg", tilted, start=10.0),
+        replace(_tolerance("friction", "%", weaker, start=50.0, ceiling=100.0), draw=each_weaker),
     )
 
 
@@ -159,44 +147,69 @@ def sampled(tolerance: Tolerance, samples: int, seed: int = 0) -> Tolerance:
 def _tolerance(
     kind: str,
     unit: str,
+    sizes: Callable[[float], Sizes],
     *,
-    ask: Ask,
-    spoil: Spoil,
-    draw: Draw,
     start: float,
     ceiling: float = np.inf,
 ) -> Tolerance:
-    promised, failures = _largest(ask, start, ceiling)
-    found = [_breaks(spoil, m, promised, min(SEARCHED * f, ceiling)) for f, m in failures[-2:]]
-    known = [level for level in found if level is not None]
+    """The tolerance to independent errors of contacts, whose sizes a level sets."""
+    promised = _largest(sizes, start, ceiling)
+    motion, broken = None, None
+    # Where closure is lost, look again for the motion that is worst there.
+    for level in (promised, None, None):
+        at = broken if level is None else level
+        if at is None:
+            break
+        motion = weakest_motion(*sizes(at), near=motion)
+        found = _breaks(sizes, motion, promised, max(promised, LEAST * start), ceiling)
+        broken = min((x for x in (broken, found) if x is not None), default=None)
     return Tolerance(
         kind=kind,
         unit=unit,
         promised=promised,
-        broken_at=min(known, default=None),
+        broken_at=broken,
         note="",
-        draw=draw,
+        draw=lambda level, rng: random_errors(*sizes(level), rng),
     )
+
+
+def _breaks(
+    sizes: Callable[[float], Sizes], motion: FloatArray, low: float, first: float, ceiling: float
+) -> float | None:
+    """The least level whose errors against a motion lose closure, as far as bisection finds."""
+    high = None
+    for level in (min(factor * first, ceiling) for factor in FACTORS):
+        if _lost(worst_errors(*sizes(level), motion)):
+            high = level
+            break
+        low = level
+    if high is None:
+        return None
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        if _lost(worst_errors(*sizes(middle), motion)):
+            high = middle
+        else:
+            low = middle
+    return high
 
 
 def _pose_tolerance(
     poses: PoseErrors, kind: PoseError, unit: str, size: float, seed: int
 ) -> Tolerance:
-    def ask(level: float, suspects: tuple[FloatArray, ...]) -> Verdict:
-        return closure_survives(
-            poses.contacts, *poses.sizes(kind, level * size), suspects=suspects
-        )
+    """The tolerance to an error of the object's pose; ``size`` is a unit in m or rad."""
+
+    def sizes(level: float) -> Sizes:
+        return poses.contacts, *poses.sizes(kind, level * size)
 
     def draw(level: float, rng: np.random.Generator) -> ContactSet:
         return poses.random(kind, level * size, rng)
 
-    promised: float | None = None
     ceiling = poses.ceiling(kind) / size
-    if not poses.reason:
-        promised, _ = _largest(ask, 0.5 * ceiling, ceiling)
+    promised = None if poses.reason else _largest(sizes, 0.5 * ceiling, ceiling)
     rng = np.random.default_rng(seed)
     broken = None
-    for level in np.geomspace(promised or 0.02 * ceiling, ceiling, LEVELS)[1:]:
+    for level in np.geomspace(promised or LEAST * ceiling, ceiling, LEVELS)[1:]:
         if any(_lost(draw(float(level), rng)) for _ in range(DRAWS)):
             broken = float(level)
             break
@@ -210,15 +223,12 @@ def _pose_tolerance(
     )
 
 
-def _largest(
-    ask: Ask, start: float, ceiling: float
-) -> tuple[float, list[tuple[float, FloatArray]]]:
-    """The largest size that was proven, and sizes that were not, with the motions that are left."""
+def _largest(sizes: Callable[[float], Sizes], start: float, ceiling: float) -> float:
+    """The largest level of errors for which closure was proven to survive, 0 if none was."""
     low, high, level = 0.0, np.inf, min(start, ceiling)
-    failures: list[tuple[float, FloatArray]] = []
     suspects: tuple[FloatArray, ...] = ()
     while high - low > REL_TOL * high or np.isinf(high):
-        verdict = ask(level, suspects)
+        verdict = closure_survives(*sizes(level), suspects=suspects)
         if verdict.survives:
             low = level
             if low >= ceiling:
@@ -227,25 +237,11 @@ def _largest(
         else:
             high = level
             if verdict.motion is not None:
-                failures.append((level, verdict.motion))
                 suspects = (*suspects[-1:], verdict.motion[3:])
             level = 0.5 * (low + high)
             if high < LEAST * start:
                 break
-    return low, failures
-
-
-def _breaks(spoil: Spoil, motion: FloatArray, low: float, high: float) -> float | None:
-    """The smallest error against a motion for which closure is lost, as far as bisection finds."""
-    if not _lost(spoil(high, motion)):
-        return None
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        if _lost(spoil(middle, motion)):
-            high = middle
-        else:
-            low = middle
-    return high
+    return low
 
 
 def _lost(contacts: ContactSet) -> bool:
@@ -268,10 +264,3 @@ def _plainly_closed(wrenches: FloatArray) -> bool:
         return False
     weights, left = nnls(scaled, -scaled.sum(axis=1))
     return bool(left < SOUND**2 * values[0] and SOUND * weights.sum() < len(weights))
-
-
-def _each_weaker(contacts: ContactSet, drop: float, rng: np.random.Generator) -> ContactSet:
-    """Each contact loses up to a share of its friction, half of the draws all of that share."""
-    n = len(contacts)
-    keep = 1.0 - drop * np.where(rng.random(n) < 0.5, 1.0, rng.random(n))
-    return contacts.with_friction(keep * contacts.mu, keep * contacts.mu_torsion)

@@ -1,15 +1,15 @@
 """How far the normal at the nearest surface point can turn while a point outside moves.
 
 A point is rho off a convex surface and moves by at most e < rho. Whatever the shape, the normal at
-its nearest point turns by at most asin(e / rho) (``planner.certify.pose``). Of shapes that are known
-more can be said:
+its nearest point turns by at most asin(e / rho) (``planner.certify.pose``). Of shapes that are
+known more can be said:
 
 round   A body in which a ball of radius R rolls freely is a smaller convex body blown up by R
         (Blaschke), with the same normals. So rho may be replaced by rho + R. R is the radius of a
         sphere or capsule, and the least radius of curvature of an ellipsoid, c^2 / a for its
         shortest and longest half axes. A flat face has no turn at all.
-edge    Where the contact is h from the edge of its face, the point must overhang the edge before the
-        normal turns over it. Seen along the edge, the point begins at the distance
+edge    Where the contact is h from the edge of its face, the point must overhang the edge before
+        the normal turns over it. Seen along the edge, the point begins at the distance
         D = sqrt(h^2 + rho^2) from it, atan(h / rho) short of overhanging, and e takes it
         asin(e / D) further: the normal turns by at most asin(e / D) - atan(h / rho), if that is
         positive. A corner adds nothing, since |o| + h <= |o + (h, h)| for overhangs o >= 0. The rim
