@@ -11,7 +11,8 @@ A force f (3,) and a torsion s that are inside the friction cone for *every* til
     H_i(u) >= f . (v + w x p_i) + s n_i . w - r_i |w x f| - 2 sin(a_i / 2) |s| |w|,
 
 because f . (w x d) >= -r_i |w x f| for |d| <= r_i, and |n' - n| <= 2 sin(a_i / 2). They are a
-convex cone (``_robust_forces``). Forces that balance, sum f_i = 0, make v drop out of the sum, and leave
+convex cone (``_robust_forces``). Forces that balance, sum f_i = 0, make v drop out of the sum, and
+leave
 
     M(w) = sum_i w . (p_i x f_i + s_i n_i) - r_i |w x f_i| - 2 sin(a_i / 2) |s_i| |w|.
 
