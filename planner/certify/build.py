@@ -11,7 +11,6 @@ from planner.certify.breaking import Breaking, Disturbance, smallest_breaking
 from planner.certify.certificate import Certificate
 from planner.certify.pose import PoseErrors
 from planner.certify.tolerance import (
-    JUDGE_EDGES,
     Tolerance,
     contact_tolerances,
     pose_tolerances,
@@ -38,6 +37,7 @@ def certify(
     *,
     width: float = DEFAULT_WIDTH,
     max_points: int = DEFAULT_POINTS,
+    edges: int = 8,
     samples: int = 0,
     seed: int = 0,
 ) -> Certificate:
@@ -51,6 +51,8 @@ def certify(
         plan: What to certify.
         width: Relative width of intervals that is aimed at, in (0, 1).
         max_points: Budget of each interval; it stays as wide as it is then, and valid.
+        edges: Edges of the inscribed pyramids by which closure and the promises are decided, at
+            least 3. All else is about the true cones.
         samples: Random errors to try of every kind, up to its promise; 0 tries none.
         seed: Of random errors.
 
@@ -58,6 +60,7 @@ def certify(
         The certificate; tolerances are empty where the grasp is not closed.
 
     Raises:
+        ContactError: ``edges`` is below 3.
         TaskError: ``width``, ``max_points`` or ``samples`` is out of range.
         PlannerError: A linear programme met numerical trouble.
     """
@@ -75,6 +78,7 @@ def certify(
         rotation=np.array(task.T_world_object.rotation),
         width=width,
         max_points=max_points,
+        edges=edges,
         samples=samples,
         seed=seed,
     )
@@ -87,6 +91,7 @@ def certify_contacts(
     problem: ForceProblem | None = None,
     width: float = DEFAULT_WIDTH,
     max_points: int = DEFAULT_POINTS,
+    edges: int = 8,
     samples: int = 0,
     seed: int = 0,
 ) -> Certificate:
@@ -98,11 +103,12 @@ def certify_contacts(
         problem: Weight and limits for the breaking disturbances; none are sought without it.
         width: As for ``certify``.
         max_points: As for ``certify``.
+        edges: As for ``certify``.
         samples: As for ``certify``.
         seed: As for ``certify``.
 
     Raises:
-        ContactError: ``length`` is not positive.
+        ContactError: ``length`` is not positive, or ``edges`` is below 3.
         TaskError: ``width``, ``max_points`` or ``samples`` is out of range.
         PlannerError: A linear programme met numerical trouble.
     """
@@ -114,6 +120,7 @@ def certify_contacts(
         rotation=np.eye(3),
         width=width,
         max_points=max_points,
+        edges=edges,
         samples=samples,
         seed=seed,
     )
@@ -128,6 +135,7 @@ def _certify(
     rotation: FloatArray,
     width: float,
     max_points: int,
+    edges: int,
     samples: int,
     seed: int,
 ) -> Certificate:
@@ -138,7 +146,7 @@ def _certify(
             f"max_points is {max_points} and samples is {samples}; give at least 1 and at least 0"
         )
     begin = time.process_time()
-    closure = force_closure(contacts, JUDGE_EDGES)
+    closure = force_closure(contacts, edges)
     epsilon = epsilon_round(contacts, length=length, rel_tol=width, max_points=max_points)
     bounded = Interval(lower=0.0, upper=0.0)
     if epsilon.upper > 0:
@@ -151,9 +159,9 @@ def _certify(
         )
     tolerances: tuple[Tolerance, ...] = ()
     if closure.closed:
-        tolerances = contact_tolerances(contacts)
+        tolerances = contact_tolerances(contacts, edges=edges)
         if poses is not None:
-            tolerances += pose_tolerances(poses, seed=seed)
+            tolerances += pose_tolerances(poses, edges=edges, seed=seed)
         if samples:
             tolerances = tuple(sampled(t, samples, seed) for t in tolerances)
     return Certificate(

@@ -1,5 +1,8 @@
 """Does closure survive every error of contact positions and normals up to given sizes? A proof.
 
+Closure is that of inscribed pyramids with k edges, whatever their phase: who decides with as many
+or more, or with the true cones, finds it.
+
 Contact i may be anywhere within r_i of its place and its normal anywhere within a_i of its
 direction, each contact on its own. Let H_i(u) be the least support that contact i keeps along a
 motion u = (v, w) of the object (m, rad), over its errors. Since errors are independent,
@@ -53,6 +56,12 @@ HALVINGS = 1
 FINEST = 4
 """Times that a triangle may be halved further (-): 2 degrees."""
 
+MIN_EDGES = 3
+"""Fewest edges of a pyramid (-)."""
+
+FINE_EDGES = 64
+"""Edges where the true cones are meant and nothing has to be proven (-): within 0.1 %."""
+
 MAX_PROGRAMMES = 100
 """Linear programmes for one question (-), then the answer is "no"."""
 
@@ -85,6 +94,7 @@ def closure_survives(
     shifts: FloatArray,
     tilts: FloatArray,
     *,
+    edges: int = 8,
     suspects: tuple[FloatArray, ...] = (),
 ) -> Verdict:
     """Whether closure provably survives all errors up to given sizes.
@@ -93,15 +103,19 @@ def closure_survives(
         contacts: n contacts.
         shifts: (n,), largest error of each position, m.
         tilts: (n,), largest error of each normal, rad.
+        edges: Edges k of the pyramids by which closure is understood, at least 3.
         suspects: Rotations (3,), unit, that are asked first: where an earlier question failed.
 
     Raises:
-        ContactError: A size is negative or not finite, or there are not n of them.
+        ContactError: A size is negative or not finite, there are not n of them, or ``edges`` is
+            below 3.
     """
+    if edges < MIN_EDGES:
+        raise ContactError(f"pyramids of {edges} edges; give at least {MIN_EDGES}")
     for name, value in (("shifts", shifts), ("tilts", tilts)):
         if np.shape(value) != (len(contacts),) or not (np.asarray(value) >= 0).all():
             raise ContactError(f"{name} is {value!r}; give {len(contacts)} numbers >= 0")
-    proof = _Proof(contacts, np.asarray(shifts), np.asarray(tilts))
+    proof = _Proof(contacts, np.asarray(shifts), np.asarray(tilts), edges)
     if not proof.translations_are_held():
         return Verdict(survives=False, motion=None, programmes=0)
     for suspect in suspects:
@@ -125,7 +139,7 @@ def weakest_motion(
     Returns:
         [v; w] about ``contacts.center``, m and rad; the best found, nothing is proven.
     """
-    proof = _Proof(contacts, shifts, tilts)
+    proof = _Proof(contacts, shifts, tilts, FINE_EDGES)
     starts = icosphere(HALVINGS)[0] if near is None else near[None, 3:]
     best = min((proof.weakest(start) for start in starts), key=lambda pair: pair[0])
     rng = np.random.default_rng(0)
@@ -139,7 +153,9 @@ def weakest_motion(
 class _Proof:
     """Generators of the robust cones, and the programmes over them; lengths by the lever arm."""
 
-    def __init__(self, contacts: ContactSet, shifts: FloatArray, tilts: FloatArray) -> None:
+    def __init__(
+        self, contacts: ContactSet, shifts: FloatArray, tilts: FloatArray, edges: int
+    ) -> None:
         """Lay the generators out, contact by contact."""
         arms = contacts.positions - contacts.center
         arm = float(np.linalg.norm(arms, axis=1).max(initial=0.0))
@@ -151,6 +167,7 @@ class _Proof:
                 float(contacts.mu[i]) if contacts.dims[i] >= 3 else 0.0,
                 float(contacts.mu_torsion[i]) if contacts.dims[i] == 4 else 0.0,
                 float(tilts[i]),
+                edges,
             )
             force = local[:, :3] @ contacts.frames[i].T
             forces.append(force)
@@ -247,16 +264,18 @@ class _Proof:
         return minimise(cost, np.vstack([rows, balance]), limits, bounds)
 
 
-def _robust_forces(mu: float, mu_torsion: float, tilt: float) -> FloatArray:
+def _robust_forces(mu: float, mu_torsion: float, tilt: float, edges: int) -> FloatArray:
     """Generators (m, 4), f_n = 1, f_t1, f_t2, torsion (m), of what every tilt leaves in the cone.
 
-    A force at the angle b from the nominal normal is at most b + tilt from a tilted one. With c and
-    d the cosine and sine of that, it may carry torsion up to
-    mu_torsion |f| sqrt(c^2 - d^2 / mu^2), and none may leave the cone: b <= atan(mu) - tilt. As a
-    function of f the bound is the least of the concave bounds of all tilts: concave, so the forces
-    are a convex cone. Empty where the tilt exceeds the friction angle.
+    The inscribed pyramid of k edges holds |f_t| / (mu cos(pi / k)) + |s| / mu_torsion <= f_n at any
+    phase. A force at the angle b from the nominal normal is at most b + tilt from a tilted one.
+    With c and d the cosine and sine of that, none may leave the cone, and torsion may be up to
+    mu_torsion |f| (c - d / (mu cos(pi / k))). As a function of f the bound is the least of the
+    concave bounds of all tilts: concave, so the forces are a convex cone. Empty where the tilt
+    exceeds the friction angle.
     """
-    widest = np.arctan(mu) - tilt
+    sliding = mu * np.cos(np.pi / edges)
+    widest = np.arctan(sliding) - tilt
     if widest < 0:
         return np.zeros((0, 4))
     rings = [np.array([[1.0, 0.0, 0.0]])]
@@ -272,7 +291,7 @@ def _robust_forces(mu: float, mu_torsion: float, tilt: float) -> FloatArray:
         return plain
     size = np.linalg.norm(forces, axis=1)
     off = np.arccos(np.clip(1.0 / size, -1.0, 1.0)) + tilt
-    across = np.sin(off) / mu if mu > 0 else np.where(off > 0, np.inf, 0.0)
-    room = mu_torsion * size * np.sqrt(np.maximum(np.cos(off) ** 2 - across**2, 0.0))
+    used = np.sin(off) / sliding if sliding > 0 else np.zeros(len(forces))
+    room = mu_torsion * size * np.maximum(np.cos(off) - used, 0.0)
     lift = np.column_stack([np.zeros((len(forces), 3)), room])
     return np.vstack([plain, plain + lift, plain - lift])

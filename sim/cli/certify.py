@@ -28,6 +28,9 @@ def certify(
     max_points: Annotated[
         int, typer.Option(min=1, help="Points at which an interval stays as wide as it is.")
     ] = 300,
+    edges: Annotated[
+        int, typer.Option(min=3, help="Sides of the friction pyramids that decide closure.")
+    ] = 8,
     samples: Annotated[
         int, typer.Option(min=0, help="Random errors of every kind to try within its promise.")
     ] = 0,
@@ -42,7 +45,12 @@ def certify(
     from planner.files import read_plan
 
     certificate = prove(
-        read_plan(plan_file), width=width, max_points=max_points, samples=samples, seed=seed
+        read_plan(plan_file),
+        width=width,
+        max_points=max_points,
+        edges=edges,
+        samples=samples,
+        seed=seed,
     )
     if as_json:
         print_json(certificate.as_dict())
