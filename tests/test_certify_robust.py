@@ -317,7 +317,7 @@ def test_a_shifted_object_meets_the_pads_elsewhere_and_a_turned_sphere_does_not_
     assert force_closure(turned).closed
 
 
-def test_nothing_is_promised_of_meshes_and_of_pads_that_are_no_balls() -> None:
+def test_nothing_is_promised_of_meshes_and_of_contacts_off_the_surface() -> None:
     from planner.shapes import Torus
 
     torus = Torus(0.035, 0.015)
@@ -328,4 +328,4 @@ def test_nothing_is_promised_of_meshes_and_of_pads_that_are_no_balls() -> None:
     assert "concave" in poses.reason
     assert all(t.promised is None and t.note for t in pose_tolerances(poses))
     off = replace(around(), positions=1.1 * around().positions)
-    assert "no ball" in PoseErrors.of(Sphere(ARM), off, np.full(4, 0.01)).reason
+    assert "normal" in PoseErrors.of(Sphere(ARM), off, np.full(4, 0.01)).reason

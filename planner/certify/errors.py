@@ -12,15 +12,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from planner.contacts import ContactSet
-from planner.spatial import FloatArray
+from planner.spatial import FloatArray, contact_frames
 
 __all__ = ["displaced", "random_directions", "random_errors", "worst_errors"]
 
 _SMALL = 1e-12
 """Lengths below this share of the others have no direction (-)."""
 
-_ARC = 65
-"""Forces tried along the arc from the normal to the edge of the cone (-)."""
+_SIDE, _ZOOMS = 11, 6
+"""Places along the side of a square that are tried, and times it shrinks to a quarter (-)."""
 
 
 def displaced(contacts: ContactSet, shifts: FloatArray, axes: FloatArray) -> ContactSet:
@@ -56,10 +56,12 @@ def random_errors(
 def worst_errors(
     contacts: ContactSet, shifts: FloatArray, tilts: FloatArray, motion: FloatArray
 ) -> ContactSet:
-    """Errors of the full size that take most support from a motion of the object.
+    """Errors that take most support from a motion of the object.
 
-    Each normal tilts away from the velocity of its contact, then each position goes where the
-    force that still supports the motion does least: along -(f x w).
+    Each normal tilts away from the velocity V of its contact; then each position goes by the d that
+    makes least of the support n . V' + |(mu V'_t, mu_torsion n . w)|, V' = V + w x d. The product
+    w x d is perpendicular to w: a disc is searched, on which
+    the support is convex.
 
     Args:
         contacts: n contacts.
@@ -71,15 +73,26 @@ def worst_errors(
     velocity = v + np.cross(w, contacts.positions - contacts.center)
     axis = _unit(np.cross(velocity, contacts.normals))
     tilted = displaced(contacts, np.zeros_like(velocity), tilts[:, None] * axis)
-    along = np.einsum("ij,ij->i", velocity, tilted.normals)[:, None]
-    sliding = _unit(velocity - along * tilted.normals)
-    mu = np.where(np.array(contacts.dims) >= 3, contacts.mu, 0.0)
-    # (arc, n, 3): forces from the normal to the edge of the cone towards the motion
-    share = np.linspace(0.0, 1.0, _ARC)[:, None, None]
-    forces = tilted.normals + share * mu[:, None] * sliding
-    left = (forces * velocity).sum(axis=2) - shifts * np.linalg.norm(np.cross(forces, w), axis=2)
-    best = forces[left.argmax(axis=0), np.arange(len(contacts))]
-    return displaced(tilted, -shifts[:, None] * _unit(np.cross(best, w)), np.zeros_like(velocity))
+    size = float(np.linalg.norm(w))
+    if size == 0.0:
+        return tilted
+    dims = np.array(contacts.dims)
+    mu = np.where(dims >= 3, contacts.mu, 0.0)
+    torsion = np.where(dims == 4, contacts.mu_torsion, 0.0) * (tilted.normals @ w)
+    across = contact_frames(w)[0, :, 1:].T  # two unit vectors perpendicular to w
+    axis_values = np.linspace(-1.0, 1.0, _SIDE)
+    grid = np.stack(np.meshgrid(axis_values, axis_values), axis=2).reshape(-1, 1, 2)
+    place = np.zeros((len(contacts), 2))  # of w x d, in units of |w| r
+    for zoom in range(_ZOOMS):
+        tried = place + 4.0**-zoom * grid  # (grid, n, 2)
+        tried /= np.maximum(np.linalg.norm(tried, axis=2, keepdims=True), 1.0)
+        moved = velocity + size * shifts[:, None] * (tried @ across)  # (grid, n, 3)
+        along = (moved * tilted.normals).sum(axis=2)
+        sliding = np.linalg.norm(moved - along[:, :, None] * tilted.normals, axis=2)
+        best = (along + np.hypot(mu * sliding, torsion)).argmin(axis=0)
+        place = tried[best, np.arange(len(contacts))]
+    moved_by = -shifts[:, None] * np.cross(w / size, place @ across)
+    return displaced(tilted, moved_by, np.zeros_like(velocity))
 
 
 def random_directions(n: int, rng: np.random.Generator) -> FloatArray:

@@ -35,8 +35,8 @@ __all__ = ["PoseError", "PoseErrors"]
 PoseError: TypeAlias = Literal["shift", "turn"]
 
 AGREEMENT = 1e-4
-"""How far (m) the nearest point of the surface may be from a planned contact. A pad that is no ball
-touches elsewhere than the ball in its place."""
+"""How far (m) from a planned contact a ball along its normal may touch the surface. More than that,
+and the normal is not that of the surface."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,7 +67,10 @@ class PoseErrors:
         if isinstance(shape, Mesh):
             reason = "a mesh may be concave, where the nearest point of the surface can jump"
         elif off > AGREEMENT:
-            reason = f"a pad is no ball: it touches {1e3 * off:.2f} mm from where its ball would"
+            reason = (
+                f"a contact's normal is not the surface's: a ball along it would touch "
+                f"{1e3 * off:.2f} mm away"
+            )
         return cls(shape=shape, contacts=nearest, centers=centers, radii=radii, reason=reason)
 
     def sizes(self, kind: PoseError, level: float) -> tuple[FloatArray, FloatArray]:

@@ -52,7 +52,7 @@ ROUNDS = 20
 def without_grip(problem: ForceProblem) -> ForceProblem:
     """The same problem where no contact has to press: least normal forces are 0."""
     lower = problem.lower.copy()
-    normal = [i for i, name in enumerate(problem.column_names) if name.endswith(" f_n")]
+    normal = np.cumsum([0, *problem.contacts.dims])[:-1]
     lower[normal] = 0.0
     return replace(problem, lower=lower)
 
@@ -138,9 +138,11 @@ class Resistance:
         """Half-spaces that touch the cones where the forces of x leave them."""
         fresh = []
         for (normal, side), over in zip(self._cones, self._excess(x), strict=True):
-            if over > 0:
-                y = side @ x
-                fresh.append(y / np.linalg.norm(y) @ side - normal)
+            y = side @ x
+            size = np.linalg.norm(y)
+            # Without a size it is rounding of f_n >= 0, and no tangent.
+            if over > 0 and size > 0:
+                fresh.append(y / size @ side - normal)
         self._faces = np.vstack([self._faces, *fresh])
 
     def _find_interior(self, problem: ForceProblem, k: int) -> bool | None:

@@ -68,7 +68,7 @@ MAX_PROGRAMMES = 100
 REFINED = (0.2, 0.2, 0.1, 0.1) * 3 + (0.03, 0.01) * 4
 """Steps (rad) beside the best rotation so far that are tried, one after the other."""
 
-_RINGS = ((1.0, 24), (0.8, 12), (0.45, 8))
+_RINGS = ((1.0, 24), (0.75, 16), (0.5, 12), (0.25, 6))
 """Rings of generators: share of the friction angle's tangent (-), and how many. The outer polygon
 loses 0.9 % of the friction; the inner rings are for forces that errors of position move less."""
 

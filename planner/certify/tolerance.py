@@ -39,7 +39,7 @@ JUDGE_EDGES = 32
 LEAST = 1e-3
 """Share of the first size that is tried below which nothing is promised (-)."""
 
-FACTORS = (1.03, 1.1, 1.3, 2.0, 4.0)
+FACTORS = (1.03, 1.1, 1.2, 1.35, 1.6, 2.0, 4.0)
 """Errors that break closure are sought at these multiples of the promise (-)."""
 
 HALVINGS = 6
@@ -171,15 +171,18 @@ def _tolerance(
 ) -> Tolerance:
     """The tolerance to independent errors of contacts, whose sizes a level sets."""
     promised = _largest(sizes, edges, start, ceiling)
-    motion, broken = None, None
-    # Where closure is lost, look again for the motion that is worst there.
-    for level in (promised, None, None):
-        at = broken if level is None else level
-        if at is None:
+    broken = None
+    for factor in FACTORS:
+        level = min(factor * max(promised, LEAST * start), ceiling)
+        # The motion of least support at a size that breaks closure is nearly the one that breaks it
+        # first; look once more where that was.
+        motion = weakest_motion(*sizes(level))
+        if _lost(worst_errors(*sizes(level), motion)):
+            broken = _least_lost(sizes, motion, promised, level)
+            motion = weakest_motion(*sizes(broken), near=motion)
+            if _lost(worst_errors(*sizes(broken), motion)):
+                broken = _least_lost(sizes, motion, promised, broken)
             break
-        motion = weakest_motion(*sizes(at), near=motion)
-        found = _breaks(sizes, motion, promised, max(promised, LEAST * start), ceiling)
-        broken = min((x for x in (broken, found) if x is not None), default=None)
     return Tolerance(
         kind=kind,
         unit=unit,
@@ -191,18 +194,10 @@ def _tolerance(
     )
 
 
-def _breaks(
-    sizes: Callable[[float], Sizes], motion: FloatArray, low: float, first: float, ceiling: float
-) -> float | None:
-    """The least level whose errors against a motion lose closure, as far as bisection finds."""
-    high = None
-    for level in (min(factor * first, ceiling) for factor in FACTORS):
-        if _lost(worst_errors(*sizes(level), motion)):
-            high = level
-            break
-        low = level
-    if high is None:
-        return None
+def _least_lost(
+    sizes: Callable[[float], Sizes], motion: FloatArray, low: float, high: float
+) -> float:
+    """The least level up to ``high`` whose errors against a motion lose closure, by bisection."""
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
         if _lost(worst_errors(*sizes(middle), motion)):
