@@ -25,13 +25,9 @@ KEPT = 64
 """Solvers that are kept, one for every size of programme."""
 
 _OPTIONS: dict[str, Any] = {
-    "error_on_fail": False,
-    "highs": {
-        "output_flag": False,
-        "presolve": "off",
-        "primal_feasibility_tolerance": SOLVER_TOL,
-        "dual_feasibility_tolerance": SOLVER_TOL,
-    },
+    "output_flag": False,
+    "primal_feasibility_tolerance": SOLVER_TOL,
+    "dual_feasibility_tolerance": SOLVER_TOL,
 }
 
 
@@ -72,16 +68,19 @@ def minimise(
     """
     if not len(cost):
         return None
-    solver = _solver(*rows.shape)
-    out = solver(
-        g=cost,
-        a=rows,
-        lba=row_limits[:, 0],
-        uba=row_limits[:, 1],
-        lbx=bounds[:, 0],
-        ubx=bounds[:, 1],
-    )
-    status = solver.stats()["return_status"]
+    for presolve in ("off", "on"):
+        solver = _solver(*rows.shape, presolve)
+        out = solver(
+            g=cost,
+            a=rows,
+            lba=row_limits[:, 0],
+            uba=row_limits[:, 1],
+            lbx=bounds[:, 0],
+            ubx=bounds[:, 1],
+        )
+        status = solver.stats()["return_status"]
+        if status in ("Optimal", "Infeasible"):
+            break
     if status == "Infeasible":
         return None
     if status != "Optimal":
@@ -97,5 +96,7 @@ def minimise(
 
 
 @lru_cache(maxsize=KEPT)
-def _solver(m: int, n: int) -> Any:
-    return ca.conic("certify", "highs", {"a": ca.Sparsity.dense(m, n)}, _OPTIONS)
+def _solver(m: int, n: int, presolve: str) -> Any:
+    """HiGHS for programmes of m rows and n columns. Presolve takes time and is seldom needed."""
+    options: Any = {"error_on_fail": False, "highs": {**_OPTIONS, "presolve": presolve}}
+    return ca.conic("certify", "highs", {"a": ca.Sparsity.dense(m, n)}, options)
