@@ -162,6 +162,15 @@ ALLOWED = {
     "planner.mesh_proximity": ("spatial", "proximity"),
     "planner.kinematics": ("errors", "spatial", "hand"),
     "planner.symbolic": ("errors", "spatial", "hand", "kinematics"),
+    "planner.certify": (
+        "errors",
+        "spatial",
+        "contacts",
+        "forces",
+        "plan",
+        "quality",
+        "shapes",
+    ),
     "planner.task": ("errors", "spatial", "contacts", "hand", "objects", "shapes"),
 }
 

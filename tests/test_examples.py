@@ -62,6 +62,13 @@ EXPECTED: dict[str, tuple[str, ...]] = {
         "carried by the arm: held",
         "TaskError: the object is out of the arm's reach",
     ),
+    "11_certify": (
+        "closed: rank 6",
+        "breaking force",
+        "0 of 200 samples lost closure",
+        "0.5 of it, fingers of unlimited strength: held",
+        "pose turn:",
+    ),
 }
 """What must appear in the output, runs of blanks counted as one."""
 

@@ -1,0 +1,26 @@
+"""Certificates: what is proven of a grasp, apart from planning it."""
+
+from __future__ import annotations
+
+from planner.certify.breaking import Breaking, breaking_along, smallest_breaking
+from planner.certify.build import certify, certify_contacts
+from planner.certify.certificate import Certificate
+from planner.certify.pose import PoseErrors
+from planner.certify.robust import Verdict, closure_survives
+from planner.certify.tolerance import Tolerance, contact_tolerances, pose_tolerances, sampled
+
+__all__ = [
+    "Breaking",
+    "Certificate",
+    "PoseErrors",
+    "Tolerance",
+    "Verdict",
+    "breaking_along",
+    "certify",
+    "certify_contacts",
+    "closure_survives",
+    "contact_tolerances",
+    "pose_tolerances",
+    "sampled",
+    "smallest_breaking",
+]

@@ -1,0 +1,118 @@
+"""Errors of the object's pose: the pads stay where the plan puts them, the object does not.
+
+A pad is a ball of radius rho whose centre c is rho off the surface at the planned contact. When the
+object has moved, its finger closes or gives way along the normal of the surface point nearest to c,
+and touches there: contact and normal are those of the nearest point.
+
+For a convex object this is bounded without knowing its shape. Seen from the object, c moves by some
+e to c'. Let p, p' be the nearest points, n, n' the outward normals, c = p + rho n, c' = p' + d n',
+and t = p' - p. Both points are in the object, so n . t <= 0 and n' . t >= 0, hence
+
+    e^2 = |t + d n' - rho n|^2 = |t|^2 + 2 t . (d n' - rho n) + |d n' - rho n|^2
+        >= |t|^2 + |d n' - rho n|^2 >= |t|^2 + rho^2 sin^2(n, n')      while d >= 0 and e < rho:
+
+the contact moves by at most e and its normal turns by at most asin(e / rho), or by less where the
+shape is known (``planner.certify.turning``). A shift of the object
+by s gives e = s for every pad; a turn by phi about the centre of mass e = 2 sin(phi / 2) |c|.
+For other objects, where the nearest point can jump, nothing is promised.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from planner.certify.errors import random_directions, rotations
+from planner.certify.turning import largest_turn
+from planner.contacts import ContactSet
+from planner.shapes import Mesh, Shape
+from planner.spatial import FloatArray
+
+__all__ = ["PoseError", "PoseErrors"]
+
+PoseError: TypeAlias = Literal["shift", "turn"]
+
+AGREEMENT = 1e-4
+"""How far (m) from a planned contact a ball along its normal may touch the surface. More than that,
+and the normal is not that of the surface."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PoseErrors:
+    """Pads as balls on an object, in the object's frame (origin in the centre of mass).
+
+    Attributes:
+        shape: The object.
+        contacts: n contacts, nearest points of the surface to the pads' centres.
+        centers: (n, 3), centres of the pads, m.
+        radii: (n,), of the pads, m.
+        reason: Why nothing can be promised; "" where it can.
+    """
+
+    shape: Shape
+    contacts: ContactSet
+    centers: FloatArray
+    radii: FloatArray
+    reason: str
+
+    @classmethod
+    def of(cls, shape: Shape, contacts: ContactSet, radii: FloatArray) -> PoseErrors:
+        """Balls of given radii (n,) that touch at contacts in the object's frame."""
+        centers = contacts.positions - radii[:, None] * contacts.normals
+        nearest = at_nearest(shape, contacts, centers)
+        off = np.linalg.norm(nearest.positions - contacts.positions, axis=1).max(initial=0.0)
+        reason = ""
+        if isinstance(shape, Mesh):
+            reason = "a mesh may be concave, where the nearest point of the surface can jump"
+        elif off > AGREEMENT:
+            reason = (
+                f"a contact's normal is not the surface's: a ball along it would touch "
+                f"{1e3 * off:.2f} mm away"
+            )
+        return cls(shape=shape, contacts=nearest, centers=centers, radii=radii, reason=reason)
+
+    def sizes(self, kind: PoseError, level: float) -> tuple[FloatArray, FloatArray]:
+        """Bounds of what contacts do: shifts (n,) m and tilts (n,) rad.
+
+        Args:
+            kind: "shift" or "turn".
+            level: Size of the object's error, m or rad.
+        """
+        moved = np.full(len(self.radii), level)
+        if kind == "turn":
+            moved = 2 * np.sin(min(level, np.pi) / 2) * np.linalg.norm(self.centers, axis=1)
+        turned = largest_turn(
+            self.shape, self.contacts.positions, -self.contacts.normals, self.radii, moved
+        )
+        return moved, turned
+
+    def ceiling(self, kind: PoseError) -> float:
+        """Error (m or rad) at which a pad's centre can reach the surface; more is not meant."""
+        if kind == "shift":
+            return float(self.radii.min(initial=np.inf))
+        share = self.radii / np.maximum(2 * np.linalg.norm(self.centers, axis=1), self.radii)
+        return float(2 * np.arcsin(share).min(initial=np.pi / 2))
+
+    def at(self, shift: FloatArray, turn: FloatArray) -> ContactSet:
+        """Contacts after the object moved by ``shift`` (3,), m, and ``turn`` (3,), rotation vector.
+
+        In the moved object's frame; the turn is about the centre of mass.
+        """
+        seen = (self.centers - shift) @ rotations(turn)[0]
+        return at_nearest(self.shape, self.contacts, seen)
+
+    def random(self, kind: PoseError, level: float, rng: np.random.Generator) -> ContactSet:
+        """Contacts after a random error of up to ``level`` (m or rad), half of the draws equal."""
+        size = level * (1.0 if rng.random() < 0.5 else rng.random())
+        error = size * random_directions(1, rng)[0]
+        still = np.zeros(3)
+        return self.at(error, still) if kind == "shift" else self.at(still, error)
+
+
+def at_nearest(shape: Shape, contacts: ContactSet, points: FloatArray) -> ContactSet:
+    """The same contacts at the surface points nearest to points (n, 3), in the object's frame."""
+    surface, outward = shape.closest_point(points)
+    moved = ContactSet.from_arrays(surface, -outward, center=contacts.center)
+    return replace(contacts, positions=moved.positions, frames=moved.frames)
