@@ -163,6 +163,23 @@ ALLOWED = {
     "planner.kinematics": ("errors", "spatial", "hand"),
     "planner.symbolic": ("errors", "spatial", "hand"),
     "planner.task": ("errors", "spatial", "contacts", "hand", "objects", "shapes"),
+    "planner.batch": (
+        "errors",
+        "spatial",
+        "catalog",
+        "contacts",
+        "files",
+        "hand",
+        "kinematics",
+        "objects",
+        "plan",
+        "quality",
+        "schema",
+        "search",
+        "shapes",
+        "synthesis",
+        "task",
+    ),
 }
 
 

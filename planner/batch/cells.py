@@ -25,7 +25,8 @@ def cell_of(directions: FloatArray) -> IntArray:
     x, y, z = np.asarray(directions, dtype=np.float64).reshape(-1, 3).T
     z = z / np.sqrt(x * x + y * y + z * z)
     quarter = np.mod(np.arctan2(y, x), 2 * np.pi) / (np.pi / 2)  # azimuth, [0, 4)
-    return np.where(np.abs(z) <= 2 / 3, _belt(z, quarter), _cap(z, quarter))
+    cells: IntArray = np.where(np.abs(z) <= 2 / 3, _belt(z, quarter), _cap(z, quarter))
+    return cells
 
 
 def _belt(z: FloatArray, quarter: FloatArray) -> IntArray:
@@ -35,7 +36,8 @@ def _belt(z: FloatArray, quarter: FloatArray) -> IntArray:
     ring = N_SIDE + 1 + rising - falling  # 1 .. 2 N + 1
     shifted = 1 - (ring & 1)
     place = ((rising + falling - N_SIDE + shifted + 1) // 2) % (4 * N_SIDE)
-    return 2 * N_SIDE * (N_SIDE - 1) + (ring - 1) * 4 * N_SIDE + place
+    cells: IntArray = 2 * N_SIDE * (N_SIDE - 1) + (ring - 1) * 4 * N_SIDE + place
+    return cells
 
 
 def _cap(z: FloatArray, quarter: FloatArray) -> IntArray:
@@ -47,4 +49,5 @@ def _cap(z: FloatArray, quarter: FloatArray) -> IntArray:
     ring = np.minimum(rising + falling + 1, N_SIDE)
     place = np.floor(quarter * ring).astype(np.int64) % (4 * ring)
     north = 2 * ring * (ring - 1) + place
-    return np.where(z > 0, north, N_CELLS - 2 * ring * (ring + 1) + place)
+    cells: IntArray = np.where(z > 0, north, N_CELLS - 2 * ring * (ring + 1) + place)
+    return cells

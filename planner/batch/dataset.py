@@ -39,7 +39,9 @@ class GraspSet:
     Rows that are missing, because the batch was interrupted, are left out.
     """
 
-    def __init__(self, folder: Path | str, *, temporary: TemporaryDirectory[str] | None = None):
+    def __init__(
+        self, folder: Path | str, *, temporary: TemporaryDirectory[str] | None = None
+    ) -> None:
         """Open a folder that ``plan_grasps`` wrote; nothing is written.
 
         Args:

@@ -17,6 +17,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import digamma
 
@@ -53,8 +54,10 @@ class Diversity:
         approach_share: Share of the cells of approach directions that are taken (-).
         approach_entropy: Entropy of the cells, nats; at most log(192) = 5.26.
         surface_share: Share of the surface that is touched (-).
-        posture_entropy: Entropy of the joints of the fingers, nats (of rad^d); None for fewer
+        posture_entropy: Entropy of the d joints of the fingers, nats (of rad^d); None for fewer
             grasps than it takes. It may be negative.
+        posture_width_rad: Width (rad) over which each joint would be spread evenly and by itself
+            for this entropy H, exp(H / d); None likewise.
     """
 
     n: int
@@ -63,6 +66,7 @@ class Diversity:
     approach_entropy: float
     surface_share: float
     posture_entropy: float | None
+    posture_width_rad: float | None
 
     def to_dict(self) -> dict[str, Any]:
         """As plain data."""
@@ -71,6 +75,7 @@ class Diversity:
 
 def diversity(grasps: GraspFeatures, shape: Shape) -> Diversity:
     """Measure grasps of a shape."""
+    entropy = posture_entropy(grasps.q)
     counts = np.bincount(cell_of(grasps.approach), minlength=N_CELLS)
     return Diversity(
         n=len(grasps),
@@ -78,7 +83,8 @@ def diversity(grasps: GraspFeatures, shape: Shape) -> Diversity:
         approach_share=float((counts > 0).mean()),
         approach_entropy=_entropy(counts),
         surface_share=_touched(grasps.contacts.reshape(-1, 3), shape),
-        posture_entropy=posture_entropy(grasps.q),
+        posture_entropy=entropy,
+        posture_width_rad=None if entropy is None else float(np.exp(entropy / grasps.q.shape[1])),
     )
 
 
@@ -95,7 +101,7 @@ def posture_entropy(q: FloatArray) -> float | None:
     return float(digamma(n) - digamma(NEIGHBOUR) + d * spread)
 
 
-def _entropy(counts: FloatArray) -> float:
+def _entropy(counts: NDArray[np.int_]) -> float:
     """Of a histogram, nats; 0 if it is empty."""
     shares = counts[counts > 0] / max(1, counts.sum())
     return float(-(shares * np.log(shares)).sum())

@@ -50,7 +50,7 @@ class GraspFeatures:
         """
         n = len(self.positions)
         given = [np.shape(getattr(self, name)) for name in self.__dataclass_fields__]
-        tails = ((3,), (3, 3), (3,), given[3][1:2] + (3,), given[4][1:2])
+        tails = ((3,), (3, 3), (3,), (*given[3][1:2], 3), given[4][1:2])
         if given != [(n, *tail) for tail in tails]:
             raise TaskError(
                 f"arrays of grasps have shapes {given}; give (n, 3), (n, 3, 3), (n, 3), (n, c, 3) "

@@ -155,7 +155,9 @@ def _undisturbed(parent: int) -> Iterator[Callable[[], None]]:
         yield check  # signals are handled by the main thread
         return
     ours = os.getpid() == parent
-    old = signal.signal(signal.SIGINT, (lambda *_: pressed.append(True)) if ours else signal.SIG_IGN)
+    old = signal.signal(
+        signal.SIGINT, (lambda *_: pressed.append(True)) if ours else signal.SIG_IGN
+    )
     try:
         yield check
     finally:

@@ -14,7 +14,6 @@ import numpy as np
 
 from planner.errors import TaskError
 from planner.hand import Hand
-from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.quality import epsilon_l1, min_weight
 from planner.search import Attempt
@@ -34,7 +33,7 @@ def arrow() -> Any:
     """
     try:
         import pyarrow as pa
-        import pyarrow.parquet  # noqa: F401 - pa.parquet
+        import pyarrow.parquet
     except ImportError as error:
         raise TaskError(
             "datasets of grasps are Parquet files, which need pyarrow; install it with: "

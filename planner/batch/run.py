@@ -126,8 +126,11 @@ def plan_grasps(
     )
     schema = grasp_schema(loaded)
     _check_backend(backend, workers)
-    temporary = TemporaryDirectory(prefix="opposable-") if out is None else None
-    folder = Path(out if temporary is None else temporary.name)
+    temporary = None
+    if out is None:
+        temporary = TemporaryDirectory(prefix="opposable-")
+        out = temporary.name
+    folder = Path(out)
     with Store(folder, manifest, schema) as store:
         kept, found, begin = len(store), 0, time.monotonic()
 

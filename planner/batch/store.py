@@ -25,7 +25,7 @@ from planner.batch.rows import arrow, attempt_rows, attempt_schema
 from planner.errors import FileFormatError
 from planner.files import write_json
 
-__all__ = ["GRASPS", "ATTEMPTS", "Store", "shard_file", "waiting_rows", "whole_shards"]
+__all__ = ["ATTEMPTS", "GRASPS", "Store", "shard_file", "waiting_rows", "whole_shards"]
 
 GRASPS, ATTEMPTS = "grasps", "attempts"
 """The two tables."""

@@ -43,7 +43,7 @@ def surface_triangles(shape: Shape) -> tuple[FloatArray, IntArray]:
 
 @lru_cache(maxsize=64)
 def surface_points(shape: Shape, n: int) -> FloatArray:
-    """n points (n, 3), m, spread evenly by area over a shape's surface; always the same."""
+    """Points (n, 3), m, spread evenly by area over a shape's surface; always the same."""
     vertices, faces = surface_triangles(shape)
     corners = vertices[faces]
     sides = corners[:, 1:] - corners[:, :1]
