@@ -34,9 +34,9 @@ def job_for(task: GraspTask, *, k: int = 0, max_attempts: int = 3) -> Job:
     """A request of this process."""
     return Job(
         index=k,
-        object=BatchObject(label=label_of(task), recipe=recipe_of(task)),
+        object=BatchObject.of(label_of(task), task),
         k=k,
-        seed=grasp_seed(0, task.object.shape, k),
+        seed=grasp_seed(0, shape_key(task.object.shape), k),
         max_attempts=max_attempts,
         options=None,
         parent=os.getpid(),
@@ -46,14 +46,15 @@ def job_for(task: GraspTask, *, k: int = 0, max_attempts: int = 3) -> Job:
 @settings(max_examples=50, deadline=None)
 @given(seed=st.integers(0, 2**64), k=st.integers(0, 10**9))
 def test_seeds_are_integers_that_fit_every_file(seed: int, k: int) -> None:
-    value = grasp_seed(seed, SPHERE, k)
+    value = grasp_seed(seed, shape_key(SPHERE), k)
     assert 0 <= value < 2**63
-    assert value == grasp_seed(seed, Sphere(radius=0.035), k)
+    assert value == grasp_seed(seed, shape_key(Sphere(radius=0.035)), k)
 
 
 def test_seeds_of_all_grasps_differ() -> None:
     shapes = [SPHERE, Sphere(radius=0.036), Box(size=(0.05, 0.05, 0.08))]
-    seeds = {grasp_seed(s, shape, k) for s in (0, 1) for shape in shapes for k in range(500)}
+    keys = [shape_key(shape) for shape in shapes]
+    seeds = {grasp_seed(s, key, k) for s in (0, 1) for key in keys for k in range(500)}
     assert len(seeds) == 2 * 3 * 500
 
 
@@ -71,14 +72,15 @@ def test_a_mesh_has_the_same_seeds_wherever_its_file_is(tmp_path: Path) -> None:
 
 
 def test_requests_are_numbered_by_object_and_grasp_and_skip_what_is_there() -> None:
-    items = [BatchObject(label=name, recipe="") for name in ("a", "b")]
-    made = batch_jobs(items, lambda item, k: 10 * k, 3, lambda i: i not in (1, 3), 7, None)
-    assert [(j.index, j.object.label, j.k, j.seed) for j in made] == [
-        (0, "a", 0, 0),
-        (2, "a", 2, 20),
-        (4, "b", 1, 10),
-        (5, "b", 2, 20),
+    items = [BatchObject(label=name, recipe="", key=64 * name) for name in ("a", "b")]
+    made = list(batch_jobs(items, 3, 9, lambda i: i not in (1, 3), 7, None))
+    assert [(j.index, j.object.label, j.k) for j in made] == [
+        (0, "a", 0),
+        (2, "a", 2),
+        (4, "b", 1),
+        (5, "b", 2),
     ]
+    assert [j.seed for j in made] == [grasp_seed(9, 64 * j.object.label, j.k) for j in made]
 
 
 def test_a_task_survives_as_text(allegro: Hand) -> None:

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -39,19 +38,16 @@ class GraspSet:
     Rows that are missing, because the batch was interrupted, are left out.
     """
 
-    def __init__(
-        self, folder: Path | str, *, temporary: TemporaryDirectory[str] | None = None
-    ) -> None:
+    def __init__(self, folder: Path | str) -> None:
         """Open a folder that ``plan_grasps`` wrote; nothing is written.
 
         Args:
             folder: The folder.
-            temporary: What removes the folder when this set is no longer used.
 
         Raises:
             FileFormatError: The folder holds no batch.
         """
-        self.folder, self._temporary = Path(folder), temporary
+        self.folder = Path(folder)
         self.manifest = read_manifest(self.folder)
         self._shards = whole_shards(self.folder, self.manifest)
         size = self.manifest.shard_rows

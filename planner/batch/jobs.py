@@ -9,21 +9,23 @@ from __future__ import annotations
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from planner.batch.recipe import shape_key, task_of
+from planner.batch.recipe import recipe_of, shape_key, task_of
 from planner.batch.rows import failed_row, found_row
 from planner.errors import NoGraspFoundError, PlannerError
 from planner.search import Attempt, plan_grasp
-from planner.shapes import Shape
 from planner.synthesis.options import SynthesisOptions
+from planner.task import GraspTask
 
-__all__ = ["BatchObject", "Job", "grasp_seed", "plan_row"]
+__all__ = ["BatchObject", "Job", "batch_jobs", "grasp_seed", "plan_row"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,10 +35,17 @@ class BatchObject:
     Attributes:
         label: What it is called; no two of a batch are called the same.
         recipe: Its task as text (``planner.batch.recipe``).
+        key: What identifies its shape, hexadecimal (``planner.batch.recipe.shape_key``).
     """
 
     label: str
     recipe: str
+    key: str
+
+    @classmethod
+    def of(cls, label: str, task: GraspTask) -> BatchObject:
+        """The object of a task."""
+        return cls(label=label, recipe=recipe_of(task), key=shape_key(task.object.shape))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,20 +71,20 @@ class Job:
     parent: int
 
 
-def grasp_seed(seed: int, shape: Shape, k: int) -> int:
-    """Seed of grasp k of a shape: 63 bits from ``numpy.random.SeedSequence``.
+def grasp_seed(seed: int, key: str, k: int) -> int:
+    """Seed of grasp k of the shape with a key: 63 bits from ``numpy.random.SeedSequence``.
 
     Of a million grasps two share a seed with a chance of 5e-8.
     """
-    words = [int(shape_key(shape)[i : i + 8], 16) for i in range(0, 64, 8)]
+    words = [int(key[i : i + 8], 16) for i in range(0, len(key), 8)]
     state = np.random.SeedSequence(seed, spawn_key=(*words, k)).generate_state(1, np.uint64)
     return int(state[0] >> np.uint64(1))
 
 
 def batch_jobs(
     objects: Sequence[BatchObject],
-    seeds: Callable[[BatchObject, int], int],
     n: int,
+    seed: int,
     wanted: Callable[[int], bool],
     max_attempts: int,
     options: SynthesisOptions | None,
@@ -84,8 +93,8 @@ def batch_jobs(
 
     Args:
         objects: The objects.
-        seeds: Seed of grasp k of an object.
         n: Grasps per object.
+        seed: Seed of the batch.
         wanted: Whether a request's number is still to be planned.
         max_attempts: Attempts before giving up.
         options: Margins and weights of the NLP.
@@ -98,7 +107,7 @@ def batch_jobs(
                     index=index,
                     object=item,
                     k=k,
-                    seed=seeds(item, k),
+                    seed=grasp_seed(seed, item.key, k),
                     max_attempts=max_attempts,
                     options=options,
                     parent=os.getpid(),
@@ -116,6 +125,7 @@ def plan_row(job: Job) -> dict[str, Any]:
     faults of the program get out.
     """
     made: list[Attempt] = []
+    _end_with(job.parent)
     with _ONE_AT_A_TIME, _undisturbed(job.parent) as check:
 
         def note(attempt: Attempt) -> None:
@@ -136,6 +146,23 @@ def plan_row(job: Job) -> dict[str, Any]:
         except PlannerError as error:
             return failed_row(job.index, job.object.label, job.k, job.seed, str(error), made)
         return found_row(job.index, job.object.label, job.k, plan, made)
+
+
+@lru_cache(maxsize=1)
+def _end_with(parent: int) -> None:
+    """End this worker when the process that started it is killed; idle ones would wait on."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(WATCH_S)
+        os._exit(1)
+
+    if os.getppid() == parent:
+        threading.Thread(target=watch, daemon=True).start()
+
+
+WATCH_S = 1.0
+"""Time (s) between two looks at whether that process is alive."""
 
 
 @contextmanager

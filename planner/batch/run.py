@@ -1,28 +1,22 @@
-"""``plan_grasps``: many grasps of many objects on all cores, through joblib.
-
-joblib's backends carry the same jobs to processes ("loky"), threads ("threading") and, where they
-are installed, to a cluster ("dask", "ray"). Results come back in any order and are stored at once.
-A worker that dies takes no result of others with it: the pool is started again, and what was in
-flight is planned once more, alone, so that a request that kills its worker is found out.
-"""
+"""``plan_grasps``: many grasps of many objects, on all cores, into a folder."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from shutil import rmtree
+from tempfile import mkdtemp
 from typing import Any
-
-import joblib
+from weakref import finalize
 
 from planner.batch.dataset import GraspSet
-from planner.batch.jobs import BatchObject, Job, batch_jobs, grasp_seed, plan_row
+from planner.batch.jobs import BatchObject, batch_jobs
 from planner.batch.manifest import Manifest, ManifestObject, written_by
+from planner.batch.pool import check_backend, planned_rows
 from planner.batch.recipe import label_of, recipe_of, task_of
-from planner.batch.rows import failed_row, grasp_schema
+from planner.batch.rows import grasp_schema
 from planner.batch.store import Store
 from planner.errors import TaskError
 from planner.files import TaskData
@@ -33,13 +27,6 @@ from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
 
 __all__ = ["BatchProgress", "plan_grasps"]
-
-DEATHS_ALONE = 2
-"""How often a request may kill a worker that has nothing else to do before it is given up: one
-death may be the work of the system, which ends a process when memory is short."""
-
-FEWEST_AT_ONCE = 4
-"""Jobs per worker that a backend without a stream of results gets at a time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,9 +95,9 @@ def plan_grasps(
             raise TaskError(f"{name} is {value!r}; give an integer >= {least}")
     if isinstance(workers, bool) or not isinstance(workers, int) or workers == 0:
         raise TaskError(f"workers is {workers!r}; give their number, or -1 for one per core")
-    items = [BatchObject(label=label, recipe=recipe_of(task)) for label, task in tasks.items()]
-    shapes = {label: task.object.shape for label, task in tasks.items()}
+    items = [BatchObject.of(label, task) for label, task in tasks.items()]
     loaded = next(iter(tasks.values())).hand
+    schema = grasp_schema(loaded)
     manifest = Manifest(
         written_by=written_by(),
         hand=loaded.name,
@@ -124,42 +111,47 @@ def plan_grasps(
             for i in items
         ],
     )
-    schema = grasp_schema(loaded)
-    _check_backend(backend, workers)
-    temporary = None
+    check_backend(backend, workers)
+    folder = Path(mkdtemp(prefix="opposable-")) if out is None else Path(out)
+    try:
+        with Store(folder, manifest, schema) as store:
+            jobs = batch_jobs(items, n, seed, lambda i: not store.has(i), max_attempts, options)
+            _fill(store, planned_rows(jobs, workers, backend), progress)
+        grasps = GraspSet(folder)
+    except BaseException:
+        if out is None:
+            rmtree(folder)
+        raise
     if out is None:
-        temporary = TemporaryDirectory(prefix="opposable-")
-        out = temporary.name
-    folder = Path(out)
-    with Store(folder, manifest, schema) as store:
-        kept, found, begin = len(store), 0, time.monotonic()
+        finalize(grasps, rmtree, folder)
+    return grasps
 
-        def tell() -> None:
-            if progress is not None:
-                progress(
-                    BatchProgress(
-                        total=manifest.total,
-                        done=len(store),
-                        kept=kept,
-                        found=found,
-                        elapsed_s=time.monotonic() - begin,
-                    )
+
+def _fill(
+    store: Store,
+    rows: Iterable[dict[str, Any]],
+    progress: Callable[[BatchProgress], None] | None,
+) -> None:
+    """Store rows as they come, and tell how far it is."""
+    kept, found, begin = len(store), 0, time.monotonic()
+
+    def tell() -> None:
+        if progress is not None:
+            progress(
+                BatchProgress(
+                    total=store.manifest.total,
+                    done=len(store),
+                    kept=kept,
+                    found=found,
+                    elapsed_s=time.monotonic() - begin,
                 )
+            )
 
+    tell()
+    for row in rows:
+        store.add(row)
+        found += row["found"]
         tell()
-        jobs = batch_jobs(
-            items,
-            lambda item, k: grasp_seed(seed, shapes[item.label], k),
-            n,
-            lambda index: not store.has(index),
-            max_attempts,
-            options,
-        )
-        for row in _rows(jobs, workers, backend):
-            store.add(row)
-            found += row["found"]
-            tell()
-    return GraspSet(folder, temporary=temporary)
 
 
 def _tasks(
@@ -189,69 +181,3 @@ def _tasks(
     if not tasks:
         raise TaskError("there are no objects; name at least one")
     return tasks
-
-
-def _check_backend(backend: str, workers: int) -> None:
-    """Refuse a backend that joblib does not have, or that is not ready.
-
-    Raises:
-        TaskError: So.
-    """
-    try:
-        with joblib.parallel_config(backend=backend, n_jobs=workers):
-            pass
-    except (ImportError, TypeError, ValueError) as error:
-        raise TaskError(
-            f"joblib cannot use the backend {backend!r}: {error}. Use loky, threading or "
-            "multiprocessing; dask after making a dask.distributed.Client; ray after "
-            "ray.util.joblib.register_ray()"
-        ) from error
-
-
-def _rows(jobs: Iterable[Job], workers: int, backend: str) -> Iterator[dict[str, Any]]:
-    """Rows as they are finished, in any order."""
-    in_flight: dict[int, Job] = {}
-
-    def sent() -> Iterator[Job]:
-        for job in jobs:
-            in_flight[job.index] = job
-            yield job
-
-    source = sent()
-    while True:
-        try:
-            for row in _stream(source, workers, backend):
-                del in_flight[row["index"]]
-                yield row
-            return
-        except BrokenProcessPool:
-            for job in list(in_flight.values()):
-                yield _alone(job, backend)
-            in_flight.clear()
-
-
-def _stream(jobs: Iterator[Job], workers: int, backend: str) -> Iterator[dict[str, Any]]:
-    """Rows of jobs, one job per message, so that little is in flight.
-
-    The iterator is asked for more as workers become free.
-    """
-    with joblib.parallel_config(backend=backend, n_jobs=workers):
-        active, n_workers = joblib.parallel.get_active_backend()
-        if active.supports_return_generator:
-            parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1)
-            yield from parallel(joblib.delayed(plan_row)(job) for job in jobs)
-            return
-        at_once = FEWEST_AT_ONCE * active.effective_n_jobs(n_workers)
-        while wave := [job for _, job in zip(range(at_once), jobs, strict=False)]:
-            yield from joblib.Parallel(batch_size=1)(joblib.delayed(plan_row)(job) for job in wave)
-
-
-def _alone(job: Job, backend: str) -> dict[str, Any]:
-    """The row of a job that was in flight when a worker died, planned with no other beside it."""
-    for _ in range(DEATHS_ALONE):
-        try:
-            return next(_stream(iter([job]), 2, backend))
-        except BrokenProcessPool:
-            continue
-    reason = f"its process died {1 + DEATHS_ALONE} times, killed or by a fault in a library"
-    return failed_row(job.index, job.object.label, job.k, job.seed, reason, ())
