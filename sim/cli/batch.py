@@ -1,4 +1,4 @@
-"""Command that plans many grasps: ``batch``."""
+"""Commands for many grasps: ``batch``, ``pick``."""
 
 from __future__ import annotations
 
@@ -101,6 +101,26 @@ def batch(
         raise typer.Exit(EXIT_NOT_FOUND)
 
 
+@errors_for_people()
+def pick(
+    folder: Annotated[Path, typer.Argument(help="Folder of a batch.", metavar="FOLDER")],
+    row: Annotated[int, typer.Argument(min=0, help="Number of the row, from 0.", metavar="ROW")],
+    output: Annotated[Path, typer.Option("--out", "-o", help="The plan file.")] = Path("plan.json"),
+) -> None:
+    """Verify a grasp of a batch again and write it as a plan file."""
+    from planner.batch import GraspSet
+    from planner.errors import NotFoundError
+    from planner.files import write_plan
+
+    check_folder(output)
+    grasps = GraspSet(folder)
+    if row >= len(grasps):
+        raise NotFoundError("row", str(row), [f"0 to {len(grasps) - 1}"])
+    write_plan(grasps.plan(row), output)
+    say(out, escape(f"written to {output}"))
+
+
 def register(app: typer.Typer) -> None:
-    """Add the command."""
+    """Add the commands."""
     app.command()(batch)
+    app.command()(pick)
