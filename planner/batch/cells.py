@@ -34,8 +34,7 @@ def _belt(z: FloatArray, quarter: FloatArray) -> IntArray:
     rising = np.floor(N_SIDE * (0.5 + quarter - 0.75 * z)).astype(np.int64)
     falling = np.floor(N_SIDE * (0.5 + quarter + 0.75 * z)).astype(np.int64)
     ring = N_SIDE + 1 + rising - falling  # 1 .. 2 N + 1
-    shifted = 1 - (ring & 1)
-    place = ((rising + falling - N_SIDE + shifted + 1) // 2) % (4 * N_SIDE)
+    place = ((rising + falling - N_SIDE + 1) // 2) % (4 * N_SIDE)
     cells: IntArray = 2 * N_SIDE * (N_SIDE - 1) + (ring - 1) * 4 * N_SIDE + place
     return cells
 

@@ -106,15 +106,14 @@ def grasp_dict(task: GraspTask, row: Mapping[str, Any], obj_path: Path) -> dict[
     )
     base = _flat(T_world_object * T_object_base)
     q, opened = np.array(row["q_rad"]), np.array(row["q_pregrasp_rad"])
-    order = _model_order(task.hand)
     squeezed = squeeze_posture(task, row)
     return {
         "obj_path": str(obj_path),
         "obj_scale": 1.0,
         "obj_pose": _flat(T_world_object),
-        "pregrasp_qpos": np.concatenate([base, opened[order]]),
-        "grasp_qpos": np.concatenate([base, q[order]]),
-        "squeeze_qpos": np.concatenate([base, squeezed[order]]),
+        "pregrasp_qpos": np.concatenate([base, opened]),
+        "grasp_qpos": np.concatenate([base, q]),
+        "squeeze_qpos": np.concatenate([base, squeezed]),
     }
 
 
@@ -155,13 +154,6 @@ def squeeze_posture(task: GraspTask, row: Mapping[str, Any]) -> FloatArray:
 def _flat(pose: SE3) -> FloatArray:
     """Position (m) and quaternion w, x, y, z in one (7,)."""
     return np.concatenate(pose_to_wxyz(pose))
-
-
-def _model_order(hand: Hand) -> IntArray:
-    """For each joint of the model file, in its order, where it stands in q."""
-    model = hand.mj_model
-    names = sorted(hand.joint_names, key=lambda name: int(model.joint(name).qposadr[0]))
-    return np.array([hand.joint_index(name) for name in names])
 
 
 def _file_name(label: str) -> str:
