@@ -7,6 +7,7 @@ A script needs little more than this::
     plan = plan_grasp(GraspTask.create("shadow_hand", "box"), seed=0)
 """
 
+from planner.batch import GraspSet, plan_grasps
 from planner.contacts import Contact, ContactSet
 from planner.errors import NoGraspFoundError, PlannerError
 from planner.files import read_plan, write_plan
@@ -27,6 +28,7 @@ __all__ = [
     "ContactSet",
     "GraspObject",
     "GraspPlan",
+    "GraspSet",
     "GraspTask",
     "Hand",
     "HandState",
@@ -40,6 +42,7 @@ __all__ = [
     "force_closure",
     "parse_object",
     "plan_grasp",
+    "plan_grasps",
     "read_plan",
     "write_plan",
 ]

@@ -172,6 +172,23 @@ ALLOWED = {
         "shapes",
     ),
     "planner.task": ("errors", "spatial", "contacts", "hand", "objects", "shapes"),
+    "planner.batch": (
+        "errors",
+        "spatial",
+        "catalog",
+        "contacts",
+        "files",
+        "hand",
+        "kinematics",
+        "objects",
+        "plan",
+        "quality",
+        "schema",
+        "search",
+        "shapes",
+        "synthesis",
+        "task",
+    ),
 }
 
 

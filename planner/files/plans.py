@@ -16,32 +16,24 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from planner.catalog import hand_names
-from planner.errors import FileFormatError, TaskError
+from planner.errors import FileFormatError
 from planner.files.data import (
     PLAN_VERSION,
     ArmData,
     ContactData,
     GraspData,
-    HandData,
-    ObjectData,
-    ObstacleData,
     PlanFile,
     PoseData,
     RecordData,
-    TaskData,
-    TouchData,
 )
 from planner.files.json_csv import read_json, write_json
+from planner.files.tasks import task_data, task_from_data
 from planner.hand import Hand
 from planner.judge import judge_grasp
-from planner.objects import GraspObject
 from planner.plan import GraspPlan, SolveRecord
 from planner.schema import faults_of
-from planner.shapes import shape_from_dict, shape_to_dict
 from planner.spatial import FloatArray
 from planner.synthesis.pregrasp import Approach
-from planner.task import GraspTask, Obstacle
 
 __all__ = ["plan_to_dict", "read_plan", "write_plan"]
 
@@ -52,45 +44,10 @@ recomputed from the stored joints: what rounding leaves after a quadratic progra
 
 def plan_to_dict(plan: GraspPlan) -> dict[str, Any]:
     """A plan as plain data that follows ``PlanFile``."""
-    task, hand = plan.task, plan.task.hand
-    if hand.reference is None:
-        raise TaskError(
-            f"{hand.name} was made in Python, so no file can name it; write its model and its "
-            "description to files and load it from there"
-        )
-    path = "" if hand.reference in hand_names() else hand.reference
+    hand = plan.task.hand
     data = PlanFile(
         written_by=f"opposable {version('opposable')}",
-        task=TaskData(
-            hand=HandData(name=hand.name, description_path=path, sha256=hand.digest),
-            object=ObjectData(
-                name=task.object.name,
-                shape=shape_to_dict(task.object.shape),
-                mass_kg=task.object.mass,
-                touch=TouchData.of(task.object.touch),
-            ),
-            T_world_object=PoseData.of(task.T_world_object),
-            table_height_m=task.table_height,
-            obstacles=[
-                ObstacleData(
-                    name=o.name,
-                    size_m=tuple(o.size),
-                    T_world_obstacle=PoseData.of(o.T_world_obstacle),
-                )
-                for o in task.obstacles
-            ],
-            gravity_m_s2=tuple(task.gravity),
-            mu=task.mu,
-            mu_torsion_m=task.mu_torsion,
-            contact_model=task.contact_model,
-            fingers=list(task.finger_names),
-            grip_force_N=task.grip_force,
-            T_world_base_fixed=None
-            if task.T_world_base is None
-            else PoseData.of(task.T_world_base),
-            wrist_free=task.wrist_free,
-            wrist_q_rad=list(task.wrist_q),
-        ),
+        task=task_data(plan.task),
         grasp=GraspData(
             T_world_base=PoseData.of(plan.T_world_base),
             T_world_base_start=PoseData.of(plan.T_world_base_start),
@@ -175,7 +132,7 @@ def read_plan(path: Path | str, *, hand: Hand | None = None) -> GraspPlan:
 
 
 def _rebuild(file: PlanFile, hand: Hand, path: Path) -> GraspPlan:
-    task = _task(file.task, hand)
+    task = task_from_data(file.task, hand)
     grasp = file.grasp
     approach = Approach(
         q=hand.checked_q(grasp.q_pregrasp_rad, "q_pregrasp_rad"),
@@ -217,32 +174,3 @@ def _numbers(items: Sequence[BaseModel]) -> FloatArray:
             elif isinstance(value, float):
                 flat.append(value)
     return np.array(flat)
-
-
-def _task(data: TaskData, hand: Hand) -> GraspTask:
-    return GraspTask(
-        hand=hand,
-        object=GraspObject(
-            name=data.object.name,
-            shape=shape_from_dict(data.object.shape),
-            mass=data.object.mass_kg,
-            touch=None if data.object.touch is None else data.object.touch.touch(),
-        ),
-        T_world_object=data.T_world_object.pose(),
-        table_height=data.table_height_m,
-        obstacles=tuple(
-            Obstacle(
-                name=o.name, size=np.array(o.size_m), T_world_obstacle=o.T_world_obstacle.pose()
-            )
-            for o in data.obstacles
-        ),
-        gravity=np.array(data.gravity_m_s2),
-        mu=data.mu,
-        mu_torsion=data.mu_torsion_m,
-        contact_model=data.contact_model,
-        finger_names=tuple(data.fingers),
-        grip_force=data.grip_force_N,
-        T_world_base=None if data.T_world_base_fixed is None else data.T_world_base_fixed.pose(),
-        wrist_free=data.wrist_free,
-        wrist_q=np.array(data.wrist_q_rad),
-    )

@@ -1,0 +1,17 @@
+"""Many grasps at once: planned in parallel, stored as they come, compared, thinned, exported."""
+
+from planner.batch.dataset import GraspSet
+from planner.batch.diversity import Diversity, diversity
+from planner.batch.features import GraspFeatures
+from planner.batch.run import BatchProgress, plan_grasps
+from planner.batch.thinning import thin
+
+__all__ = [
+    "BatchProgress",
+    "Diversity",
+    "GraspFeatures",
+    "GraspSet",
+    "diversity",
+    "plan_grasps",
+    "thin",
+]

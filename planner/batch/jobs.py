@@ -1,0 +1,192 @@
+"""What a batch consists of: requests with seeds of their own, and the function that plans one.
+
+A request's seed follows from the batch's seed, the object's shape and the grasp's number alone.
+Which worker plans it, when, and what else is in the batch makes no difference.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from planner.batch.recipe import recipe_of, shape_key, task_of
+from planner.batch.rows import failed_row, found_row
+from planner.errors import NoGraspFoundError, PlannerError
+from planner.search import Attempt, plan_grasp
+from planner.synthesis.options import SynthesisOptions
+from planner.task import GraspTask
+
+__all__ = ["BatchObject", "Job", "batch_jobs", "grasp_seed", "plan_row"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchObject:
+    """One object of a batch.
+
+    Attributes:
+        label: What it is called; no two of a batch are called the same.
+        recipe: Its task as text (``planner.batch.recipe``).
+        key: What identifies its shape, hexadecimal (``planner.batch.recipe.shape_key``).
+    """
+
+    label: str
+    recipe: str
+    key: str
+
+    @classmethod
+    def of(cls, label: str, task: GraspTask) -> BatchObject:
+        """The object of a task."""
+        return cls(label=label, recipe=recipe_of(task), key=shape_key(task.object.shape))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """One requested grasp, as it is sent to a worker.
+
+    Attributes:
+        index: Its number in the batch; rows are sorted by it.
+        object: Which object.
+        k: Number of the grasp among those of its object.
+        seed: Seed of its search.
+        max_attempts: Attempts before giving up.
+        options: Margins and weights of the NLP.
+        parent: Process that started the batch.
+    """
+
+    index: int
+    object: BatchObject
+    k: int
+    seed: int
+    max_attempts: int
+    options: SynthesisOptions | None
+    parent: int
+
+
+def grasp_seed(seed: int, key: str, k: int) -> int:
+    """Seed of grasp k of the shape with a key: 63 bits from ``numpy.random.SeedSequence``.
+
+    Of a million grasps two share a seed with a chance of 5e-8.
+    """
+    words = [int(key[i : i + 8], 16) for i in range(0, len(key), 8)]
+    state = np.random.SeedSequence(seed, spawn_key=(*words, k)).generate_state(1, np.uint64)
+    return int(state[0] >> np.uint64(1))
+
+
+def batch_jobs(
+    objects: Sequence[BatchObject],
+    n: int,
+    seed: int,
+    wanted: Callable[[int], bool],
+    max_attempts: int,
+    options: SynthesisOptions | None,
+) -> Iterator[Job]:
+    """The requests of a batch that are still wanted, object by object, one at a time.
+
+    Args:
+        objects: The objects.
+        n: Grasps per object.
+        seed: Seed of the batch.
+        wanted: Whether a request's number is still to be planned.
+        max_attempts: Attempts before giving up.
+        options: Margins and weights of the NLP.
+    """
+    for number, item in enumerate(objects):
+        for k in range(n):
+            index = number * n + k
+            if wanted(index):
+                yield Job(
+                    index=index,
+                    object=item,
+                    k=k,
+                    seed=grasp_seed(seed, item.key, k),
+                    max_attempts=max_attempts,
+                    options=options,
+                    parent=os.getpid(),
+                )
+
+
+_ONE_AT_A_TIME = threading.Lock()
+"""Threads take turns: tasks of one kind of shape share NLPs, which hold one field at a time."""
+
+
+def plan_row(job: Job) -> dict[str, Any]:
+    """Plan one request; a row of ``planner.batch.rows`` whether or not a grasp was found.
+
+    What the planner refuses (an object too large for the hand) is a row with that reason; only
+    faults of the program get out.
+    """
+    made: list[Attempt] = []
+    _end_with(job.parent)
+    with _ONE_AT_A_TIME, _undisturbed(job.parent) as check:
+
+        def note(attempt: Attempt) -> None:
+            made.append(attempt)
+            check()
+
+        try:
+            task = task_of(job.object.recipe)
+            plan = plan_grasp(
+                task,
+                seed=job.seed,
+                max_attempts=job.max_attempts,
+                options=job.options,
+                progress=note,
+            )
+        except NoGraspFoundError:
+            return failed_row(job.index, job.object.label, job.k, job.seed, made[-1].reason, made)
+        except PlannerError as error:
+            return failed_row(job.index, job.object.label, job.k, job.seed, str(error), made)
+        return found_row(job.index, job.object.label, job.k, plan, made)
+
+
+@lru_cache(maxsize=1)
+def _end_with(parent: int) -> None:
+    """End this worker when the process that started it is killed; idle ones would wait on."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(WATCH_S)
+        os._exit(1)
+
+    if os.getppid() == parent:
+        threading.Thread(target=watch, daemon=True).start()
+
+
+WATCH_S = 1.0
+"""Time (s) between two looks at whether that process is alive."""
+
+
+@contextmanager
+def _undisturbed(parent: int) -> Iterator[Callable[[], None]]:
+    """Keep Ctrl-C out of a solver, which would call it a failed attempt and go on with the next.
+
+    A worker ignores Ctrl-C: the process that started the batch ends it. That process itself
+    notes it and is interrupted between attempts, by the function given here.
+    """
+    pressed: list[bool] = []
+
+    def check() -> None:
+        if pressed:
+            raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield check  # signals are handled by the main thread
+        return
+    ours = os.getpid() == parent
+    old = signal.signal(
+        signal.SIGINT, (lambda *_: pressed.append(True)) if ours else signal.SIG_IGN
+    )
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, old)
+    check()

@@ -1,0 +1,120 @@
+"""The manifest of a stored batch: everything that its rows depend on.
+
+A batch goes on only under the manifest it began with, so that one folder never mixes two.
+"""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import ValidationError
+
+from planner.errors import FileFormatError
+from planner.files import TaskData, read_json
+from planner.schema import StrictData, faults_of
+
+__all__ = ["MANIFEST", "Manifest", "ManifestObject", "read_manifest", "written_by"]
+
+MANIFEST = "manifest.json"
+"""Name of the file."""
+
+SHARD_ROWS = 1000
+"""Rows per Parquet file, about 1 MB: few files for many grasps, and few rows in memory."""
+
+MOST_DIFFERENCES = 4
+"""Differences between two manifests that a message tells."""
+
+
+class ManifestObject(StrictData):
+    """One object: what it is called, and its task."""
+
+    label: str
+    task: TaskData
+
+
+class Manifest(StrictData):
+    """What a batch was asked for."""
+
+    format: Literal["opposable-grasps"] = "opposable-grasps"
+    version: Literal[1] = 1
+    written_by: str
+    hand: str
+    joint_names: list[str]
+    n: int
+    seed: int
+    max_attempts: int
+    options: dict[str, Any]
+    shard_rows: int = SHARD_ROWS
+    objects: list[ManifestObject]
+
+    @property
+    def total(self) -> int:
+        """Requested grasps of all objects."""
+        return self.n * len(self.objects)
+
+    @property
+    def n_shards(self) -> int:
+        """Files that hold all rows."""
+        return -(-self.total // self.shard_rows)
+
+    def rows_in(self, shard: int) -> int:
+        """Rows of a complete shard."""
+        return min(self.shard_rows, self.total - shard * self.shard_rows)
+
+    def refuse_unless_same(self, asked: Manifest, folder: Path) -> None:
+        """Check that what is asked for is what the folder was begun with.
+
+        Raises:
+            FileFormatError: It is not; says what differs.
+        """
+        told = list(_differences("", self.model_dump(), asked.model_dump()))
+        if told:
+            more = len(told) - MOST_DIFFERENCES
+            raise FileFormatError(
+                f"{folder} holds another batch: {'; '.join(told[:MOST_DIFFERENCES])}"
+                + (f"; and {more} more" if more > 0 else "")
+                + ". Ask for the same to go on with it, or name another folder"
+            )
+
+
+def written_by() -> str:
+    """This version, as files name it."""
+    return f"opposable {version('opposable')}"
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """The manifest of a folder.
+
+    Raises:
+        FileFormatError: There is none, or it is damaged.
+    """
+    try:
+        return Manifest.model_validate(read_json(folder / MANIFEST, "the manifest of a batch"))
+    except ValidationError as error:
+        raise FileFormatError(f"{folder / MANIFEST} is damaged: {faults_of(error)}") from error
+
+
+def _differences(where: str, there: Any, asked: Any) -> Any:
+    """Sentences about what differs between two values of plain data."""
+    if isinstance(there, dict) and isinstance(asked, dict):
+        for key in dict.fromkeys((*there, *asked)):
+            inner = f"{where}.{key}" if where else str(key)
+            yield from _differences(inner, there.get(key), asked.get(key))
+    elif isinstance(there, list) and isinstance(asked, list) and len(there) == len(asked):
+        for i, (a, b) in enumerate(zip(there, asked, strict=True)):
+            yield from _differences(f"{where}[{i}]", a, b)
+    elif there != asked:
+        yield f"{where} is {_short(there)} there and {_short(asked)} here"
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, list):
+        return f"{len(value)} values"
+    text = repr(value)
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
+
+
+LONGEST = 60
+"""Characters of a value in a message."""

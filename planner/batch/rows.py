@@ -1,0 +1,177 @@
+"""Rows of a dataset of grasps as plain data, and the Arrow schemas that they follow.
+
+Everything is in the object's frame, whose origin is its centre of mass; the tasks, which say where
+the object stands, are kept once per object in the manifest. A row holds what ``GraspSet.plan``
+needs to rebuild and verify the plan again: 1 kB against the 6.7 kB of a plan file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from planner.errors import TaskError
+from planner.hand import Hand
+from planner.plan import GraspPlan
+from planner.quality import epsilon_l1, min_weight
+from planner.search import Attempt
+from planner.spatial import pose_to_wxyz
+
+__all__ = ["arrow", "attempt_rows", "attempt_schema", "failed_row", "found_row", "grasp_schema"]
+
+EDGES = 8
+"""Edges per friction cone of ``min_weight`` and ``epsilon`` (-)."""
+
+
+def arrow() -> Any:
+    """The module ``pyarrow``.
+
+    Raises:
+        TaskError: It is not installed.
+    """
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet
+    except ImportError as error:
+        raise TaskError(
+            "datasets of grasps are Parquet files, which need pyarrow; install it with: "
+            "pip install 'opposable[batch]'"
+        ) from error
+    return pa
+
+
+def failed_row(
+    index: int, label: str, k: int, seed: int, reason: str, made: Sequence[Attempt]
+) -> dict[str, Any]:
+    """The row of a request without a grasp; ``reason`` is that of its last attempt."""
+    return {
+        "index": index,
+        "object": label,
+        "k": k,
+        "seed": seed,
+        "found": False,
+        "reason": reason,
+        "attempts": len(made),
+        "cpu_s": sum(a.cpu_s for a in made),
+        "tries": [(a.reason, a.cpu_s) for a in made],
+    }
+
+
+def found_row(
+    index: int, label: str, k: int, plan: GraspPlan, made: Sequence[Attempt]
+) -> dict[str, Any]:
+    """The row of a request with its grasp."""
+    task, contacts = plan.task, plan.contacts_in_object
+    T_object_world = task.T_world_object.inverse()
+    base = pose_to_wxyz(T_object_world * plan.T_world_base)
+    start = pose_to_wxyz(T_object_world * plan.T_world_base_start)
+    T_object_palm = T_object_world * plan.T_world_palm
+    length = task.object.shape.bounding_radius
+    row = {
+        "index": index,
+        "object": label,
+        "k": k,
+        "seed": plan.record.seed,
+        "found": True,
+        "reason": "",
+        "attempts": len(made),
+        "cpu_s": sum(a.cpu_s for a in made),
+        "tries": [(a.reason, a.cpu_s) for a in made],
+        "base_position_object_m": base[0].tolist(),
+        "base_quaternion_object_wxyz": base[1].tolist(),
+        "start_position_object_m": start[0].tolist(),
+        "start_quaternion_object_wxyz": start[1].tolist(),
+        "approach_object": (T_object_palm.rotation @ task.hand.palm_normal).tolist(),
+        "q_rad": plan.q.tolist(),
+        "q_pregrasp_rad": plan.q_pregrasp.tolist(),
+        "opening_m": plan.opening,
+        "contact_positions_object_m": contacts.positions.tolist(),
+        "contact_normals_object": contacts.normals.tolist(),
+        "contact_forces_object_N": contacts.forces_in_axes().tolist(),
+        "contact_torques_normal_N_m": contacts.forces[:, 3].tolist(),
+        "joint_torques_N_m": plan.forces.joint_torques.tolist(),
+        "min_weight": min_weight(contacts, EDGES),
+        "epsilon": epsilon_l1(contacts, length=length, edges=EDGES),
+        "largest_pad_gap_m": float(np.abs(plan.verification.pad_gaps).max()),
+        "iterations": plan.record.iterations,
+        "solver_status": plan.record.status,
+        "build_s": plan.record.build_s,
+    }
+    if plan.arm is not None:
+        row["arm_approach_q_rad"] = plan.arm.approach.tolist()
+        row["arm_lift_q_rad"] = plan.arm.lift.tolist()
+    return row
+
+
+def attempt_rows(row: dict[str, Any]) -> list[dict[str, Any]]:
+    """The rows of the second table: one per attempt of a request."""
+    return [
+        {"object": row["object"], "k": row["k"], "attempt": i, "reason": reason, "cpu_s": cpu}
+        for i, (reason, cpu) in enumerate(row["tries"])
+    ]
+
+
+def grasp_schema(hand: Hand) -> Any:
+    """Arrow schema of the table of grasps for a hand; units are in the names.
+
+    The field metadata say what a column is; those of the schema name hand, joints and fingers.
+    """
+    pa = arrow()
+    number, joints = pa.float64(), pa.list_(pa.float64(), hand.nq)
+    vector, quaternion = pa.list_(number, 3), pa.list_(number, 4)
+    columns = [
+        ("object", pa.string(), "what the object is called in the manifest"),
+        ("k", pa.int64(), "number of the grasp among those of its object"),
+        ("seed", pa.int64(), "seed of the search, as plan_grasp takes it"),
+        ("found", pa.bool_(), "whether there is a grasp; the columns after cpu_s are null if not"),
+        ("reason", pa.string(), "why not: of the last attempt; empty if found"),
+        ("attempts", pa.int64(), "attempts made; the table of attempts has each"),
+        ("cpu_s", number, "CPU time of all attempts, without building the NLPs"),
+        ("base_position_object_m", vector, "hand's base at the grasp, object's frame"),
+        ("base_quaternion_object_wxyz", quaternion, "w, x, y, z"),
+        ("start_position_object_m", vector, "hand's base where the straight approach starts"),
+        ("start_quaternion_object_wxyz", quaternion, "w, x, y, z"),
+        ("approach_object", vector, "direction that the palm faces, unit, object's frame"),
+        ("q_rad", joints, "joints at the grasp (m for slides), order of 'joint_names'"),
+        ("q_pregrasp_rad", joints, "joints before the fingers close"),
+        ("opening_m", number, "by how much pads are opened in the pre-grasp"),
+        ("contact_positions_object_m", pa.list_(vector), "per finger, order of 'fingers'"),
+        ("contact_normals_object", pa.list_(vector), "unit, into the object"),
+        ("contact_forces_object_N", pa.list_(vector), "planned force on the object, its axes"),
+        ("contact_torques_normal_N_m", pa.list_(number), "planned torque about the normal"),
+        ("joint_torques_N_m", joints, "torques that make these forces"),
+        ("min_weight", number, f"normalised min-weight, {EDGES} edges per cone"),
+        ("epsilon", number, f"L1 epsilon, {EDGES} edges, torque / bounding radius"),
+        ("largest_pad_gap_m", number, "largest distance of a pad from the true surface"),
+        ("iterations", pa.int64(), "IPOPT iterations of the attempt that succeeded"),
+        ("solver_status", pa.string(), "IPOPT's return status"),
+        ("build_s", number, "time that building the NLPs took in that worker"),
+        ("arm_approach_q_rad", pa.list_(pa.list_(number)), "arm's way in; null without an arm"),
+        ("arm_lift_q_rad", pa.list_(pa.list_(number)), "arm's lift; null without an arm"),
+    ]
+    fields = [pa.field(n, t, metadata={"description": text}) for n, t, text in columns]
+    return pa.schema(
+        fields,
+        metadata={
+            "format": "opposable-grasps",
+            "hand": hand.name,
+            "hand_sha256": hand.digest,
+            "joint_names": ",".join(hand.joint_names),
+        },
+    )
+
+
+def attempt_schema() -> Any:
+    """Arrow schema of the table of attempts."""
+    pa = arrow()
+    return pa.schema(
+        [
+            ("object", pa.string()),
+            ("k", pa.int64()),
+            ("attempt", pa.int64()),
+            ("reason", pa.string()),
+            ("cpu_s", pa.float64()),
+        ]
+    )

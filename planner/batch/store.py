@@ -1,0 +1,213 @@
+"""A folder that grasps are added to one by one, and that survives being interrupted anywhere.
+
+A row is safe once ``add`` returns: it is a line of the journal. When all rows of a shard are there
+they become a Parquet file, which appears whole or not at all, and leave the journal. Shards divide
+the requests by their number, so the files of a finished batch do not depend on who finished when.
+What is in memory are the rows of unfinished shards.
+
+    manifest.json             what was asked for
+    grasps/part-000000.parquet    one row per requested grasp, sorted by object and k
+    attempts/part-000000.parquet  one row per attempt
+    journal.jsonl             rows whose shard is not complete
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TextIO
+
+from planner.batch.manifest import MANIFEST, Manifest, read_manifest
+from planner.batch.rows import arrow, attempt_rows, attempt_schema
+from planner.errors import FileFormatError
+from planner.files import write_json
+
+__all__ = ["ATTEMPTS", "GRASPS", "Store", "shard_file", "waiting_rows", "whole_shards"]
+
+GRASPS, ATTEMPTS = "grasps", "attempts"
+"""The two tables."""
+
+JOURNAL, LOCK, PARTIAL = "journal.jsonl", "lock", "partial.tmp"
+
+
+def shard_file(folder: Path, table: str, shard: int) -> Path:
+    """The Parquet file of a shard."""
+    return folder / table / f"part-{shard:06d}.parquet"
+
+
+def whole_shards(folder: Path, manifest: Manifest) -> set[int]:
+    """Shards that are there with all their rows; a damaged file counts as absent."""
+    pa = arrow()
+    whole = set()
+    for shard in range(manifest.n_shards):
+        path = shard_file(folder, GRASPS, shard)
+        if path.exists() and shard_file(folder, ATTEMPTS, shard).exists():
+            try:
+                rows = pa.parquet.read_metadata(path).num_rows
+            except pa.ArrowInvalid:
+                continue
+            if rows == manifest.rows_in(shard):
+                whole.add(shard)
+    return whole
+
+
+def waiting_rows(folder: Path, manifest: Manifest) -> dict[int, dict[str, Any]]:
+    """Rows of the journal by their number; half a line, from the moment of a kill, is left out."""
+    path = folder / JOURNAL
+    rows: dict[int, dict[str, Any]] = {}
+    if path.exists():
+        for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+            try:
+                row = json.loads(line)
+            except ValueError:
+                continue
+            if isinstance(row, dict) and 0 <= row.get("index", -1) < manifest.total:
+                rows[row["index"]] = row
+    return rows
+
+
+class Store:
+    """A batch's folder, open for adding rows; use it as a context."""
+
+    def __init__(self, folder: Path, manifest: Manifest, schema: Any) -> None:
+        """Begin a batch, or go on with one.
+
+        Args:
+            folder: Made if it does not exist.
+            manifest: What is asked for.
+            schema: Arrow schema of the grasps.
+
+        Raises:
+            FileFormatError: The folder cannot be written, holds another batch or other files, or
+                another process is writing to it.
+        """
+        self.folder, self.manifest, self._schema = folder, manifest, schema
+        self._lock = _locked(folder)
+        try:
+            self._begin()
+            self._shards = whole_shards(folder, manifest)
+            self._rows = {
+                i: row for i, row in waiting_rows(folder, manifest).items() if not self._stored(i)
+            }
+            self._counts: dict[int, int] = {}
+            for index in self._rows:
+                self._count(index)
+            self._journal = self._rewritten_journal()
+            for shard in [s for s in self._counts if self._full(s)]:
+                self._write_shard(shard)
+        except BaseException:
+            os.close(self._lock)
+            raise
+
+    def __enter__(self) -> Store:
+        """The store itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Let go of the folder."""
+        self._journal.close()
+        os.close(self._lock)
+
+    def has(self, index: int) -> bool:
+        """Whether the row of a request is there."""
+        return index in self._rows or self._stored(index)
+
+    def __len__(self) -> int:
+        """Rows that are there."""
+        return len(self._rows) + sum(self.manifest.rows_in(s) for s in self._shards)
+
+    def add(self, row: dict[str, Any]) -> None:
+        """Add a row; it survives the death of this process."""
+        self._rows[row["index"]] = row
+        self._journal.write(json.dumps(row) + "\n")
+        self._journal.flush()
+        shard = self._count(row["index"])
+        if self._full(shard):
+            self._write_shard(shard)
+
+    def _begin(self) -> None:
+        for table in (GRASPS, ATTEMPTS):
+            (self.folder / table).mkdir(exist_ok=True)
+        if (self.folder / MANIFEST).exists():
+            read_manifest(self.folder).refuse_unless_same(self.manifest, self.folder)
+        else:
+            write_json(self.manifest.model_dump(mode="json"), self.folder / MANIFEST)
+
+    def _stored(self, index: int) -> bool:
+        return index // self.manifest.shard_rows in self._shards
+
+    def _count(self, index: int) -> int:
+        shard = index // self.manifest.shard_rows
+        self._counts[shard] = self._counts.get(shard, 0) + 1
+        return shard
+
+    def _full(self, shard: int) -> bool:
+        return self._counts[shard] == self.manifest.rows_in(shard)
+
+    def _write_shard(self, shard: int) -> None:
+        """Turn a shard's rows into files; the file of grasps comes last and makes it valid."""
+        pa = arrow()
+        size = self.manifest.shard_rows
+        rows = [self._rows[i] for i in sorted(self._rows) if i // size == shard]
+        attempts = [attempt for row in rows for attempt in attempt_rows(row)]
+        self._write(ATTEMPTS, shard, pa.Table.from_pylist(attempts, schema=attempt_schema()))
+        self._write(GRASPS, shard, pa.Table.from_pylist(rows, schema=self._schema))
+        self._shards.add(shard)
+        del self._counts[shard]
+        for row in rows:
+            del self._rows[row["index"]]
+        self._journal.close()
+        self._journal = self._rewritten_journal()
+
+    def _write(self, table: str, shard: int, data: Any) -> None:
+        def write(path: Path) -> None:
+            arrow().parquet.write_table(data, path)
+
+        _replace(self.folder, shard_file(self.folder, table, shard), write)
+
+    def _rewritten_journal(self) -> TextIO:
+        """The journal of the rows that wait, open at its end."""
+
+        def write(path: Path) -> None:
+            lines = (json.dumps(self._rows[i]) + "\n" for i in sorted(self._rows))
+            path.write_text("".join(lines), encoding="utf-8")
+
+        _replace(self.folder, self.folder / JOURNAL, write)
+        return (self.folder / JOURNAL).open("a", encoding="utf-8")
+
+
+def _replace(folder: Path, target: Path, write: Callable[[Path], None]) -> None:
+    """Write a file under another name, see it on the disk, and rename it into place."""
+    partial = folder / PARTIAL
+    write(partial)
+    with partial.open("rb") as file:
+        os.fsync(file.fileno())
+    partial.replace(target)
+
+
+def _locked(folder: Path) -> int:
+    """Make the folder and lock it for this process, whose death unlocks it; a file descriptor.
+
+    Raises:
+        FileFormatError: It cannot be made or written, holds other files, or is locked.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()) and not {MANIFEST, LOCK} & {p.name for p in folder.iterdir()}:
+            raise FileFormatError(
+                f"{folder} holds files but no batch; name a new or an empty folder"
+            )
+        lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT)
+    except OSError as error:
+        raise FileFormatError(f"cannot write to {folder}: {error.strerror}") from error
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        os.close(lock)
+        raise FileFormatError(
+            f"another process is adding grasps to {folder}; wait for it, or name another folder"
+        ) from error
+    return lock

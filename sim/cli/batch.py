@@ -1,0 +1,126 @@
+"""Commands for many grasps: ``batch``, ``pick``."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from sim.cli.common import (
+    EXIT_INTERRUPTED,
+    EXIT_NOT_FOUND,
+    AttemptsOption,
+    FingersOption,
+    HandArgument,
+    JsonOption,
+    MuOption,
+    SeedOption,
+    check_folder,
+    err,
+    errors_for_people,
+    names,
+    out,
+    print_json,
+    say,
+)
+
+TABLE_WIDTH = 110
+"""Characters that the table needs."""
+
+
+class Export(StrEnum):
+    """Formats of other projects that a batch is exported to."""
+
+    dexgraspbench = "dexgraspbench"
+
+
+@errors_for_people()
+def batch(
+    hand: HandArgument,
+    objects: Annotated[
+        list[str], typer.Argument(help="Objects as `plan` takes them.", metavar="OBJECT...")
+    ],
+    n: Annotated[int, typer.Option("-n", "--number", min=1, help="Grasps per object.")] = 100,
+    folder: Annotated[
+        Path, typer.Option("--out", help="Folder; a batch that is there goes on.")
+    ] = Path("grasps"),
+    seed: SeedOption = 0,
+    workers: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
+    backend: Annotated[str, typer.Option(help="joblib's backend: loky, threading.")] = "loky",
+    mu: MuOption = 0.5,
+    fingers: FingersOption = None,
+    max_attempts: AttemptsOption = 100,
+    export: Annotated[Export | None, typer.Option(help="Also write OUT/dexgraspbench.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Plan many grasps on all cores into a Parquet dataset; an interrupted batch goes on."""
+    from planner.batch import plan_grasps
+    from planner.batch.dexgraspbench import export_dexgraspbench
+    from planner.files import write_json
+    from planner.hand import Hand
+    from planner.objects import parse_object
+    from planner.task import GraspTask
+    from sim.batch_report import BatchBar, batch_summary, batch_table
+
+    check_folder(folder / "manifest.json" if folder.is_dir() else folder)
+    loaded = Hand.load(hand)
+    chosen = None if fingers is None else names(fingers)
+    tasks = [GraspTask.create(loaded, parse_object(o), mu=mu, fingers=chosen) for o in objects]
+    with BatchBar(err) as bar:
+        try:
+            grasps = plan_grasps(
+                loaded,
+                tasks,
+                n,
+                seed=seed,
+                workers=workers,
+                backend=backend,
+                out=folder,
+                max_attempts=max_attempts,
+                progress=bar.show,
+            )
+        except KeyboardInterrupt as error:
+            say(err, escape(f"interrupted: {bar.kept()}; the same command goes on"))
+            raise typer.Exit(EXIT_INTERRUPTED) from error
+    summary: dict[str, Any] = batch_summary(grasps)
+    write_json(summary, folder / "summary.json")
+    if export is not None:
+        count = export_dexgraspbench(grasps, folder / export.value)
+        say(err, escape(f"{count} grasps exported to {folder / export.value}"))
+    if as_json:
+        print_json(summary)
+    else:
+        # the table does not fit into 80 columns; a narrow terminal breaks its lines
+        Console(width=max(out.width, TABLE_WIDTH)).print(batch_table(summary))
+        say(out, escape(f"written to {folder}: grasps/, attempts/, manifest.json, summary.json"))
+    if not any(item["found"] for item in summary["objects"]):
+        raise typer.Exit(EXIT_NOT_FOUND)
+
+
+@errors_for_people()
+def pick(
+    folder: Annotated[Path, typer.Argument(help="Folder of a batch.", metavar="FOLDER")],
+    row: Annotated[int, typer.Argument(min=0, help="Number of the row, from 0.", metavar="ROW")],
+    output: Annotated[Path, typer.Option("--out", "-o", help="The plan file.")] = Path("plan.json"),
+) -> None:
+    """Verify a grasp of a batch again and write it as a plan file."""
+    from planner.batch import GraspSet
+    from planner.errors import NotFoundError
+    from planner.files import write_plan
+
+    check_folder(output)
+    grasps = GraspSet(folder)
+    if row >= len(grasps):
+        raise NotFoundError("row", str(row), [f"0 to {len(grasps) - 1}"])
+    write_plan(grasps.plan(row), output)
+    say(out, escape(f"written to {output}"))
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command()(batch)
+    app.command()(pick)

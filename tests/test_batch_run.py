@@ -1,0 +1,298 @@
+"""Batches in several processes: the same rows whatever happens to those."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planner.batch import BatchProgress, GraspFeatures, GraspSet, plan_grasps, pool
+from planner.batch.jobs import BatchObject, Job
+from planner.batch.pool import planned_rows
+from planner.batch.rows import failed_row
+from planner.errors import TaskError
+from planner.files import read_plan, write_plan
+from planner.hand import Hand
+from planner.search import plan_grasp
+from planner.task import GraspTask
+
+pa = pytest.importorskip("pyarrow")
+
+N = 8
+"""Grasps of the batch that all of these tests plan."""
+
+TIMES = ("cpu_s", "build_s")
+"""Columns that differ from run to run."""
+
+
+def batch(out: Path | None = None, **options: Any) -> GraspSet:
+    """The batch that all of these tests plan."""
+    return plan_grasps("allegro_hand", ["sphere"], N, out=out, seed=3, **options)
+
+
+def rows_of(grasps: GraspSet) -> list[dict[str, Any]]:
+    """Rows without times."""
+    table: list[dict[str, Any]] = grasps.table().drop_columns(list(TIMES)).to_pylist()
+    return table
+
+
+@pytest.fixture(scope="module")
+def reference() -> GraspSet:
+    """Planned by this process alone."""
+    return batch(workers=1)
+
+
+def fake_jobs(n: int) -> Iterator[Job]:
+    """Requests that need no hand."""
+    for i in range(n):
+        item = BatchObject(label="thing", recipe="", key="")
+        yield Job(index=i, object=item, k=i, seed=i, max_attempts=1, options=None, parent=-1)
+
+
+def test_rows_are_in_order_and_whole(reference: GraspSet) -> None:
+    assert reference.complete
+    assert [r["k"] for r in reference] == list(range(N))
+    assert reference.labels == ("sphere:0.035",)
+    row = reference[2]
+    assert row["found"]
+    assert np.shape(row["q_rad"]) == np.shape(row["joint_torques_N_m"]) == (16,)
+    assert np.shape(row["contact_positions_object_m"]) == (4, 3)
+    # the contacts are on the sphere, normals into it, forces in the cones and balancing weight
+    points = np.array(row["contact_positions_object_m"])
+    normals = np.array(row["contact_normals_object"])
+    forces = np.array(row["contact_forces_object_N"])
+    assert normals == pytest.approx(-points / 0.035, abs=1e-9)
+    pressing = np.einsum("nd,nd->n", normals, forces)
+    assert (pressing > 1.49).all()
+    sliding = np.linalg.norm(forces - pressing[:, None] * normals, axis=1)
+    assert (sliding <= 0.5 * pressing + 1e-6).all()
+    assert forces.sum(axis=0) == pytest.approx([0, 0, 0.1 * 9.81], abs=1e-3)
+    assert 0 < row["epsilon"] < 1
+    assert 0 < row["min_weight"] <= 1
+
+
+def test_a_row_turns_back_into_its_plan(reference: GraspSet, tmp_path: Path) -> None:
+    row, plan = reference[4], reference.plan(4)
+    direct = plan_grasp(GraspTask.create("allegro_hand", "sphere"), seed=row["seed"])
+    assert plan.q == pytest.approx(direct.q, abs=1e-12)
+    assert plan.T_world_base.homogeneous == pytest.approx(
+        direct.T_world_base.homogeneous, abs=1e-12
+    )
+    assert plan.contacts.forces == pytest.approx(direct.contacts.forces, abs=1e-4)
+    assert (plan.record.seed, plan.record.attempt) == (row["seed"], row["attempts"] - 1)
+    write_plan(plan, tmp_path / "plan.json")
+    assert read_plan(tmp_path / "plan.json").q == pytest.approx(plan.q)
+
+
+def test_the_files_are_plain_parquet(reference: GraspSet) -> None:
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(reference.folder / "grasps")
+    assert table.num_rows == N
+    assert table.schema.metadata[b"joint_names"].decode().split(",")[0] == "index_0"
+    assert b"w, x, y, z" in table.schema.field("base_quaternion_object_wxyz").metadata.values()
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.read_parquet(reference.folder / "grasps")
+    assert frame["q_rad"][0].shape == (16,)
+    assert frame["found"].all()
+
+
+def test_features_of_rows_are_those_of_plans(reference: GraspSet) -> None:
+    stored = reference.features("sphere:0.035", most=2)
+    planned = GraspFeatures.of_plans([reference.plan(0), reference.plan(1)])
+    for name in GraspFeatures.__dataclass_fields__:
+        assert getattr(stored, name) == pytest.approx(getattr(planned, name), abs=1e-9), name
+
+
+def test_thinned_rows_are_some_of_those_found(reference: GraspSet) -> None:
+    kept = reference.thinned("sphere:0.035")
+    assert set(kept) <= set(range(N))
+    assert len(kept) == reference.diversity("sphere:0.035").n_distinct
+
+
+@pytest.mark.parametrize(("workers", "backend"), [(2, "loky"), (2, "threading")])
+def test_workers_make_no_difference(reference: GraspSet, workers: int, backend: str) -> None:
+    assert rows_of(batch(workers=workers, backend=backend)) == rows_of(reference)
+
+
+def test_neither_does_what_else_is_in_the_batch(reference: GraspSet) -> None:
+    both = plan_grasps("allegro_hand", ["sphere:0.2", "sphere"], 2, seed=3, workers=1)
+    assert [r["found"] for r in both] == [False, False, True, True]
+    assert "too large" in both[0]["reason"]
+    assert rows_of(both)[2:] == rows_of(reference)[:2]
+
+
+def test_a_batch_goes_on_where_it_was_interrupted(reference: GraspSet, tmp_path: Path) -> None:
+    told: list[BatchProgress] = []
+
+    def stop(now: BatchProgress) -> None:
+        told.append(now)
+        if now.done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        batch(tmp_path, workers=1, progress=stop)
+    before = GraspSet(tmp_path).table().to_pylist()
+    assert len(before) == 3
+    told.clear()
+    done = batch(tmp_path, workers=1, progress=told.append)
+    assert (told[0].done, told[0].kept, told[-1].done, told[-1].found) == (3, 3, N, N - 3)
+    assert told[-1].rate > 0
+    assert done.table().to_pylist()[:3] == before  # times and all: nothing was planned again
+    assert rows_of(done) == rows_of(reference)
+    again = batch(tmp_path, workers=1, progress=told.append)
+    assert told[-1].kept == N
+    assert again.table().equals(done.table())
+
+
+def test_a_killed_worker_costs_nothing_but_time(reference: GraspSet) -> None:
+    killed: list[int] = []
+
+    def kill(now: BatchProgress) -> None:
+        if now.done == 3 and not killed:
+            victim = multiprocessing.active_children()[0].pid
+            assert victim is not None
+            os.kill(victim, signal.SIGKILL)
+            killed.append(victim)
+
+    assert rows_of(batch(workers=2, progress=kill)) == rows_of(reference)
+    assert killed
+
+
+def test_a_request_that_kills_its_worker_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    def deadly(job: Job) -> dict[str, Any]:
+        if job.index == 4:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return failed_row(job.index, job.object.label, job.k, job.seed, "harmless", ())
+
+    monkeypatch.setattr(pool, "plan_row", deadly)
+    rows = sorted(planned_rows(fake_jobs(12), 2, "loky"), key=lambda row: int(row["index"]))
+    assert [row["index"] for row in rows] == list(range(12))
+    assert {row["index"]: row["reason"] for row in rows if row["reason"] != "harmless"} == {
+        4: "its process died 3 times, killed or by a fault in a library"
+    }
+
+
+def test_a_backend_without_a_stream_of_results_works_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    # as Ray's backend is: its results come by the list
+    from joblib import register_parallel_backend
+    from joblib._parallel_backends import ThreadingBackend
+
+    class Lists(ThreadingBackend):  # type: ignore[misc]
+        supports_return_generator = False
+
+    register_parallel_backend("lists", Lists)
+
+    def quick(job: Job) -> dict[str, Any]:
+        return failed_row(job.index, job.object.label, job.k, job.seed, "", ())
+
+    monkeypatch.setattr(pool, "plan_row", quick)
+    rows = list(planned_rows(fake_jobs(21), 2, "lists"))
+    assert sorted(row["index"] for row in rows) == list(range(21))
+
+
+def started(out: Path) -> subprocess.Popen[str]:
+    """The batch in a process group of its own, by the command line."""
+    words = f"batch allegro_hand sphere -n {N} --seed 3 --workers 2".split()
+    code = f"from sim.cli import main; main({[*words, '--out', str(out)]!r})"
+    return subprocess.Popen(
+        [sys.executable, "-c", code], start_new_session=True, stderr=subprocess.PIPE, text=True
+    )
+
+
+def wait_for(condition: Callable[[], bool], what: str) -> None:
+    """Wait for something to happen, no longer than a minute."""
+    for _ in range(600):
+        if condition():
+            return
+        time.sleep(0.1)
+    pytest.fail(f"waited a minute for {what}")
+
+
+def lines_in(folder: Path) -> int:
+    """Rows in the journal."""
+    path = folder / "journal.jsonl"
+    return len(path.read_text(encoding="utf-8").splitlines()) if path.exists() else 0
+
+
+def members(group: int) -> list[int]:
+    """Live processes of a process group."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text(encoding="utf-8").rpartition(")")[2].split()
+        except OSError:
+            continue  # it ended meanwhile
+        if int(fields[2]) == group and fields[0] != "Z":
+            found.append(int(stat.parent.name))
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
+def test_a_killed_parent_leaves_what_was_planned(reference: GraspSet, tmp_path: Path) -> None:
+    with started(tmp_path) as process:
+        wait_for(lambda: lines_in(tmp_path) >= 2, "two grasps")
+        os.kill(process.pid, signal.SIGKILL)
+    wait_for(lambda: not members(process.pid), "the workers to end by themselves")
+    before = {row["k"]: row for row in GraspSet(tmp_path)}
+    assert 2 <= len(before) < N
+    told: list[BatchProgress] = []
+    done = batch(tmp_path, workers=1, progress=told.append)
+    assert told[0].kept == len(before)
+    assert {k: row for k, row in enumerate(done) if k in before} == before
+    assert rows_of(done) == rows_of(reference)
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
+def test_ctrl_c_keeps_what_was_planned(reference: GraspSet, tmp_path: Path) -> None:
+    with started(tmp_path) as process:
+        wait_for(lambda: lines_in(tmp_path) >= 2, "two grasps")
+        os.killpg(process.pid, signal.SIGINT)  # a terminal interrupts workers, too
+        _, message = process.communicate(timeout=60)
+    assert process.returncode == 130
+    before = {row["k"]: row for row in GraspSet(tmp_path)}
+    assert f"{len(before)} grasps are kept" in message
+    assert "Traceback" not in message
+    done = batch(tmp_path, workers=1)
+    assert {k: row for k, row in enumerate(done) if k in before} == before
+    assert rows_of(done) == rows_of(reference)
+    wait_for(lambda: not members(process.pid), "the workers to end")
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_cluster_gives_the_same_rows(reference: GraspSet) -> None:
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster),
+    ):
+        assert rows_of(batch(workers=-1, backend="dask")) == rows_of(reference)
+
+
+def test_bad_requests_are_refused(allegro: Hand) -> None:
+    task = GraspTask.create("shadow_hand", "sphere")
+    for arguments, message in (
+        (dict(objects=[]), "no objects"),
+        (dict(objects="sphere"), "give a list"),
+        (dict(objects=["sphere", "sphere:0.035"]), "two objects are called"),
+        (dict(objects=[task]), "another hand"),
+        (dict(n=0), "n is 0"),
+        (dict(seed=-1), "seed is -1"),
+        (dict(max_attempts=0), "max_attempts is 0"),
+        (dict(workers=0), "workers is 0"),
+        (dict(backend="lokky"), "cannot use the backend 'lokky'"),
+    ):
+        given: dict[str, Any] = {"objects": ["sphere"], "n": 1} | arguments
+        with pytest.raises(TaskError, match=message):
+            plan_grasps(allegro, given.pop("objects"), given.pop("n"), **given)
