@@ -10,6 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from planner.collision import CollisionWorld
 from planner.errors import NoGraspFoundError, TaskError
 from planner.judge import judge_grasp
 from planner.plan import GraspPlan, SolveRecord
+from planner.stages import stage
 from planner.synthesis.mesh_seeds import seeder_for
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problems import Problems, problems_for
@@ -90,12 +92,12 @@ def attempts(
     if not isinstance(seed, int | np.integer) or seed < 0:
         raise TaskError(f"seed is {seed!r}; give an integer >= 0")
     options = options or SynthesisOptions()
-    whole = spared = _Ground.of(task)
+    whole = spared = _ground(task)
     total = 0.0
     index = 0
     while True:
         if index == SPARE_AFTER and task.may_spare_fingers:
-            spared = _Ground.of(task.with_fingers(whole.seeder.tripod))
+            spared = _spared_ground(task)
         past = index - SPARE_AFTER
         ground = spared if past >= 0 and past % 2 == 0 else whole
         start_cpu = time.process_time()
@@ -169,10 +171,18 @@ class _Ground:
     seeder: Seeder
     world: CollisionWorld
 
-    @classmethod
-    def of(cls, task: GraspTask) -> _Ground:
-        seeder = seeder_for(task)
-        return cls(task, problems_for(task), seeder, CollisionWorld(task))
+
+@lru_cache(maxsize=8)
+def _ground(task: GraspTask) -> _Ground:
+    """Seeder, programmes and geometry of a task, made once for all who ask with the same one."""
+    seeder = seeder_for(task)
+    return _Ground(task, problems_for(task), seeder, CollisionWorld(task))
+
+
+@lru_cache(maxsize=8)
+def _spared_ground(task: GraspTask) -> _Ground:
+    """The same with three fingers alone."""
+    return _ground(task.with_fingers(_ground(task).seeder.tripod))
 
 
 def _attempt(
@@ -180,11 +190,13 @@ def _attempt(
 ) -> GraspPlan | str:
     """One attempt: a plan, or why not."""
     task, problems, seeder = ground.task, ground.problems, ground.seeder
-    start = seeder.draw(rng)
+    with stage("seed"):
+        start = seeder.draw(rng)
     if isinstance(start, str):
         return start
     parameters = problems.grasp.parameters(task, start, seeder.posture, options)
-    candidate = problems.grasp.descend(task, start, parameters, options.rounds)
+    with stage("solve"):
+        candidate = problems.grasp.descend(task, start, parameters, options.rounds)
     worst = max(candidate.violation, key=lambda name: candidate.violation[name] * WEIGHTS[name])
     violation = candidate.violation[worst]
     if not violation * WEIGHTS[worst] <= WORTH_A_LOOK:
@@ -200,5 +212,6 @@ def _attempt(
     )
     q = np.clip(candidate.q, task.hand.q_lower, task.hand.q_upper)
     T_world_base = task.T_world_object * candidate.T_object_base
-    q = settle(task, T_world_base, q)
+    with stage("settle"):
+        q = settle(task, T_world_base, q)
     return judge_grasp(task, T_world_base, q, record=record, world=ground.world)

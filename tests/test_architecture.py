@@ -179,6 +179,7 @@ ALLOWED = {
         "contacts",
         "files",
         "hand",
+        "judge",
         "kinematics",
         "objects",
         "plan",

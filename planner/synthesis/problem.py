@@ -56,6 +56,7 @@ from planner.kinematics import HandState
 from planner.quality.weakest import weakest_directions
 from planner.shapes import Shape
 from planner.spatial import SE3, FloatArray
+from planner.stages import stage
 from planner.synthesis.descent import MAX_ITERATIONS, SOLVED, Descent, descend
 from planner.synthesis.nlp import Nlp
 from planner.synthesis.options import SynthesisOptions
@@ -211,7 +212,8 @@ class GraspProblem:
         iterations, status = end.iterations, end.status
         if end.worst <= WORTH_IMPROVING:
             for _ in range(rounds):
-                self.residuals.set_directions(self._weakest(task, end.x))
+                with stage("weakest"):
+                    self.residuals.set_directions(self._weakest(task, end.x))
                 end = run(end.x, ROUND_ITERATIONS)
                 iterations += end.iterations
             if rounds and end.worst > SOLVED:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.spatial import FloatArray
+from planner.stages import stage
 from planner.synthesis.nlp import SECOND, THIRD, Field, FieldPoints
 from planner.synthesis.terms import N_DIRECTIONS, Formulation
 
@@ -120,6 +121,10 @@ class Residuals:
 
     def __call__(self, x: FloatArray, field: Field | None) -> tuple[FloatArray, FloatArray]:
         """``values`` and ``jacobian`` at x, overwritten by the next call."""
+        with stage("residuals"):
+            return self._evaluate(x, field)
+
+    def _evaluate(self, x: FloatArray, field: Field | None) -> tuple[FloatArray, FloatArray]:
         self._x[:] = x
         if self._points is not None:
             if field is None:
