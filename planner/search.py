@@ -25,6 +25,7 @@ from planner.synthesis.problems import Problems, problems_for
 from planner.synthesis.residuals import WEIGHTS
 from planner.synthesis.seeds import Seeder
 from planner.synthesis.settle import settle
+from planner.synthesis.strengthen import descend_grasp
 from planner.task import GraspTask
 
 __all__ = [
@@ -196,7 +197,7 @@ def _attempt(
         return start
     parameters = problems.grasp.parameters(task, start, seeder.posture, options)
     with stage("solve"):
-        candidate = problems.grasp.descend(task, start, parameters, options.rounds)
+        candidate = descend_grasp(problems.grasp, task, start, parameters, options.rounds)
     worst = max(candidate.violation, key=lambda name: candidate.violation[name] * WEIGHTS[name])
     violation = candidate.violation[worst]
     if not violation * WEIGHTS[worst] <= WORTH_A_LOOK:

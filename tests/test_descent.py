@@ -18,6 +18,7 @@ from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Start
 from planner.synthesis.problems import problems_for
 from planner.synthesis.residuals import SPARE, WEIGHTS
+from planner.synthesis.strengthen import descend_grasp
 from planner.task import GraspTask
 
 
@@ -141,7 +142,7 @@ def test_descent_and_ipopt_agree_that_a_start_leads_to_a_grasp(allegro: Hand) ->
         assert isinstance(start, Start)
         parameters = problem.parameters(task, start, seeder.posture, SynthesisOptions())
         quick, slow = (
-            problem.descend(task, start, parameters),
+            descend_grasp(problem, task, start, parameters),
             problem.solve(task, start, parameters),
         )
         good = max(v * WEIGHTS[name] for name, v in quick.violation.items()) < 0.1

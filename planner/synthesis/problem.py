@@ -34,8 +34,8 @@ Sastry 1994, proposition 5.3); rank follows from three contacts that are not on 
 keeps forces near the normals, shares them evenly, keeps contacts around the centre of mass and
 joints near the pinch posture.
 
-The same terms are solved in two ways. ``descend`` takes them as residuals of a least-squares
-problem (``planner.synthesis.descent``), inequalities counting where they are violated and the cost
+The same terms are solved in two ways. ``planner.synthesis.strengthen`` takes them as residuals of a
+least-squares problem, inequalities counting where they are violated and the cost
 weighing little: a few milliseconds from a start to a grasp or to nothing. ``solve`` gives them to
 IPOPT as the constrained programme they are, with exact second derivatives: to its optimum, in tens
 of times as long.
@@ -53,11 +53,8 @@ import numpy as np
 
 from planner.hand import Finger, Hand
 from planner.kinematics import HandState
-from planner.quality.weakest import weakest_directions
 from planner.shapes import Shape
 from planner.spatial import SE3, FloatArray
-from planner.stages import stage
-from planner.synthesis.descent import MAX_ITERATIONS, SOLVED, Descent, descend
 from planner.synthesis.nlp import Nlp
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.residuals import Residuals
@@ -168,76 +165,21 @@ class GraspProblem:
         ]
         return "\n".join(lines)
 
-    def descend(
-        self, task: GraspTask, start: Start, parameters: FloatArray, rounds: int = 0
-    ) -> Candidate:
-        """Least squares from one start, then rounds that strengthen the grasp.
-
-        A round looks for the directions of wrench in which the grasp resists least, and descends
-        with their resistance as a further cost; the last descent is for the terms alone.
+    def solve(self, task: GraspTask, start: Start, parameters: FloatArray) -> Candidate:
+        """Run IPOPT from one start.
 
         Args:
             task: The task.
             start: The start.
             parameters: From ``parameters``.
-            rounds: How many rounds; none leaves the first grasp that is reached.
         """
-        field = self.surface.field_of(task.object.shape)
-        begin = time.process_time()
-        lower, upper = self._bounds(start)
-        hand = np.maximum(self.hand.q_upper - self.hand.q_lower, SMALLEST_RANGE)
-        n = len(self.fingers)
-        scale = self.formulation.unknowns.pack(
-            np.full(3, TURN_SCALE),
-            np.full(3, SHIFT_SCALE),
-            np.minimum(JOINT_SCALE, hand),
-            np.full((n, 3), POINT_SCALE),
-            np.full((n, 3), FORCE_SCALE),
-        )
-        self.residuals.set_parameters(parameters)
-
-        def run(x: FloatArray, budget: int) -> Descent:
-            return descend(
-                lambda at: self.residuals(at, field),
-                x,
-                lower=lower,
-                upper=upper,
-                scale=scale,
-                equality=self.residuals.equality,
-                n_terms=self.residuals.n_terms,
-                max_iterations=budget,
-            )
-
-        end = run(np.clip(self._first(start), lower, upper), MAX_ITERATIONS)
-        iterations, status = end.iterations, end.status
-        if end.worst <= WORTH_IMPROVING:
-            for _ in range(rounds):
-                with stage("weakest"):
-                    self.residuals.set_directions(self._weakest(task, end.x))
-                end = run(end.x, ROUND_ITERATIONS)
-                iterations += end.iterations
-            if rounds and end.worst > SOLVED:
-                self.residuals.set_directions(np.zeros((0, 6)))
-                end = run(end.x, ROUND_ITERATIONS)
-                iterations += end.iterations
-        violation = self.residuals.violations()
-        return self._candidate(start, end.x, violation, status, iterations, begin)
-
-    def _weakest(self, task: GraspTask, x: FloatArray) -> FloatArray:
-        """The directions (k, 6) in which the contacts of x resist least."""
-        shape = task.object.shape
-        points, outward = shape.closest_point(self.formulation.unknowns.points(x))
-        return weakest_directions(points, -outward, task.mu, shape.bounding_radius, N_DIRECTIONS)
-
-    def solve(self, task: GraspTask, start: Start, parameters: FloatArray) -> Candidate:
-        """Run IPOPT from one start; arguments as for ``descend``."""
         solver = self.nlp.bind(self.surface.field_of(task.object.shape))
-        lower, upper = self._bounds(start)
+        lower, upper = self.bounds(start)
         sizes = [(t.expression.numel(), t.equality) for t in self.terms]
         ubg = np.concatenate([np.full(m, 0.0 if equality else np.inf) for m, equality in sizes])
         begin = time.process_time()
         x, stats = solver(
-            x0=np.clip(self._first(start), lower, upper),
+            x0=np.clip(self.first(start), lower, upper),
             p=parameters,
             lbx=lower,
             ubx=upper,
@@ -247,9 +189,9 @@ class GraspProblem:
         x = np.clip(x, lower, upper)  # IPOPT goes 1e-8 beyond bounds
         violation = self.violations(solver.evaluate(x, parameters)[0].ravel())
         status, iterations = str(stats["return_status"]), int(stats["iter_count"])
-        return self._candidate(start, x, violation, status, iterations, begin)
+        return self.candidate(start, x, violation, status, iterations, begin)
 
-    def _candidate(
+    def candidate(
         self,
         start: Start,
         x: FloatArray,
@@ -258,6 +200,7 @@ class GraspProblem:
         iterations: int,
         begin: float,
     ) -> Candidate:
+        """What a solver found: unknowns x, violations, its words, and CPU time since ``begin``."""
         unknowns = self.formulation.unknowns
         T_object_base = start.T_object_base
         if self.hand.arm is None:
@@ -273,14 +216,14 @@ class GraspProblem:
             cpu_s=time.process_time() - begin,
         )
 
-    def _first(self, start: Start) -> FloatArray:
+    def first(self, start: Start) -> FloatArray:
         """The unknowns at a start."""
         origin = np.array(self._carrier(start).translation)
         return self.formulation.unknowns.pack(
             np.zeros(3), origin, start.q, start.points, start.forces
         )
 
-    def _bounds(self, start: Start) -> tuple[FloatArray, FloatArray]:
+    def bounds(self, start: Start) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds of the unknowns."""
         n = len(self.fingers)
         still = start.base_fixed and self.hand.arm is None
@@ -357,19 +300,6 @@ TURN_MAX = 1.0
 
 SHIFT_MAX = 0.25
 """How far (m) the base may move from where the start put it, along each axis."""
-
-TURN_SCALE, SHIFT_SCALE, JOINT_SCALE, POINT_SCALE, FORCE_SCALE = 0.3, 0.02, 0.3, 0.01, 0.5
-"""Steps that count as alike in least squares: Rodrigues parameters (-), base (m), joints (rad or
-m), contact points (m), forces (in units of the mean normal force)."""
-
-WORTH_IMPROVING = 0.5
-"""Largest weighted residual of a term with which a grasp is worth strengthening."""
-
-ROUND_ITERATIONS = 8
-"""Evaluations of one round."""
-
-SMALLEST_RANGE = 1e-3
-"""Least scale (rad or m) of a joint that can hardly move."""
 
 
 def build_problem(

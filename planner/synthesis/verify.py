@@ -16,6 +16,7 @@ from planner.collision import OBJECT, Clearance, CollisionWorld
 from planner.contacts import ContactSet
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
+from planner.synthesis.edges import EDGE_RADIUS, EDGE_SPREAD, spreads
 from planner.synthesis.touch import PadTouch, pad_touches, touching_geometries
 from planner.task import GraspTask
 
@@ -61,26 +62,17 @@ class Verification:
 def edge_faults(task: GraspTask, points: FloatArray) -> list[str]:
     """Which contacts, at points (n, 3) of the object's frame, m, are on an edge of a mesh.
 
-    The NLP sees rounded edges. On the true one a pad that creeps by a millimetre meets another
-    normal. Primitives need no look: their contacts keep away from edges by construction.
+    Primitives need no look: their contacts keep away from edges by construction.
     """
     shape = task.object.shape
     if not isinstance(shape, Mesh):
         return []
-    spread = [shape.normal_dispersion(point, EDGE_RADIUS) for point in points]
     return [
         f"{finger} is on an edge: normals differ by {np.rad2deg(angle):.0f} degrees within "
         f"{1e3 * EDGE_RADIUS:.0f} mm"
-        for finger, angle in zip(task.finger_names, spread, strict=True)
+        for finger, angle in zip(task.finger_names, spreads(shape, points), strict=True)
         if angle > EDGE_SPREAD
     ]
-
-
-EDGE_RADIUS = 0.002
-"""How far (m) around a contact normals are looked at: what a pad creeps and rolls in a grasp."""
-
-EDGE_SPREAD = float(np.deg2rad(25.0))
-"""Largest dispersion of normals there (rad); it is 45 degrees on a right-angled edge."""
 
 
 def _given_faults(task: GraspTask, T_world_base: SE3, q: FloatArray) -> list[str]:
