@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from planner.spatial import FloatArray
 from planner.stages import stage
+from planner.synthesis.compiled import compiled
 from planner.synthesis.nlp import SECOND, THIRD, Field, FieldPoints
 from planner.synthesis.terms import N_DIRECTIONS, Formulation
 
@@ -93,7 +94,7 @@ class Residuals:
         row, column = (np.array(v) for v in jacobian.sparsity().get_triplet())
         self._entries, self._at = np.zeros(len(row)), row * x.numel() + column
         self._call = _into_buffers(
-            ca.Function("residuals", [x, p, tau], [residual, jacobian]),
+            compiled(ca.Function("residuals", [x, p, tau], [residual, jacobian])),
             [self._x, self._p, self._tau],
             [self.values, self._entries],
         )
