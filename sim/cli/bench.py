@@ -1,4 +1,4 @@
-"""Commands that measure: ``bench grasps``, ``bench synthesis``."""
+"""Commands that measure: ``bench grasps``, ``bench synthesis``, ``bench metrics``."""
 
 from __future__ import annotations
 
@@ -131,6 +131,47 @@ def bench_synthesis(
         raise typer.Exit(EXIT_INTERRUPTED)
 
 
+@errors_for_people()
+def bench_metrics(
+    hands: HandsArgument,
+    objects: ObjectsOption = PRIMITIVES,
+    n: Annotated[int, typer.Option("-n", "--number", min=1, help="Grasps in all.")] = 500,
+    seed: SeedOption = 0,
+    workers: WorkersOption = 1,
+    samples: Annotated[
+        Path, typer.Option(help="Samples go here as they come; goes on where it ended.")
+    ] = Path("metrics.jsonl"),
+    output: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Simulate grasps of mixed quality: which metric predicts success."""
+    from planner.files import write_json
+    from sim.bench.metrics import metrics_table, run_metrics
+    from sim.bench.objects import bench_objects
+
+    check_folder(output)
+    check_folder(samples)
+    with heeding_ctrl_c() as check:
+        result = run_metrics(
+            hands,
+            bench_objects(names(objects)),
+            n,
+            seed=seed,
+            file=samples,
+            workers=workers,
+            console=err,
+            check=check,
+        )
+    if output is not None:
+        write_json(result, output)
+    if as_json:
+        print_json(result)
+    else:
+        wide().print(metrics_table(result))
+    if result["interrupted"]:
+        raise typer.Exit(EXIT_INTERRUPTED)
+
+
 def wide() -> Console:
     """A console on which the tables fit; a narrow terminal breaks their lines."""
     return Console(width=max(out.width, TABLE_WIDTH))
@@ -143,4 +184,5 @@ def register(app: typer.Typer) -> None:
     )
     bench.command("grasps")(bench_grasps)
     bench.command("synthesis")(bench_synthesis)
+    bench.command("metrics")(bench_metrics)
     app.add_typer(bench, name="bench")
