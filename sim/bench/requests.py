@@ -37,7 +37,9 @@ __all__ = [
     "Setting",
     "clearance_of",
     "half_longest_side",
+    "loaded_hand",
     "measure",
+    "measure_task",
     "task_for",
 ]
 
@@ -136,12 +138,29 @@ def measure(request: Request, check: Callable[[], None] = lambda: None) -> Outco
         check: Called after every attempt; what it raises ends the request.
     """
     loaded_hand(request.hand)  # once per hand, no matter of the object
-    setting = request.setting
     begin = time.process_time()
-    task = task_for(request.hand, request.spec, setting)
+    task = task_for(request.hand, request.spec, request.setting)
     if isinstance(task, str):
         return Outcome(k=request.k, error=task)
-    seed = grasp_seed(setting.seed, shape_key(task.object.shape), request.k)
+    made = time.process_time() - begin
+    outcome = measure_task(task, request.k, request.setting, check)
+    return replace(outcome, prepare_s=outcome.prepare_s + made)
+
+
+def measure_task(
+    task: GraspTask, k: int, setting: Setting, check: Callable[[], None] = lambda: None
+) -> Outcome:
+    """Make request k of a task.
+
+    Args:
+        task: The task.
+        k: Number of the request; with ``setting.seed`` and the shape it fixes the starts.
+        setting: Options, clearance and attempts; the rest is the task's.
+        check: Called after every attempt; what it raises ends the request.
+    """
+    shape = task.object.shape
+    seed = grasp_seed(setting.seed, shape_key(shape), k)
+    begin = time.process_time()
     made: list[Attempt] = []
     reasons: list[str] = []
     plan = None
@@ -155,21 +174,19 @@ def measure(request: Request, check: Callable[[], None] = lambda: None) -> Outco
                 if plan is not None or len(made) >= setting.max_attempts:
                     break
         except PlannerError as error:
-            return Outcome(k=request.k, error=str(error))
-    whole = time.process_time() - begin
+            return Outcome(k=k, error=str(error))
     cpu = sum(a.cpu_s for a in made)
     outcome = Outcome(
-        k=request.k,
+        k=k,
         attempts=len(made),
         cpu_s=cpu,
-        prepare_s=max(0.0, whole - cpu),
+        prepare_s=max(0.0, time.process_time() - begin - cpu),
         stages=dict(stages),
         without_approach=sum(r in ("", APPROACH) for r in reasons),
         reasons=dict(Counter(r for r in reasons if r)),
     )
     if plan is None:
         return outcome
-    shape = plan.task.object.shape
     return replace(
         outcome,
         found=True,

@@ -1,4 +1,4 @@
-"""Commands that measure: ``bench grasps``, ``bench synthesis``, ``bench metrics``."""
+"""Commands that measure: ``bench grasps``, ``synthesis``, ``metrics``, ``scaling``."""
 
 from __future__ import annotations
 
@@ -172,6 +172,37 @@ def bench_metrics(
         raise typer.Exit(EXIT_INTERRUPTED)
 
 
+@errors_for_people()
+def bench_scaling(
+    hand: Annotated[str, typer.Option(help="Name or path of a hand.")] = "allegro_hand",
+    curves: Annotated[
+        str, typer.Option(help="Comma separated: grasps, workers, contacts, triangles.")
+    ] = "grasps,workers,contacts,triangles",
+    n: Annotated[int, typer.Option("-n", "--number", min=1, help="Requests per point.")] = 20,
+    most_grasps: Annotated[int, typer.Option(min=2, help="Where the curve of grasps ends.")] = 1000,
+    output: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure how cost grows: with grasps, workers, contacts and triangles."""
+    from planner.files import write_json
+    from sim.bench.scaling import run_scaling, scaling_tables
+
+    check_folder(output)
+    with heeding_ctrl_c() as check:
+        result = run_scaling(
+            hand, names(curves), n, most_grasps=most_grasps, console=err, check=check
+        )
+    if output is not None:
+        write_json(result, output)
+    if as_json:
+        print_json(result)
+    else:
+        for table in scaling_tables(result):
+            wide().print(table)
+    if result["interrupted"]:
+        raise typer.Exit(EXIT_INTERRUPTED)
+
+
 def wide() -> Console:
     """A console on which the tables fit; a narrow terminal breaks their lines."""
     return Console(width=max(out.width, TABLE_WIDTH))
@@ -185,4 +216,5 @@ def register(app: typer.Typer) -> None:
     bench.command("grasps")(bench_grasps)
     bench.command("synthesis")(bench_synthesis)
     bench.command("metrics")(bench_metrics)
+    bench.command("scaling")(bench_scaling)
     app.add_typer(bench, name="bench")
