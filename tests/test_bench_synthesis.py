@@ -53,7 +53,15 @@ def test_a_summary_adds_up() -> None:
     outcomes = [
         outcome(0, 0.5, stages=stages, without_approach=2, attempts=3, epsilon=0.2),
         outcome(1, 1.5, stages=stages, without_approach=1, epsilon=0.1),
-        outcome(2, 2.0, found=False, stages=stages, attempts=4, reasons={"approach": 1, "x": 3}),
+        outcome(
+            2,
+            2.0,
+            found=False,
+            stages=stages,
+            attempts=4,
+            without_approach=0,
+            reasons={"approach": 1, "x": 3},
+        ),
     ]
     cell = summary_of(outcomes, "no task")
     assert (cell["requested"], cell["found"], cell["attempts"]) == (3, 2, 8)
@@ -66,6 +74,7 @@ def test_a_summary_adds_up() -> None:
     assert cell["found_per_cpu_s_without_approach"] == pytest.approx(3 / 3.4)
     assert cell["epsilon"]["median"] == pytest.approx(0.15)
     assert cell["reasons"] == {"x": 3, "approach": 1}
+    assert total_of([cell, cell])["found_per_cpu_s_without_approach"] == pytest.approx(3 / 3.4)
 
 
 def test_without_a_stage_for_it_nothing_is_said_about_the_way_in() -> None:
@@ -78,6 +87,7 @@ def test_totals_weigh_objects_by_their_time() -> None:
     slow = summary_of([outcome(0, 3.6), outcome(1, 2.0, found=False)], "no task")
     refused = summary_of([Outcome(k=0, error="open mesh")], "no task")
     total = total_of([fast, slow, refused])
+    assert total["found_per_cpu_s_without_approach"] is None
     assert (total["found"], total["requested"]) == (5, 6)
     assert total["found_per_cpu_s"] == pytest.approx(5 / 6.0)
     assert total["within_1s"] == pytest.approx(4 / 6)
@@ -115,7 +125,7 @@ def test_a_request_is_what_the_planner_does_with_that_seed(allegro: Hand) -> Non
         epsilon_frogger(plan.contacts, half_longest_side=0.04)
     )
     assert 0 < sum(made.stages.values()) <= made.cpu_s
-    assert made.without_approach >= 1
+    assert made.without_approach is not None and made.without_approach >= 1
 
 
 def test_grasps_that_come_too_near_count_as_failed() -> None:
@@ -124,6 +134,15 @@ def test_grasps_that_come_too_near_count_as_failed() -> None:
     assert not made.found
     assert made.attempts == 3
     assert made.reasons["clearance"] >= 1
+    assert made.without_approach is None
+
+
+def test_attempts_that_only_lack_a_way_in_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("planner.judge.find_approach", lambda *_, **__: "blocked")
+    setting = Setting(max_attempts=3)
+    made = measure(Request(hand="allegro_hand", spec="sphere", k=0, setting=setting))
+    assert not made.found
+    assert made.without_approach == made.reasons["approach"] >= 1
 
 
 def test_half_the_longest_side_is_of_the_box_not_about_the_centre_of_mass() -> None:

@@ -105,7 +105,8 @@ class Outcome:
         cpu_s: CPU time of all of them, s.
         prepare_s: CPU time of what this request had to prepare for itself and later ones, s.
         stages: CPU time of the attempts by stage, s.
-        without_approach: Attempts that passed every check but the way in, or that one too.
+        without_approach: Attempts that passed every check but the way in, or that one too; None
+            where a clearance is asked for, which only whole plans tell.
         reasons: How many attempts failed for which reason, by its first words.
         n_fingers: Fingers of the grasp found, 0 without.
         epsilon: L1 epsilon, 8 edges, torque over the bounding radius; None without a grasp.
@@ -121,7 +122,7 @@ class Outcome:
     cpu_s: float = 0.0
     prepare_s: float = 0.0
     stages: dict[str, float] = field(default_factory=dict)
-    without_approach: int = 0
+    without_approach: int | None = None
     reasons: dict[str, int] = field(default_factory=dict)
     n_fingers: int = 0
     epsilon: float | None = None
@@ -182,7 +183,9 @@ def measure_task(
         cpu_s=cpu,
         prepare_s=max(0.0, time.process_time() - begin - cpu),
         stages=dict(stages),
-        without_approach=sum(r in ("", APPROACH) for r in reasons),
+        without_approach=(
+            sum(r in ("", APPROACH) for r in reasons) if setting.clearance == 0 else None
+        ),
         reasons=dict(Counter(r for r in reasons if r)),
     )
     if plan is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -130,6 +130,8 @@ def summary_of(outcomes: Sequence[Outcome], task: GraspTask | str) -> dict[str, 
     named = summed(o.stages for o in outcomes)
     stages = summed([named, {OTHER: max(0.0, cpu - sum(named.values()))}])
     tried = sum(o.attempts for o in outcomes)
+    known = [o.without_approach for o in outcomes if o.without_approach is not None]
+    passed = sum(known) if len(known) == len(outcomes) else None
     return {
         "error": error,
         "requested": len(outcomes),
@@ -139,8 +141,8 @@ def summary_of(outcomes: Sequence[Outcome], task: GraspTask | str) -> dict[str, 
         "prepare_cpu_s": sum(o.prepare_s for o in outcomes),
         "attempts_per_found": ratio(tried, len(found)),
         "found_per_cpu_s": ratio(len(found), cpu),
-        "without_approach": sum(o.without_approach for o in outcomes),
-        "found_per_cpu_s_without_approach": _without_approach(outcomes, stages, cpu),
+        "without_approach": passed,
+        "found_per_cpu_s_without_approach": _without_approach(passed, stages, cpu),
         "within_1s": ratio(sum(o.found and o.cpu_s <= SOON for o in outcomes), len(outcomes)),
         "cpu_s_per_found": {
             "median": median_of(o.cpu_s for o in found),
@@ -163,17 +165,20 @@ def _low(values: Iterable[float | None]) -> dict[str, float | None]:
     return {"median": median_of(known), "p10": quantile_of(known, 0.1)}
 
 
-def _without_approach(
-    outcomes: Sequence[Outcome], stages: dict[str, float], cpu: float
-) -> float | None:
-    """Grasps per CPU second if none were asked for a way in.
+def _without_approach(passed: int | None, stages: Mapping[str, float], cpu: float) -> float | None:
+    """Grasps per CPU second if none were asked for a way in; None where that is not known.
 
     That check is an attempt's last one and attempts are independent: without it those that only it
-    refused would count, and its time would not. None where its time is not known.
+    refused would count, and its time would not.
+
+    Args:
+        passed: Attempts that passed everything else.
+        stages: CPU time by stage, s.
+        cpu: CPU time of all attempts, s.
     """
-    if APPROACH not in stages:
+    if passed is None or APPROACH not in stages:
         return None
-    return ratio(sum(o.without_approach for o in outcomes), cpu - stages[APPROACH])
+    return ratio(passed, cpu - stages[APPROACH])
 
 
 def _with_fewer(found: Sequence[Outcome], task: GraspTask | str) -> int:
@@ -215,7 +220,8 @@ def total_of(cells: Sequence[dict[str, Any]]) -> dict[str, Any]:
     cpu = sum(c["cpu_s"] for c in tried)
     stages = summed(c["stages_cpu_s"] for c in tried)
     taken = [r["cpu_s"] for c in tried for r in c["requests"] if r["found"]]
-    all_timed = bool(tried) and all(APPROACH in c["stages_cpu_s"] for c in tried)
+    counts = [c["without_approach"] for c in tried]
+    all_known = None not in counts and all(APPROACH in c["stages_cpu_s"] for c in tried)
     return {
         "requested": requested,
         "found": found,
@@ -223,10 +229,8 @@ def total_of(cells: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "prepare_cpu_s": sum(c["prepare_cpu_s"] for c in tried),
         "attempts_per_found": ratio(sum(c["attempts"] for c in tried), found),
         "found_per_cpu_s": ratio(found, cpu),
-        "found_per_cpu_s_without_approach": (
-            ratio(sum(c["without_approach"] for c in tried), cpu - stages[APPROACH])
-            if all_timed
-            else None
+        "found_per_cpu_s_without_approach": _without_approach(
+            sum(counts) if all_known else None, stages, cpu
         ),
         "within_1s": ratio(sum(t <= SOON for t in taken), requested),
         "within_1s_least": min((c["within_1s"] for c in tried), default=None),
