@@ -101,7 +101,8 @@ def run_synthesis(
         if members:
             ordered = sorted(members, key=lambda o: o.k)
             task = task_for(hand, item.spec, setting)
-            cells.append({"hand": hand, "object": item.label, **summary_of(ordered, task)})
+            place = {"hand": loaded_hand(hand).name, "object": item.label}
+            cells.append(place | summary_of(ordered, task))
     total = total_of(cells)
     return {
         "format": "opposable-bench-synthesis",
