@@ -1,4 +1,4 @@
-"""Commands that measure: ``bench grasps``."""
+"""Commands that measure: ``bench grasps``, ``synthesis``, ``metrics``, ``scaling``."""
 
 from __future__ import annotations
 
@@ -10,18 +10,34 @@ from rich.console import Console
 
 from sim.cli.common import (
     EXIT_INTERRUPTED,
+    AttemptsOption,
+    FingersOption,
     JsonOption,
+    MuOption,
+    SeedOption,
     SimMuOption,
     check_folder,
     err,
     errors_for_people,
+    heeding_ctrl_c,
     names,
     out,
     print_json,
 )
 
-TABLE_WIDTH = 120
-"""Characters that the benchmark's table needs."""
+TABLE_WIDTH = 140
+"""Characters that the benchmark's tables need at least."""
+
+HandsArgument = Annotated[
+    list[str], typer.Argument(help="Names or paths of hands.", metavar="HAND...")
+]
+ObjectsOption = Annotated[
+    str,
+    typer.Option(help="Objects, comma separated; a folder stands for the mesh files in it."),
+]
+OutOption = Annotated[Path | None, typer.Option("--out", help="Write JSON here.")]
+WorkersOption = Annotated[int, typer.Option(min=1, help="Processes.")]
+PRIMITIVES = "sphere,box,cylinder,capsule,ellipsoid"
 
 
 @errors_for_people()
@@ -29,13 +45,11 @@ def bench_grasps(
     hands: Annotated[str, typer.Option(help="Hands, comma separated.")] = (
         "shadow_hand,allegro_hand"
     ),
-    objects: Annotated[str, typer.Option(help="Objects, comma separated.")] = (
-        "sphere,box,cylinder,capsule,ellipsoid"
-    ),
+    objects: Annotated[str, typer.Option(help="Objects, comma separated.")] = PRIMITIVES,
     seeds: Annotated[int, typer.Option(min=1, help="Seeds per cell, from 0.")] = 10,
     sim_mu: SimMuOption = 0.6,
-    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
-    output: Annotated[Path | None, typer.Option("--out", help="Write JSON here.")] = None,
+    workers: WorkersOption = 1,
+    output: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Plan and execute hands x objects x seeds; the table of the README."""
@@ -51,10 +65,147 @@ def bench_grasps(
     if as_json:
         print_json(result)
     else:
-        # the table does not fit into 80 columns; a narrow terminal breaks its lines
-        Console(width=max(out.width, TABLE_WIDTH)).print(bench_table(result))
+        wide().print(bench_table(result))
     if result["interrupted"]:
         raise typer.Exit(EXIT_INTERRUPTED)
+
+
+@errors_for_people()
+def bench_synthesis(
+    hands: HandsArgument,
+    objects: ObjectsOption = PRIMITIVES,
+    n: Annotated[int, typer.Option("-n", "--number", min=1, help="Requests per cell.")] = 50,
+    seed: SeedOption = 0,
+    mu: MuOption = 0.5,
+    fingers: FingersOption = None,
+    floating: Annotated[bool, typer.Option("--floating/--table", help="Without a table.")] = False,
+    clearance: Annotated[
+        float, typer.Option(min=0, help="Least distance of what must not touch, m.")
+    ] = 0.0,
+    rounds: Annotated[
+        int | None, typer.Option(min=0, help="Rounds that strengthen a grasp.")
+    ] = None,
+    max_attempts: AttemptsOption = 100,
+    workers: WorkersOption = 1,
+    baseline: Annotated[
+        bool, typer.Option("--baseline", help="Compare with FRoGGeR's figures.")
+    ] = False,
+    output: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure planning: found per CPU second, CPU by stage, epsilon, diversity."""
+    from planner.files import write_json
+    from sim.bench.objects import bench_objects
+    from sim.bench.requests import Setting
+    from sim.bench.synthesis import run_synthesis
+    from sim.bench.tables import print_synthesis
+
+    check_folder(output)
+    setting = Setting(
+        mu=mu,
+        fingers=None if fingers is None else tuple(names(fingers)),
+        floating=floating,
+        clearance=clearance,
+        rounds=rounds,
+        max_attempts=max_attempts,
+        seed=seed,
+    )
+    with heeding_ctrl_c() as check:
+        result = run_synthesis(
+            hands,
+            bench_objects(names(objects)),
+            n,
+            setting,
+            workers=workers,
+            baseline=baseline,
+            console=err,
+            check=check,
+        )
+    if output is not None:
+        write_json(result, output)
+    if as_json:
+        print_json(result)
+    else:
+        print_synthesis(result, wide())
+    if result["interrupted"]:
+        raise typer.Exit(EXIT_INTERRUPTED)
+
+
+@errors_for_people()
+def bench_metrics(
+    hands: HandsArgument,
+    objects: ObjectsOption = PRIMITIVES,
+    n: Annotated[int, typer.Option("-n", "--number", min=1, help="Grasps in all.")] = 500,
+    seed: SeedOption = 0,
+    workers: WorkersOption = 1,
+    samples: Annotated[
+        Path, typer.Option(help="Samples go here as they come; goes on where it ended.")
+    ] = Path("metrics.jsonl"),
+    output: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Simulate grasps of mixed quality: which metric predicts success."""
+    from planner.files import write_json
+    from sim.bench.metrics import metrics_table, run_metrics
+    from sim.bench.objects import bench_objects
+
+    check_folder(output)
+    check_folder(samples)
+    with heeding_ctrl_c() as check:
+        result = run_metrics(
+            hands,
+            bench_objects(names(objects)),
+            n,
+            seed=seed,
+            file=samples,
+            workers=workers,
+            console=err,
+            check=check,
+        )
+    if output is not None:
+        write_json(result, output)
+    if as_json:
+        print_json(result)
+    else:
+        wide().print(metrics_table(result))
+    if result["interrupted"]:
+        raise typer.Exit(EXIT_INTERRUPTED)
+
+
+@errors_for_people()
+def bench_scaling(
+    hand: Annotated[str, typer.Option(help="Name or path of a hand.")] = "allegro_hand",
+    curves: Annotated[
+        str, typer.Option(help="Comma separated: grasps, workers, contacts, triangles.")
+    ] = "grasps,workers,contacts,triangles",
+    n: Annotated[int, typer.Option("-n", "--number", min=1, help="Requests per point.")] = 20,
+    most_grasps: Annotated[int, typer.Option(min=2, help="Where the curve of grasps ends.")] = 1000,
+    output: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure how cost grows: with grasps, workers, contacts and triangles."""
+    from planner.files import write_json
+    from sim.bench.scaling import run_scaling, scaling_tables
+
+    check_folder(output)
+    with heeding_ctrl_c() as check:
+        result = run_scaling(
+            hand, names(curves), n, most_grasps=most_grasps, console=err, check=check
+        )
+    if output is not None:
+        write_json(result, output)
+    if as_json:
+        print_json(result)
+    else:
+        for table in scaling_tables(result):
+            wide().print(table)
+    if result["interrupted"]:
+        raise typer.Exit(EXIT_INTERRUPTED)
+
+
+def wide() -> Console:
+    """A console on which the tables fit; a narrow terminal breaks their lines."""
+    return Console(width=max(out.width, TABLE_WIDTH))
 
 
 def register(app: typer.Typer) -> None:
@@ -63,4 +214,7 @@ def register(app: typer.Typer) -> None:
         help="Measure: tables that repeat the project's figures.", no_args_is_help=True
     )
     bench.command("grasps")(bench_grasps)
+    bench.command("synthesis")(bench_synthesis)
+    bench.command("metrics")(bench_metrics)
+    bench.command("scaling")(bench_scaling)
     app.add_typer(bench, name="bench")

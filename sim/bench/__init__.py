@@ -1,0 +1,1 @@
+"""Measurements of the planner, behind the commands of ``opposable bench``."""

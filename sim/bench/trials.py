@@ -1,0 +1,187 @@
+"""One plan of a certain grade, executed under a certain condition: a sample of ``bench metrics``.
+
+Grades make plans of mixed quality, conditions make trials in which some fail. Both are fixed
+tables, so that every metric is asked the same questions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from planner.errors import NoGraspFoundError, PlannerError
+from planner.plan import GraspPlan
+from planner.search import plan_grasp
+from planner.spatial import FloatArray
+from planner.synthesis.options import SynthesisOptions
+from planner.task import DEFAULT_MU
+from sim.bench.predictors import predictors_of
+from sim.bench.requests import Setting, task_for
+from sim.scene import PhysicsOptions
+from sim.trial import Timeline, Trial
+
+__all__ = ["CONDITIONS", "GRADES", "Condition", "Grade", "Sample", "try_sample"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grade:
+    """How a plan is made.
+
+    Attributes:
+        options: Of the search.
+        mu: Friction that it may rely on (-).
+    """
+
+    options: SynthesisOptions
+    mu: float = DEFAULT_MU
+
+
+_LOOSE = SynthesisOptions(rounds=0, cone_share=0.95, weight_center=0.0)
+
+GRADES = {
+    "best": Grade(options=SynthesisOptions()),
+    "plain": Grade(options=SynthesisOptions(rounds=0)),
+    "loose": Grade(options=_LOOSE),
+    "reckless": Grade(options=_LOOSE, mu=1.0),
+}
+"""From the planner's best to plans that take any contacts and rely on friction that is not there.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Condition:
+    """How a trial differs from the plan.
+
+    Attributes:
+        mu: Friction in simulation (-).
+        mass_factor: The object weighs this many times what was planned (-).
+        shift: How far the object stands aside, in a random horizontal direction, m.
+        push: Force that pushes the held object along six directions in turn, over its weight (-).
+    """
+
+    mu: float = 0.6
+    mass_factor: float = 1.0
+    shift: float = 0.0
+    push: float = 0.0
+
+
+CONDITIONS = {
+    "as planned": Condition(),
+    "slippery": Condition(mu=0.27),
+    "heavy": Condition(mass_factor=3.0),
+    "displaced": Condition(shift=0.015),
+    "pushed": Condition(push=2.3),
+}
+"""All but the first are as hard as it takes to fail a part of the grasps, for another reason each.
+"""
+
+TIMELINE = Timeline(
+    approach=0.3, close=0.3, close_wait=0.3, squeeze=0.4, settle=0.1, lift=0.5, hold=1.2
+)
+"""Shorter than a trial that is looked at: 0.7 s of CPU instead of 2."""
+
+RECORD_EVERY = 0.05
+"""Time between samples, s: a push of one direction is seen four times."""
+
+DIRECTIONS = np.concatenate([np.eye(3), -np.eye(3)])
+"""Of the push, world axes; each for a sixth of the hold."""
+
+MAX_ATTEMPTS = 20
+"""Attempts at a plan; without one the sample counts for nothing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sample:
+    """What is to be tried.
+
+    Attributes:
+        index: Its number.
+        hand: Name or path.
+        spec: The object.
+        label: What it is called.
+        grade: Name out of ``GRADES``.
+        condition: Name out of ``CONDITIONS``.
+        seed: Seed of the measurement; what is drawn depends on it and on ``index``.
+    """
+
+    index: int
+    hand: str
+    spec: str
+    label: str
+    grade: str
+    condition: str
+    seed: int
+
+
+def try_sample(sample: Sample, check: Callable[[], None]) -> dict[str, Any]:
+    """Plan, note the predictors, execute: a row of plain data.
+
+    Args:
+        sample: What.
+        check: Called between attempts and after the trial; what it raises ends it.
+    """
+    row: dict[str, Any] = asdict(sample) | {"found": False, "success": None, "reason": ""}
+    del row["seed"], row["spec"]
+    rng = np.random.default_rng([sample.seed, sample.index])
+    grade = GRADES[sample.grade]
+    task = task_for(sample.hand, sample.spec, Setting(mu=grade.mu))
+    if isinstance(task, str):
+        return row | {"reason": task}
+    try:
+        plan = plan_grasp(
+            task,
+            seed=int(rng.integers(2**62)),
+            max_attempts=MAX_ATTEMPTS,
+            options=grade.options,
+            progress=lambda _: check(),
+        )
+    except NoGraspFoundError:
+        return row | {"reason": "no plan"}
+    except PlannerError as error:
+        return row | {"reason": str(error)}
+    verdict = _execute(plan, CONDITIONS[sample.condition], rng)
+    check()
+    return row | {
+        "found": True,
+        "success": verdict.success,
+        "reason": verdict.reason,
+        "predictors": predictors_of(plan),
+    }
+
+
+def _execute(plan: GraspPlan, condition: Condition, rng: np.random.Generator) -> Any:
+    """The verdict of a trial under a condition."""
+    item = plan.task.object
+    heavier = replace(item, mass=condition.mass_factor * item.mass)
+    changed = replace(plan, task=replace(plan.task, object=heavier))
+    trial = Trial(
+        changed,
+        physics=PhysicsOptions(mu=condition.mu),
+        timeline=TIMELINE,
+        record_every=RECORD_EVERY,
+    )
+    angle = rng.uniform(0.0, 2 * np.pi)
+    aside = condition.shift * np.array([np.cos(angle), np.sin(angle)])
+    trial.data.qpos[trial.scene.object_qpos[:2]] += aside
+    mujoco.mj_forward(trial.scene.model, trial.data)
+    weight = item.mass * float(np.linalg.norm(plan.task.gravity))
+    return trial.run(on_step=_pusher(condition.push * weight * DIRECTIONS)).verdict
+
+
+def _pusher(forces: FloatArray) -> Callable[[Trial], None]:
+    """Push with forces (6, 3), N, at the centre of mass, one after the other during the hold."""
+    steps = 0
+
+    def push(trial: Trial) -> None:
+        nonlocal steps
+        if trial.phase == "hold":
+            total = TIMELINE.hold / trial.scene.physics.timestep
+            k = min(len(forces) - 1, int(len(forces) * steps / total))
+            trial.data.xfrc_applied[trial.scene.object_body, :3] = forces[k]
+            steps += 1
+
+    return push
