@@ -1,21 +1,24 @@
 """``CollisionWorld``: all distances of a hand from object, table, obstacles and itself, at one q.
 
-Pinocchio places the true geometries; pairs near enough by their bounding balls are measured by
-``planner.proximity``.
+Pairs of convex geometries are measured in one call (``planner.convex_pairs``), those of a mesh one
+by one, as far as they can matter (``planner.mesh_proximity``).
 """
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
+from planner.convex_pairs import ConvexPairs
 from planner.errors import NotFoundError, TaskError
-from planner.mesh_proximity import MeshPair
+from planner.mesh_proximity import LEAST_LIMIT, MeshPair, MeshPairs
 from planner.proximity import DistancePair, Proximity
 from planner.shapes import Box, Mesh, Shape
 from planner.spatial import SE3, FloatArray
@@ -26,7 +29,6 @@ __all__ = [
     "Clearance",
     "CollisionWorld",
     "bounding_radius",
-    "least_distance",
     "shape_pair",
 ]
 
@@ -41,7 +43,7 @@ OVERLAP_TOL = 1e-5
 """Depth (m) to which the object may be inside table or obstacle: rounding, and coal's accuracy."""
 
 FAR = 0.03
-"""Pairs further apart (m) than this by their bounding balls are not measured exactly."""
+"""``CollisionWorld.distances`` measures what is nearer to a mesh than this (m)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +101,7 @@ class CollisionWorld:
         for name, pose, shape in fixed:
             model.addGeometryObject(pin.GeometryObject(name, 0, pose, shape.coal_geometry()))
             names.append(name)
-        self._fixed = [(pose, shape) for _, pose, shape in fixed]
+        self._fixed = [pose for _, pose, _ in fixed]
         twice = sorted(name for name, count in Counter(names).items() if count > 1)
         if twice:
             raise TaskError(
@@ -127,38 +129,63 @@ class CollisionWorld:
             if not (names[a] in standing and names[b] == TABLE)
         ]
         self.surroundings = frozenset(names[n_hand:])
-        self._radii = np.array([bounding_radius(g.geometry) for g in model.geometryObjects])
-        self._first = np.array([a for a, _ in pairs])
-        self._second = np.array([b for _, b in pairs])
-        self._n_hand = n_hand
-        self._pairs = [(names[a], names[b]) for a, b in pairs]
-        self._names = tuple(names)
+        self._names, self._pairs = tuple(names), [(names[a], names[b]) for a, b in pairs]
+        self._model = model
         self._queries: dict[tuple[int, int], DistancePair | MeshPair] = {}
-        self._object = n_hand
         self._outward = np.array([second in self.surroundings for _, second in self._pairs])
         arm = hand.arm.geometries if hand.arm is not None else frozenset()
         self._of_arm = np.array([a in arm or b in arm for a, b in self._pairs])
         self._on_object = np.array([b == OBJECT for _, b in self._pairs])
-        self._model = model
-        self._data = pin.GeometryData(model)
-        self._pin_data = hand.pin_model.createData()
+        self._all = np.ones(len(pairs), dtype=bool)
+        self._first = np.array([a for a, _ in pairs])
+        self._convex = ConvexPairs(hand.pin_model, model, pairs, n_hand)
+        self._on_mesh = self._on_object & isinstance(task.object.shape, Mesh)
+        self._mesh: MeshPairs | None = None
+        if isinstance(task.object.shape, Mesh):
+            bodies = [g.geometry for g in hand.geometries]
+            radii = np.array([bounding_radius(b) for b in bodies])
+            self._mesh = MeshPairs(bodies, radii, task.object.shape)
 
     def distances(self, T_world_base: SE3, q: FloatArray) -> list[Clearance]:
-        """Signed distance of every pair at base pose and q (nq,)."""
-        values = self._compute(T_world_base, q)
-        return [
-            Clearance(first=a, second=b, distance=float(d))
-            for (a, b), d in zip(self._pairs, values, strict=True)
-        ]
+        """Signed distance of every pair at base pose and q (nq,).
+
+        Of a mesh and what is further from it than ``FAR``, it is only said to be that far.
+        """
+        self._place(T_world_base, q)
+        values = self._distances(self._all, FAR)
+        return [self._clearance(k, d) for k, d in enumerate(values)]
+
+    def closest(
+        self, T_world_base: SE3, q: FloatArray, count: int, *, touching: Collection[str] = ()
+    ) -> list[Clearance]:
+        """The smallest signed distances at base pose and q (nq,), smallest first.
+
+        Args:
+            T_world_base: Base pose.
+            q: Joints (nq,).
+            count: How many; all that are negative come with them.
+            touching: Geometries of the hand whose distance from the object is left out.
+        """
+        self._place(T_world_base, q)
+        names = frozenset(touching)
+        which = np.array([not (b == OBJECT and a in names) for a, b in self._pairs])
+        values = self._distances(which, None, count)
+        order = np.argsort(values, kind="stable")
+        kept = order[: max(count, int((values < 0.0).sum()))]
+        return [self._clearance(int(k), values[k]) for k in kept if values[k] < np.inf]
 
     def nearest(
         self, T_world_base: SE3, q: FloatArray, *, surroundings_only: bool = False
     ) -> Clearance:
         """The pair of smallest signed distance; of hand and surroundings only if asked."""
-        bounds = self._bounds(T_world_base, q)
-        if surroundings_only:
-            bounds = np.where(self._outward, bounds, np.inf)
-        return self._nearest(bounds)
+        self._place(T_world_base, q)
+        return self._nearest(self._outward if surroundings_only else self._all)
+
+    def touching(self, T_world_base: SE3, q: FloatArray) -> Clearance | None:
+        """The pair of smallest signed distance where that is not above 0; quick where it is."""
+        self._place(T_world_base, q)
+        found = self._nearest(self._all, LEAST_LIMIT)
+        return found if found.distance <= 0.0 else None
 
     def nearest_on_arm(
         self, T_world_base: SE3, q: FloatArray, *, T_world_object: SE3 | None = None
@@ -173,28 +200,10 @@ class CollisionWorld:
             T_world_object: Where the object is if the hand holds it; only the arm's distance from
                 it counts then.
         """
+        self._place(T_world_base, q, T_world_object)
         moving = self._outward | self._of_arm
-        if T_world_object is None:
-            return self._nearest(np.where(moving, self._bounds(T_world_base, q), np.inf))
-        (where, shape), self._fixed[0] = self._fixed[0], (T_world_object, self._fixed[0][1])
-        try:
-            moving = moving & ~(self._on_object & ~self._of_arm)
-            return self._nearest(np.where(moving, self._bounds(T_world_base, q), np.inf))
-        finally:
-            self._fixed[0] = (where, shape)
-
-    def _nearest(self, bounds: FloatArray) -> Clearance:
-        """The pair of smallest signed distance, given lower bounds of all where things are."""
-        nearest, smallest = 0, np.inf
-        # pairs in the order of their bounds, until a bound exceeds the smallest distance: exact
-        for k in np.argsort(bounds):
-            if bounds[k] >= smallest:
-                break
-            distance = self._exact(int(k))
-            if distance < smallest:
-                nearest, smallest = int(k), distance
-        first, second = self._pairs[nearest]
-        return Clearance(first=first, second=second, distance=smallest)
+        held = self._on_object & ~self._of_arm
+        return self._nearest(moving if T_world_object is None else moving & ~held)
 
     def proximity(self, T_world_base: SE3, q: FloatArray, first: str, second: str) -> Proximity:
         """Signed distance, nearest points and normal (world) of any two geometries by name.
@@ -207,51 +216,59 @@ class CollisionWorld:
                 raise NotFoundError("geometry", name, self._names)
         self._place(T_world_base, q)
         a, b = self._names.index(first), self._names.index(second)
-        return self._pair(a, b).query(
-            T_world_base * self._data.oMg[a], T_world_base * self._data.oMg[b]
-        )
+        poses = self._convex.poses
+        return self._pair(a, b).query(T_world_base * poses[a], T_world_base * poses[b])
 
-    def _compute(self, T_world_base: SE3, q: FloatArray) -> FloatArray:
-        """Signed distance of every pair; beyond ``FAR`` a lower bound."""
-        values = self._bounds(T_world_base, q)
-        for k in np.flatnonzero(values < FAR):
-            values[k] = self._exact(int(k))
+    def _place(self, T_world_base: SE3, q: FloatArray, T_world_object: SE3 | None = None) -> None:
+        """Put every geometry where it is at base pose and q, in the base's frame.
+
+        Raises:
+            TaskError: A number is not finite.
+        """
+        if not (np.isfinite(q).all() and np.isfinite(T_world_base.homogeneous).all()):
+            raise TaskError("the base pose or q holds NaN or infinity; give finite numbers")
+        inverse = T_world_base.inverse()
+        poses = [inverse * pose for pose in self._fixed]
+        if T_world_object is not None:
+            poses[0] = inverse * T_world_object
+        self._convex.place(q, poses)
+        if self._mesh is not None:
+            self._mesh.place(self._convex.poses, poses[0])
+
+    def _nearest(self, which: NDArray[np.bool_], limit: float = np.inf) -> Clearance:
+        """The pair of smallest signed distance among those told, where they were last placed.
+
+        With a limit (m), it is some pair at or above the limit where all are.
+        """
+        k, distance = self._convex.nearest(which & ~self._on_mesh)
+        asked = np.flatnonzero(which & self._on_mesh)
+        if self._mesh is not None and len(asked):
+            bodies = self._first[asked]
+            found = self._mesh.nearest(bodies, min(distance, limit))
+            if found is not None:
+                k, distance = int(asked[bodies == found[0]][0]), found[1]
+        return self._clearance(k, distance)
+
+    def _distances(
+        self, which: NDArray[np.bool_], limit: float | None, count: int = 0
+    ) -> FloatArray:
+        """Signed distance (m) of every pair, infinite where not asked.
+
+        On a mesh, distances that are not below a limit are only known not to be; without one given,
+        the limit is the distance that ``count`` of the other pairs are below.
+        """
+        values = np.full(len(self._pairs), np.inf)
+        convex, on_mesh = which & ~self._on_mesh, np.flatnonzero(which & self._on_mesh)
+        values[convex] = self._convex.distances(convex)
+        if self._mesh is not None:
+            if limit is None:
+                limit = float(np.sort(values)[count - 1])
+            values[on_mesh] = self._mesh.distances(self._first[on_mesh], limit)
         return values
 
-    def _exact(self, k: int) -> float:
-        """Signed distance of pair k where everything was last placed."""
-        a, b = int(self._first[k]), int(self._second[k])
-        return self._pair(a, b).distance(self._data.oMg[a], self._data.oMg[b])
-
-    def _bounds(self, T_world_base: SE3, q: FloatArray) -> FloatArray:
-        """Place everything; lower bounds of all distances, from the hand's bounding balls.
-
-        Balls against balls within the hand, balls against the exact shape of what stands around.
-        """
-        self._place(T_world_base, q)
-        n = self._n_hand
-        centers = np.array([placement.translation for placement in self._data.oMg])[:n]
-        inside = self._second < n
-        first, second = self._first[inside], self._second[inside]
-        gaps = centers[first] - centers[second]
-        bounds = np.empty(len(self._first))
-        bounds[inside] = np.sqrt(np.einsum("ij,ij->i", gaps, gaps))
-        bounds[inside] -= self._radii[first] + self._radii[second]
-        for i, (pose, shape) in enumerate(self._fixed):
-            to_shape = pose.inverse() * T_world_base
-            local = centers @ to_shape.rotation.T + to_shape.translation
-            mine = self._second == n + i
-            bounds[mine] = (least_distance(shape, local) - self._radii[:n])[self._first[mine]]
-        return bounds
-
-    def _place(self, T_world_base: SE3, q: FloatArray) -> None:
-        """Put every geometry where it is at base pose and q, in the base's frame."""
-        inverse = T_world_base.inverse()
-        for i, (pose, _) in enumerate(self._fixed):
-            self._model.geometryObjects[self._n_hand + i].placement = inverse * pose
-        pin.updateGeometryPlacements(
-            self.task.hand.pin_model, self._pin_data, self._model, self._data, np.asarray(q)
-        )
+    def _clearance(self, k: int, distance: float) -> Clearance:
+        first, second = self._pairs[k]
+        return Clearance(first=first, second=second, distance=float(distance))
 
     def _pair(self, a: int, b: int) -> DistancePair | MeshPair:
         """The query of two geometries, made when first needed."""
@@ -259,7 +276,7 @@ class CollisionWorld:
             first, second = (self._model.geometryObjects[i].geometry for i in (a, b))
             self._queries[a, b] = (
                 shape_pair(first, self.task.object.shape)
-                if b == self._object
+                if self._names[b] == OBJECT
                 else DistancePair(first, second)
             )
         return self._queries[a, b]
@@ -270,17 +287,6 @@ def shape_pair(geometry: Any, shape: Shape) -> DistancePair | MeshPair:
     if isinstance(shape, Mesh):
         return MeshPair(geometry, shape)
     return DistancePair(geometry, shape.coal_geometry())
-
-
-def least_distance(shape: Shape, points: FloatArray) -> FloatArray:
-    """Lower bounds (n,) of the signed distance (m) of points (n, 3): exact where that is cheap."""
-    if not isinstance(shape, Mesh):
-        return shape.signed_distance(points)
-    lower, upper = shape.bounds
-    outside = np.linalg.norm(np.maximum(np.maximum(lower - points, points - upper), 0.0), axis=1)
-    field = shape.field()
-    within = field.value(points) - field.error
-    return np.where(outside > 0.0, outside, within)
 
 
 def bounding_radius(geometry: Any) -> float:

@@ -4,22 +4,31 @@ coal measures to the triangles and knows no inside: a body wholly inside a mesh 
 triangle. Two bodies whose surfaces do not meet are apart, or one contains the other; a point of the
 convex body tells which. Where surfaces cross, coal's depth is that of single triangles: right to
 1e-5 m down to a tenth of a millimetre, too small deeper. Its sign is right throughout.
+
+A distance takes coal 60 to 500 us, but only 4 us to see that it is above a limit: its search of the
+tree is told a distance that it need not look beyond. So whoever looks for the smallest of many asks
+each for less than the smallest so far (``MeshPairs.nearest``).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import coal
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.proximity import Proximity
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, IntArray
 
-__all__ = ["MeshPair"]
+__all__ = ["LEAST_LIMIT", "MeshPair", "MeshPairs"]
 
 
 class _Mesh(Protocol):
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]: ...
+
     def coal_geometry(self) -> Any: ...
 
     def signed_distance(self, points: FloatArray) -> FloatArray: ...
@@ -35,15 +44,19 @@ class MeshPair:
     Attributes:
         geometry: Convex coal geometry.
         mesh: Closed mesh, a shape.
+        inner: A point (3,) of the geometry, m, in its frame.
     """
 
     def __init__(self, geometry: Any, mesh: _Mesh) -> None:
         """Prepare the query."""
         self.geometry, self.mesh = geometry, mesh
         self._triangles = mesh.coal_geometry()  # coal's functor holds bare pointers
-        self._compute = coal.ComputeDistance(geometry, self._triangles)
+        self._radius = float(geometry.radius) if isinstance(geometry, coal.Sphere) else None
+        # coal gives minus the radius for some spheres that are far from the triangles
+        self._measured = geometry if self._radius is None else coal.Sphere(0.0)
+        self._compute = coal.ComputeDistance(self._measured, self._triangles)
         self._request, self._result = coal.DistanceRequest(), coal.DistanceResult()
-        self._inner = np.array(geometry.computeCOM())
+        self.inner = np.array(geometry.computeCOM())
 
     def distance(self, pose: SE3, pose_mesh: SE3) -> float:
         """Signed distance, m; negative where they share a point.
@@ -52,33 +65,55 @@ class MeshPair:
             pose: ``T_world_geometry``.
             pose_mesh: ``T_world_mesh``.
         """
-        if isinstance(self.geometry, coal.Sphere):
-            # coal gives minus the radius for some spheres that are far from the triangles
-            center = pose_mesh.actInv(pose.translation)[None]
-            return float(self.mesh.signed_distance(center)[0]) - float(self.geometry.radius)
-        self._result.clear()
-        found = float(
-            self._compute(
-                coal.Transform3s(pose.rotation, pose.translation),
-                coal.Transform3s(pose_mesh.rotation, pose_mesh.translation),
-                self._request,
-                self._result,
-            )
-        )
-        if found <= 0.0:
-            return found
-        inner = pose_mesh.actInv(pose.act(self._inner))[None]
-        field = self.mesh.field()
-        if field.value(inner)[0] > field.error:  # outside without a closer look
-            return found
-        depth = self.mesh.signed_distance(inner)[0]
-        return float(depth) if depth < 0.0 else found
+        inner = pose_mesh.actInv(pose.act(self.inner))[None]
+        maybe_inside = bool(maybe_within(self.mesh, inner)[0])
+        at = coal.Transform3s(pose), coal.Transform3s(pose_mesh)
+        return self.distance_below(*at, np.inf, inner, maybe_inside=maybe_inside)
+
+    def distance_below(
+        self,
+        pose: Any,
+        pose_mesh: Any,
+        limit: float,
+        inner: FloatArray,
+        *,
+        maybe_inside: bool,
+    ) -> float:
+        """Signed distance, m, or at least ``limit`` where it is not below that.
+
+        Args:
+            pose: ``T_world_geometry``, a ``coal.Transform3s``.
+            pose_mesh: ``T_world_mesh``, likewise.
+            limit: m, above 0.
+            inner: The point ``inner`` in the mesh's frame, (1, 3), m.
+            maybe_inside: Whether that point may be inside the mesh, see ``maybe_within``.
+        """
+        reach = 0.0 if self._radius is None else self._radius
+        result = self._result
+        result.clear()
+        if limit < np.inf:
+            result.min_distance = limit + reach
+        found = self._compute(pose, pose_mesh, self._request, result)
+        if self._radius is not None:
+            if maybe_inside or limit == np.inf or found < limit + reach:  # coal's zero ball is right to 1e-6 m
+                return float(self.mesh.signed_distance(inner)[0]) - reach
+            return limit  # and not a rounding error less
+        if found > 0.0 and maybe_inside:
+            depth = float(self.mesh.signed_distance(inner)[0])
+            if depth < 0.0:
+                return depth
+        return float(found)
 
     def query(self, pose: SE3, pose_mesh: SE3) -> Proximity:
-        """Distance, nearest points and normal; exact where they are apart."""
+        """Distance, nearest points and normal; points of single triangles where surfaces cross.
+
+        Args:
+            pose: ``T_world_geometry``.
+            pose_mesh: ``T_world_mesh``.
+        """
         distance = self.distance(pose, pose_mesh)
-        if isinstance(self.geometry, coal.Sphere):
-            return self._from_sphere(distance, pose, pose_mesh)
+        if self._radius is not None:
+            return self._from_sphere(distance, pose, pose_mesh, self._radius)
         point = np.array(self._result.getNearestPoint1())
         return Proximity(
             distance=distance,
@@ -87,12 +122,93 @@ class MeshPair:
             normal=np.array(self._result.normal),
         )
 
-    def _from_sphere(self, distance: float, pose: SE3, pose_mesh: SE3) -> Proximity:
+    def _from_sphere(self, distance: float, pose: SE3, pose_mesh: SE3, radius: float) -> Proximity:
         surface, outward = self.mesh.closest_point(pose_mesh.actInv(pose.translation)[None])
         normal = -(pose_mesh.rotation @ outward[0])
         return Proximity(
             distance=distance,
-            point_a=pose.translation + self.geometry.radius * normal,
+            point_a=pose.translation + radius * normal,
             point_b=pose_mesh.act(surface[0]),
             normal=normal,
         )
+
+
+class MeshPairs:
+    """Many convex geometries and one mesh, at one placement after the other."""
+
+    def __init__(self, geometries: Sequence[Any], radii: FloatArray, mesh: _Mesh) -> None:
+        """Prepare the queries.
+
+        Args:
+            geometries: n convex coal geometries.
+            radii: Of balls (n,) about their origins that hold them, m.
+            mesh: The mesh.
+        """
+        self._mesh, self._radii = mesh, radii
+        self._lower, self._upper = mesh.bounds
+        self._pairs = [MeshPair(g, mesh) for g in geometries]
+        self._inner = np.array([p.inner for p in self._pairs])
+        self._off_centre = np.flatnonzero(self._inner.any(axis=1))
+
+    def place(self, poses: Any, T_mesh: SE3) -> None:
+        """Put everything somewhere.
+
+        Args:
+            poses: Poses of the geometries, indexable; further ones behind them are not looked at.
+            T_mesh: Pose of the mesh in the same frame.
+        """
+        self._poses = [poses[i] for i in range(len(self._pairs))]
+        self._pose_mesh = coal.Transform3s(T_mesh)
+        origins = np.array([pose.translation for pose in self._poses])
+        inner = origins.copy()
+        for i in self._off_centre:
+            inner[i] = self._poses[i].act(self._inner[i])
+        rotation, shift = T_mesh.rotation, T_mesh.translation
+        self._in_mesh = (inner - shift) @ rotation
+        local = (origins - shift) @ rotation
+        outside = np.maximum(np.maximum(self._lower - local, local - self._upper), 0.0)
+        self._bounds = np.sqrt(np.einsum("ij,ij->i", outside, outside)) - self._radii
+        self._maybe: NDArray[np.bool_] | None = None
+
+    def nearest(self, which: IntArray, limit: float) -> tuple[int, float] | None:
+        """The geometry of least signed distance (m) among ``which``, if that is below a limit."""
+        best = None
+        for i in which[np.argsort(self._bounds[which])]:
+            if self._bounds[i] >= limit:
+                break
+            distance = self._below(int(i), max(limit, LEAST_LIMIT))
+            if distance < limit:
+                best, limit = (int(i), distance), distance
+        return best
+
+    def distances(self, which: IntArray, limit: float) -> FloatArray:
+        """Signed distances (m) of geometries ``which`` (k,), at least the limit where not below."""
+        least = max(limit, LEAST_LIMIT)
+        return np.array(
+            [self._below(int(i), least) if self._bounds[i] < limit else least for i in which]
+        )
+
+    def _below(self, i: int, limit: float) -> float:
+        if self._maybe is None:
+            self._maybe = maybe_within(self._mesh, self._in_mesh)
+        return self._pairs[i].distance_below(
+            coal.Transform3s(self._poses[i]),
+            self._pose_mesh,
+            limit,
+            self._in_mesh[i : i + 1],
+            maybe_inside=bool(self._maybe[i]),
+        )
+
+
+LEAST_LIMIT = 1e-5
+"""Smallest limit (m) that coal is given: its accuracy. Told 0, it would not look for a touch."""
+
+
+def maybe_within(mesh: _Mesh, points: FloatArray) -> NDArray[np.bool_]:
+    """Which points (n, 3), m, may be inside a mesh, (n,); the others are outside for certain."""
+    lower, upper = mesh.bounds
+    maybe: NDArray[np.bool_] = ((points >= lower) & (points <= upper)).all(axis=1)
+    if maybe.any():
+        field = mesh.field()
+        maybe[maybe] = field.value(points[maybe]) <= field.error
+    return maybe

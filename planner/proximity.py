@@ -31,7 +31,7 @@ from planner.errors import ModelError
 from planner.shapes.nearest import nearest_on_cylinder
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["DistancePair", "Proximity"]
+__all__ = ["FAILED", "DistancePair", "Proximity", "distance_request"]
 
 GJK_TOLERANCES = (1e-6, 1e-5)
 """Tolerances of coal's distance iteration, and what is tried next if it does not converge."""
@@ -86,7 +86,7 @@ class DistancePair:
         self.geometry_a = geometry_a
         self.geometry_b = geometry_b
         self._compute = coal.ComputeDistance(geometry_a, geometry_b)
-        self._requests = tuple(_request(tolerance) for tolerance in GJK_TOLERANCES)
+        self._requests = tuple(distance_request(tolerance) for tolerance in GJK_TOLERANCES)
         self._result = coal.DistanceResult()
         self._sphere_inside = _sphere_inside(geometry_a, geometry_b)
         self._cores_meet = _cores_meet(geometry_a, geometry_b)
@@ -187,7 +187,8 @@ def _cylinder_to_sphere(cylinder: Any, sphere: Any, pose_a: SE3, pose_b: SE3) ->
     )
 
 
-def _request(tolerance: float) -> Any:
+def distance_request(tolerance: float = GJK_TOLERANCES[0]) -> Any:
+    """How coal is asked; see the module."""
     request = coal.DistanceRequest()
     request.gjk_convergence_criterion = coal.GJKConvergenceCriterion.DualityGap
     request.gjk_tolerance = tolerance

@@ -163,7 +163,7 @@ class Mesh(Shape):
         """Of the triangles."""
         return hash(self.digest)
 
-    @property
+    @cached_property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper corner (3,) of the bounding box, m."""
         return self.vertices.min(axis=0), self.vertices.max(axis=0)

@@ -255,9 +255,9 @@ def _way_in_fault(
     if fault:
         return fault
     for s in np.linspace(1.0, 0.0, CLOSING_SAMPLES, endpoint=False):
-        nearest = world.nearest(T_world_base, q + s * (approach.q - q))
-        if nearest.distance <= 0:
-            return f"the fingers touch while they close: {nearest}"
+        touching = world.touching(T_world_base, q + s * (approach.q - q))
+        if touching is not None:
+            return f"the fingers touch while they close: {touching}"
     return ""
 
 

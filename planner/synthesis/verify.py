@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.collision import OBJECT, Clearance, CollisionWorld
+from planner.collision import Clearance, CollisionWorld
 from planner.contacts import ContactSet
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
@@ -28,6 +28,9 @@ TOUCH_TOL = 5e-4
 PENETRATION_TOL = 5e-6
 """Depth (m) from which two geometries that must not touch count as penetrating: coal is that
 accurate in penetration (``planner.proximity``)."""
+
+LISTED = 5
+"""Clearances that a verification keeps."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,10 +144,7 @@ def verify(
     angles = np.array([t.angle for t in touches])
 
     pads = {g.name for f in task.fingers for g in touching_geometries(hand, f)}
-    others = [
-        c for c in world.distances(T_world_base, q) if not (c.second == OBJECT and c.first in pads)
-    ]
-    others.sort(key=lambda c: c.distance)
+    others = world.closest(T_world_base, q, LISTED, touching=pads)
 
     matrix, value = hand.coupling_matrix
     coupling = float(np.abs(matrix @ q - value).max(initial=0.0))
@@ -185,7 +185,7 @@ def verify(
         pad_gaps=gaps,
         pad_geometry_gaps=whole,
         pad_angles=angles,
-        closest=tuple(others[:5]),
+        closest=tuple(others[:LISTED]),
         coupling_error=coupling,
         limit_error=limits,
         faults=tuple(faults),
