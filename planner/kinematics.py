@@ -13,9 +13,9 @@ import pinocchio as pin
 
 from planner.errors import ModelError
 from planner.hand import Finger, Hand
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, skew
 
-__all__ = ["HandState", "joint_axes"]
+__all__ = ["HandState", "MovingHand", "joint_axes"]
 
 
 class HandState:
@@ -85,7 +85,7 @@ class HandState:
             )
         )
         # WORLD: linear rows are the velocity of the point that passes the origin.
-        jac[:3] -= np.cross(point, jac[3:], axis=0)
+        jac[:3] -= skew(np.asarray(point, dtype=np.float64)) @ jac[3:]
         return jac
 
     def gravity_torque(self, gravity_base: FloatArray) -> FloatArray:
@@ -115,3 +115,19 @@ def joint_axes(pin_model: Any) -> FloatArray:
         jac = pin.getJointJacobian(pin_model, data, j, pin.ReferenceFrame.LOCAL)
         out[j] = jac[:, pin_model.joints[j].idx_v]
     return out
+
+
+class MovingHand(HandState):
+    """A hand that is moved from one configuration to the next, in Pinocchio data made once.
+
+    Making the data takes 0.1 ms, the kinematics 3 us. What is asked of it holds until it is moved:
+    keep a ``HandState`` where that is too short.
+    """
+
+    def move(self, q: FloatArray) -> MovingHand:
+        """Go to q (nq,); returns itself."""
+        self.q = np.array(q, dtype=np.float64)
+        self.q.flags.writeable = False
+        pin.computeJointJacobians(self.hand.pin_model, self.pin_data, self.q)
+        pin.updateFramePlacements(self.hand.pin_model, self.pin_data)
+        return self

@@ -2,26 +2,29 @@
 
 The NLP's solution touches a model of the object (the smooth field of a mesh) with a model of the
 pad (a sphere). Both are right to some tenths of a millimetre. Here the fingers' own joints are
-moved by the least amount that brings every pad onto the true surface,
+moved by the least amount that brings every pad onto the true surface and closes the couplings,
 
-    min |dq|  s.t.  n_i' J_i dq = -gap_i,   C dq = 0,   wrist and base as they are,
+    min |dq|  s.t.  n_i' J_i dq = -gap_i,   C dq = d - C q,   wrist and base as they are,
 
-repeated until the gaps are gone. Joints stay within their limits.
+repeated until gaps and couplings are met. A joint that would leave its range stays at its end, and
+the others do its share.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from planner.kinematics import HandState
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.touch import PadTouch, pad_touches
+from planner.synthesis.touch import touching_of
 from planner.task import GraspTask
 
 __all__ = ["settle"]
 
 SETTLED = 2e-5
 """Gap (m) that counts as none: a twenty-fifth of what counts as touching."""
+
+COUPLED = 1e-7
+"""Violation of a coupling (rad) that counts as none: a tenth of what is allowed in the verdict."""
 
 STEPS = 8
 """Most steps; two or three are usual."""
@@ -36,32 +39,39 @@ def settle(task: GraspTask, T_world_base: SE3, q: FloatArray) -> FloatArray:
     What is left is for ``planner.synthesis.verify`` to judge; q itself if it touches already, or is
     too far off.
     """
-    hand = task.hand
+    hand, touching = task.hand, touching_of(task)
     index = np.unique(np.concatenate([f.q_index for f in task.fingers]))
+    lower, upper = hand.q_lower[index], hand.q_upper[index]
+    turn = T_world_base.rotation.T @ task.T_world_object.rotation
     matrix, value = hand.coupling_matrix
     q = q.copy()
     for _ in range(STEPS):
-        touches = pad_touches(task, T_world_base, q)
-        gaps = np.array([t.pad_gap for t in touches])
-        if np.abs(gaps).max() <= SETTLED or np.abs(gaps).max() > FARTHEST:
+        found = touching.gaps(T_world_base, q)
+        missing = value - matrix @ q
+        worst = np.abs(found.gaps).max()
+        settled = worst <= SETTLED and np.abs(missing).max(initial=0.0) <= COUPLED
+        if settled or worst > FARTHEST:
             break
-        rows = np.vstack([_rows(task, T_world_base, q, touches)[:, index], matrix[:, index]])
-        wanted = np.concatenate([-gaps, value - matrix @ q])
-        q[index] += np.linalg.lstsq(rows, wanted, rcond=RCOND)[0]
-        q = np.clip(q, hand.q_lower, hand.q_upper)
+        rates = np.einsum("ni,nij->nj", found.outward @ turn.T, found.jacobians)
+        rows = np.vstack([rates, matrix])[:, index]
+        wanted = np.concatenate([-found.gaps, missing])
+        q[index] = _step(rows, wanted, q[index], lower, upper)
     return q
+
+
+def _step(
+    rows: FloatArray, wanted: FloatArray, q: FloatArray, lower: FloatArray, upper: FloatArray
+) -> FloatArray:
+    """Joints (k,) within their range after the least step dq from q with rows @ dq = wanted."""
+    free = np.ones(len(q), dtype=bool)
+    while True:
+        step = np.zeros(len(q))
+        step[free] = np.linalg.lstsq(rows[:, free], wanted, rcond=RCOND)[0]
+        beyond = free & (((q + step < lower) & (q <= lower)) | ((q + step > upper) & (q >= upper)))
+        if not beyond.any():
+            return np.clip(q + step, lower, upper)
+        free &= ~beyond
 
 
 RCOND = 1e-6
 """Singular values below this share of the largest count as zero (couplings may repeat)."""
-
-
-def _rows(task: GraspTask, T_world_base: SE3, q: FloatArray, touches: list[PadTouch]) -> FloatArray:
-    """Rate (n, nq) of every gap over the joints, m/rad."""
-    state = HandState(task.hand, q)
-    T_base_object = T_world_base.inverse() * task.T_world_object
-    rows = []
-    for finger, touch in zip(task.fingers, touches, strict=True):
-        jacobian = state.point_jacobian(finger.pad.joint_id, T_base_object.act(touch.point))
-        rows.append((T_base_object.rotation @ touch.outward) @ jacobian[:3])
-    return np.array(rows)

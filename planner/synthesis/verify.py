@@ -17,7 +17,7 @@ from planner.contacts import ContactSet
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.edges import EDGE_RADIUS, EDGE_SPREAD, spreads
-from planner.synthesis.touch import PadTouch, pad_touches, touching_geometries
+from planner.synthesis.touch import PadTouch, pad_touches, touching_of
 from planner.task import GraspTask
 
 __all__ = ["TOUCH_TOL", "Verification", "contacts_at", "contacts_of", "edge_faults", "verify"]
@@ -143,8 +143,7 @@ def verify(
     whole = np.array([t.gap for t in touches])
     angles = np.array([t.angle for t in touches])
 
-    pads = {g.name for f in task.fingers for g in touching_geometries(hand, f)}
-    others = world.closest(T_world_base, q, LISTED, touching=pads)
+    others = world.closest(T_world_base, q, LISTED, touching=touching_of(task).names)
 
     matrix, value = hand.coupling_matrix
     coupling = float(np.abs(matrix @ q - value).max(initial=0.0))
