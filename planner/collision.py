@@ -7,7 +7,7 @@ by one, as far as they can matter (``planner.mesh_proximity``).
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -18,16 +18,19 @@ from numpy.typing import NDArray
 
 from planner.convex_pairs import ConvexPairs
 from planner.errors import NotFoundError, TaskError
+from planner.hand import Hand
+from planner.kinematics import MovingHand
 from planner.mesh_proximity import LEAST_LIMIT, MeshPair, MeshPairs
 from planner.proximity import DistancePair, Proximity
 from planner.shapes import Box, Mesh, Shape
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 
 __all__ = [
     "TABLE_SIZE",
     "Clearance",
     "CollisionWorld",
+    "NearPairs",
     "bounding_radius",
     "shape_pair",
 ]
@@ -41,6 +44,9 @@ TABLE_SIZE = (2.0, 2.0, 0.1)
 
 OVERLAP_TOL = 1e-5
 """Depth (m) to which the object may be inside table or obstacle: rounding, and coal's accuracy."""
+
+MESH_LIMIT = 0.01
+"""``CollisionWorld.near`` looks no further than this (m) from a mesh: what is near takes time."""
 
 FAR = 0.03
 """``CollisionWorld.distances`` measures what is nearer to a mesh than this (m)."""
@@ -65,12 +71,38 @@ class Clearance:
         return f"{self.first} - {self.second}: {1e3 * self.distance:.2f} mm"
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NearPairs:
+    """How pairs that are near to each other lie.
+
+    Attributes:
+        numbers: Numbers of the pairs (k,).
+        outward: Whether the second is object, table or obstacle, (k,).
+        mesh: Whether it is a mesh, (k,).
+        joints: Pinocchio joints (k, 2) that the two geometries move with; 0 for what stands still.
+        distances: Signed distances (k,), m.
+        points_a: Nearest points of the first (k, 3), m.
+        points_b: Nearest points of the second (k, 3), m.
+        normals: Unit vectors (k, 3) from the first to the second.
+    """
+
+    numbers: IntArray
+    outward: NDArray[np.bool_]
+    mesh: NDArray[np.bool_]
+    joints: IntArray
+    distances: FloatArray
+    points_a: FloatArray
+    points_b: FloatArray
+    normals: FloatArray
+
+
 class CollisionWorld:
     """The true geometry of a task, ready to be asked at many configurations.
 
     Attributes:
         task: The task.
         surroundings: Names of all that is not the hand: object, table, obstacles.
+        moving: The hand, for whoever asks to move about.
     """
 
     def __init__(self, task: GraspTask) -> None:
@@ -135,9 +167,13 @@ class CollisionWorld:
         self._outward = np.array([second in self.surroundings for _, second in self._pairs])
         arm = hand.arm.geometries if hand.arm is not None else frozenset()
         self._of_arm = np.array([a in arm or b in arm for a, b in self._pairs])
+        self._between = _between_fingers(hand, pairs)
+        self.moving = MovingHand(hand, hand.q_lower)
         self._on_object = np.array([b == OBJECT for _, b in self._pairs])
         self._all = np.ones(len(pairs), dtype=bool)
         self._first = np.array([a for a, _ in pairs])
+        joint = [*(g.joint_id for g in hand.geometries), *(0 for _ in fixed)]
+        self._joints = np.array([(joint[a], joint[b]) for a, b in pairs])
         self._convex = ConvexPairs(hand.pin_model, model, pairs, n_hand)
         self._on_mesh = self._on_object & isinstance(task.object.shape, Mesh)
         self._mesh: MeshPairs | None = None
@@ -204,6 +240,49 @@ class CollisionWorld:
         moving = self._outward | self._of_arm
         held = self._on_object & ~self._of_arm
         return self._nearest(moving if T_world_object is None else moving & ~held)
+
+    def is_clear(self, T_world_base: SE3, q: FloatArray, *, around: float, between: float) -> bool:
+        """Whether the hand keeps distances (m) from its surroundings and between its fingers.
+
+        Of fingers only the last three joints' links count: those before are side by side always.
+        """
+        self._place(T_world_base, q)
+        return (
+            self._nearest(self._outward, around).distance >= around
+            and self._nearest(self._between, between).distance >= between
+        )
+
+    def near(
+        self, T_world_base: SE3, q: FloatArray, limit: float, among: IntArray | None = None
+    ) -> NearPairs:
+        """How pairs lie that are near to each other, in the base's frame.
+
+        Args:
+            T_world_base: Base pose.
+            q: Joints (nq,).
+            limit: Pairs nearer than this (m) are looked at.
+            among: Numbers of pairs that are looked at instead, but for those with a mesh.
+        """
+        self._place(T_world_base, q)
+        convex = self._all & ~self._on_mesh
+        numbers, distances, rows = (
+            self._convex.near(convex, limit) if among is None else self._convex.at(among)
+        )
+        if self._mesh is not None:
+            on_mesh = np.flatnonzero(self._on_mesh)
+            places, apart, more = self._mesh.near(self._first[on_mesh], min(limit, MESH_LIMIT))
+            numbers = np.concatenate([numbers, on_mesh[places]])
+            distances, rows = np.concatenate([distances, apart]), np.vstack([rows, more])
+        return NearPairs(
+            numbers=numbers,
+            outward=self._outward[numbers],
+            mesh=self._on_mesh[numbers],
+            joints=self._joints[numbers],
+            distances=distances,
+            points_a=rows[:, :3],
+            points_b=rows[:, 3:6],
+            normals=rows[:, 6:],
+        )
 
     def proximity(self, T_world_base: SE3, q: FloatArray, first: str, second: str) -> Proximity:
         """Signed distance, nearest points and normal (world) of any two geometries by name.
@@ -280,6 +359,23 @@ class CollisionWorld:
                 else DistancePair(first, second)
             )
         return self._queries[a, b]
+
+
+def _between_fingers(hand: Hand, pairs: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
+    """Which pairs (n_pairs,) are of links on the last three joints of two different fingers."""
+    finger_of = [hand.finger_of_body.get(g.body, "") for g in hand.geometries]
+    joints = np.array([g.joint_id for g in hand.geometries])
+    outer = np.zeros(len(joints), dtype=bool)
+    for name in hand.fingers:
+        mine = np.array([of == name for of in finger_of])
+        outer |= mine & np.isin(joints, np.unique(joints[mine])[-3:])
+    n = len(joints)
+    return np.array(
+        [
+            b < n and bool(outer[a]) and bool(outer[b]) and finger_of[a] != finger_of[b]
+            for a, b in pairs
+        ]
+    )
 
 
 def shape_pair(geometry: Any, shape: Shape) -> DistancePair | MeshPair:

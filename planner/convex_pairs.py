@@ -42,6 +42,8 @@ class ConvexPairs:
         for a, b in pairs:
             geometries.addCollisionPair(pin.CollisionPair(a, b))
         self._placed = pin.GeometryData(geometries)
+        for k in range(len(pairs)):
+            self._placed.distanceRequests[k] = distance_request()
         self._sets: dict[bytes, Any] = {}
         self._exact: dict[int, DistancePair] = {}
         kinds = [type(g.geometry) for g in geometries.geometryObjects]
@@ -81,6 +83,34 @@ class ConvexPairs:
         data = self._measure(which)
         pin.computeDistances(self._model, data)
         return self._read(data, np.flatnonzero(which))
+
+    def near(
+        self, which: NDArray[np.bool_], limit: float
+    ) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Pairs nearer than a limit (m), of those told: numbers (k,), distances (k,), m, and rows.
+
+        Rows (k, 9) are the nearest points of both and the normal from one to the other, base axes.
+        """
+        values = self.distances(which)
+        numbers = np.flatnonzero(which)[values < limit]
+        results = self._sets[which.tobytes()].distanceResults
+        return self._told(numbers, values[values < limit], [results[int(k)] for k in numbers])
+
+    def at(self, numbers: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:
+        """The same of pairs by their numbers (k,), however far."""
+        results = [pin.computeDistance(self._model, self._placed, int(k)) for k in numbers]
+        values = np.array([r.min_distance for r in results])
+        return self._told(numbers, values, results)
+
+    def _told(
+        self, numbers: IntArray, values: FloatArray, results: list[Any]
+    ) -> tuple[IntArray, FloatArray, FloatArray]:
+        rows = np.empty((len(numbers), 9))
+        for row, found in zip(rows, results, strict=True):
+            row[:3], row[3:6] = found.getNearestPoint1(), found.getNearestPoint2()
+            row[6:] = found.normal
+        told = np.isfinite(rows).all(axis=1)  # coal has none where it failed
+        return numbers[told], values[told], rows[told]
 
     def _measure(self, which: NDArray[np.bool_]) -> Any:
         """Results for these pairs, everything where it was last placed."""

@@ -18,6 +18,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.actuation import Actuation
 from planner.bridge import (
@@ -328,6 +329,15 @@ class Hand:
     def arm_index(self) -> IntArray:
         """Where the joints of the arm that carries the hand stand in q; empty without one."""
         return np.zeros(0, dtype=int) if self.arm is None else self.arm.index
+
+    @cached_property
+    def moved_by(self) -> NDArray[np.bool_]:
+        """Whether joint j moves what is fixed to Pinocchio joint i, (nq + 1, nq)."""
+        model = self.pin_model
+        table = np.zeros((model.njoints, self.nq), dtype=bool)
+        for i in range(model.njoints):
+            table[i, [int(j) - 1 for j in model.supports[i] if j > 0]] = True
+        return table
 
     @property
     def palm_frame_id(self) -> int:

@@ -17,7 +17,6 @@ from planner.plan import GraspPlan, SolveRecord
 from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.pregrasp import Approach, approach_fault, find_approach
-from planner.synthesis.problems import problems_for
 from planner.synthesis.touch import pad_touches
 from planner.synthesis.verify import contacts_of, verify
 from planner.task import GraspTask
@@ -64,8 +63,7 @@ def judge_grasp(
     if not forces.found:
         return f"forces: with {task.grip_force:.3g} N per finger, {forces.reason}"
     if approach is None:
-        pregrasp = problems_for(task).pregrasp
-        found = find_approach(world, pregrasp, T_world_base, q, contacts.normals)
+        found = find_approach(world, T_world_base, q, contacts.normals)
         if isinstance(found, str):
             return f"approach: {found}"
         approach = found

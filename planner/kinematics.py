@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from planner.errors import ModelError
 from planner.hand import Finger, Hand
-from planner.spatial import SE3, FloatArray, skew
+from planner.spatial import SE3, FloatArray, IntArray, skew
 
 __all__ = ["HandState", "MovingHand", "joint_axes"]
 
@@ -87,6 +87,30 @@ class HandState:
         # WORLD: linear rows are the velocity of the point that passes the origin.
         jac[:3] -= skew(np.asarray(point, dtype=np.float64)) @ jac[3:]
         return jac
+
+    def point_rates(
+        self, joint_ids: IntArray, points: FloatArray, directions: FloatArray
+    ) -> FloatArray:
+        """Velocities of points along directions per joint velocity: rows of many Jacobians at once.
+
+        Args:
+            joint_ids: Pinocchio joints (k,) that the points move with.
+            points: (k, 3), m, in the base.
+            directions: (k, 3), base axes.
+
+        Returns:
+            (k, nq), direction_i . (Jacobian of point_i).
+        """
+        moments = np.stack(
+            [
+                points[:, 1] * directions[:, 2] - points[:, 2] * directions[:, 1],
+                points[:, 2] * directions[:, 0] - points[:, 0] * directions[:, 2],
+                points[:, 0] * directions[:, 1] - points[:, 1] * directions[:, 0],
+            ],
+            axis=1,
+        )
+        rates = np.hstack([directions, moments]) @ self.pin_data.J
+        return np.asarray(np.where(self.hand.moved_by[joint_ids], rates, 0.0))
 
     def gravity_torque(self, gravity_base: FloatArray) -> FloatArray:
         """Joint torques (nq,) that hold the hand against gravity (3,), m/s2, in base axes.

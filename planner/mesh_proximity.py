@@ -95,7 +95,9 @@ class MeshPair:
             result.min_distance = limit + reach
         found = self._compute(pose, pose_mesh, self._request, result)
         if self._radius is not None:
-            if maybe_inside or limit == np.inf or found < limit + reach:  # coal's zero ball is right to 1e-6 m
+            if (
+                maybe_inside or limit == np.inf or found < limit + reach
+            ):  # coal's zero ball is right to 1e-6 m
                 return float(self.mesh.signed_distance(inner)[0]) - reach
             return limit  # and not a rounding error less
         if found > 0.0 and maybe_inside:
@@ -103,6 +105,18 @@ class MeshPair:
             if depth < 0.0:
                 return depth
         return float(found)
+
+    def last_points(self, distance: float) -> FloatArray:
+        """Nearest points (3,) + (3,) and normal (3,) of the last query, which gave a distance (m).
+
+        Those of the nearest triangle; of a body that is in the mesh, the way out of it.
+        """
+        result = self._result
+        point, on_mesh = np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
+        if self._radius is None:
+            return np.concatenate([point, on_mesh, result.normal])
+        normal = (on_mesh - point) / (distance + self._radius)  # turned about where it is inside
+        return np.concatenate([point + self._radius * normal, on_mesh, normal])
 
     def query(self, pose: SE3, pose_mesh: SE3) -> Proximity:
         """Distance, nearest points and normal; points of single triangles where surfaces cross.
@@ -187,6 +201,21 @@ class MeshPairs:
         return np.array(
             [self._below(int(i), least) if self._bounds[i] < limit else least for i in which]
         )
+
+    def near(self, which: IntArray, limit: float) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Geometries nearer than a limit (m), of those told: places in ``which`` (k,), distances.
+
+        And rows (k, 9): nearest points of geometry and mesh, and the normal from one to the other.
+        """
+        places, distances, rows = [], [], []
+        for place, i in enumerate(which):
+            if self._bounds[i] < limit:
+                distance = self._below(int(i), limit)
+                if distance < limit:
+                    places.append(place)
+                    distances.append(distance)
+                    rows.append(self._pairs[i].last_points(distance))
+        return np.array(places, dtype=int), np.array(distances), np.array(rows).reshape(-1, 9)
 
     def _below(self, i: int, limit: float) -> float:
         if self._maybe is None:

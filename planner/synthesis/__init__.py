@@ -1,7 +1,7 @@
 """Grasp synthesis: the NLP, its starts, the pre-grasp, and the verdict on the true geometry."""
 
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.pregrasp import Approach, PregraspProblem, find_approach
+from planner.synthesis.pregrasp import Approach, find_approach
 from planner.synthesis.problem import GraspProblem, Start, build_problem
 from planner.synthesis.seeds import Seeder
 from planner.synthesis.verify import Verification, contacts_at, verify
@@ -9,7 +9,6 @@ from planner.synthesis.verify import Verification, contacts_at, verify
 __all__ = [
     "Approach",
     "GraspProblem",
-    "PregraspProblem",
     "Seeder",
     "Start",
     "SynthesisOptions",

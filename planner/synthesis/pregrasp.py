@@ -1,31 +1,20 @@
 """The pre-grasp and the way to it: fingers opened along the contact normals, then straight in.
 
-Both are part of a plan: a grasp that cannot be reached without touching is no plan. The opened
-fingers are the solution of a small NLP over the joints alone:
-
-    min  sum |c_i(q) - (c_i - opening n_i)|^2 / opening^2 + POSTURE_WEIGHT |q - q_grasp|^2
-    s.t. every pad opened by OPENED_SHARE of the opening at least; couplings; joint limits;
-         links clear of object, table, obstacles and of each other
-
-with c_i the pad centres of the grasp and n_i the normals into the object. Fingers that stand close
-to each other may have to move sideways as well while they open.
+Both are part of a plan: a grasp that cannot be reached without touching is no plan. How the fingers
+open is the matter of ``planner.synthesis.opening``; whether the way is free is looked at here, on
+the true geometry.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from planner.collision import CollisionWorld
-from planner.hand import Finger, Hand
-from planner.kinematics import HandState
-from planner.shapes import Shape
+from planner.kinematics import MovingHand
 from planner.spatial import SE3, FloatArray
-from planner.symbolic import SymbolicHand
 from planner.synthesis.carried import (
     ArmPath,
     approach_line_fault,
@@ -34,20 +23,13 @@ from planner.synthesis.carried import (
     path_fault,
     retreats,
 )
-from planner.synthesis.clearance import ClearanceTerms
-from planner.synthesis.nlp import Nlp
-from planner.synthesis.surfaces import SIZE_DIM, surface_of
-from planner.synthesis.surroundings import Surroundings, obstacles_in_object, table_in_object
-from planner.task import GraspTask
+from planner.synthesis.opening import Opener
 
-__all__ = ["Approach", "PregraspProblem", "approach_fault", "find_approach"]
+__all__ = ["Approach", "approach_fault", "find_approach"]
 
 OPENINGS = (0.025, 0.02, 0.015, 0.01)
 """Distances (m) by which pads are opened along the normals, tried in this order. More room absorbs
 a larger error of the object's pose; less is easier to reach."""
-
-OPENED_SHARE = 0.7
-"""Share of the opening that every pad must really reach within its joint limits (-)."""
 
 STANDOFF = 0.12
 """Length (m) of the straight approach: outside the reach of most objects for a hand."""
@@ -64,17 +46,6 @@ CLOSING_SAMPLES = 12
 
 JOINT_TOL = 1e-6
 """How far (rad) couplings and joint limits may be violated: the solver's accuracy."""
-
-POSTURE_WEIGHT = 0.05
-"""Cost of moving a joint by one radian against missing the opening by all of it (-)."""
-
-OPEN_CLEARANCE = 0.003
-"""Distance (m) that links keep from object, table and obstacles at the pre-grasp."""
-
-FINGER_CLEARANCE = 0.002
-"""Distance (m) that fingers keep from each other at the pre-grasp."""
-
-MAX_ITERATIONS = 40
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,105 +65,8 @@ class Approach:
     arm: ArmPath | None = None
 
 
-class PregraspProblem:
-    """The NLP of the opened fingers: built once per hand, fingers and kind of shape."""
-
-    def __init__(
-        self, hand: Hand, fingers: Sequence[Finger], kind_of: Shape, n_obstacles: int = 0
-    ) -> None:
-        """Build it; arguments as in ``build_problem``."""
-        self.hand, self.fingers = hand, tuple(fingers)
-        self.surface = surface_of(kind_of)
-        n = len(self.fingers)
-        q, q_grasp = ca.SX.sym("q", hand.nq), ca.SX.sym("q_grasp", hand.nq)
-        rotation, shift = ca.SX.sym("R", 3, 3), ca.SX.sym("t", 3)
-        size = ca.SX.sym("size", SIZE_DIM)
-        surroundings = Surroundings(n_obstacles)
-        begin, inward = ca.SX.sym("c", 3, n), ca.SX.sym("n", 3, n)
-        opening = ca.SX.sym("opening")
-        symbolic = SymbolicHand(hand, q)
-        moved = [
-            rotation @ symbolic.point(f.pad.joint_id, f.pad.center) + shift - begin[:, i]
-            for i, f in enumerate(self.fingers)
-        ]
-        miss = [m + opening * inward[:, i] for i, m in enumerate(moved)]
-        cost = sum(ca.sumsqr(m) for m in miss) / opening**2
-        cost += POSTURE_WEIGHT * ca.sumsqr(q - q_grasp)
-        matrix, value = hand.coupling_matrix
-        equal = [ca.DM(matrix) @ q - value] if len(value) else []
-        links = ClearanceTerms(symbolic, rotation, shift)
-        above = [-ca.dot(m, inward[:, i]) / opening - OPENED_SHARE for i, m in enumerate(moved)]
-        above += links.from_object(self.surface, size, [], OPEN_CLEARANCE, OPEN_CLEARANCE)
-        above += surroundings.from_table(links, OPEN_CLEARANCE)
-        above += surroundings.from_obstacles(links, OPEN_CLEARANCE)
-        above += links.between_fingers(FINGER_CLEARANCE)
-        self._upper = np.concatenate([np.zeros(len(value)), np.full(len(above), np.inf)])
-        self.nlp = Nlp(
-            "pregrasp",
-            x=q,
-            p=ca.vertcat(
-                q_grasp,
-                ca.vec(rotation),
-                shift,
-                size,
-                surroundings.symbols,
-                ca.vec(begin),
-                ca.vec(inward),
-                opening,
-            ),
-            cost=cost,
-            g=ca.vertcat(*equal, *above),
-            options={
-                "ipopt.max_iter": MAX_ITERATIONS,
-                "ipopt.tol": 1e-3,
-                "ipopt.constr_viol_tol": 1e-6,
-                "ipopt.mu_init": 1e-3,
-            },
-            points=self.surface.field,
-        )
-
-    def solve(
-        self,
-        task: GraspTask,
-        T_world_base: SE3,
-        q: FloatArray,
-        normals: FloatArray,
-        opening: float,
-    ) -> FloatArray | None:
-        """Joints (nq,) with the pads ``opening`` (m) back along the normals (n, 3, world).
-
-        None where the limits or something in the way forbid it.
-        """
-        hand = self.hand
-        to_object = task.T_world_object.inverse()
-        T = to_object * T_world_base
-        state = HandState(hand, q)
-        begin = np.array([T.act(state.pad_center(f)) for f in self.fingers])
-        parts: list[Any] = [
-            q,
-            np.array(T.rotation).ravel(order="F"),
-            T.translation,
-            self.surface.size(task.object.shape),
-            Surroundings.values(table_in_object(task), obstacles_in_object(task)),
-            begin.ravel(),
-            (normals @ task.T_world_object.rotation).ravel(),
-            [opening],
-        ]
-        lower, upper = hand.q_lower.copy(), hand.q_upper.copy()
-        held = np.concatenate([hand.wrist_index, hand.arm_index])
-        lower[held] = upper[held] = q[held]
-        x, stats = self.nlp.bind(self.surface.field_of(task.object.shape))(
-            x0=q, p=np.concatenate(parts), lbx=lower, ubx=upper, lbg=0, ubg=self._upper
-        )
-        if not stats["success"]:
-            return None
-        opened: FloatArray = np.clip(x, lower, upper)
-        return opened
-
-
 def find_approach(
     world: CollisionWorld,
-    problem: PregraspProblem,
     T_world_base: SE3,
     q: FloatArray,
     normals: FloatArray,
@@ -201,7 +75,6 @@ def find_approach(
 
     Args:
         world: True geometry of the task.
-        problem: The NLP for its hand, fingers and shape.
         T_world_base: Base pose of the grasp.
         q: Joints of the grasp (nq,).
         normals: Contact normals into the object (n, 3), world.
@@ -211,8 +84,9 @@ def find_approach(
     lift = find_lift(world, T_world_base, q) if carried else None
     if isinstance(lift, str):
         return lift
+    opener = Opener(world, T_world_base, q, normals)
     for opening in OPENINGS:
-        opened = problem.solve(world.task, T_world_base, q, normals, opening)
+        opened = opener.open(opening)
         if opened is None:
             continue
         for approach in _ways_in(world, T_world_base, opened, opening, lift):
@@ -313,22 +187,24 @@ def _ways_in(
     """Approaches to be looked at; a base that is fixed without an arm stays where it is."""
     hand = world.task.hand
     if hand.arm is not None and lift is not None:
-        for path in retreats(hand, T_world_base, opened, _ways_back(hand, T_world_base, opened)):
+        for path in retreats(
+            hand, T_world_base, opened, _ways_back(world.moving, T_world_base, opened)
+        ):
             arm = ArmPath(approach=path, lift=lift)
             yield Approach(q=opened, opening=opening, T_world_base_start=T_world_base, arm=arm)
         return
     ways = [np.zeros(3)]
     if world.task.T_world_base is None:
-        ways = _ways_back(hand, T_world_base, opened)
+        ways = _ways_back(world.moving, T_world_base, opened)
     for way in ways:
         start = SE3(T_world_base.rotation, T_world_base.translation + way)
         yield Approach(q=opened, opening=opening, T_world_base_start=start)
 
 
-def _ways_back(hand: Hand, T_world_base: SE3, opened: FloatArray) -> list[FloatArray]:
+def _ways_back(moving: MovingHand, T_world_base: SE3, opened: FloatArray) -> list[FloatArray]:
     """Where the palm may come from, (3,), m: above, against its normal, or between the two."""
-    palm = T_world_base * HandState(hand, opened).T_base_palm
-    back = -(palm.rotation @ hand.palm_normal)
+    palm = T_world_base * moving.move(opened).T_base_palm
+    back = -(palm.rotation @ moving.hand.palm_normal)
     up = np.array([0.0, 0.0, 1.0])
     lengths = [(d, float(np.linalg.norm(d))) for d in (up, back + up, back)]
     return [STANDOFF * d / length for d, length in lengths if length > SHORTEST]

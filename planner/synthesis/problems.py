@@ -1,4 +1,4 @@
-"""The NLPs of a task, built once and kept: for the search and for the check of a plan."""
+"""The NLP of a task, built once and kept: for the search and for the check of a plan."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from functools import lru_cache
 
 from planner.hand import Hand
 from planner.shapes import Shape
-from planner.synthesis.pregrasp import PregraspProblem
 from planner.synthesis.problem import GraspProblem, build_problem
 from planner.synthesis.surfaces import surface_of
 from planner.task import GraspTask
@@ -18,23 +17,21 @@ __all__ = ["Problems", "problems_for"]
 
 @dataclass(frozen=True)
 class Problems:
-    """The NLPs of a task: the grasp's and the pre-grasp's, and the time (s) both took to build."""
+    """The NLP of a task, and the time (s) that it took to build."""
 
     grasp: GraspProblem
-    pregrasp: PregraspProblem
     build_s: float
 
 
 def problems_for(task: GraspTask) -> Problems:
-    """The NLPs for a task; built once per hand, fingers, kind of shape and number of obstacles.
+    """The NLP for a task; built once per hand, fingers, kind of shape and number of obstacles.
 
-    A mesh's field is bound to them here too, so that attempts take no time for either.
+    A mesh's field is made here too, so that attempts take no time for either.
     """
     kind = _Kind(task.object.shape)
     problems = _cached_problems(_SameHand(task.hand), task.finger_names, kind, len(task.obstacles))
     begin = time.perf_counter()
-    field = problems.grasp.surface.field_of(task.object.shape)
-    problems.pregrasp.nlp.bind(field)
+    problems.grasp.surface.field_of(task.object.shape)
     return replace(problems, build_s=problems.build_s + time.perf_counter() - begin)
 
 
@@ -71,5 +68,4 @@ def _cached_problems(
     begin = time.perf_counter()
     fingers = same.hand.choose_fingers(finger_names)
     grasp = build_problem(same.hand, fingers, kind.shape, n_obstacles)
-    pregrasp = PregraspProblem(same.hand, fingers, kind.shape, n_obstacles)
-    return Problems(grasp=grasp, pregrasp=pregrasp, build_s=time.perf_counter() - begin)
+    return Problems(grasp=grasp, build_s=time.perf_counter() - begin)
