@@ -11,7 +11,7 @@ import numpy as np
 
 from planner.collision import CollisionWorld
 from planner.contacts import ContactSet
-from planner.forces import ForceSolution, distribute_forces, gravity_wrench
+from planner.forces import QUICK_SOLVER, ForceSolution, distribute_forces, gravity_wrench
 from planner.kinematics import HandState
 from planner.plan import GraspPlan, SolveRecord
 from planner.quality import force_closure
@@ -114,5 +114,5 @@ def plan_forces(
         actuation=task.hand.actuation,
         q=q,
         gravity_torque=state.gravity_torque(rotation.T @ task.gravity),
-        **options,
+        **{"solver": QUICK_SOLVER, **options},
     )

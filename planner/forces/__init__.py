@@ -6,9 +6,15 @@ from planner.forces.build import build_force_problem, gravity_wrench
 from planner.forces.friction import Pyramid, pyramid_faces
 from planner.forces.infeasible import Infeasibility, explain_infeasibility
 from planner.forces.problem import ForceProblem, ForceResiduals
-from planner.forces.solve import ForceSolution, distribute_forces, solve_force_problem
+from planner.forces.solve import (
+    QUICK_SOLVER,
+    ForceSolution,
+    distribute_forces,
+    solve_force_problem,
+)
 
 __all__ = [
+    "QUICK_SOLVER",
     "ForceProblem",
     "ForceResiduals",
     "ForceSolution",

@@ -25,10 +25,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import linprog
 
 from planner.contacts import ContactSet
 from planner.errors import ContactError, PlannerError
+from planner.programme import programme
 from planner.quality.cones import primitive_wrenches
 from planner.spatial import FloatArray
 
@@ -42,12 +42,13 @@ WEIGHT_TOL = 1e-7
 """Normalised min-weight that counts as positive must exceed this (-): a hundred times the error of
 the linear programme, and far below any useful value (planning asks for 0.1 and more)."""
 
-_LP_OPTIONS = {
-    "presolve": False,
-    "primal_feasibility_tolerance": 1e-10,
-    "dual_feasibility_tolerance": 1e-10,
-}
-"""HiGHS at its tightest; presolve costs more time than it saves at this size."""
+GAP_TOL = 1e-7
+"""Largest gap between the min-weight that weights reach and the bound of the dual (-), a check of
+the solver: 1e-12 is usual."""
+
+_REMEDY = (
+    "; it always has a solution, so report these contacts, and meanwhile try another number of edges"
+)
 
 _NEGLIGIBLE = 1e-6
 """Components below this share of a direction are left out of the prose that describes it (-)."""
@@ -199,27 +200,32 @@ def _solve(basis: FloatArray) -> tuple[float, FloatArray, FloatArray]:
     sums = basis.sum(axis=1)
     if m == 0 or m - sums @ sums <= RANK_TOL**2 * m:
         return -np.inf, np.zeros(m), sums
-    cost = np.zeros(m + 1)
-    cost[-1] = -1.0
     rows = np.vstack([np.column_stack([basis, sums]), np.append(np.ones(m), m)])
-    bounds = np.zeros((m + 1, 2))
-    bounds[:, 1] = np.inf
-    bounds[-1, 0] = -np.inf
     target = np.append(np.zeros(rank), 1.0)
-    solved = linprog(
-        cost, A_eq=rows, b_eq=target, bounds=bounds, method="highs-ds", options=_LP_OPTIONS
+    solver = programme("highs", m + 1, rank + 1)
+    x = solver.solve(
+        g=np.append(np.zeros(m), -1.0),
+        a=rows,
+        lba=target,
+        uba=target,
+        lbx=np.append(np.zeros(m), -np.inf),
+        ubx=np.full(m + 1, np.inf),
     )
-    if solved.status != 0:
-        raise PlannerError(
-            f"HiGHS gave up on the min-weight programme ({solved.message}); it always has a "
-            "solution, so report these contacts, and meanwhile try another number of edges"
-        )
+    if x is None:
+        raise PlannerError(f"HiGHS gave up on the min-weight programme{_REMEDY}")
     # Put the weights exactly on W a = 0, sum a = 1; what is then the least of them is certain.
-    a = solved.x[:-1] + solved.x[-1]
+    a = x[:-1] + x[-1]
     a = a - basis.T @ (basis @ a)
     a = a / a.sum()
-    # linprog minimises -l, so its marginals are minus the dual variables of the maximum.
-    return float(a.min()), a, -solved.eqlin.marginals[:rank]
+    # -l is minimised, so the prices are minus the dual variables of the maximum.
+    weight, y = float(a.min()), -solver.prices[:rank]
+    # Any y bounds l* from above, l* = z - b.(P'y + z): what the weights reach less is the error.
+    z = (1.0 - y @ sums) / m
+    short = max(0.0, -float((basis.T @ y + z).min()))
+    bound = z + short * (1.0 - m * weight)
+    if not bound - weight <= GAP_TOL:
+        raise PlannerError(f"HiGHS left a gap of {bound - weight:.1e} in a min-weight{_REMEDY}")
+    return weight, a, y
 
 
 def _lever_arm(w: FloatArray) -> float:
