@@ -1,6 +1,6 @@
 """``CollisionWorld``: all distances of a hand from object, table, obstacles and itself, at one q.
 
-Pairs of convex geometries are measured in one call (``planner.convex_pairs``), those of a mesh one
+Pairs of convex geometries are measured in one call (``planner.geometry_pairs``), those of a mesh one
 by one, as far as they can matter (``planner.mesh_proximity``).
 """
 
@@ -16,8 +16,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planner.convex_pairs import ConvexPairs
 from planner.errors import NotFoundError, TaskError
+from planner.geometry_pairs import GeometryPairs
 from planner.hand import Hand
 from planner.kinematics import MovingHand
 from planner.mesh_proximity import LEAST_LIMIT, MeshPair, MeshPairs
@@ -47,6 +47,9 @@ OVERLAP_TOL = 1e-5
 
 MESH_LIMIT = 0.01
 """``CollisionWorld.near`` looks no further than this (m) from a mesh: what is near takes time."""
+
+WAYS = tuple(5e-4 * 2.0**k for k in range(6, -1, -1))
+"""Ways (m) that ``CollisionWorld.free_way`` tries around a mesh: 32 to 0.5 mm."""
 
 FAR = 0.03
 """``CollisionWorld.distances`` measures what is nearer to a mesh than this (m)."""
@@ -174,13 +177,11 @@ class CollisionWorld:
         self._first = np.array([a for a, _ in pairs])
         joint = [*(g.joint_id for g in hand.geometries), *(0 for _ in fixed)]
         self._joints = np.array([(joint[a], joint[b]) for a, b in pairs])
-        self._convex = ConvexPairs(hand.pin_model, model, pairs, n_hand)
+        self._geometries = GeometryPairs(hand.pin_model, model, pairs, n_hand)
         self._on_mesh = self._on_object & isinstance(task.object.shape, Mesh)
         self._mesh: MeshPairs | None = None
         if isinstance(task.object.shape, Mesh):
-            bodies = [g.geometry for g in hand.geometries]
-            radii = np.array([bounding_radius(b) for b in bodies])
-            self._mesh = MeshPairs(bodies, radii, task.object.shape)
+            self._mesh = MeshPairs([g.geometry for g in hand.geometries], task.object.shape)
 
     def distances(self, T_world_base: SE3, q: FloatArray) -> list[Clearance]:
         """Signed distance of every pair at base pose and q (nq,).
@@ -241,6 +242,23 @@ class CollisionWorld:
         held = self._on_object & ~self._of_arm
         return self._nearest(moving if T_world_object is None else moving & ~held)
 
+    def free_way(self, T_world_base: SE3, q: FloatArray, clearance: float) -> Clearance:
+        """How far everything may move towards the surroundings before a clearance (m) is undercut.
+
+        Returns:
+            Some pair of hand and surroundings, with a lower bound of their distance, m; the nearest
+            one, exactly, where that is below ``clearance`` or no mesh is around. Bounds are found
+            much faster than distances from a mesh.
+        """
+        self._place(T_world_base, q)
+        if self._mesh is None:
+            return self._nearest(self._outward)
+        for way in WAYS:
+            if not self._is_mesh_below(self._outward, clearance + way):
+                k, distance = self._geometries.nearest(self._outward & ~self._on_mesh)
+                return self._clearance(k, min(distance, clearance + way))
+        return self._nearest(self._outward)
+
     def is_clear(self, T_world_base: SE3, q: FloatArray, *, around: float, between: float) -> bool:
         """Whether the hand keeps distances (m) from its surroundings and between its fingers.
 
@@ -266,7 +284,7 @@ class CollisionWorld:
         self._place(T_world_base, q)
         convex = self._all & ~self._on_mesh
         numbers, distances, rows = (
-            self._convex.near(convex, limit) if among is None else self._convex.at(among)
+            self._geometries.near(convex, limit) if among is None else self._geometries.at(among)
         )
         if self._mesh is not None:
             on_mesh = np.flatnonzero(self._on_mesh)
@@ -295,7 +313,7 @@ class CollisionWorld:
                 raise NotFoundError("geometry", name, self._names)
         self._place(T_world_base, q)
         a, b = self._names.index(first), self._names.index(second)
-        poses = self._convex.poses
+        poses = self._geometries.poses
         return self._pair(a, b).query(T_world_base * poses[a], T_world_base * poses[b])
 
     def _place(self, T_world_base: SE3, q: FloatArray, T_world_object: SE3 | None = None) -> None:
@@ -310,23 +328,34 @@ class CollisionWorld:
         poses = [inverse * pose for pose in self._fixed]
         if T_world_object is not None:
             poses[0] = inverse * T_world_object
-        self._convex.place(q, poses)
+        moved = self._geometries.place(q, poses)
         if self._mesh is not None:
-            self._mesh.place(self._convex.poses, poses[0])
+            self._mesh.place(self._geometries.poses, poses[0], moved=moved)
 
     def _nearest(self, which: NDArray[np.bool_], limit: float = np.inf) -> Clearance:
         """The pair of smallest signed distance among those told, where they were last placed.
 
         With a limit (m), it is some pair at or above the limit where all are.
         """
-        k, distance = self._convex.nearest(which & ~self._on_mesh)
-        asked = np.flatnonzero(which & self._on_mesh)
-        if self._mesh is not None and len(asked):
+        k, distance = self._geometries.nearest(which & ~self._on_mesh)
+        if self._mesh is not None and self._is_mesh_below(which, limit):
+            asked = np.flatnonzero(which & self._on_mesh)
             bodies = self._first[asked]
             found = self._mesh.nearest(bodies, min(distance, limit))
             if found is not None:
                 k, distance = int(asked[bodies == found[0]][0]), found[1]
         return self._clearance(k, distance)
+
+    def _is_mesh_below(self, which: NDArray[np.bool_], limit: float) -> bool:
+        """Whether a pair of the mesh, among those told, may be nearer than a limit (m)."""
+        on_mesh = which & self._on_mesh
+        if self._mesh is None or not on_mesh.any():
+            return False
+        return (
+            limit == np.inf
+            or self._geometries.any_below(on_mesh, limit)
+            or self._mesh.any_maybe_inside(self._first[on_mesh])
+        )
 
     def _distances(
         self, which: NDArray[np.bool_], limit: float | None, count: int = 0
@@ -338,7 +367,7 @@ class CollisionWorld:
         """
         values = np.full(len(self._pairs), np.inf)
         convex, on_mesh = which & ~self._on_mesh, np.flatnonzero(which & self._on_mesh)
-        values[convex] = self._convex.distances(convex)
+        values[convex] = self._geometries.distances(convex)
         if self._mesh is not None:
             if limit is None:
                 limit = float(np.sort(values)[count - 1])

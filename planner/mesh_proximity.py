@@ -150,45 +150,44 @@ class MeshPair:
 class MeshPairs:
     """Many convex geometries and one mesh, at one placement after the other."""
 
-    def __init__(self, geometries: Sequence[Any], radii: FloatArray, mesh: _Mesh) -> None:
+    def __init__(self, geometries: Sequence[Any], mesh: _Mesh) -> None:
         """Prepare the queries.
 
         Args:
             geometries: n convex coal geometries.
-            radii: Of balls (n,) about their origins that hold them, m.
             mesh: The mesh.
         """
-        self._mesh, self._radii = mesh, radii
+        self._mesh = mesh
         self._lower, self._upper = mesh.bounds
         self._pairs = [MeshPair(g, mesh) for g in geometries]
         self._inner = np.array([p.inner for p in self._pairs])
-        self._off_centre = np.flatnonzero(self._inner.any(axis=1))
+        covers = [_cover(g) for g in geometries]
+        self._cover, self._radii = np.array([c for c, _ in covers]), np.array([r for _, r in covers])
 
-    def place(self, poses: Any, T_mesh: SE3) -> None:
+    def place(self, poses: Any, T_mesh: SE3, *, moved: bool = True) -> None:
         """Put everything somewhere.
 
         Args:
             poses: Poses of the geometries, indexable; further ones behind them are not looked at.
             T_mesh: Pose of the mesh in the same frame.
+            moved: Whether the geometries are elsewhere than before.
         """
-        self._poses = [poses[i] for i in range(len(self._pairs))]
-        self._pose_mesh = coal.Transform3s(T_mesh)
-        origins = np.array([pose.translation for pose in self._poses])
-        inner = origins.copy()
-        for i in self._off_centre:
-            inner[i] = self._poses[i].act(self._inner[i])
-        rotation, shift = T_mesh.rotation, T_mesh.translation
-        self._in_mesh = (inner - shift) @ rotation
-        local = (origins - shift) @ rotation
-        outside = np.maximum(np.maximum(self._lower - local, local - self._upper), 0.0)
-        self._bounds = np.sqrt(np.einsum("ij,ij->i", outside, outside)) - self._radii
+        if moved:
+            self._poses = [poses[i] for i in range(len(self._pairs))]
+            self._turns: FloatArray | None = None
+        self._T_mesh, self._pose_mesh = T_mesh, coal.Transform3s(T_mesh)
         self._maybe: NDArray[np.bool_] | None = None
+        self._bounds: FloatArray | None = None
+
+    def any_maybe_inside(self, which: IntArray) -> bool:
+        """Whether any of the geometries told may be inside the mesh as a whole."""
+        return bool(self._inside()[which].any())
 
     def nearest(self, which: IntArray, limit: float) -> tuple[int, float] | None:
         """The geometry of least signed distance (m) among ``which``, if that is below a limit."""
-        best = None
-        for i in which[np.argsort(self._bounds[which])]:
-            if self._bounds[i] >= limit:
+        best, bounds = None, self._lower_bounds()
+        for i in which[np.argsort(bounds[which])]:
+            if bounds[i] >= limit:
                 break
             distance = self._below(int(i), max(limit, LEAST_LIMIT))
             if distance < limit:
@@ -197,9 +196,9 @@ class MeshPairs:
 
     def distances(self, which: IntArray, limit: float) -> FloatArray:
         """Signed distances (m) of geometries ``which`` (k,), at least the limit where not below."""
-        least = max(limit, LEAST_LIMIT)
+        least, bounds = max(limit, LEAST_LIMIT), self._lower_bounds()
         return np.array(
-            [self._below(int(i), least) if self._bounds[i] < limit else least for i in which]
+            [self._below(int(i), least) if bounds[i] < limit else least for i in which]
         )
 
     def near(self, which: IntArray, limit: float) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -208,8 +207,9 @@ class MeshPairs:
         And rows (k, 9): nearest points of geometry and mesh, and the normal from one to the other.
         """
         places, distances, rows = [], [], []
+        bounds = self._lower_bounds()
         for place, i in enumerate(which):
-            if self._bounds[i] < limit:
+            if bounds[i] < limit:
                 distance = self._below(int(i), limit)
                 if distance < limit:
                     places.append(place)
@@ -218,15 +218,56 @@ class MeshPairs:
         return np.array(places, dtype=int), np.array(distances), np.array(rows).reshape(-1, 9)
 
     def _below(self, i: int, limit: float) -> float:
-        if self._maybe is None:
-            self._maybe = maybe_within(self._mesh, self._in_mesh)
+        maybe = self._inside()
         return self._pairs[i].distance_below(
             coal.Transform3s(self._poses[i]),
             self._pose_mesh,
             limit,
             self._in_mesh[i : i + 1],
-            maybe_inside=bool(self._maybe[i]),
+            maybe_inside=bool(maybe[i]),
         )
+
+    def _inside(self) -> NDArray[np.bool_]:
+        """Which geometries (n,) may be inside the mesh as a whole."""
+        if self._maybe is None:
+            self._in_mesh = self._seen_by_mesh(self._inner)
+            self._maybe = maybe_within(self._mesh, self._in_mesh)
+        return self._maybe
+
+    def _lower_bounds(self) -> FloatArray:
+        """Lower bounds (n,) of the distances, m: of balls that cover them from the mesh's box."""
+        if self._bounds is None:
+            points = np.stack([self._seen_by_mesh(self._cover[:, k]) for k in range(BALLS)])
+            outside = np.maximum(np.maximum(self._lower - points, points - self._upper), 0.0)
+            apart = np.sqrt(np.einsum("kij,kij->ki", outside, outside)).min(axis=0)
+            self._bounds = apart - self._radii
+        return self._bounds
+
+    def _seen_by_mesh(self, local: FloatArray) -> FloatArray:
+        """A point of each geometry (n, 3), in its frame, as points (n, 3) in the mesh's."""
+        if self._turns is None:
+            self._turns = np.array([pose.rotation for pose in self._poses])
+            self._shifts = np.array([pose.translation for pose in self._poses])
+        points = np.einsum("nij,nj->ni", self._turns, local) + self._shifts
+        return np.asarray((points - self._T_mesh.translation) @ self._T_mesh.rotation)
+
+
+BALLS = 3
+"""Balls in a row that cover a geometry."""
+
+
+def _cover(geometry: Any) -> tuple[FloatArray, float]:
+    """Centres (``BALLS``, 3) of balls along the longest side of a geometry, and their radius, m."""
+    geometry.computeLocalAABB()
+    box = geometry.aabb_local
+    lower, upper = np.array(box.min_), np.array(box.max_)
+    half = (upper - lower) / 2
+    along = int(np.argmax(half))
+    short = half.copy()
+    short[along] /= BALLS
+    centers = np.tile((lower + upper) / 2, (BALLS, 1))
+    centers[:, along] += half[along] * (2 * np.arange(BALLS) + 1 - BALLS) / BALLS
+    return centers, float(np.linalg.norm(short))
 
 
 LEAST_LIMIT = 1e-5

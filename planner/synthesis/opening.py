@@ -48,6 +48,9 @@ STEPS = (4, 10)
 SMALL = 0.02
 """Step (rad) from which on nothing changes that matters: what is linear is right to 20 um then."""
 
+SETTLED = 0.1
+"""Last step (rad) after which the fingers stay where all bounds hold: 4 mm at a pad."""
+
 STILL = 1e-3
 """Rate of a distance (m/rad) below which nothing can be done about it."""
 
@@ -114,6 +117,8 @@ class Opener:
                 short, moving = self._near(q, near)
                 rates = np.vstack([rates, moving / opening])
                 least = np.concatenate([least, short / opening + SPARE])
+                if (least <= SPARE).all() and np.abs(last).max() < SETTLED:
+                    break
             step = self._step(q, rows, misses, rates, least, reach)
             if step is None:
                 return None

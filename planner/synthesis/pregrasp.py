@@ -163,7 +163,7 @@ def _straight_fault(world: CollisionWorld, T_world_base: SE3, approach: Approach
     while True:
         share = done / length if length > 0 else 1.0
         at = SE3(end.rotation, begin.translation + share * way)
-        nearest = world.nearest(at, approach.q, surroundings_only=True)
+        nearest = world.free_way(at, approach.q, APPROACH_CLEARANCE)
         if nearest.distance < APPROACH_CLEARANCE:
             return f"the hand touches on its way in: {nearest}"
         if done >= length:
