@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
+import coal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
@@ -45,11 +46,11 @@ TABLE_SIZE = (2.0, 2.0, 0.1)
 OVERLAP_TOL = 1e-5
 """Depth (m) to which the object may be inside table or obstacle: rounding, and coal's accuracy."""
 
-MESH_LIMIT = 0.01
-"""``CollisionWorld.near`` looks no further than this (m) from a mesh: what is near takes time."""
+NORMAL_ERROR = 1e-4
+"""Error of coal's normals (rad)."""
 
-WAYS = tuple(5e-4 * 2.0**k for k in range(6, -1, -1))
-"""Ways (m) that ``CollisionWorld.free_way`` tries around a mesh: 32 to 0.5 mm."""
+MESH_LIMIT = 0.006
+"""``CollisionWorld.near`` looks no further than this (m) from a mesh: what is near takes time."""
 
 FAR = 0.03
 """``CollisionWorld.distances`` measures what is nearer to a mesh than this (m)."""
@@ -105,6 +106,7 @@ class CollisionWorld:
     Attributes:
         task: The task.
         surroundings: Names of all that is not the hand: object, table, obstacles.
+        outward: Which pairs are of the hand and its surroundings, (n_pairs,).
         moving: The hand, for whoever asks to move about.
     """
 
@@ -167,7 +169,7 @@ class CollisionWorld:
         self._names, self._pairs = tuple(names), [(names[a], names[b]) for a, b in pairs]
         self._model = model
         self._queries: dict[tuple[int, int], DistancePair | MeshPair] = {}
-        self._outward = np.array([second in self.surroundings for _, second in self._pairs])
+        self.outward = np.array([second in self.surroundings for _, second in self._pairs])
         arm = hand.arm.geometries if hand.arm is not None else frozenset()
         self._of_arm = np.array([a in arm or b in arm for a, b in self._pairs])
         self._between = _between_fingers(hand, pairs)
@@ -180,8 +182,11 @@ class CollisionWorld:
         self._geometries = GeometryPairs(hand.pin_model, model, pairs, n_hand)
         self._on_mesh = self._on_object & isinstance(task.object.shape, Mesh)
         self._mesh: MeshPairs | None = None
+        self._hull: GeometryPairs | None = None
+        self._n_hand = n_hand
         if isinstance(task.object.shape, Mesh):
             self._mesh = MeshPairs([g.geometry for g in hand.geometries], task.object.shape)
+            self._hull = _hull_pairs(hand, task.object.shape)
 
     def distances(self, T_world_base: SE3, q: FloatArray) -> list[Clearance]:
         """Signed distance of every pair at base pose and q (nq,).
@@ -189,7 +194,7 @@ class CollisionWorld:
         Of a mesh and what is further from it than ``FAR``, it is only said to be that far.
         """
         self._place(T_world_base, q)
-        values = self._distances(self._all, FAR)
+        values = self._distances(self._all, limit=FAR)
         return [self._clearance(k, d) for k, d in enumerate(values)]
 
     def closest(
@@ -206,23 +211,46 @@ class CollisionWorld:
         self._place(T_world_base, q)
         names = frozenset(touching)
         which = np.array([not (b == OBJECT and a in names) for a, b in self._pairs])
-        values = self._distances(which, None, count)
+        values = self._distances(which, count=count)
         order = np.argsort(values, kind="stable")
         kept = order[: max(count, int((values < 0.0).sum()))]
         return [self._clearance(int(k), values[k]) for k in kept if values[k] < np.inf]
 
     def nearest(
-        self, T_world_base: SE3, q: FloatArray, *, surroundings_only: bool = False
+        self,
+        T_world_base: SE3,
+        q: FloatArray,
+        *,
+        surroundings_only: bool = False,
+        but: NDArray[np.bool_] | None = None,
     ) -> Clearance:
-        """The pair of smallest signed distance; of hand and surroundings only if asked."""
-        self._place(T_world_base, q)
-        return self._nearest(self._outward if surroundings_only else self._all)
+        """The pair of smallest signed distance.
 
-    def touching(self, T_world_base: SE3, q: FloatArray) -> Clearance | None:
-        """The pair of smallest signed distance where that is not above 0; quick where it is."""
+        Args:
+            T_world_base: Base pose.
+            q: Joints (nq,).
+            surroundings_only: Whether only those of hand and surroundings matter.
+            but: Pairs (n_pairs,) that do not matter, see ``staying_clear``.
+        """
         self._place(T_world_base, q)
-        found = self._nearest(self._all, LEAST_LIMIT)
-        return found if found.distance <= 0.0 else None
+        which = self.outward if surroundings_only else self._all
+        return self._nearest(which if but is None else which & ~but)
+
+    def touching(
+        self,
+        T_world_base: SE3,
+        q: FloatArray,
+        *,
+        clearance: float = LEAST_LIMIT,
+        surroundings_only: bool = False,
+    ) -> Clearance | None:
+        """The pair of smallest signed distance where that is below a clearance (m).
+
+        Quicker than ``nearest`` where all are apart.
+        """
+        self._place(T_world_base, q)
+        found = self._nearest(self.outward if surroundings_only else self._all, clearance)
+        return found if found.distance < clearance else None
 
     def nearest_on_arm(
         self, T_world_base: SE3, q: FloatArray, *, T_world_object: SE3 | None = None
@@ -238,26 +266,64 @@ class CollisionWorld:
                 it counts then.
         """
         self._place(T_world_base, q, T_world_object)
-        moving = self._outward | self._of_arm
+        moving = self.outward | self._of_arm
         held = self._on_object & ~self._of_arm
         return self._nearest(moving if T_world_object is None else moving & ~held)
 
-    def free_way(self, T_world_base: SE3, q: FloatArray, clearance: float) -> Clearance:
-        """How far everything may move towards the surroundings before a clearance (m) is undercut.
+    def staying_clear(
+        self, T_world_base: SE3, q: FloatArray, way: FloatArray, clearance: float
+    ) -> NDArray[np.bool_]:
+        """Pairs (n_pairs,) of hand and surroundings that keep a clearance (m) on a straight way.
 
-        Returns:
-            Some pair of hand and surroundings, with a lower bound of their distance, m; the nearest
-            one, exactly, where that is below ``clearance`` or no mesh is around. Bounds are found
-            much faster than distances from a mesh.
+        Distances of convex bodies are convex functions of the way; for a mesh its convex hull is
+        taken, which is not farther. So value and slope at both ends bound them from below. A pair
+        that is not told may keep the clearance too.
+
+        Args:
+            T_world_base: Base pose before.
+            q: Joints (nq,).
+            way: How the hand moves without turning (3,), m, world.
+            clearance: m.
+        """
+        error = NORMAL_ERROR * float(np.linalg.norm(way))
+        begin, slope = self._falling(T_world_base, q, way)
+        slope -= error
+        least = np.where(slope >= 0.0, begin, -np.inf)
+        if (least[self.outward] < clearance).any():
+            after = SE3(T_world_base.rotation, T_world_base.translation + way)
+            end, final = self._falling(after, q, way)
+            final += error
+            # where the tangents of both ends meet, if they do on the way
+            known = np.isfinite(begin) & np.isfinite(end)
+            meeting = np.where(known, begin, 0.0) - np.where(known, end, 0.0) + final
+            share = np.clip(meeting / np.maximum(final - slope, error), 0.0, 1.0)
+            lines = begin + share * slope, end - (1.0 - share) * final
+            between = np.minimum(np.maximum(*lines), np.minimum(begin, end))
+            least = np.where(slope >= 0.0, begin, np.where(final <= 0.0, end, between))
+        out = self.outward & (least >= clearance)
+        if not out[self.outward & ~self._on_mesh].all():
+            out &= self._on_mesh  # the others are measured together anyway
+        return out
+
+    def _falling(
+        self, T_world_base: SE3, q: FloatArray, way: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Distances (n_pairs,) of hand and surroundings, m, and their change along a way (world).
+
+        Minus infinity where they are not known.
         """
         self._place(T_world_base, q)
-        if self._mesh is None:
-            return self._nearest(self._outward)
-        for way in WAYS:
-            if not self._is_mesh_below(self._outward, clearance + way):
-                k, distance = self._geometries.nearest(self._outward & ~self._on_mesh)
-                return self._clearance(k, min(distance, clearance + way))
-        return self._nearest(self._outward)
+        values, slopes = np.full(len(self._pairs), -np.inf), np.zeros(len(self._pairs))
+        local = T_world_base.rotation.T @ way
+        found = [self._geometries.at(np.flatnonzero(self.outward & ~self._on_mesh))]
+        if self._hull is not None:
+            self._hull.place(q, [T_world_base.inverse() * self._fixed[0]])
+            bodies, distances, rows = self._hull.at(np.arange(self._n_hand))
+            pair_of = np.flatnonzero(self._on_mesh)
+            found.append((pair_of[np.searchsorted(self._first[pair_of], bodies)], distances, rows))
+        for numbers, distances, rows in found:
+            values[numbers], slopes[numbers] = distances, -rows[:, 6:] @ local
+        return values, slopes
 
     def is_clear(self, T_world_base: SE3, q: FloatArray, *, around: float, between: float) -> bool:
         """Whether the hand keeps distances (m) from its surroundings and between its fingers.
@@ -266,14 +332,14 @@ class CollisionWorld:
         """
         self._place(T_world_base, q)
         return (
-            self._nearest(self._outward, around).distance >= around
+            self._nearest(self.outward, around).distance >= around
             and self._nearest(self._between, between).distance >= between
         )
 
     def near(
         self, T_world_base: SE3, q: FloatArray, limit: float, among: IntArray | None = None
     ) -> NearPairs:
-        """How pairs lie that are near to each other, in the base's frame.
+        """How hand and surroundings, and links of different fingers, lie that are near, in the base.
 
         Args:
             T_world_base: Base pose.
@@ -282,7 +348,7 @@ class CollisionWorld:
             among: Numbers of pairs that are looked at instead, but for those with a mesh.
         """
         self._place(T_world_base, q)
-        convex = self._all & ~self._on_mesh
+        convex = (self.outward | self._between) & ~self._on_mesh
         numbers, distances, rows = (
             self._geometries.near(convex, limit) if among is None else self._geometries.at(among)
         )
@@ -293,7 +359,7 @@ class CollisionWorld:
             distances, rows = np.concatenate([distances, apart]), np.vstack([rows, more])
         return NearPairs(
             numbers=numbers,
-            outward=self._outward[numbers],
+            outward=self.outward[numbers],
             mesh=self._on_mesh[numbers],
             joints=self._joints[numbers],
             distances=distances,
@@ -337,7 +403,8 @@ class CollisionWorld:
 
         With a limit (m), it is some pair at or above the limit where all are.
         """
-        k, distance = self._geometries.nearest(which & ~self._on_mesh)
+        convex = which & ~self._on_mesh
+        k, distance = self._geometries.nearest(convex) if convex.any() else (0, np.inf)
         if self._mesh is not None and self._is_mesh_below(which, limit):
             asked = np.flatnonzero(which & self._on_mesh)
             bodies = self._first[asked]
@@ -358,19 +425,19 @@ class CollisionWorld:
         )
 
     def _distances(
-        self, which: NDArray[np.bool_], limit: float | None, count: int = 0
+        self, which: NDArray[np.bool_], *, limit: float = 0.0, count: int = 0
     ) -> FloatArray:
         """Signed distance (m) of every pair, infinite where not asked.
 
-        On a mesh, distances that are not below a limit are only known not to be; without one given,
-        the limit is the distance that ``count`` of the other pairs are below.
+        On a mesh, those are only bounded that are not below a limit (m) or, if a count is given,
+        not of so many smallest.
         """
         values = np.full(len(self._pairs), np.inf)
         convex, on_mesh = which & ~self._on_mesh, np.flatnonzero(which & self._on_mesh)
         values[convex] = self._geometries.distances(convex)
-        if self._mesh is not None:
-            if limit is None:
-                limit = float(np.sort(values)[count - 1])
+        if self._mesh is not None and count:
+            values[on_mesh] = self._mesh.smallest(self._first[on_mesh], values[convex], count)
+        elif self._mesh is not None:
             values[on_mesh] = self._mesh.distances(self._first[on_mesh], limit)
         return values
 
@@ -405,6 +472,21 @@ def _between_fingers(hand: Hand, pairs: Sequence[tuple[int, int]]) -> NDArray[np
             for a, b in pairs
         ]
     )
+
+
+def _hull_pairs(hand: Hand, mesh: Mesh) -> GeometryPairs:
+    """Every geometry of a hand, in order, and the convex hull of a mesh."""
+    points = coal.StdVec_Vec3s()
+    points.extend(list(mesh.hull_vertices))
+    hull = coal.Convex.convexHull(points, True, "Qt")
+    model = pin.GeometryModel()
+    for g in hand.geometries:
+        model.addGeometryObject(
+            pin.GeometryObject(g.name, g.joint_id, g.T_joint_geometry, g.geometry)
+        )
+    n = len(hand.geometries)
+    model.addGeometryObject(pin.GeometryObject("hull", 0, SE3.Identity(), hull))
+    return GeometryPairs(hand.pin_model, model, [(i, n) for i in range(n)], n)
 
 
 def shape_pair(geometry: Any, shape: Shape) -> DistancePair | MeshPair:

@@ -12,7 +12,8 @@ each for less than the smallest so far (``MeshPairs.nearest``).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any, Protocol
 
 import coal
@@ -28,6 +29,9 @@ __all__ = ["LEAST_LIMIT", "MeshPair", "MeshPairs"]
 class _Mesh(Protocol):
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]: ...
+
+    @property
+    def hull_planes(self) -> FloatArray: ...
 
     def coal_geometry(self) -> Any: ...
 
@@ -95,11 +99,10 @@ class MeshPair:
             result.min_distance = limit + reach
         found = self._compute(pose, pose_mesh, self._request, result)
         if self._radius is not None:
-            if (
-                maybe_inside or limit == np.inf or found < limit + reach
-            ):  # coal's zero ball is right to 1e-6 m
+            if maybe_inside:
                 return float(self.mesh.signed_distance(inner)[0]) - reach
-            return limit  # and not a rounding error less
+            # at the limit it is the limit, and not a rounding error less
+            return float(found) - reach if found < limit + reach else limit
         if found > 0.0 and maybe_inside:
             depth = float(self.mesh.signed_distance(inner)[0])
             if depth < 0.0:
@@ -161,8 +164,10 @@ class MeshPairs:
         self._lower, self._upper = mesh.bounds
         self._pairs = [MeshPair(g, mesh) for g in geometries]
         self._inner = np.array([p.inner for p in self._pairs])
+        self._off_centre = np.flatnonzero(self._inner.any(axis=1))
         covers = [_cover(g) for g in geometries]
-        self._cover, self._radii = np.array([c for c, _ in covers]), np.array([r for _, r in covers])
+        self._local_covers = np.array([centers for centers, _ in covers])  # (n, BALLS, 3)
+        self._radii = np.array([radius for _, radius in covers])
 
     def place(self, poses: Any, T_mesh: SE3, *, moved: bool = True) -> None:
         """Put everything somewhere.
@@ -174,32 +179,52 @@ class MeshPairs:
         """
         if moved:
             self._poses = [poses[i] for i in range(len(self._pairs))]
-            self._turns: FloatArray | None = None
+            self._centers: FloatArray | None = None
+            self._covers: FloatArray | None = None
         self._T_mesh, self._pose_mesh = T_mesh, coal.Transform3s(T_mesh)
-        self._maybe: NDArray[np.bool_] | None = None
-        self._bounds: FloatArray | None = None
 
     def any_maybe_inside(self, which: IntArray) -> bool:
         """Whether any of the geometries told may be inside the mesh as a whole."""
-        return bool(self._inside()[which].any())
+        return bool(maybe_within(self._mesh, self._inner_points(which)).any())
 
     def nearest(self, which: IntArray, limit: float) -> tuple[int, float] | None:
         """The geometry of least signed distance (m) among ``which``, if that is below a limit."""
-        best, bounds = None, self._lower_bounds()
-        for i in which[np.argsort(bounds[which])]:
-            if bounds[i] >= limit:
-                break
-            distance = self._below(int(i), max(limit, LEAST_LIMIT))
+        best = None
+        if len(which) > FEW:
+            bounds = self._lower_bounds(which)
+            order = np.argsort(bounds)
+            which = which[order[bounds[order] < limit]]
+        for i, below in self._queries(which):
+            distance = below(max(limit, LEAST_LIMIT))
             if distance < limit:
-                best, limit = (int(i), distance), distance
+                best, limit = (i, distance), distance
         return best
 
     def distances(self, which: IntArray, limit: float) -> FloatArray:
         """Signed distances (m) of geometries ``which`` (k,), at least the limit where not below."""
-        least, bounds = max(limit, LEAST_LIMIT), self._lower_bounds()
-        return np.array(
-            [self._below(int(i), least) if bounds[i] < limit else least for i in which]
-        )
+        least = max(limit, LEAST_LIMIT)
+        out = np.full(len(which), least)
+        near = np.flatnonzero(self._lower_bounds(which) < limit)
+        for place, (_, below) in zip(near, self._queries(which[near]), strict=True):
+            out[place] = below(least)
+        return out
+
+    def smallest(self, which: IntArray, known: FloatArray, count: int) -> FloatArray:
+        """Signed distances (m) of geometries ``which`` (k,) as far as they are of the smallest.
+
+        Those that are neither negative nor of the ``count`` smallest of all, with the distances
+        ``known`` among them, are only told to be at least as large.
+        """
+        least, bounds = np.sort(known)[:count], self._lower_bounds(which)
+        out = np.full(len(which), np.inf)
+        order = np.argsort(bounds)
+        for place, (_, below) in zip(order, self._queries(which[order]), strict=True):
+            limit = max(float(least[-1]), LEAST_LIMIT) if len(least) == count else np.inf
+            if bounds[place] >= limit:
+                break
+            out[place] = below(limit)
+            least = np.sort(np.append(least, out[place]))[:count]
+        return out
 
     def near(self, which: IntArray, limit: float) -> tuple[IntArray, FloatArray, FloatArray]:
         """Geometries nearer than a limit (m), of those told: places in ``which`` (k,), distances.
@@ -207,50 +232,57 @@ class MeshPairs:
         And rows (k, 9): nearest points of geometry and mesh, and the normal from one to the other.
         """
         places, distances, rows = [], [], []
-        bounds = self._lower_bounds()
-        for place, i in enumerate(which):
-            if bounds[i] < limit:
-                distance = self._below(int(i), limit)
-                if distance < limit:
-                    places.append(place)
-                    distances.append(distance)
-                    rows.append(self._pairs[i].last_points(distance))
+        near = np.flatnonzero(self._lower_bounds(which) < limit)
+        for place, (i, below) in zip(near, self._queries(which[near]), strict=True):
+            distance = below(limit)
+            if distance < limit:
+                places.append(place)
+                distances.append(distance)
+                rows.append(self._pairs[i].last_points(distance))
         return np.array(places, dtype=int), np.array(distances), np.array(rows).reshape(-1, 9)
 
-    def _below(self, i: int, limit: float) -> float:
-        maybe = self._inside()
-        return self._pairs[i].distance_below(
-            coal.Transform3s(self._poses[i]),
-            self._pose_mesh,
-            limit,
-            self._in_mesh[i : i + 1],
-            maybe_inside=bool(maybe[i]),
-        )
+    def _queries(self, which: IntArray) -> Iterator[tuple[int, Callable[[float], float]]]:
+        """Each geometry told, and its distance (m) as a function of a limit."""
+        inner = self._inner_points(which)
+        maybe = maybe_within(self._mesh, inner)
+        for place, i in enumerate(which):
+            yield (
+                int(i),
+                partial(
+                    self._pairs[i].distance_below,
+                    coal.Transform3s(self._poses[i]),
+                    self._pose_mesh,
+                    inner=inner[place : place + 1],
+                    maybe_inside=bool(maybe[place]),
+                ),
+            )
 
-    def _inside(self) -> NDArray[np.bool_]:
-        """Which geometries (n,) may be inside the mesh as a whole."""
-        if self._maybe is None:
-            self._in_mesh = self._seen_by_mesh(self._inner)
-            self._maybe = maybe_within(self._mesh, self._in_mesh)
-        return self._maybe
+    def _inner_points(self, which: IntArray) -> FloatArray:
+        """A point of each geometry told (k, 3), m, in the mesh's frame."""
+        if self._centers is None:
+            self._centers = np.array([pose.translation for pose in self._poses])
+            for i in self._off_centre:
+                self._centers[i] = self._poses[i].act(self._inner[i])
+        return self._seen_by_mesh(self._centers[which])
 
-    def _lower_bounds(self) -> FloatArray:
-        """Lower bounds (n,) of the distances, m: of balls that cover them from the mesh's box."""
-        if self._bounds is None:
-            points = np.stack([self._seen_by_mesh(self._cover[:, k]) for k in range(BALLS)])
-            outside = np.maximum(np.maximum(self._lower - points, points - self._upper), 0.0)
-            apart = np.sqrt(np.einsum("kij,kij->ki", outside, outside)).min(axis=0)
-            self._bounds = apart - self._radii
-        return self._bounds
+    def _lower_bounds(self, which: IntArray) -> FloatArray:
+        """Lower bounds (k,) of the distances, m: of balls that cover them from the mesh's box."""
+        if self._covers is None:
+            turns = np.array([pose.rotation for pose in self._poses])
+            shifts = np.array([pose.translation for pose in self._poses])
+            self._covers = np.einsum("nij,nkj->nki", turns, self._local_covers) + shifts[:, None]
+        points = self._seen_by_mesh(self._covers[which])
+        outside = np.maximum(np.maximum(self._lower - points, points - self._upper), 0.0)
+        apart = np.sqrt(np.einsum("nki,nki->nk", outside, outside)).min(axis=1)
+        return np.asarray(apart - self._radii[which])
 
-    def _seen_by_mesh(self, local: FloatArray) -> FloatArray:
-        """A point of each geometry (n, 3), in its frame, as points (n, 3) in the mesh's."""
-        if self._turns is None:
-            self._turns = np.array([pose.rotation for pose in self._poses])
-            self._shifts = np.array([pose.translation for pose in self._poses])
-        points = np.einsum("nij,nj->ni", self._turns, local) + self._shifts
+    def _seen_by_mesh(self, points: FloatArray) -> FloatArray:
+        """Points (..., 3) in the mesh's frame."""
         return np.asarray((points - self._T_mesh.translation) @ self._T_mesh.rotation)
 
+
+FEW = 5
+"""Geometries from which on it pays to bound their distances before they are measured."""
 
 BALLS = 3
 """Balls in a row that cover a geometry."""
@@ -278,6 +310,9 @@ def maybe_within(mesh: _Mesh, points: FloatArray) -> NDArray[np.bool_]:
     """Which points (n, 3), m, may be inside a mesh, (n,); the others are outside for certain."""
     lower, upper = mesh.bounds
     maybe: NDArray[np.bool_] = ((points >= lower) & (points <= upper)).all(axis=1)
+    if maybe.any():
+        planes = mesh.hull_planes
+        maybe[maybe] = (points[maybe] @ planes[:, :3].T <= -planes[:, 3]).all(axis=1)
     if maybe.any():
         field = mesh.field()
         maybe[maybe] = field.value(points[maybe]) <= field.error

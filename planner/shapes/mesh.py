@@ -47,6 +47,10 @@ class MeshSource:
     done: tuple[str, ...] = ()
 
 
+PLANE_DIGITS = 9
+"""Digits to which planes of the hull are told apart: a nanometre."""
+
+
 class Mesh(Shape):
     """A solid bounded by triangles; axes as in the file, origin at the centre of mass.
 
@@ -199,10 +203,24 @@ class Mesh(Shape):
         return NearestTriangles(self.vertices, self.faces)
 
     @cached_property
+    def _hull(self) -> ConvexHull:
+        return ConvexHull(self.vertices)
+
+    @property
     def hull_vertices(self) -> FloatArray:
         """Vertices (k, 3) of the convex hull, m."""
-        points: FloatArray = self.vertices[ConvexHull(self.vertices).vertices]
+        points: FloatArray = self.vertices[self._hull.vertices]
         return points
+
+    @cached_property
+    def hull_planes(self) -> FloatArray:
+        """Planes (k, 4) of the convex hull: unit normal out of it and d, n . x + d <= 0 inside, m.
+
+        Triangles of one plane share it.
+        """
+        planes: FloatArray = np.unique(np.round(self._hull.equations, PLANE_DIGITS), axis=0)
+        planes[:, 3] -= 10.0**-PLANE_DIGITS  # rounding leaves nothing of the hull outside
+        return planes
 
     def coal_geometry(self) -> Any:
         """``coal.BVHModelOBBRSS``: a triangle soup without an inside."""

@@ -37,26 +37,35 @@ def nearest_on_triangles(points: FloatArray, corners: FloatArray) -> tuple[Float
     Returns:
         Nearest points (n, 3), m, and the features (n,) that they are on, see ``FACE``.
     """
-    edges = np.roll(corners, -1, axis=1) - corners  # (n, 3 edges, 3)
+    edges = corners[:, _NEXT] - corners  # (n, 3 edges, 3)
     to_point = points[:, None] - corners
     squares = np.einsum("nkd,nkd->nk", edges, edges)
     along = np.einsum("nkd,nkd->nk", to_point, edges)
-    t = np.clip(along / np.where(squares > 0, squares, 1.0), 0.0, 1.0)
+    t = np.minimum(np.maximum(along / np.where(squares > 0, squares, 1.0), 0.0), 1.0)
     on_edges = corners + t[:, :, None] * edges
     gaps = points[:, None] - on_edges
     row = np.arange(len(points))
     edge = np.argmin(np.einsum("nkd,nkd->nk", gaps, gaps), axis=1)
     nearest, share = on_edges[row, edge], t[row, edge]
     feature = np.where(share <= 0, edge, np.where(share >= 1, (edge + 1) % 3, edge + 3))
-    normal = np.cross(edges[:, 0], edges[:, 1])
+    normal = _cross(edges[:, 0], edges[:, 1])
     area = np.einsum("nd,nd->n", normal, normal)
     # over the face: on the inner side of all three edges
-    inner = np.einsum("nkd,nkd->nk", np.cross(normal[:, None], edges), to_point)
+    inner = np.einsum("nkd,nkd->nk", _cross(normal[:, None], edges), to_point)
     over = (inner > 0).all(axis=1) & (area > 0)
     height = np.einsum("nd,nd->n", to_point[:, 0], normal) / np.where(area > 0, area, 1.0)
     nearest[over] = (points - height[:, None] * normal)[over]
     feature[over] = FACE
     return nearest, feature.astype(np.int64)
+
+
+_NEXT = [1, 2, 0]
+"""The corner after each."""
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """``np.cross`` of (..., 3) and (..., 3), a quarter of its time for few vectors."""
+    return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
 
 
 def winding_number(points: FloatArray, corners: FloatArray) -> FloatArray:

@@ -51,6 +51,9 @@ SMALL = 0.02
 SETTLED = 0.1
 """Last step (rad) after which the fingers stay where all bounds hold: 4 mm at a pad."""
 
+DAMPING = 0.2
+"""Cost of a step of one radian (-): joints that pads hardly feel go too far otherwise."""
+
 STILL = 1e-3
 """Rate of a distance (m/rad) below which nothing can be done about it."""
 
@@ -171,7 +174,7 @@ class Opener:
         hessian, gradient = np.zeros((size, size)), np.zeros(size)
         mine = rows[:, free]
         hessian[:n, :n] = mine.T @ mine
-        hessian[np.arange(n), np.arange(n)] += POSTURE_WEIGHT
+        hessian[np.arange(n), np.arange(n)] += POSTURE_WEIGHT + DAMPING
         gradient[:n] = mine.T @ misses + POSTURE_WEIGHT * (q - self._grasp)[free]
         hessian[[n, n + 1], [n, n + 1]], gradient[n:] = 1.0, MISSED
         table = np.zeros((m + len(least), size))

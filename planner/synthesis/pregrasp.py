@@ -89,6 +89,10 @@ def find_approach(
         opened = opener.open(opening)
         if opened is None:
             continue
+        reason = _opened_fault(world, T_world_base, opened)
+        reason = reason or _closing_fault(world, T_world_base, q, opened)
+        if reason:
+            continue
         for approach in _ways_in(world, T_world_base, opened, opening, lift):
             reason = _way_in_fault(world, T_world_base, q, approach)
             if not reason:
@@ -106,6 +110,7 @@ def approach_fault(
     An arm's lift is looked at too.
     """
     fault = _way_in_fault(world, T_world_base, q, approach)
+    fault = fault or _closing_fault(world, T_world_base, q, approach.q)
     if fault or approach.arm is None:
         return fault
     return lift_fault(world, T_world_base, q, approach.arm.lift)
@@ -114,7 +119,7 @@ def approach_fault(
 def _way_in_fault(
     world: CollisionWorld, T_world_base: SE3, q: FloatArray, approach: Approach
 ) -> str:
-    """What is wrong with pre-grasp, way in and closing, "" if nothing is."""
+    """What is wrong with the pre-grasp and the way there, "" if nothing is."""
     hand = world.task.hand
     outside = np.maximum(hand.q_lower - approach.q, approach.q - hand.q_upper).max()
     matrix, value = hand.coupling_matrix
@@ -126,13 +131,24 @@ def _way_in_fault(
         fault = "there are paths of an arm, but the hand is not on one"
     else:
         fault = _straight_fault(world, T_world_base, approach)
-    if fault:
-        return fault
+    return fault
+
+
+def _closing_fault(world: CollisionWorld, T_world_base: SE3, q: FloatArray, opened: FloatArray) -> str:
+    """What touches while the fingers close, "" if nothing does."""
     for s in np.linspace(1.0, 0.0, CLOSING_SAMPLES, endpoint=False):
-        touching = world.touching(T_world_base, q + s * (approach.q - q))
-        if touching is not None:
+        touching = world.touching(T_world_base, q + s * (opened - q))
+        if touching is not None and touching.distance <= 0.0:
             return f"the fingers touch while they close: {touching}"
     return ""
+
+
+def _opened_fault(world: CollisionWorld, T_world_base: SE3, opened: FloatArray) -> str:
+    """What the opened hand is too near to at the end of any way in, "" if nothing."""
+    near = world.touching(
+        T_world_base, opened, clearance=APPROACH_CLEARANCE, surroundings_only=True
+    )
+    return f"the hand touches on its way in: {near}" if near is not None else ""
 
 
 def _carried_fault(
@@ -158,12 +174,14 @@ def _straight_fault(world: CollisionWorld, T_world_base: SE3, approach: Approach
     begin, end = approach.T_world_base_start, T_world_base
     if not np.allclose(begin.rotation, end.rotation, atol=SAME_ROTATION):
         return "the hand turns on its way in"
-    way = end.translation - begin.translation
-    length, done = float(np.linalg.norm(way)), 0.0
-    while True:
-        share = done / length if length > 0 else 1.0
-        at = SE3(end.rotation, begin.translation + share * way)
-        nearest = world.free_way(at, approach.q, APPROACH_CLEARANCE)
+    back = begin.translation - end.translation
+    length, done = float(np.linalg.norm(back)), 0.0
+    clear = world.staying_clear(end, approach.q, back, APPROACH_CLEARANCE)
+    while not clear[world.outward].all():
+        # from the grasp outwards: what touches mostly touches there
+        share = done / length if length > 0 else 0.0
+        at = SE3(end.rotation, end.translation + share * back)
+        nearest = world.nearest(at, approach.q, surroundings_only=True, but=clear)
         if nearest.distance < APPROACH_CLEARANCE:
             return f"the hand touches on its way in: {nearest}"
         if done >= length:
