@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
-import coal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
@@ -21,10 +20,11 @@ from planner.errors import NotFoundError, TaskError
 from planner.geometry_pairs import GeometryPairs
 from planner.hand import Hand
 from planner.kinematics import MovingHand
-from planner.mesh_proximity import LEAST_LIMIT, MeshPair, MeshPairs
+from planner.mesh_proximity import FEW, LEAST_LIMIT, MeshPair, MeshPairs
 from planner.proximity import DistancePair, Proximity
 from planner.shapes import Box, Mesh, Shape
 from planner.spatial import SE3, FloatArray, IntArray
+from planner.sweep import Sweep, hull_pairs
 from planner.task import GraspTask
 
 __all__ = [
@@ -45,9 +45,6 @@ TABLE_SIZE = (2.0, 2.0, 0.1)
 
 OVERLAP_TOL = 1e-5
 """Depth (m) to which the object may be inside table or obstacle: rounding, and coal's accuracy."""
-
-NORMAL_ERROR = 1e-4
-"""Error of coal's normals (rad)."""
 
 MESH_LIMIT = 0.006
 """``CollisionWorld.near`` looks no further than this (m) from a mesh: what is near takes time."""
@@ -106,7 +103,6 @@ class CollisionWorld:
     Attributes:
         task: The task.
         surroundings: Names of all that is not the hand: object, table, obstacles.
-        outward: Which pairs are of the hand and its surroundings, (n_pairs,).
         moving: The hand, for whoever asks to move about.
     """
 
@@ -169,7 +165,7 @@ class CollisionWorld:
         self._names, self._pairs = tuple(names), [(names[a], names[b]) for a, b in pairs]
         self._model = model
         self._queries: dict[tuple[int, int], DistancePair | MeshPair] = {}
-        self.outward = np.array([second in self.surroundings for _, second in self._pairs])
+        self._outward = np.array([second in self.surroundings for _, second in self._pairs])
         arm = hand.arm.geometries if hand.arm is not None else frozenset()
         self._of_arm = np.array([a in arm or b in arm for a, b in self._pairs])
         self._between = _between_fingers(hand, pairs)
@@ -182,11 +178,12 @@ class CollisionWorld:
         self._geometries = GeometryPairs(hand.pin_model, model, pairs, n_hand)
         self._on_mesh = self._on_object & isinstance(task.object.shape, Mesh)
         self._mesh: MeshPairs | None = None
-        self._hull: GeometryPairs | None = None
-        self._n_hand = n_hand
+        hull: GeometryPairs | None = None
         if isinstance(task.object.shape, Mesh):
             self._mesh = MeshPairs([g.geometry for g in hand.geometries], task.object.shape)
-            self._hull = _hull_pairs(hand, task.object.shape)
+            hull = hull_pairs(hand, task.object.shape)
+        convex = np.flatnonzero(self._outward & ~self._on_mesh)
+        self._sweep = Sweep(self._geometries, convex, self._mesh, hull)
 
     def distances(self, T_world_base: SE3, q: FloatArray) -> list[Clearance]:
         """Signed distance of every pair at base pose and q (nq,).
@@ -217,24 +214,11 @@ class CollisionWorld:
         return [self._clearance(int(k), values[k]) for k in kept if values[k] < np.inf]
 
     def nearest(
-        self,
-        T_world_base: SE3,
-        q: FloatArray,
-        *,
-        surroundings_only: bool = False,
-        but: NDArray[np.bool_] | None = None,
+        self, T_world_base: SE3, q: FloatArray, *, surroundings_only: bool = False
     ) -> Clearance:
-        """The pair of smallest signed distance.
-
-        Args:
-            T_world_base: Base pose.
-            q: Joints (nq,).
-            surroundings_only: Whether only those of hand and surroundings matter.
-            but: Pairs (n_pairs,) that do not matter, see ``staying_clear``.
-        """
+        """The pair of smallest signed distance; of hand and surroundings only if asked."""
         self._place(T_world_base, q)
-        which = self.outward if surroundings_only else self._all
-        return self._nearest(which if but is None else which & ~but)
+        return self._nearest(self._outward if surroundings_only else self._all)
 
     def touching(
         self,
@@ -246,10 +230,16 @@ class CollisionWorld:
     ) -> Clearance | None:
         """The pair of smallest signed distance where that is below a clearance (m).
 
-        Quicker than ``nearest`` where all are apart.
+        Quicker than looking for the nearest where all are apart.
+
+        Args:
+            T_world_base: Base pose.
+            q: Joints (nq,).
+            clearance: m.
+            surroundings_only: Whether only pairs of hand and surroundings matter.
         """
         self._place(T_world_base, q)
-        found = self._nearest(self.outward if surroundings_only else self._all, clearance)
+        found = self._nearest(self._outward if surroundings_only else self._all, clearance)
         return found if found.distance < clearance else None
 
     def nearest_on_arm(
@@ -266,64 +256,34 @@ class CollisionWorld:
                 it counts then.
         """
         self._place(T_world_base, q, T_world_object)
-        moving = self.outward | self._of_arm
+        moving = self._outward | self._of_arm
         held = self._on_object & ~self._of_arm
         return self._nearest(moving if T_world_object is None else moving & ~held)
 
-    def staying_clear(
+    def undercut_on_way(
         self, T_world_base: SE3, q: FloatArray, way: FloatArray, clearance: float
-    ) -> NDArray[np.bool_]:
-        """Pairs (n_pairs,) of hand and surroundings that keep a clearance (m) on a straight way.
-
-        Distances of convex bodies are convex functions of the way; for a mesh its convex hull is
-        taken, which is not farther. So value and slope at both ends bound them from below. A pair
-        that is not told may keep the clearance too.
+    ) -> Clearance | None:
+        """A pair of hand and surroundings that comes nearer than a clearance on a straight way.
 
         Args:
-            T_world_base: Base pose before.
+            T_world_base: Base pose where the way begins.
             q: Joints (nq,).
-            way: How the hand moves without turning (3,), m, world.
+            way: How the hand moves, without turning (3,), m, world.
             clearance: m.
-        """
-        error = NORMAL_ERROR * float(np.linalg.norm(way))
-        begin, slope = self._falling(T_world_base, q, way)
-        slope -= error
-        least = np.where(slope >= 0.0, begin, -np.inf)
-        if (least[self.outward] < clearance).any():
-            after = SE3(T_world_base.rotation, T_world_base.translation + way)
-            end, final = self._falling(after, q, way)
-            final += error
-            # where the tangents of both ends meet, if they do on the way
-            known = np.isfinite(begin) & np.isfinite(end)
-            meeting = np.where(known, begin, 0.0) - np.where(known, end, 0.0) + final
-            share = np.clip(meeting / np.maximum(final - slope, error), 0.0, 1.0)
-            lines = begin + share * slope, end - (1.0 - share) * final
-            between = np.minimum(np.maximum(*lines), np.minimum(begin, end))
-            least = np.where(slope >= 0.0, begin, np.where(final <= 0.0, end, between))
-        out = self.outward & (least >= clearance)
-        if not out[self.outward & ~self._on_mesh].all():
-            out &= self._on_mesh  # the others are measured together anyway
-        return out
 
-    def _falling(
-        self, T_world_base: SE3, q: FloatArray, way: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Distances (n_pairs,) of hand and surroundings, m, and their change along a way (world).
-
-        Minus infinity where they are not known.
+        Returns:
+            The pair with its distance where it first is too near, None if none is: without a gap,
+            see ``planner.sweep``.
         """
-        self._place(T_world_base, q)
-        values, slopes = np.full(len(self._pairs), -np.inf), np.zeros(len(self._pairs))
-        local = T_world_base.rotation.T @ way
-        found = [self._geometries.at(np.flatnonzero(self.outward & ~self._on_mesh))]
-        if self._hull is not None:
-            self._hull.place(q, [T_world_base.inverse() * self._fixed[0]])
-            bodies, distances, rows = self._hull.at(np.arange(self._n_hand))
-            pair_of = np.flatnonzero(self._on_mesh)
-            found.append((pair_of[np.searchsorted(self._first[pair_of], bodies)], distances, rows))
-        for numbers, distances, rows in found:
-            values[numbers], slopes[numbers] = distances, -rows[:, 6:] @ local
-        return values, slopes
+        inverse = T_world_base.inverse()
+        fixed = [inverse * pose for pose in self._fixed]
+        found = self._sweep.undercut(q, fixed, inverse.rotation @ way, clearance)
+        if found is None:
+            return None
+        pair, body, distance = found
+        if pair is None:
+            pair = int(np.flatnonzero(self._on_mesh & (self._first == body))[0])
+        return self._clearance(pair, distance)
 
     def is_clear(self, T_world_base: SE3, q: FloatArray, *, around: float, between: float) -> bool:
         """Whether the hand keeps distances (m) from its surroundings and between its fingers.
@@ -332,7 +292,7 @@ class CollisionWorld:
         """
         self._place(T_world_base, q)
         return (
-            self._nearest(self.outward, around).distance >= around
+            self._nearest(self._outward, around).distance >= around
             and self._nearest(self._between, between).distance >= between
         )
 
@@ -348,7 +308,7 @@ class CollisionWorld:
             among: Numbers of pairs that are looked at instead, but for those with a mesh.
         """
         self._place(T_world_base, q)
-        convex = (self.outward | self._between) & ~self._on_mesh
+        convex = (self._outward | self._between) & ~self._on_mesh
         numbers, distances, rows = (
             self._geometries.near(convex, limit) if among is None else self._geometries.at(among)
         )
@@ -359,7 +319,7 @@ class CollisionWorld:
             distances, rows = np.concatenate([distances, apart]), np.vstack([rows, more])
         return NearPairs(
             numbers=numbers,
-            outward=self.outward[numbers],
+            outward=self._outward[numbers],
             mesh=self._on_mesh[numbers],
             joints=self._joints[numbers],
             distances=distances,
@@ -416,10 +376,12 @@ class CollisionWorld:
     def _is_mesh_below(self, which: NDArray[np.bool_], limit: float) -> bool:
         """Whether a pair of the mesh, among those told, may be nearer than a limit (m)."""
         on_mesh = which & self._on_mesh
-        if self._mesh is None or not on_mesh.any():
+        count = np.count_nonzero(on_mesh)
+        if self._mesh is None or count == 0:
             return False
         return (
             limit == np.inf
+            or count <= FEW
             or self._geometries.any_below(on_mesh, limit)
             or self._mesh.any_maybe_inside(self._first[on_mesh])
         )
@@ -472,21 +434,6 @@ def _between_fingers(hand: Hand, pairs: Sequence[tuple[int, int]]) -> NDArray[np
             for a, b in pairs
         ]
     )
-
-
-def _hull_pairs(hand: Hand, mesh: Mesh) -> GeometryPairs:
-    """Every geometry of a hand, in order, and the convex hull of a mesh."""
-    points = coal.StdVec_Vec3s()
-    points.extend(list(mesh.hull_vertices))
-    hull = coal.Convex.convexHull(points, True, "Qt")
-    model = pin.GeometryModel()
-    for g in hand.geometries:
-        model.addGeometryObject(
-            pin.GeometryObject(g.name, g.joint_id, g.T_joint_geometry, g.geometry)
-        )
-    n = len(hand.geometries)
-    model.addGeometryObject(pin.GeometryObject("hull", 0, SE3.Identity(), hull))
-    return GeometryPairs(hand.pin_model, model, [(i, n) for i in range(n)], n)
 
 
 def shape_pair(geometry: Any, shape: Shape) -> DistancePair | MeshPair:

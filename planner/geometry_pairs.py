@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from planner.proximity import FAILED, DistancePair, distance_request
 from planner.spatial import SE3, FloatArray, IntArray
 
-__all__ = ["GeometryPairs"]
+__all__ = ["GeometryPairs", "Lying"]
 
 Chosen = NDArray[np.bool_]
 """Which pairs, (n_pairs,)."""
@@ -107,12 +107,19 @@ class GeometryPairs:
         values = self.distances(which)
         numbers = np.flatnonzero(which)[values < limit]
         results = self._measured[which.tobytes()].distanceResults
-        return _lying(numbers, values[values < limit], [results[int(k)] for k in numbers])
+        lying = _lying(numbers, values[values < limit], [results[int(k)] for k in numbers])
+        told = np.isfinite(lying[2]).all(axis=1)  # coal has no points where it failed
+        return lying[0][told], lying[1][told], lying[2][told]
 
     def at(self, numbers: IntArray) -> Lying:
-        """How pairs lie by their numbers (k,), however far."""
+        """How pairs lie by their numbers (k,), however far; NaN where coal failed."""
         results = [pin.computeDistance(self._model, self._placed, int(k)) for k in numbers]
         return _lying(numbers, np.array([r.min_distance for r in results]), results)
+
+    @property
+    def count(self) -> int:
+        """Number of pairs."""
+        return len(self._index)
 
     def any_below(self, which: Chosen, limit: float) -> bool:
         """Whether surfaces of any of the pairs told are nearer than a limit (m), or cross.
@@ -168,5 +175,4 @@ def _lying(numbers: IntArray, values: FloatArray, results: list[Any]) -> Lying:
     for row, found in zip(rows, results, strict=True):
         row[:3], row[3:6] = found.getNearestPoint1(), found.getNearestPoint2()
         row[6:] = found.normal
-    told = np.isfinite(rows).all(axis=1)  # coal has none where it failed
-    return numbers[told], values[told], rows[told]
+    return numbers, values, rows

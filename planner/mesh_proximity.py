@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from planner.proximity import Proximity
 from planner.spatial import SE3, FloatArray, IntArray
 
-__all__ = ["LEAST_LIMIT", "MeshPair", "MeshPairs"]
+__all__ = ["FEW", "LEAST_LIMIT", "MeshPair", "MeshPairs"]
 
 
 class _Mesh(Protocol):
@@ -226,6 +226,41 @@ class MeshPairs:
             least = np.sort(np.append(least, out[place]))[:count]
         return out
 
+    def follow(
+        self, which: IntArray, way: FloatArray, clearance: float, least: float, longest: float
+    ) -> tuple[int, float] | None:
+        """The first of the geometries told that comes nearer than a clearance (m) on a way.
+
+        Steps leave no gap but for ``least``. One that is apart, and touches nothing on its way, does
+        not get inside.
+
+        Args:
+            which: Geometries (k,).
+            way: How they all move (3,), m, in the frame of their poses.
+            clearance: m.
+            least: Shortest step, m.
+            longest: Longest step, m.
+
+        Returns:
+            The geometry and its distance, m, where it is too near.
+        """
+        length = float(np.linalg.norm(way))
+        for i, below in self._queries(which):
+            done, distance = 0.0, below(clearance + longest)
+            while distance >= clearance and done < length:
+                done = min(length, done + max(distance - clearance, least))
+                at = self._T_mesh.translation - way * (done / length)
+                distance = self._pairs[i].distance_below(
+                    coal.Transform3s(self._poses[i]),
+                    coal.Transform3s(SE3(self._T_mesh.rotation, at)),
+                    clearance + longest,
+                    inner=NO_POINTS,
+                    maybe_inside=False,
+                )
+            if distance < clearance:
+                return i, distance
+        return None
+
     def near(self, which: IntArray, limit: float) -> tuple[IntArray, FloatArray, FloatArray]:
         """Geometries nearer than a limit (m), of those told: places in ``which`` (k,), distances.
 
@@ -280,6 +315,9 @@ class MeshPairs:
         """Points (..., 3) in the mesh's frame."""
         return np.asarray((points - self._T_mesh.translation) @ self._T_mesh.rotation)
 
+
+NO_POINTS: FloatArray = np.zeros((0, 3))
+"""No inner points: of geometries that are known to be outside."""
 
 FEW = 5
 """Geometries from which on it pays to bound their distances before they are measured."""

@@ -42,7 +42,7 @@ SEEN = 0.03
 MISSED = 100.0
 """Cost of missing a bound by all of the opening (-): more than any bound is worth."""
 
-STEPS = (4, 10)
+STEPS = (3, 6)
 """Most steps without and with a look at what is near; three to six are usual in all."""
 
 SMALL = 0.02

@@ -37,10 +37,6 @@ STANDOFF = 0.12
 APPROACH_CLEARANCE = 0.001
 """Smallest distance (m) to object, table and obstacles on the way in."""
 
-LEAST_STEP = 5e-4
-"""Shortest step (m) of the check along the approach: less than the clearance it asks, so that
-nothing is jumped over."""
-
 CLOSING_SAMPLES = 12
 """Configurations checked along the closing motion: pads move about 2 mm between two of them."""
 
@@ -174,21 +170,10 @@ def _straight_fault(world: CollisionWorld, T_world_base: SE3, approach: Approach
     begin, end = approach.T_world_base_start, T_world_base
     if not np.allclose(begin.rotation, end.rotation, atol=SAME_ROTATION):
         return "the hand turns on its way in"
+    # from the grasp outwards: what touches mostly touches there
     back = begin.translation - end.translation
-    length, done = float(np.linalg.norm(back)), 0.0
-    clear = world.staying_clear(end, approach.q, back, APPROACH_CLEARANCE)
-    while not clear[world.outward].all():
-        # from the grasp outwards: what touches mostly touches there
-        share = done / length if length > 0 else 0.0
-        at = SE3(end.rotation, end.translation + share * back)
-        nearest = world.nearest(at, approach.q, surroundings_only=True, but=clear)
-        if nearest.distance < APPROACH_CLEARANCE:
-            return f"the hand touches on its way in: {nearest}"
-        if done >= length:
-            break
-        free = nearest.distance - APPROACH_CLEARANCE
-        done = min(length, done + max(free, LEAST_STEP))
-    return ""
+    near = world.undercut_on_way(end, approach.q, back, APPROACH_CLEARANCE)
+    return f"the hand touches on its way in: {near}" if near is not None else ""
 
 
 SAME_ROTATION = 1e-9
