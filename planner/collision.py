@@ -1,7 +1,7 @@
 """``CollisionWorld``: all distances of a hand from object, table, obstacles and itself, at one q.
 
-Pairs of convex geometries are measured in one call (``planner.geometry_pairs``), those of a mesh one
-by one, as far as they can matter (``planner.mesh_proximity``).
+Pairs of convex geometries are measured in one call (``planner.geometry_pairs``), those of a mesh
+one by one, as far as they can matter (``planner.mesh_proximity``).
 """
 
 from __future__ import annotations
@@ -291,15 +291,15 @@ class CollisionWorld:
         Of fingers only the last three joints' links count: those before are side by side always.
         """
         self._place(T_world_base, q)
-        return (
-            self._nearest(self._outward, around).distance >= around
-            and self._nearest(self._between, between).distance >= between
-        )
+        if self._nearest(self._outward, around).distance < around:
+            return False
+        fingers = self._nearest(self._between, between)
+        return bool(fingers.distance >= between)
 
     def near(
         self, T_world_base: SE3, q: FloatArray, limit: float, among: IntArray | None = None
     ) -> NearPairs:
-        """How hand and surroundings, and links of different fingers, lie that are near, in the base.
+        """How hand and surroundings lie, and links of different fingers, that are near; base axes.
 
         Args:
             T_world_base: Base pose.
@@ -376,7 +376,7 @@ class CollisionWorld:
     def _is_mesh_below(self, which: NDArray[np.bool_], limit: float) -> bool:
         """Whether a pair of the mesh, among those told, may be nearer than a limit (m)."""
         on_mesh = which & self._on_mesh
-        count = np.count_nonzero(on_mesh)
+        count = int(np.count_nonzero(on_mesh))
         if self._mesh is None or count == 0:
             return False
         return (

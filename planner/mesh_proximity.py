@@ -213,7 +213,7 @@ class MeshPairs:
         """Signed distances (m) of geometries ``which`` (k,) as far as they are of the smallest.
 
         Those that are neither negative nor of the ``count`` smallest of all, with the distances
-        ``known`` among them, are only told to be at least as large.
+        ``known`` among them, are told to be infinite.
         """
         least, bounds = np.sort(known)[:count], self._lower_bounds(which)
         out = np.full(len(which), np.inf)
@@ -222,7 +222,9 @@ class MeshPairs:
             limit = max(float(least[-1]), LEAST_LIMIT) if len(least) == count else np.inf
             if bounds[place] >= limit:
                 break
-            out[place] = below(limit)
+            distance = below(limit)
+            if distance < limit:
+                out[place] = distance
             least = np.sort(np.append(least, out[place]))[:count]
         return out
 
@@ -231,7 +233,7 @@ class MeshPairs:
     ) -> tuple[int, float] | None:
         """The first of the geometries told that comes nearer than a clearance (m) on a way.
 
-        Steps leave no gap but for ``least``. One that is apart, and touches nothing on its way, does
+        Steps leave no gap but for ``least``. One that is apart and touches nothing on its way does
         not get inside.
 
         Args:
@@ -347,11 +349,11 @@ LEAST_LIMIT = 1e-5
 def maybe_within(mesh: _Mesh, points: FloatArray) -> NDArray[np.bool_]:
     """Which points (n, 3), m, may be inside a mesh, (n,); the others are outside for certain."""
     lower, upper = mesh.bounds
-    maybe: NDArray[np.bool_] = ((points >= lower) & (points <= upper)).all(axis=1)
+    maybe = np.asarray(((points >= lower) & (points <= upper)).all(axis=1))
     if maybe.any():
         planes = mesh.hull_planes
         maybe[maybe] = (points[maybe] @ planes[:, :3].T <= -planes[:, 3]).all(axis=1)
     if maybe.any():
         field = mesh.field()
         maybe[maybe] = field.value(points[maybe]) <= field.error
-    return maybe
+    return np.asarray(maybe)

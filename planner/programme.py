@@ -2,14 +2,15 @@
 
     min  x'H x / 2 + g'x    s.t.  low <= A x <= high,  lower <= x <= upper
 
-DAQP (Arnström, Bemporad, Axehill, "A dual active-set solver for embedded quadratic programming using
-recursive LDL' updates", 2022) solves the quadratic ones of this project exactly, in 20 to 300 us, and
-HiGHS the linear ones. CasADi's call by arguments would add 0.25 ms of converting; through its
-buffers it adds 10 us.
+DAQP (Arnström, Bemporad, Axehill, "A dual active-set solver for embedded quadratic programming
+using recursive LDL' updates", 2022) solves the quadratic ones of this project to rounding in 20 to
+300 us, HiGHS the linear ones in 0.2 to 1 ms. CasADi's call by arguments would add 0.25 ms of
+converting; through its buffers it adds 10 us. What is said to be solved is checked to be allowed.
 """
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import Any, Literal
 
@@ -42,11 +43,7 @@ method: what it gives is the minimum if it is allowed."""
 
 
 class Programme:
-    """A solver for programmes of one size.
-
-    Attributes:
-        prices: (m,), after a solution: change of the least cost per unit of each row's limit.
-    """
+    """A solver for programmes of one size."""
 
     def __init__(self, solver: Literal["daqp", "highs"], n: int, m: int) -> None:
         """Make it for n unknowns and m rows; HiGHS for H = 0."""
@@ -57,20 +54,27 @@ class Programme:
         self._solve = ca.conic(
             "programme", solver, shapes, {"error_on_fail": False, **_OPTIONS[solver]}
         )
-        self._buffer, self._run = self._solve.buffer()
+        made: Any = self._solve.buffer()  # kept: the solver works in it
+        self._buffer, self._run = made
         self._in = {
             name: np.zeros(self._solve.sparsity_in(name).nnz()) for name in self._solve.name_in()
         }
         for name, values in self._in.items():
-            self._buffer.set_arg(self._solve.index_in(name), memoryview(values))
-        self._x, self._prices = np.zeros(n), np.zeros(m)
-        for name, values in (("x", self._x), ("lam_a", self._prices)):
-            self._buffer.set_res(self._solve.index_out(name), memoryview(values))
+            self._buffer.set_arg(self._solve.index_in(name), values.data)
+        self._x, self._rows, self._bounds = np.zeros(n), np.zeros(m), np.zeros(n)
+        outputs = {"x": self._x, "lam_a": self._rows, "lam_x": self._bounds}
+        for name, values in outputs.items():
+            self._buffer.set_res(self._solve.index_out(name), values.data)
 
     @property
-    def prices(self) -> FloatArray:
-        """See the class."""
-        return -self._prices
+    def row_prices(self) -> FloatArray:
+        """After a solution: change of the least cost per unit of each row's limit, (m,)."""
+        return -self._rows
+
+    @property
+    def bound_prices(self) -> FloatArray:
+        """The same of the bounds, (n,): >= 0 at a lower, <= 0 at an upper bound."""
+        return -self._bounds
 
     def solve(self, **values: FloatArray) -> FloatArray | None:
         """The minimiser (n,), None where there is none.
@@ -78,6 +82,9 @@ class Programme:
         Args:
             **values: h (n, n), symmetric; g (n,); a (m, n); lba, uba (m,); lbx, ubx (n,).
         """
+        # DAQP does not end where it is given NaN
+        if not math.isfinite(sum(float(values[k].sum()) for k in ("h", "g", "a") if k in values)):
+            return None
         for name, value in values.items():
             self._in[name][:] = value.ravel(order="F")
         self._x.fill(np.nan)

@@ -13,6 +13,7 @@ from typing import Any
 import coal
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from planner.geometry_pairs import GeometryPairs, Lying
 from planner.hand import Hand
@@ -26,7 +27,7 @@ NORMAL_ERROR = 1e-4
 """Error of coal's normals (rad)."""
 
 LEAST_STEP = 5e-4
-"""Shortest step (m): less than the clearances that are asked for, so that nothing is jumped over."""
+"""Shortest step (m): less than the clearance that is asked for, so that nothing is jumped over."""
 
 LONGEST_STEP = 0.02
 """Longest step (m) beside a mesh: whether something is nearer than that is soon seen."""
@@ -109,7 +110,9 @@ class Sweep:
         lying: Lying = hull.at(np.arange(hull.count))
         return lying
 
-    def _stays_clear(self, ends: list[Lying], way: FloatArray, clearance: float) -> Any:
+    def _stays_clear(
+        self, ends: list[Lying], way: FloatArray, clearance: float
+    ) -> NDArray[np.bool_]:
         """Which pairs (k,) are clear for certain on a way between two ends at which they are known.
 
         A pair that coal has no normal for is none of them.
@@ -125,7 +128,7 @@ class Sweep:
         lines = np.maximum(begin + share * slope, end - (1.0 - share) * final)
         least = np.minimum(lines, np.minimum(begin, end))
         least = np.where(slope >= 0.0, begin, np.where(final <= 0.0, end, least))
-        return least >= clearance  # never of NaN
+        return np.asarray(least >= clearance)  # never of NaN
 
     def _follow_convex(
         self, q: FloatArray, fixed: list[SE3], way: FloatArray, clearance: float

@@ -23,8 +23,9 @@ from planner.plan import GraspPlan
 from planner.search import SPARE_AFTER, Attempt, attempts, plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.mesh_seeds import seeder_for
+from planner.synthesis.opening import OPENED_SHARE
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.pregrasp import APPROACH_CLEARANCE, OPENED_SHARE, Approach
+from planner.synthesis.pregrasp import APPROACH_CLEARANCE, Approach
 from planner.task import GraspTask, Obstacle
 
 ROOT = Path(__file__).resolve().parent.parent

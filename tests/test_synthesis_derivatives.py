@@ -112,28 +112,6 @@ def test_grasp_problem_has_exact_derivatives(task: GraspTask, seed: int) -> None
     check_derivatives(Nlp(problem.nlp.bind(None)._solve, x, parameters))
 
 
-def test_pregrasp_problem_has_exact_derivatives(
-    task: GraspTask, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    problem, hand = problems_for(task).pregrasp, task.hand
-    start = Seeder(task).draw(np.random.default_rng(0))
-    assert isinstance(start, Start)
-    taken: dict[str, FloatArray] = {}
-
-    def stands_in(**given: Any) -> tuple[FloatArray, dict[str, Any]]:
-        """For IPOPT: keeps what it was given."""
-        taken.update(given)
-        return given["x0"], {"success": True}
-
-    solver = problem.nlp.bind(None)
-    with monkeypatch.context() as patch:
-        patch.setattr(problem.nlp, "bind", lambda _: stands_in)
-        T_world_base = task.T_world_object * start.T_object_base
-        problem.solve(task, T_world_base, start.q, -start.points / 0.03, 0.02)
-    x = np.clip(start.q + 0.1, hand.q_lower, hand.q_upper)
-    check_derivatives(Nlp(solver._solve, x, taken["p"]))
-
-
 def bone_geometry(bone: LinkBone, pose: SE3) -> tuple[Any, SE3]:
     """A bone as a coal capsule and its pose in the base."""
     inner, outer = pose.act(bone.inner), pose.act(bone.outer)

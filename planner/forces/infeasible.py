@@ -16,12 +16,11 @@ are not unique: where two limits would each do, one is named.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from scipy.optimize import linprog
 
 from planner.forces.problem import RESIDUAL_TOL, ForceProblem
+from planner.programme import programme
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["FEASIBLE", "Infeasibility", "explain_infeasibility"]
@@ -31,12 +30,6 @@ MULTIPLIER_TOL = 1e-7
 
 LISTED = 6
 """Limits that the sentence names; ``Infeasibility.limits`` has them all."""
-
-_LP_OPTIONS = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
-"""HiGHS at its tightest."""
-
-_OPTIMAL = 0
-"""``status`` of scipy's linprog for a solved programme."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,7 +75,7 @@ def explain_infeasibility(problem: ForceProblem) -> Infeasibility:
             limits=limits,
             reason="whatever the wrench, the hand's limits contradict each other" + _list(limits),
         )
-    if result.fun <= RESIDUAL_TOL:
+    if result.cost <= RESIDUAL_TOL:
         return FEASIBLE
     left, fraction = programme.unbalanced(result), programme.fraction()
     limits = programme.limits(result)
@@ -109,6 +102,17 @@ def _list(limits: tuple[str, ...]) -> str:
     return f"; in the way: {'; '.join(limits[:LISTED])}{tail}" if limits else ""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Solved:
+    """A solution of phase 1 and its multipliers: change of the cost per unit of each limit."""
+
+    cost: float
+    x: FloatArray
+    equality_prices: FloatArray
+    face_prices: FloatArray
+    bound_prices: FloatArray
+
+
 class _Programme:
     """A force problem in units of its own force scale and length."""
 
@@ -121,11 +125,11 @@ class _Programme:
         self.faces = problem.faces * unit
         self.bounds = np.stack([problem.lower, problem.upper], axis=1) / (scale * unit)[:, None]
 
-    def least_unbalanced(self, relaxed: IntArray, first: int = 0) -> Any:
+    def least_unbalanced(self, relaxed: IntArray, first: int = 0) -> _Solved | None:
         """Least sum of absolute residuals of the ``relaxed`` rows; rows before ``first`` are off.
 
         Returns:
-            scipy's result, or None where the other constraints have no solution.
+            A solution, or None where the other constraints have none.
         """
         kept = np.arange(first, len(self.rows))
         slack = (kept[:, None] == relaxed).astype(float)
@@ -141,7 +145,7 @@ class _Programme:
         result = self.least_unbalanced(np.arange(6, len(self.rows)), first=6)
         return () if result is None else self.limits(result)
 
-    def unbalanced(self, result: Any) -> FloatArray:
+    def unbalanced(self, result: _Solved) -> FloatArray:
         """G f + wrench (6,) of a solved phase 1, N and N m; rounding is taken off."""
         plus, minus = np.split(result.x[len(self.bounds) :], 2)
         left = np.where(np.abs(plus - minus) > RESIDUAL_TOL, plus - minus, 0.0)
@@ -154,13 +158,13 @@ class _Programme:
         result = self._solve(np.array([-1.0]), rows, self.values - wrench, np.array([[0.0, 1.0]]))
         return 0.0 if result is None else max(0.0, float(result.x[-1]))
 
-    def limits(self, result: Any) -> tuple[str, ...]:
+    def limits(self, result: _Solved) -> tuple[str, ...]:
         """Names of what has a multiplier: joints, actuators, stops, normal bounds, friction."""
         problem, n, first = self.problem, len(self.bounds), self.problem.n_force
-        low = np.abs(result.lower.marginals[:n]) > MULTIPLIER_TOL
-        high = np.abs(result.upper.marginals[:n]) > MULTIPLIER_TOL
+        low = result.bound_prices[:n] > MULTIPLIER_TOL
+        high = result.bound_prices[:n] < -MULTIPLIER_TOL
         # Torque rows are the last ones, with and without the balance before them.
-        rows = np.abs(result.eqlin.marginals)[::-1][: len(problem.joints)][::-1] > MULTIPLIER_TOL
+        rows = np.abs(result.equality_prices)[::-1][: len(problem.joints)][::-1] > MULTIPLIER_TOL
         drive = problem.equality[6:, first:] != 0
         free = np.flatnonzero(rows & ~(drive & (low | high)[first:]).any(axis=1))
         named = []
@@ -171,7 +175,7 @@ class _Programme:
         for j in [*columns[columns >= first], *columns[columns < first]]:
             bound = problem.lower[j] if low[j] else problem.upper[j]
             named.append(self._bound_in_words(int(j), bool(low[j]), float(bound)))
-        faces = np.flatnonzero(np.abs(result.ineqlin.marginals) > MULTIPLIER_TOL)
+        faces = np.flatnonzero(np.abs(result.face_prices) > MULTIPLIER_TOL)
         return tuple(dict.fromkeys([*named, *(problem.face_names[j] for j in faces)]))
 
     def _bound_in_words(self, column: int, at_lower: bool, bound: float) -> str:
@@ -189,16 +193,34 @@ class _Programme:
             return f"{contact} can only push"
         return f"{which} normal force {bound:.3g} N at {contact}"
 
-    def _solve(self, slack_cost: FloatArray, rows: Any, values: Any, slack_bounds: Any) -> Any:
-        free = len(slack_cost)
-        result = linprog(
-            np.concatenate([np.zeros(len(self.bounds)), slack_cost]),
-            A_ub=np.hstack([self.faces, np.zeros((len(self.faces), free))]),
-            b_ub=np.zeros(len(self.faces)),
-            A_eq=rows,
-            b_eq=values,
-            bounds=np.vstack([self.bounds, slack_bounds]),
-            method="highs",
-            options=_LP_OPTIONS,
+    def _solve(
+        self,
+        slack_cost: FloatArray,
+        rows: FloatArray,
+        values: FloatArray,
+        slack_bounds: FloatArray,
+    ) -> _Solved | None:
+        """A solution, None where the constraints have none."""
+        free, n_faces = len(slack_cost), len(self.faces)
+        bounds = np.vstack([self.bounds, slack_bounds])
+        table = np.vstack([rows, np.hstack([self.faces, np.zeros((n_faces, free))])])
+        cost = np.concatenate([np.zeros(len(self.bounds)), slack_cost])
+        solver = programme("highs", len(cost), len(table))
+        x = solver.solve(
+            g=cost,
+            a=table,
+            lba=np.concatenate([values, np.full(n_faces, -np.inf)]),
+            uba=np.concatenate([values, np.zeros(n_faces)]),
+            lbx=bounds[:, 0],
+            ubx=bounds[:, 1],
         )
-        return result if result.status == _OPTIMAL else None
+        if x is None:
+            return None
+        equalities, faces = np.split(solver.row_prices, [len(values)])
+        return _Solved(
+            cost=float(cost @ x),
+            x=x,
+            equality_prices=equalities,
+            face_prices=faces,
+            bound_prices=solver.bound_prices,
+        )

@@ -113,7 +113,8 @@ def distribute_forces(
 ) -> ForceSolution:
     """Least contact forces that balance a wrench within friction, normal and actuator limits.
 
-    Arguments are those of ``build_force_problem``; ``solver`` is any that qpsolvers finds, or "daqp".
+    Arguments are those of ``build_force_problem``; ``solver`` is "daqp" or any that qpsolvers
+    finds.
 
     Raises:
         ContactError: The arguments do not fit together, or hold NaN.

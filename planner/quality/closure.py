@@ -46,9 +46,7 @@ GAP_TOL = 1e-7
 """Largest gap between the min-weight that weights reach and the bound of the dual (-), a check of
 the solver: 1e-12 is usual."""
 
-_REMEDY = (
-    "; it always has a solution, so report these contacts, and meanwhile try another number of edges"
-)
+_REMEDY = "; it always has a solution: report these contacts, and try another number of edges"
 
 _NEGLIGIBLE = 1e-6
 """Components below this share of a direction are left out of the prose that describes it (-)."""
@@ -218,7 +216,7 @@ def _solve(basis: FloatArray) -> tuple[float, FloatArray, FloatArray]:
     a = a - basis.T @ (basis @ a)
     a = a / a.sum()
     # -l is minimised, so the prices are minus the dual variables of the maximum.
-    weight, y = float(a.min()), -solver.prices[:rank]
+    weight, y = float(a.min()), -solver.row_prices[:rank]
     # Any y bounds l* from above, l* = z - b.(P'y + z): what the weights reach less is the error.
     z = (1.0 - y @ sums) / m
     short = max(0.0, -float((basis.T @ y + z).min()))

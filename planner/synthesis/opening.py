@@ -4,8 +4,8 @@
     s.t. every pad opened by OPENED_SHARE of the opening at least; couplings; joint limits;
          hand clear of object, table, obstacles and of itself
 
-with c_i the pad centres of the grasp and n_i the normals into the object. Gauss-Newton steps, each a
-programme over the joints with everything linearised. What is near is looked at only where the
+with c_i the pad centres of the grasp and n_i the normals into the object. Gauss-Newton steps, each
+a programme over the joints with everything linearised. What is near is looked at only where the
 solution without it comes too near to something. Fingers that stand close to each other may have to
 move sideways as well while they open. A bound that cannot be kept is missed by as little as can be:
 what is true of the result is for others to find out.

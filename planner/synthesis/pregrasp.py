@@ -130,7 +130,9 @@ def _way_in_fault(
     return fault
 
 
-def _closing_fault(world: CollisionWorld, T_world_base: SE3, q: FloatArray, opened: FloatArray) -> str:
+def _closing_fault(
+    world: CollisionWorld, T_world_base: SE3, q: FloatArray, opened: FloatArray
+) -> str:
     """What touches while the fingers close, "" if nothing does."""
     for s in np.linspace(1.0, 0.0, CLOSING_SAMPLES, endpoint=False):
         touching = world.touching(T_world_base, q + s * (opened - q))

@@ -1,0 +1,79 @@
+"""Opening the fingers of a grasp: what is promised, and that it is the least-squares solution."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from planner.collision import CollisionWorld
+from planner.hand import Hand
+from planner.kinematics import HandState
+from planner.plan import GraspPlan
+from planner.search import plan_grasp
+from planner.spatial import FloatArray
+from planner.synthesis.opening import (
+    FINGER_CLEARANCE,
+    OPEN_CLEARANCE,
+    OPENED_SHARE,
+    POSTURE_WEIGHT,
+    Opener,
+)
+from planner.synthesis.pregrasp import OPENINGS
+from planner.task import GraspTask
+
+
+@pytest.fixture(scope="module", params=["allegro_hand", "shadow_hand"])
+def plan(request: pytest.FixtureRequest) -> GraspPlan:
+    return plan_grasp(GraspTask.create(request.param, "sphere"), seed=1)
+
+
+def pads(hand: Hand, q: FloatArray, plan: GraspPlan) -> FloatArray:
+    state = HandState(hand, q)
+    return np.array([plan.T_world_base.act(state.pad_center(f)) for f in plan.task.fingers])
+
+
+@pytest.mark.parametrize("opening", OPENINGS)
+def test_pads_move_back_along_the_normals(plan: GraspPlan, opening: float) -> None:
+    hand, normals = plan.task.hand, plan.contacts.normals
+    world = CollisionWorld(plan.task)
+    q = Opener(world, plan.T_world_base, plan.q, normals).open(opening)
+    assert q is not None
+    moved = pads(hand, q, plan) - pads(hand, plan.q, plan)
+    assert (-np.einsum("ij,ij->i", moved, normals) >= OPENED_SHARE * opening).all()
+    assert (q >= hand.q_lower).all() and (q <= hand.q_upper).all()
+    matrix, value = hand.coupling_matrix
+    np.testing.assert_allclose(matrix @ q, value, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(q[hand.wrist_index], plan.q[hand.wrist_index])
+    assert world.is_clear(
+        plan.T_world_base, q, around=0.5 * OPEN_CLEARANCE, between=0.5 * FINGER_CLEARANCE
+    )
+
+
+def test_where_nothing_is_in_the_way_it_is_the_least_squares_solution() -> None:
+    # SciPy's SLSQP on the same cost, with joint limits, derivatives by finite differences
+    plan = plan_grasp(GraspTask.create("allegro_hand", "sphere"), seed=1)
+    hand, opening = plan.task.hand, 0.01
+    q = Opener(CollisionWorld(plan.task), plan.T_world_base, plan.q, plan.contacts.normals).open(
+        opening
+    )
+    assert q is not None
+    goal = pads(hand, plan.q, plan) - opening * plan.contacts.normals
+
+    def cost(x: FloatArray) -> float:
+        miss = (pads(hand, x, plan) - goal) / opening
+        return float((miss**2).sum() + POSTURE_WEIGHT * ((x - plan.q) ** 2).sum())
+
+    best = minimize(
+        cost, plan.q, method="SLSQP", bounds=list(zip(hand.q_lower, hand.q_upper, strict=True))
+    )
+    assert cost(plan.q) > 3.9
+    assert cost(q) < best.fun + 0.02
+
+
+def test_what_limits_forbid_is_not_opened() -> None:
+    # a hand's breadth is more than any finger can open
+    plan = plan_grasp(GraspTask.create("allegro_hand", "sphere"), seed=1)
+    opener = Opener(CollisionWorld(plan.task), plan.T_world_base, plan.q, plan.contacts.normals)
+    assert opener.open(0.3) is None
+    assert opener.open(0.02) is not None  # and nothing is left of it
