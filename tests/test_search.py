@@ -71,7 +71,8 @@ def check(plan: GraspPlan) -> None:
         moved = plan.T_world_base.rotation @ moved
         assert -moved @ normal >= OPENED_SHARE * plan.opening - 1e-6
         off.append(float(np.linalg.norm(moved + plan.opening * normal)))
-    assert np.median(off) < 0.2 * plan.opening
+    if not task.obstacles:  # which may stand where fingers open to
+        assert np.median(off) < 0.2 * plan.opening
 
 
 def same(a: GraspPlan, b: GraspPlan) -> bool:
