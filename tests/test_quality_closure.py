@@ -355,3 +355,30 @@ def test_more_friction_can_close_what_less_does_not() -> None:
         result = force_closure(contacts, 32)
         assert result.closed == closed
         check_certificate(result, primitive_wrenches(contacts, 32))
+
+
+@given(st.integers(0, 10_000))
+def test_contacts_of_any_friction_get_an_answer(seed: int) -> None:
+    """Without friction all edges of a cone are one; weights of what is not closed are huge."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 6))
+    points, normals = rng.normal(0, 0.04, (n, 3)), rng.normal(size=(n, 3))
+    mu = float(rng.choice([0.0, 1e-9, 1e-4, 0.5]))
+    if rng.random() < 0.5:
+        points[:, 2] = 0.0
+        normals[:, 2] = 0.0
+    contacts = ContactSet.from_arrays(points, normals, mu=mu)
+    for edges in (4, 8):
+        assert isinstance(force_closure(contacts, edges=edges).closed, bool)
+
+
+def test_the_quick_programme_and_the_sure_one_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(0)
+    cases = []
+    for _ in range(20):
+        points = rng.normal(0, 0.04, (4, 3))
+        cases.append(ContactSet.from_arrays(points, -points + rng.normal(0, 0.01, (4, 3)), mu=0.6))
+    quick = [force_closure(c, edges=8).min_weight for c in cases]
+    monkeypatch.setattr("planner.programme.Programme.solve", lambda self, **values: None)
+    sure = [force_closure(c, edges=8).min_weight for c in cases]
+    np.testing.assert_allclose(quick, sure, rtol=0, atol=1e-9)

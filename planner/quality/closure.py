@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.optimize import linprog
 
 from planner.contacts import ContactSet
 from planner.errors import ContactError, PlannerError
@@ -46,7 +47,8 @@ GAP_TOL = 1e-7
 """Largest gap between the min-weight that weights reach and the bound of the dual (-), a check of
 the solver: 1e-12 is usual."""
 
-_REMEDY = "; it always has a solution: report these contacts, and try another number of edges"
+_LP_OPTIONS = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+"""HiGHS at its tightest."""
 
 _NEGLIGIBLE = 1e-6
 """Components below this share of a direction are left out of the prose that describes it (-)."""
@@ -200,30 +202,51 @@ def _solve(basis: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         return -np.inf, np.zeros(m), sums
     rows = np.vstack([np.column_stack([basis, sums]), np.append(np.ones(m), m)])
     target = np.append(np.zeros(rank), 1.0)
-    solver = programme("highs", m + 1, rank + 1)
-    x = solver.solve(
-        g=np.append(np.zeros(m), -1.0),
-        a=rows,
-        lba=target,
-        uba=target,
-        lbx=np.append(np.zeros(m), -np.inf),
-        ubx=np.full(m + 1, np.inf),
+    cost = np.append(np.zeros(m), -1.0)
+    lower = np.append(np.zeros(m), -np.inf)
+    quick = programme("highs", m + 1, rank + 1)
+    x = quick.solve(g=cost, a=rows, lba=target, uba=target, lbx=lower, ubx=np.full(m + 1, np.inf))
+    if x is not None:
+        # -l is minimised, so the prices are minus the dual variables of the maximum.
+        weight, a = _on_rows(basis, x)
+        y = -quick.row_prices[:rank]
+        if _gap(basis, weight, y) <= GAP_TOL:
+            return weight, a, y
+    # rare, where the weights are huge: without friction, or with contacts on one line
+    solved = linprog(
+        cost,
+        A_eq=rows,
+        b_eq=target,
+        bounds=np.column_stack([lower, np.full(m + 1, np.inf)]),
+        method="highs-ds",
+        options=_LP_OPTIONS,
     )
-    if x is None:
-        raise PlannerError(f"HiGHS gave up on the min-weight programme{_REMEDY}")
-    # Put the weights exactly on W a = 0, sum a = 1; what is then the least of them is certain.
+    if solved.status != 0:
+        raise PlannerError(
+            f"HiGHS gave up on the min-weight programme ({solved.message}); it always has a "
+            "solution: report these contacts, and try another number of edges"
+        )
+    weight, a = _on_rows(basis, solved.x)
+    return weight, a, -solved.eqlin.marginals[:rank]
+
+
+def _on_rows(basis: FloatArray, x: FloatArray) -> tuple[float, FloatArray]:
+    """Weights (m,) put exactly on W a = 0, sum a = 1, and the least of them: that is certain."""
     a = x[:-1] + x[-1]
     a = a - basis.T @ (basis @ a)
     a = a / a.sum()
-    # -l is minimised, so the prices are minus the dual variables of the maximum.
-    weight, y = float(a.min()), -solver.row_prices[:rank]
-    # Any y bounds l* from above, l* = z - b.(P'y + z): what the weights reach less is the error.
-    z = (1.0 - y @ sums) / m
+    return float(a.min()), a
+
+
+def _gap(basis: FloatArray, weight: float, y: FloatArray) -> float:
+    """How much larger l* might be than ``weight``, given any dual y (r,).
+
+    l* <= z - b.(P'y + z): what the weights reach less is the error.
+    """
+    m = basis.shape[1]
+    z = (1.0 - y @ basis.sum(axis=1)) / m
     short = max(0.0, -float((basis.T @ y + z).min()))
-    bound = z + short * (1.0 - m * weight)
-    if not bound - weight <= GAP_TOL:
-        raise PlannerError(f"HiGHS left a gap of {bound - weight:.1e} in a min-weight{_REMEDY}")
-    return weight, a, y
+    return float(z + short * (1.0 - m * weight) - weight)
 
 
 def _lever_arm(w: FloatArray) -> float:
