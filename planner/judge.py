@@ -105,14 +105,17 @@ def plan_forces(
             for f, p in zip(task.fingers, contacts.positions, strict=True)
         ]
     ).reshape(len(contacts), 6, -1)
-    return distribute_forces(
-        contacts,
-        wrench=gravity_wrench(task.object.mass, task.gravity),
-        min_normal=task.grip_force,
-        friction_scale=FRICTION_SHARE,
-        jacobians=jacobians,
-        actuation=task.hand.actuation,
-        q=q,
-        gravity_torque=state.gravity_torque(rotation.T @ task.gravity),
-        **{"solver": QUICK_SOLVER, **options},
-    )
+    given: dict[str, Any] = {
+        "wrench": gravity_wrench(task.object.mass, task.gravity),
+        "min_normal": task.grip_force,
+        "friction_scale": FRICTION_SHARE,
+        "jacobians": jacobians,
+        "actuation": task.hand.actuation,
+        "q": q,
+        "gravity_torque": state.gravity_torque(rotation.T @ task.gravity),
+        **options,
+    }
+    quick = distribute_forces(contacts, **{"solver": QUICK_SOLVER, **given})
+    if quick.found or quick.fraction < 1.0 or "solver" in options:
+        return quick
+    return distribute_forces(contacts, **given)  # forces exist: the default solver has its turn
