@@ -1,14 +1,13 @@
 """``CollisionWorld``: all distances of a hand from object, table, obstacles and itself, at one q.
 
 Pairs of convex geometries are measured in one call (``planner.geometry_pairs``), those of a mesh
-one by one, as far as they can matter (``planner.mesh_proximity``).
+one by one, as far as they can matter (``planner.mesh_pairs``).
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -16,11 +15,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from planner.clearances import Clearance, NearPairs
 from planner.errors import NotFoundError, TaskError
 from planner.geometry_pairs import GeometryPairs
 from planner.hand import Hand
 from planner.kinematics import MovingHand
-from planner.mesh_proximity import FEW, LEAST_LIMIT, MeshPair, MeshPairs
+from planner.mesh_pairs import FEW, LEAST_LIMIT, MeshPairs
+from planner.mesh_proximity import MeshPair
 from planner.proximity import DistancePair, Proximity
 from planner.shapes import Box, Mesh, Shape
 from planner.spatial import SE3, FloatArray, IntArray
@@ -51,50 +52,6 @@ MESH_LIMIT = 0.006
 
 FAR = 0.03
 """``CollisionWorld.distances`` measures what is nearer to a mesh than this (m)."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Clearance:
-    """Signed distance of one pair: positive apart, negative in penetration.
-
-    Attributes:
-        first: Name of a hand geometry.
-        second: Name of another one, "object", "table", or an obstacle's name.
-        distance: m.
-    """
-
-    first: str
-    second: str
-    distance: float
-
-    def __str__(self) -> str:
-        """Names and distance in mm."""
-        return f"{self.first} - {self.second}: {1e3 * self.distance:.2f} mm"
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class NearPairs:
-    """How pairs that are near to each other lie.
-
-    Attributes:
-        numbers: Numbers of the pairs (k,).
-        outward: Whether the second is object, table or obstacle, (k,).
-        mesh: Whether it is a mesh, (k,).
-        joints: Pinocchio joints (k, 2) that the two geometries move with; 0 for what stands still.
-        distances: Signed distances (k,), m.
-        points_a: Nearest points of the first (k, 3), m.
-        points_b: Nearest points of the second (k, 3), m.
-        normals: Unit vectors (k, 3) from the first to the second.
-    """
-
-    numbers: IntArray
-    outward: NDArray[np.bool_]
-    mesh: NDArray[np.bool_]
-    joints: IntArray
-    distances: FloatArray
-    points_a: FloatArray
-    points_b: FloatArray
-    normals: FloatArray
 
 
 class CollisionWorld:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from planner.geometry_pairs import GeometryPairs, Lying
 from planner.hand import Hand
-from planner.mesh_proximity import MeshPairs
+from planner.mesh_pairs import MeshPairs
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray, IntArray
 

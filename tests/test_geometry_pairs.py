@@ -13,7 +13,8 @@ from planner.collision import OBJECT, CollisionWorld
 from planner.geometry_pairs import GeometryPairs
 from planner.hand import Hand
 from planner.kinematics import HandState
-from planner.mesh_proximity import LEAST_LIMIT, MeshPair
+from planner.mesh_pairs import LEAST_LIMIT
+from planner.mesh_proximity import MeshPair
 from planner.proximity import DistancePair
 from planner.search import plan_grasp
 from planner.shapes import Mesh
