@@ -38,8 +38,8 @@ KEPT = 64
 """Solvers that are kept, one for every size."""
 
 FEASIBLE_TOL = 1e-8
-"""Largest violation of a row or a bound, in its unit, of what counts as a solution. DAQP is a dual
-method: what it gives is the minimum if it is allowed."""
+"""Largest violation of a row or a bound, by the larger of the largest unknown and 1, of what counts
+as a solution. DAQP is a dual method: what it gives is the minimum if it is allowed."""
 
 
 class Programme:
@@ -90,11 +90,11 @@ class Programme:
         self._x.fill(np.nan)
         self._run()
         x = self._x.copy()
-        rows = values["a"] @ x
+        rows, size = values["a"] @ x, max(1.0, float(np.abs(x).max()))
         for part, low, high in ((rows, "lba", "uba"), (x, "lbx", "ubx")):
             # where there is no solution, what is left in the buffer is none either; NaN too
             outside = np.maximum(values[low] - part, part - values[high])
-            if not outside.max(initial=0.0) <= FEASIBLE_TOL:
+            if not outside.max(initial=0.0) <= FEASIBLE_TOL * size:
                 return None
         return x
 

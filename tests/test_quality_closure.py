@@ -382,3 +382,17 @@ def test_the_quick_programme_and_the_sure_one_agree(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("planner.programme.Programme.solve", lambda self, **values: None)
     sure = [force_closure(c, edges=8).min_weight for c in cases]
     np.testing.assert_allclose(quick, sure, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_forces_that_cancel_in_huge_amounts_only_have_a_large_negative_weight(seed: int) -> None:
+    # all push one way but for a ten-thousandth: sum a = 1 and W a = 0 hardly go together
+    rng = np.random.default_rng(seed)
+    wrenches = rng.normal(size=(6, 18))
+    wrenches[0] = 1.0 + 1e-4 * rng.normal(size=18)
+    result = closure_of_wrenches(wrenches)
+    assert not result.closed
+    assert -1e5 < result.min_weight < -10.0
+    separator = result.separator
+    assert separator is not None
+    assert (separator @ wrenches).min() > -1e-6

@@ -44,8 +44,8 @@ WEIGHT_TOL = 1e-7
 the linear programme, and far below any useful value (planning asks for 0.1 and more)."""
 
 GAP_TOL = 1e-7
-"""Largest gap between the min-weight that weights reach and the bound of the dual (-), a check of
-the solver: 1e-12 is usual."""
+"""Largest gap between the min-weight that weights reach and the bound of the dual, by the larger of
+the normalised weight and 1 (-): a check of the solver; 1e-12 is usual."""
 
 _LP_OPTIONS = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 """HiGHS at its tightest."""
@@ -210,7 +210,7 @@ def _solve(basis: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         # -l is minimised, so the prices are minus the dual variables of the maximum.
         weight, a = _on_rows(basis, x)
         y = -quick.row_prices[:rank]
-        if _gap(basis, weight, y) <= GAP_TOL:
+        if _gap(basis, weight, y) <= GAP_TOL * max(1.0, m * abs(weight)):
             return weight, a, y
     # rare, where the weights are huge: without friction, or with contacts on one line
     solved = linprog(
