@@ -16,6 +16,7 @@ from planner.kinematics import HandState
 from planner.plan import GraspPlan, SolveRecord
 from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray
+from planner.stages import stage
 from planner.synthesis.pregrasp import Approach, approach_fault, find_approach
 from planner.synthesis.touch import pad_touches
 from planner.synthesis.verify import contacts_of, verify
@@ -51,37 +52,50 @@ def judge_grasp(
         world: True geometry of the task, if it is at hand already.
     """
     world = world or CollisionWorld(task)
-    touches = pad_touches(task, T_world_base, q)
-    verification = verify(world, T_world_base, q, touches)
+    with stage("verify"):
+        touches = pad_touches(task, T_world_base, q)
+        verification = verify(world, T_world_base, q, touches)
     if not verification.ok:
         return f"true geometry: {'; '.join(verification.faults)}"
     contacts = contacts_of(task, touches)
-    closure = force_closure(contacts, edges=CLOSURE_EDGES)
+    with stage("closure"):
+        closure = force_closure(contacts, edges=CLOSURE_EDGES)
     if not closure.closed:
         return f"no force closure: {closure.reason}"
-    forces = plan_forces(task, contacts, T_world_base, q)
+    with stage("forces"):
+        forces = plan_forces(task, contacts, T_world_base, q)
     if not forces.found:
         return f"forces: with {task.grip_force:.3g} N per finger, {forces.reason}"
-    if approach is None:
-        found = find_approach(world, T_world_base, q, contacts.normals)
-        if isinstance(found, str):
-            return f"approach: {found}"
-        approach = found
-    elif fault := approach_fault(world, T_world_base, q, approach):
-        return f"approach: {fault}"
+    with stage("approach"):
+        way = _way_in(world, T_world_base, q, contacts, approach)
+    if isinstance(way, str):
+        return f"approach: {way}"
     return GraspPlan(
         task=task,
         T_world_base=T_world_base,
-        T_world_base_start=approach.T_world_base_start,
+        T_world_base_start=way.T_world_base_start,
         q=q,
-        q_pregrasp=approach.q,
-        opening=approach.opening,
-        arm=approach.arm,
+        q_pregrasp=way.q,
+        opening=way.opening,
+        arm=way.arm,
         contacts=forces.contacts,
         forces=forces,
         verification=verification,
         record=record,
     )
+
+
+def _way_in(
+    world: CollisionWorld,
+    T_world_base: SE3,
+    q: FloatArray,
+    contacts: ContactSet,
+    given: Approach | None,
+) -> Approach | str:
+    """The given approach if nothing is wrong with it, one that is found where none is given."""
+    if given is None:
+        return find_approach(world, T_world_base, q, contacts.normals)
+    return approach_fault(world, T_world_base, q, given) or given
 
 
 def plan_forces(

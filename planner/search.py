@@ -182,8 +182,12 @@ def _ground(task: GraspTask) -> _Ground:
 
 @lru_cache(maxsize=8)
 def _spared_ground(task: GraspTask) -> _Ground:
-    """The same with three fingers alone."""
-    return _ground(task.with_fingers(_ground(task).seeder.tripod))
+    """The same with three fingers alone; with all where three cannot do what is asked."""
+    whole = _ground(task)
+    try:
+        return _ground(task.with_fingers(whole.seeder.tripod))
+    except TaskError:  # a region is required of a spared finger, or three do not open as wide
+        return whole
 
 
 def _attempt(

@@ -124,7 +124,7 @@ def test_least_squares_and_the_programme_have_the_same_terms(shadow: Hand) -> No
     problem.residuals.set_parameters(parameters)
     problem.residuals(x, None)
     mine = problem.residuals.violations()
-    theirs = problem.violations(problem.nlp.bind(None).evaluate(x, parameters)[0].ravel())
+    theirs = problem.violations(problem.nlp.bind(None).evaluate(x, parameters))
     assert set(mine) == set(WEIGHTS) & {t.name for t in problem.terms} == set(theirs)
     assert set(SPARE) <= set(mine)
     for name, value in theirs.items():

@@ -20,6 +20,7 @@ from planner.judge import FRICTION_SHARE, judge_grasp
 from planner.kinematics import HandState
 from planner.objects import parse_object
 from planner.plan import GraspPlan
+from planner.regions import Region, TouchRegion
 from planner.search import SPARE_AFTER, Attempt, attempts, plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.mesh_seeds import seeder_for
@@ -268,6 +269,24 @@ def test_fingers_are_spared_only_where_the_choice_was_left_open(
         plan_grasp(task, max_attempts=SPARE_AFTER + 4)
     late = [3, 4, 3, 4] if fingers is None else [4] * 4
     assert tried == [4] * SPARE_AFTER + late
+
+
+def test_a_finger_of_which_a_region_is_required_is_not_spared(
+    allegro: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried: list[int] = []
+
+    def nothing(ground: Any, rng: Any, options: Any) -> str:
+        tried.append(len(ground.task.fingers))
+        return "nothing: for the test"
+
+    task = GraspTask.create(allegro, "sphere")
+    (spared,) = set(task.finger_names) - set(seeder_for(task).tripod)
+    item = replace(task.object, touch=TouchRegion(required={spared: Region(name="anywhere")}))
+    monkeypatch.setattr("planner.search._attempt", nothing)
+    with pytest.raises(NoGraspFoundError):
+        plan_grasp(replace(task, object=item), max_attempts=SPARE_AFTER + 2)
+    assert tried == [4] * (SPARE_AFTER + 2)
 
 
 def test_the_three_fingers_are_the_thumb_and_its_neighbours(shadow: Hand) -> None:

@@ -258,7 +258,7 @@ def test_a_solution_keeps_its_margins_on_the_true_shapes(solved: Solved) -> None
 
 
 def test_a_solution_satisfies_every_term_with_its_own_base_as_reference(solved: Solved) -> None:
-    g = solved.problem.nlp.bind(None).evaluate(solved.x, solved.parameters)[0].ravel()
+    g = solved.problem.nlp.bind(None).evaluate(solved.x, solved.parameters)
     assert max(solved.problem.violations(g).values()) <= NLP_TOL
     ref = Reference(solved, solved.x)
     check(terms(solved, solved.x), ref, tolerance=1e-6)

@@ -183,10 +183,9 @@ class Solver:
             raise KeyboardInterrupt
         return np.array(result["x"]).ravel(), stats
 
-    def evaluate(self, x: FloatArray, parameters: FloatArray) -> list[FloatArray]:
-        """The programme's constraints, then its further outputs, as arrays."""
-        values = self._evaluate(x, parameters)
-        return [np.array(v) for v in (values if isinstance(values, tuple | list) else [values])]
+    def evaluate(self, x: FloatArray, parameters: FloatArray) -> FloatArray:
+        """The programme's constraints (m,) at x."""
+        return np.array(self._evaluate(x, parameters)).ravel()
 
 
 class Nlp:
@@ -208,7 +207,6 @@ class Nlp:
         g: Any,
         options: Mapping[str, Any],
         points: FieldPoints | None = None,
-        outputs: tuple[Any, ...] = (),
     ) -> None:
         """Take the derivatives, where a field is needed; else CasADi does.
 
@@ -220,11 +218,9 @@ class Nlp:
             g: Constraints.
             options: CasADi's and IPOPT's, on top of ``BASE_OPTIONS``.
             points: Where the expressions need a field.
-            outputs: Further expressions for ``Solver.evaluate``.
         """
         self.name, self.x, self.p, self.cost, self.g = name, x, p, cost, g
         self._options = {**BASE_OPTIONS, **options}
-        self._outputs = [g, *outputs]
         self._points = points if points is not None and len(points) else None
         self._bound: OrderedDict[int, tuple[Field | None, Solver]] = OrderedDict()
         if self._points is not None:
@@ -246,7 +242,7 @@ class Nlp:
     def _plain(self) -> Solver:
         problem = {"x": self.x, "p": self.p, "f": self.cost, "g": self.g}
         solve = ca.nlpsol(self.name, "ipopt", problem, self._options)
-        return Solver(solve, ca.Function("evaluate", [self.x, self.p], self._outputs), None)
+        return Solver(solve, ca.Function("evaluate", [self.x, self.p], [self.g]), None)
 
     def _differentiate(self, points: FieldPoints) -> dict[str, Any]:
         x, p, tau = self.x, self.p, points.symbols
@@ -261,7 +257,6 @@ class Nlp:
                 [x, p, weight, multipliers, tau],
                 [ca.triu(ca.hessian(lagrangian, x)[0])],
             ),
-            "outputs": ([x, p, tau], self._outputs),
         }
         return {key: ca.Function(key, *parts) for key, parts in expressions.items()}
 
@@ -294,6 +289,4 @@ class Nlp:
             ),
         }
         solve = ca.nlpsol(self.name, "ipopt", {"x": x, "p": p, "f": f, "g": g}, options)
-        values = call["outputs"](x, p, tau)
-        outputs = list(values) if isinstance(values, tuple | list) else [values]
-        return Solver(solve, ca.Function("evaluate", [x, p], outputs), lookup)
+        return Solver(solve, ca.Function("evaluate", [x, p], [g]), lookup)

@@ -187,7 +187,7 @@ class GraspProblem:
             ubg=ubg,
         )
         x = np.clip(x, lower, upper)  # IPOPT goes 1e-8 beyond bounds
-        violation = self.violations(solver.evaluate(x, parameters)[0].ravel())
+        violation = self.violations(solver.evaluate(x, parameters))
         status, iterations = str(stats["return_status"]), int(stats["iter_count"])
         return self.candidate(start, x, violation, status, iterations, begin)
 
