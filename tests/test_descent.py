@@ -148,3 +148,16 @@ def test_descent_and_ipopt_agree_that_a_start_leads_to_a_grasp(allegro: Hand) ->
         good = max(v * WEIGHTS[name] for name, v in quick.violation.items()) < 0.1
         both += good and max(slow.violation.values()) < 1e-5
     assert both >= 5
+
+
+def test_a_step_that_meets_a_bound_is_the_best_one_along_it() -> None:
+    """min (2a + b - 10)^2 + 3 b^2 with a <= 1: then b = 8 / 4 = 2, in the first step already."""
+    matrix = np.array([[2.0, 1.0], [0.0, np.sqrt(3.0)]])
+    target = np.array([10.0, 0.0])
+    end = run(
+        lambda x: (matrix @ x - target, matrix),
+        [0.0, 0.0],
+        upper=np.array([1.0, np.inf]),
+        max_iterations=2,
+    )
+    np.testing.assert_allclose(end.x, [1.0, 2.0], atol=0.01)
