@@ -151,12 +151,12 @@ def test_descent_and_ipopt_agree_that_a_start_leads_to_a_grasp(allegro: Hand) ->
 
 
 def test_a_step_that_meets_a_bound_is_the_best_one_along_it() -> None:
-    """min (2a + b - 10)^2 + 3 b^2 with a <= 1: then b = 8 / 4 = 2, in the first step already."""
+    """Min (2a + b - 10)^2 + 3 b^2 with a <= 1: then b = 8 / 4 = 2, in the first step already."""
     matrix = np.array([[2.0, 1.0], [0.0, np.sqrt(3.0)]])
     target = np.array([10.0, 0.0])
     end = run(
         lambda x: (matrix @ x - target, matrix),
-        [0.0, 0.0],
+        [0.0, 0.1],
         upper=np.array([1.0, np.inf]),
         max_iterations=2,
     )
