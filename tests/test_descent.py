@@ -47,6 +47,13 @@ def test_rosenbrock_ends_at_its_known_minimum() -> None:
     assert end.iterations < 60
 
 
+def test_an_equality_that_holds_at_the_start_is_kept_by_the_first_step() -> None:
+    matrix, target = np.array([[30.0, -30.0], [1.0, 0.0]]), np.array([0.0, 1.0])
+    end = run(lambda x: (matrix @ x - target, matrix), [0.0, 0.0], n_terms=0)
+    np.testing.assert_allclose(end.x, [1.0, 1.0], atol=0.02)
+    assert end.iterations <= 12
+
+
 @given(st.integers(0, 10_000))
 def test_linear_residuals_within_bounds_agree_with_scipy(seed: int) -> None:
     rng = np.random.default_rng(seed)

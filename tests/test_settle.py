@@ -54,6 +54,18 @@ def test_a_coupling_is_closed_where_pads_touch_already(plan: GraspPlan) -> None:
     assert worst_gap(plan, settled) <= SETTLED
 
 
+def test_a_coupling_of_a_finger_left_out_is_closed_too(plan: GraspPlan) -> None:
+    matrix, value = plan.task.hand.coupling_matrix
+    mine = np.concatenate([f.q_index for f in plan.task.fingers])
+    away = np.abs(matrix[:, mine]).sum(axis=1) == 0.0
+    assert away.any(), "the little finger is coupled and takes no part"
+    q = plan.q.copy()
+    q[np.argmax(np.abs(matrix[away][0]))] += 1e-3
+    assert np.abs(matrix @ q - value)[away].max() > 1e-4
+    settled = settle(plan.task, plan.T_world_base, q)
+    assert np.abs(matrix @ settled - value).max() <= COUPLED
+
+
 def test_what_is_far_off_stays(allegro: Hand) -> None:
     task = GraspTask.create(allegro, "sphere")
     plan = plan_grasp(task, seed=0)

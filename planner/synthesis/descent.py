@@ -93,7 +93,7 @@ def descend(
         if total <= NOTHING:
             status = "solved"
             break
-        counts = np.flatnonzero(r)
+        counts = np.flatnonzero(equality | (r != 0.0))
         rows = jacobian[counts] * scale
         slope, normal = rows.T @ r[counts], rows.T @ rows
         if damping < 0:

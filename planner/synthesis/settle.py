@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, IntArray
 from planner.synthesis.touch import touching_of
 from planner.task import GraspTask
 
@@ -40,10 +40,10 @@ def settle(task: GraspTask, T_world_base: SE3, q: FloatArray) -> FloatArray:
     too far off.
     """
     hand, touching = task.hand, touching_of(task)
-    index = np.unique(np.concatenate([f.q_index for f in task.fingers]))
+    matrix, value = hand.coupling_matrix
+    index = _moved(task, matrix)
     lower, upper = hand.q_lower[index], hand.q_upper[index]
     turn = T_world_base.rotation.T @ task.T_world_object.rotation
-    matrix, value = hand.coupling_matrix
     q = q.copy()
     for _ in range(STEPS):
         found = touching.gaps(T_world_base, q)
@@ -57,6 +57,14 @@ def settle(task: GraspTask, T_world_base: SE3, q: FloatArray) -> FloatArray:
         wanted = np.concatenate([-found.gaps, missing])
         q[index] = _step(rows, wanted, q[index], lower, upper)
     return q
+
+
+def _moved(task: GraspTask, matrix: FloatArray) -> IntArray:
+    """Joints (k,) that may move: the task's fingers, and what is coupled on fingers left out."""
+    coupled = np.flatnonzero(np.abs(matrix).sum(axis=0))
+    carried = np.concatenate([task.hand.wrist_index, task.hand.arm_index])
+    mine = np.concatenate([f.q_index for f in task.fingers])
+    return np.union1d(mine, np.setdiff1d(coupled, carried))
 
 
 def _step(
