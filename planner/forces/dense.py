@@ -45,9 +45,11 @@ class DenseQp:
         p: P (n, n), symmetric, positive definite.
         q: (n,).
         a: A (m, n).
-        least, most: (n + m,), limits of the unknowns and, below them, of the rows.
+        limits: (2, n + m), least and greatest of the unknowns and, after them, of the rows.
+        least, most: (n + m,), its two rows.
         lower, upper: (n,), views of the first part.
         low, high: (m,), views of the second part; equal for an equality.
+        value: (n + m,), the unknowns and rows at which ``violation`` was last taken.
         equalities: How many of the first rows of A are always equalities.
         pattern: (m, n), where A may ever differ from 0.
     """
@@ -56,20 +58,21 @@ class DenseQp:
         """A programme with P = 1, A = 0 and no limits."""
         m, n = pattern.shape
         self.p, self.q, self.a = np.eye(n), np.zeros(n), np.zeros((m, n))
-        self.least, self.most = np.full(n + m, -np.inf), np.full(n + m, np.inf)
+        self.limits = np.tile([[-np.inf], [np.inf]], n + m)
+        self.least, self.most = self.limits
         self.lower, self.low = self.least[:n], self.least[n:]
         self.upper, self.high = self.most[:n], self.most[n:]
         self.equalities, self.pattern = equalities, pattern
-        self._value, self._under, self._over = np.zeros(n + m), np.zeros(n + m), np.zeros(n + m)
+        self.value, self._apart = np.zeros(n + m), np.zeros((2, n + m))
 
     def violation(self, x: FloatArray) -> float:
         """Largest violation of a row or a bound at x (n,); infinite for NaN."""
         n = len(x)
-        self._value[:n] = x
-        np.dot(self.a, x, out=self._value[n:])
-        np.subtract(self.least, self._value, out=self._under)
-        np.subtract(self._value, self.most, out=self._over)
-        worst = max(float(np.maximum.reduce(self._under)), float(np.maximum.reduce(self._over)), 0.0)
+        self.value[:n] = x
+        np.dot(self.a, x, out=self.value[n:])
+        np.subtract(self.value, self.limits, out=self._apart)
+        under, over = self._apart
+        worst = max(-float(np.minimum.reduce(under)), float(np.maximum.reduce(over)), 0.0)
         return worst if math.isfinite(worst) else math.inf
 
 

@@ -66,16 +66,20 @@ class DriveRows:
         self._limits = np.zeros((2, nv))
         self._forces = np.clip(self._ends, self._range[0], self._range[1])
         self._known: dict[bytes, tuple[FloatArray, FloatArray]] = {}
+        self._constant_limits: tuple[FloatArray, FloatArray, FloatArray] | None = None
+        if not (self._moving or a.stop_names or a.stiffness.any()):  # plain motors
+            self._constant_limits = self.at(np.zeros(nv))
 
     def at(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Z (nv, nv) over the length, limits (2, nv) over it, passive torque (nv,) at q (nv,)."""
+        if self._constant_limits is not None:
+            return self._constant_limits
         nu, ns = len(self._actuation.names), len(self._actuation.stop_names)
         out = self._linear @ q
         out += self._constant
-        active = out[nu : nu + ns] <= STOP_TOL
-        key = active.tobytes()
+        key = (out[nu : nu + ns] <= STOP_TOL).tobytes()
         if key not in self._known:
-            self._known[key] = self._rows(active)
+            self._known[key] = self._rows(np.frombuffer(key, dtype=np.bool_))
         rows, widening = self._known[key]
         if self._moving:
             forces = np.add(self._ends, out[:nu], out=self._forces)

@@ -15,6 +15,7 @@ bounds alone. Where the wrench cannot be met, a second programme has the least |
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
 
@@ -38,7 +39,7 @@ where the wrench cannot be met, what is left over exceeds the least by a million
 
 STEP_TOL = 1e-6
 """Largest residual of a step's answer (N, torques divided by the length), by the larger of the
-largest force asked for and 1 N."""
+wrench's size and 1 N."""
 
 LOADED_TOL = 1e-12
 """A row of torque per force (m) below this is of a joint that no contact loads."""
@@ -173,13 +174,20 @@ class ForceLoop:
         self._owner = np.repeat(np.arange(n), dims)[self._tail]
         self._tail_limits = p.lower[self._tail], p.upper[self._tail]  # 0 or infinite
         direct = self._used is None
-        self._map = self.qp.a[:6].reshape(6, n, wide) if direct else np.zeros((6, n, wide))
+        # [1; skew(arm)] (n, 6, 3) is linear in (arm, 1); times the frames it is the grasp map
+        self._arms, self._carry = np.ones((n, 4)), np.zeros((n, 18))
+        self._from_arms = np.zeros((4, 18))
+        self._from_arms[:3, 9:] = skew(np.eye(3)).reshape(3, 9) / p.length
+        self._from_arms[3, :9] = np.eye(3).ravel()
+        self._map = np.zeros((n, 6, wide))
+        if direct:
+            self._map = self.qp.a[:6].reshape(6, n, wide).transpose(1, 0, 2)
         self._lever = np.zeros((nx, nv))
         self._levers = self._lever.reshape(n, wide, nv) if direct else np.zeros((n, wide, nv))
-        self._cross = skew(np.eye(3)).reshape(3, 9) / p.length
-        self._arms, self._skew, self._crossed = np.zeros((n, 3)), np.zeros((n, 9)), np.zeros((n, 3, 3))
+        self._balance = self.qp.limits[:, nx : nx + 6]
         # rows of torque that no contact loads are open; known for these rows and this loading
         self._open, self._loaded = np.zeros((2, nv)), b""
+        self._torque_limits = self.qp.limits[:, len(self.qp.value) - m_drive :]
         self._rows: FloatArray | None = None
         self._gravity, self._x = np.zeros(nv), np.zeros(nx)
         self._center = np.array(contacts.center)
@@ -252,9 +260,8 @@ class ForceLoop:
             self._limit_torques(self._drive, q)
         qp = self.qp
         scaled = self.problem.row_scale[:6] * wrench
-        np.negative(scaled, out=qp.low[:6])
-        qp.high[:6] = qp.low[:6]
-        allowed_error = self._tolerance * max(1.0, *map(abs, scaled.tolist()))
+        np.negative(scaled, out=self._balance)
+        allowed_error = self._tolerance * max(1.0, math.sqrt(scaled @ scaled))
         solver = self._solver
         called = time.perf_counter()
         solver.solve()
@@ -266,6 +273,7 @@ class ForceLoop:
             solver, spent = self._least_violation(scaled)
             solver_s += spent
             r.violation = self._fallback.violation(solver.x)
+            qp.violation(solver.x)  # for what is left over
             r.allowed = r.violation <= allowed_error
         if r.allowed:
             self._x[:] = solver.x
@@ -276,16 +284,13 @@ class ForceLoop:
 
     def _place(self) -> None:
         """Write the grasp map for the present places."""
-        np.subtract(self._positions, self._center, out=self._arms)
-        np.dot(self._arms, self._cross, out=self._skew)
-        np.matmul(self._skew.reshape(-1, 3, 3), self._frames, out=self._crossed)
-        force, torque = self._map[:3], self._map[3:]  # (3, n, 3 or 4)
-        force[:, :, :3] = self._frames.transpose(1, 0, 2)
-        torque[:, :, :3] = self._crossed.transpose(1, 0, 2)
+        np.subtract(self._positions, self._center, out=self._arms[:, :3])
+        np.dot(self._arms, self._from_arms, out=self._carry)
+        np.matmul(self._carry.reshape(-1, 6, 3), self._frames, out=self._map[:, :, :3])
         if self._soft:
-            torque[:, :, 3] = self._frames[:, :, 0].T / self.problem.length
+            self._map[:, 3:, 3] = self._frames[:, :, 0] / self.problem.length
         if self._used is not None:
-            self.qp.a[:6] = self._map.reshape(6, -1)[:, self._used]
+            self.qp.a[:6] = self._map.transpose(1, 0, 2).reshape(6, -1)[:, self._used]
         if self._soft:
             self.qp.a[:6] *= self._unit
 
@@ -337,9 +342,8 @@ class ForceLoop:
             self._rows, self._loaded = rows, loaded
             idle = np.abs(self.qp.a[part]).max(axis=1, initial=0.0) < LOADED_TOL
             self._open[:] = np.where(idle, [[-np.inf], [np.inf]], 0.0)
-        limits -= rows @ (self._gravity - passive)
-        limits += self._open
-        self.qp.low[part], self.qp.high[part] = limits
+        np.subtract(self._open, rows @ (self._gravity - passive), out=self._torque_limits)
+        self._torque_limits += limits
 
     def _least_violation(self, scaled: FloatArray) -> tuple[KeptSolver, float]:
         """Solve for the least that is left over of a wrench in newtons; the solver and its time."""
@@ -362,11 +366,12 @@ class ForceLoop:
             r.forces[:, :3] = x.reshape(-1, 3)
         else:
             r.forces.reshape(-1)[self._of_four] = self._unit * x
-        np.dot(self.qp.a[:6], x, out=r.left_over)
-        r.left_over /= self.problem.row_scale[:6]
+        balance = self.qp.value[len(x) : len(x) + 6]
+        np.divide(balance, self.problem.row_scale[:6], out=r.left_over)
         r.left_over += wrench
-        np.dot(x, self._lever, out=r.joint_torques)
-        r.joint_torques += self._gravity
+        if self._nv:
+            np.dot(x, self._lever, out=r.joint_torques)
+            r.joint_torques += self._gravity
 
 
 def turned_frames(frames: FloatArray, normals: FloatArray) -> FloatArray:
