@@ -3,8 +3,15 @@
 from __future__ import annotations
 
 from planner.forces.build import ForceArguments, build_force_problem, gravity_wrench
+from planner.forces.compare import (
+    SolverComparison,
+    SolverRecord,
+    compare_solvers,
+    turning_wrenches,
+)
 from planner.forces.dense import QUICK_SOLVER, solver_names
 from planner.forces.friction import Cone, LimitSurface, Pyramid, pyramid_faces, round_cone
+from planner.forces.gaps import PyramidGap, cone_gaps
 from planner.forces.infeasible import Infeasibility, explain_infeasibility
 from planner.forces.loop import ForceLoop, ForceStep
 from planner.forces.placed import turned_frames
@@ -29,7 +36,12 @@ __all__ = [
     "LeastViolation",
     "LimitSurface",
     "Pyramid",
+    "PyramidGap",
+    "SolverComparison",
+    "SolverRecord",
     "build_force_problem",
+    "compare_solvers",
+    "cone_gaps",
     "distribute_forces",
     "explain_infeasibility",
     "gravity_wrench",
@@ -39,4 +51,5 @@ __all__ = [
     "solve_force_problem",
     "solver_names",
     "turned_frames",
+    "turning_wrenches",
 ]

@@ -83,6 +83,7 @@ class ForceLoop:
         problem: The programme as it was built, for reading; ``str(loop.problem)`` prints it.
         qp: What the solver sees; forces in N, torques divided by ``problem.length``.
         placed: The contacts as they are now.
+        solver: The solver of ``qp``, with its last answer and multipliers.
         result: The last step.
     """
 
@@ -172,7 +173,7 @@ class ForceLoop:
             qp.a[faces] = p.faces * self._unit
             qp.high[faces] = 0.0
             qp.lower[:], qp.upper[:] = p.lower / self._unit, p.upper / self._unit
-        self._solver = keep_solver(solver, self.qp, tolerance)
+        self.solver = keep_solver(solver, self.qp, tolerance)
         self._solver_name = solver
         self._yielding: KeptSolver | None = None  # made when it is first needed
         self.placed = PlacedContacts(p, self.qp.a[:6], nv)
@@ -257,7 +258,7 @@ class ForceLoop:
         scaled = self.problem.row_scale[:6] * wrench
         np.negative(scaled, out=self._balance)
         allowed_error = self._tolerance * max(1.0, math.sqrt(scaled @ scaled))
-        solver = self._solver
+        solver = self.solver
         called = time.perf_counter()
         solver.solve()
         solver_s = time.perf_counter() - called

@@ -35,6 +35,7 @@ class ForceSolution:
         problem: What was solved.
         found: Whether the recomputed residuals are within tolerance.
         reason: Why not, "" if found.
+        cost: 1/2 x'P x + q'x; NaN if not found.
         forces: (n, 4), on the object, in the contact frames: f_n, f_t1, f_t2 (N), tau_n (N m); NaN
             if not found.
         contacts: The problem's contacts with these forces.
@@ -55,6 +56,7 @@ class ForceSolution:
     problem: ForceProblem
     found: bool
     reason: str
+    cost: float
     forces: FloatArray
     contacts: ContactSet
     joint_torques: FloatArray
@@ -135,6 +137,7 @@ def solve_force_problem(problem: ForceProblem, *, solver: str | None = None) -> 
         problem=problem,
         found=found,
         reason=reason,
+        cost=problem.value(x),
         forces=forces,
         contacts=problem.contacts.with_forces(forces),
         joint_torques=problem.joint_torques(x),
