@@ -313,7 +313,7 @@ class _AnyQpsolver(_Base):
     def __init__(self, name: str, qp: DenseQp, tolerance: float) -> None:
         super().__init__(qp)
         self._name = name
-        self._options = {"clarabel": {"tol_feas": tolerance, "max_threads": 1}}.get(name, {})
+        self._options = {"clarabel": {"tol_feas": tolerance}}.get(name, {})
 
     def solve(self) -> bool:
         qp, k = self.qp, self.qp.equalities

@@ -156,7 +156,6 @@ def _by_clarabel(scaled: _Scaled) -> tuple[FloatArray | None, str]:
     cones += [clarabel.SecondOrderConeT(size) for size in scaled.cone_sizes]
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    settings.max_threads = 1  # more cost more than they give at this size
     settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = CONE_TOL
     quadratic = csc_matrix(triu(scaled.p))
     solver = clarabel.DefaultSolver(quadratic, scaled.q, csc_matrix(table), values, cones, settings)
