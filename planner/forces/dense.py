@@ -184,9 +184,12 @@ class _Daqp(_Base):
     def solve(self) -> bool:
         qp = self.qp
         n = len(qp.q)
-        if self._model is None:
+        if self._model is None or not len(qp.a):  # its update refuses a programme without rows
             self._model = import_module("daqp").Model()
-            self._model.setup(qp.p, qp.q, qp.a, qp.most, qp.least, self._sense)
+            flag, _ = self._model.setup(qp.p, qp.q, qp.a, qp.most, qp.least, self._sense)
+            if flag < 0:  # a row of zeros, or equalities that contradict each other
+                self._model = None
+                return self._nothing(f"exit flag {flag}")
         else:
             # without "sense" it starts from the active rows of its last answer
             self._model.update(H=qp.p, f=qp.q, A=qp.a, bupper=qp.most, blower=qp.least)
@@ -316,18 +319,20 @@ class _AnyQpsolver(_Base):
         self._options = {"clarabel": {"tol_feas": tolerance}}.get(name, {})
 
     def solve(self) -> bool:
+        """Solve in units of the largest limit: quadprog goes round for ever on 1e4."""
         qp, k = self.qp, self.qp.equalities
         high, low = np.isfinite(qp.high[k:]), np.isfinite(qp.low[k:])
+        size = max(1.0, float(np.abs(qp.limits).max(where=np.isfinite(qp.limits), initial=0.0)))
         matrix: Any = np.asarray if self._name in qpsolvers.dense_solvers else csc_matrix
         programme = qpsolvers.Problem(
             P=matrix(qp.p),
-            q=qp.q,
+            q=qp.q / size,
             G=matrix(np.vstack([qp.a[k:][high], -qp.a[k:][low]])),
-            h=np.concatenate([qp.high[k:][high], -qp.low[k:][low]]),
+            h=np.concatenate([qp.high[k:][high], -qp.low[k:][low]]) / size,
             A=matrix(qp.a[:k]) if k else None,
-            b=qp.low[:k] if k else None,
-            lb=qp.lower,
-            ub=qp.upper,
+            b=qp.low[:k] / size if k else None,
+            lb=qp.lower / size,
+            ub=qp.upper / size,
         )
         with warnings.catch_warnings():
             # that a solver found no solution is told by the return value
@@ -339,14 +344,15 @@ class _AnyQpsolver(_Base):
         if not solution.found or solution.x is None:
             return self._nothing("no solution")
         m = len(qp.a)
-        self.x[:], self.status = solution.x, "solved"
+        self.x[:], self.status = size * np.asarray(solution.x), "solved"
         if solution.z is None or solution.z_box is None or (k and solution.y is None):
             self.duals.fill(np.nan)
             return True
-        self.duals[:k] = solution.y if k else 0.0
+        z = np.asarray(solution.z)
         rows = np.zeros(m - k)
-        rows[high] = solution.z[: high.sum()]
-        rows[low] -= solution.z[high.sum() :]
-        self.duals[k:m] = rows
-        self.duals[m:] = solution.z_box
+        rows[high] = z[: high.sum()]
+        rows[low] -= z[high.sum() :]
+        self.duals[:k] = solution.y if k else 0.0
+        self.duals[k:m], self.duals[m:] = rows, solution.z_box
+        self.duals *= size
         return True
