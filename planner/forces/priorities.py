@@ -93,7 +93,7 @@ def _nearest_wrench(problem: ForceProblem, solver: str) -> FloatArray | None:
     near = relaxed.quadratic.copy()
     near[-6:] = 0.0  # forces alone
     x = np.zeros(len(near))
-    wrench = None
+    wrench: FloatArray | None = None
     for _ in range(ROUNDS):
         x, _ = minimise(replace(relaxed, linear=-near @ x), solver)
         if not np.isfinite(x).all():
