@@ -34,6 +34,9 @@ MAX_ITERATIONS = 4000
 _DAQP_EQUALITY = 5
 """DAQP's mark of a row that is an equality."""
 
+_PIQP_OPEN = 1e9
+"""Upper limit of a row without limits (N), about which PIQP would print three lines a step."""
+
 _OSQP_SOLVED = 1
 """OSQP's status of an answer within its tolerance."""
 
@@ -295,7 +298,8 @@ class _Piqp(_Base):
         qp, k = self.qp, self.qp.equalities
         a = np.asfortranarray(qp.a[:k]), np.asfortranarray(qp.a[k:])
         call = self._solver.update if self._used else self._solver.setup
-        call(qp.p, qp.q, a[0], qp.low[:k], a[1], qp.low[k:], qp.high[k:], qp.lower, qp.upper)
+        high = np.where(np.isinf(qp.low[k:]), np.minimum(qp.high[k:], _PIQP_OPEN), qp.high[k:])
+        call(qp.p, qp.q, a[0], qp.low[:k], a[1], qp.low[k:], high, qp.lower, qp.upper)
         self._used = True
         status = self._solver.solve()
         result = self._solver.result
