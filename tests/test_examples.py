@@ -69,6 +69,11 @@ EXPECTED: dict[str, tuple[str, ...]] = {
         "0.5 of it, fingers of unlimited strength: held",
         "pose turn:",
     ),
+    "13_forces": (
+        "little at most 0.0 N: 0.85, 0.85, 0.85, 0.85, 0.00 N, balanced: True",
+        "200 programmes of 15 unknowns and 51 rows",
+        "at most 0.2 N per finger: 0.55 N of 0.98 N are left over",
+    ),
     "12_many_grasps": ("24 of 24 planned", "24 rows", "distinct", "is a plan again: closed"),
 }
 """What must appear in the output, runs of blanks counted as one."""
