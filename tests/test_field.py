@@ -218,3 +218,13 @@ def test_arrays_of_another_form_are_told(missing: str) -> None:
     del arrays_of[missing]
     with pytest.raises((KeyError, ValueError)):
         DistanceField.from_arrays(arrays_of)
+
+
+@each_shape
+def test_rough_values_are_near_the_true_ones_everywhere(shape: Shape) -> None:
+    field = field_of(shape)
+    for reach, level in (((0.0, 0.05), 0), ((0.3, 2.0), -1)):
+        points = on_spheres(300, *reach)
+        off = np.abs(field.rough_value(points) - field.value(points))
+        assert off.max() <= 1.2 * field.levels[level].spacing
+        assert off.max() > 0.0

@@ -86,6 +86,8 @@ class MeshSeeder(Seeder):
         arm = task.hand.arm.geometries if task.hand.arm is not None else frozenset()
         self._balls = [b for b in link_balls(task.hand) if b.geometry not in arm]
         self._radii = np.array([b.radius for b in self._balls])
+        self._joints = np.array([b.joint_id for b in self._balls])
+        self._centers = np.array([b.center for b in self._balls])
         self._touching = np.array([b.is_pad and b.finger in task.finger_names for b in self._balls])
 
     def _place(self, rng: np.random.Generator) -> tuple[SE3, FloatArray]:
@@ -125,11 +127,14 @@ class MeshSeeder(Seeder):
         """How well each base pose suits, (n,), m: room of the links less what pads are off."""
         task = self.task
         state = HandState(task.hand, q)
-        local = np.array([state.joint_pose(b.joint_id).act(b.center) for b in self._balls])
+        poses = state.pin_data.oMi
+        turns = np.array([pose.rotation for pose in poses])[self._joints]
+        local = np.einsum("bij,bj->bi", turns, self._centers)
+        local += np.array([pose.translation for pose in poses])[self._joints]
         world = np.array([local @ T.rotation.T + T.translation for T in places])
         T = task.T_world_object
         points = ((world - T.translation) @ T.rotation).reshape(-1, 3)
-        gaps = self._mesh.field().taylor(points, 0)[:, 0].reshape(len(places), -1) - self._radii
+        gaps = self._mesh.field().rough_value(points).reshape(len(places), -1) - self._radii
         room = np.where(self._touching, ROOM, gaps)
         if task.table_height is not None:
             room = np.minimum(room, world[:, :, 2] - task.table_height - self._radii)

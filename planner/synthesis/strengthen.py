@@ -124,18 +124,24 @@ class _Run:
             return False
         # a pad touches the true mesh beside where it touches the smooth one, far so near edges
         smooth = shape.field().taylor(self._unknowns.points(self.x), 1)[:, 1:4]
-        smooth /= np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), TINY)
-        radii = np.array([f.pad.radius for f in self._problem.fingers])
-        centers = self._unknowns.points(self.x) + radii[:, None] * smooth
-        points, outward = shape.closest_point(centers)
+        slopes = np.linalg.norm(smooth, axis=1)
+        suspect = np.flatnonzero(slopes < SUSPECT)
+        if not len(suspect):
+            return False
+        radii = np.array([self._problem.fingers[i].pad.radius for i in suspect])
+        away = (radii / np.maximum(slopes[suspect], TINY))[:, None] * smooth[suspect]
+        points, outward = shape.closest_point(self._unknowns.points(self.x)[suspect] + away)
         on_edge = np.flatnonzero(spreads(shape, points) > EDGE_SPREAD)
-        for i in on_edge:
-            place = edge_free(shape).nearest(points[i], outward[i])
+        for k in on_edge:
+            place, i = edge_free(shape).nearest(points[k], outward[k]), suspect[k]
             if place is not None:
                 self._unknowns.points(self._lower)[i] = place - ROOM
                 self._unknowns.points(self._upper)[i] = place + ROOM
         return bool(len(on_edge))
 
+
+SUSPECT = 0.95
+"""Slope (-) of the smooth distance below which a contact may be on an edge; see ``surfaces``."""
 
 TINY = 1e-9
 """A gradient shorter than this has no direction."""
