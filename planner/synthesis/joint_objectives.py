@@ -1,8 +1,9 @@
 """Objectives that are a matter of the hand: torque margin, manipulability, distance from limits.
 
-torque           The share of its limit that each actuator spends when the internal force, scaled to
-                 the task's grip, and an equal share of the weight are pressed. Squared, so that the
-                 worst counts most; the weight of the links is left out.
+torque           The share of its limit that each actuator spends when the internal force, so large
+                 that every finger presses with the task's grip at least, and an equal share of the
+                 weight are pressed. Squared, so that the worst counts most; the weight of the links
+                 is left out.
 manipulability   log det(J J^T / a^2 + e I) / 6 for the velocity Jacobian J of every finger at its
                  contact, of the joint velocities that couplings allow: the logarithm of Yoshikawa's
                  measure (1985, Manipulability of robotic mechanisms) per direction of motion. Its
@@ -34,15 +35,18 @@ __all__ = [
     "torque_rows",
 ]
 
-REACH_AIM = 0.06
-"""Manipulability that is aimed at, more than fingers reach: the length of a finger's lever, m/rad.
-"""
+REACH_AIM = 0.15
+"""Manipulability that is aimed at, more than fingers reach, m/rad."""
 
-SINGULAR = 1e-3
+SINGULAR = 2e-4
 """Added to the eigenvalues of J J^T / ``REACH_AIM``^2 (-): 2 mm/rad."""
 
 LIMIT_AIM = 0.25
 """Distance from a limit that is aimed at, as a share of the range (-): the middle half is good."""
+
+LEAST_PRESS = 0.1
+"""Least normal force over the mean (-) below which forces are not scaled up further; the term
+``press`` asks for more."""
 
 LEAST_LIMIT = 1e-3
 """Limits of actuators nearer to zero than this (N m, N) count as this: a servo at the end of its
@@ -72,9 +76,13 @@ def torque_rows(g: GraspSymbols) -> tuple[Any, Any]:
     grip, weight = ca.SX.sym("grip"), ca.SX.sym("weight", 3)
     per_limit = ca.SX.sym("per_limit", len(used), 2)
     torque = ca.SX.zeros(hand.nq)
+    least = ca.SX(np.inf)
+    for normal, force in zip(g.outward, g.forces, strict=True):
+        least = ca.fmin(least, -ca.dot(force, normal))
+    least = ca.fmax(least, LEAST_PRESS)
     for finger, normal, force in zip(g.fingers, g.outward, g.forces, strict=True):
         center = g.symbolic.point(finger.pad.joint_id, finger.pad.center)
-        pressed = grip * force - weight / n
+        pressed = grip * force / least - weight / n
         torque += contact_torque(g.symbolic, finger, g.rotation, center, normal, pressed)
     firm = [c.row for c in hand.couplings if not c.one_sided]
     drive = np.linalg.pinv(np.column_stack([hand.actuation.moment.T, *firm]))
