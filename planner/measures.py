@@ -41,6 +41,7 @@ from planner.synthesis.wrench_objectives import NORMAL_ERROR, POSITION_ERROR, na
 __all__ = [
     "MEASURES",
     "Measure",
+    "mean_singular_value",
     "measured",
     "resisted_per_newton",
     "robust_epsilon",
@@ -133,12 +134,12 @@ def _manipulability(plan: GraspPlan) -> float:
     state = HandState(plan.task.hand, plan.q)
     points = plan.contacts.transformed(plan.T_world_base.inverse()).positions
     return min(
-        _mean_singular_value(state, finger, point)
+        mean_singular_value(state, finger, point)
         for finger, point in zip(plan.task.fingers, points, strict=True)
     )
 
 
-def _mean_singular_value(state: HandState, finger: Finger, point: FloatArray) -> float:
+def mean_singular_value(state: HandState, finger: Finger, point: FloatArray) -> float:
     """Geometric mean (m/rad) of the singular values of a finger's Jacobian at a point (3,)."""
     jacobian = state.point_jacobian(finger.pad.joint_id, point)[:3, finger.q_index]
     values = np.linalg.svd(jacobian @ free_velocities(state.hand, finger), compute_uv=False)

@@ -214,6 +214,7 @@ def _attempt(
         status=candidate.status,
         cpu_s=0.0,
         build_s=0.0,
+        objective=str(options.objective),
     )
     q = np.clip(candidate.q, task.hand.q_lower, task.hand.q_upper)
     T_world_base = task.T_world_object * candidate.T_object_base

@@ -68,14 +68,15 @@ class Objective:
 
 OBJECTIVES: Mapping[str, Objective] = {
     EPSILON: Objective(share=1.0),
-    "min_weight": Objective(share=0.3, rows=min_weight_rows, aim=aim_min_weight),
-    "task": Objective(share=0.5, rows=task_rows, aim=aim_task),
-    "robustness": Objective(share=1.0, rows=robustness_rows, aim=aim_robustness),
-    "torque": Objective(share=3.0, rows=torque_rows, aim=aim_torque),
+    "min_weight": Objective(share=0.6, rows=min_weight_rows, aim=aim_min_weight),
+    "task": Objective(share=1.0, rows=task_rows, aim=aim_task),
+    "robustness": Objective(share=4.0, rows=robustness_rows, aim=aim_robustness),
+    "torque": Objective(share=20.0, rows=torque_rows, aim=aim_torque),
     "manipulability": Objective(share=0.5, rows=manipulability_rows),
     "limits": Objective(share=1.0, rows=limits_rows),
 }
-"""All objectives by name."""
+"""All objectives by name. With these shares each raises its own measure most while nine of ten
+attempts that succeed without an objective still do; with twice as much grasps are lost."""
 
 
 def objective_rows(names: tuple[str, ...], symbols: GraspSymbols) -> tuple[Any, Any]:
