@@ -63,9 +63,9 @@ def wrench_faces(points: FloatArray, inward: FloatArray, mu: float, length: floa
 def first_apart(directions: FloatArray, count: int) -> list[int]:
     """The first up to ``count`` of unit directions (k, 6) that are at least 20 degrees apart."""
     chosen: list[int] = []
-    for i, direction in enumerate(directions):
-        if len(chosen) == count:
-            break
-        if not chosen or (directions[chosen] @ direction).max() < APART:
-            chosen.append(i)
+    far = np.ones(len(directions), dtype=bool)
+    while len(chosen) < count and far.any():
+        chosen.append(int(far.argmax()))
+        far &= directions @ directions[chosen[-1]] < APART
+        far[chosen[-1]] = False
     return chosen
