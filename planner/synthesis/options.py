@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -68,7 +69,7 @@ class SynthesisOptions:
                 "to it, or leave them out"
             )
 
-    @property
+    @cached_property
     def weights(self) -> dict[str, float]:
         """Weight of each objective (-), by name in the order of ``OBJECTIVES``."""
         return _checked_weights(self.objective)
