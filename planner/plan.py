@@ -31,6 +31,7 @@ class SolveRecord:
         status: IPOPT's return status (informative only; the verdict is ``Verification``).
         cpu_s: CPU time of the search until it was found, s, without building.
         build_s: Time that building the NLPs took, s: once per hand, fingers and kind of shape.
+        objective: What the grasp was to be good at, as ``SynthesisOptions.objective``.
     """
 
     seed: int
@@ -40,6 +41,7 @@ class SolveRecord:
     status: str
     cpu_s: float
     build_s: float
+    objective: str = "epsilon"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -93,12 +93,12 @@ def attempts(
     if not isinstance(seed, int | np.integer) or seed < 0:
         raise TaskError(f"seed is {seed!r}; give an integer >= 0")
     options = options or SynthesisOptions()
-    whole = spared = _ground(task)
+    whole = spared = _ground(task, options.built)
     total = 0.0
     index = 0
     while True:
         if index == SPARE_AFTER and task.may_spare_fingers:
-            spared = _spared_ground(task)
+            spared = _spared_ground(task, options.built)
         past = index - SPARE_AFTER
         ground = spared if past >= 0 and past % 2 == 0 else whole
         start_cpu = time.process_time()
@@ -174,18 +174,18 @@ class _Ground:
 
 
 @lru_cache(maxsize=8)
-def _ground(task: GraspTask) -> _Ground:
+def _ground(task: GraspTask, objectives: tuple[str, ...]) -> _Ground:
     """Seeder, programmes and geometry of a task, made once for all who ask with the same one."""
     seeder = seeder_for(task)
-    return _Ground(task, problems_for(task), seeder, CollisionWorld(task))
+    return _Ground(task, problems_for(task, objectives), seeder, CollisionWorld(task))
 
 
 @lru_cache(maxsize=8)
-def _spared_ground(task: GraspTask) -> _Ground:
+def _spared_ground(task: GraspTask, objectives: tuple[str, ...]) -> _Ground:
     """The same with three fingers alone; with all where three cannot do what is asked."""
-    whole = _ground(task)
+    whole = _ground(task, objectives)
     try:
-        return _ground(task.with_fingers(whole.seeder.tripod))
+        return _ground(task.with_fingers(whole.seeder.tripod), objectives)
     except TaskError:  # a region is required of a spared finger, or three do not open as wide
         return whole
 
@@ -201,7 +201,7 @@ def _attempt(
         return start
     parameters = problems.grasp.parameters(task, start, seeder.posture, options)
     with stage("solve"):
-        candidate = descend_grasp(problems.grasp, task, start, parameters, options.rounds)
+        candidate = descend_grasp(problems.grasp, task, start, parameters, options.rounds, options)
     worst = max(candidate.violation, key=lambda name: candidate.violation[name] * WEIGHTS[name])
     violation = candidate.violation[worst]
     if not violation * WEIGHTS[worst] <= WORTH_A_LOOK:
@@ -214,6 +214,7 @@ def _attempt(
         status=candidate.status,
         cpu_s=0.0,
         build_s=0.0,
+        objective=str(options.objective),
     )
     q = np.clip(candidate.q, task.hand.q_lower, task.hand.q_upper)
     T_world_base = task.T_world_object * candidate.T_object_base

@@ -191,6 +191,15 @@ ALLOWED = {
         "quality",
         "shapes",
     ),
+    "planner.measures": (
+        "spatial",
+        "contacts",
+        "hand",
+        "kinematics",
+        "plan",
+        "quality",
+        "synthesis",
+    ),
     "planner.task": ("errors", "spatial", "contacts", "hand", "objects", "shapes"),
     "planner.batch": (
         "errors",

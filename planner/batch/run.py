@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
@@ -105,7 +105,7 @@ def plan_grasps(
         n=n,
         seed=seed,
         max_attempts=max_attempts,
-        options=asdict(options or SynthesisOptions()),
+        options=(options or SynthesisOptions()).to_dict(),
         objects=[
             ManifestObject(label=i.label, task=TaskData.model_validate_json(i.recipe))
             for i in items

@@ -247,6 +247,7 @@ class RecordData(StrictData):
     status: str
     cpu_s: Finite
     build_s: Finite
+    objective: str = "epsilon"
 
 
 class PlanFile(StrictData):

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from planner.spatial import FloatArray
 
-__all__ = ["weakest_directions"]
+__all__ = ["first_apart", "weakest_directions", "wrench_faces"]
 
 EDGES = 4
 """Sides of the pyramids: a hull takes 1 ms with four, 4 ms with eight."""
@@ -36,6 +36,16 @@ def weakest_directions(
         length: Characteristic length, m.
         count: How many.
     """
+    faces = wrench_faces(points, inward, mu, length)
+    faces = faces[np.argsort(-faces[:, 6], kind="stable"), :6]
+    return faces[first_apart(faces, count)]
+
+
+def wrench_faces(points: FloatArray, inward: FloatArray, mu: float, length: float) -> FloatArray:
+    """Faces (k, 7) of the hull: outward unit normal, minus its distance from the origin.
+
+    None where the wrenches span no volume. Arguments are those of ``weakest_directions``.
+    """
     least = np.argmin(np.abs(inward), axis=1)
     first = np.cross(inward, np.eye(3)[least])
     first /= np.linalg.norm(first, axis=1, keepdims=True)
@@ -45,14 +55,17 @@ def weakest_directions(
     force = inward + mu * across
     wrenches = np.concatenate([force, np.cross(points / length, force)], axis=2).reshape(-1, 6)
     try:
-        faces = ConvexHull(wrenches).equations
+        return np.asarray(ConvexHull(wrenches).equations)
     except QhullError:
-        return np.zeros((0, 6))
-    faces = faces[np.argsort(-faces[:, 6], kind="stable")]
-    chosen: FloatArray = faces[:1, :6]
-    for face in faces[1:, :6]:
-        if len(chosen) == count:
-            break
-        if (chosen @ face).max() < APART:
-            chosen = np.vstack([chosen, face])
+        return np.zeros((0, 7))
+
+
+def first_apart(directions: FloatArray, count: int) -> list[int]:
+    """The first up to ``count`` of unit directions (k, 6) that are at least 20 degrees apart."""
+    chosen: list[int] = []
+    far = np.ones(len(directions), dtype=bool)
+    while len(chosen) < count and far.any():
+        chosen.append(int(far.argmax()))
+        far &= directions @ directions[chosen[-1]] < APART
+        far[chosen[-1]] = False
     return chosen

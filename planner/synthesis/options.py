@@ -1,15 +1,28 @@
-"""Margins and weights of grasp synthesis."""
+"""Margins and weights of grasp synthesis, and what makes one grasp better than another."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
 
-__all__ = ["OPTION_NAMES", "SynthesisOptions"]
+import numpy as np
+
+from planner.errors import NotFoundError, TaskError
+from planner.spatial import FloatArray
+from planner.synthesis.objectives import EPSILON, OBJECTIVES
+from planner.synthesis.task_wrenches import checked_wrenches
+
+__all__ = ["NO_OBJECTIVE", "OPTION_NAMES", "SynthesisOptions"]
+
+NO_OBJECTIVE = "none"
+"""Name for no objective at all: the first grasp that is reached."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SynthesisOptions:
-    """Margins and weights of the NLP, and effort; none needs a rebuild.
+    """Margins and weights of the NLP, effort and objectives; a new set of objectives is built once.
 
     Attributes:
         cone_share: Share k of the friction coefficient that the internal force may use (-).
@@ -23,6 +36,12 @@ class SynthesisOptions:
         weight_posture: Cost of leaving the pinch posture, per squared share of joint range (-).
         weight_center: Cost of the mean contact point's squared distance from the centre of mass, in
             characteristic lengths (-): a grasp far from it bears the weight with torsion.
+        rounds: How many rounds work on the objectives.
+        objective: What is worked on (``planner.synthesis.objectives``): a name, several as
+            "epsilon:1,torque:0.5", or a mapping of names to weights > 0 of their squared residuals;
+            "none" for nothing. Kept as text.
+        task_wrenches: Wrenches (k, 6) that the objective "task" is about, object frame, about the
+            centre of mass, N and N m; if there are none, the object's weight in any direction.
     """
 
     cone_share: float = 0.7
@@ -35,11 +54,85 @@ class SynthesisOptions:
     weight_posture: float = 0.3
     weight_center: float = 1.0
     rounds: int = 2
+    objective: str | Mapping[str, float] = EPSILON
+    task_wrenches: tuple[tuple[float, ...], ...] | FloatArray = ()
+
+    def __post_init__(self) -> None:
+        """Check the objectives, and keep them and the wrenches as plain data."""
+        weights = _checked_weights(self.objective)
+        text = ",".join(n if w == 1.0 else f"{n}:{w!r}" for n, w in weights.items())
+        object.__setattr__(self, "objective", text or NO_OBJECTIVE)
+        object.__setattr__(self, "task_wrenches", checked_wrenches(self.task_wrenches))
+        if len(self.task_wrenches) and TASK not in weights:
+            raise TaskError(
+                f"there are task wrenches, but the objective is {self.objective!r}; add {TASK!r} "
+                "to it, or leave them out"
+            )
+
+    @cached_property
+    def weights(self) -> dict[str, float]:
+        """Weight of each objective (-), by name in the order of ``OBJECTIVES``."""
+        return _checked_weights(self.objective)
+
+    @property
+    def built(self) -> tuple[str, ...]:
+        """The objectives that need rows of their own."""
+        return tuple(name for name in self.weights if name != EPSILON)
 
     def values(self) -> dict[str, float]:
         """The NLP's parameters by name."""
         return {name: getattr(self, name) for name in OPTION_NAMES}
 
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, as JSON gives it back."""
+        return {**asdict(self), "task_wrenches": [list(row) for row in self.task_wrenches]}
 
-OPTION_NAMES = tuple(n for n in SynthesisOptions.__dataclass_fields__ if n != "rounds")
+
+TASK = "task"
+"""The objective that task wrenches belong to."""
+
+OPTION_NAMES = tuple(
+    n
+    for n in SynthesisOptions.__dataclass_fields__
+    if n not in ("rounds", "objective", "task_wrenches")
+)
 """Names of the options that are parameters of the NLP."""
+
+
+def _checked_weights(objective: str | Mapping[str, float]) -> dict[str, float]:
+    """Weights by name in the registry's order.
+
+    Raises:
+        NotFoundError: An objective that does not exist.
+        TaskError: A name twice, or a weight that is not a number > 0.
+    """
+    if objective == NO_OBJECTIVE:
+        return {}
+    pairs = _pairs(objective) if isinstance(objective, str) else list(objective.items())
+    given = dict(pairs)
+    for name, weight in pairs:
+        if name not in OBJECTIVES:
+            hint = f"{NO_OBJECTIVE!r} alone stands for no objective."
+            raise NotFoundError("objective", str(name), OBJECTIVES, hint)
+        if isinstance(weight, bool) or not isinstance(weight, int | float):
+            raise TaskError(f"the weight of {name!r} is {weight!r}; give a number > 0")
+        if not (np.isfinite(weight) and weight > 0):
+            raise TaskError(f"the weight of {name!r} is {weight}; give a finite number > 0")
+    if len(given) < len(pairs):
+        raise TaskError(f"objective {objective!r} names one twice; give each name once")
+    return {name: float(given[name]) for name in OBJECTIVES if name in given}
+
+
+def _pairs(text: str) -> list[tuple[str, float]]:
+    """Names and weights out of "epsilon:1,torque:0.5"; no weight is 1."""
+    pairs = []
+    for part in text.split(","):
+        name, colon, weight = (piece.strip() for piece in part.partition(":"))
+        try:
+            pairs.append((name, float(weight) if colon else 1.0))
+        except ValueError as error:
+            raise TaskError(
+                f"the weight of objective {name!r} is {weight!r}; write NAME:WEIGHT with a number "
+                "> 0, for example torque:0.5"
+            ) from error
+    return pairs

@@ -125,6 +125,7 @@ class GraspProblem:
         surface: Form of the shape in the terms.
         n_obstacles: How many obstacle boxes there are.
         residuals: The terms and the cost as residuals with their Jacobian.
+        objectives: Names of the objectives that have rows of their own here.
     """
 
     hand: Hand
@@ -132,6 +133,7 @@ class GraspProblem:
     surface: Surface
     n_obstacles: int
     residuals: Residuals
+    objectives: tuple[str, ...] = ()
 
     @property
     def formulation(self) -> Formulation:
@@ -142,7 +144,8 @@ class GraspProblem:
     def whole(self) -> tuple[Formulation, Surface]:
         """All as expressions, clearances too, and the surface that collected its field points."""
         surface = type(self.surface)()
-        return formulate(self.hand, self.fingers, surface, self.n_obstacles), surface
+        formulation = formulate(self.hand, self.fingers, surface, self.n_obstacles, self.objectives)
+        return formulation, surface
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -305,6 +308,7 @@ class GraspProblem:
                 "length": shape.bounding_radius,
                 "posture": posture,
                 **options.values(),
+                "objectives": 0.0,
                 "directions": 0.0,
             }
         )
@@ -318,7 +322,11 @@ SHIFT_MAX = 0.25
 
 
 def build_problem(
-    hand: Hand, fingers: Sequence[Finger], kind_of: Shape, n_obstacles: int = 0
+    hand: Hand,
+    fingers: Sequence[Finger],
+    kind_of: Shape,
+    n_obstacles: int = 0,
+    objectives: tuple[str, ...] = (),
 ) -> GraspProblem:
     """Build the problem for a hand, the fingers that take part and a kind of shape.
 
@@ -327,13 +335,14 @@ def build_problem(
         fingers: The fingers that take part.
         kind_of: Any shape of the kind; its size does not matter.
         n_obstacles: How many obstacle boxes there are.
+        objectives: Objectives that are asked for and have rows of their own, by name.
     """
     fingers = tuple(fingers)
     surface = surface_of(kind_of)
-    formulation = formulate(hand, fingers, surface, n_obstacles, clearances=False)
+    formulation = formulate(hand, fingers, surface, n_obstacles, objectives, clearances=False)
     avoidance = Avoidance(formulation, surface)
     residuals = Residuals(formulation, surface.field, avoidance)
-    return GraspProblem(hand, fingers, surface, n_obstacles, residuals)
+    return GraspProblem(hand, fingers, surface, n_obstacles, residuals, objectives)
 
 
 IPOPT_TOL = 1e-4

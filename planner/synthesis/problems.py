@@ -23,13 +23,17 @@ class Problems:
     build_s: float
 
 
-def problems_for(task: GraspTask) -> Problems:
+def problems_for(task: GraspTask, objectives: tuple[str, ...] = ()) -> Problems:
     """The NLP for a task; built once per hand, fingers, kind of shape and number of obstacles.
+
+    ``objectives`` are the names of those that have rows of their own; each set is built once too.
 
     A mesh's field is made here too, so that attempts take no time for either.
     """
     kind = _Kind(task.object.shape)
-    problems = _cached_problems(_SameHand(task.hand), task.finger_names, kind, len(task.obstacles))
+    problems = _cached_problems(
+        _SameHand(task.hand), task.finger_names, kind, len(task.obstacles), objectives
+    )
     begin = time.perf_counter()
     problems.grasp.surface.field_of(task.object.shape)
     return replace(problems, build_s=problems.build_s + time.perf_counter() - begin)
@@ -63,9 +67,13 @@ class _SameHand:
 
 @lru_cache(maxsize=16)
 def _cached_problems(
-    same: _SameHand, finger_names: tuple[str, ...], kind: _Kind, n_obstacles: int
+    same: _SameHand,
+    finger_names: tuple[str, ...],
+    kind: _Kind,
+    n_obstacles: int,
+    objectives: tuple[str, ...],
 ) -> Problems:
     begin = time.perf_counter()
     fingers = same.hand.choose_fingers(finger_names)
-    grasp = build_problem(same.hand, fingers, kind.shape, n_obstacles)
+    grasp = build_problem(same.hand, fingers, kind.shape, n_obstacles, objectives)
     return Problems(grasp=grasp, build_s=time.perf_counter() - begin)

@@ -129,6 +129,10 @@ class Residuals:
         free[:] = 0.0
         free[: directions.size] = directions.ravel()
 
+    def set_objectives(self, values: FloatArray) -> None:
+        """Parameters of the objectives' rows from now on; none switches them off."""
+        self._p[self.formulation.places["objectives"]] = values if values.size else 0.0
+
     def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Those that count at x: overwritten by the next call."""
         with stage("residuals"):

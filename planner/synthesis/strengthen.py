@@ -3,8 +3,9 @@
 A first descent (``planner.synthesis.descent``) satisfies the terms and stops; where that fails the
 start is given up. Then, in rounds, the directions of wrench in which the grasp resists least are
 looked for (``planner.quality.weakest``), and a descent works on its resistance there as a further
-cost. On a mesh a contact that has come to lie on an edge is held in a small box beside it. The last
-descent is for the terms alone.
+cost; likewise on the other objectives (``planner.synthesis.objectives``). On a mesh a contact that
+has come to lie on an edge is held in a small box beside it. The last descent is for the terms
+alone.
 """
 
 from __future__ import annotations
@@ -19,7 +20,10 @@ from planner.spatial import FloatArray
 from planner.stages import stage
 from planner.synthesis.descent import MAX_ITERATIONS, SOLVED, Descent, descend
 from planner.synthesis.edges import EDGE_SPREAD, ROOM, edge_free, spreads
+from planner.synthesis.objectives import EPSILON, Moment, objective_parameters
+from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start
+from planner.synthesis.task_wrenches import resisted_wrenches
 from planner.synthesis.terms import N_DIRECTIONS
 from planner.task import GraspTask
 
@@ -43,7 +47,12 @@ OFF_EDGES = 2
 
 
 def descend_grasp(
-    problem: GraspProblem, task: GraspTask, start: Start, parameters: FloatArray, rounds: int = 0
+    problem: GraspProblem,
+    task: GraspTask,
+    start: Start,
+    parameters: FloatArray,
+    rounds: int = 0,
+    options: SynthesisOptions | None = None,
 ) -> Candidate:
     """Where least squares lead from a start.
 
@@ -53,7 +62,10 @@ def descend_grasp(
         start: The start.
         parameters: From ``GraspProblem.parameters``.
         rounds: How many rounds strengthen the grasp; none leaves the first that is reached.
+        options: What they work on; the default if None.
     """
+    options = options or SynthesisOptions()
+    rounds = rounds if options.weights else 0
     begin = time.process_time()
     problem.residuals.bind(parameters, problem.surface.field_of(task.object.shape))
     run = _Run(problem, task, start)
@@ -64,9 +76,10 @@ def descend_grasp(
             run.descend(MAX_ITERATIONS)
         for _ in range(rounds):
             with stage("weakest"):
-                problem.residuals.set_directions(run.weakest())
+                run.aim(options)
             run.descend(ROUND_ITERATIONS)
         problem.residuals.set_directions(np.zeros((0, 6)))
+        problem.residuals.set_objectives(np.zeros(0))
         if rounds and run.end.worst > SOLVED:
             run.descend(ROUND_ITERATIONS)
         for _ in range(OFF_EDGES):
@@ -110,12 +123,26 @@ class _Run:
         self.x = self.end.x
         self.iterations += self.end.iterations
 
-    def weakest(self) -> FloatArray:
-        """The directions (k, 6) in which the contacts resist least."""
-        shape = self._task.object.shape
+    def aim(self, options: SynthesisOptions) -> None:
+        """Tell the residuals where the objectives are to be worked on from here."""
+        problem, task, weights = self._problem, self._task, options.weights
+        shape = task.object.shape
         points, outward = shape.closest_point(self._unknowns.points(self.x))
-        length = shape.bounding_radius
-        return weakest_directions(points, -outward, self._task.mu, length, N_DIRECTIONS)
+        if EPSILON in weights:
+            length = shape.bounding_radius
+            found = weakest_directions(points, -outward, task.mu, length, N_DIRECTIONS)
+            problem.residuals.set_directions(np.sqrt(weights[EPSILON]) * found)
+        if problem.objectives:
+            moment = Moment(
+                task=task,
+                q=self._unknowns.q(self.x),
+                points=points,
+                inward=-outward,
+                wrenches=resisted_wrenches(task, options.task_wrenches),
+            )
+            problem.residuals.set_objectives(
+                objective_parameters(problem.objectives, weights, moment)
+            )
 
     def leave_edges(self) -> bool:
         """Whether a contact is on an edge; if so its bounds become a box beside it."""

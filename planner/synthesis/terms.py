@@ -13,10 +13,12 @@ from planner.hand import Finger, Hand
 from planner.spatial import FloatArray
 from planner.symbolic import SymbolicHand
 from planner.synthesis.clearance import ClearanceTerms
+from planner.synthesis.objectives import GraspSymbols, objective_rows
 from planner.synthesis.options import OPTION_NAMES
 from planner.synthesis.surfaces import CODE_DIM, SIZE_DIM, Surface
 from planner.synthesis.surroundings import Surroundings
 from planner.synthesis.unknowns import Unknowns, mrp_matrix
+from planner.synthesis.wrenches import contact_torque, support
 
 __all__ = ["PRESS_MIN", "Formulation", "Term", "formulate"]
 
@@ -65,8 +67,8 @@ class Formulation:
         terms: Constraints.
         cost_rows: The cost is the sum of their squares.
         edge_rows: Negative (-) where a contact is on an edge; a cost of least squares alone.
-        quality_rows: How much the grasp resists in given directions, less what is aimed at; a cost
-            where negative.
+        quality_rows: How much the grasp resists in given directions, less what is aimed at, then
+            the rows of the objectives; a cost where negative.
     """
 
     unknowns: Unknowns
@@ -105,6 +107,7 @@ def formulate(
     fingers: tuple[Finger, ...],
     surface: Surface,
     n_obstacles: int,
+    objectives: tuple[str, ...] = (),
     *,
     clearances: bool = True,
 ) -> Formulation:
@@ -115,6 +118,7 @@ def formulate(
         fingers: Fingers that take part, in order of the contacts.
         surface: NLP form of the shape.
         n_obstacles: Number of obstacle boxes.
+        objectives: Those of ``planner.synthesis.objectives`` that have rows of their own.
         clearances: Whether links' clearances are among the terms; least squares gets them from
             ``planner.synthesis.avoid``.
     """
@@ -159,7 +163,7 @@ def formulate(
         tangential = forces[i] + fn * normals[i]
         cost_rows.append(ca.sqrt(option["weight_tangential"] / n) / mu * tangential)
         cost_rows.append(ca.sqrt(option["weight_share"] / n) * (fn - 1))
-        torque += _contact_torque(symbolic, finger, rotation, center_base, normals[i], forces[i])
+        torque += contact_torque(symbolic, finger, rotation, center_base, normals[i], forces[i])
     equal["balance"] = [
         sum(forces[1:], forces[0]),
         sum((ca.cross(p, f) for p, f in zip(points, forces, strict=True)), ca.SX.zeros(3)) / length,
@@ -186,10 +190,24 @@ def formulate(
     cost_rows.append(ca.sqrt(option["weight_posture"] / n_hand) * (q - posture) / span)
     directions = ca.SX.sym("u", 6, N_DIRECTIONS)
     quality_rows = [
-        _support(directions[:, k], points, normals, mu, length)
-        - SUPPORT_AIM * ca.sumsqr(directions[:, k])
+        support(directions[:, k], points, normals, mu, length)
+        - SUPPORT_AIM * ca.norm_2(directions[:, k])
         for k in range(N_DIRECTIONS)
     ]
+    extra, extra_p = objective_rows(
+        objectives,
+        GraspSymbols(
+            fingers=fingers,
+            symbolic=symbolic,
+            rotation=rotation,
+            q=q,
+            points=points,
+            outward=normals,
+            forces=forces,
+            mu=mu,
+            length=length,
+        ),
+    )
     middle = sum(points[1:], points[0]) / n
     cost_rows.append(ca.sqrt(option["weight_center"]) * middle / length)
     parameters = {
@@ -203,6 +221,7 @@ def formulate(
         "length": length,
         "posture": posture,
         **option,
+        "objectives": extra_p,
         "directions": ca.vec(directions),
     }
     terms = tuple(
@@ -220,7 +239,7 @@ def formulate(
         links=links,
         surroundings=surroundings,
         terms=terms,
-        quality_rows=ca.vertcat(*quality_rows),
+        quality_rows=ca.vertcat(*quality_rows, extra),
         cost_rows=ca.vertcat(*cost_rows),
         edge_rows=ca.vertcat(*edge_rows),
     )
@@ -238,39 +257,6 @@ N_DIRECTIONS = 12
 
 SUPPORT_AIM = 0.3
 """Resistance (normal forces sum to 1) that is aimed at in each: more than grasps reach."""
-
-
-def _support(u: Any, points: list[Any], outward: list[Any], mu: Any, length: Any) -> Any:
-    """Support of the round cones' unit wrenches in direction u (6,), torques over ``length``.
-
-    max_i  g_i . n_i + mu |g_i - (g_i . n_i) n_i|,   g_i = u_f + u_t x p_i / length.
-    """
-    values = []
-    for p, n in zip(points, outward, strict=True):
-        g = u[:3] + ca.cross(u[3:], p) / length
-        normal = -ca.dot(g, n)
-        tangential = g + normal * n
-        values.append(normal + mu * ca.sqrt(ca.sumsqr(tangential) + TINY))
-    top = values[0]
-    for value in values[1:]:
-        top = ca.fmax(top, value)
-    return top
-
-
-TINY = 1e-9
-"""Keeps the root of a sum of squares differentiable at zero."""
-
-
-def _contact_torque(
-    symbolic: SymbolicHand, finger: Finger, rotation: Any, center: Any, normal: Any, force: Any
-) -> Any:
-    """Joint torques (nq,) with which a finger presses ``force`` (object frame) at its contact."""
-    point = center - finger.pad.radius * (rotation.T @ normal)
-    local = rotation.T @ force
-    out = ca.SX.zeros(symbolic.hand.nq)
-    for name, index in zip(finger.joints, finger.q_index, strict=True):
-        out[int(index)] = symbolic.joint_torque(name, point, local)
-    return out
 
 
 def _arm_gap(symbolic: SymbolicHand, root: tuple[Any, Any], rotation: Any, shift: Any) -> list[Any]:

@@ -1,4 +1,4 @@
-"""Commands that measure: ``bench grasps``, ``synthesis``, ``metrics``, ``scaling``."""
+"""Commands that measure: ``bench grasps``, ``synthesis``, ``objectives``, and others."""
 
 from __future__ import annotations
 
@@ -132,6 +132,49 @@ def bench_synthesis(
 
 
 @errors_for_people()
+def bench_objectives(
+    hands: HandsArgument,
+    objects: ObjectsOption = "cylinder,box,mug",
+    n: Annotated[int, typer.Option("-n", "--number", min=1, help="Requests per cell.")] = 15,
+    objectives: Annotated[
+        str, typer.Option(help="Objectives, comma separated; of several with weights: a:1+b:0.5")
+    ] = "none,epsilon,min_weight,task,robustness,torque,manipulability,limits",
+    seed: SeedOption = 0,
+    max_attempts: AttemptsOption = 50,
+    workers: WorkersOption = 1,
+    output: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure what each objective of synthesis brings, and what it costs."""
+    from planner.files import write_json
+    from sim.bench.objectives import objective_tables, run_objectives
+    from sim.bench.objects import bench_objects
+
+    check_folder(output)
+    with heeding_ctrl_c() as check:
+        result = run_objectives(
+            hands,
+            bench_objects(names(objects)),
+            n,
+            objectives=[text.replace("+", ",") for text in names(objectives)],
+            seed=seed,
+            max_attempts=max_attempts,
+            workers=workers,
+            console=err,
+            check=check,
+        )
+    if output is not None:
+        write_json(result, output)
+    if as_json:
+        print_json(result)
+    else:
+        for table in objective_tables(result):
+            wide().print(table)
+    if result["interrupted"]:
+        raise typer.Exit(EXIT_INTERRUPTED)
+
+
+@errors_for_people()
 def bench_metrics(
     hands: HandsArgument,
     objects: ObjectsOption = PRIMITIVES,
@@ -215,6 +258,7 @@ def register(app: typer.Typer) -> None:
     )
     bench.command("grasps")(bench_grasps)
     bench.command("synthesis")(bench_synthesis)
+    bench.command("objectives")(bench_objectives)
     bench.command("metrics")(bench_metrics)
     bench.command("scaling")(bench_scaling)
     app.add_typer(bench, name="bench")

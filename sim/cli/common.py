@@ -57,6 +57,20 @@ TouchOption = Annotated[
 AvoidOption = Annotated[
     list[str] | None, typer.Option(help="Where they must not touch, in the same form.")
 ]
+ObjectiveOption = Annotated[
+    str,
+    typer.Option(
+        help="What the grasp should be good at: epsilon, min_weight, task, robustness, torque, "
+        "manipulability, limits; several with weights: epsilon:1,torque:0.5; none for nothing."
+    ),
+]
+TaskWrenchOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="A wrench on the object that the objective task is about: fx,fy,fz,tx,ty,tz in N and "
+        "N m, object's frame; the weight in any direction if there is none."
+    ),
+]
 AttemptsOption = Annotated[int, typer.Option(min=1, help="Attempts before giving up.")]
 CpuOption = Annotated[
     float | None, typer.Option(help="CPU seconds before giving up; checked between attempts.")
@@ -75,6 +89,35 @@ def say(console: Console, text: str) -> None:
 def names(text: str) -> list[str]:
     """Names out of a comma-separated list."""
     return [name.strip() for name in text.split(",")]
+
+
+def options_of(objective: str, task_wrench: list[str] | None) -> Any:
+    """Options of synthesis as the command line gives them.
+
+    Raises:
+        TaskError: A wrench is not made of six numbers, or they are not those of an objective.
+        NotFoundError: An objective that does not exist.
+    """
+    from planner.errors import TaskError
+    from planner.synthesis.options import SynthesisOptions
+
+    wrenches = []
+    for text in task_wrench or ():
+        try:
+            wrenches.append([float(v) for v in text.split(",")])
+        except ValueError as error:
+            raise TaskError(
+                f"--task-wrench {text!r} holds something else than numbers; give "
+                "fx,fy,fz,tx,ty,tz in N and N m"
+            ) from error
+        if len(wrenches[-1]) != 6:
+            raise TaskError(
+                f"--task-wrench {text!r} has {len(wrenches[-1])} numbers; give six, "
+                "fx,fy,fz,tx,ty,tz in N and N m"
+            )
+    return SynthesisOptions(
+        objective=objective, task_wrenches=tuple(tuple(row) for row in wrenches)
+    )
 
 
 def _leave(*_: object) -> None:

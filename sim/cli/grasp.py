@@ -19,11 +19,13 @@ from sim.cli.common import (
     MassOption,
     MuOption,
     ObjectArgument,
+    ObjectiveOption,
     PlanArgument,
     PoseOption,
     RepairOption,
     SeedOption,
     SimMuOption,
+    TaskWrenchOption,
     TouchOption,
     ViewOption,
     check_folder,
@@ -33,6 +35,7 @@ from sim.cli.common import (
     heeding_ctrl_c,
     make_folder,
     names,
+    options_of,
     out,
     print_json,
     say,
@@ -54,12 +57,15 @@ def _plan(
     avoid: list[str] | None,
     attempts: int,
     max_cpu_s: float | None,
+    objective: str,
+    task_wrench: list[str] | None,
 ) -> Any:
     """Plan with a spinner that counts attempts on stderr."""
     from planner.objects import parse_object
     from planner.search import Attempt, plan_grasp
     from planner.task import GraspTask
 
+    options = options_of(objective, task_wrench)
     item = parse_object(
         object,
         mass=mass,
@@ -83,7 +89,12 @@ def _plan(
             status.update(f"planning: attempt {attempt.index + 1}: {outcome}")
 
         return plan_grasp(
-            task, seed=seed, max_attempts=attempts, max_cpu_s=max_cpu_s, progress=show
+            task,
+            seed=seed,
+            max_attempts=attempts,
+            max_cpu_s=max_cpu_s,
+            options=options,
+            progress=show,
         )
 
 
@@ -146,6 +157,8 @@ def run(
     avoid: AvoidOption = None,
     max_attempts: AttemptsOption = 100,
     max_cpu_s: CpuOption = None,
+    objective: ObjectiveOption = "epsilon",
+    task_wrench: TaskWrenchOption = None,
     view: ViewOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -172,6 +185,8 @@ def run(
         avoid=avoid,
         attempts=max_attempts,
         max_cpu_s=max_cpu_s,
+        objective=objective,
+        task_wrench=task_wrench,
     )
     spec = _folder_name(plan.task.object)
     folder = out_dir or Path("runs") / f"{plan.task.hand.name}-{spec}-{seed}"
@@ -208,6 +223,8 @@ def plan(
     avoid: AvoidOption = None,
     max_attempts: AttemptsOption = 100,
     max_cpu_s: CpuOption = None,
+    objective: ObjectiveOption = "epsilon",
+    task_wrench: TaskWrenchOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Plan a grasp and write it to a file."""
@@ -229,6 +246,8 @@ def plan(
         avoid=avoid,
         attempts=max_attempts,
         max_cpu_s=max_cpu_s,
+        objective=objective,
+        task_wrench=task_wrench,
     )
     write_plan(found, output)
     if as_json:
