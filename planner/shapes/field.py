@@ -126,7 +126,7 @@ class DistanceField:
 
         Off by up to a little more than a spacing of the level that a point is in.
         """
-        out = np.linalg.norm(points, axis=1) - self.far_radius
+        out: FloatArray = np.linalg.norm(points, axis=1) - self.far_radius
         for level in reversed(self.levels):  # the finest one that holds a point is the last
             node = np.rint(points / level.spacing).astype(np.int64) - level.first
             held = ((node >= 0) & (node < level.coefficients.shape)).all(axis=1)
