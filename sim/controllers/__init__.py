@@ -2,7 +2,27 @@
 
 from __future__ import annotations
 
-from sim.controllers.base import PHASES, Controller, Observation, Phase, ReportsLimits
+from sim.controllers.base import (
+    PHASES,
+    Controller,
+    Observation,
+    Phase,
+    ReportsEvents,
+    ReportsLimits,
+)
+from sim.controllers.events import Event, EventKind
 from sim.controllers.grasp import GraspController
+from sim.controllers.pads import PadReading
 
-__all__ = ["PHASES", "Controller", "GraspController", "Observation", "Phase", "ReportsLimits"]
+__all__ = [
+    "PHASES",
+    "Controller",
+    "Event",
+    "EventKind",
+    "GraspController",
+    "Observation",
+    "PadReading",
+    "Phase",
+    "ReportsEvents",
+    "ReportsLimits",
+]
