@@ -22,45 +22,41 @@ __all__ = ["read_pads"]
 def read_pads(scene: Scene, data: Any, fingers: tuple[str, ...]) -> PadReading:
     """What the pads of some fingers feel after a step."""
     index = {name: k for k, name in enumerate(fingers)}
-    found: list[tuple[int, int, float, int]] = []
-    twists: dict[int, FloatArray] = {}
-    loads: list[FloatArray] = []
+    found, loads, slips, signs, finger = [], [], [], [], []
+    twists: dict[int, list[float]] = {}
     for i, geom, sign in object_contacts(scene, data):
         k = index.get(scene.finger_of_geom[geom])
-        if k is None:
-            continue
         load = np.zeros(6)
         mujoco.mj_contactForce(scene.model, data, i, load)
-        if load[0] <= NO_FORCE:
+        if k is None or load[0] <= NO_FORCE:
             continue
         body = int(scene.model.geom_bodyid[geom])
-        if body not in twists:
-            twists[body] = _twist(scene, data, body)
-        found.append((i, body, sign, k))
+        for b in (body, scene.object_body):
+            if b not in twists:
+                twists[b] = _twist(scene, data, b)
+        found.append(i)
         loads.append(load[:3])
+        slips.append(_relative(twists[scene.object_body], twists[body], data.contact[i].pos))
+        signs.append(sign)
+        finger.append(k)
     n = len(fingers)
     if not found:
         return PadReading.nothing(n)
-    contact, bodies, signs, finger = zip(*found, strict=True)
-    sign = np.array(signs)[:, None]
-    frames = data.contact.frame[list(contact)].reshape(-1, 3, 3)
-    at = data.contact.pos[list(contact)]
-    load = np.array(loads)
-    into = sign * frames[:, 0]
-    slip = _at(_twist(scene, data, scene.object_body), at) - _at(
-        np.array([twists[body] for body in bodies]), at
-    )
+    sign_column = np.array(signs)[:, None]
+    frames = data.contact.frame[found].reshape(-1, 3, 3)
+    load_rows, slip = np.array(loads), np.array(slips)
+    into = sign_column * frames[:, 0]
     slip -= (slip * into).sum(axis=1, keepdims=True) * into
     share = np.zeros((n, len(found)))  # normal forces, one row per finger
-    share[list(finger), range(len(found))] = load[:, 0]
+    share[finger, range(len(found))] = load_rows[:, 0]
     total = share.sum(axis=1)
     mean = share / np.where(total > 0, total, np.nan)[:, None]
     normal = mean @ into
-    length = np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), MIN_LENGTH)
+    length = np.maximum(np.sqrt((normal * normal).sum(axis=1, keepdims=True)), MIN_LENGTH)
     return PadReading(
         normal_force=total,
-        force=(share > 0) @ (sign * np.einsum("mi,mij->mj", load, frames)),
-        position=mean @ at,
+        force=(share > 0) @ (sign_column * (load_rows[:, None] @ frames)[:, 0]),
+        position=mean @ data.contact.pos[found],
         normal=normal / length,
         sliding=mean @ slip,
     )
@@ -71,21 +67,18 @@ MIN_LENGTH = 1e-12
 itself can have none."""
 
 
-def _twist(scene: Scene, data: Any, body: int) -> FloatArray:
-    """[angular velocity; velocity of the body's point at the world's origin], (6,), world axes."""
+def _twist(scene: Scene, data: Any, body: int) -> list[float]:
+    """Angular velocity, and velocity of the body's point at the world's origin; world axes."""
     twist = np.zeros(6)
     kind = int(mujoco.mjtObj.mjOBJ_XBODY)
     mujoco.mj_objectVelocity(scene.model, data, kind, body, twist, 0)
-    twist[3:] -= _cross(twist[:3], data.xpos[body])
-    return twist
+    x, y, z = data.xpos[body].tolist()
+    a, b, c, u, v, w = twist.tolist()  # plain numbers: cheaper than arrays of three
+    return [a, b, c, u - b * z + c * y, v - c * x + a * z, w - a * y + b * x]
 
 
-def _at(twist: FloatArray, points: FloatArray) -> FloatArray:
-    """Velocities (m, 3) of points (m, 3) that move with twists (6,) or (m, 6)."""
-    return np.asarray(twist[..., 3:] + _cross(twist[..., :3], points))
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross product, without the overhead of ``np.cross``."""
-    turned = a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
-    return np.asarray(turned)
+def _relative(of: list[float], to: list[float], point: FloatArray) -> list[float]:
+    """Velocity at a point (3,) of one twist relative to another."""
+    a, b, c, u, v, w = (p - q for p, q in zip(of, to, strict=True))
+    x, y, z = point.tolist()
+    return [u + b * z - c * y, v + c * x - a * z, w + a * y - b * x]
