@@ -74,6 +74,7 @@ class TrialReport:
         supported: Whether the object was held by a constraint until the lift, for want of a table.
         carried_by: What carried the hand: "mount", six driven axes, or "arm".
         object_deviation_mm: How far convex pieces that stood for a mesh reach out of it at most.
+        controller: Name of the controller's class.
         events: What the controller noticed and did, in order; empty for one that notices nothing.
         picture: Picture of the held object, None if there is none.
         picture_reason: Why there is none.
@@ -97,6 +98,7 @@ class TrialReport:
     supported: bool
     carried_by: Literal["mount", "arm"] = "mount"
     object_deviation_mm: float = 0.0
+    controller: str = ""
     events: tuple[Event, ...] = ()
     picture: Path | None = None
     picture_reason: str = "none was asked for"
@@ -157,6 +159,7 @@ class TrialReport:
             supported_until_lift=self.supported,
             carried_by=self.carried_by,
             object_deviation_mm=self.object_deviation_mm,
+            controller=self.controller,
             events=[
                 EventData(time_s=e.time, kind=e.kind, finger=e.finger, detail=e.detail)
                 for e in self.events
@@ -257,6 +260,7 @@ class ReportFile(StrictData):
     supported_until_lift: bool
     carried_by: Literal["mount", "arm"] = "mount"
     object_deviation_mm: float = 0.0
+    controller: str = ""
     events: list[EventData] = Field(default_factory=list)
     picture: str | None
     picture_reason: str

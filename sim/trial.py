@@ -292,6 +292,7 @@ class Trial:
             supported=task.table_height is None,
             carried_by="mount" if plan.arm is None else "arm",
             object_deviation_mm=1e3 * self.scene.deviation,
+            controller=type(self.controller).__name__,
             events=self.controller.events if isinstance(self.controller, ReportsEvents) else (),
         )
 

@@ -10,19 +10,30 @@ from sim.controllers.base import (
     ReportsEvents,
     ReportsLimits,
 )
+from sim.controllers.closed import ObjectImpedance
 from sim.controllers.events import Event, EventKind
+from sim.controllers.gains import ImpedanceGains
 from sim.controllers.grasp import GraspController
+from sim.controllers.named import CONTROLLERS, named_controller
 from sim.controllers.pads import PadReading
+from sim.controllers.sensing import Sensing
+from sim.controllers.slip import SlipDetector
 
 __all__ = [
+    "CONTROLLERS",
     "PHASES",
     "Controller",
     "Event",
     "EventKind",
     "GraspController",
+    "ImpedanceGains",
+    "ObjectImpedance",
     "Observation",
     "PadReading",
     "Phase",
     "ReportsEvents",
     "ReportsLimits",
+    "Sensing",
+    "SlipDetector",
+    "named_controller",
 ]
