@@ -21,7 +21,7 @@ from sim.scene import PhysicsOptions
 from sim.trial import Timeline, Trial
 
 SHORT = Timeline(
-    approach=0.15,
+    approach=0.3,
     close=0.25,
     close_wait=0.2,
     squeeze=0.25,
@@ -30,7 +30,7 @@ SHORT = Timeline(
     hold=0.6,
     lift_height=0.01,
 )
-"""Long enough to hold the object in the air; 1.5 s simulated."""
+"""Long enough to hold the object in the air; 1.6 s simulated."""
 
 
 @pytest.fixture(scope="module")

@@ -186,7 +186,10 @@ class _Daqp(_Base):
         n = len(qp.q)
         if self._model is None:
             self._model = import_module("daqp").Model()
-            self._model.setup(qp.p, qp.q, qp.a, qp.most, qp.least, self._sense)
+            flag, _ = self._model.setup(qp.p, qp.q, qp.a, qp.most, qp.least, self._sense)
+            if flag < 0:  # limits that contradict each other are found before anything is solved
+                self._model = None
+                return self._nothing(f"exit flag {flag}")
         else:
             # without "sense" it starts from the active rows of its last answer
             self._model.update(H=qp.p, f=qp.q, A=qp.a, bupper=qp.most, blower=qp.least)
