@@ -3,10 +3,10 @@
 A camera that sees the object answers late. The loop takes the object's velocity from the joints,
 which are known at once, so a late pose makes it slower to answer but does not make it swing at
 first. Prints, for some delays, how far the object is moved by a push that begins and ends suddenly,
-how far it swings back, and how much it still moves at the end; the gains stay the same. Draws the
-movement over time in delay.png. With the gains that come along, delays up to some 20 ms cost
-little, and beyond some 50 ms the loop swings and then loses the object: a lower bandwidth is then
-the remedy, shown in the last line.
+how far it swings back, and how much it still moves at the end, all of it in the hand, and draws
+the movement over time in delay.png. With the gains that come along, delays up to some 20 ms cost
+little, from 50 ms on the loop swings. A lower bandwidth is then the remedy, at the price of a
+larger movement: the last line.
 Needs matplotlib: pip install "opposable[plot]".
 """
 
@@ -40,7 +40,7 @@ mass, inertia = felt_inertia(plan, plan.task.object.mass)
 
 
 def pushed(delay_ms: float, share: float) -> tuple[FloatArray, tuple[str, ...]]:
-    """Time since the hold began (s) and movement in the hand along the push (mm), (m, 2); what was noticed."""
+    """Time since the hold began (s) and movement along the push (mm), (m, 2); what was noticed."""
     controller = ObjectImpedance(
         plan,
         gains=ImpedanceGains.of_body(
