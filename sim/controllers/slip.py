@@ -30,13 +30,13 @@ __all__ = [
 SLIP_SPEED, SLIP_TIME = 0.005, 0.01
 """What counts as a slip: this tangential speed (m/s), for this long (s)."""
 
-AVERAGE_TIME = 0.01
+AVERAGE_TIME = 0.008
 """Time constant (s) of the average of the measured velocity: white noise of 2 mm/s at 500 Hz leaves
-0.6 mm/s, and a slip at 6 mm/s is seen some 30 ms after it began."""
+0.7 mm/s, and a slip at 6 mm/s is seen some 20 ms after it began."""
 
-ALARM_SPEED, ALARM_TIME = SLIP_SPEED, SLIP_TIME
-"""Averaged speed (m/s) that raises the alarm when it lasts this long (s): the definition itself.
-Lower ones find slips sooner, and call slower creeping a slip."""
+ALARM_SPEED, ALARM_TIME = 0.0045, 0.008
+"""Averaged speed (m/s) that raises the alarm when it lasts this long (s). A little below what is
+called a slip, so that short ones are found; slower creeping is then sometimes called one."""
 
 LOADED = 0.05
 """Normal force (N) from which on a contact is loaded: below, sliding means that it opens."""
