@@ -173,7 +173,7 @@ def test_a_finger_leaves_and_comes_back(plan: GraspPlan) -> None:
             forces["back"].append(middle)
 
     report = run(plan, controller, on_hold, timeline=replace(SHORT, hold=1.1))
-    assert kinds(controller, "middle") == ["finger leaves", "finger joins", "contact regained"]
+    assert kinds(controller, "middle") == ["finger leaves", "finger joins", "contact found"]
     assert max(forces["away"]) == 0.0
     assert min(forces["back"]) > 0.7 * plan.task.grip_force
     assert report.largest_slip[0] < 3.0
@@ -197,7 +197,7 @@ def test_a_contact_that_is_lost_is_noticed_and_found_again(plan: GraspPlan) -> N
             lost.append(float(trial.data.time))
 
     report = run(plan, controller, on_hold)
-    assert kinds(controller, name)[:2] == ["contact lost", "contact regained"]
+    assert kinds(controller, name)[:2] == ["contact lost", "contact found"]
     noticed = next(e.time for e in controller.events if e.kind == "contact lost")
     assert lost
     assert 0.0 <= noticed - lost[0] <= 0.02

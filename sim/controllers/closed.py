@@ -67,8 +67,8 @@ class ObjectImpedance:
         plan: What is executed.
         law: The impedance, with its gains and the learned load.
         schedule: Which fingers hold, from the squeeze on.
-        T_base_wanted: Where the object is to be kept, in the hand's base; None before the squeeze.
-            May be set.
+        T_palm_wanted: Where the object is to be kept, in the palm; None before the squeeze. May be
+            set.
         forces: (n, 4), contact forces of the last step in the contact frames, N and N m.
         gave_up: Why it gave up, "" while it has not.
     """
@@ -107,7 +107,7 @@ class ObjectImpedance:
             gains = ImpedanceGains.of_body(mass=felt_mass, inertia=inertia)
         self.law = ImpedanceLaw(gains)
         self.schedule = ContactSchedule(np.zeros(n, dtype=bool))
-        self.T_base_wanted: SE3 | None = None
+        self.T_palm_wanted: SE3 | None = None
         self.forces = np.zeros((n, 4))
         self.gave_up = ""
         self._events: list[Event] = []
@@ -131,7 +131,7 @@ class ObjectImpedance:
 
     def limited_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last step wanted."""
-        if self.T_base_wanted is None:
+        if self.T_palm_wanted is None:
             return self._opening.limited_actuators()
         return self._torques.limited_actuators()
 
@@ -154,15 +154,17 @@ class ObjectImpedance:
     def step(self, observation: Observation) -> FloatArray:
         """Commands (nu,) for the hand's actuators."""
         elapsed, self._time = observation.time - self._time, observation.time
-        pose = self._senses.pose(observation)
         if observation.phase in ("approach", "close"):
             return self._opening.step(observation)
         pads = self._senses.pads(observation)
         T_base_world = observation.T_world_base.inverse()
         gravity = T_base_world.rotation @ self.plan.task.gravity
         self._torques.move(observation.q, observation.v, gravity)
-        if self.T_base_wanted is None:
-            self.T_base_wanted = pose
+        T_base_palm = self._torques.T_base_palm
+        exact = T_base_palm.actInv(T_base_world * observation.T_world_object)
+        in_palm = self._senses.pose(observation.time, exact)
+        if self.T_palm_wanted is None:
+            self.T_palm_wanted = in_palm
             self.schedule = ContactSchedule(pads.normal_force > TOUCH_FORCE)
             self._torques.latch()
         self._feel(elapsed, pads, T_base_world)
@@ -172,8 +174,9 @@ class ObjectImpedance:
         ramp = observation.progress if observation.phase == "squeeze" else 1.0
         scale = FIRST_SHARE + (1.0 - FIRST_SHARE) * float(smooth(np.asarray(ramp)))
         holding = self.schedule.holding
+        pose = T_base_palm * in_palm
         twist = self._torques.touch(self._points, pose.translation, holding)
-        wrench = self.law.wrench(self.T_base_wanted, pose, twist)
+        wrench = self.law.wrench(T_base_palm * self.T_palm_wanted, pose, twist)
         wrench[:3] -= self._mass * gravity
         missed = self._distribute(scale * wrench, pose.translation, observation.q, scale)
         if carries and not self.gave_up:
@@ -196,7 +199,7 @@ class ObjectImpedance:
             self._note("contact lost", i, "forces over the others; it searches")
         for i in np.flatnonzero(found).tolist():
             self._torques.latch(i)
-            self._note("contact regained", i, f"felt {pads.normal_force[i]:.2f} N")
+            self._note("contact found", i, f"felt {pads.normal_force[i]:.2f} N")
 
     def _tighten(self, elapsed: float, pads: PadReading) -> None:
         """Answer to slips: press harder, and believe less friction."""

@@ -9,7 +9,7 @@ __all__ = ["Event", "EventKind"]
 
 EventKind: TypeAlias = Literal[
     "contact lost",
-    "contact regained",
+    "contact found",
     "slip",
     "infeasible",
     "feasible again",

@@ -1,7 +1,7 @@
 """``Sensing`` and ``Senses``: what a controller gets to know, with noise and delay.
 
-The object's pose in the hand's base is measured with white noise, and late: what arrives is the
-pose of a moment ago relative to where the base was at that moment. Pads measure force and sliding
+The object's pose in the palm is measured with white noise, and late: what arrives is the pose of a
+moment ago relative to where the palm was at that moment. Pads measure force and sliding
 with white noise. Joints are known exactly and at once. The same seed gives the same noise.
 """
 
@@ -63,15 +63,14 @@ class Senses:
         self._pad_rng = np.random.default_rng(pad_seed)
         self._poses: deque[tuple[float, SE3]] = deque()
 
-    def pose(self, observation: Observation) -> SE3:
-        """T_base_object as it is known now; in the first moments the oldest there is."""
+    def pose(self, time: float, exact: SE3) -> SE3:
+        """T_palm_object as it is known now, from how it is; at first the oldest there is."""
         s = self._sensing
-        exact = observation.T_world_base.actInv(observation.T_world_object)
         noise = self._pose_rng.standard_normal(6)
         turn = pin.exp3(s.turn_noise * noise[3:])
         measured = SE3(turn @ exact.rotation, exact.translation + s.pose_noise * noise[:3])
-        self._poses.append((observation.time, measured))
-        due = observation.time - s.pose_delay + TIME_TOL
+        self._poses.append((time, measured))
+        due = time - s.pose_delay + TIME_TOL
         while len(self._poses) > 1 and self._poses[1][0] <= due:
             self._poses.popleft()
         return self._poses[0][1]

@@ -7,9 +7,9 @@
 
 The spring on the fingertips acts on what their displacements p* - p have beyond those of a rigid
 body: f = K (1 - G^T (G G^T)^-1 G) (p* - p), so that G f = 0. The velocity of that rigid body is
-what the joints know of the object's, as long as the contacts stick. Joints of fingers that take no
-part, and of the wrist, stay where they were by their servos' own stiffness. All of it is in the
-hand's base.
+what the joints know of the object's in the palm, as long as the contacts stick. Joints of fingers
+that take no part, of the wrist and of an arm stay where they were by their servos' own stiffness.
+All of it is in the axes of the hand's base.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from planner.plan import GraspPlan
-from planner.spatial import FloatArray, skew
+from planner.spatial import SE3, FloatArray, skew
 from sim.controllers.grasp import LIMIT_TOL, motor_servo
 
 __all__ = ["HoldingTorques", "grasp_matrix"]
@@ -51,6 +51,7 @@ class HoldingTorques:
     """Kinematics of the fingers that take part, and the commands that press as told.
 
     Attributes:
+        T_base_palm: Pose of the palm.
         centers: (n, 3), centres of the pads, m.
         jacobians: (n, 3, nq), of the pads' material points at the contacts.
         gravity_torque: (nq,), what holds the hand itself, N m.
@@ -61,6 +62,9 @@ class HoldingTorques:
         self._hand, self._fingers = plan.task.hand, plan.task.fingers
         self._data: Any = self._hand.pin_model.createData()
         n, nq = len(self._fingers), self._hand.nq
+        frame = self._hand.pin_model.frames[self._hand.palm_frame_id]
+        self._palm_joint, self._palm_in_joint = frame.parentJoint, SE3(frame.placement)
+        self.T_base_palm = SE3.Identity()
         self.centers = np.zeros((n, 3))
         self.jacobians = np.zeros((n, 3, nq))
         self.gravity_torque = np.zeros(nq)
@@ -85,6 +89,7 @@ class HoldingTorques:
         model, data = self._hand.pin_model, self._data
         pin.computeJointJacobians(model, data, q)
         com_jacobian = pin.jacobianCenterOfMass(model, data, q)
+        self.T_base_palm = data.oMi[self._palm_joint] * self._palm_in_joint
         self.gravity_torque = -data.mass[0] * (gravity @ com_jacobian)
         for i, finger in enumerate(self._fingers):
             joint = finger.pad.joint_id
@@ -95,11 +100,11 @@ class HoldingTorques:
     def latch(self, finger: int | None = None) -> None:
         """Keep the posture and the fingertips as they are now; of one finger, or of all."""
         if finger is None:
-            self._q_ref, self._tips = self._q.copy(), self.centers.copy()
+            self._q_ref, self._tips = self._q.copy(), self._in_palm(self.centers)
             return
         own = self._own[finger]
         self._q_ref[own] = self._q[own]
-        self._tips[finger] = self.centers[finger]
+        self._tips[finger] = self._in_palm(self.centers)[finger]
 
     def touch(
         self, points: FloatArray, center: FloatArray, holding: NDArray[np.bool_]
@@ -107,14 +112,15 @@ class HoldingTorques:
         """Renew the Jacobians for contact points (n, 3); which fingers hold (n,).
 
         Returns:
-            Twist (6,) of the body that the holding fingertips move like, about ``center``.
+            Twist (6,) of the body that the holding fingertips move like, relative to the palm,
+            about ``center``.
         """
         np.subtract(self._full[:, :3], skew(points) @ self._full[:, 3:], out=self.jacobians)
-        self._tip_velocity = self.jacobians @ self._v
+        self._tip_velocity = self.jacobians @ np.where(self._moving, self._v, 0.0)
         mask = holding[:, None]
         grasp = grasp_matrix(points - center) * np.repeat(holding, 3)
         gram = grasp @ grasp.T + RANK_TOL * np.eye(6)
-        apart = np.where(mask, self._tips - self.centers, 0.0)
+        apart = np.where(mask, self._latched() - self.centers, 0.0)
         moved = np.column_stack([self._tip_velocity.ravel(), apart.ravel()])
         rigid = np.linalg.solve(gram, grasp @ moved)
         rest = apart - (rigid[:, 1] @ grasp).reshape(-1, 3)
@@ -137,7 +143,7 @@ class HoldingTorques:
             searching: (n,), which look for the object; the rest stay off it.
         """
         seek = SEARCH_FORCE * normals
-        away = RETREAT_STIFFNESS * (self._tips - RETREAT * normals - self.centers)
+        away = RETREAT_STIFFNESS * (self._latched() - RETREAT * normals - self.centers)
         alone = np.where(searching[:, None], seek, away) - SEARCH_DAMPING * self._tip_velocity
         total = np.where(holding[:, None], forces + self._tip_forces, alone)
         torque = total.ravel() @ self.jacobians.reshape(-1, self._hand.nq) + self.gravity_torque
@@ -157,6 +163,16 @@ class HoldingTorques:
         low, high = actuation.force_limits(self._law_q).T
         beyond = np.flatnonzero((force > high + LIMIT_TOL) | (force < low - LIMIT_TOL))
         return tuple(actuation.names[i] for i in beyond)
+
+    def _in_palm(self, points: FloatArray) -> FloatArray:
+        """Points (n, 3) of the base in the palm."""
+        T = self.T_base_palm
+        return np.asarray((points - T.translation) @ T.rotation)
+
+    def _latched(self) -> FloatArray:
+        """Where the fingertips (n, 3) were when latched, with the palm where it is now."""
+        T = self.T_base_palm
+        return np.asarray(self._tips @ T.rotation.T + T.translation)
 
     def _idle_part(self, bent: FloatArray) -> FloatArray:
         """Spring torque (nq,) on the posture that presses nowhere: torque - J^T f, f least squares.
