@@ -6,20 +6,25 @@ DAQP (Arnström, Bemporad, Axehill, "A dual active-set solver for embedded quadr
 using recursive LDL' updates", 2022) solves the quadratic ones of this project to rounding in 20 to
 300 us, HiGHS the linear ones in 0.2 to 1 ms. CasADi's call by arguments would add 0.25 ms of
 converting; through its buffers it adds 10 us. What is said to be solved is checked to be allowed.
+
+Where the package highspy is installed its library bears the name of CasADi's: of the two the first
+that is loaded serves both, and the process dies. There SciPy's own HiGHS is asked, in 3 ms.
 """
 
 from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any, Literal
+from importlib.util import find_spec
+from typing import Any, Literal, Protocol
 
 import casadi as ca
 import numpy as np
+from scipy.optimize import linprog
 
 from planner.spatial import FloatArray
 
-__all__ = ["Programme", "programme"]
+__all__ = ["Programme", "ScipyProgramme", "programme"]
 
 _OPTIONS: dict[str, dict[str, Any]] = {
     "daqp": {"daqp": {"primal_tol": 1e-10}},
@@ -34,6 +39,9 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 }
 """HiGHS at its tightest; presolve costs more time than it saves at these sizes."""
 
+INFEASIBLE = 2
+"""SciPy's status of a programme in which nothing is allowed."""
+
 KEPT = 64
 """Solvers that are kept, one for every size."""
 
@@ -42,8 +50,27 @@ FEASIBLE_TOL = 1e-8
 as a solution. DAQP is a dual method: what it gives is the minimum if it is allowed."""
 
 
-class Programme:
+class Programme(Protocol):
     """A solver for programmes of one size."""
+
+    @property
+    def row_prices(self) -> FloatArray:
+        """After a solution: change of the least cost per unit of each row's limit, (m,)."""
+
+    @property
+    def bound_prices(self) -> FloatArray:
+        """The same of the bounds, (n,): >= 0 at a lower, <= 0 at an upper bound."""
+
+    def solve(self, **values: FloatArray) -> FloatArray | None:
+        """The minimiser (n,), None where there is none.
+
+        Args:
+            **values: h (n, n), symmetric; g (n,); a (m, n); lba, uba (m,); lbx, ubx (n,).
+        """
+
+
+class _CasadiProgramme:
+    """Through CasADi's buffers."""
 
     def __init__(self, solver: Literal["daqp", "highs"], n: int, m: int) -> None:
         """Make it for n unknowns and m rows; HiGHS for H = 0."""
@@ -68,20 +95,13 @@ class Programme:
 
     @property
     def row_prices(self) -> FloatArray:
-        """After a solution: change of the least cost per unit of each row's limit, (m,)."""
         return -self._rows
 
     @property
     def bound_prices(self) -> FloatArray:
-        """The same of the bounds, (n,): >= 0 at a lower, <= 0 at an upper bound."""
         return -self._bounds
 
     def solve(self, **values: FloatArray) -> FloatArray | None:
-        """The minimiser (n,), None where there is none.
-
-        Args:
-            **values: h (n, n), symmetric; g (n,); a (m, n); lba, uba (m,); lbx, ubx (n,).
-        """
         # DAQP does not end where it is given NaN
         if not math.isfinite(sum(float(values[k].sum()) for k in ("h", "g", "a") if k in values)):
             return None
@@ -90,16 +110,60 @@ class Programme:
         self._x.fill(np.nan)
         self._run()
         x = self._x.copy()
-        rows, size = values["a"] @ x, max(1.0, float(np.abs(x).max()))
-        for part, low, high in ((rows, "lba", "uba"), (x, "lbx", "ubx")):
-            # where there is no solution, what is left in the buffer is none either; NaN too
-            outside = np.maximum(values[low] - part, part - values[high])
-            if not outside.max(initial=0.0) <= FEASIBLE_TOL * size:
-                return None
-        return x
+        return x if _is_allowed(x, values) else None
+
+
+class ScipyProgramme:
+    """The linear ones by SciPy.
+
+    Attributes:
+        infeasible: After a failure: whether the solver says that nothing is allowed.
+    """
+
+    row_prices: FloatArray
+    bound_prices: FloatArray
+    infeasible = False
+
+    def solve(self, **values: FloatArray) -> FloatArray | None:
+        """As ``Programme.solve``."""
+        a, low, high = values["a"], values["lba"], values["uba"]
+        equal = low == high
+        up, down = ~equal & np.isfinite(high), ~equal & np.isfinite(low)
+        found = linprog(
+            values["g"],
+            A_eq=a[equal],
+            b_eq=low[equal],
+            A_ub=np.vstack([a[up], -a[down]]),
+            b_ub=np.concatenate([high[up], -low[down]]),
+            bounds=np.column_stack([values["lbx"], values["ubx"]]),
+            method="highs-ds",
+            options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
+        )
+        self.infeasible = found.status == INFEASIBLE
+        if found.status != 0 or not _is_allowed(found.x, values):
+            return None
+        self.row_prices = np.zeros(len(low))
+        self.row_prices[equal] = found.eqlin.marginals
+        of_upper, of_lower = np.split(found.ineqlin.marginals, [int(up.sum())])
+        self.row_prices[up] += of_upper
+        self.row_prices[down] -= of_lower
+        self.bound_prices = found.lower.marginals + found.upper.marginals
+        return np.asarray(found.x)
+
+
+def _is_allowed(x: FloatArray, values: dict[str, FloatArray]) -> bool:
+    """Whether rows and bounds are kept; not so where the buffer holds what is no solution."""
+    size = max(1.0, float(np.abs(x).max()))
+    for part, low, high in ((values["a"] @ x, "lba", "uba"), (x, "lbx", "ubx")):
+        outside = np.maximum(values[low] - part, part - values[high])
+        if not outside.max(initial=0.0) <= FEASIBLE_TOL * size:  # NaN too
+            return False
+    return True
 
 
 @lru_cache(maxsize=KEPT)
 def programme(solver: Literal["daqp", "highs"], n: int, m: int) -> Programme:
     """The solver for a size; the last few are kept."""
-    return Programme(solver, n, m)
+    if solver == "highs" and find_spec("highspy") is not None:
+        return ScipyProgramme()
+    return _CasadiProgramme(solver, n, m)

@@ -187,6 +187,7 @@ ALLOWED = {
         "contacts",
         "forces",
         "plan",
+        "programme",
         "quality",
         "shapes",
     ),

@@ -69,6 +69,11 @@ EXPECTED: dict[str, tuple[str, ...]] = {
         "0.5 of it, fingers of unlimited strength: held",
         "pose turn:",
     ),
+    "13_forces": (
+        "little at most 0.0 N: 0.85, 0.85, 0.85, 0.85, 0.00 N, balanced: True",
+        "200 programmes of 15 unknowns and 51 rows",
+        "at most 0.2 N per finger: 0.55 N of 0.98 N are left over",
+    ),
     "14_open_and_closed_loop": ("closed / open any controller", "sideways", "loop.png"),
     "15_pyramid_and_cone": ("round cones hold", "inscribed 8 0.9", "circumscribed 8 1.0"),
     "16_delay": ("0 60", "100 24", "delay.png"),

@@ -11,7 +11,7 @@ import qpsolvers
 from scipy.optimize import linprog
 from scipy.sparse import csc_matrix
 
-from planner.programme import programme
+from planner.programme import ScipyProgramme, programme
 from planner.spatial import FloatArray
 
 INF = np.inf
@@ -90,6 +90,29 @@ def test_the_linear_solver_and_its_prices_agree_with_scipy(seed: int) -> None:
     np.testing.assert_allclose(solver.row_prices, rows, rtol=0, atol=1e-8)
     bounds = theirs.lower.marginals + theirs.upper.marginals
     np.testing.assert_allclose(solver.bound_prices, bounds, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_both_linear_solvers_agree_on_rows_limited_on_both_sides(seed: int) -> None:
+    given = quadratic(np.random.default_rng(seed))
+    del given["h"]
+    given["uba"] = given["lba"] + np.append(np.zeros(2), np.full(5, 0.3))
+    one, other = programme("highs", 6, 7), ScipyProgramme()
+    mine, theirs = one.solve(**given), other.solve(**given)
+    assert (mine is None) == (theirs is None) == other.infeasible
+    if mine is not None and theirs is not None:
+        assert given["g"] @ mine == pytest.approx(given["g"] @ theirs, abs=1e-9)
+        np.testing.assert_allclose(one.row_prices, other.row_prices, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(one.bound_prices, other.bound_prices, rtol=0, atol=1e-8)
+
+
+def test_beside_a_second_library_of_the_same_name_scipy_is_asked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("planner.programme.find_spec", lambda name: name)
+    assert isinstance(programme("highs", 5, 41), ScipyProgramme)
+    assert not isinstance(programme("daqp", 5, 41), ScipyProgramme)
+    programme.cache_clear()
 
 
 @pytest.mark.parametrize("solver", ["daqp", "highs"])

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 
 from planner.errors import NotFoundError
-from planner.programme import Programme
+from planner.programme import programme
 from planner.spatial import FloatArray
 
 __all__ = ["QUICK_SOLVER", "DenseQp", "KeptSolver", "keep_solver", "solver_names"]
@@ -33,6 +33,12 @@ MAX_ITERATIONS = 4000
 
 _DAQP_EQUALITY = 5
 """DAQP's mark of a row that is an equality."""
+
+_PIQP_OPEN = 1e9
+"""Upper limit of a row without limits (N), about which PIQP would print three lines a step."""
+
+_GAP = 1e-10
+"""Clarabel's duality gaps: at its own 1e-8 forces were 9 mN off, where the cost is flat."""
 
 _OSQP_SOLVED = 1
 """OSQP's status of an answer within its tolerance."""
@@ -155,7 +161,7 @@ class _CasadiDaqp(_Base):
 
     def __init__(self, qp: DenseQp) -> None:
         super().__init__(qp)
-        self._programme = Programme("daqp", qp.a.shape[1], len(qp.a))
+        self._programme = programme("daqp", qp.a.shape[1], len(qp.a))
 
     def solve(self) -> bool:
         qp = self.qp
@@ -184,10 +190,10 @@ class _Daqp(_Base):
     def solve(self) -> bool:
         qp = self.qp
         n = len(qp.q)
-        if self._model is None:
+        if self._model is None or not len(qp.a):  # its update refuses a programme without rows
             self._model = import_module("daqp").Model()
             flag, _ = self._model.setup(qp.p, qp.q, qp.a, qp.most, qp.least, self._sense)
-            if flag < 0:  # limits that contradict each other are found before anything is solved
+            if flag < 0:  # a row of zeros, or equalities that contradict each other
                 self._model = None
                 return self._nothing(f"exit flag {flag}")
         else:
@@ -295,7 +301,8 @@ class _Piqp(_Base):
         qp, k = self.qp, self.qp.equalities
         a = np.asfortranarray(qp.a[:k]), np.asfortranarray(qp.a[k:])
         call = self._solver.update if self._used else self._solver.setup
-        call(qp.p, qp.q, a[0], qp.low[:k], a[1], qp.low[k:], qp.high[k:], qp.lower, qp.upper)
+        high = np.where(np.isinf(qp.low[k:]), np.minimum(qp.high[k:], _PIQP_OPEN), qp.high[k:])
+        call(qp.p, qp.q, a[0], qp.low[:k], a[1], qp.low[k:], high, qp.lower, qp.upper)
         self._used = True
         status = self._solver.solve()
         result = self._solver.result
@@ -316,40 +323,45 @@ class _AnyQpsolver(_Base):
     def __init__(self, name: str, qp: DenseQp, tolerance: float) -> None:
         super().__init__(qp)
         self._name = name
-        self._options = {"clarabel": {"tol_feas": tolerance, "max_threads": 1}}.get(name, {})
+        self._options = {
+            "clarabel": {"tol_feas": tolerance, "tol_gap_abs": _GAP, "tol_gap_rel": _GAP}
+        }.get(name, {})
 
     def solve(self) -> bool:
+        """Solve in units of the largest limit: quadprog goes round for ever on 1e4."""
         qp, k = self.qp, self.qp.equalities
         high, low = np.isfinite(qp.high[k:]), np.isfinite(qp.low[k:])
+        size = max(1.0, float(np.abs(qp.limits).max(where=np.isfinite(qp.limits), initial=0.0)))
         matrix: Any = np.asarray if self._name in qpsolvers.dense_solvers else csc_matrix
-        programme = qpsolvers.Problem(
+        task = qpsolvers.Problem(
             P=matrix(qp.p),
-            q=qp.q,
+            q=qp.q / size,
             G=matrix(np.vstack([qp.a[k:][high], -qp.a[k:][low]])),
-            h=np.concatenate([qp.high[k:][high], -qp.low[k:][low]]),
+            h=np.concatenate([qp.high[k:][high], -qp.low[k:][low]]) / size,
             A=matrix(qp.a[:k]) if k else None,
-            b=qp.low[:k] if k else None,
-            lb=qp.lower,
-            ub=qp.upper,
+            b=qp.low[:k] / size if k else None,
+            lb=qp.lower / size,
+            ub=qp.upper / size,
         )
         with warnings.catch_warnings():
             # that a solver found no solution is told by the return value
             warnings.simplefilter("ignore")
             try:
-                solution = qpsolvers.solve_problem(programme, solver=self._name, **self._options)
+                solution = qpsolvers.solve_problem(task, solver=self._name, **self._options)
             except (qpsolvers.ProblemError, qpsolvers.SolverError, ValueError) as error:
                 return self._nothing(str(error))
         if not solution.found or solution.x is None:
             return self._nothing("no solution")
         m = len(qp.a)
-        self.x[:], self.status = solution.x, "solved"
+        self.x[:], self.status = size * np.asarray(solution.x), "solved"
         if solution.z is None or solution.z_box is None or (k and solution.y is None):
             self.duals.fill(np.nan)
             return True
-        self.duals[:k] = solution.y if k else 0.0
+        z = np.asarray(solution.z)
         rows = np.zeros(m - k)
-        rows[high] = solution.z[: high.sum()]
-        rows[low] -= solution.z[high.sum() :]
-        self.duals[k:m] = rows
-        self.duals[m:] = solution.z_box
+        rows[high] = z[: high.sum()]
+        rows[low] -= z[high.sum() :]
+        self.duals[:k] = solution.y if k else 0.0
+        self.duals[k:m], self.duals[m:] = rows, solution.z_box
+        self.duals *= size
         return True

@@ -65,7 +65,7 @@ def cone_gaps(
         contacts: n contacts.
         wrenches: External wrenches, one programme each.
         sides: Numbers of sides.
-        **arguments: As for ``build_force_problem``; ``wrench``, ``cone`` and ``edges`` are not read.
+        **arguments: As for ``build_force_problem``; ``wrench``, ``cone``, ``edges`` are not read.
 
     Raises:
         ContactError: The arguments do not fit together.

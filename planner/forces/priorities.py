@@ -22,9 +22,15 @@ from planner.spatial import FloatArray
 
 __all__ = ["LeastViolation", "least_violation"]
 
-COST_SHARE = 1e-8
-"""Cost of forces in level 1, beside that of what is left over (-): makes the programme strictly
-convex, and adds forces times this to what is left over."""
+NEARNESS = 1e-4
+"""Cost of a change of forces in a round of level 1, beside that of what is left over (-): it makes
+the programme strictly convex, and fades as rounds agree."""
+
+ROUNDS = 20
+"""Most rounds of level 1 (-); 3 to 6 were needed."""
+
+AGREED = 1e-9
+"""Change of what is left over at which rounds agree, in units of the force scale (-)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,10 +66,9 @@ def least_violation(problem: ForceProblem) -> LeastViolation:
     solution = solve_force_problem(problem, solver=solver)
     if solution.found:
         return LeastViolation(solution=solution, left_over=np.zeros(6), size=0.0)
-    x, _ = minimise(_relaxed(problem), solver)
-    if not np.isfinite(x).all():
+    wrench = _nearest_wrench(problem, solver)
+    if wrench is None:
         return LeastViolation(solution=solution, left_over=problem.wrench, size=np.inf)
-    wrench = problem.equality[:6] @ x[: len(problem.column_names)]
     size = float(np.linalg.norm(problem.row_scale[:6] * (wrench + problem.wrench)))
     if size <= RESIDUAL_TOL * problem.force_scale:  # the solver missed forces that exist
         return LeastViolation(solution=solution, left_over=np.zeros(6), size=0.0)
@@ -79,17 +84,39 @@ def least_violation(problem: ForceProblem) -> LeastViolation:
     )
 
 
+def _nearest_wrench(problem: ForceProblem, solver: str) -> FloatArray | None:
+    """What contacts can do (6,) that is nearest to minus the wrench; None if nothing is allowed.
+
+    Rounds of the proximal-point method: each adds the cost of leaving the forces of the last.
+    """
+    relaxed = _relaxed(problem)
+    near = relaxed.quadratic.copy()
+    near[-6:] = 0.0  # forces alone
+    x = np.zeros(len(near))
+    wrench: FloatArray | None = None
+    for _ in range(ROUNDS):
+        x, _ = minimise(replace(relaxed, linear=-near @ x), solver)
+        if not np.isfinite(x).all():
+            return wrench
+        last, wrench = wrench, problem.equality[:6] @ x[:-6]
+        if last is not None:
+            change = np.abs(problem.row_scale[:6] * (wrench - last)).max()
+            if change <= AGREED * problem.force_scale:
+                break
+    return wrench
+
+
 def _relaxed(problem: ForceProblem) -> ForceProblem:
-    """Level 1: the residual has columns and the cost, forces next to none."""
+    """Level 1: the residual has columns and the cost, forces cost ``NEARNESS`` of theirs."""
     nx, scale = len(problem.column_names), problem.row_scale[:6]
     wide = np.vstack([-np.eye(6), np.zeros((len(problem.equality) - 6, 6))])
     quadratic = np.zeros((nx + 6, nx + 6))
-    quadratic[:nx, :nx] = COST_SHARE * problem.quadratic
+    quadratic[:nx, :nx] = NEARNESS * np.diag(1.0 / problem.column_scale**2)
     quadratic[nx:, nx:] = np.diag(scale**2)
     return replace(
         problem,
         quadratic=quadratic,
-        linear=np.concatenate([COST_SHARE * problem.linear, np.zeros(6)]),
+        linear=np.zeros(nx + 6),
         equality=np.hstack([problem.equality, wide]),
         faces=np.hstack([problem.faces, np.zeros((len(problem.faces), 6))]),
         cones=np.hstack([problem.cones, np.zeros((len(problem.cones), 6))]),
