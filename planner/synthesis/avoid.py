@@ -25,7 +25,13 @@ from numpy.typing import NDArray
 
 from planner.hand import Hand
 from planner.spatial import FloatArray, IntArray
-from planner.synthesis.clearance import LinkBall, finger_bones, margin_of, meeting_bones
+from planner.synthesis.clearance import (
+    LinkBall,
+    closest_on_segments,
+    finger_bones,
+    margin_of,
+    meeting_bones,
+)
 from planner.synthesis.nlp import Field
 from planner.synthesis.surfaces import Surface, box_clearance
 from planner.synthesis.terms import Formulation
@@ -229,10 +235,7 @@ class Avoidance:
             return []
         first, second = self._pairs[bad].T
         inner, outer = self._found["inner"], self._found["outer"]
-        start, end = inner[second], outer[first]
-        along, arm = outer[second] - start, end - start
-        square = np.maximum((along * along).sum(axis=1), TINY)
-        foot = start + np.clip((arm * along).sum(axis=1) / square, 0.0, 1.0)[:, None] * along
+        end, foot = closest_on_segments(inner[first], outer[first], inner[second], outer[second])
         twice = 2.0 * (end - foot)
         rates = self._turned(self._bones, first, twice, _cross(end, twice))
         rates -= self._turned(self._bones, second, twice, _cross(foot, twice))
@@ -245,9 +248,6 @@ _Part = tuple[int, FloatArray, FloatArray]
 """Number of a term, values (k,), derivatives (k, n)."""
 
 _NONE = np.zeros(0)
-
-TINY = 1e-18
-"""Square (m2) of a length that is none."""
 
 
 def _avoiding(

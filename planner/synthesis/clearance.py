@@ -3,9 +3,9 @@
 Smooth distances are cheap for a ball: the clearance of its centre less its radius. Against the
 object, links are filled with balls, so the NLP sees a slightly smaller link. Against the table the
 hull's corners are enough, and exact for spheres, capsules and boxes: a capsule's two ends, a
-box's eight corners, a prism around a cylinder (balls of radius 0). Between fingers the ends of
-links keep away from the bones of the others, where they can meet at all. The verdict on the true
-geometry is coal's (``planner.synthesis.verify``).
+box's eight corners, a prism around a cylinder (balls of radius 0). Between fingers the bones of
+links, which are capsules, keep away from each other where they can meet at all. The verdict on the
+true geometry is coal's (``planner.synthesis.verify``).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import product
+from itertools import combinations
 from typing import Any
 
 import casadi as ca
@@ -33,6 +33,7 @@ __all__ = [
     "ClearanceTerms",
     "LinkBall",
     "LinkBone",
+    "closest_on_segments",
     "finger_bones",
     "hull_balls",
     "link_balls",
@@ -144,20 +145,33 @@ class ClearanceTerms:
         ]
 
     def between_fingers(self, margin: Any) -> list[Any]:
-        """Squared distance of link ends from other fingers' bones, less the least allowed (m2)."""
+        """Squared distance of bones of different fingers, less the least allowed (m2)."""
         bones = finger_bones(self.hand)
-        inner = [self._place(b.joint_id, b.inner) for b in bones]
-        outer = [self._place(b.joint_id, b.outer) for b in bones]
+        ends = [(self._place(b.joint_id, b.inner), self._place(b.joint_id, b.outer)) for b in bones]
         out = []
         for i, j in meeting_bones(self.hand):
-            arm = outer[i] - inner[j]
-            length = float(np.linalg.norm(bones[j].outer - bones[j].inner))
-            if length > BALL_LENGTH:
-                along = outer[j] - inner[j]
-                share = ca.fmin(ca.fmax(ca.dot(arm, along) / length**2, 0), 1)
-                arm = arm - share * along
+            arm = between_segments(*ends[i], *ends[j])
             out.append(ca.sumsqr(arm) - (bones[i].radius + bones[j].radius + margin) ** 2)
         return out
+
+
+def between_segments(p1: Any, q1: Any, p2: Any, q2: Any) -> Any:
+    """The shortest way (3,) from segment p1 q1 to segment p2 q2, as an expression.
+
+    Ericson, Real-time collision detection, section 5.1.9.
+    """
+    along, other, apart = q1 - p1, q2 - p2, p1 - p2
+    a, e = ca.sumsqr(along), ca.sumsqr(other)
+    a, e = ca.fmax(a, BALL_LENGTH**2), ca.fmax(e, BALL_LENGTH**2)
+    b, c, f = ca.dot(along, other), ca.dot(along, apart), ca.dot(other, apart)
+    s = _share((b * f - c * e) / ca.fmax(a * e - b * b, PARALLEL * a * e))
+    t = _share((b * s + f) / e)
+    s = _share((b * t - c) / a)
+    return p2 + t * other - p1 - s * along
+
+
+def _share(value: Any) -> Any:
+    return ca.fmin(ca.fmax(value, 0), 1)
 
 
 def margin_of(ball: LinkBall, touching: Sequence[str]) -> str | None:
@@ -291,7 +305,7 @@ def finger_bones(hand: Hand) -> tuple[LinkBone, ...]:
 def _bone(hand: Hand, geometry: LinkGeometry, finger: str) -> tuple[FloatArray, float]:
     """Ends (2, 3), m, of a bone, and its radius (m): of bars, half width to half diagonal."""
     centers, radii = fill(geometry)
-    if not is_bar(hand, geometry, finger):
+    if geometry.kind != "box":
         return centers[[0, -1]], float(radii.max())
     points = span(geometry)[0]
     lower, upper = points.min(axis=0), points.max(axis=0)
@@ -306,18 +320,16 @@ def _bone(hand: Hand, geometry: LinkGeometry, finger: str) -> tuple[FloatArray, 
 
 @lru_cache(maxsize=8)
 def meeting_bones(hand: Hand) -> tuple[tuple[int, int], ...]:
-    """Pairs (i, j) of ``finger_bones``: the outer end of i can meet bone j of another finger.
+    """Pairs (i, j), i < j, of ``finger_bones`` of different fingers that can meet.
 
     Found by sampling the joint ranges: most pairs of fingers that are not neighbours never meet.
     What sampling misses, the verdict on the true geometry catches.
     """
     bones = finger_bones(hand)
     pairs = [
-        (i, j)
-        for i, j in product(range(len(bones)), repeat=2)
-        if bones[i].finger != bones[j].finger
+        (i, j) for i, j in combinations(range(len(bones)), 2) if bones[i].finger != bones[j].finger
     ]
-    first, second = np.array(pairs).reshape(-1, 2).T
+    first, second = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
     joint = np.array([b.joint_id for b in bones])
     ends = np.array([[b.inner, b.outer] for b in bones])  # (n_bones, 2, 3)
     radius = np.array([b.radius for b in bones])
@@ -333,13 +345,25 @@ def meeting_bones(hand: Hand) -> tuple[tuple[int, int], ...]:
         turn = np.array([pose.rotation for pose in poses])[joint]
         shift = np.array([pose.translation for pose in poses])[joint]
         at = np.einsum("nij,nkj->nki", turn, ends) + shift[:, None]
-        inner, along = at[second, 0], at[second, 1] - at[second, 0]
-        arm = at[first, 1] - inner
-        square = np.maximum((along**2).sum(axis=1), BALL_LENGTH**2)
-        share = np.clip((arm * along).sum(axis=1) / square, 0.0, 1.0)
-        times += np.linalg.norm(arm - share[:, None] * along, axis=1) < least
+        one, other = closest_on_segments(at[first, 0], at[first, 1], at[second, 0], at[second, 1])
+        times += np.linalg.norm(other - one, axis=1) < least
     meets = times >= OFTEN * MEETING_SAMPLES
     return tuple((int(i), int(j)) for i, j in zip(first[meets], second[meets], strict=True))
+
+
+def closest_on_segments(
+    p1: FloatArray, q1: FloatArray, p2: FloatArray, q2: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Nearest points (k, 3) on segments p1 q1 and on p2 q2, as ``between_segments``."""
+    along, other, apart = q1 - p1, q2 - p2, p1 - p2
+    a = np.maximum((along * along).sum(axis=1), BALL_LENGTH**2)
+    e = np.maximum((other * other).sum(axis=1), BALL_LENGTH**2)
+    b, c = (along * other).sum(axis=1), (along * apart).sum(axis=1)
+    f = (other * apart).sum(axis=1)
+    s = np.clip((b * f - c * e) / np.maximum(a * e - b * b, PARALLEL * a * e), 0.0, 1.0)
+    t = np.clip((b * s + f) / e, 0.0, 1.0)
+    s = np.clip((b * t - c) / a, 0.0, 1.0)
+    return p1 + s[:, None] * along, p2 + t[:, None] * other
 
 
 OFTEN = 0.01
@@ -354,6 +378,9 @@ MEETING_MARGIN = 0.005
 
 BALL_LENGTH = 1e-6
 """Length (m) below which a bone is a ball."""
+
+PARALLEL = 1e-9
+"""Squared sine below which two segments are parallel (-)."""
 
 
 def _ball(

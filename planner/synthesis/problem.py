@@ -21,7 +21,7 @@ Terms (named residuals, each an equality or an inequality):
     object   clearance of link balls            >= 0    (the true links may be a little nearer)
     table    height of all balls over the table >= 0
     obstacle clearance of balls from obstacles  >= 0
-    fingers  squared distance of link ends from bones of other fingers, less the least  >= 0
+    fingers  squared distance of bones of different fingers, less the least     >= 0
     coupling C q - d                             = 0
     arm      where the arm's joints put its last link, less where s and t put it = 0
 

@@ -52,6 +52,9 @@ leaves no room: least squares end on the wrong side of an inequality by a little
 COST_SHARE = 0.2
 """Residual of one unit of the square root of the cost, which ranks grasps but must not outweigh
 contact. With half of it forces are infeasible more often, with twice of it descents are slower."""
+EDGE_SHARE = 20.0
+"""Residual of one unit of slope that the smooth distance lacks at a contact: an edge lacks 0.2."""
+
 QUALITY_SHARE = 15.0
 """Residual of one unit of missing resistance: enough to move contacts by centimetres. What it costs
 the terms is mended by a last descent without it."""
@@ -80,7 +83,10 @@ class Residuals:
         self._points = points if points is not None and len(points) else None
         tau = ca.SX(0, 1) if self._points is None else self._points.symbols
         rows = [WEIGHTS[t.name] * (t.expression - SPARE.get(t.name, 0.0)) for t in terms]
-        rows += [COST_SHARE * formulation.cost_rows, QUALITY_SHARE * formulation.quality_rows]
+        sided = ca.vertcat(
+            EDGE_SHARE * formulation.edge_rows, QUALITY_SHARE * formulation.quality_rows
+        )
+        rows += [COST_SHARE * formulation.cost_rows, sided]
         residual = ca.densify(ca.vertcat(*rows))
         jacobian = ca.jacobian(residual, x)
         sizes = [t.expression.numel() for t in terms]
@@ -88,9 +94,7 @@ class Residuals:
         self._n_terms = self.n_terms = sum(sizes)
         both = [t.equality for t, m in zip(terms, sizes, strict=True) for _ in range(m)]
         self._both: NDArray[np.bool_] = np.array(
-            both
-            + [True] * formulation.cost_rows.numel()
-            + [False] * formulation.quality_rows.numel()
+            both + [True] * formulation.cost_rows.numel() + [False] * sided.numel()
         )
         self._x, self._p, self._tau = (np.zeros(v.numel()) for v in (x, p, tau))
         self._values = np.zeros(residual.numel())
@@ -134,9 +138,9 @@ class Residuals:
         self._x[:] = x
         if self._field is not None:
             points = self.formulation.unknowns.points(x)
-            # first derivatives of the residuals need one order less than the NLP's second ones
             taylor = self._tau.reshape(len(points), 3 + THIRD)
             taylor[:, :3] = points
+            # first derivatives of the residuals need one order less than the NLP's second ones
             taylor[:, 3:13] = self._field.taylor(points, 2)
         self._call()
         self._jacobian.ravel()[self._at] = self._entries

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -94,6 +95,10 @@ class Surface(ABC):
     @abstractmethod
     def surface_error(self, size: Any, code: Any, p: Any) -> Any:
         """Zero on the patch; m near it. None where the bounds of the patch fix the point."""
+
+    def flatness(self, size: Any, p: Any) -> Any:
+        """At least 0 (-) at a contact off edges; None where patches keep contacts off them."""
+        return None
 
     @abstractmethod
     def clearance(self, size: Any, c: Any) -> Any:
@@ -313,7 +318,7 @@ class _MeshSurface(Surface):
         return shape.field()
 
     def size(self, shape: Mesh) -> FloatArray:
-        return np.zeros(SIZE_DIM)
+        return np.array([_steepness(shape), 0.0, 0.0])
 
     def patches(self, shape: Mesh) -> tuple[Patch, ...]:
         return (_everywhere("surface", 2 * shape.half_extents),)
@@ -328,8 +333,30 @@ class _MeshSurface(Surface):
     def surface_error(self, size: Any, code: Any, p: Any) -> Any:
         return self.field.on_surface(p)[0]
 
+    def flatness(self, size: Any, p: Any) -> Any:
+        gradient = self.field.on_surface(p)[1]
+        return (ca.sumsqr(gradient) - size[0] ** 2) / (2 * size[0])
+
     def clearance(self, size: Any, c: Any) -> Any:
         return self.field.value(c)
+
+
+STEEP = 0.93
+"""Slope (-) of the smooth distance from which on a contact is off edges. The slope is the length of
+the mean of the normals within the smoothing's reach: 1 on flat and evenly round places, 0.75 on a
+right-angled edge. On seven meshes 99 % of the places that the verdict calls edges have less, and 60
+to 100 % of the others more."""
+
+SAMPLES = 1000
+"""Surface points from which the usual slope is estimated: on thin walls it is less everywhere."""
+
+
+@lru_cache(maxsize=16)
+def _steepness(mesh: Mesh) -> float:
+    """Slope (-) of the smooth distance from which on a place of a mesh is no edge."""
+    points, _ = mesh.surface_samples(SAMPLES, np.random.default_rng(0))
+    slopes = np.linalg.norm(mesh.field().taylor(points, 1)[:, 1:4], axis=1)
+    return min(STEEP, float(np.median(slopes)))
 
 
 _SURFACES: dict[str, Surface] = {

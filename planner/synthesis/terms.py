@@ -64,6 +64,7 @@ class Formulation:
         surroundings: Table and obstacles.
         terms: Constraints.
         cost_rows: The cost is the sum of their squares.
+        edge_rows: Negative (-) where a contact is on an edge; a cost of least squares alone.
         quality_rows: How much the grasp resists in given directions, less what is aimed at; a cost
             where negative.
     """
@@ -77,6 +78,7 @@ class Formulation:
     surroundings: Surroundings
     terms: tuple[Term, ...]
     cost_rows: Any
+    edge_rows: Any
     quality_rows: Any
 
     @cached_property
@@ -135,6 +137,7 @@ def formulate(
     above: dict[str, list[Any]] = {"facing": [], "cone": [], "press": []}
     normal_forces, torque = [], ca.SX.zeros(hand.nq)
     cost_rows: list[Any] = []
+    edge_rows: list[Any] = []
     for i, finger in enumerate(fingers):
         pad = finger.pad
         center_base = symbolic.point(pad.joint_id, pad.center)
@@ -142,6 +145,9 @@ def formulate(
         error = surface.surface_error(size, codes[i], points[i])
         if error is not None:
             equal["surface"].append(error)
+        flatness = surface.flatness(size, points[i])
+        if flatness is not None:
+            edge_rows.append(flatness)
         axis = rotation @ symbolic.direction(pad.joint_id, pad.axis)
         rim = max(pad.half_angle - surface.normal_error, 0.0)
         above["facing"].append(-ca.dot(axis, normals[i]) - float(np.cos(rim)))
@@ -216,6 +222,7 @@ def formulate(
         terms=terms,
         quality_rows=ca.vertcat(*quality_rows),
         cost_rows=ca.vertcat(*cost_rows),
+        edge_rows=ca.vertcat(*edge_rows),
     )
 
 
