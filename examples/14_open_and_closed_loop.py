@@ -48,6 +48,7 @@ def push_until_it_breaks(controller: str, direction: FloatArray) -> FloatArray:
         controller=CONTROLLERS[controller](plan),
         physics=PhysicsOptions(mu=MU),
         timeline=replace(QUICK, hold=LARGEST / RATE),
+        record_every=0.1,
     )
     rows: list[tuple[float, float, float]] = []
     start: list[tuple[float, SE3]] = []

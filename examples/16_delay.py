@@ -26,7 +26,7 @@ OBJECT = "sphere"
 SEED = 0
 PUSH = np.array([0.0, 3.0, 0.0])  # world axes, N: three times the object's weight
 BEGIN, END, HOLD = 0.2, 0.6, 1.2  # of the push, and of the hold, s since the hold began
-CASES = ((0, 1.0), (10, 1.0), (20, 1.0), (50, 1.0), (100, 1.0), (100, 0.4))  # ms, of the bandwidth
+CASES = ((0, 1.0), (20, 1.0), (50, 1.0), (100, 1.0), (100, 0.4))  # ms, of the bandwidth
 QUICK = Timeline(
     approach=0.3, close=0.3, squeeze=0.3, settle=0.1, lift=0.2, hold=HOLD, lift_height=0.02
 )
@@ -65,7 +65,7 @@ def pushed(delay_ms: float, share: float) -> tuple[FloatArray, tuple[str, ...]]:
         along = (palm.rotation @ (place - start[0][1])) @ PUSH / np.linalg.norm(PUSH)
         rows.append((since, 1e3 * float(along)))
 
-    Trial(plan, controller=controller, timeline=QUICK).run(on_step=on_step)
+    Trial(plan, controller=controller, timeline=QUICK, record_every=0.1).run(on_step=on_step)
     return np.array(rows), tuple(event.kind for event in controller.events)
 
 

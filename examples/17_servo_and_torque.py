@@ -83,7 +83,7 @@ def pushed(plan: GraspPlan, every: int) -> tuple[FloatArray, FloatArray]:
         forces.append(controller.inner.forces[:, 0].copy())
 
     controller = Slower(ObjectImpedance(plan), every)
-    Trial(plan, controller=controller, timeline=QUICK).run(on_step=on_step)
+    Trial(plan, controller=controller, timeline=QUICK, record_every=0.1).run(on_step=on_step)
     return np.array(rows).reshape(-1, 2), np.array(forces)
 
 
