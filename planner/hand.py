@@ -119,7 +119,7 @@ class Hand:
             described = read_description(path)
         else:
             described = DescribedHand(
-                description=_proposed(name_or_path),
+                description=_proposed_of_file(name_or_path),
                 model_path=path,
                 mirror_axis=None,
                 described_in=path,
@@ -440,8 +440,15 @@ class Hand:
         return f"<Hand: {self.name}, {self.nq} joints, fingers {', '.join(self.fingers)}>"
 
 
-def _proposed(model: Any) -> HandDescription:
-    """A description from the structure of a model, a path or a ``mujoco.MjSpec``, alone."""
-    from planner.describe import propose  # stands above this room: it checks hands as well
+def _proposed_of_file(name_or_path: str | Path) -> HandDescription:
+    """A description from the structure of a model on disk alone."""
+    from planner.describe import proposed_description  # above this room: it checks hands as well
 
-    return propose(model).description
+    return proposed_description(name_or_path)
+
+
+def _proposed(spec: Any) -> HandDescription:
+    """A description from the structure of a ``mujoco.MjSpec`` alone."""
+    from planner.describe import propose
+
+    return propose(spec).description

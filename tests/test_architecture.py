@@ -158,6 +158,7 @@ ALLOWED = {
         "hand",
         "kinematics",
         "proximity",
+        "shapes",
     ),
     "planner.proximity": ("errors", "spatial", "shapes"),
     "planner.mesh_proximity": ("spatial", "proximity"),
