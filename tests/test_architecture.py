@@ -136,16 +136,26 @@ ALLOWED = {
     "planner.fingers": ("errors", "spatial", "bridge", "couplings", "description", "proximity"),
     "planner.mount": ("errors", "spatial", "bridge", "description", "schema"),
     "planner.ik": ("errors", "spatial", "hand", "mount"),
-    "planner.hand": (
+    "planner.hand_model": (
         "errors",
         "spatial",
         "actuation",
+        "bridge",
+        "couplings",
+        "description",
+        "fingers",
+        "mount",
+    ),
+    "planner.hand": (
+        "errors",
+        "spatial",
         "bridge",
         "catalog",
         "couplings",
         "described",
         "description",
         "fingers",
+        "hand_model",
         "mount",
     ),
     "planner.describe": (
