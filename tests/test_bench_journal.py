@@ -21,17 +21,15 @@ ASKED = {"format": "opposable-test", "version": 1, "seeds": 3}
 
 @dataclass(frozen=True)
 class Job:
-    """A job that kills its process if it is told to: once for a file, or always."""
+    """A job that may kill its process."""
 
     index: int
-    kill: str = ""
-    always: bool = False
+    kills: bool = False
 
 
 def work(job: Job, check: Check) -> dict[str, Any]:
     check()
-    if job.kill and (job.always or not Path(job.kill).exists()):
-        Path(job.kill).touch()
+    if job.kills:
         os.kill(os.getpid(), signal.SIGKILL)
     return {"index": job.index, "square": job.index**2, "reason": ""}
 
@@ -139,14 +137,12 @@ def test_a_file_that_cannot_be_written_says_so(tmp_path: Path) -> None:
         Journal(tmp_path, ASKED)
 
 
-def test_killed_workers_cost_only_the_row_that_kills_them(
+def test_a_job_that_kills_its_process_costs_only_its_own_row(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("planner.batch.pool.DEATHS_ALONE", 1)  # to start fewer processes
-    once = str(tmp_path / "once")
-    jobs = [Job(0), Job(1, kill=str(tmp_path / "x"), always=True), Job(2, kill=once), Job(3)]
-    rows, whole, _ = run(tmp_path / "x.jsonl", [*jobs, Job(4)], workers=2)
+    jobs = [Job(k, kills=k == 1) for k in range(5)]
+    rows, whole, _ = run(tmp_path / "x.jsonl", jobs, workers=2)
     assert whole
-    assert Path(once).exists()
     assert [row["square"] for row in rows] == [0, None, 4, 9, 16]
     assert rows[1]["reason"] == "its process died 2 times, killed or by a fault in a library"
