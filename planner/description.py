@@ -6,9 +6,9 @@ It lies beside the model and names fingers, tip frames, pads, palm, couplings an
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from planner.schema import StrictData
 
@@ -28,7 +28,13 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 
 
-def _unit(v: Vector) -> Vector:
+_TO_THE_BIT = object()
+"""Validation context of a description that was checked before: nothing is changed."""
+
+
+def _unit(v: Vector, info: ValidationInfo[Any]) -> Vector:
+    if info.context is _TO_THE_BIT:
+        return v
     length = float(sum(x * x for x in v) ** 0.5)
     if length < 1e-9:
         raise ValueError("a direction needs a length; give a unit vector")
@@ -54,8 +60,8 @@ class PadDescription(StrictData):
 
     @field_validator("axis")
     @classmethod
-    def _normalise(cls, v: Vector) -> Vector:
-        return _unit(v)
+    def _normalise(cls, v: Vector, info: ValidationInfo[Any]) -> Vector:
+        return _unit(v, info)
 
 
 class TipDescription(StrictData):
@@ -202,5 +208,18 @@ class HandDescription(StrictData):
 
     @field_validator("palm_normal")
     @classmethod
-    def _normalise(cls, v: Vector) -> Vector:
-        return _unit(v)
+    def _normalise(cls, v: Vector, info: ValidationInfo[Any]) -> Vector:
+        return _unit(v, info)
+
+    def to_json(self) -> str:
+        """The description as JSON, from which ``from_json`` makes it again to the last bit."""
+        return self.model_dump_json(by_alias=True)
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """The description that ``to_json`` wrote; directions stay as they are.
+
+        Raises:
+            pydantic.ValidationError: The text is another one.
+        """
+        return cls.model_validate_json(text, context=_TO_THE_BIT)

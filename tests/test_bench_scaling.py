@@ -13,14 +13,12 @@ from planner.errors import NotFoundError
 from planner.hand import Hand
 from planner.kinematics import HandState
 from planner.shapes.cache import CACHE_VARIABLE
+from sim.bench.run import Runner
 from sim.bench.scaling import CURVES, curve, points_of, run_scaling, scaling_tables
 from sim.bench.star_hand import write_star_hand
 
-QUIET = Console(quiet=True)
-
-
-def nothing() -> None:
-    """A check that never finds Ctrl-C."""
+HERE = Runner(console=Console(quiet=True), check=lambda: None)
+"""Works here, shows nothing, and never finds Ctrl-C."""
 
 
 @pytest.mark.parametrize("n", [2, 5, 8])
@@ -78,8 +76,7 @@ def test_contacts_and_triangles_are_measured(monkeypatch: pytest.MonkeyPatch) ->
         ["contacts", "triangles"],
         1,
         most_grasps=1,
-        console=QUIET,
-        check=nothing,
+        runner=HERE,
     )
     assert os.environ.get(CACHE_VARIABLE) == before
     contacts, triangles = result["curves"]
@@ -93,7 +90,7 @@ def test_contacts_and_triangles_are_measured(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_grasps_are_counted() -> None:
     pytest.importorskip("pyarrow")
-    result = run_scaling("allegro_hand", ["grasps"], 1, most_grasps=4, console=QUIET, check=nothing)
+    result = run_scaling("allegro_hand", ["grasps"], 1, most_grasps=4, runner=HERE)
     (item,) = result["curves"]
     assert [p["x"] for p in item["points"]] == [1, 4]
     assert item["points"][1]["found"] == 4
@@ -103,4 +100,4 @@ def test_grasps_are_counted() -> None:
 
 def test_a_curve_that_does_not_exist_is_refused() -> None:
     with pytest.raises(NotFoundError, match="no curve is called 'mass'"):
-        run_scaling("allegro_hand", ["mass"], 1, most_grasps=1, console=QUIET, check=nothing)
+        run_scaling("allegro_hand", ["mass"], 1, most_grasps=1, runner=HERE)

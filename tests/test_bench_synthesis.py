@@ -25,6 +25,7 @@ from planner.task import GraspTask
 from sim.bench.baseline import BASELINE_EPSILON, BASELINE_RATE, against_baseline
 from sim.bench.objects import BenchObject, bench_objects
 from sim.bench.requests import Outcome, Request, Setting, half_longest_side, measure
+from sim.bench.run import Runner
 from sim.bench.statistics import power_law
 from sim.bench.synthesis import run_synthesis, summary_of, total_of
 from sim.bench.tables import print_synthesis
@@ -39,9 +40,10 @@ def nothing() -> None:
 
 
 def run(objects: list[BenchObject], n: int, **options: Any) -> dict[str, Any]:
-    given: dict[str, Any] = {"workers": 1, "baseline": False, "console": QUIET, "check": nothing}
-    setting = options.pop("setting", Setting())
-    return run_synthesis(["allegro_hand"], objects, n, setting, **(given | options))
+    setting, baseline = options.pop("setting", Setting()), options.pop("baseline", False)
+    given: dict[str, Any] = {"console": QUIET, "check": nothing}
+    runner = Runner(**(given | options))
+    return run_synthesis(["allegro_hand"], objects, n, setting, runner=runner, baseline=baseline)
 
 
 def outcome(k: int, cpu: float, *, found: bool = True, **values: Any) -> Outcome:

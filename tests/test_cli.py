@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
@@ -170,16 +171,66 @@ def test_run_writes_plan_report_and_picture(tmp_path: Path) -> None:
     assert not list(folder.glob("*.part"))
 
 
-def test_bench_repeats_and_writes_its_table(tmp_path: Path) -> None:
+def bench_grasps(folder: Path, seeds: int) -> tuple[str | Path, ...]:
+    """Words of a small ``bench grasps`` that keeps its results in a folder."""
+    asked = ("--hands", "allegro_hand", "--objects", "sphere", "--seeds", str(seeds))
+    return ("bench", "grasps", *asked, "--samples", folder / "samples.jsonl")
+
+
+def rows_in(folder: Path) -> list[str]:
+    """Finished lines of results."""
+    path = folder / "samples.jsonl"
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True) if path.exists() else []
+    return [line for line in lines[1:] if line.endswith("\n")]
+
+
+def test_bench_writes_its_table_and_repeats_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "bench.json"
-    options = ("--hands", "allegro_hand", "--objects", "sphere", "--seeds", "1", "--out", path)
-    result = opposable("bench", "grasps", *options, "--json")
+    words = (*bench_grasps(tmp_path, 1), "--out", path)
+    result = opposable(*words, "--json")
     assert result.code == 0, result.err
     data = json.loads(result.out)
     assert data == json.loads(path.read_text(encoding="utf-8"))
     (outcome,) = data["outcomes"]
     assert outcome["found"]
     assert outcome["held"]
+    assert json.loads(rows_in(tmp_path)[0]) == outcome
+
+    def never(*_: object, **__: object) -> None:
+        raise AssertionError("planned again")
+
+    monkeypatch.setattr("sim.bench.grasps.plan_grasp", never)
+    again = opposable(*words)
+    assert again.code == 0
+    assert "1 of 1 are in" in again.err
+    assert "1/1" in again.out
+    other = opposable(*words, "--sim-mu", "0.7")
+    assert other.code == 3
+    assert "other arguments (different: mu_simulation)" in other.err
+
+
+@pytest.mark.parametrize(("number", "workers"), [(signal.SIGINT, 1), (signal.SIGTERM, 2)])
+def test_an_interrupted_bench_keeps_its_rows(
+    number: signal.Signals, workers: int, tmp_path: Path
+) -> None:
+    words = [str(w) for w in bench_grasps(tmp_path, 50)]
+    code = f"from sim.cli import main; main({[*words, '--workers', str(workers)]!r})"
+    with subprocess.Popen(
+        [sys.executable, "-c", code], start_new_session=True, stderr=subprocess.PIPE, text=True
+    ) as process:
+        for _ in range(600):
+            if rows_in(tmp_path) or process.poll() is not None:
+                break
+            time.sleep(0.1)
+        os.killpg(process.pid, number)  # a terminal and a system end the workers, too
+        _, message = process.communicate(timeout=60)
+    assert process.returncode == 130, message
+    assert "Traceback" not in message
+    kept = len(rows_in(tmp_path))
+    assert 1 <= kept < 50
+    assert f"interrupted: {kept} of 50 are in" in " ".join(message.split())
 
 
 def contacts_file(path: Path, points: list[list[float]], model: str) -> Path:

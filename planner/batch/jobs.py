@@ -25,7 +25,7 @@ from planner.search import Attempt, plan_grasp
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
 
-__all__ = ["BatchObject", "Job", "batch_jobs", "grasp_seed", "plan_row"]
+__all__ = ["BatchObject", "Job", "batch_jobs", "end_with", "grasp_seed", "plan_row"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,7 +125,7 @@ def plan_row(job: Job) -> dict[str, Any]:
     faults of the program get out.
     """
     made: list[Attempt] = []
-    _end_with(job.parent)
+    end_with(job.parent)
     with _ONE_AT_A_TIME, _undisturbed(job.parent) as check:
 
         def note(attempt: Attempt) -> None:
@@ -149,7 +149,7 @@ def plan_row(job: Job) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=1)
-def _end_with(parent: int) -> None:
+def end_with(parent: int) -> None:
     """End this worker when the process that started it is killed; idle ones would wait on."""
 
     def watch() -> None:

@@ -1,16 +1,16 @@
-"""Jobs through joblib: rows as they are finished, whatever becomes of the workers.
+"""Jobs through joblib: results as they are finished, whatever becomes of the workers.
 
 joblib's backends carry the same jobs to processes ("loky"), threads ("threading") and, where they
 are installed, to a cluster ("dask", "ray"). A worker that dies takes no result of others with it:
-the pool is started again, and what was in flight is planned once more, alone, so that a request
-that kills its worker is found out.
+the pool is started again, and what was in flight is done once more, alone, so that a job that kills
+its worker is found out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures.process import BrokenProcessPool
-from typing import Any
+from typing import Any, TypeVar
 
 import joblib
 
@@ -18,10 +18,13 @@ from planner.batch.jobs import Job, plan_row
 from planner.batch.rows import failed_row
 from planner.errors import TaskError
 
-__all__ = ["check_backend", "planned_rows"]
+__all__ = ["check_backend", "finished", "planned_rows"]
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 DEATHS_ALONE = 2
-"""How often a request may kill a worker that has nothing else to do before it is given up: one
+"""How often a job may kill a worker that has nothing else to do before it is given up: one
 death may be the work of the system, which ends a process when memory is short."""
 
 AT_ONCE = 4
@@ -46,49 +49,91 @@ def check_backend(backend: str, workers: int) -> None:
 
 
 def planned_rows(jobs: Iterable[Job], workers: int, backend: str) -> Iterator[dict[str, Any]]:
-    """Rows as they are finished, in any order."""
-    in_flight: dict[int, Job] = {}
+    """Rows of requests as they are finished, in any order."""
 
-    def sent() -> Iterator[Job]:
-        for job in jobs:
-            in_flight[job.index] = job
-            yield job
+    def given_up(job: Job, reason: str) -> dict[str, Any]:
+        return failed_row(job.index, job.object.label, job.k, job.seed, reason, ())
+
+    return finished(plan_row, jobs, workers=workers, backend=backend, given_up=given_up)
+
+
+def finished(
+    work: Callable[[Item], Result],
+    jobs: Iterable[Item],
+    *,
+    workers: int,
+    backend: str,
+    given_up: Callable[[Item, str], Result],
+) -> Iterator[Result]:
+    """Results of jobs as they are finished, in any order.
+
+    Args:
+        work: Called with each job by a worker.
+        jobs: Asked for the next one as workers become free.
+        workers: Their number; -1 for one per core.
+        backend: joblib's name of a backend.
+        given_up: The result of a job that kills its worker again and again, called here with the
+            job and the reason in words.
+    """
+    in_flight: dict[int, Item] = {}
+
+    def sent() -> Iterator[tuple[int, Item]]:
+        for number, job in enumerate(jobs):
+            in_flight[number] = job
+            yield number, job
 
     source = sent()
     while True:
         try:
-            for row in _stream(source, workers, backend):
-                del in_flight[row["index"]]
-                yield row
+            for number, result in _stream(work, source, workers, backend):
+                del in_flight[number]
+                yield result
             return
         except BrokenProcessPool:
             for job in list(in_flight.values()):
-                yield _alone(job, backend)
+                yield _alone(work, job, backend, given_up)
             in_flight.clear()
 
 
-def _stream(jobs: Iterator[Job], workers: int, backend: str) -> Iterator[dict[str, Any]]:
-    """Rows of jobs, one job per message, so that little is in flight.
+def _numbered(work: Callable[[Item], Result], number: int, job: Item) -> tuple[int, Result]:
+    """What a worker does."""
+    return number, work(job)
+
+
+def _stream(
+    work: Callable[[Item], Result],
+    jobs: Iterator[tuple[int, Item]],
+    workers: int,
+    backend: str,
+) -> Iterator[tuple[int, Result]]:
+    """Numbers and results of jobs, one job per message, so that little is in flight.
 
     The iterator is asked for more as workers become free.
     """
+    call = joblib.delayed(_numbered)
     with joblib.parallel_config(backend=backend, n_jobs=workers):
         active, n_workers = joblib.parallel.get_active_backend()
         if active.supports_return_generator:
             parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1)
-            yield from parallel(joblib.delayed(plan_row)(job) for job in jobs)
+            yield from parallel(call(work, *job) for job in jobs)
             return
         at_once = AT_ONCE * active.effective_n_jobs(n_workers)
         while wave := [job for _, job in zip(range(at_once), jobs, strict=False)]:
-            yield from joblib.Parallel(batch_size=1)(joblib.delayed(plan_row)(job) for job in wave)
+            yield from joblib.Parallel(batch_size=1)(call(work, *job) for job in wave)
 
 
-def _alone(job: Job, backend: str) -> dict[str, Any]:
-    """The row of a job that was in flight when a worker died, planned with no other beside it."""
+def _alone(
+    work: Callable[[Item], Result],
+    job: Item,
+    backend: str,
+    given_up: Callable[[Item, str], Result],
+) -> Result:
+    """The result of a job that was in flight when a worker died, with no other beside it."""
     for _ in range(DEATHS_ALONE):
         try:
-            return next(_stream(iter([job]), 2, backend))
+            return next(_stream(work, iter([(0, job)]), 2, backend))[1]
         except BrokenProcessPool:
             continue
-    reason = f"its process died {1 + DEATHS_ALONE} times, killed or by a fault in a library"
-    return failed_row(job.index, job.object.label, job.k, job.seed, reason, ())
+    return given_up(
+        job, f"its process died {1 + DEATHS_ALONE} times, killed or by a fault in a library"
+    )

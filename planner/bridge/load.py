@@ -16,7 +16,14 @@ import numpy as np
 
 from planner.errors import ModelError
 
-__all__ = ["compile_balanced", "compile_spec", "load_spec", "model_bytes", "model_files"]
+__all__ = [
+    "compile_balanced",
+    "compile_spec",
+    "load_spec",
+    "model_bytes",
+    "model_files",
+    "named_files",
+]
 
 RIGID_SOLREF = (0.004, 1.0)
 RIGID_SOLIMP = (0.99, 0.99, 0.001, 0.5, 2.0)
@@ -31,7 +38,7 @@ IMPOSSIBLE_INERTIA = "A + B >= C"
 """
 
 _ROS_SCHEME = re.compile(r"package:/{1,2}")  # MuJoCo drops one of the two slashes of a URL
-_INCLUDE = re.compile(r"<include\s[^>]*file\s*=\s*[\"']([^\"']+)[\"']")
+_INCLUDE = re.compile(r"<(?:include|model)\s[^>]*file\s*=\s*[\"']([^\"']+)[\"']")
 
 
 def load_spec(path: Path) -> Any:
@@ -96,7 +103,16 @@ def compile_balanced(spec: Any, what: str) -> tuple[Any, bool]:
 
 
 def model_files(path: Path) -> tuple[Path, ...]:
-    """A model file, the files that it includes, and its meshes, sorted; missing ones left out."""
+    """Those of ``named_files`` that are there."""
+    return tuple(f for f in named_files(path) if f.is_file())
+
+
+def named_files(path: Path) -> tuple[Path, ...]:
+    """A model file, the models that it includes or attaches, meshes and height fields, sorted.
+
+    Raises:
+        ModelError: The model cannot be read.
+    """
     files = {path}
     queue = [path]
     while queue:
@@ -107,8 +123,8 @@ def model_files(path: Path) -> tuple[Path, ...]:
         files |= new
     spec = load_spec(path)
     folder = path.parent / (spec.meshdir or "")
-    files |= {folder / mesh.file for mesh in spec.meshes if mesh.file}
-    return tuple(sorted(f for f in files if f.is_file()))
+    files |= {folder / part.file for part in (*spec.meshes, *spec.hfields) if part.file}
+    return tuple(sorted(files))
 
 
 def model_bytes(model: Any) -> bytes:

@@ -1,6 +1,7 @@
 """Hand descriptions from a model's structure, and what is to be said of a description."""
 
 from planner.describe.check import check_hand
+from planner.describe.kept import proposed_description
 from planner.describe.proposal import Proposal, Reason
 from planner.describe.propose import propose
 from planner.describe.report import CheckReport, Finding
@@ -14,6 +15,7 @@ __all__ = [
     "check_hand",
     "description_text",
     "propose",
+    "proposed_description",
     "write_description",
     "write_proposal",
 ]

@@ -50,7 +50,7 @@ from planner.description import (
 from planner.errors import HandError
 from planner.hand import Hand
 
-__all__ = ["propose"]
+__all__ = ["located", "propose"]
 
 
 def propose(model: Any, *, name: str | None = None, base_body: str | None = None) -> Proposal:
@@ -67,15 +67,19 @@ def propose(model: Any, *, name: str | None = None, base_body: str | None = None
         ModelError: The model cannot be read.
         HandError: Nothing in it is a hand, several things are, or no finger can be described.
     """
-    path, line = _located(model)
+    path, line = (None, "model.xml") if not isinstance(model, str | Path) else located(model)
     what = str(path) if path is not None else "the model"
     return _Proposer(path if path is not None else model, what, line, name, base_body).run()
 
 
-def _located(model: Any) -> tuple[Path | None, str]:
-    """The model's path, None for one in Python, and the ``model`` line of its description."""
-    if not isinstance(model, str | Path):
-        return None, "model.xml"
+def located(model: str | Path) -> tuple[Path, str]:
+    """A model's path, and the ``model`` line of its description.
+
+    Raises:
+        NotFoundError: The model does not exist.
+        ModelError: It is in a package that is missing.
+        HandError: It is a description already.
+    """
     path = find_hand(model)
     if path.suffix == ".toml":
         raise HandError(f"{path} is a description already; give the model that it names")

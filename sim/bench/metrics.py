@@ -1,31 +1,28 @@
 """``run_metrics``: which metric predicts what happens in simulation.
 
-Samples (``sim.bench.trials``) are appended to a file of JSON lines as they come, the first of which
-says what was asked for. A run that was interrupted or killed goes on with the same command.
+Samples (``sim.bench.trials``) are kept as they come (``sim.bench.journal``).
 """
 
 from __future__ import annotations
 
-import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
-from planner.errors import FileFormatError, TaskError
 from planner.spatial import FloatArray
 from sim.bench.auc import Auc, auc
+from sim.bench.journal import run_with_journal
 from sim.bench.objects import BenchObject
 from sim.bench.predictors import PREDICTORS
-from sim.bench.requests import Setting, loaded_hand, task_for
-from sim.bench.run import made_with, run_all
+from sim.bench.requests import check_tasks
+from sim.bench.run import Runner, made_with
 from sim.bench.tables import table_of
-from sim.bench.trials import CONDITIONS, GRADES, Sample, try_sample
+from sim.bench.trials import CONDITIONS, GRADES, Sample, lost_sample, try_sample
 
 __all__ = ["metrics_table", "run_metrics", "samples_for", "summary_of_trials"]
 
@@ -66,9 +63,7 @@ def run_metrics(
     *,
     seed: int,
     file: Path,
-    workers: int,
-    console: Console,
-    check: Callable[[], None],
+    runner: Runner,
 ) -> dict[str, Any]:
     """Try the samples that the file does not have yet, and sum up all that it has then.
 
@@ -77,75 +72,41 @@ def run_metrics(
         objects: The objects.
         n: Samples over all hands and objects.
         seed: Same seed, same plans and conditions.
-        file: JSON lines; made if it is not there.
-        workers: Processes.
-        console: Where the progress bar goes.
-        check: Raises a KeyboardInterrupt that a solver swallowed.
+        file: Of the samples; made if it is not there.
+        runner: Who works on them.
 
     Raises:
         FileFormatError: The file is not one of these, or was begun with other arguments.
-        PlannerError: A hand or an object cannot be used.
+        PlannerError: A hand or an object that was named cannot be used.
     """
-    for hand in hands:
-        loaded_hand(hand)
-        for item in objects:
-            task = task_for(hand, item.spec, Setting())
-            if isinstance(task, str):
-                raise TaskError(task)
-    samples = samples_for(hands, objects, n, seed)
-    asked = {"format": FORMAT, "version": 1, "samples": [asdict(s) for s in samples]}
-    rows = _read(file, asked)
-    done = {row["index"] for row in rows}
-    with file.open("a", encoding="utf-8") as stream:
-
-        def keep(row: dict[str, Any]) -> None:
-            rows.append(row)
-            stream.write(json.dumps(row) + "\n")
-            stream.flush()
-
-        finished = run_all(
-            try_sample,
-            [s for s in samples if s.index not in done],
-            workers=workers,
-            title="plan and simulate",
-            console=console,
-            keep=keep,
-            check=check,
-        )
+    check_tasks(hands, objects)
+    asked = {
+        "format": FORMAT,
+        "version": 2,
+        "hands": list(hands),
+        "objects": [item.spec for item in objects],
+        "number": n,
+        "seed": seed,
+        "grades": list(GRADES),
+        "conditions": list(CONDITIONS),
+    }
+    rows, whole = run_with_journal(
+        runner,
+        try_sample,
+        samples_for(hands, objects, n, seed),
+        file=file,
+        asked=asked,
+        title="plan and simulate",
+        given_up=lost_sample,
+    )
     return {
         "format": f"{FORMAT}-summary",
         "version": 1,
         **made_with(),
         "seed": seed,
-        "interrupted": not finished,
+        "interrupted": not whole,
         **summary_of_trials(rows),
     }
-
-
-def _read(file: Path, asked: dict[str, Any]) -> list[dict[str, Any]]:
-    """Rows that a file has; what is asked for is written into a new one.
-
-    A last line that was cut short is cut off: its sample is tried again.
-    """
-    if not file.exists():
-        file.write_text(json.dumps(asked) + "\n", encoding="utf-8")
-        return []
-    text = file.read_text(encoding="utf-8")
-    whole = text[: text.rfind("\n") + 1]
-    try:
-        header, *rows = [json.loads(line) for line in whole.splitlines()]
-    except ValueError as error:
-        raise FileFormatError(
-            f"{file} is not a file of bench metrics, or damaged: {error}; name another"
-        ) from error
-    if header != asked:
-        raise FileFormatError(
-            f"{file} was begun with other arguments (hands, objects, number or seed); give the "
-            "same, or another file"
-        )
-    if whole != text:
-        file.write_text(whole, encoding="utf-8")
-    return rows
 
 
 def summary_of_trials(rows: Iterable[dict[str, Any]]) -> dict[str, Any]:

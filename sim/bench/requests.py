@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -19,7 +19,7 @@ from planner.batch import GraspFeatures
 from planner.batch.jobs import grasp_seed
 from planner.batch.recipe import shape_key
 from planner.collision import OBJECT
-from planner.errors import PlannerError
+from planner.errors import PlannerError, TaskError
 from planner.hand import Hand
 from planner.objects import parse_object
 from planner.plan import GraspPlan
@@ -29,12 +29,14 @@ from planner.shapes import Shape
 from planner.stages import timed
 from planner.synthesis.options import SynthesisOptions
 from planner.task import DEFAULT_MU, GraspTask
+from sim.bench.objects import BenchObject
 
 __all__ = [
     "APPROACH",
     "Outcome",
     "Request",
     "Setting",
+    "check_tasks",
     "clearance_of",
     "half_longest_side",
     "loaded_hand",
@@ -231,13 +233,28 @@ def half_longest_side(shape: Shape) -> float:
     return max(0.5 * (shape.support(a) + shape.support(-a)) for a in np.eye(3))
 
 
-@lru_cache(maxsize=8)
+def check_tasks(hands: Iterable[str], objects: Sequence[BenchObject]) -> None:
+    """Make the task of every hand and object: bad input ends here, not after minutes.
+
+    Raises:
+        PlannerError: A hand, or an object that was named, cannot be used; one out of a folder may
+            fail.
+    """
+    for hand in hands:
+        loaded_hand(hand)
+        for item in objects:
+            task = task_for(hand, item.spec, Setting())
+            if isinstance(task, str) and not item.may_fail:
+                raise TaskError(task)
+
+
+@lru_cache(maxsize=16)
 def loaded_hand(name: str) -> Hand:
     """A hand, loaded once per process."""
     return Hand.load(name)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)
 def task_for(hand: str, spec: str, setting: Setting) -> GraspTask | str:
     """The task of a hand and an object, made once per process; or why it cannot be made."""
     try:

@@ -1,15 +1,19 @@
-"""Jobs of a measurement, here or in processes, with a progress bar; Ctrl-C keeps what is done."""
+"""``Runner``: the jobs of a measurement, here or in processes, with a progress bar.
+
+Ctrl-C keeps what is done. A worker that dies costs no more than time (``planner.batch.pool``).
+"""
 
 from __future__ import annotations
 
 import os
 import platform
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
-import joblib
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -20,10 +24,16 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-__all__ = ["made_with", "run_all"]
+from planner.batch.jobs import end_with
+from planner.batch.pool import finished
+
+__all__ = ["Check", "Runner", "made_with"]
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
+
+Check: TypeAlias = Callable[[], None]
+"""Raises the KeyboardInterrupt that a solver swallowed, if there was one."""
 
 
 def made_with() -> dict[str, Any]:
@@ -40,67 +50,96 @@ def made_with() -> dict[str, Any]:
     }
 
 
-def run_all(
-    work: Callable[[Job, Callable[[], None]], Result],
-    jobs: Sequence[Job],
-    *,
-    workers: int,
-    title: str,
-    console: Console,
-    keep: Callable[[Result], None],
-    check: Callable[[], None],
-) -> bool:
-    """Work on jobs and hand over each result as it comes.
+@dataclass(frozen=True, kw_only=True)
+class Runner:
+    """How the jobs of a measurement are worked on.
 
-    Args:
-        work: Called with a job and a function that raises a lost Ctrl-C.
-        jobs: The jobs.
+    Attributes:
+        console: Where the progress bar goes.
+        check: For work in this process.
         workers: Processes; 1 for this one.
-        title: What the bar says.
-        console: Where the bar goes.
-        keep: Called here with every result, in the order in which they are finished.
-        check: Raises the KeyboardInterrupt that a solver swallowed, if there was one.
-
-    Returns:
-        Whether all were done; False after Ctrl-C.
     """
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        console=console,
-    )
-    with bar as progress:
-        row = progress.add_task(title, total=len(jobs))
-        try:
-            for result in _results(work, jobs, workers, check):
-                keep(result)
-                progress.advance(row)
-        except KeyboardInterrupt:
-            return False
-    return True
+
+    console: Console
+    check: Check
+    workers: int = 1
+
+    def run(
+        self,
+        work: Callable[[Job, Check], Result],
+        jobs: Sequence[Job],
+        *,
+        title: str,
+        keep: Callable[[Result], object],
+        given_up: Callable[[Job, str], Result],
+    ) -> bool:
+        """Work on jobs and hand over each result as it comes.
+
+        Args:
+            work: Called with a job and a function that raises a lost Ctrl-C.
+            jobs: The jobs.
+            title: What the bar says.
+            keep: Called here with every result, in the order in which they are finished.
+            given_up: The result of a job that killed every process that tried it; called with the
+                job and the reason in words.
+
+        Returns:
+            Whether all were done; False after Ctrl-C.
+        """
+        if self.workers == 1:
+            return self.run_here(work, jobs, title=title, keep=keep)
+        results = finished(
+            partial(_in_worker, work, os.getpid()),
+            jobs,
+            workers=self.workers,
+            backend="loky",
+            given_up=given_up,
+        )
+        return self._keep_all(results, len(jobs), title, keep)
+
+    def run_here(
+        self,
+        work: Callable[[Job, Check], Result],
+        jobs: Sequence[Job],
+        *,
+        title: str,
+        keep: Callable[[Result], object],
+    ) -> bool:
+        """Work on jobs in this process, however many workers there are; see ``run``."""
+        results = (work(job, self.check) for job in jobs)
+        return self._keep_all(results, len(jobs), title, keep)
+
+    def _keep_all(
+        self,
+        results: Iterable[Result],
+        total: int,
+        title: str,
+        keep: Callable[[Result], object],
+    ) -> bool:
+        bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            console=self.console,
+        )
+        with bar as progress:
+            row = progress.add_task(title, total=total)
+            try:
+                for result in results:
+                    keep(result)
+                    progress.advance(row)
+            except KeyboardInterrupt:
+                return False
+        return True
 
 
-def _results(
-    work: Callable[[Job, Callable[[], None]], Result],
-    jobs: Sequence[Job],
-    workers: int,
-    check: Callable[[], None],
-) -> Iterator[Result]:
-    if workers == 1:
-        for job in jobs:
-            yield work(job, check)
-        return
-    parallel = joblib.Parallel(n_jobs=workers, batch_size=1, return_as="generator_unordered")
-    yield from parallel(joblib.delayed(_in_worker)(work, job) for job in jobs)
-
-
-def _in_worker(work: Callable[[Job, Callable[[], None]], Result], job: Job) -> Result:
-    """Work in another process, which leaves Ctrl-C to the one that started it."""
+def _in_worker(work: Callable[[Job, Check], Result], parent: int, job: Job) -> Result:
+    """Work in another process, which leaves Ctrl-C to the one that started it and ends with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with(parent)
     return work(job, _nothing)
 
 

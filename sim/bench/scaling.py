@@ -25,7 +25,6 @@ from pathlib import Path
 from typing import Any
 
 import trimesh
-from rich.console import Console
 from rich.table import Table
 
 from planner.batch import plan_grasps
@@ -34,7 +33,7 @@ from planner.hand import Hand
 from planner.shapes.cache import CACHE_VARIABLE
 from planner.task import FINGERS_NEEDED, GraspTask
 from sim.bench.requests import Outcome, Request, Setting, loaded_hand, measure, measure_task
-from sim.bench.run import made_with, run_all
+from sim.bench.run import Check, Runner, made_with
 from sim.bench.star_hand import write_star_hand
 from sim.bench.statistics import median_of, power_law, ratio
 from sim.bench.tables import number, table_of
@@ -227,8 +226,7 @@ def run_scaling(
     n: int,
     *,
     most_grasps: int,
-    console: Console,
-    check: Callable[[], None],
+    runner: Runner,
 ) -> dict[str, Any]:
     """Measure curves point by point; Ctrl-C keeps the points that are finished.
 
@@ -237,8 +235,7 @@ def run_scaling(
         curves: Names out of ``CURVES``.
         n: Requests per point of contacts and triangles; workers plan ten times as many.
         most_grasps: Where the curve of grasps ends.
-        console: Where the progress bar goes.
-        check: Raises a KeyboardInterrupt that a solver swallowed.
+        runner: Who measures; in this process, whose memory and time are asked for.
 
     Raises:
         NotFoundError: There is no such curve.
@@ -252,7 +249,7 @@ def run_scaling(
     cores = os.cpu_count() or 1
     points: dict[str, list[Point]] = {name: [] for name in curves}
 
-    def work(job: tuple[str, int], check: Callable[[], None]) -> tuple[str, Point]:
+    def work(job: tuple[str, int], check: Check) -> tuple[str, Point]:
         name, x = job
         point = _MEASURED[name][0](hand, x, n)
         check()
@@ -261,15 +258,8 @@ def run_scaling(
     def keep(result: tuple[str, Point]) -> None:
         points[result[0]].append(result[1])
 
-    finished = run_all(
-        work,
-        [(name, x) for name in points for x in points_of(name, most_grasps, cores)],
-        workers=1,
-        title="measure",
-        console=console,
-        keep=keep,
-        check=check,
-    )
+    jobs = [(name, x) for name in points for x in points_of(name, most_grasps, cores)]
+    finished = runner.run_here(work, jobs, title="measure", keep=keep)
     return {
         "format": "opposable-bench-scaling",
         "version": 1,

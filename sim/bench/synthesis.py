@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from planner.batch import GraspFeatures, diversity
 from planner.errors import ObjectError, TaskError
@@ -15,7 +14,7 @@ from planner.task import GraspTask
 from sim.bench.baseline import against_baseline
 from sim.bench.objects import BenchObject
 from sim.bench.requests import APPROACH, Outcome, Request, Setting, loaded_hand, measure, task_for
-from sim.bench.run import made_with, run_all
+from sim.bench.run import Check, Runner, made_with
 from sim.bench.statistics import median_of, quantile_of, ratio, summed
 
 __all__ = ["run_synthesis", "summary_of", "total_of"]
@@ -35,8 +34,12 @@ class _Cell:
     request: Request
 
 
-def _measure(cell: _Cell, check: Callable[[], None]) -> tuple[int, Outcome]:
+def _measure(cell: _Cell, check: Check) -> tuple[int, Outcome]:
     return cell.number, measure(cell.request, check)
+
+
+def _given_up(cell: _Cell, reason: str) -> tuple[int, Outcome]:
+    return cell.number, Outcome(k=cell.request.k, reasons={reason: 1})
 
 
 def run_synthesis(
@@ -45,10 +48,8 @@ def run_synthesis(
     n: int,
     setting: Setting,
     *,
-    workers: int,
+    runner: Runner,
     baseline: bool,
-    console: Console,
-    check: Callable[[], None],
 ) -> dict[str, Any]:
     """Make n requests of every hand and object; Ctrl-C keeps what is finished.
 
@@ -57,10 +58,8 @@ def run_synthesis(
         objects: The objects.
         n: Requests for each hand and object.
         setting: What all requests share.
-        workers: Processes.
+        runner: Who works on them.
         baseline: Whether to compare with FRoGGeR's figures.
-        console: Where the progress bar goes.
-        check: Raises a KeyboardInterrupt that a solver swallowed.
 
     Returns:
         Plain data: a summary and the requests of every cell, and what they were made with.
@@ -87,15 +86,7 @@ def run_synthesis(
         outcomes[number].append(outcome)
 
     whole = made_with()
-    finished = run_all(
-        _measure,
-        jobs,
-        workers=workers,
-        title="plan",
-        console=console,
-        keep=keep,
-        check=check,
-    )
+    finished = runner.run(_measure, jobs, title="plan", keep=keep, given_up=_given_up)
     cells = []
     for (hand, item), members in zip(pairs, outcomes, strict=True):
         if members:
@@ -109,7 +100,7 @@ def run_synthesis(
         "version": 1,
         **whole,
         "setting": asdict(setting),
-        "workers": workers,
+        "workers": runner.workers,
         "interrupted": not finished,
         "total": total,
         "baseline": against_baseline(cells, total["found_per_cpu_s"]) if baseline else None,

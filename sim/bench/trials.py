@@ -24,7 +24,7 @@ from sim.bench.requests import Setting, task_for
 from sim.scene import PhysicsOptions
 from sim.trial import Timeline, Trial
 
-__all__ = ["CONDITIONS", "GRADES", "Condition", "Grade", "Sample", "try_sample"]
+__all__ = ["CONDITIONS", "GRADES", "Condition", "Grade", "Sample", "lost_sample", "try_sample"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,13 +124,11 @@ def try_sample(sample: Sample, check: Callable[[], None]) -> dict[str, Any]:
         sample: What.
         check: Called between attempts and after the trial; what it raises ends it.
     """
-    row: dict[str, Any] = asdict(sample) | {"found": False, "success": None, "reason": ""}
-    del row["seed"], row["spec"]
     rng = np.random.default_rng([sample.seed, sample.index])
     grade = GRADES[sample.grade]
     task = task_for(sample.hand, sample.spec, Setting(mu=grade.mu))
     if isinstance(task, str):
-        return row | {"reason": task}
+        return lost_sample(sample, task)
     try:
         plan = plan_grasp(
             task,
@@ -140,17 +138,28 @@ def try_sample(sample: Sample, check: Callable[[], None]) -> dict[str, Any]:
             progress=lambda _: check(),
         )
     except NoGraspFoundError:
-        return row | {"reason": "no plan"}
+        return lost_sample(sample, "no plan")
     except PlannerError as error:
-        return row | {"reason": str(error)}
+        return lost_sample(sample, str(error))
     verdict = _execute(plan, CONDITIONS[sample.condition], rng)
     check()
-    return row | {
+    return _row_without_plan(sample) | {
         "found": True,
         "success": verdict.success,
         "reason": verdict.reason,
         "predictors": predictors_of(plan),
     }
+
+
+def lost_sample(sample: Sample, reason: str) -> dict[str, Any]:
+    """The row of a sample that nothing came of."""
+    return _row_without_plan(sample) | {"reason": reason}
+
+
+def _row_without_plan(sample: Sample) -> dict[str, Any]:
+    row: dict[str, Any] = asdict(sample) | {"found": False, "success": None, "reason": ""}
+    del row["seed"], row["spec"]
+    return row
 
 
 def _execute(plan: GraspPlan, condition: Condition, rng: np.random.Generator) -> Any:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -25,6 +27,9 @@ from sim.cli.common import (
     print_json,
 )
 
+if TYPE_CHECKING:
+    from sim.bench.run import Runner
+
 TABLE_WIDTH = 140
 """Characters that the benchmark's tables need at least."""
 
@@ -36,6 +41,9 @@ ObjectsOption = Annotated[
     typer.Option(help="Objects, comma separated; a folder stands for the mesh files in it."),
 ]
 OutOption = Annotated[Path | None, typer.Option("--out", help="Write JSON here.")]
+SamplesOption = Annotated[
+    Path, typer.Option(help="Results go here as they come; goes on where it ended.")
+]
 WorkersOption = Annotated[int, typer.Option(min=1, help="Processes.")]
 PRIMITIVES = "sphere,box,cylinder,capsule,ellipsoid"
 
@@ -45,29 +53,29 @@ def bench_grasps(
     hands: Annotated[str, typer.Option(help="Hands, comma separated.")] = (
         "shadow_hand,allegro_hand"
     ),
-    objects: Annotated[str, typer.Option(help="Objects, comma separated.")] = PRIMITIVES,
+    objects: ObjectsOption = PRIMITIVES,
     seeds: Annotated[int, typer.Option(min=1, help="Seeds per cell, from 0.")] = 10,
     sim_mu: SimMuOption = 0.6,
     workers: WorkersOption = 1,
+    samples: SamplesOption = Path("grasps.jsonl"),
     output: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Plan and execute hands x objects x seeds; the table of the README."""
-    from planner.files import write_json
-    from sim.benchmark import bench_table, run_benchmark
+    from sim.bench.grasps import grasps_table, run_grasps
+    from sim.bench.objects import bench_objects
 
-    check_folder(output)
-    result = run_benchmark(
-        names(hands), names(objects), range(seeds), mu=sim_mu, workers=workers, console=err
-    )
-    if output is not None:
-        write_json(result, output)
-    if as_json:
-        print_json(result)
-    else:
-        wide().print(bench_table(result))
-    if result["interrupted"]:
-        raise typer.Exit(EXIT_INTERRUPTED)
+    check_folder(samples)
+    with measuring(output, workers) as runner:
+        result = run_grasps(
+            names(hands),
+            bench_objects(names(objects)),
+            seeds,
+            mu=sim_mu,
+            file=samples,
+            runner=runner,
+        )
+    give(result, output, as_json, lambda console: console.print(grasps_table(result)))
 
 
 @errors_for_people()
@@ -94,13 +102,11 @@ def bench_synthesis(
     as_json: JsonOption = False,
 ) -> None:
     """Measure planning: found per CPU second, CPU by stage, epsilon, diversity."""
-    from planner.files import write_json
     from sim.bench.objects import bench_objects
     from sim.bench.requests import Setting
     from sim.bench.synthesis import run_synthesis
     from sim.bench.tables import print_synthesis
 
-    check_folder(output)
     setting = Setting(
         mu=mu,
         fingers=None if fingers is None else tuple(names(fingers)),
@@ -110,25 +116,11 @@ def bench_synthesis(
         max_attempts=max_attempts,
         seed=seed,
     )
-    with heeding_ctrl_c() as check:
+    with measuring(output, workers) as runner:
         result = run_synthesis(
-            hands,
-            bench_objects(names(objects)),
-            n,
-            setting,
-            workers=workers,
-            baseline=baseline,
-            console=err,
-            check=check,
+            hands, bench_objects(names(objects)), n, setting, runner=runner, baseline=baseline
         )
-    if output is not None:
-        write_json(result, output)
-    if as_json:
-        print_json(result)
-    else:
-        print_synthesis(result, wide())
-    if result["interrupted"]:
-        raise typer.Exit(EXIT_INTERRUPTED)
+    give(result, output, as_json, lambda console: print_synthesis(result, console))
 
 
 @errors_for_people()
@@ -181,38 +173,20 @@ def bench_metrics(
     n: Annotated[int, typer.Option("-n", "--number", min=1, help="Grasps in all.")] = 500,
     seed: SeedOption = 0,
     workers: WorkersOption = 1,
-    samples: Annotated[
-        Path, typer.Option(help="Samples go here as they come; goes on where it ended.")
-    ] = Path("metrics.jsonl"),
+    samples: SamplesOption = Path("metrics.jsonl"),
     output: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Simulate grasps of mixed quality: which metric predicts success."""
-    from planner.files import write_json
     from sim.bench.metrics import metrics_table, run_metrics
     from sim.bench.objects import bench_objects
 
-    check_folder(output)
     check_folder(samples)
-    with heeding_ctrl_c() as check:
+    with measuring(output, workers) as runner:
         result = run_metrics(
-            hands,
-            bench_objects(names(objects)),
-            n,
-            seed=seed,
-            file=samples,
-            workers=workers,
-            console=err,
-            check=check,
+            hands, bench_objects(names(objects)), n, seed=seed, file=samples, runner=runner
         )
-    if output is not None:
-        write_json(result, output)
-    if as_json:
-        print_json(result)
-    else:
-        wide().print(metrics_table(result))
-    if result["interrupted"]:
-        raise typer.Exit(EXIT_INTERRUPTED)
+    give(result, output, as_json, lambda console: console.print(metrics_table(result)))
 
 
 @errors_for_people()
@@ -227,28 +201,44 @@ def bench_scaling(
     as_json: JsonOption = False,
 ) -> None:
     """Measure how cost grows: with grasps, workers, contacts and triangles."""
-    from planner.files import write_json
     from sim.bench.scaling import run_scaling, scaling_tables
+
+    with measuring(output, workers=1) as runner:
+        result = run_scaling(hand, names(curves), n, most_grasps=most_grasps, runner=runner)
+    give(result, output, as_json, lambda console: console.print(*scaling_tables(result)))
+
+
+@contextmanager
+def measuring(output: Path | None, workers: int) -> Iterator[Runner]:
+    """Who works on a measurement: shows how far it is on stderr, and heeds Ctrl-C and SIGTERM."""
+    from sim.bench.run import Runner
 
     check_folder(output)
     with heeding_ctrl_c() as check:
-        result = run_scaling(
-            hand, names(curves), n, most_grasps=most_grasps, console=err, check=check
-        )
+        yield Runner(console=err, check=check, workers=workers)
+
+
+def give(
+    result: dict[str, Any], output: Path | None, as_json: bool, show: Callable[[Console], None]
+) -> None:
+    """Write and print a result; exit as interrupted if it was.
+
+    Args:
+        result: Of a measurement.
+        output: Where it is written, if anywhere.
+        as_json: Whether it is printed as it is, and not shown.
+        show: Shows it on a console where the tables fit; a narrow terminal breaks their lines.
+    """
+    from planner.files import write_json
+
     if output is not None:
         write_json(result, output)
     if as_json:
         print_json(result)
     else:
-        for table in scaling_tables(result):
-            wide().print(table)
+        show(Console(width=max(out.width, TABLE_WIDTH)))
     if result["interrupted"]:
         raise typer.Exit(EXIT_INTERRUPTED)
-
-
-def wide() -> Console:
-    """A console on which the tables fit; a narrow terminal breaks their lines."""
-    return Console(width=max(out.width, TABLE_WIDTH))
 
 
 def register(app: typer.Typer) -> None:

@@ -157,6 +157,7 @@ def heeding_ctrl_c() -> Iterator[Callable[[], None]]:
     """Give a function that raises the KeyboardInterrupt that got lost, if one did.
 
     CasADi makes a failed attempt out of a Ctrl-C while it solves, and planning would go on.
+    SIGTERM, by which a system ends what runs too long, counts as Ctrl-C meanwhile.
     """
     pressed: list[bool] = []
 
@@ -168,11 +169,12 @@ def heeding_ctrl_c() -> Iterator[Callable[[], None]]:
         if pressed:
             raise KeyboardInterrupt
 
-    handler = signal.signal(signal.SIGINT, remember)
+    handlers = {s: signal.signal(s, remember) for s in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield check
     finally:
-        signal.signal(signal.SIGINT, handler)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
 
 
 def print_json(data: dict[str, Any]) -> None:

@@ -1,41 +1,64 @@
-"""Plan and execute hands x objects x seeds: behind ``opposable bench grasps``."""
+"""``run_grasps``: plan and execute hands x objects x seeds.
+
+Outcomes are kept as they come (``sim.bench.journal``).
+"""
 
 from __future__ import annotations
 
 import math
-import platform
 import statistics
-from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
-from functools import lru_cache
-from importlib.metadata import version
-from typing import Any, Literal
+from pathlib import Path
+from typing import Any
 
-from rich import box
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
 from rich.table import Table
 
-from planner.errors import NoGraspFoundError, TaskError
-from planner.hand import Hand
-from planner.objects import parse_object
+from planner.errors import NoGraspFoundError, PlannerError
 from planner.search import plan_grasp
 from planner.synthesis.problems import problems_for
-from planner.task import GraspTask
+from sim.bench.journal import run_with_journal
+from sim.bench.objects import BenchObject
+from sim.bench.requests import Setting, check_tasks, task_for
+from sim.bench.run import Check, Runner, made_with
+from sim.bench.tables import table_of
 from sim.scene import PhysicsOptions
 from sim.trial import simulate
 
-__all__ = ["Outcome", "bench_table", "run_benchmark"]
+__all__ = ["Outcome", "Seed", "grasps_table", "plan_and_execute", "run_grasps"]
+
+FORMAT = "opposable-bench-grasps"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seed:
+    """One seed of a hand and an object, as it is sent to a worker.
+
+    Attributes:
+        index: Its number among all.
+        hand: Name or path of the hand.
+        spec: The object.
+        label: What it is called.
+        seed: Seed of planning.
+        mu: Sliding friction in simulation (-).
+    """
+
+    index: int
+    hand: str
+    spec: str
+    label: str
+    seed: int
+    mu: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """One seed of one cell.
+    """What became of a seed.
 
     Attributes:
-        hand: Name of the hand.
-        object: The object as it was asked for.
+        index: Its number among all.
+        hand: The hand as it was asked for.
+        object: What the object is called.
         seed: Seed.
         found: Whether a plan was found.
         attempts: Attempts made.
@@ -50,13 +73,14 @@ class Outcome:
         force_errors_percent: The same for normal forces.
     """
 
+    index: int
     hand: str
     object: str
     seed: int
-    found: bool
-    attempts: int
-    cpu_s: float
-    build_s: float
+    found: bool = False
+    attempts: int = 0
+    cpu_s: float = 0.0
+    build_s: float = 0.0
     epsilon: float | None = None
     held: bool = False
     reason: str = ""
@@ -66,41 +90,33 @@ class Outcome:
     force_errors_percent: tuple[float, ...] = ()
 
 
-@lru_cache(maxsize=32)
-def _task(hand: str, object: str) -> GraspTask:
-    """One task for all seeds of a cell: meshes and their fields are read once."""
-    return GraspTask.create(_hand(hand), parse_object(object))
+def plan_and_execute(seed: Seed, check: Check) -> dict[str, Any]:
+    """The outcome of a seed, as plain data.
 
-
-@lru_cache(maxsize=16)
-def _hand(name: str) -> Hand:
-    return Hand.load(name)
-
-
-def _one(hand: str, object: str, seed: int, mu: float) -> Outcome:
-    task = _task(hand, object)
-    name = object
+    Args:
+        seed: Which.
+        check: Called between attempts and after the trial; what it raises ends it.
+    """
+    task = task_for(seed.hand, seed.spec, Setting())
+    if isinstance(task, str):
+        return _outcome(seed, reason=task)
     build_s = problems_for(task).build_s
     try:
-        plan = plan_grasp(task, seed=seed)
-    except (NoGraspFoundError, TaskError) as error:
+        plan = plan_grasp(task, seed=seed.seed, progress=lambda _: check())
+    except PlannerError as error:
         made = error.attempts if isinstance(error, NoGraspFoundError) else ()
-        return Outcome(
-            hand=hand,
-            object=name,
-            seed=seed,
-            found=False,
+        return _outcome(
+            seed,
             attempts=len(made),
             cpu_s=sum(a.cpu_s for a in made),
             build_s=build_s,
             reason=str(error),
         )
-    report = simulate(plan, physics=PhysicsOptions(mu=mu))
+    report = simulate(plan, physics=PhysicsOptions(mu=seed.mu))
+    check()
     slip_mm, slip_deg = report.largest_slip
-    return Outcome(
-        hand=hand,
-        object=name,
-        seed=seed,
+    return _outcome(
+        seed,
         found=True,
         attempts=plan.record.attempts,
         cpu_s=plan.record.cpu_s,
@@ -115,82 +131,92 @@ def _one(hand: str, object: str, seed: int, mu: float) -> Outcome:
     )
 
 
+def _given_up(seed: Seed, reason: str) -> dict[str, Any]:
+    return _outcome(seed, reason=reason)
+
+
+def _outcome(seed: Seed, **values: Any) -> dict[str, Any]:
+    return asdict(
+        Outcome(index=seed.index, hand=seed.hand, object=seed.label, seed=seed.seed, **values)
+    )
+
+
 def _known(values: Iterable[float]) -> tuple[float, ...]:
     """Without those that were not measured: a finger that lost its contact has no error."""
     return tuple(v for v in values if math.isfinite(v))
 
 
-def run_benchmark(
-    hands: Iterable[str],
-    objects: Iterable[str],
-    seeds: Iterable[int],
+def run_grasps(
+    hands: Sequence[str],
+    objects: Sequence[BenchObject],
+    seeds: int,
     *,
     mu: float,
-    workers: int,
-    console: Console,
+    file: Path,
+    runner: Runner,
 ) -> dict[str, Any]:
-    """Run every cell; Ctrl-C keeps what is finished.
+    """Plan and execute the seeds that the file does not have yet.
 
     Args:
-        hands: Hand names.
-        objects: Object specifications.
-        seeds: Seeds per cell.
+        hands: Names or paths.
+        objects: The objects.
+        seeds: Seeds for each hand and object, from 0.
         mu: Sliding friction in simulation (-).
-        workers: Processes.
-        console: Where the progress bar goes.
+        file: Of the outcomes; made if it is not there.
+        runner: Who works on them.
 
     Returns:
-        Plain data: the outcomes, and what they were made with.
+        Plain data: all outcomes that the file has then, and what they were made with.
+
+    Raises:
+        FileFormatError: The file is not one of these, or was begun with other arguments.
+        PlannerError: A hand or an object that was named cannot be used.
     """
-    objects, seeds = list(objects), list(seeds)
-    jobs = [(h, o, s) for h in hands for o in objects for s in seeds]
-    for hand in dict.fromkeys(h for h, _, _ in jobs):
-        for object in objects:
-            _task(hand, object)  # bad input ends here, not after minutes
-    outcomes: list[Outcome] = []
-    interrupted = False
-    columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console) as progress:
-        bar = progress.add_task("plan and execute", total=len(jobs))
-        try:
-            if workers == 1:
-                for job in jobs:
-                    outcomes.append(_one(*job, mu))
-                    progress.advance(bar)
-            else:
-                with ProcessPoolExecutor(workers) as pool:
-                    futures = [pool.submit(_one, *job, mu) for job in jobs]
-                    for future in as_completed(futures):
-                        outcomes.append(future.result())
-                        progress.advance(bar)
-        except KeyboardInterrupt:
-            interrupted = True
-    outcomes.sort(key=lambda o: (o.hand, o.object, o.seed))
-    return {
-        "format": "opposable-bench-grasps",
+    check_tasks(hands, objects)
+    cells = [(hand, item, seed) for hand in hands for item in objects for seed in range(seeds)]
+    jobs = [
+        Seed(index=k, hand=hand, spec=item.spec, label=item.label, seed=seed, mu=mu)
+        for k, (hand, item, seed) in enumerate(cells)
+    ]
+    asked = {
+        "format": f"{FORMAT}-outcomes",
         "version": 1,
-        "written_by": f"opposable {version('opposable')}",
-        "machine": f"{platform.machine()}, Python {platform.python_version()}",
+        "hands": list(hands),
+        "objects": [item.spec for item in objects],
+        "seeds": seeds,
         "mu_simulation": mu,
-        "workers": workers,
-        "interrupted": interrupted,
-        "outcomes": [asdict(o) for o in outcomes],
+    }
+    outcomes, whole = run_with_journal(
+        runner,
+        plan_and_execute,
+        jobs,
+        file=file,
+        asked=asked,
+        title="plan and execute",
+        given_up=_given_up,
+    )
+    return {
+        "format": FORMAT,
+        "version": 2,
+        **made_with(),
+        "mu_simulation": mu,
+        "workers": runner.workers,
+        "interrupted": not whole,
+        "outcomes": sorted(outcomes, key=lambda o: (o["hand"], o["object"], o["seed"])),
     }
 
 
 COLUMNS = ("found", "held", "tries", "CPU s", "slip mm", "slip deg", "off mm", "force %", "epsilon")
 
 
-def bench_table(result: dict[str, Any]) -> Table:
+def grasps_table(result: dict[str, Any]) -> Table:
     """Medians per hand and object, over all, and the worst of all."""
     outcomes = [Outcome(**o) for o in result["outcomes"]]
-    table = Table(
-        title="medians; CPU without building; off: planned to measured contact; force: its error",
-        box=box.SIMPLE_HEAD,
+    table = table_of(
+        "medians; CPU without building; off: planned to measured contact; force: its error",
+        ("hand", "object"),
+        COLUMNS,
     )
-    for name in ("hand", "object", *COLUMNS):
-        justify: Literal["left", "right"] = "left" if name in ("hand", "object") else "right"
-        table.add_column(name, justify=justify, no_wrap=True)
     cells: dict[tuple[str, str], list[Outcome]] = {}
     for o in outcomes:
         cells.setdefault((o.hand, o.object), []).append(o)
