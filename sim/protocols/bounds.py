@@ -34,7 +34,12 @@ def proven_bound(plan: GraspPlan, physics: PhysicsOptions, wrench: FloatArray) -
     Returns:
         Bounds of the largest factor (-): no control bears more than the upper end.
     """
-    models: tuple[ContactModel, ...] = ("soft",) * len(plan.contacts)
-    soft = replace(plan.contacts.with_friction(physics.mu, physics.mu_torsion), models=models)
-    problem = plan_forces(plan.task, soft, plan.T_world_base, plan.q, friction_scale=1.0).problem
+    soft: ContactModel = "soft"  # MuJoCo's condim 4
+    contacts = replace(
+        plan.contacts.with_friction(physics.mu, physics.mu_torsion),
+        models=(soft,) * len(plan.contacts),
+    )
+    problem = plan_forces(
+        plan.task, contacts, plan.T_world_base, plan.q, friction_scale=1.0
+    ).problem
     return breaking_along(problem, np.asarray(wrench))

@@ -73,7 +73,7 @@ class ProtocolReport:
 
     @property
     def success(self) -> bool:
-        """Whether every trial was finished, and held in part where a load grows, wholly elsewhere."""
+        """Whether all trials were finished, and held to the end where no load grows."""
         held = all(o.held for o in self.fixed) and all(o.borne > 0 for o in self.loaded)
         return self.complete and held
 
