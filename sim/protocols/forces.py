@@ -1,8 +1,8 @@
 """``forces``: gravity from six sides, then forces and torques that grow until the object is lost.
 
-Each load lasts for ``Settings.step_s`` and is ``Settings.growth`` times the one before. What was
-held through last and what was not are the two ends of the breaking magnitude. The plan's own weight
-acts as well. Random directions are uniform on the sphere of (force, torque / length), the length
+Each load lasts for ``Settings.step_s`` and is ``Settings.growth`` times the one before. The largest
+under which the object came to rest and the one under which it was lost are the two ends of the
+breaking magnitude. The plan's own weight acts as well. Random directions are uniform on the sphere of (force, torque / length), the length
 being the radius of the object's bounding sphere.
 """
 
@@ -92,15 +92,18 @@ class PushCase:
             physics=conditions.physics,
             lost=settings.lost,
         )
-        borne, broke = 0.0, np.inf
+        borne, broke, before = 0.0, np.inf, 0.0
         fault = hold.grip()
         if fault is None:
             weight = plan.task.object.mass * G
             level = settings.first_load * weight
             while fault is None and level <= settings.most_load * weight:
-                fault = _load(hold, wrench, borne, level, settings.step_s, unit)
-                borne, broke = (level, np.inf) if fault is None else (borne, level)
-                level *= settings.growth
+                fault = _load(hold, wrench, before, level, settings.step_s, unit)
+                if fault is not None:
+                    broke = level
+                elif hold.at_rest():
+                    borne = level
+                before, level = level, settings.growth * level
         else:
             broke = 0.0
         return replace(

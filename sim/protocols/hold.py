@@ -46,6 +46,11 @@ BLAME_WINDOW = 0.2
 """An actuator at its limit in most looks of this long (s) before a failure is its reason."""
 
 
+REST_SPEED = 0.005
+"""Speed (m/s), of the centre of mass or by the turn on the bounding sphere, below which an object is
+at rest: the speed from which on a contact is said to slip."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Lost:
     """When an object counts as lost.
@@ -173,6 +178,12 @@ class Hold(Trial):
         """Take a sample."""
         self._recorder.record(self.data, "hold", self._limited())
         self._loads.append(self.load)
+
+    def at_rest(self) -> bool:
+        """Whether the object hardly moves, in a hand that stands still."""
+        linear, angular = np.split(self.data.qvel[self.scene.object_dof], 2)
+        length = self.plan.task.object.shape.bounding_radius
+        return max(np.linalg.norm(linear), length * np.linalg.norm(angular)) < REST_SPEED
 
     @property
     def samples(self) -> Samples:

@@ -53,7 +53,7 @@ class Outcome:
         samples: What was recorded, m samples.
         load: (m,), size of the disturbance at each sample: N, or N m for a pure torque; 0 without.
         unit: Unit of ``load``, "" where nothing is loaded.
-        borne: Largest load that was held through; NaN where no load grows.
+        borne: Largest load under which the object came to rest; NaN where no load grows.
         broke: Load under which it failed; infinite where the largest one was held.
         bound: What no control whatever could bear along this direction, by the certificate, with
             the friction of the simulation; NaN where none was worked out.
