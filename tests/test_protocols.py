@@ -29,7 +29,7 @@ from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GraspTask
 from sim.cli import main
-from sim.controllers import Controller, GraspController, Observation
+from sim.controllers import Controller, GraspController, Observation, Phase
 from sim.physics import PhysicsOptions
 from sim.protocols import FAILURES, Outcome, Settings, protocol_table, run_protocol, write_csv
 from sim.protocols.bounds import proven_bound
@@ -250,15 +250,10 @@ def test_fc_is_a_sequence_of_stages(servo_jaw: Hand) -> None:
 
     hold = Hold(plan, controller=replay)
 
-    def commands(phase: str, steps: int) -> FloatArray:
-        return np.array(
-            [
-                replay.step(replace(hold._observe("close", k / steps), phase=phase))
-                for k in range(steps)
-            ]  # type: ignore[arg-type]
-        )
+    def commands(phase: Phase) -> FloatArray:
+        return np.array([replay.step(hold._observe(phase, k / 100)) for k in range(100)])
 
-    close, squeeze = commands("close", 100), commands("squeeze", 100)
+    close, squeeze = commands("close"), commands("squeeze")
     for motion, begin, end in (
         (close, plan.q_pregrasp, plan.q),
         (squeeze, plan.q, plan.q + PRESS / 500),
@@ -378,7 +373,10 @@ def test_the_controller_does_not_know_what_differs(grasped: GraspPlan) -> None:
 class Altered:
     """The usual controller, whose commands are changed in some phases."""
 
-    def __init__(self, plan: GraspPlan, change: Callable[[FloatArray], FloatArray], *phases: str):
+    def __init__(
+        self, plan: GraspPlan, change: Callable[[FloatArray], FloatArray], *phases: str
+    ) -> None:
+        """Note what to change and when."""
         self._inner, self._change, self._phases = GraspController(plan), change, phases
 
     def step(self, observation: Observation) -> FloatArray:

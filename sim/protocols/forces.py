@@ -2,8 +2,8 @@
 
 Each load lasts for ``Settings.step_s`` and is ``Settings.growth`` times the one before. The largest
 under which the object came to rest and the one under which it was lost are the two ends of the
-breaking magnitude. The plan's own weight acts as well. Random directions are uniform on the sphere of (force, torque / length), the length
-being the radius of the object's bounding sphere.
+breaking magnitude. The plan's own weight acts as well. Random directions are uniform on the sphere
+of (force, torque / length), the length being the radius of the object's bounding sphere.
 """
 
 from __future__ import annotations

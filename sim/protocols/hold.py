@@ -47,8 +47,8 @@ BLAME_WINDOW = 0.2
 
 
 REST_SPEED = 0.005
-"""Speed (m/s), of the centre of mass or by the turn on the bounding sphere, below which an object is
-at rest: the speed from which on a contact is said to slip."""
+"""Speed (m/s), of the centre of mass or by the turn on the bounding sphere, below which an object
+is at rest: the speed from which on a contact is said to slip."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,7 +183,8 @@ class Hold(Trial):
         """Whether the object hardly moves, in a hand that stands still."""
         linear, angular = np.split(self.data.qvel[self.scene.object_dof], 2)
         length = self.plan.task.object.shape.bounding_radius
-        return max(np.linalg.norm(linear), length * np.linalg.norm(angular)) < REST_SPEED
+        fastest = max(np.linalg.norm(linear), length * np.linalg.norm(angular))
+        return bool(fastest < REST_SPEED)
 
     @property
     def samples(self) -> Samples:
