@@ -13,6 +13,7 @@ from rich.markup import escape
 from sim.cli.common import (
     EXIT_INTERRUPTED,
     EXIT_NO,
+    ControllerOption,
     JsonOption,
     SeedOption,
     err,
@@ -38,17 +39,11 @@ class Which(StrEnum):
     all = "all"
 
 
-class Control(StrEnum):
-    """Controllers."""
-
-    open = "open"
-
-
 @errors_for_people()
 def test(
     plans: Annotated[list[Path], typer.Argument(help="Plan files.", metavar="PLAN...")],
     protocol: Annotated[Which, typer.Option(help="What to do to the grasp.")] = Which.all,
-    controller: Annotated[Control, typer.Option(help="What drives the hand.")] = Control.open,
+    controller: ControllerOption = "open",
     workers: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
     folder: Annotated[
         Path, typer.Option("--out", help="Folder for lines as they come, reports and trials.csv.")
@@ -61,8 +56,10 @@ def test(
     Ends with 0 if every grasp held in every trial without a growing load.
     """
     from planner.files import read_plan, write_json
+    from sim.controllers import named_controller
     from sim.protocols import PROTOCOLS, ProtocolReport, protocol_table, run_protocol, write_csv
 
+    named_controller(controller)  # bad input ends here
     loaded = [(path, read_plan(path)) for path in plans]
     make_folder(folder)
     names = PROTOCOLS if protocol is Which.all else (protocol.value,)
@@ -74,7 +71,7 @@ def test(
                 report = run_protocol(
                     plan,
                     name,
-                    controller=controller.value,
+                    controller=controller,
                     seed=seed,
                     workers=workers,
                     name=str(path),

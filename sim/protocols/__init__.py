@@ -10,14 +10,12 @@
 
 from __future__ import annotations
 
-from sim.protocols.cases import CONTROLLERS
 from sim.protocols.outcome import FAILURES, Fault, Outcome
 from sim.protocols.report import ProtocolReport, protocol_table, write_csv
 from sim.protocols.run import PROTOCOLS, run_protocol
 from sim.protocols.settings import Settings
 
 __all__ = [
-    "CONTROLLERS",
     "FAILURES",
     "PROTOCOLS",
     "Fault",

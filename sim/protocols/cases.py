@@ -6,21 +6,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
-from planner.errors import NotFoundError
 from planner.plan import GraspPlan
-from sim.controllers import Controller, GraspController
+from sim.controllers import Controller
 from sim.physics import PhysicsOptions
 from sim.protocols.outcome import Outcome
 
-__all__ = ["AXES", "CONTROLLERS", "Case", "Conditions", "MakeController", "controller_of"]
+__all__ = ["AXES", "Case", "Conditions", "MakeController"]
 
 MakeController: TypeAlias = Callable[[GraspPlan], Controller]
 
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 """Names of the six directions along the world's axes."""
-
-CONTROLLERS: dict[str, MakeController] = {"open": GraspController}
-"""Controllers by the names that the command line gives them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,14 +48,3 @@ class Case(Protocol):
     def run(self, plan: GraspPlan, conditions: Conditions) -> Outcome:
         """Execute it."""
         ...
-
-
-def controller_of(name: str) -> MakeController:
-    """What makes the controller of a name.
-
-    Raises:
-        NotFoundError: There is none.
-    """
-    if name not in CONTROLLERS:
-        raise NotFoundError("controller", name, list(CONTROLLERS))
-    return CONTROLLERS[name]

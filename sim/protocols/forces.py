@@ -165,4 +165,5 @@ def _outcome(index: int, name: str, hold: Hold, fault: Fault | None) -> Outcome:
         fingers=hold.plan.task.finger_names,
         samples=hold.samples,
         load=hold.loads,
+        events=hold.events,
     )

@@ -23,7 +23,7 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, rotation_angle
 from sim.carrier import Carrier
 from sim.contacts import hand_contacts, normal_forces
-from sim.controllers import Controller, Phase
+from sim.controllers import Controller, Event, Phase, ReportsEvents
 from sim.physics import PhysicsOptions
 from sim.protocols.outcome import Failure, Fault
 from sim.timeline import Timeline
@@ -133,6 +133,11 @@ class Hold(Trial):
                 return self.fault("no contact", f"{detail}; {task.fingers_needed} are needed")
         self.mark()
         return None
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What the controller noticed so far."""
+        return self.controller.events if isinstance(self.controller, ReportsEvents) else ()
 
     def mark(self) -> None:
         """From now on it is a hold, and the object's movement in the palm counts."""

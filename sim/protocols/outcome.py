@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from planner.spatial import FloatArray
+from sim.controllers import Event
 from sim.verdict import Reason, Samples
 
 __all__ = ["FAILURES", "Failure", "Fault", "Outcome", "finite"]
@@ -59,6 +60,7 @@ class Outcome:
             the friction of the simulation; NaN where none was worked out.
         wrench: (6,), disturbance of load 1, N and N m, world axes about the centre of mass; zero
             where nothing is loaded.
+        events: What the controller noticed, if it says so.
         conditions: What differed from the plan, and what the disturbance reached: name with unit ->
             number.
     """
@@ -75,6 +77,7 @@ class Outcome:
     broke: float = float("nan")
     bound: float = float("nan")
     wrench: FloatArray = field(default_factory=lambda: np.zeros(6))
+    events: tuple[Event, ...] = ()
     conditions: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -142,6 +145,7 @@ class Outcome:
             **self.to_row(),
             "wrench_per_load": self.wrench.tolist(),
             "fingers": list(self.fingers),
+            "events": [asdict(event) for event in self.events],
             "over_time": {
                 "time_s": finite(s.time),
                 "phase": list(s.phase),

@@ -99,6 +99,7 @@ class RobustCase:
             fingers=report.fingers,
             samples=report.samples,
             load=np.zeros(len(report.samples)),
+            events=report.events,
             conditions={
                 "mass_factor": self.mass,
                 "friction_factor": self.friction,

@@ -22,8 +22,9 @@ from planner.files import plan_to_dict, read_plan
 from planner.hand import Hand
 from planner.plan import GraspPlan
 from sim.bench.run import made_with, run_all
+from sim.controllers import named_controller
 from sim.physics import CONTACT_SOLIMP, CONTACT_SOLREF, PhysicsOptions
-from sim.protocols.cases import Case, Conditions, MakeController, controller_of
+from sim.protocols.cases import Case, Conditions, MakeController
 from sim.protocols.fc import fc_cases, fc_physics
 from sim.protocols.forces import forces_cases
 from sim.protocols.hold import quiet
@@ -111,7 +112,7 @@ def run_protocol(
     settings = settings or Settings()
     physics = fc_physics() if protocol == "fc" else physics or PhysicsOptions()
     cases = cases_of(protocol, settings, seed)
-    make = controller_of(controller) if isinstance(controller, str) else controller
+    make = named_controller(controller) if isinstance(controller, str) else controller
     label = controller if isinstance(controller, str) else getattr(make, "__name__", "given")
     text = json.dumps(plan_to_dict(plan))
     conditions = Conditions(physics=physics, controller=make)

@@ -82,6 +82,7 @@ class ShakeCase:
             fingers=plan.task.finger_names,
             samples=hold.samples,
             load=hold.loads,
+            events=hold.events,
             conditions={
                 f"asked_{unit}": factor * asked,
                 f"reached_{unit}": factor * shaker.reached,
