@@ -69,6 +69,13 @@ EXPECTED: dict[str, tuple[str, ...]] = {
         "0.5 of it, fingers of unlimited strength: held",
         "pose turn:",
     ),
+    "18_protocols": (
+        "fc: held 6 of 6 directions",
+        "time step 0.004 s, elliptic cones, impratio 10, noslip 2",
+        "force +y",
+        "torque +x",
+        "contradictions: none",
+    ),
     "12_many_grasps": ("24 of 24 planned", "24 rows", "distinct", "is a plan again: closed"),
 }
 """What must appear in the output, runs of blanks counted as one."""

@@ -44,6 +44,9 @@ def test(
     plans: Annotated[list[Path], typer.Argument(help="Plan files.", metavar="PLAN...")],
     protocol: Annotated[Which, typer.Option(help="What to do to the grasp.")] = Which.all,
     controller: ControllerOption = "open",
+    only: Annotated[
+        list[str] | None, typer.Option(help='Only trials of this name: "force +z"; repeatable.')
+    ] = None,
     workers: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
     folder: Annotated[
         Path, typer.Option("--out", help="Folder for lines as they come, reports and trials.csv.")
@@ -74,6 +77,7 @@ def test(
                     controller=controller,
                     seed=seed,
                     workers=workers,
+                    only=only or (),
                     name=str(path),
                     file=folder / f"{stem}.jsonl",
                     console=err,

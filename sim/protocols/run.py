@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -76,6 +76,7 @@ def run_protocol(
     settings: Settings | None = None,
     seed: int = 0,
     workers: int = 1,
+    only: Collection[str] = (),
     name: str = "",
     file: Path | None = None,
     console: Console | None = None,
@@ -93,6 +94,7 @@ def run_protocol(
         seed: Of random directions and pose errors.
         workers: Processes; 1 for this one, -1 for one per core. With more than one, the hand
             must be one that its plan file can name.
+        only: Names of the trials to run, as a report has them; all if empty.
         name: What to call the plan in the report.
         file: JSON lines, one per trial, are written here as trials are finished.
         console: Where the progress bar goes; none without.
@@ -102,7 +104,7 @@ def run_protocol(
         The report; not ``complete`` after Ctrl-C.
 
     Raises:
-        NotFoundError: There is no such protocol or controller.
+        NotFoundError: There is no such protocol, controller or trial.
         TaskError: The protocol is not for this hand, or ``workers`` is 0.
         FileFormatError: ``file`` cannot be written.
     """
@@ -111,7 +113,7 @@ def run_protocol(
         raise TaskError("workers is 0; give the number of processes, or -1 for one per core")
     settings = settings or Settings()
     physics = fc_physics() if protocol == "fc" else physics or PhysicsOptions()
-    cases = cases_of(protocol, settings, seed)
+    cases = _chosen(cases_of(protocol, settings, seed), only)
     make = named_controller(controller) if isinstance(controller, str) else controller
     label = controller if isinstance(controller, str) else getattr(make, "__name__", "given")
     text = json.dumps(plan_to_dict(plan))
@@ -153,6 +155,15 @@ def run_protocol(
         outcomes=tuple(sorted(outcomes, key=lambda o: o.index)),
         wall_s=time.perf_counter() - begin,
     )
+
+
+def _chosen(cases: tuple[Case, ...], only: Collection[str]) -> tuple[Case, ...]:
+    """Those of some names, in order; all without names."""
+    names = [case.name for case in cases]
+    for name in only:
+        if name not in names:
+            raise NotFoundError("trial", name, names)
+    return tuple(case for case in cases if not only or case.name in only)
 
 
 def physics_of(plan: GraspPlan, physics: PhysicsOptions) -> dict[str, Any]:
