@@ -429,6 +429,8 @@ def test_penetration(servo_jaw: Hand) -> None:
     plan = pinch(servo_jaw)
     deep = FcCase(index=0).run(replace(plan, q_pregrasp=plan.q + 0.011), under())
     assert deep.reason == "penetration"
+    assert deep.conditions["start_penetration_mm"] == pytest.approx(11.0, abs=1e-6)
+    assert deep.conditions["grasp_penetration_mm"] == pytest.approx(0.0, abs=1e-3)
     assert len(deep.samples) == 0
     json.dumps(deep.to_dict(), allow_nan=False)
 

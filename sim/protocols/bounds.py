@@ -39,7 +39,5 @@ def proven_bound(plan: GraspPlan, physics: PhysicsOptions, wrench: FloatArray) -
         plan.contacts.with_friction(physics.mu, physics.mu_torsion),
         models=(soft,) * len(plan.contacts),
     )
-    problem = plan_forces(
-        plan.task, contacts, plan.T_world_base, plan.q, friction_scale=1.0
-    ).problem
+    problem = plan_forces(plan.task, contacts, plan.T_world_base, plan.q).problem
     return breaking_along(problem, np.asarray(wrench))
