@@ -115,7 +115,9 @@ def _show(report: Any, table: Any) -> None:
         f"and {p['torsional_friction_m']:g} m",
     )
     if s["of"]:
-        say(out, f"held in {s['held']} of {s['of']}; failures: {s['reasons'] or 'none'}")
+        say(out, f"held in {s['held']} of {s['of']}")
+    for reason, count in s["reasons"].items():
+        say(out, f"ended by {reason}: {count}")
     if s["median_borne_N"] is not None:
         say(
             out,
