@@ -114,6 +114,20 @@ class SymbolicHand:
             columns.append(ca.vertcat(linear + ca.cross(angular, arm), angular))
         return ca.horzcat(*columns)
 
+    def joint_columns(self) -> Any:
+        """Twist (6, nq) [linear; angular] of what passes the origin, per velocity of each joint.
+
+        In the frame of the joint's placement: what it moves goes at linear + angular x point.
+        """
+        columns = []
+        for j in range(1, self.hand.pin_model.njoints):
+            placement = self._joints[j]
+            angular = placement.rotation @ self._axes[j, 3:]
+            linear = placement.rotation @ self._axes[j, :3]
+            moment = ca.cross(angular, placement.translation)
+            columns.append(ca.vertcat(linear - moment, angular))
+        return ca.horzcat(*columns)
+
     def joint_torque(self, joint_name: str, point: Any, force: Any) -> Any:
         """Torque (N m, or force in N of a slide) of a joint that presses ``force`` at ``point``.
 

@@ -115,7 +115,7 @@ def solved(request: pytest.FixtureRequest, allegro: Hand, shadow: Hand) -> Solve
 def terms(case: Solved, x: FloatArray) -> dict[str, FloatArray]:
     """Value of every term at x."""
     problem = case.problem
-    form = problem.formulation
+    form, _ = problem.whole
     f = ca.Function("t", [form.x, form.p], [t.expression for t in problem.terms])
     values = f(x, case.parameters)
     return {t.name: np.array(v).ravel() for t, v in zip(problem.terms, values, strict=True)}

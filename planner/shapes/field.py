@@ -167,6 +167,7 @@ class _Tables:
         self.level_of = np.array([n - 1, *range(n - 1, -1, -1)])  # of how many levels hold a point
         shapes = np.array([level.coefficients.shape for level in levels])
         self.last_cell = shapes - 4  # the first of the four coefficients of the last cell
+        self.cells = (shapes[0] - 3).astype(np.float64)  # of the finest level, which comes first
         self.strides = np.column_stack(
             [shapes[:, 1] * shapes[:, 2], shapes[:, 2], np.ones(len(levels), dtype=np.int64)]
         )
@@ -181,6 +182,17 @@ class _Tables:
 
     def evaluate(self, p: FloatArray, order: int) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Taylor rows (n, size) and, (n,), whether the point is in any level."""
+        u = p * self.inverse[0] - self.first[0]
+        if len(p) and u.min() >= 0.0 and (u < self.cells).all():
+            # near the surface, as they nearly always are: all in the finest level
+            cell = u.astype(np.int64)
+            c = self.flat.take(self.stencil[:, :1] + cell @ self.strides[0])
+            out = _combined(c, (u - cell).T, order)
+            out *= self.scale[: len(out), :1]
+            return np.ascontiguousarray(out.T), np.ones(len(p), dtype=bool)
+        return self._evaluate_mixed(p, order)
+
+    def _evaluate_mixed(self, p: FloatArray, order: int) -> tuple[FloatArray, NDArray[np.bool_]]:
         # the levels are nested: the finest that holds a point follows from how many hold it
         held = (np.abs(p - self.centre) <= self.reach).all(axis=2).sum(axis=0)
         inside, which = held > 0, self.level_of[held]
@@ -190,14 +202,22 @@ class _Tables:
         cell = np.minimum(np.maximum(u, 0.0).astype(np.int64), self.last_cell.take(which, axis=0))
         base = (cell * self.strides.take(which, axis=0)).sum(axis=1) + self.start.take(which)
         c = self.flat.take(self.stencil.take(which, axis=1) + base)  # (64, n), z fastest
-        w = _weights((u - cell).T, order)  # (order + 1, 4, 3, n)
-        n, (dx, dy, dz) = len(p), _MIXED[:, : taylor_size(order)]
-        # along z first; then x and y together, for the wanted mixed derivatives only
-        along_z = np.einsum("azn,dzn->dan", c.reshape(16, 4, n), w[:, :, 2])
-        across = w[:, :, 0].take(dx, axis=0)[:, :, None] * w[:, :, 1].take(dy, axis=0)[:, None]
-        out = np.einsum("dan,dan->dn", along_z.take(dz, axis=0), across.reshape(len(dx), 16, n))
+        out = _combined(c, (u - cell).T, order)
         out *= self.scale[: len(out)].take(which, axis=1)
         return np.ascontiguousarray(out.T), inside
+
+
+def _combined(c: FloatArray, t: FloatArray, order: int) -> FloatArray:
+    """Derivatives (size, n), per cell width, of coefficients (64, n) at places (3, n) in a cell."""
+    w = _weights(t, order)  # (order + 1, 4, 3, n)
+    n, (dx, dy, dz) = c.shape[1], _MIXED[:, : taylor_size(order)]
+    # along z first; then x and y together, for the wanted mixed derivatives only
+    along_z = np.einsum("azn,dzn->dan", c.reshape(16, 4, n), w[:, :, 2])
+    across = w[:, :, 0].take(dx, axis=0)[:, :, None] * w[:, :, 1].take(dy, axis=0)[:, None]
+    out: FloatArray = np.einsum(
+        "dan,dan->dn", along_z.take(dz, axis=0), across.reshape(len(dx), 16, n)
+    )
+    return out
 
 
 def _weights(t: FloatArray, order: int) -> FloatArray:

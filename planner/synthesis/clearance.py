@@ -36,7 +36,9 @@ __all__ = [
     "finger_bones",
     "hull_balls",
     "link_balls",
+    "margin_of",
     "meeting_bones",
+    "moving",
 ]
 
 _PAD_OVERLAP = 1e-6
@@ -70,6 +72,14 @@ class ClearanceTerms:
     """Clearances of a hand as CasADi expressions, each at least 0 where it must be.
 
     All in the object's frame: a point b of the base is at rotation @ b + shift.
+
+    Attributes:
+        symbolic: The hand's kinematics.
+        hand: The hand.
+        rotation: (3, 3).
+        balls: Balls that fill the links.
+        centers: Their centres.
+        corners: Balls that span the links.
     """
 
     def __init__(
@@ -80,28 +90,41 @@ class ClearanceTerms:
         root: tuple[Any, Any] | None = None,
     ) -> None:
         """Place the balls of every link; ``root`` is rotation and shift of what is cut off."""
-        self._symbolic, self._rotation, self._shift = symbolic, rotation, shift
-        self._root = root
-        self._hand = symbolic.hand
-        self._balls = _moving(symbolic.hand, link_balls(symbolic.hand))
-        self._centers = [self._place(b.joint_id, b.center) for b in self._balls]
+        self.symbolic, self.rotation, self._shift, self._root = symbolic, rotation, shift, root
+        self.hand = symbolic.hand
+        self.balls = moving(symbolic.hand, link_balls(symbolic.hand))
+        self.corners = moving(symbolic.hand, hull_balls(symbolic.hand))
+        self.centers = [self._place(b.joint_id, b.center) for b in self.balls]
+
+    def local(self, ball: LinkBall) -> Any:
+        """Centre of a ball in the base, or in the arm's last link where the hand is cut off."""
+        return self.symbolic.point(ball.joint_id, ball.center)
+
+    def bones(self) -> list[tuple[Any, Any]]:
+        """Inner and outer end of every finger bone, in the same frame."""
+        point = self.symbolic.point
+        return [
+            (point(b.joint_id, b.inner), point(b.joint_id, b.outer))
+            for b in finger_bones(self.hand)
+        ]
 
     def _place(self, joint_id: int, local: FloatArray) -> Any:
         """A point fixed in a joint's frame, in the object's frame."""
-        rotation, shift = self._rotation, self._shift
-        if self._root is not None and self._symbolic.is_cut_off(joint_id):
+        rotation, shift = self.rotation, self._shift
+        if self._root is not None and self.symbolic.is_cut_off(joint_id):
             rotation, shift = self._root
-        return rotation @ self._symbolic.point(joint_id, local) + shift
+        return rotation @ self.symbolic.point(joint_id, local) + shift
 
     def from_object(
         self, surface: Surface, size: Any, touching: Sequence[str], margin: Any, tip_margin: Any
     ) -> list[Any]:
         """Distance of every ball but the pads of the fingers in ``touching``, less a margin (m)."""
         out = []
-        for ball, center in zip(self._balls, self._centers, strict=True):
-            touches = ball.finger in touching
-            if not (ball.is_pad and touches):
-                least = tip_margin if ball.on_tip and touches else margin
+        margins = {"clear_object": margin, "clear_tip": tip_margin}
+        for ball, center in zip(self.balls, self.centers, strict=True):
+            name = margin_of(ball, touching)
+            if name is not None:
+                least = margins[name]
                 reach = ball.radius + least + surface.distance_error
                 out.append(surface.clearance(size, center) - reach)
         return out
@@ -110,23 +133,23 @@ class ClearanceTerms:
         """Height of every link over the plane normal . x = offset, less a margin (m)."""
         return [
             ca.dot(normal, self._place(b.joint_id, b.center)) - offset - b.radius - margin
-            for b in _moving(self._hand, hull_balls(self._hand))
+            for b in self.corners
         ]
 
     def from_box(self, rotation: Any, shift: Any, half: Any, margin: Any) -> list[Any]:
         """Distance from a box; a point x is at rotation @ x + shift in the box's frame."""
         return [
             box_clearance(half, rotation @ center + shift) - ball.radius - margin
-            for ball, center in zip(self._balls, self._centers, strict=True)
+            for ball, center in zip(self.balls, self.centers, strict=True)
         ]
 
     def between_fingers(self, margin: Any) -> list[Any]:
         """Squared distance of link ends from other fingers' bones, less the least allowed (m2)."""
-        bones = finger_bones(self._hand)
+        bones = finger_bones(self.hand)
         inner = [self._place(b.joint_id, b.inner) for b in bones]
         outer = [self._place(b.joint_id, b.outer) for b in bones]
         out = []
-        for i, j in meeting_bones(self._hand):
+        for i, j in meeting_bones(self.hand):
             arm = outer[i] - inner[j]
             length = float(np.linalg.norm(bones[j].outer - bones[j].inner))
             if length > BALL_LENGTH:
@@ -137,7 +160,15 @@ class ClearanceTerms:
         return out
 
 
-def _moving(hand: Hand, balls: tuple[LinkBall, ...]) -> tuple[LinkBall, ...]:
+def margin_of(ball: LinkBall, touching: Sequence[str]) -> str | None:
+    """Which margin a ball keeps from the object; None for the pads of the fingers that touch it."""
+    touches = ball.finger in touching
+    if ball.is_pad and touches:
+        return None
+    return "clear_tip" if ball.on_tip and touches else "clear_object"
+
+
+def moving(hand: Hand, balls: tuple[LinkBall, ...]) -> tuple[LinkBall, ...]:
     """The balls that move with q or the base: not those of an arm's root, which stands fixed."""
     return tuple(b for b in balls if hand.arm is None or b.joint_id > 0)
 

@@ -10,16 +10,15 @@ residuals of a grasp.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
 from planner.spatial import FloatArray
 
-__all__ = ["Descent", "descend"]
+__all__ = ["Descent", "Residuals", "descend"]
 
 MAX_ITERATIONS = 40
 """Evaluations of the residuals in one descent."""
@@ -57,54 +56,69 @@ class Descent:
     iterations: int
 
 
+class Residuals(Protocol):
+    """What is descended.
+
+    Attributes:
+        n_terms: After a call: the first so many rows must vanish; the others are a cost.
+    """
+
+    n_terms: int
+
+    def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The residuals r (m,) that count at x and their Jacobian (m, n).
+
+        Those that count on one side of zero are left out on the other. Both arrays may be
+        overwritten by the next call.
+        """
+
+
 def descend(
-    residuals: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
+    residuals: Residuals,
     x: FloatArray,
     *,
     lower: FloatArray,
     upper: FloatArray,
     scale: FloatArray,
-    equality: NDArray[np.bool_],
-    n_terms: int,
     max_iterations: int = MAX_ITERATIONS,
 ) -> Descent:
-    """Descend from x.
+    """Descend from x. The last call of the residuals is at the x that is returned.
 
     Args:
-        residuals: r (m,) and its Jacobian (m, n) at x; both may be overwritten by the next call.
-            The last call is at the x that is returned.
+        residuals: What is to vanish.
         x: Start (n,), within the bounds.
-        lower: Least x (n,).
+        lower: Least x (n,). Unknowns whose bounds are equal stay out of the equations.
         upper: Largest x (n,).
         scale: Typical steps (n,): damping treats them alike.
-        equality: (m,), whether a residual counts on both sides of zero.
-        n_terms: The first so many residuals must vanish; the others are a cost.
         max_iterations: Budget in evaluations.
     """
+    free = np.flatnonzero(upper > lower)
+    scale, lower, upper = scale[free], lower[free], upper[free]
+    x, last = x.copy(), x[free]
 
-    def look(at: FloatArray) -> tuple[FloatArray, FloatArray]:
-        values, jacobian = residuals(at)
-        return np.where(equality, values, np.minimum(values, 0.0)), jacobian
+    def look(at: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        x[free] = at
+        r, jacobian = residuals(x)
+        return r, jacobian, float(np.abs(r[: residuals.n_terms]).max(initial=0.0))
 
-    r, jacobian = look(x)
-    total, worst = float(r @ r), _worst(r, n_terms)
+    r, jacobian, worst = look(last)
+    total = float(r @ r)
     damping, growth, idle, iterations, status = -1.0, 2.0, 0, 1, "out of iterations"
     while iterations < max_iterations:
         if total <= NOTHING:
             status = "solved"
             break
-        counts = np.flatnonzero(equality | (r != 0.0))
-        rows = jacobian[counts] * scale
-        slope, normal = rows.T @ r[counts], rows.T @ rows
+        rows = jacobian[:, free] * scale
+        slope, normal = r @ rows, rows.T @ rows
         if damping < 0:
             damping = FIRST_DAMPING * float(normal.diagonal().max())
-        least, most = (lower - x) / scale, (upper - x) / scale
+        least, most = (lower - last) / scale, (upper - last) / scale
         accepted = False
         while iterations < max_iterations and growth <= MOST_GROWTH:
             step = _step(normal, slope, damping, least, most)
             expected = -float(2 * slope @ step + step @ normal @ step)
-            to = np.clip(x + step * scale, lower, upper)
-            r_to, jacobian = look(to)
+            to = np.clip(last + step * scale, lower, upper)
+            r_to, jacobian, worst_to = look(to)
             iterations += 1
             total_to = float(r_to @ r_to)
             gain = (total - total_to) / expected if expected > 0 else -1.0
@@ -116,7 +130,7 @@ def descend(
             status = "no step descends"
             break
         share = (total - total_to) / total
-        x, r, total, worst = to, r_to, total_to, _worst(r_to, n_terms)
+        last, r, total, worst = to, r_to, total_to, worst_to
         damping, growth = damping * max(1 / 3, 1 - (2 * min(gain, 1.0) - 1) ** 3), 2.0
         idle = idle + 1 if share < STALLED else 0
         if worst < SOLVED and share < SLOW:
@@ -125,16 +139,12 @@ def descend(
         if idle >= PATIENCE:
             status = "stalled"
             break
-    look(x)
+    look(last)
     return Descent(x=x, worst=worst, status=status, iterations=iterations)
 
 
 MOST_GROWTH = 2.0**10
 """Growth of the damping after which no smaller step is tried."""
-
-
-def _worst(r: FloatArray, n_terms: int) -> float:
-    return float(np.abs(r[:n_terms]).max(initial=0.0))
 
 
 def _step(
@@ -150,11 +160,15 @@ def _step(
     step = np.zeros(len(slope))
     held = ((least >= 0) & (slope > 0)) | ((most <= 0) & (slope < 0))
     for _ in range(ROUNDS):
-        free = np.flatnonzero(~held)
-        if not len(free):
-            break
-        target = -slope[free] - damped[np.ix_(free, np.flatnonzero(held))] @ step[held]
-        _, step[free], _ = dposv(damped[np.ix_(free, free)], target)
+        if held.any():
+            free = np.flatnonzero(~held)
+            if not len(free):
+                break
+            mine = damped[free]
+            target = -slope[free] - mine[:, held] @ step[held]
+            _, step[free], _ = dposv(mine[:, free], target)
+        else:
+            _, step, _ = dposv(damped, -slope)
         beyond = (step < least) | (step > most)
         if not beyond.any():
             break

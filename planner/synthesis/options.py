@@ -4,10 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from planner.spatial import FloatArray
-
 __all__ = ["OPTION_NAMES", "SynthesisOptions"]
 
 
@@ -40,10 +36,10 @@ class SynthesisOptions:
     weight_center: float = 1.0
     rounds: int = 2
 
-    def values(self) -> FloatArray:
-        """The numbers in the order of the NLP's parameters."""
-        return np.array([getattr(self, name) for name in OPTION_NAMES])
+    def values(self) -> dict[str, float]:
+        """The NLP's parameters by name."""
+        return {name: getattr(self, name) for name in OPTION_NAMES}
 
 
 OPTION_NAMES = tuple(n for n in SynthesisOptions.__dataclass_fields__ if n != "rounds")
-"""Names of the NLP's options in the order of ``SynthesisOptions.values``."""
+"""Names of the options that are parameters of the NLP."""

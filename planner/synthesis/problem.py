@@ -55,12 +55,13 @@ from planner.hand import Finger, Hand
 from planner.kinematics import HandState
 from planner.shapes import Shape
 from planner.spatial import SE3, FloatArray
+from planner.synthesis.avoid import Avoidance
 from planner.synthesis.nlp import Nlp
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.residuals import Residuals
 from planner.synthesis.surfaces import Patch, Surface, surface_of
-from planner.synthesis.surroundings import Surroundings, obstacles_in_object, table_in_object
-from planner.synthesis.terms import N_DIRECTIONS, Formulation, Term, formulate
+from planner.synthesis.surroundings import obstacles_in_object, table_in_object
+from planner.synthesis.terms import Formulation, Term, formulate
 from planner.task import GraspTask
 
 __all__ = ["Candidate", "GraspProblem", "Start", "build_problem"]
@@ -122,25 +123,36 @@ class GraspProblem:
         hand: The hand.
         fingers: Fingers that take part, in order of the contacts.
         surface: Form of the shape in the terms.
-        formulation: Unknowns, parameters, terms and cost as expressions.
+        n_obstacles: How many obstacle boxes there are.
         residuals: The terms and the cost as residuals with their Jacobian.
     """
 
     hand: Hand
     fingers: tuple[Finger, ...]
     surface: Surface
-    formulation: Formulation
+    n_obstacles: int
     residuals: Residuals
+
+    @property
+    def formulation(self) -> Formulation:
+        """Unknowns, parameters, terms without clearances, and cost."""
+        return self.residuals.formulation
+
+    @cached_property
+    def whole(self) -> tuple[Formulation, Surface]:
+        """All as expressions, clearances too, and the surface that collected its field points."""
+        surface = type(self.surface)()
+        return formulate(self.hand, self.fingers, surface, self.n_obstacles), surface
 
     @property
     def terms(self) -> tuple[Term, ...]:
         """The constraints."""
-        return self.formulation.terms
+        return self.whole[0].terms
 
     @cached_property
     def nlp(self) -> Nlp:
         """The terms as a programme for IPOPT, built when it is first asked for."""
-        f = self.formulation
+        f, surface = self.whole
         return Nlp(
             "grasp",
             x=f.x,
@@ -148,7 +160,7 @@ class GraspProblem:
             cost=ca.sumsqr(f.cost_rows),
             g=ca.vertcat(*[t.expression for t in f.terms]),
             options=IPOPT_OPTIONS,
-            points=self.surface.field,
+            points=surface.field,
         )
 
     def __str__(self) -> str:
@@ -281,18 +293,21 @@ class GraspProblem:
             T = start.T_object_base
             root = [np.array(T.rotation).ravel(order="F"), T.translation]
         shape = task.object.shape
-        parts = [
-            np.array(self._carrier(start).rotation).ravel(order="F"),
-            *root,
-            self.surface.size(shape),
-            *[patch.code for patch in start.patches],
-            Surroundings.values(table_in_object(task), obstacles_in_object(task)),
-            [task.mu, shape.bounding_radius],
-            posture,
-            options.values(),
-            np.zeros(6 * N_DIRECTIONS),
-        ]
-        return np.concatenate([np.asarray(v, dtype=np.float64).ravel() for v in parts])
+        return self.formulation.pack(
+            {
+                "reference": np.array(self._carrier(start).rotation).ravel(order="F"),
+                "root": np.concatenate(root) if root else (),
+                "size": self.surface.size(shape),
+                "codes": [patch.code for patch in start.patches],
+                "table": table_in_object(task),
+                "obstacles": obstacles_in_object(task),
+                "mu": task.mu,
+                "length": shape.bounding_radius,
+                "posture": posture,
+                **options.values(),
+                "directions": 0.0,
+            }
+        )
 
 
 TURN_MAX = 1.0
@@ -315,9 +330,10 @@ def build_problem(
     """
     fingers = tuple(fingers)
     surface = surface_of(kind_of)
-    formulation = formulate(hand, fingers, surface, n_obstacles)
-    residuals = Residuals(formulation, surface.field)
-    return GraspProblem(hand, fingers, surface, formulation, residuals)
+    formulation = formulate(hand, fingers, surface, n_obstacles, clearances=False)
+    avoidance = Avoidance(formulation, surface)
+    residuals = Residuals(formulation, surface.field, avoidance)
+    return GraspProblem(hand, fingers, surface, n_obstacles, residuals)
 
 
 IPOPT_TOL = 1e-4

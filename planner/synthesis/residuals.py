@@ -1,7 +1,8 @@
 """The terms and the cost of grasp synthesis as weighted residuals with their Jacobian.
 
 The same expressions as the NLP's. CasADi differentiates them once; each call writes into arrays
-that are kept, with no conversion of matrices in between.
+that are kept, with no conversion of matrices in between. Clearances, which are many and seldom
+violated, come from ``planner.synthesis.avoid``.
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ from numpy.typing import NDArray
 
 from planner.spatial import FloatArray
 from planner.stages import stage
+from planner.synthesis.avoid import TERMS, Avoidance, Violated
 from planner.synthesis.compiled import compiled
-from planner.synthesis.nlp import SECOND, THIRD, Field, FieldPoints
-from planner.synthesis.terms import N_DIRECTIONS, Formulation
+from planner.synthesis.nlp import THIRD, Field, FieldPoints
+from planner.synthesis.terms import Formulation
 
 __all__ = ["COST_SHARE", "WEIGHTS", "Residuals"]
 
@@ -56,23 +58,25 @@ the terms is mended by a last descent without it."""
 
 
 class Residuals:
-    """Weighted residuals r(x) (m,) and their Jacobian (m, n): terms first, then costs.
+    """Weighted residuals r(x) that count, (m,), and their Jacobian (m, n): terms, then costs.
 
     Attributes:
-        values: (m,), overwritten by every call.
-        jacobian: (m, n), likewise.
-        equality: Whether a residual counts on both sides of zero; the others where negative.
-        n_terms: How many belong to terms.
+        formulation: Terms without clearances, and cost.
+        n_terms: How many of the last ones belong to terms.
     """
 
-    def __init__(self, formulation: Formulation, points: FieldPoints | None) -> None:
+    def __init__(
+        self, formulation: Formulation, points: FieldPoints | None, avoidance: Avoidance
+    ) -> None:
         """Differentiate.
 
         Args:
-            formulation: Terms and cost.
-            points: Where they need a distance field.
+            formulation: Terms and cost, without clearances.
+            points: Where they need a distance field: at contact points.
+            avoidance: The clearances.
         """
         terms, x, p = formulation.terms, formulation.x, formulation.p
+        self.formulation, self._avoidance = formulation, avoidance
         self._points = points if points is not None and len(points) else None
         tau = ca.SX(0, 1) if self._points is None else self._points.symbols
         rows = [WEIGHTS[t.name] * (t.expression - SPARE.get(t.name, 0.0)) for t in terms]
@@ -81,71 +85,78 @@ class Residuals:
         jacobian = ca.jacobian(residual, x)
         sizes = [t.expression.numel() for t in terms]
         self._names = [t.name for t, m in zip(terms, sizes, strict=True) for _ in range(m)]
-        self.n_terms = sum(sizes)
+        self._n_terms = self.n_terms = sum(sizes)
         both = [t.equality for t, m in zip(terms, sizes, strict=True) for _ in range(m)]
-        self.equality: NDArray[np.bool_] = np.array(
+        self._both: NDArray[np.bool_] = np.array(
             both
             + [True] * formulation.cost_rows.numel()
             + [False] * formulation.quality_rows.numel()
         )
         self._x, self._p, self._tau = (np.zeros(v.numel()) for v in (x, p, tau))
-        self.values: FloatArray = np.zeros(residual.numel())
-        self.jacobian: FloatArray = np.zeros((residual.numel(), x.numel()))
+        self._values = np.zeros(residual.numel())
+        self._jacobian = np.zeros((residual.numel(), x.numel()))
         row, column = (np.array(v) for v in jacobian.sparsity().get_triplet())
         self._entries, self._at = np.zeros(len(row)), row * x.numel() + column
+        outputs = {name: ca.densify(v) for name, v in avoidance.outputs.items()}
+        links = {name: np.zeros(v.shape[::-1]) for name, v in outputs.items()}
+        avoidance.receive(links)
         self._call = _into_buffers(
-            compiled(ca.Function("residuals", [x, p, tau], [residual, jacobian])),
+            compiled(
+                ca.Function("residuals", [x, p, tau], [residual, jacobian, *outputs.values()])
+            ),
             [self._x, self._p, self._tau],
-            [self.values, self._entries],
+            [self._values, self._entries, *links.values()],
         )
-        if self._points is not None:
-            n2, n3 = self._points.counts
-            self._places = np.zeros((n2 + n3, 3))
-            self._call_places = _into_buffers(
-                ca.Function("places", [x, p], [ca.densify(self._points.points)]),
-                [self._x, self._p],
-                [self._places],
-            )
-            split = n2 * (3 + SECOND)
-            self._second = self._tau[:split].reshape(n2, 3 + SECOND)
-            self._third = self._tau[split:].reshape(n3, 3 + THIRD)
+        self._weights = np.array([WEIGHTS[name] for name in TERMS])
+        self._field: Field | None = None
+        self._violated: Violated
 
-    def set_parameters(self, p: FloatArray) -> None:
-        """Parameters for the calls that follow."""
+    def bind(self, p: FloatArray, field: Field | None) -> None:
+        """Parameters, and the distance field of a mesh, for the calls that follow."""
+        if self._points is not None and field is None:
+            raise TypeError("these residuals need a distance field")
         self._p[:] = p
+        self._field = field
+        self._avoidance.bind(self.formulation.unpack(self._p), field)
 
     def set_directions(self, directions: FloatArray) -> None:
         """Directions (k, 6) of wrench to work on from now on."""
-        free = self._p[-6 * N_DIRECTIONS :]
+        free = self._p[self.formulation.places["directions"]]
         free[:] = 0.0
         free[: directions.size] = directions.ravel()
 
-    def __call__(self, x: FloatArray, field: Field | None) -> tuple[FloatArray, FloatArray]:
-        """``values`` and ``jacobian`` at x, overwritten by the next call."""
+    def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Those that count at x: overwritten by the next call."""
         with stage("residuals"):
-            return self._evaluate(x, field)
+            return self._evaluate(x)
 
-    def _evaluate(self, x: FloatArray, field: Field | None) -> tuple[FloatArray, FloatArray]:
+    def _evaluate(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         self._x[:] = x
-        if self._points is not None:
-            if field is None:
-                raise TypeError("these residuals need a distance field")
-            self._call_places()
-            n2 = len(self._second)
+        if self._field is not None:
+            points = self.formulation.unknowns.points(x)
             # first derivatives of the residuals need one order less than the NLP's second ones
-            self._second[:, :3], self._third[:, :3] = self._places[:n2], self._places[n2:]
-            self._second[:, 3:7] = field.taylor(self._places[:n2], 1)
-            self._third[:, 3:13] = field.taylor(self._places[n2:], 2)
+            taylor = self._tau.reshape(len(points), 3 + THIRD)
+            taylor[:, :3] = points
+            taylor[:, 3:13] = self._field.taylor(points, 2)
         self._call()
-        self.jacobian.ravel()[self._at] = self._entries
-        return self.values, self.jacobian
+        self._jacobian.ravel()[self._at] = self._entries
+        counts = self._both | (self._values < 0.0)
+        self._violated = self._avoidance(x)
+        weights = self._weights[self._violated.terms]
+        self.n_terms = len(weights) + int(np.count_nonzero(counts[: self._n_terms]))
+        return (
+            np.concatenate([weights * self._violated.values, self._values[counts]]),
+            np.vstack([weights[:, None] * self._violated.rows, self._jacobian[counts]]),
+        )
 
     def violations(self) -> dict[str, float]:
         """Largest violation of each term at the last x, in its unit."""
-        out = dict.fromkeys(self._names, 0.0)
+        out = dict.fromkeys([*self._names, *TERMS], 0.0)
         for i, name in enumerate(self._names):
-            value = float(self.values[i]) / WEIGHTS[name] + SPARE.get(name, 0.0)
-            out[name] = max(out[name], abs(value) if self.equality[i] else -value)
+            value = float(self._values[i]) / WEIGHTS[name] + SPARE.get(name, 0.0)
+            out[name] = max(out[name], abs(value) if self._both[i] else -value)
+        for k, value in zip(self._violated.terms, self._violated.values, strict=True):
+            out[TERMS[k]] = max(out[TERMS[k]], -float(value))
         return out
 
 

@@ -55,7 +55,7 @@ def descend_grasp(
         rounds: How many rounds strengthen the grasp; none leaves the first that is reached.
     """
     begin = time.process_time()
-    problem.residuals.set_parameters(parameters)
+    problem.residuals.bind(parameters, problem.surface.field_of(task.object.shape))
     run = _Run(problem, task, start)
     run.descend(MAX_ITERATIONS)
     status = run.end.status
@@ -82,7 +82,6 @@ class _Run:
 
     def __init__(self, problem: GraspProblem, task: GraspTask, start: Start) -> None:
         self._problem, self._task = problem, task
-        self._field = problem.surface.field_of(task.object.shape)
         self._unknowns = problem.formulation.unknowns
         self._lower, self._upper = problem.bounds(start)
         n = len(problem.fingers)
@@ -100,15 +99,12 @@ class _Run:
 
     def descend(self, budget: int) -> None:
         """Move on by at most ``budget`` evaluations."""
-        residuals = self._problem.residuals
         self.end = descend(
-            lambda x: residuals(x, self._field),
+            self._problem.residuals,
             np.clip(self.x, self._lower, self._upper),
             lower=self._lower,
             upper=self._upper,
             scale=self._scale,
-            equality=residuals.equality,
-            n_terms=residuals.n_terms,
             max_iterations=budget,
         )
         self.x = self.end.x

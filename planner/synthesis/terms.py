@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from planner.hand import Finger, Hand
+from planner.spatial import FloatArray
 from planner.symbolic import SymbolicHand
 from planner.synthesis.clearance import ClearanceTerms
 from planner.synthesis.options import OPTION_NAMES
@@ -56,6 +58,10 @@ class Formulation:
     Attributes:
         unknowns: Layout of ``x``.
         x, p: Unknowns and parameters, columns.
+        parameters: Symbols of the parameters, by name in the order of ``p``.
+        finger_names: Fingers that take part.
+        links: The hand, placed by the unknowns.
+        surroundings: Table and obstacles.
         terms: Constraints.
         cost_rows: The cost is the sum of their squares.
         quality_rows: How much the grasp resists in given directions, less what is aimed at; a cost
@@ -65,15 +71,51 @@ class Formulation:
     unknowns: Unknowns
     x: Any
     p: Any
+    parameters: dict[str, Any]
+    finger_names: tuple[str, ...]
+    links: ClearanceTerms
+    surroundings: Surroundings
     terms: tuple[Term, ...]
     cost_rows: Any
     quality_rows: Any
 
+    @cached_property
+    def places(self) -> dict[str, slice]:
+        """Where each parameter stands in ``p``, by name."""
+        ends = np.cumsum([0, *(v.numel() for v in self.parameters.values())])
+        pairs = zip(self.parameters, ends[:-1], ends[1:], strict=True)
+        return {name: slice(int(a), int(b)) for name, a, b in pairs}
+
+    def pack(self, values: dict[str, Any]) -> FloatArray:
+        """The column of parameters: numbers for every name in ``places``."""
+        out = np.zeros(self.p.numel())
+        for name, place in self.places.items():
+            out[place] = np.asarray(values[name], dtype=np.float64).ravel()
+        return out
+
+    def unpack(self, p: FloatArray) -> dict[str, FloatArray]:
+        """Views of a column of parameters, by name."""
+        return {name: p[place] for name, place in self.places.items()}
+
 
 def formulate(
-    hand: Hand, fingers: tuple[Finger, ...], surface: Surface, n_obstacles: int
+    hand: Hand,
+    fingers: tuple[Finger, ...],
+    surface: Surface,
+    n_obstacles: int,
+    *,
+    clearances: bool = True,
 ) -> Formulation:
-    """Write the terms for a hand, the fingers that take part and the NLP form of a shape."""
+    """Write the terms for a hand, the fingers that take part and the NLP form of a shape.
+
+    Args:
+        hand: The hand.
+        fingers: Fingers that take part, in order of the contacts.
+        surface: NLP form of the shape.
+        n_obstacles: Number of obstacle boxes.
+        clearances: Whether links' clearances are among the terms; least squares gets them from
+            ``planner.synthesis.avoid``.
+    """
     n = len(fingers)
     unknowns = Unknowns(n_joints=hand.nq, n_contacts=n)
     s, t, q, points, forces = unknowns.symbols()
@@ -122,14 +164,15 @@ def formulate(
     equal["arm"] = [] if root is None else _arm_gap(symbolic, root, rotation, t)
     above["stop"] = _stop_torques(hand, fingers, torque)
 
-    names = [f.name for f in fingers]
+    names = tuple(f.name for f in fingers)
     links = ClearanceTerms(symbolic, rotation, t, root)
-    above["object"] = links.from_object(
-        surface, size, names, option["clear_object"], option["clear_tip"]
-    )
-    above["table"] = surroundings.from_table(links, option["clear_table"])
-    above["obstacle"] = surroundings.from_obstacles(links, option["clear_table"])
-    above["fingers"] = links.between_fingers(option["clear_fingers"])
+    if clearances:
+        above["object"] = links.from_object(
+            surface, size, names, option["clear_object"], option["clear_tip"]
+        )
+        above["table"] = surroundings.from_table(links, option["clear_table"])
+        above["obstacle"] = surroundings.from_obstacles(links, option["clear_table"])
+        above["fingers"] = links.between_fingers(option["clear_fingers"])
 
     span = hand.q_upper - hand.q_lower
     span[hand.arm_index] /= np.sqrt(ARM_POSTURE)
@@ -143,6 +186,19 @@ def formulate(
     ]
     middle = sum(points[1:], points[0]) / n
     cost_rows.append(ca.sqrt(option["weight_center"]) * middle / length)
+    parameters = {
+        "reference": ca.vec(r0),
+        "root": ca.SX(0, 1) if root is None else ca.vertcat(ca.vec(root[0]), root[1]),
+        "size": size,
+        "codes": ca.vertcat(*codes),
+        "table": surroundings.table,
+        "obstacles": surroundings.obstacles,
+        "mu": mu,
+        "length": length,
+        "posture": posture,
+        **option,
+        "directions": ca.vec(directions),
+    }
     terms = tuple(
         Term(name=name, expression=ca.vertcat(*parts), equality=group is equal)
         for group in (equal, above)
@@ -152,18 +208,11 @@ def formulate(
     return Formulation(
         unknowns=unknowns,
         x=ca.vertcat(s, t, q, *points, *forces),
-        p=ca.vertcat(
-            ca.vec(r0),
-            *(() if root is None else (ca.vec(root[0]), root[1])),
-            size,
-            *codes,
-            surroundings.symbols,
-            mu,
-            length,
-            posture,
-            *option.values(),
-            ca.vec(directions),
-        ),
+        p=ca.vertcat(*parameters.values()),
+        parameters=parameters,
+        finger_names=names,
+        links=links,
+        surroundings=surroundings,
         terms=terms,
         quality_rows=ca.vertcat(*quality_rows),
         cost_rows=ca.vertcat(*cost_rows),

@@ -8,9 +8,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, skew
 
-__all__ = ["Unknowns", "mrp_matrix", "mrp_numeric"]
+__all__ = ["Unknowns", "mrp_matrix", "mrp_numeric", "mrp_rates"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,8 +82,15 @@ def mrp_matrix(s: Any) -> Any:
 
 def mrp_numeric(s: FloatArray) -> FloatArray:
     """The same (3, 3) of numbers (3,)."""
-    return np.array(ca.DM(_MRP(s)))
+    k, n = skew(s), float(s @ s)
+    return np.eye(3) + (8 * (k @ k) + 4 * (1 - n) * k) / (1 + n) ** 2
 
 
-_S = ca.SX.sym("s", 3)
-_MRP = ca.Function("mrp", [_S], [mrp_matrix(_S)])
+def mrp_rates(s: FloatArray) -> FloatArray:
+    """Turn of the matrix M, in its own axes, per change of s, (3, 3): M' dM = [rates ds]x.
+
+    Inverse of ds = ((1 - s.s) I + 2 [s]x + 2 s s') omega / 4 (Schaub and Junkins, Analytical
+    mechanics of space systems, equation 3.152).
+    """
+    n = float(s @ s)
+    return 4 * ((1 - n) * np.eye(3) - 2 * skew(s) + 2 * np.outer(s, s)) / (1 + n) ** 2
