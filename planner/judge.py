@@ -11,7 +11,13 @@ import numpy as np
 
 from planner.collision import CollisionWorld
 from planner.contacts import ContactSet
-from planner.forces import QUICK_SOLVER, ForceSolution, distribute_forces, gravity_wrench
+from planner.forces import (
+    QUICK_SOLVER,
+    ForceArguments,
+    ForceSolution,
+    distribute_forces,
+    gravity_wrench,
+)
 from planner.kinematics import HandState
 from planner.plan import GraspPlan, SolveRecord
 from planner.quality import force_closure
@@ -22,7 +28,7 @@ from planner.synthesis.touch import pad_touches
 from planner.synthesis.verify import contacts_of, verify
 from planner.task import GraspTask
 
-__all__ = ["judge_grasp", "plan_forces"]
+__all__ = ["force_arguments", "judge_grasp", "plan_forces"]
 
 CLOSURE_EDGES = 8
 """Sides of the friction pyramid with which closure is decided."""
@@ -110,6 +116,24 @@ def plan_forces(
         q: Joints (nq,).
         **options: Passed to ``distribute_forces``.
     """
+    given: dict[str, Any] = {**force_arguments(task, contacts, T_world_base, q), **options}
+    quick = distribute_forces(contacts, **{"solver": QUICK_SOLVER, **given})
+    if quick.found or quick.fraction < 1.0 or "solver" in options:
+        return quick
+    return distribute_forces(contacts, **given)  # forces exist: the default solver has its turn
+
+
+def force_arguments(
+    task: GraspTask, contacts: ContactSet, T_world_base: SE3, q: FloatArray
+) -> ForceArguments:
+    """What ``build_force_problem`` needs for a task's weight, grip and hand at a grasp.
+
+    Args:
+        task: Gives weight, friction and grip.
+        contacts: One contact per finger of the task, world.
+        T_world_base: Base pose.
+        q: Joints (nq,).
+    """
     state = HandState(task.hand, q)
     inverse = T_world_base.inverse()
     rotation = T_world_base.rotation
@@ -119,7 +143,7 @@ def plan_forces(
             for f, p in zip(task.fingers, contacts.positions, strict=True)
         ]
     ).reshape(len(contacts), 6, -1)
-    given: dict[str, Any] = {
+    return {
         "wrench": gravity_wrench(task.object.mass, task.gravity),
         "min_normal": task.grip_force,
         "friction_scale": FRICTION_SHARE,
@@ -127,9 +151,4 @@ def plan_forces(
         "actuation": task.hand.actuation,
         "q": q,
         "gravity_torque": state.gravity_torque(rotation.T @ task.gravity),
-        **options,
     }
-    quick = distribute_forces(contacts, **{"solver": QUICK_SOLVER, **given})
-    if quick.found or quick.fraction < 1.0 or "solver" in options:
-        return quick
-    return distribute_forces(contacts, **given)  # forces exist: the default solver has its turn

@@ -69,6 +69,10 @@ EXPECTED: dict[str, tuple[str, ...]] = {
         "0.5 of it, fingers of unlimited strength: held",
         "pose turn:",
     ),
+    "14_open_and_closed_loop": ("closed / open any controller", "sideways", "loop.png"),
+    "15_pyramid_and_cone": ("round cones hold", "inscribed 8 0.9", "circumscribed 8 1.0"),
+    "16_delay": ("0 60", "100 24", "delay.png"),
+    "17_servo_and_torque": ("500 servos", "500 motors", "torque.png"),
     "18_protocols": (
         "fc: held 6 of 6 directions",
         "time step 0.004 s, elliptic cones, impratio 10, noslip 2",

@@ -301,7 +301,7 @@ def test_forces_turn_with_everything() -> None:
         ({"wrench": [0, 0, np.nan, 0, 0, 0]}, "wrench holds NaN"),
         ({"wrench": [0, 0, 1]}, r"wrench has shape \(3,\); give \(6,\)"),
         ({"edges": 2}, "at least 3"),
-        ({"cone": "round"}, "use 'inscribed' or 'circumscribed'"),
+        ({"cone": "flat"}, "use 'inscribed', 'circumscribed' or 'round'"),
         ({"min_normal": -1.0}, "0 <= min_normal <= max_normal"),
         ({"min_normal": 2.0, "max_normal": 1.0}, "0 <= min_normal <= max_normal"),
         ({"max_normal": np.nan}, "max_normal holds NaN"),

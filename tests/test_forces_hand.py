@@ -295,7 +295,7 @@ def test_no_contacts_resist_nothing() -> None:
 
 def test_a_solver_that_fails_is_not_an_infeasible_task(monkeypatch: pytest.MonkeyPatch) -> None:
     options = {"osqp": {"max_iter": 1, "polishing": False}}
-    monkeypatch.setattr("planner.forces.solve.SOLVER_OPTIONS", options)
+    monkeypatch.setattr("planner.forces.minimise.SOLVER_OPTIONS", options)
     solution = distribute_forces(opposed(), wrench=WEIGHT)
     assert not solution.found
     assert "forces exist, but solver 'osqp' missed them" in solution.reason

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from planner.forces.build import build_force_problem, gravity_wrench
-from planner.forces.dense import solver_names
-from planner.forces.friction import Pyramid, pyramid_faces
+from planner.forces.build import ForceArguments, build_force_problem, gravity_wrench
+from planner.forces.compare import (
+    SolverComparison,
+    SolverRecord,
+    compare_solvers,
+    turning_wrenches,
+)
+from planner.forces.dense import QUICK_SOLVER, solver_names
+from planner.forces.friction import Cone, LimitSurface, Pyramid, pyramid_faces, round_cone
+from planner.forces.gaps import PyramidGap, cone_gaps
 from planner.forces.infeasible import Infeasibility, explain_infeasibility
-from planner.forces.loop import ForceLoop, ForceStep, turned_frames
+from planner.forces.loop import ForceLoop, ForceStep
+from planner.forces.placed import turned_frames
+from planner.forces.priorities import LeastViolation, least_violation
 from planner.forces.problem import ForceProblem, ForceResiduals
 from planner.forces.solve import (
-    QUICK_SOLVER,
     ForceSolution,
     distribute_forces,
     solve_force_problem,
@@ -17,19 +25,31 @@ from planner.forces.solve import (
 
 __all__ = [
     "QUICK_SOLVER",
+    "Cone",
+    "ForceArguments",
     "ForceLoop",
     "ForceProblem",
     "ForceResiduals",
     "ForceSolution",
     "ForceStep",
     "Infeasibility",
+    "LeastViolation",
+    "LimitSurface",
     "Pyramid",
+    "PyramidGap",
+    "SolverComparison",
+    "SolverRecord",
     "build_force_problem",
+    "compare_solvers",
+    "cone_gaps",
     "distribute_forces",
     "explain_infeasibility",
     "gravity_wrench",
+    "least_violation",
     "pyramid_faces",
+    "round_cone",
     "solve_force_problem",
     "solver_names",
     "turned_frames",
+    "turning_wrenches",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Required, TypedDict, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,12 +10,19 @@ from numpy.typing import ArrayLike
 from planner.actuation import Actuation
 from planner.contacts import ContactSet
 from planner.errors import ContactError, ObjectError
-from planner.forces.friction import Pyramid, pyramid_faces
-from planner.forces.problem import ForceProblem, contact_names
+from planner.forces.contact_part import ContactPart
+from planner.forces.costs import (
+    add_change_cost,
+    add_torque_cost,
+    check_not_negative,
+    finite_array,
+)
+from planner.forces.friction import Cone, LimitSurface
+from planner.forces.problem import ForceProblem
 from planner.forces.transmission import HandPart
 from planner.spatial import FloatArray
 
-__all__ = ["build_force_problem", "gravity_wrench"]
+__all__ = ["ForceArguments", "build_force_problem", "gravity_wrench"]
 
 ACTUATOR_COST = 1e-6
 """Cost of (actuator force / length)^2 beside that of (contact force)^2 (-): it decides where
@@ -30,7 +37,10 @@ MIN_LENGTH = 1e-6
 MIN_SCALE = 1e-9
 """If nothing above this (N) is asked for, residuals are judged against 1 N."""
 
-_COMPONENTS = ("f_n", "f_t1", "f_t2", "tau_n")
+EDGE_MARGIN = 0.2
+"""Share of the friction (-) that forces keep from the cone's edge where that has a cost: friction
+coefficients are seldom known better."""
+
 _WRENCH_ROWS = ("force x", "force y", "force z", "torque x", "torque y", "torque z")
 
 
@@ -48,16 +58,46 @@ def gravity_wrench(mass: float, gravity: ArrayLike) -> FloatArray:
     return np.concatenate([mass * g, np.zeros(3)])
 
 
+class ForceArguments(TypedDict, total=False):
+    """Arguments of ``build_force_problem``, explained there; all but ``wrench`` may be left out."""
+
+    wrench: Required[ArrayLike]
+    edges: int
+    cone: Cone
+    limit_surface: LimitSurface
+    min_normal: ArrayLike
+    max_normal: ArrayLike
+    friction_scale: float
+    tangential_cost: float
+    edge_cost: float
+    edge_margin: float
+    change_cost: float
+    previous: ArrayLike | None
+    torque_cost: float
+    balance_cost: float | None
+    jacobians: ArrayLike | None
+    actuation: Actuation | None
+    q: ArrayLike | None
+    gravity_torque: ArrayLike | None
+
+
 def build_force_problem(
     contacts: ContactSet,
     *,
     wrench: ArrayLike,
     edges: int = 8,
-    cone: Pyramid = "inscribed",
+    cone: Cone = "inscribed",
+    limit_surface: LimitSurface = "ellipsoid",
     min_normal: ArrayLike = 0.0,
     max_normal: ArrayLike = np.inf,
     friction_scale: float = 1.0,
     tangential_cost: float = 1.0,
+    edge_cost: float = 0.0,
+    edge_margin: float = EDGE_MARGIN,
+    change_cost: float = 0.0,
+    previous: ArrayLike | None = None,
+    torque_cost: float = 0.0,
+    balance_cost: float | None = None,
     jacobians: ArrayLike | None = None,
     actuation: Actuation | None = None,
     q: ArrayLike | None = None,
@@ -71,13 +111,26 @@ def build_force_problem(
             about ``contacts.center``, in the contacts' axes.
         edges: Sides of each friction pyramid, at least 3. Eight lose at most 8 % of the sliding
             friction; sliding and torsion together lose more, up to 29 %.
-        cone: "inscribed" (what it allows the cone allows) or "circumscribed".
+        cone: "inscribed" (what it allows the cone allows), "circumscribed", or "round": the
+            second-order cone itself.
+        limit_surface: "ellipsoid", where sliding takes from torsion, or "independent".
         min_normal: Least normal force, N, a number or (n,), >= 0. 0 asks for no grip.
         max_normal: Greatest normal force, N, a number or (n,). Unlimited unless given.
         friction_scale: Factor in (0, 1] on both frictions when the pyramids are made; keeps forces
             off the cone by a margin.
         tangential_cost: Cost of a squared tangential force beside a squared normal force, > 0. 1
             minimises sum |f|^2; more prefers forces near the normals.
+        edge_cost: Cost of the squared normal force (N^2) by which a contact falls short of keeping
+            ``edge_margin`` from its cone's edge, beside a squared normal force, >= 0.
+        edge_margin: Share of the friction, in (0, 1), that costs ``edge_cost``.
+        change_cost: Cost of a squared change of force from ``previous``, >= 0; torsion counts as
+            in the cost on force.
+        previous: Forces (n, 4) of the step before, in the contact frames; needed for
+            ``change_cost``.
+        torque_cost: Cost of a squared joint torque J^T f + gravity_torque over the squared length
+            beside a squared normal force, >= 0; needs ``jacobians``.
+        balance_cost: None for the balance as an equality; else the cost of its squared residual
+            (N^2, torque over the length) beside a squared normal force, > 0.
         jacobians: (n, 3 or 6, nv), velocity of each contact point per joint velocity, linear rows
             first, in the contacts' axes. Soft contacts with torsion need all six.
         actuation: Limits the joint torques; needs ``jacobians`` and ``q``. Its springs help.
@@ -88,7 +141,7 @@ def build_force_problem(
         ContactError: Shapes do not fit, NaN, or a value outside its range.
     """
     n = len(contacts)
-    balance = _array("wrench", wrench, (6,))
+    balance = finite_array("wrench", wrench, (6,))
     low, high = _per_contact("min_normal", min_normal, n), _per_contact("max_normal", max_normal, n)
     if (low < 0).any() or (low > high).any() or np.isinf(low).any():
         raise ContactError(
@@ -102,36 +155,80 @@ def build_force_problem(
     scaled = contacts.with_friction(
         friction_scale * contacts.mu, friction_scale * contacts.mu_torsion
     )
-    part = _ContactPart(scaled, low, high, edges, cone, tangential_cost)
+    if cone not in get_args(Cone):
+        raise ContactError(f"cone is {cone!r}; use 'inscribed', 'circumscribed' or 'round'")
+    check_not_negative("edge_cost", edge_cost)
+    if not 0 < edge_margin < 1:
+        raise ContactError(f"edge_margin is {edge_margin}; give a share in (0, 1)")
+    if balance_cost is not None and not 0 < balance_cost < np.inf:
+        raise ContactError(f"balance_cost is {balance_cost}; give a finite number > 0, or None")
+    part = ContactPart(
+        scaled,
+        low,
+        high,
+        edges=edges,
+        cone=cone,
+        limit_surface=limit_surface,
+        tangential_cost=tangential_cost,
+        margin=edge_margin if edge_cost else 0.0,
+    )
     arm = float(np.linalg.norm(contacts.positions - contacts.center, axis=1).max(initial=0.0))
     length = arm if arm > MIN_LENGTH else 1.0
     joint_map, gravity = _joint_map(contacts, jacobians, gravity_torque)
     hand = HandPart.of(joint_map, actuation, q, with_jacobians=jacobians is not None)
     na, ns = len(hand.actuators), len(hand.stops)
     asked = max([*np.abs(balance[:3]), *(np.abs(balance[3:]) / length), *low])
+    row_scale = np.concatenate([np.ones(3), np.full(3 + len(hand.joints), 1 / length)])
+    n_force, n_drive, excess = len(part.names), na + ns, part.excess
+    residual = 0 if balance_cost is None else 6
+    hand_cost = np.repeat([ACTUATOR_COST, STOP_COST], [na, ns]) / length**2
+    extra_cost = [np.full(excess, edge_cost), (balance_cost or 0.0) * row_scale[:residual] ** 2]
+    quadratic = np.diag(np.concatenate([part.cost, hand_cost, *extra_cost]))
+    linear = np.zeros(len(quadratic))
+    add_change_cost(quadratic, linear, part, contacts, change_cost, previous)
+    add_torque_cost(quadratic, linear, joint_map, gravity, torque_cost, length)
+    tail = np.zeros((6 + len(hand.joints), excess + residual))
+    tail[:residual, excess:] = -np.eye(residual)
+    wide = [np.zeros((len(rows), n_drive)) for rows in (part.faces, part.cones)]
+    ends = [np.zeros((len(rows), residual)) for rows in (part.faces, part.cones)]
+    faces, cones = (
+        np.hstack([rows[:, :n_force], gap, rows[:, n_force:], end])
+        for rows, gap, end in zip((part.faces, part.cones), wide, ends, strict=True)
+    )
+    free = np.full(residual, np.inf)
     return ForceProblem(
         contacts=contacts,
         wrench=balance,
-        cost=np.concatenate(
-            [part.cost, np.repeat([ACTUATOR_COST, STOP_COST], [na, ns]) / length**2]
-        ),
+        quadratic=quadratic,
+        linear=linear,
         equality=np.block(
             [
-                [contacts.grasp_map(), np.zeros((6, na + ns))],
-                [-joint_map[hand.joints], hand.drive],
+                [contacts.grasp_map(), np.zeros((6, n_drive)), tail[:6]],
+                [-joint_map[hand.joints], hand.drive, tail[6:]],
             ]
         ),
         equality_value=np.concatenate([-balance, gravity[hand.joints] - hand.passive]),
-        faces=np.hstack([part.faces, np.zeros((len(part.faces), na + ns))]),
-        lower=np.concatenate([part.lower, hand.limits[:, 0], np.zeros(ns)]),
-        upper=np.concatenate([part.upper, hand.limits[:, 1], np.full(ns, np.inf)]),
-        column_names=(*part.names, *hand.column_names),
+        faces=faces,
+        cones=cones,
+        cone_sizes=part.cone_sizes,
+        lower=np.concatenate([part.lower, hand.limits[:, 0], np.zeros(ns + excess), -free]),
+        upper=np.concatenate([part.upper, hand.limits[:, 1], np.full(ns + excess, np.inf), free]),
+        column_names=(
+            *part.names,
+            *hand.column_names,
+            *part.excess_names,
+            *(f"residual {name}" for name in _WRENCH_ROWS[:residual]),
+        ),
         equality_names=(*_WRENCH_ROWS, *hand.row_names),
         face_names=tuple(part.face_names),
-        column_scale=np.concatenate([part.unit, np.full(na + ns, length)]),
-        row_scale=np.concatenate([np.ones(3), np.full(3 + len(hand.joints), 1 / length)]),
+        cone_names=tuple(part.cone_names),
+        column_scale=np.concatenate(
+            [part.unit, np.full(n_drive, length), np.ones(excess), 1 / row_scale[:residual]]
+        ),
+        row_scale=row_scale,
         length=length,
         force_scale=asked if asked > MIN_SCALE else 1.0,
+        balance_cost=balance_cost,
         joints=hand.joints,
         actuators=hand.actuators,
         stops=hand.stops,
@@ -140,66 +237,6 @@ def build_force_problem(
         actuation=actuation,
         q=None if q is None else np.array(q, dtype=np.float64),
     )
-
-
-class _ContactPart:
-    """Columns of the contact forces: names, cost, unit, bounds, and their friction faces."""
-
-    def __init__(
-        self,
-        contacts: ContactSet,
-        low: FloatArray,
-        high: FloatArray,
-        edges: int,
-        cone: Pyramid,
-        tangential_cost: float,
-    ) -> None:
-        """Lay them out contact by contact; friction is that of ``contacts``."""
-        size = sum(contacts.dims)
-        self.names: list[str] = []
-        self.cost, self.unit = np.ones(size), np.ones(size)
-        self.lower, self.upper = np.full(size, -np.inf), np.full(size, np.inf)
-        self.face_names: list[str] = []
-        rows = [np.zeros((0, size))]
-        labels = contact_names(contacts)
-        for i, dim in enumerate(contacts.dims):
-            at = len(self.names)
-            self.names += [f"{labels[i]} {c}" for c in _COMPONENTS[:dim]]
-            self.lower[at], self.upper[at] = low[i], high[i]
-            self.cost[at + 1 : at + dim] = tangential_cost
-            mu = float(contacts.mu[i]) if dim >= 3 else 0.0
-            twist = float(contacts.mu_torsion[i]) if dim == 4 else 0.0
-            if mu == 0.0:
-                self._pin(at + 1, min(at + 3, at + dim))
-            if dim == 4 and twist == 0.0:
-                self._pin(at + 3, at + 4)
-            elif dim == 4:
-                # A torsion counts like the normal force that its friction needs.
-                self.unit[at + 3] = twist
-                self.cost[at + 3] /= twist**2
-            faces = pyramid_faces(mu, twist, edges, cone)
-            block = np.zeros((len(faces), size))
-            block[:, at : at + dim] = faces[:, :dim]
-            rows.append(block)
-            self.face_names += [f"friction of {labels[i]}"] * len(faces)
-        self.faces = np.vstack(rows)
-
-    def _pin(self, begin: int, end: int) -> None:
-        self.lower[begin:end] = self.upper[begin:end] = 0.0
-
-
-def _array(what: str, value: Any, shape: tuple[int, ...]) -> FloatArray:
-    """A float array of a shape, finite.
-
-    Raises:
-        ContactError: It is not.
-    """
-    array = np.array(value, dtype=np.float64)
-    if array.shape != shape:
-        raise ContactError(f"{what} has shape {array.shape}; give {shape}")
-    if not np.isfinite(array).all():
-        raise ContactError(f"{what} holds NaN or infinity; give finite numbers")
-    return array
 
 
 def _per_contact(what: str, value: ArrayLike, n: int) -> FloatArray:
@@ -244,6 +281,8 @@ def _joint_map(
             angular = jac[i, 3:].T @ frame[:, :1] if jac.shape[1] == 6 else np.zeros((nv, 1))
             columns.append(angular)
     gravity = (
-        np.zeros(nv) if gravity_torque is None else _array("gravity_torque", gravity_torque, (nv,))
+        np.zeros(nv)
+        if gravity_torque is None
+        else finite_array("gravity_torque", gravity_torque, (nv,))
     )
     return np.hstack(columns), gravity

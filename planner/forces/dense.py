@@ -75,6 +75,21 @@ class DenseQp:
         worst = max(-float(np.minimum.reduce(under)), float(np.maximum.reduce(over)), 0.0)
         return worst if math.isfinite(worst) else math.inf
 
+    def dual_residual(self, x: FloatArray, duals: FloatArray) -> float:
+        """Largest entry of P x + q + A'y + z, or multiplier of a limit that is not there; or NaN.
+
+        Args:
+            x: (n,).
+            duals: (m + n,), of rows and bounds: >= 0 at an upper, <= 0 at a lower limit.
+        """
+        m = len(self.a)
+        rows, bounds = duals[:m], duals[m:]
+        slope = self.p @ x + self.q + rows @ self.a + bounds
+        ordered = np.concatenate([bounds, rows])
+        wrong_up = np.where(np.isfinite(self.most), 0.0, np.maximum(ordered, 0.0))
+        wrong_down = np.where(np.isfinite(self.least), 0.0, np.maximum(-ordered, 0.0))
+        return float(np.max([np.abs(slope).max(), wrong_up.max(), wrong_down.max()]))
+
 
 class KeptSolver(Protocol):
     """A solver made for one ``DenseQp``; the next call sees what was written meanwhile."""
@@ -171,7 +186,10 @@ class _Daqp(_Base):
         n = len(qp.q)
         if self._model is None:
             self._model = import_module("daqp").Model()
-            self._model.setup(qp.p, qp.q, qp.a, qp.most, qp.least, self._sense)
+            flag, _ = self._model.setup(qp.p, qp.q, qp.a, qp.most, qp.least, self._sense)
+            if flag < 0:  # limits that contradict each other are found before anything is solved
+                self._model = None
+                return self._nothing(f"exit flag {flag}")
         else:
             # without "sense" it starts from the active rows of its last answer
             self._model.update(H=qp.p, f=qp.q, A=qp.a, bupper=qp.most, blower=qp.least)
@@ -269,7 +287,8 @@ class _Piqp(_Base):
         super().__init__(qp)
         self._solver = import_module("piqp").DenseSolver()
         self._solver.settings.eps_abs, self._solver.settings.eps_rel = tolerance, 0.0
-        self._solver.settings.check_duality_gap = False
+        self._solver.settings.eps_duality_gap_abs = tolerance
+        self._solver.settings.eps_duality_gap_rel = 0.0
         self._used = False
 
     def solve(self) -> bool:
@@ -297,7 +316,7 @@ class _AnyQpsolver(_Base):
     def __init__(self, name: str, qp: DenseQp, tolerance: float) -> None:
         super().__init__(qp)
         self._name = name
-        self._options = {"clarabel": {"tol_feas": tolerance}}.get(name, {})
+        self._options = {"clarabel": {"tol_feas": tolerance, "max_threads": 1}}.get(name, {})
 
     def solve(self) -> bool:
         qp, k = self.qp, self.qp.equalities

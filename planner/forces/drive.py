@@ -14,7 +14,6 @@ any other stop that repeats what is there is left out, which can only refuse, ne
 from __future__ import annotations
 
 import numpy as np
-
 from numpy.typing import NDArray
 
 from planner.actuation import STOP_TOL, Actuation

@@ -15,10 +15,11 @@ are not unique: where two limits would each do, one is named.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from planner.forces.outlines import outlined
 from planner.forces.problem import RESIDUAL_TOL, ForceProblem
 from planner.programme import programme
 from planner.spatial import FloatArray, IntArray
@@ -57,7 +58,20 @@ FEASIBLE = Infeasibility(feasible=True, wrench=np.zeros(6), fraction=1.0, limits
 
 
 def explain_infeasibility(problem: ForceProblem) -> Infeasibility:
-    """Decide whether forces exist and, if not, what is left over and why."""
+    """Decide whether forces exist and, if not, what is left over and why.
+
+    Round cones are judged by pyramids around and inside them. A problem between the two is called
+    infeasible, with a reason that says so.
+    """
+    if problem.cone_sizes:
+        outer = explain_infeasibility(outlined(problem, inner=False))
+        if not outer.feasible:
+            return outer
+        inner = explain_infeasibility(outlined(problem, inner=True))
+        if inner.feasible:
+            return inner
+        hair = "forces exist by a hair or not at all: pyramids inside the cones have none"
+        return replace(inner, reason=f"{hair}, pyramids around them have; inside, {inner.reason}")
     wrench = problem.wrench
     if not problem.column_names:
         if problem.residuals(np.zeros(0)).worst <= RESIDUAL_TOL * problem.force_scale:
@@ -181,6 +195,8 @@ class _Programme:
     def _bound_in_words(self, column: int, at_lower: bool, bound: float) -> str:
         problem = self.problem
         name = problem.column_names[column]
+        if column >= problem.n_drive:  # an excess that would have to be below 0
+            return f"friction of {name.rsplit(' ', 1)[0]}"
         which = "least" if at_lower else "greatest"
         if column >= problem.n_force + len(problem.actuators):
             return f"{name} only pushes"

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,13 +26,14 @@ from numpy.typing import ArrayLike
 from planner.actuation import Actuation
 from planner.contacts import ContactSet
 from planner.errors import ContactError
-from planner.forces.build import build_force_problem
+from planner.forces.build import EDGE_MARGIN, build_force_problem
 from planner.forces.dense import QUICK_SOLVER, DenseQp, KeptSolver, keep_solver
 from planner.forces.drive import DriveRows
-from planner.forces.friction import Pyramid
-from planner.spatial import FloatArray, contact_frames, skew
+from planner.forces.friction import LimitSurface, Pyramid
+from planner.forces.placed import PlacedContacts
+from planner.spatial import FloatArray
 
-__all__ = ["ForceLoop", "ForceStep", "turned_frames"]
+__all__ = ["ForceLoop", "ForceStep"]
 
 VIOLATION_WEIGHT = 1e6
 """Cost of a squared newton that is left over beside that of a squared newton of contact force (-):
@@ -43,9 +45,6 @@ wrench's size and 1 N."""
 
 LOADED_TOL = 1e-12
 """A row of torque per force (m) below this is of a joint that no contact loads."""
-
-OPPOSED = -0.9
-"""Cosine between an old and a new normal below which tangents are chosen anew (-)."""
 
 
 @dataclass(kw_only=True, eq=False)
@@ -83,6 +82,8 @@ class ForceLoop:
     Attributes:
         problem: The programme as it was built, for reading; ``str(loop.problem)`` prints it.
         qp: What the solver sees; forces in N, torques divided by ``problem.length``.
+        placed: The contacts as they are now.
+        solver: The solver of ``qp``, with its last answer and multipliers.
         result: The last step.
     """
 
@@ -92,10 +93,13 @@ class ForceLoop:
         *,
         edges: int = 8,
         cone: Pyramid = "inscribed",
+        limit_surface: LimitSurface = "ellipsoid",
         min_normal: ArrayLike = 0.0,
         max_normal: ArrayLike = np.inf,
         friction_scale: float = 1.0,
         tangential_cost: float = 1.0,
+        edge_cost: float = 0.0,
+        edge_margin: float = EDGE_MARGIN,
         change_cost: float = 0.0,
         torque_cost: float = 0.0,
         actuation: Actuation | None = None,
@@ -108,11 +112,14 @@ class ForceLoop:
         Args:
             contacts: n contacts as they are at first: models, friction, places.
             edges: As for ``build_force_problem``.
-            cone: As for ``build_force_problem``.
+            cone: "inscribed" or "circumscribed".
+            limit_surface: As for ``build_force_problem``.
             min_normal: As there; a step may change it.
             max_normal: As there; a step may change it.
             friction_scale: As for ``build_force_problem``.
             tangential_cost: As for ``build_force_problem``.
+            edge_cost: As for ``build_force_problem``.
+            edge_margin: As for ``build_force_problem``.
             change_cost: Cost of a squared change of force since the previous step, >= 0 (-).
             torque_cost: Cost of a squared joint torque divided by the squared length, >= 0 (-).
             actuation: Limits the joint torques; each step then needs ``jacobians`` and ``q``.
@@ -128,6 +135,8 @@ class ForceLoop:
         for name, value in (("change_cost", change_cost), ("torque_cost", torque_cost)):
             if not 0 <= value < np.inf:
                 raise ContactError(f"{name} is {value}; give a finite number >= 0")
+        if cone not in get_args(Pyramid):
+            raise ContactError(f"cone is {cone!r}; a loop takes 'inscribed' or 'circumscribed'")
         if not 0 < tolerance < np.inf:
             raise ContactError(f"tolerance is {tolerance}; give a number > 0 in N")
         p = self.problem = build_force_problem(
@@ -138,7 +147,10 @@ class ForceLoop:
             min_normal=min_normal,
             max_normal=max_normal,
             friction_scale=friction_scale,
+            limit_surface=limit_surface,
             tangential_cost=tangential_cost,
+            edge_cost=edge_cost,
+            edge_margin=edge_margin,
         )
         self._tolerance = tolerance
         n, nx = len(contacts), len(p.column_names)
@@ -151,7 +163,9 @@ class ForceLoop:
         self.qp = DenseQp(pattern, 6)
         self._fallback = DenseQp(pattern[6:], 0)
         self._unit = p.column_scale
-        self._plain_cost = np.diag(p.cost * self._unit**2 + change_cost)
+        self._plain_cost = np.diag(p.cost * self._unit**2)
+        forces = range(p.n_force)
+        self._plain_cost[forces, forces] += change_cost
         self._change, self._torque = change_cost, torque_cost
         for qp in (self.qp, self._fallback):
             qp.p[:] = self._plain_cost
@@ -159,40 +173,24 @@ class ForceLoop:
             qp.a[faces] = p.faces * self._unit
             qp.high[faces] = 0.0
             qp.lower[:], qp.upper[:] = p.lower / self._unit, p.upper / self._unit
-        self._solver = keep_solver(solver, self.qp, tolerance)
+        self.solver = keep_solver(solver, self.qp, tolerance)
         self._solver_name = solver
         self._yielding: KeptSolver | None = None  # made when it is first needed
+        self.placed = PlacedContacts(p, self.qp.a[:6], nv)
+        self.placed.place()
         dims = np.array(contacts.dims, dtype=np.int64)
-        wide = int(dims.max(initial=3))
-        self._soft, self._plain = wide == 4, bool((dims == 3).all())
-        # places of the unknowns among (n, 3 or 4) components, None where those are all
-        present = np.flatnonzero((np.arange(wide) < dims[:, None]).ravel())
-        self._used = present if len(present) < wide * n else None
         self._of_four = np.flatnonzero((np.arange(4) < dims[:, None]).ravel())
         self._normal = (np.cumsum(dims) - dims).astype(np.int64)
-        self._tail = np.flatnonzero(~np.isin(np.arange(nx), self._normal))
+        self._tail = np.flatnonzero(~np.isin(np.arange(p.n_force), self._normal))
         self._owner = np.repeat(np.arange(n), dims)[self._tail]
         self._tail_limits = p.lower[self._tail], p.upper[self._tail]  # 0 or infinite
-        direct = self._used is None
-        # [1; skew(arm)] (n, 6, 3) is linear in (arm, 1); times the frames it is the grasp map
-        self._arms, self._carry = np.ones((n, 4)), np.zeros((n, 18))
-        self._from_arms = np.zeros((4, 18))
-        self._from_arms[:3, 9:] = skew(np.eye(3)).reshape(3, 9) / p.length
-        self._from_arms[3, :9] = np.eye(3).ravel()
-        self._map = np.zeros((n, 6, wide))
-        if direct:
-            self._map = self.qp.a[:6].reshape(6, n, wide).transpose(1, 0, 2)
-        self._lever = np.zeros((nx, nv))
-        self._levers = self._lever.reshape(n, wide, nv) if direct else np.zeros((n, wide, nv))
+        self._least, self._most = p.lower[self._normal], p.upper[self._normal]
         self._balance = self.qp.limits[:, nx : nx + 6]
         # rows of torque that no contact loads are open; known for these rows and this loading
         self._open, self._loaded = np.zeros((2, nv)), b""
         self._torque_limits = self.qp.limits[:, len(self.qp.value) - m_drive :]
         self._rows: FloatArray | None = None
         self._gravity, self._x = np.zeros(nv), np.zeros(nx)
-        self._center = np.array(contacts.center)
-        self._positions, self._frames = np.array(contacts.positions), np.array(contacts.frames)
-        self._place()
         self.result = ForceStep(
             forces=np.zeros((n, 4)), joint_torques=np.zeros(nv), left_over=np.zeros(6)
         )
@@ -235,25 +233,23 @@ class ForceLoop:
         """
         begin = time.perf_counter()
         moved = positions is not None or frames is not None or center is not None
+        placed = self.placed
         if positions is not None:
-            self._positions[:] = positions
+            placed.positions[:] = positions
         if frames is not None:
-            self._frames[:] = frames
+            placed.frames[:] = frames
         if center is not None:
-            self._center[:] = center
+            placed.center[:] = center
         if moved:
-            self._place()
-        if min_normal is not None:
-            self.qp.lower[self._normal] = min_normal
-        if max_normal is not None:
-            self._reach(max_normal)
-        self._write_costs(previous)
+            placed.place()
         if jacobians is not None:
-            self._load(jacobians)
+            placed.load(jacobians)
         if gravity_torque is not None:
             self._gravity[:] = gravity_torque
-        if self._torque:
-            self._add_torque_cost()
+        if min_normal is not None or max_normal is not None:
+            self._press(min_normal, max_normal)
+        if self._change or self._torque:
+            self._write_costs(previous)
         if self._drive is not None:
             if q is None:
                 raise ContactError("an actuation limits the torques; give q (nv,) at every step")
@@ -262,7 +258,7 @@ class ForceLoop:
         scaled = self.problem.row_scale[:6] * wrench
         np.negative(scaled, out=self._balance)
         allowed_error = self._tolerance * max(1.0, math.sqrt(scaled @ scaled))
-        solver = self._solver
+        solver = self.solver
         called = time.perf_counter()
         solver.solve()
         solver_s = time.perf_counter() - called
@@ -282,62 +278,38 @@ class ForceLoop:
         r.solver_s, r.total_s = solver_s, time.perf_counter() - begin
         return r
 
-    def _place(self) -> None:
-        """Write the grasp map for the present places."""
-        np.subtract(self._positions, self._center, out=self._arms[:, :3])
-        np.dot(self._arms, self._from_arms, out=self._carry)
-        np.matmul(self._carry.reshape(-1, 6, 3), self._frames, out=self._map[:, :, :3])
-        if self._soft:
-            self._map[:, 3:, 3] = self._frames[:, :, 0] / self.problem.length
-        if self._used is not None:
-            self.qp.a[:6] = self._map.transpose(1, 0, 2).reshape(6, -1)[:, self._used]
-        if self._soft:
-            self.qp.a[:6] *= self._unit
-
-    def _reach(self, max_normal: ArrayLike) -> None:
-        """Write greatest normal forces; of a contact that is away everything is 0."""
+    def _press(self, min_normal: ArrayLike | None, max_normal: ArrayLike | None) -> None:
+        """Write bounds on normal forces; of a contact that is away everything is 0."""
         qp = self.qp
-        qp.upper[self._normal] = max_normal
-        away = (qp.upper[self._normal] <= 0.0)[self._owner]
-        qp.lower[self._tail] = np.where(away, 0.0, self._tail_limits[0])
-        qp.upper[self._tail] = np.where(away, 0.0, self._tail_limits[1])
-
-    def _load(self, jacobians: FloatArray) -> None:
-        """Write torque per unknown (nx, nv) from Jacobians (n, 3 or 6, nv)."""
-        n, rows = len(self._frames), 6 if self._soft else 3
-        if jacobians.shape[0] != n or jacobians.shape[1] < rows or jacobians.shape[2] != self._nv:
-            raise ContactError(
-                f"jacobians have shape {jacobians.shape}; give ({n}, {rows}, {self._nv})"
-            )
-        turned = self._frames.transpose(0, 2, 1)
-        np.matmul(turned, jacobians[:, :3], out=self._levers[:, :3])
-        if self._soft:
-            np.matmul(turned[:, :1], jacobians[:, 3:], out=self._levers[:, 3:])
-        if self._used is not None:
-            self._lever[:] = self._levers.reshape(-1, self._nv)[self._used]
-        if self._soft:
-            self._lever *= self._unit[:, None]
+        if min_normal is not None:
+            self._least[:] = min_normal
+        if max_normal is not None:
+            self._most[:] = max_normal
+            qp.upper[self._normal] = self._most
+            away = (self._most <= 0.0)[self._owner]
+            qp.lower[self._tail] = np.where(away, 0.0, self._tail_limits[0])
+            qp.upper[self._tail] = np.where(away, 0.0, self._tail_limits[1])
+        qp.lower[self._normal] = np.minimum(self._least, self._most)
 
     def _write_costs(self, previous: FloatArray | None) -> None:
-        """Write the cost on force and on change of force."""
-        if self._torque:
-            self.qp.p[:] = self._plain_cost
+        """Write the costs on change of force and on joint torque."""
+        qp, n = self.qp, self.problem.n_force
+        qp.q.fill(0.0)
         if self._change:
             if previous is not None:
-                self._x[:] = previous.ravel()[self._of_four] / self._unit
-            np.multiply(self._x, -self._change, out=self.qp.q)
-
-    def _add_torque_cost(self) -> None:
-        weight = self._torque / self.problem.length**2
-        self.qp.p += weight * (self._lever @ self._lever.T)
-        self.qp.q += weight * (self._lever @ self._gravity)
+                self._x[:n] = previous.ravel()[self._of_four] / self._unit[:n]
+            qp.q[:n] = -self._change * self._x[:n]
+        if self._torque:
+            weight, lever = self._torque / self.problem.length**2, self.placed.lever
+            qp.p[:] = self._plain_cost + weight * (lever @ lever.T)
+            qp.q += weight * (lever @ self._gravity)
 
     def _limit_torques(self, drive: DriveRows, q: FloatArray) -> None:
         """Write the rows of torque: Z (J'f + gravity - passive) within its limits."""
         rows, limits, passive = drive.at(q)
         part = slice(len(self.qp.a) - self._nv, None)
-        np.dot(rows, self._lever.T, out=self.qp.a[part])
-        loaded = (self._lever != 0.0).tobytes()
+        np.dot(rows, self.placed.lever.T, out=self.qp.a[part])
+        loaded = (self.placed.lever != 0.0).tobytes()
         if rows is not self._rows or loaded != self._loaded:
             self._rows, self._loaded = rows, loaded
             idle = np.abs(self.qp.a[part]).max(axis=1, initial=0.0) < LOADED_TOL
@@ -362,28 +334,13 @@ class ForceLoop:
     def _give(self, x: FloatArray, wrench: FloatArray) -> None:
         """Write forces, torques and what is left over of an answer."""
         r = self.result
-        if self._plain:
+        if self.placed.plain:
             r.forces[:, :3] = x.reshape(-1, 3)
         else:
-            r.forces.reshape(-1)[self._of_four] = self._unit * x
+            r.forces.reshape(-1)[self._of_four] = (self._unit * x)[: self.problem.n_force]
         balance = self.qp.value[len(x) : len(x) + 6]
         np.divide(balance, self.problem.row_scale[:6], out=r.left_over)
         r.left_over += wrench
         if self._nv:
-            np.dot(x, self._lever, out=r.joint_torques)
+            np.dot(x, self.placed.lever, out=r.joint_torques)
             r.joint_torques += self._gravity
-
-
-def turned_frames(frames: FloatArray, normals: FloatArray) -> FloatArray:
-    """Contact frames (n, 3, 3) turned by the least rotation onto unit normals (n, 3).
-
-    Tangents then move as little as the normals do, where ``contact_frames`` may jump.
-    """
-    old = frames[:, :, 0]
-    axis = np.cross(old, normals)
-    cosine = np.einsum("ni,ni->n", old, normals)
-    if (cosine < OPPOSED).any():
-        return contact_frames(normals)
-    turn = skew(axis)
-    rotation = np.eye(3) + turn + turn @ turn / (1.0 + cosine)[:, None, None]
-    return np.asarray(rotation @ frames)

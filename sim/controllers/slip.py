@@ -2,8 +2,8 @@
 
 A slip is a tangential speed above ``SLIP_SPEED`` for ``SLIP_TIME`` at a loaded contact; that is
 also how ground truth is told, from exact velocities. The detector sees a pad's sliding velocity
-with noise. It averages it over some milliseconds and compares with a lower speed, so that the
-average has time to rise; what it reports ends when the speed has fallen to half of that.
+with noise and averages it over some milliseconds; what it reports ends when the average has fallen
+to half of that speed.
 """
 
 from __future__ import annotations
@@ -30,12 +30,13 @@ __all__ = [
 SLIP_SPEED, SLIP_TIME = 0.005, 0.01
 """What counts as a slip: this tangential speed (m/s), for this long (s)."""
 
-AVERAGE_TIME = 0.006
+AVERAGE_TIME = 0.008
 """Time constant (s) of the average of the measured velocity: white noise of 2 mm/s at 500 Hz leaves
-0.8 mm/s, and a slip is seen a few steps late."""
+0.7 mm/s, and a slip at 6 mm/s is seen some 20 ms after it began."""
 
 ALARM_SPEED, ALARM_TIME = 0.0045, 0.008
-"""Averaged speed (m/s) that raises the alarm when it lasts this long (s)."""
+"""Averaged speed (m/s) that raises the alarm when it lasts this long (s). A little below what is
+called a slip, so that short ones are found; slower creeping is then sometimes called one."""
 
 LOADED = 0.05
 """Normal force (N) from which on a contact is loaded: below, sliding means that it opens."""

@@ -1,0 +1,248 @@
+"""Solvers side by side on one sequence of force programmes, as a controller meets them.
+
+Every solver walks through the same wrenches in a ``ForceLoop``: one structure, the workspace kept,
+each step started from the last. What is reported was measured or recomputed here: time per step
+with and without the Python around the solver, violation of rows and bounds, stationarity of the
+multipliers, distance from the exact answer, and failures. A refusal counts as a failure unless a
+linear programme, which shares nothing with the solver, finds no forces either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from planner.actuation import Actuation
+from planner.contacts import ContactSet
+from planner.errors import ContactError
+from planner.forces.build import build_force_problem
+from planner.forces.dense import QUICK_SOLVER, solver_names
+from planner.forces.friction import Pyramid
+from planner.forces.infeasible import explain_infeasibility
+from planner.forces.loop import STEP_TOL, ForceLoop
+from planner.spatial import FloatArray
+
+__all__ = ["SolverComparison", "SolverRecord", "compare_solvers", "turning_wrenches"]
+
+PUSH_SHARE = 0.5
+"""Greatest pulsating push, in units of the turning force (-)."""
+
+TURNS = 12
+"""Turns about the vertical while the force goes from pole to pole (-)."""
+
+PULSES = 25
+"""Pulses of the push over the sequence (-)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolverRecord:
+    """One solver on the sequence; times in microseconds, residuals in N.
+
+    Attributes:
+        solver: Its name.
+        solved: Steps whose answer is within tolerance.
+        refused: Steps without forces, that it refused.
+        failed: Steps with forces, that it missed.
+        median_us, p99_us: Wall time of a step, all Python included, over the steps it solved.
+        solver_median_us: Of that, the solver and its interface.
+        iterations: Mean of its iterations, NaN where it does not say.
+        primal: Greatest violation of a row or bound among its answers.
+        dual: Greatest residual of stationarity and of the multipliers' signs; NaN where it gives no
+            multipliers.
+        off: Greatest distance of a force component from the quick solver's exact answer.
+    """
+
+    solver: str
+    solved: int
+    refused: int
+    failed: int
+    median_us: float
+    p99_us: float
+    solver_median_us: float
+    iterations: float
+    primal: float
+    dual: float
+    off: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolverComparison:
+    """Records of all solvers on one sequence.
+
+    Attributes:
+        records: One per solver.
+        steps: Programmes in the sequence.
+        unknowns, rows: Size of a programme; bounds are rows too.
+        tolerance: Asked for, N, torques divided by the length.
+    """
+
+    records: tuple[SolverRecord, ...]
+    steps: int
+    unknowns: int
+    rows: int
+    tolerance: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+    def __str__(self) -> str:
+        """A table."""
+        lines = [
+            f"{self.steps} programmes of {self.unknowns} unknowns and {self.rows} rows, "
+            f"tolerance {self.tolerance:g} N",
+            f"{'solver':<10}{'solved':>8}{'refused':>9}{'failed':>8}{'median us':>11}{'99 % us':>9}"
+            f"{'in solver':>11}{'iter':>7}{'primal':>10}{'dual':>10}{'off N':>10}",
+        ]
+        for r in self.records:
+            lines.append(
+                f"{r.solver:<10}{r.solved:>8}{r.refused:>9}{r.failed:>8}{r.median_us:>11.0f}"
+                f"{r.p99_us:>9.0f}{r.solver_median_us:>11.0f}{r.iterations:>7.1f}{r.primal:>10.1e}"
+                f"{r.dual:>10.1e}{r.off:>10.1e}"
+            )
+        return "\n".join(lines)
+
+
+def turning_wrenches(force: float, arm: float, steps: int) -> FloatArray:
+    """Wrenches (steps, 6): a force that turns through all directions, and a pulsating push.
+
+    The force goes from pole to pole on a spiral; the push, at most ``PUSH_SHARE`` of it, points
+    along x and acts ``arm`` above the centre.
+
+    Args:
+        force: Size of the turning force, N, for example the weight.
+        arm: Lever of the push, m.
+        steps: How many.
+
+    Raises:
+        ContactError: Fewer than one step, or a force or arm that is not finite.
+    """
+    if steps < 1 or not np.isfinite([force, arm]).all():
+        raise ContactError(
+            f"force {force} N, arm {arm} m, {steps} steps; give finite numbers and at least 1 step"
+        )
+    s = (np.arange(steps) + 0.5) / steps
+    up, around = np.pi * (s - 0.5), 2 * np.pi * TURNS * s
+    direction = np.stack(
+        [np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)], axis=1
+    )
+    push = PUSH_SHARE * force * np.sin(2 * np.pi * PULSES * s) ** 2
+    wrenches = np.zeros((steps, 6))
+    wrenches[:, :3] = force * direction
+    wrenches[:, 0] += push
+    wrenches[:, 4] = arm * push
+    return wrenches
+
+
+def compare_solvers(
+    contacts: ContactSet,
+    wrenches: ArrayLike,
+    *,
+    solvers: Sequence[str] | None = None,
+    tolerance: float = STEP_TOL,
+    edges: int = 8,
+    cone: Pyramid = "inscribed",
+    min_normal: ArrayLike = 0.0,
+    max_normal: ArrayLike = np.inf,
+    friction_scale: float = 1.0,
+    jacobians: FloatArray | None = None,
+    actuation: Actuation | None = None,
+    q: FloatArray | None = None,
+    gravity_torque: FloatArray | None = None,
+) -> SolverComparison:
+    """Run solvers over wrenches (m, 6), N and N m, with the contacts where they are.
+
+    Args:
+        contacts: n contacts.
+        wrenches: External wrenches, in the order of time.
+        solvers: Names; None for all that are installed.
+        tolerance: Of every solver, N, torques divided by the length.
+        edges: As for ``build_force_problem``, like the arguments below.
+        cone: "inscribed" or "circumscribed".
+        min_normal: Least normal force.
+        max_normal: Greatest normal force.
+        friction_scale: Factor on friction.
+        jacobians: (n, 3 or 6, nv).
+        actuation: Limits the joint torques.
+        q: Joints (nv,).
+        gravity_torque: (nv,), N m.
+
+    Raises:
+        ContactError: The arguments do not fit together.
+        HandError: The actuators repeat each other.
+        NotFoundError: A solver is not installed.
+    """
+    rows = np.array(wrenches, dtype=np.float64).reshape(-1, 6)
+    limits: dict[str, Any] = {
+        "edges": edges,
+        "cone": cone,
+        "min_normal": min_normal,
+        "max_normal": max_normal,
+        "friction_scale": friction_scale,
+        "actuation": actuation,
+    }
+    joints = 0 if jacobians is None else jacobians.shape[2]
+    state: dict[str, Any] = {"jacobians": jacobians, "q": q, "gravity_torque": gravity_torque}
+    exist: dict[int, bool] = {}
+
+    def forces_exist(step: int) -> bool:
+        if step not in exist:
+            problem = build_force_problem(contacts, wrench=rows[step], **limits, **state)
+            exist[step] = explain_infeasibility(problem).feasible
+        return exist[step]
+
+    def walk(solver: str, exact: FloatArray | None) -> tuple[SolverRecord, FloatArray, ForceLoop]:
+        loop = ForceLoop(contacts, solver=solver, tolerance=tolerance, joints=joints, **limits)
+        forces = np.full((len(rows), len(contacts), 4), np.nan)
+        total, inside, turns = (np.full(len(rows), np.nan) for _ in range(3))
+        primal, dual = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
+        for i, wrench in enumerate(rows):
+            r = loop.step(wrench, **state)
+            if r.balanced:
+                forces[i], primal[i] = r.forces, r.violation
+                total[i], inside[i] = 1e6 * r.total_s, 1e6 * r.solver_s
+                turns[i] = r.iterations if r.iterations >= 0 else np.nan
+                dual[i] = loop.qp.dual_residual(loop.solver.x, loop.solver.duals)
+        solved = np.isfinite(primal)
+        failed = sum(forces_exist(int(i)) for i in np.flatnonzero(~solved))
+        timed = solved & (np.arange(len(rows)) > 0)  # the first step sets the solver up
+        off = np.nan if exact is None else _most(np.abs(forces - exact))
+        record = SolverRecord(
+            solver=solver,
+            solved=int(solved.sum()),
+            refused=int((~solved).sum()) - failed,
+            failed=failed,
+            median_us=_percentile(total[timed], 50),
+            p99_us=_percentile(total[timed], 99),
+            solver_median_us=_percentile(inside[timed], 50),
+            iterations=float(turns[timed].mean()) if timed.any() else np.nan,
+            primal=_most(primal),
+            dual=_most(dual),
+            off=off,
+        )
+        return record, forces, loop
+
+    _, exact, loop = walk(QUICK_SOLVER, None)
+    names = solver_names() if solvers is None else tuple(solvers)
+    records = tuple(walk(name, exact)[0] for name in names)
+    return SolverComparison(
+        records=records,
+        steps=len(rows),
+        unknowns=len(loop.qp.q),
+        rows=int(np.isfinite(loop.qp.limits).any(axis=0).sum()),
+        tolerance=tolerance,
+    )
+
+
+def _percentile(values: FloatArray, share: float) -> float:
+    return float(np.percentile(values, share)) if len(values) else np.nan
+
+
+def _most(values: FloatArray) -> float:
+    """Greatest of the finite values, NaN if there is none."""
+    known = values[np.isfinite(values)]
+    return float(known.max()) if known.size else np.nan

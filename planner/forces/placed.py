@@ -1,0 +1,105 @@
+"""``PlacedContacts``: grasp map and J^T of moving contacts, written in place; ``turned_frames``."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.errors import ContactError
+from planner.forces.problem import ForceProblem
+from planner.spatial import FloatArray, contact_frames, skew
+
+__all__ = ["PlacedContacts", "turned_frames"]
+
+OPPOSED = -0.9
+"""Cosine between an old and a new normal below which tangents are chosen anew (-)."""
+
+
+class PlacedContacts:
+    """Where contacts are, and what they do to the object and to the joints.
+
+    Attributes:
+        positions, frames, center: As they are now; write them, then ``place``.
+        lever: (nx, nv), joint torque per unknown, N m per N.
+        plain: Whether all are point contacts and the forces all there is.
+    """
+
+    def __init__(self, problem: ForceProblem, table: FloatArray, nv: int) -> None:
+        """Lay out.
+
+        Args:
+            problem: The contacts as they are at first, units and length.
+            table: (6, nx), where the grasp map goes: torque over the length, columns in units.
+            nv: Number of joints.
+        """
+        contacts = problem.contacts
+        dims = np.array(contacts.dims, dtype=np.int64)
+        n, nx = len(dims), len(problem.column_names)
+        wide = int(dims.max(initial=3))
+        self._table, self._length, self._nv = table, problem.length, nv
+        self._unit = problem.column_scale
+        self._soft = wide == 4
+        self.positions, self.frames = np.array(contacts.positions), np.array(contacts.frames)
+        self.center = np.array(contacts.center)
+        # places of the unknowns among (n, wide) components, None where those are all
+        present = np.flatnonzero((np.arange(wide) < dims[:, None]).ravel())
+        direct = len(present) == wide * n == nx
+        self._used = None if direct else present
+        self.plain = direct and not self._soft
+        # [1; skew(arm)] (n, 6, 3) is linear in (arm, 1); times the frames it is the grasp map
+        self._arms, self._carry = np.ones((n, 4)), np.zeros((n, 18))
+        self._from_arms = np.zeros((4, 18))
+        self._from_arms[:3, 9:] = skew(np.eye(3)).reshape(3, 9) / problem.length
+        self._from_arms[3, :9] = np.eye(3).ravel()
+        self._map = np.zeros((n, 6, wide))
+        self.lever = np.zeros((nx, nv))
+        self._levers = np.zeros((n, wide, nv))
+        if direct:
+            self._map = table.reshape(6, n, wide).transpose(1, 0, 2)
+            self._levers = self.lever.reshape(n, wide, nv)
+
+    def place(self) -> None:
+        """Write the grasp map for the present places."""
+        np.subtract(self.positions, self.center, out=self._arms[:, :3])
+        np.dot(self._arms, self._from_arms, out=self._carry)
+        np.matmul(self._carry.reshape(-1, 6, 3), self.frames, out=self._map[:, :, :3])
+        if self._soft:
+            self._map[:, 3:, 3] = self.frames[:, :, 0] / self._length
+        if self._used is not None:
+            columns = self._map.transpose(1, 0, 2).reshape(6, -1)[:, self._used]
+            self._table[:, : len(self._used)] = columns
+        if self._soft:
+            self._table *= self._unit
+
+    def load(self, jacobians: FloatArray) -> None:
+        """Write the levers from Jacobians (n, 3 or 6, nv).
+
+        Raises:
+            ContactError: Another shape.
+        """
+        n, rows = len(self.frames), 6 if self._soft else 3
+        given = jacobians.shape
+        if len(given) != 3 or given[0] != n or given[1] < rows or given[2] != self._nv:
+            raise ContactError(f"jacobians have shape {given}; give ({n}, {rows}, {self._nv})")
+        turned = self.frames.transpose(0, 2, 1)
+        np.matmul(turned, jacobians[:, :3], out=self._levers[:, :3])
+        if self._soft:
+            np.matmul(turned[:, :1], jacobians[:, 3:], out=self._levers[:, 3:])
+        if self._used is not None:
+            self.lever[: len(self._used)] = self._levers.reshape(-1, self._nv)[self._used]
+        if self._soft:
+            self.lever *= self._unit[:, None]
+
+
+def turned_frames(frames: FloatArray, normals: FloatArray) -> FloatArray:
+    """Contact frames (n, 3, 3) turned by the least rotation onto unit normals (n, 3).
+
+    Tangents then move as little as the normals do, where ``contact_frames`` may jump.
+    """
+    old = frames[:, :, 0]
+    axis = np.cross(old, normals)
+    cosine = np.einsum("ni,ni->n", old, normals)
+    if (cosine < OPPOSED).any():
+        return contact_frames(normals)
+    turn = skew(axis)
+    rotation = np.eye(3) + turn + turn @ turn / (1.0 + cosine)[:, None, None]
+    return np.asarray(rotation @ frames)
