@@ -76,7 +76,7 @@ EXPECTED: dict[str, tuple[str, ...]] = {
     "18_protocols": (
         "fc: held 6 of 6 directions",
         "time step 0.004 s, elliptic cones, impratio 10, noslip 2",
-        "force +y",
+        "force -z",
         "torque +x",
         "contradictions: none",
     ),
