@@ -21,7 +21,15 @@ from planner.spatial import SE3, FloatArray, IntArray
 from sim.controllers.base import Phase
 from sim.timeline import Timeline
 
-__all__ = ["MOUNT", "MOUNT_FREQUENCY", "Mount", "MountCarrier", "add_mount", "tuned_mount"]
+__all__ = [
+    "MOUNT",
+    "MOUNT_AXES",
+    "MOUNT_FREQUENCY",
+    "Mount",
+    "MountCarrier",
+    "add_mount",
+    "tuned_mount",
+]
 
 MOUNT = "mount"
 """Name of the mount's body; its joints and servos are ``mount_x`` and so on."""

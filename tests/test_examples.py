@@ -78,6 +78,13 @@ EXPECTED: dict[str, tuple[str, ...]] = {
     "15_pyramid_and_cone": ("round cones hold", "inscribed 8 0.9", "circumscribed 8 1.0"),
     "16_delay": ("0 60", "100 24", "delay.png"),
     "17_servo_and_torque": ("500 servos", "500 motors", "torque.png"),
+    "18_protocols": (
+        "fc: held 6 of 6 directions",
+        "time step 0.004 s, elliptic cones, impratio 10, noslip 2",
+        "force -z",
+        "torque +x",
+        "contradictions: none",
+    ),
     "12_many_grasps": ("24 of 24 planned", "24 rows", "distinct", "is a plan again: closed"),
 }
 """What must appear in the output, runs of blanks counted as one."""

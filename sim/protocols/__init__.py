@@ -1,0 +1,28 @@
+"""Protocols: named tests of a plan in simulation, each of many trials.
+
+``fc``      DexGraspBench's test, so that figures can be compared with its users'
+``forces``  gravity from six sides, then forces and torques that grow until the object is lost
+``shake``   the mount shaken in six degrees of freedom
+``robust``  another mass, friction and object pose than planned
+
+``run_protocol(plan, "forces")`` runs one; ``opposable test PLAN`` does on the command line.
+"""
+
+from __future__ import annotations
+
+from sim.protocols.outcome import FAILURES, Fault, Outcome
+from sim.protocols.report import ProtocolReport, protocol_table, write_csv
+from sim.protocols.run import PROTOCOLS, run_protocol
+from sim.protocols.settings import Settings
+
+__all__ = [
+    "FAILURES",
+    "PROTOCOLS",
+    "Fault",
+    "Outcome",
+    "ProtocolReport",
+    "Settings",
+    "protocol_table",
+    "run_protocol",
+    "write_csv",
+]

@@ -1,0 +1,191 @@
+"""``fc``: DexGraspBench's force-closure test, open loop, so that figures stand beside its users'.
+
+Read from https://github.com/JYChen18/DexGraspBench at commit 1e7a5a6 (2025-06-05): ``config/task/
+eval.yaml``, ``src/task/eval_func``, ``src/util/hand_util.py``. For each of six directions: from the
+pre-grasp to the grasp in 10 stages of 10 steps, to the squeeze likewise, then a force of 10 m/s2
+times the object's mass at its centre for 2 s. Every 0.2 s the object must be within 50 mm and 15
+degrees of its first pose. There is no gravity, the object weighs 0.1 kg, a time step is 4 ms,
+friction is 0.6 and 0.02 m, contacts of 4 dimensions, impratio 10, two noslip iterations, and a
+hand that begins more than 10 mm inside the object or itself fails.
+
+The squeeze posture is the one whose commands make the plan's forces without gravity, as in the
+export of a batch. What differs: the hand's own servos act instead of ones with kp 5, and the hand
+is carried by six stiff servos instead of a weld to a mocap body.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from planner.errors import TaskError
+from planner.judge import plan_forces
+from planner.plan import GraspPlan
+from planner.spatial import FloatArray, rotation_angle
+from sim.controllers import Observation
+from sim.physics import PhysicsOptions
+from sim.protocols.cases import AXES, Conditions
+from sim.protocols.hold import Hold
+from sim.protocols.outcome import Fault, Outcome
+from sim.timeline import Timeline
+
+__all__ = ["FcCase", "Replay", "fc_cases", "fc_physics"]
+
+MASS = 0.1
+"""Of the object, kg."""
+
+PUSH = 10.0
+"""Force over the object's mass, m/s2."""
+
+STAGES, CHECK_S, CHECKS = 10, 0.2, 10
+"""Stages of a motion; time between checks (s), and how many there are."""
+
+MOTION = Timeline(
+    approach=0.4, close=0.4, close_wait=0.0, squeeze=0.4, settle=0.2, lift=0.2, hold=2.0
+)
+"""10 stages of 10 steps of 4 ms to the grasp, and as many to the squeeze."""
+
+FAR_MM, FAR_DEG, DEEP_MM = 50.0, 15.0, 10.0
+"""Where the test is failed: movement, turn, and penetration at the start."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FcCase:
+    """A push along one direction.
+
+    Attributes:
+        index: Number of the direction in ``AXES``.
+    """
+
+    index: int
+
+    @property
+    def name(self) -> str:
+        """The direction."""
+        return f"fc {AXES[self.index]}"
+
+    def run(self, plan: GraspPlan, conditions: Conditions) -> Outcome:
+        """Execute it; physics and controller are the benchmark's, whatever the conditions."""
+        del conditions
+        task = replace(
+            plan.task,
+            gravity=np.zeros(3),
+            object=replace(plan.task.object, mass=MASS),
+        )
+        floating = replace(plan, task=task)
+        trial = _FcTrial(floating)
+        force = np.zeros(6)
+        force[self.index // 2] = PUSH * MASS * (1.0 - 2.0 * (self.index % 2))
+        fault = trial.test(force)
+        return Outcome(
+            index=self.index,
+            name=self.name,
+            held=fault is None,
+            fault=fault,
+            fingers=task.finger_names,
+            samples=trial.samples,
+            load=trial.loads,
+            unit="N",
+            wrench=force / np.linalg.norm(force),
+            conditions={"mass_kg": MASS, "push_N": PUSH * MASS, **trial.depths},
+        )
+
+
+def fc_cases() -> tuple[FcCase, ...]:
+    """The six directions."""
+    return tuple(FcCase(index=i) for i in range(len(AXES)))
+
+
+def fc_physics() -> PhysicsOptions:
+    """The benchmark's physics."""
+    return PhysicsOptions(timestep=0.004, mu=0.6, mu_torsion=0.02, impratio=10, noslip_iterations=2)
+
+
+class Replay:
+    """Commands postures one after the other, whatever happens: open loop."""
+
+    def __init__(self, plan: GraspPlan) -> None:
+        """Work out the commands of pre-grasp, grasp and squeeze.
+
+        Raises:
+            TaskError: The hand has actuators that follow no position.
+        """
+        hand, actuation = plan.task.hand, plan.task.hand.actuation
+        motors = [n for n, b in zip(actuation.names, actuation.bias, strict=True) if b[1] >= 0]
+        if motors:
+            raise TaskError(
+                f"protocol fc commands postures, and {', '.join(motors)} of {hand.name} are no "
+                "position servos; use the protocols forces, shake and robust"
+            )
+        forces = plan_forces(plan.task, plan.contacts, plan.T_world_base, plan.q)
+        self.fault = "" if forces.found else forces.reason
+        self.pregrasp = actuation.moment @ plan.q_pregrasp + actuation.length0
+        self.grasp = actuation.moment @ plan.q + actuation.length0
+        self.squeeze: FloatArray = self.grasp
+        if forces.found:
+            still = np.zeros(hand.nq)
+            self.squeeze, _ = actuation.ctrl_for_torque(plan.q, still, forces.joint_torques)
+
+    def step(self, observation: Observation) -> FloatArray:
+        """Commands (nu,) for the hand's actuators."""
+        stage = min(STAGES, int(STAGES * observation.progress + 1e-9) + 1) / STAGES
+        if observation.phase == "close":
+            return np.asarray(self.pregrasp + stage * (self.grasp - self.pregrasp))
+        if observation.phase == "squeeze":
+            return np.asarray(self.grasp + stage * (self.squeeze - self.grasp))
+        return self.squeeze
+
+
+def _deepest(data: Any) -> float:
+    """Deepest penetration of any pair, mm; 0 without."""
+    return 1e3 * max((-float(contact.dist) for contact in data.contact), default=0.0)
+
+
+class _FcTrial(Hold):
+    """The benchmark's sequence of events.
+
+    Attributes:
+        depths: Penetration at the pre-grasp, which the benchmark refuses, and at the grasp, which
+            it reports.
+    """
+
+    def __init__(self, plan: GraspPlan) -> None:
+        """The object is free from the beginning."""
+        self._replay = Replay(plan)
+        super().__init__(
+            plan, controller=self._replay, physics=fc_physics(), lost=None, timeline=MOTION
+        )
+        self.scene.release(self.data)
+        at_grasp = self.scene.start(plan.q, plan.T_world_base)
+        self.depths = {
+            "start_penetration_mm": _deepest(self.data),
+            "grasp_penetration_mm": _deepest(at_grasp),
+        }
+
+    def test(self, force: FloatArray) -> Fault | None:
+        """Grasp, squeeze, push; what went wrong, None if nothing did."""
+        if self._replay.fault:
+            return self.fault("infeasible forces", self._replay.fault)
+        if self.depths["start_penetration_mm"] > DEEP_MM:
+            depth = self.depths["start_penetration_mm"]
+            detail = f"{depth:.1f} mm deep before it began; {DEEP_MM:g} are let pass"
+            return self.fault("penetration", detail)
+        begin = self.scene.body_pose(self.data, self.scene.object_body)
+        for phase in ("close", "squeeze"):
+            if not self._run_phase(phase, None, None, None):
+                return self.fault("diverged", self._divergence())
+        self.mark()
+        self.load = float(np.linalg.norm(force))
+        self.push(force)
+        for _ in range(CHECKS):
+            if fault := self.endure(CHECK_S):
+                return fault
+            now = self.scene.body_pose(self.data, self.scene.object_body)
+            moved = 1e3 * float(np.linalg.norm(now.translation - begin.translation))
+            turned = float(np.rad2deg(rotation_angle(begin.rotation.T @ now.rotation)))
+            if moved >= FAR_MM or turned >= FAR_DEG:
+                detail = f"the object moved {moved:.1f} mm and turned {turned:.1f} degrees"
+                return self.blamed("slipped" if self.touching() else "dropped", detail)
+        return None

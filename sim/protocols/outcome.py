@@ -1,0 +1,170 @@
+"""``Outcome``: what became of one trial of a protocol, with what was recorded on the way.
+
+The samples are those of any other trial (``sim.verdict.Samples``): force closure of the contacts
+that happened is decided by the code that judged the plan.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from planner.spatial import FloatArray
+from sim.controllers import Event
+from sim.verdict import Reason, Samples
+
+__all__ = ["FAILURES", "Failure", "Fault", "Outcome", "finite"]
+
+Failure: TypeAlias = Reason | Literal["penetration"]
+
+FAILURES: tuple[str, ...] = (*Reason.__args__, "penetration")  # type: ignore[attr-defined]
+"""Every reason an outcome can have; "" where the object was held."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """Why a trial ended early.
+
+    Attributes:
+        reason: One of ``FAILURES``, not "".
+        detail: What happened, in words with numbers.
+        time: When, s of simulated time since the trial began.
+    """
+
+    reason: Failure
+    detail: str
+    time: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outcome:
+    """One trial.
+
+    Attributes:
+        index: Number of the trial in its protocol.
+        name: What was done: "force +x", "shake rz".
+        held: Whether the object was held to the end; a load that grows without end never is, and
+            there ``borne`` counts.
+        fault: Why and when it was not; None if it was.
+        fingers: Names of the columns of ``samples``, n.
+        samples: What was recorded, m samples.
+        load: (m,), size of the disturbance at each sample: N, or N m for a pure torque; 0 without.
+        unit: Unit of ``load``, "" where nothing is loaded.
+        borne: Largest load under which the object came to rest; NaN where no load grows.
+        broke: Load under which it failed; infinite where the largest one was held.
+        bound: What no control whatever could bear along this direction, by the certificate, with
+            the friction of the simulation; NaN where none was worked out.
+        wrench: (6,), disturbance of load 1, N and N m, world axes about the centre of mass; zero
+            where nothing is loaded.
+        events: What the controller noticed, if it says so.
+        conditions: What differed from the plan, and what the disturbance reached: name with unit ->
+            number.
+    """
+
+    index: int
+    name: str
+    held: bool
+    fault: Fault | None
+    fingers: tuple[str, ...]
+    samples: Samples
+    load: FloatArray
+    unit: str = ""
+    borne: float = float("nan")
+    broke: float = float("nan")
+    bound: float = float("nan")
+    wrench: FloatArray = field(default_factory=lambda: np.zeros(6))
+    events: tuple[Event, ...] = ()
+    conditions: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def reason(self) -> Failure:
+        """Why not held; "" if held."""
+        return "" if self.fault is None else self.fault.reason
+
+    @property
+    def grows(self) -> bool:
+        """Whether the load grew until the object was lost."""
+        return math.isfinite(self.borne)
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether the simulation bore more than the certificate says anything could."""
+        return bool(self.borne > self.bound)
+
+    @property
+    def drift(self) -> tuple[float, float]:
+        """Movement (mm) and turn (degrees) of the object in the palm at the last sample."""
+        s = self.samples
+        if len(s) == 0:
+            return float("nan"), float("nan")
+        return float(s.slip_mm[-1]), float(s.slip_deg[-1])
+
+    @property
+    def share_closed(self) -> float:
+        """Share of the samples of the hold whose contacts close the grasp; NaN without a hold."""
+        hold = self.samples.during("hold")
+        return float(self.samples.closed[hold].mean()) if len(hold) else float("nan")
+
+    @property
+    def largest_utilisation(self) -> float:
+        """Largest share of a finger's friction cone in use in the hold; NaN without contact."""
+        used = self.samples.friction_utilisation[self.samples.during("hold")]
+        known = used[np.isfinite(used)]
+        return float(known.max()) if len(known) else float("nan")
+
+    def to_row(self) -> dict[str, Any]:
+        """One line of a table: numbers and words, None for what is not finite."""
+        drift_mm, drift_deg = self.drift
+        row: dict[str, Any] = {
+            "index": self.index,
+            "trial": self.name,
+            "held": self.held,
+            "reason": self.reason,
+            "time_s": None if self.fault is None else self.fault.time,
+            "borne": self.borne,
+            "broke": self.broke,
+            "bound": self.bound,
+            "unit": self.unit,
+            "drift_mm": drift_mm,
+            "drift_deg": drift_deg,
+            "closed_share": self.share_closed,
+            "friction_used": self.largest_utilisation,
+            "detail": "" if self.fault is None else self.fault.detail,
+            **self.conditions,
+        }
+        return {key: finite(value) for key, value in row.items()}
+
+    def to_dict(self) -> dict[str, Any]:
+        """The row, and everything over time."""
+        s = self.samples
+        return {
+            **self.to_row(),
+            "wrench_per_load": self.wrench.tolist(),
+            "fingers": list(self.fingers),
+            "events": [asdict(event) for event in self.events],
+            "over_time": {
+                "time_s": finite(s.time),
+                "phase": list(s.phase),
+                "load": finite(self.load),
+                "object_in_palm_moved_mm": finite(s.slip_mm),
+                "object_in_palm_turned_deg": finite(s.slip_deg),
+                "normal_force_N": finite(s.normal_force),
+                "friction_utilisation": finite(s.friction_utilisation),
+                "closed": [bool(c) for c in s.closed],
+                "epsilon": finite(s.epsilon),
+                "actuators_at_limit": [list(names) for names in s.limited],
+            },
+        }
+
+
+def finite(value: Any) -> Any:
+    """Plain data of a number or an array, None for each number that is not finite."""
+    if isinstance(value, np.ndarray):
+        return [finite(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value

@@ -1,0 +1,217 @@
+"""``ProtocolReport``: the outcomes of one protocol for one plan, as table, JSON and CSV."""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich import box
+from rich.table import Table
+
+from planner.errors import FileFormatError
+from sim.protocols.outcome import Outcome, finite
+
+__all__ = ["ProtocolReport", "protocol_table", "write_csv"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ProtocolReport:
+    """What became of all trials.
+
+    Attributes:
+        protocol: Its name.
+        plan: What the plan was called.
+        hand: Name of the hand.
+        object: Specification of the object's shape.
+        mass_kg: Its planned mass.
+        controller: Name of the controller.
+        seed: Seed of directions and errors.
+        physics: How MuJoCo computed, in words and numbers.
+        settings: Numbers of the protocol.
+        epsilon_planned: L1 epsilon of the planned contacts (-).
+        grip_N: Planned normal force of each finger.
+        asked: How many trials there are.
+        outcomes: Those that were finished, by number.
+        wall_s: Time it took.
+    """
+
+    protocol: str
+    plan: str
+    hand: str
+    object: str
+    mass_kg: float
+    controller: str
+    seed: int
+    physics: Mapping[str, Any]
+    settings: Mapping[str, Any]
+    epsilon_planned: float
+    grip_N: tuple[float, ...]
+    asked: int
+    outcomes: tuple[Outcome, ...]
+    wall_s: float
+
+    @property
+    def complete(self) -> bool:
+        """Whether every trial was finished."""
+        return len(self.outcomes) == self.asked
+
+    @property
+    def fixed(self) -> tuple[Outcome, ...]:
+        """Trials that are held or not; in the others a load grows until they fail."""
+        return tuple(o for o in self.outcomes if not o.grows)
+
+    @property
+    def loaded(self) -> tuple[Outcome, ...]:
+        """Trials in which a load grows."""
+        return tuple(o for o in self.outcomes if o.grows)
+
+    @property
+    def success(self) -> bool:
+        """Whether all trials were finished, and held to the end where no load grows."""
+        held = all(o.held for o in self.fixed) and all(o.borne > 0 for o in self.loaded)
+        return self.complete and held
+
+    @property
+    def held_share(self) -> float:
+        """Share of the trials without a growing load in which the object was held; NaN if none."""
+        return float(np.mean([o.held for o in self.fixed])) if self.fixed else float("nan")
+
+    @property
+    def reasons(self) -> dict[str, int]:
+        """How often each reason ended a trial, most frequent first."""
+        return dict(Counter(o.reason for o in self.outcomes if o.reason).most_common())
+
+    def breaking(self, unit: str) -> tuple[float, float]:
+        """Median and least load that was borne, over directions with this unit ("N", "N m")."""
+        borne = [o.borne for o in self.loaded if o.unit == unit]
+        if not borne:
+            return float("nan"), float("nan")
+        return float(np.median(borne)), float(np.min(borne))
+
+    @property
+    def share_of_bound(self) -> float:
+        """Median over directions of the load borne over the proven bound; NaN without loads."""
+        shares = [o.borne / o.bound for o in self.loaded if np.isfinite(o.bound) and o.bound > 0]
+        return float(np.median(shares)) if shares else float("nan")
+
+    @property
+    def contradictions(self) -> tuple[str, ...]:
+        """Directions in which more was borne than the certificate says anything could."""
+        return tuple(o.name for o in self.loaded if o.contradicts)
+
+    def summary(self) -> dict[str, Any]:
+        """The report without its trials, plain data."""
+        (force, least_force), (torque, least_torque) = (self.breaking(u) for u in ("N", "N m"))
+        drift = [o.drift[0] for o in self.fixed if o.held and np.isfinite(o.drift[0])]
+        data = {
+            "protocol": self.protocol,
+            "plan": self.plan,
+            "hand": self.hand,
+            "object": self.object,
+            "mass_kg": self.mass_kg,
+            "controller": self.controller,
+            "seed": self.seed,
+            "success": self.success,
+            "complete": self.complete,
+            "asked": self.asked,
+            "finished": len(self.outcomes),
+            "held": sum(o.held for o in self.fixed),
+            "of": len(self.fixed),
+            "reasons": self.reasons,
+            "median_borne_N": force,
+            "least_borne_N": least_force,
+            "median_borne_Nm": torque,
+            "least_borne_Nm": least_torque,
+            "median_share_of_bound": self.share_of_bound,
+            "contradictions": list(self.contradictions),
+            "largest_drift_mm": max(drift, default=float("nan")),
+            "epsilon_planned": self.epsilon_planned,
+            "grip_N": list(self.grip_N),
+            "physics": dict(self.physics),
+            "settings": dict(self.settings),
+            "wall_s": self.wall_s,
+        }
+        return {key: finite(value) for key, value in data.items()}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything as plain data; what is not a finite number becomes None."""
+        return {
+            "format": "opposable-protocol",
+            "version": 1,
+            "written_by": f"opposable {version('opposable')}",
+            **self.summary(),
+            "trials": [o.to_dict() for o in self.outcomes],
+        }
+
+
+def protocol_table(report: ProtocolReport) -> Table:
+    """One row per trial."""
+    loaded = bool(report.loaded)
+    table = Table(
+        title=f"{report.protocol}: {report.hand}, {report.object}, control {report.controller}",
+        box=box.SIMPLE_HEAD,
+    )
+    columns = ["trial", "held"]
+    if loaded:
+        columns += ["borne", "broke", "bound", "share"]
+    columns += ["drift mm", "deg", "closed", "friction", "at s", "reason"]
+    for name in columns:
+        left = name in ("trial", "reason")
+        table.add_column(name, justify="left" if left else "right", no_wrap=name != "reason")
+    for o in report.outcomes:
+        cells = [o.name, "" if o.grows else "yes" if o.held else "no"]
+        if loaded:
+            cells += [
+                _number(o.borne, 3, o.unit),
+                _number(o.broke, 3),
+                _number(o.bound, 3),
+                _percent(o.borne / o.bound if o.bound > 0 else float("nan")),
+            ]
+        cells += [
+            _number(o.drift[0], 2),
+            _number(o.drift[1], 2),
+            _percent(o.share_closed),
+            _percent(o.largest_utilisation),
+            "" if o.fault is None else f"{o.fault.time:.2f}",
+            o.reason,
+        ]
+        table.add_row(*cells)
+    return table
+
+
+def write_csv(reports: Iterable[ProtocolReport], path: Path) -> None:
+    """One line per trial of all reports.
+
+    Raises:
+        FileFormatError: The file cannot be written.
+    """
+    rows = [
+        {"plan": r.plan, "protocol": r.protocol, "controller": r.controller, **o.to_row()}
+        for r in reports
+        for o in r.outcomes
+    ]
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    try:
+        with path.open("w", encoding="utf-8", newline="") as stream:
+            writer = csv.DictWriter(stream, names)
+            writer.writeheader()
+            writer.writerows(rows)
+    except OSError as error:
+        raise FileFormatError(f"cannot write {path}: {error.strerror}") from error
+
+
+def _number(value: float, digits: int, unit: str = "") -> str:
+    """Significant digits and unit, "" for NaN."""
+    if value != value:
+        return ""
+    return f"{value:.{digits}g}{' ' if unit else ''}{unit}" if np.isfinite(value) else "-"
+
+
+def _percent(value: float) -> str:
+    return "" if value != value else f"{100 * value:.0f} %"

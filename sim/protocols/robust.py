@@ -1,0 +1,148 @@
+"""``robust``: the whole trial again with another mass, friction and object pose than planned.
+
+The object is where the plan does not have it, heavier or lighter, more slippery or less; the
+controller knows nothing of that. On a table it is moved and turned on the table, in a random
+direction; without one in space. The verdict is that of every trial (``sim.verdict``): approach,
+closing, lift and hold.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from planner.plan import GraspPlan
+from planner.spatial import SE3, FloatArray
+from sim.protocols.cases import Conditions
+from sim.protocols.outcome import Fault, Outcome
+from sim.protocols.settings import Settings
+from sim.timeline import Timeline
+from sim.trial import Trial
+
+__all__ = ["RobustCase", "displaced", "robust_cases"]
+
+TIMELINE = Timeline(
+    approach=0.3, close=0.3, close_wait=0.3, squeeze=0.4, settle=0.2, lift=0.5, hold=1.0
+)
+"""Shorter than a trial that is looked at."""
+
+RECORD_EVERY = 0.05
+"""Time between samples, s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobustCase:
+    """One cell of the grid.
+
+    Attributes:
+        index: Number of the trial.
+        mass: Of the planned one (-).
+        friction: Of the simulation's, sliding and torsional (-).
+        shift_mm: How far the object is from its place.
+        turn_deg: How far it is turned, either way.
+        seed: Of the direction of the pose error.
+    """
+
+    index: int
+    mass: float
+    friction: float
+    shift_mm: float
+    turn_deg: float
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """What differs."""
+        return (
+            f"mass x{self.mass:g}, friction x{self.friction:g}, "
+            f"pose {self.shift_mm:g} mm {self.turn_deg:g} deg"
+        )
+
+    def run(self, plan: GraspPlan, conditions: Conditions) -> Outcome:
+        """Execute it all."""
+        physics, task = conditions.physics, plan.task
+        rng = np.random.default_rng([self.seed, self.index])
+        really = replace(
+            task,
+            object=replace(task.object, mass=self.mass * task.object.mass),
+            T_world_object=displaced(
+                task.T_world_object,
+                1e-3 * self.shift_mm,
+                np.deg2rad(self.turn_deg),
+                rng,
+                on_table=task.table_height is not None,
+            ),
+        )
+        trial = Trial(
+            replace(plan, task=really),
+            physics=replace(
+                physics,
+                mu=self.friction * physics.mu,
+                mu_torsion=self.friction * physics.mu_torsion,
+            ),
+            controller=conditions.controller(plan),
+            timeline=TIMELINE,
+            record_every=RECORD_EVERY,
+        )
+        report = trial.run()
+        verdict = report.verdict
+        fault = None
+        if not verdict.success:
+            fault = Fault(reason=verdict.reason, detail=verdict.detail, time=verdict.time)
+        return Outcome(
+            index=self.index,
+            name=self.name,
+            held=report.success,
+            fault=fault,
+            fingers=report.fingers,
+            samples=report.samples,
+            load=np.zeros(len(report.samples)),
+            events=report.events,
+            conditions={
+                "mass_factor": self.mass,
+                "friction_factor": self.friction,
+                "shift_mm": self.shift_mm,
+                "turn_deg": self.turn_deg,
+            },
+        )
+
+
+def robust_cases(settings: Settings, seed: int) -> tuple[RobustCase, ...]:
+    """The whole grid."""
+    cells = [
+        (mass, friction, *error)
+        for mass in settings.mass_factors
+        for friction in settings.friction_factors
+        for error in settings.pose_errors
+    ]
+    return tuple(
+        RobustCase(index=i, mass=m, friction=f, shift_mm=mm, turn_deg=deg, seed=seed)
+        for i, (m, f, mm, deg) in enumerate(cells)
+    )
+
+
+def displaced(
+    pose: SE3, shift: float, turn: float, rng: np.random.Generator, *, on_table: bool
+) -> SE3:
+    """A pose shifted (m) and turned (rad) by given amounts in random directions.
+
+    Args:
+        pose: In the world.
+        shift: m.
+        turn: rad, about the origin of ``pose``.
+        rng: Gives the directions.
+        on_table: Shift horizontally and turn about the vertical only.
+    """
+    along, about = (_unit(rng) for _ in range(2))
+    if on_table:
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        along = np.array([np.cos(angle), np.sin(angle), 0.0])
+        about = np.array([0.0, 0.0, rng.choice([-1.0, 1.0])])
+    return SE3(pin.exp3(turn * about) @ pose.rotation, pose.translation + shift * along)
+
+
+def _unit(rng: np.random.Generator) -> FloatArray:
+    drawn = rng.normal(size=3)
+    return np.asarray(drawn / np.linalg.norm(drawn))

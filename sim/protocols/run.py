@@ -1,0 +1,244 @@
+"""``run_protocol``: all trials of a protocol, on all cores, with what is done kept.
+
+Trials are independent of each other and of the number of workers: every one begins with the plan as
+it is in its file.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import time
+from collections.abc import Callable, Collection
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+from rich.console import Console
+
+from planner.errors import FileFormatError, NotFoundError, TaskError
+from planner.files import plan_to_dict, read_plan
+from planner.hand import Hand
+from planner.plan import GraspPlan
+from sim.bench.run import made_with, run_all
+from sim.controllers import named_controller
+from sim.physics import CONTACT_SOLIMP, CONTACT_SOLREF, PhysicsOptions
+from sim.protocols.cases import Case, Conditions, MakeController
+from sim.protocols.fc import fc_cases, fc_physics
+from sim.protocols.forces import forces_cases
+from sim.protocols.hold import quiet
+from sim.protocols.outcome import Outcome
+from sim.protocols.report import ProtocolReport
+from sim.protocols.robust import robust_cases
+from sim.protocols.settings import Settings
+from sim.protocols.shake import shake_cases
+from sim.scene import build_scene
+
+__all__ = ["PROTOCOLS", "cases_of", "run_protocol"]
+
+PROTOCOLS = ("fc", "forces", "shake", "robust")
+"""Names of the protocols."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Job:
+    """A case with what it needs in another process; plan is the text of a plan file."""
+
+    plan: str
+    case: Case
+    conditions: Conditions
+
+
+def cases_of(protocol: str, settings: Settings, seed: int) -> tuple[Case, ...]:
+    """The trials of a protocol, in order.
+
+    Raises:
+        NotFoundError: There is no such protocol.
+    """
+    if protocol == "fc":
+        return fc_cases()
+    if protocol == "forces":
+        return forces_cases(settings, seed)
+    if protocol == "shake":
+        return shake_cases(settings)
+    if protocol == "robust":
+        return robust_cases(settings, seed)
+    raise NotFoundError("protocol", protocol, list(PROTOCOLS))
+
+
+def run_protocol(
+    plan: GraspPlan,
+    protocol: str,
+    *,
+    controller: str | MakeController = "open",
+    physics: PhysicsOptions | None = None,
+    settings: Settings | None = None,
+    seed: int = 0,
+    workers: int = 1,
+    only: Collection[str] = (),
+    name: str = "",
+    file: Path | None = None,
+    console: Console | None = None,
+    check: Callable[[], None] = lambda: None,
+) -> ProtocolReport:
+    """Run a protocol; Ctrl-C ends it with what is done.
+
+    Args:
+        plan: What to test.
+        protocol: One of ``PROTOCOLS``.
+        controller: "open", "closed", or what makes a controller out of a plan. ``fc`` is always
+            run by replayed postures.
+        physics: How MuJoCo computes; defaults if None. ``fc`` has its own.
+        settings: Numbers of the protocols; defaults if None.
+        seed: Of random directions and pose errors.
+        workers: Processes; 1 for this one, -1 for one per core. With more than one, the hand
+            must be one that its plan file can name.
+        only: Names of the trials to run, as a report has them; all if empty.
+        name: What to call the plan in the report.
+        file: JSON lines, one per trial, are written here as trials are finished.
+        console: Where the progress bar goes; none without.
+        check: Called between trials; what it raises ends the run.
+
+    Returns:
+        The report; not ``complete`` after Ctrl-C.
+
+    Raises:
+        NotFoundError: There is no such protocol, controller or trial.
+        TaskError: The protocol is not for this hand, or ``workers`` is 0.
+        FileFormatError: ``file`` cannot be written.
+    """
+    begin = time.perf_counter()
+    if workers == 0:
+        raise TaskError("workers is 0; give the number of processes, or -1 for one per core")
+    settings = settings or Settings()
+    physics = fc_physics() if protocol == "fc" else physics or PhysicsOptions()
+    cases = _chosen(cases_of(protocol, settings, seed), only)
+    make = named_controller(controller) if isinstance(controller, str) else controller
+    label = controller if isinstance(controller, str) else getattr(make, "__name__", "given")
+    text = json.dumps(plan_to_dict(plan))
+    conditions = Conditions(physics=physics, controller=make)
+    jobs = [_Job(plan=text, case=case, conditions=conditions) for case in cases]
+    _plan_of(text, plan.task.hand)
+    outcomes: list[Outcome] = []
+    lines = _Lines(file)
+
+    def keep(outcome: Outcome) -> None:
+        outcomes.append(outcome)
+        lines.write({"plan": name, "protocol": protocol, "controller": label, **outcome.to_dict()})
+
+    with lines:
+        run_all(
+            _run,
+            jobs,
+            workers=workers,
+            title=f"{protocol} {name}".strip(),
+            console=console or Console(quiet=True),
+            keep=keep,
+            check=check,
+        )
+    task = plan.task
+    own = {} if protocol == "fc" else {k: v for k, v in asdict(settings).items()}
+    return ProtocolReport(
+        protocol=protocol,
+        plan=name,
+        hand=task.hand.name,
+        object=task.object.shape.spec,
+        mass_kg=task.object.mass,
+        controller="replay" if protocol == "fc" else label,
+        seed=seed,
+        physics=physics_of(plan, physics),
+        settings=own,
+        epsilon_planned=plan.quality.epsilon,
+        grip_N=tuple(float(f) for f in plan.forces.forces[:, 0]),
+        asked=len(cases),
+        outcomes=tuple(sorted(outcomes, key=lambda o: o.index)),
+        wall_s=time.perf_counter() - begin,
+    )
+
+
+def _chosen(cases: tuple[Case, ...], only: Collection[str]) -> tuple[Case, ...]:
+    """Those of some names, in order; all without names."""
+    names = [case.name for case in cases]
+    for name in only:
+        if name not in names:
+            raise NotFoundError("trial", name, names)
+    return tuple(case for case in cases if not only or case.name in only)
+
+
+def physics_of(plan: GraspPlan, physics: PhysicsOptions) -> dict[str, Any]:
+    """How MuJoCo computes, read from a compiled scene, and what it is computed with."""
+    scene = build_scene(plan.task, T_world_base=plan.T_world_base, q=plan.q, physics=physics)
+    option = scene.model.opt
+    return {
+        "timestep_s": float(option.timestep),
+        "integrator": _name(mujoco.mjtIntegrator, option.integrator),
+        "solver": _name(mujoco.mjtSolver, option.solver),
+        "cone": _name(mujoco.mjtCone, option.cone),
+        "jacobian": _name(mujoco.mjtJacobian, option.jacobian),
+        "impratio": float(option.impratio),
+        "noslip_iterations": int(option.noslip_iterations),
+        "iterations": int(option.iterations),
+        "friction": physics.mu,
+        "torsional_friction_m": physics.mu_torsion,
+        "condim": 4,
+        "solref": list(CONTACT_SOLREF),
+        "solimp": list(CONTACT_SOLIMP),
+        "mujoco": mujoco.__version__,
+        **{k: v for k, v in made_with().items() if k != "load_average"},
+    }
+
+
+class _Lines:
+    """A file of JSON lines that is written as results come; nothing without a path."""
+
+    def __init__(self, path: Path | None) -> None:
+        """Open it."""
+        try:
+            self._stream = None if path is None else path.open("w", encoding="utf-8")
+        except OSError as error:
+            raise FileFormatError(f"cannot write {path}: {error.strerror}") from error
+
+    def __enter__(self) -> None:
+        """It is open."""
+
+    def __exit__(self, *_: object) -> None:
+        """Close it."""
+        if self._stream is not None:
+            self._stream.close()
+
+    def write(self, row: dict[str, Any]) -> None:
+        """One more line, on disk at once."""
+        if self._stream is not None:
+            self._stream.write(json.dumps(row) + "\n")
+            self._stream.flush()
+
+
+_plans: dict[str, GraspPlan] = {}
+"""The plan that this process works on, by its text."""
+
+
+def _plan_of(text: str, hand: Hand | None = None) -> GraspPlan:
+    """The plan that a text holds; only the last one is kept."""
+    if text not in _plans:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "plan.json"
+            path.write_text(text, encoding="utf-8")
+            plan = read_plan(path, hand=hand)
+        _plans.clear()
+        _plans[text] = plan
+    return _plans[text]
+
+
+def _run(job: _Job, check: Callable[[], None]) -> Outcome:
+    """One trial."""
+    plan = _plan_of(job.plan)
+    with quiet():
+        outcome = job.case.run(plan, job.conditions)
+    check()
+    return outcome
+
+
+def _name(kind: Any, value: int) -> str:
+    """Name of a value of one of MuJoCo's enumerations, without its prefix."""
+    return str(kind(int(value)).name).split("_", 1)[1].lower()

@@ -1,0 +1,144 @@
+"""``shake``: the mount is shaken along and about three axes, one after the other.
+
+    x(t) = e(t) A sin(2 pi f t),    e from 0 to 1 within the first period and back within the last
+
+along the world's axes, or about them through the origin of the hand's base. Gravity stays on. The
+servos of the mount are told rate and acceleration too, so that they follow; what they reached is
+reported.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from planner.errors import TaskError
+from planner.plan import GraspPlan, smooth
+from sim.controllers import Phase
+from sim.mount import MOUNT_AXES, MOUNT_FREQUENCY, Mount
+from sim.protocols.cases import Conditions
+from sim.protocols.hold import Hold
+from sim.protocols.outcome import Outcome
+from sim.protocols.settings import Settings
+
+__all__ = ["ShakeCase", "Shaker", "shake_cases"]
+
+TINY = 1e-4
+"""Step (s) of the differences that rate and acceleration are taken by."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShakeCase:
+    """Shaking of one axis of the mount.
+
+    Attributes:
+        index: Number of the axis in ``MOUNT_AXES``.
+        settings: Amplitudes, frequency and thresholds.
+    """
+
+    index: int
+    settings: Settings
+
+    @property
+    def name(self) -> str:
+        """The axis."""
+        return f"shake {MOUNT_AXES[self.index]}"
+
+    def run(self, plan: GraspPlan, conditions: Conditions) -> Outcome:
+        """Grip, then shake.
+
+        Raises:
+            TaskError: The hand is on an arm and has no mount.
+        """
+        settings = self.settings
+        hold = Hold(
+            plan,
+            controller=conditions.controller(plan),
+            physics=conditions.physics,
+            lost=settings.lost,
+        )
+        mount = hold.scene.mount
+        if mount is None:
+            raise TaskError(
+                f"protocol shake shakes the mount, and {plan.task.hand.name} is on an arm; plan "
+                "with the hand without its arm"
+            )
+        linear = self.index < 3
+        asked = 1e-3 * settings.shake_mm if linear else np.deg2rad(settings.shake_deg)
+        shaker = Shaker(mount, self.index, asked, settings.shake_hz, settings.shake_s)
+        fault = hold.grip()
+        if fault is None:
+            hold.carry_by(shaker)
+            shaker.start(float(hold.data.time))
+            fault = hold.endure(settings.shake_s)
+        unit, factor = ("mm", 1e3) if linear else ("deg", float(np.rad2deg(1.0)))
+        return Outcome(
+            index=self.index,
+            name=self.name,
+            held=fault is None,
+            fault=fault,
+            fingers=plan.task.finger_names,
+            samples=hold.samples,
+            load=hold.loads,
+            events=hold.events,
+            conditions={
+                f"asked_{unit}": factor * asked,
+                f"reached_{unit}": factor * shaker.reached,
+                "frequency_Hz": settings.shake_hz,
+            },
+        )
+
+
+def shake_cases(settings: Settings) -> tuple[ShakeCase, ...]:
+    """One for every axis of the mount."""
+    return tuple(ShakeCase(index=i, settings=settings) for i in range(len(MOUNT_AXES)))
+
+
+class Shaker:
+    """Moves the mount to and fro: a ``sim.carrier.Carrier``.
+
+    Attributes:
+        reached: Largest coordinate of the shaken axis so far, m or rad.
+    """
+
+    def __init__(
+        self, mount: Mount, axis: int, amplitude: float, frequency: float, duration: float
+    ) -> None:
+        """Prepare.
+
+        Args:
+            mount: What is shaken.
+            axis: Number in ``MOUNT_AXES``.
+            amplitude: m or rad.
+            frequency: 1/s.
+            duration: s.
+        """
+        self._mount, self._axis = mount, axis
+        self._amplitude, self._frequency, self._duration = amplitude, frequency, duration
+        self._begin = 0.0
+        self.reached = 0.0
+
+    def start(self, time: float) -> None:
+        """Begin at a time, s."""
+        self._begin = time
+
+    def drive(self, data: Any, phase: Phase, share: float) -> None:
+        """Set the mount's commands."""
+        del phase, share
+        time = float(data.time) - self._begin
+        target, velocity = np.zeros(6), np.zeros(6)
+        before, now, after = (self.coordinate(time + d) for d in (-TINY, 0.0, TINY))
+        acceleration = (after - 2.0 * now + before) / TINY**2
+        # servos have the stiffness inertia * MOUNT_FREQUENCY^2
+        target[self._axis] = now + acceleration / MOUNT_FREQUENCY**2
+        velocity[self._axis] = (after - before) / (2.0 * TINY)
+        data.ctrl[self._mount.ctrl] = self._mount.command(data, target, velocity)
+        self.reached = max(self.reached, abs(float(data.qpos[self._mount.qpos[self._axis]])))
+
+    def coordinate(self, time: float) -> float:
+        """Wanted coordinate (m or rad) at a time since the beginning, s."""
+        periods, left = time * self._frequency, (self._duration - time) * self._frequency
+        envelope = smooth(np.clip(min(periods, left), 0.0, 1.0))
+        return float(self._amplitude * envelope * np.sin(2.0 * np.pi * periods))
