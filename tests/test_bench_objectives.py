@@ -14,6 +14,7 @@ from planner.errors import NotFoundError
 from planner.measures import MEASURES
 from sim.bench.objectives import objective_tables, run_objectives, summary_of_objective
 from sim.bench.objects import bench_objects
+from sim.bench.run import Runner
 from sim.cli import app
 
 
@@ -70,9 +71,7 @@ def run(objectives: list[str]) -> dict[str, Any]:
         objectives=objectives,
         seed=0,
         max_attempts=20,
-        workers=1,
-        console=Console(quiet=True),
-        check=lambda: None,
+        runner=Runner(console=Console(quiet=True), check=lambda: None),
     )
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from planner.batch.jobs import grasp_seed
@@ -22,7 +21,7 @@ from planner.search import attempts
 from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, loaded_hand, task_for
-from sim.bench.run import made_with, run_all
+from sim.bench.run import Runner, made_with
 from sim.bench.statistics import median_of, ratio
 from sim.bench.tables import number, table_of
 
@@ -55,9 +54,7 @@ def run_objectives(
     objectives: Sequence[str],
     seed: int,
     max_attempts: int,
-    workers: int,
-    console: Console,
-    check: Callable[[], None],
+    runner: Runner,
 ) -> dict[str, Any]:
     """Make n requests of every hand and object with every objective; Ctrl-C keeps what is done.
 
@@ -68,9 +65,7 @@ def run_objectives(
         objectives: Texts of ``SynthesisOptions.objective``.
         seed: Same seed, same requests.
         max_attempts: Attempts of a request.
-        workers: Processes.
-        console: Where the progress bar goes.
-        check: Raises a KeyboardInterrupt that a solver swallowed.
+        runner: Who works on them.
 
     Raises:
         PlannerError: A hand, an object or an objective cannot be used.
@@ -91,15 +86,7 @@ def run_objectives(
     ]
     rows: list[dict[str, Any]] = []
     whole = made_with()
-    finished = run_all(
-        _measure,
-        requests,
-        workers=workers,
-        title="plan",
-        console=console,
-        keep=rows.append,
-        check=check,
-    )
+    finished = runner.run(_measure, requests, title="plan", keep=rows.append, given_up=_given_up)
     rows.sort(key=lambda row: (row["hand"], row["object"], asked.index(row["objective"]), row["k"]))
     return {
         "format": "opposable-bench-objectives",
@@ -107,7 +94,7 @@ def run_objectives(
         **whole,
         "seed": seed,
         "max_attempts": max_attempts,
-        "workers": workers,
+        "workers": runner.workers,
         "interrupted": not finished,
         "units": {name: measure.unit for name, measure in MEASURES.items()},
         "objectives": [summary_of_objective(text, rows) for text in asked],
@@ -139,6 +126,20 @@ def _measure(request: _Request, check: Callable[[], None]) -> dict[str, Any]:
         "attempts": made,
         "cpu_s": cpu,
         "measures": values,
+    }
+
+
+def _given_up(request: _Request, reason: str) -> dict[str, Any]:
+    """The row of a request that killed its processes: nothing was found."""
+    return {
+        "hand": loaded_hand(request.hand).name,
+        "object": request.item.label,
+        "objective": request.objective,
+        "k": request.k,
+        "attempts": 0,
+        "cpu_s": 0.0,
+        "measures": None,
+        "error": reason,
     }
 
 

@@ -138,12 +138,10 @@ def bench_objectives(
     as_json: JsonOption = False,
 ) -> None:
     """Measure what each objective of synthesis brings, and what it costs."""
-    from planner.files import write_json
     from sim.bench.objectives import objective_tables, run_objectives
     from sim.bench.objects import bench_objects
 
-    check_folder(output)
-    with heeding_ctrl_c() as check:
+    with measuring(output, workers) as runner:
         result = run_objectives(
             hands,
             bench_objects(names(objects)),
@@ -151,19 +149,9 @@ def bench_objectives(
             objectives=[text.replace("+", ",") for text in names(objectives)],
             seed=seed,
             max_attempts=max_attempts,
-            workers=workers,
-            console=err,
-            check=check,
+            runner=runner,
         )
-    if output is not None:
-        write_json(result, output)
-    if as_json:
-        print_json(result)
-    else:
-        for table in objective_tables(result):
-            wide().print(table)
-    if result["interrupted"]:
-        raise typer.Exit(EXIT_INTERRUPTED)
+    give(result, output, as_json, lambda console: console.print(*objective_tables(result)))
 
 
 @errors_for_people()

@@ -7,6 +7,7 @@ it is in its file.
 from __future__ import annotations
 
 import json
+import os
 import tempfile
 import time
 from collections.abc import Callable, Collection
@@ -17,11 +18,11 @@ from typing import Any
 import mujoco
 from rich.console import Console
 
-from planner.errors import FileFormatError, NotFoundError, TaskError
+from planner.errors import FileFormatError, NotFoundError, PlannerError, TaskError
 from planner.files import plan_to_dict, read_plan
 from planner.hand import Hand
 from planner.plan import GraspPlan
-from sim.bench.run import made_with, run_all
+from sim.bench.run import Runner, made_with
 from sim.controllers import named_controller
 from sim.physics import CONTACT_SOLIMP, CONTACT_SOLREF, PhysicsOptions
 from sim.protocols.cases import Case, Conditions, MakeController
@@ -128,15 +129,11 @@ def run_protocol(
         lines.write({"plan": name, "protocol": protocol, "controller": label, **outcome.to_dict()})
 
     with lines:
-        run_all(
-            _run,
-            jobs,
-            workers=workers,
-            title=f"{protocol} {name}".strip(),
+        Runner(
             console=console or Console(quiet=True),
-            keep=keep,
             check=check,
-        )
+            workers=(os.cpu_count() or 1) if workers < 0 else workers,
+        ).run(_run, jobs, title=f"{protocol} {name}".strip(), keep=keep, given_up=_given_up)
     task = plan.task
     own = {} if protocol == "fc" else {k: v for k, v in asdict(settings).items()}
     return ProtocolReport(
@@ -237,6 +234,11 @@ def _run(job: _Job, check: Callable[[], None]) -> Outcome:
         outcome = job.case.run(plan, job.conditions)
     check()
     return outcome
+
+
+def _given_up(job: _Job, reason: str) -> Outcome:
+    """End: a trial without samples is no outcome, and what was done is on disk."""
+    raise PlannerError(f"trial {job.case.name!r} {reason}; leave it out with --only, or report it")
 
 
 def _name(kind: Any, value: int) -> str:
