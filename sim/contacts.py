@@ -31,6 +31,7 @@ __all__ = [
     "hand_contacts",
     "merge_per_finger",
     "normal_forces",
+    "object_contacts",
     "other_touches",
 ]
 
@@ -124,6 +125,16 @@ def normal_forces(scene: Scene, data: Any, fingers: tuple[str, ...]) -> FloatArr
         if k is not None:
             total[k] += _force(scene.model, data, i)[0]
     return total
+
+
+def object_contacts(scene: Scene, data: Any) -> list[tuple[int, int, float]]:
+    """Every contact of hand and object: its number, the hand's geom, and a sign.
+
+    The sign is 1 where MuJoCo's normal points into the object, else -1; times the force that
+    ``mj_contactForce`` gives, turned into the world, it makes the force on the object.
+    """
+    pairs = _pairs(scene.model, data, scene.object_body, scene.finger_of_geom)
+    return [(i, geom, -1.0 if object_first else 1.0) for i, geom, object_first in pairs]
 
 
 def merge_per_finger(contacts: ContactSet) -> ContactSet:

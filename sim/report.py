@@ -10,10 +10,12 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from planner.quality import QualityReport
 from planner.schema import StrictData
 from planner.spatial import FloatArray
+from sim.controllers.events import Event, EventKind
 from sim.verdict import Reason, Samples, Thresholds, Verdict, largest
 
 __all__ = ["REPORT_VERSION", "FingerComparison", "ReportFile", "TrialReport"]
@@ -72,6 +74,8 @@ class TrialReport:
         supported: Whether the object was held by a constraint until the lift, for want of a table.
         carried_by: What carried the hand: "mount", six driven axes, or "arm".
         object_deviation_mm: How far convex pieces that stood for a mesh reach out of it at most.
+        controller: Name of the controller's class.
+        events: What the controller noticed and did, in order; empty for one that notices nothing.
         picture: Picture of the held object, None if there is none.
         picture_reason: Why there is none.
     """
@@ -94,6 +98,8 @@ class TrialReport:
     supported: bool
     carried_by: Literal["mount", "arm"] = "mount"
     object_deviation_mm: float = 0.0
+    controller: str = ""
+    events: tuple[Event, ...] = ()
     picture: Path | None = None
     picture_reason: str = "none was asked for"
 
@@ -153,6 +159,11 @@ class TrialReport:
             supported_until_lift=self.supported,
             carried_by=self.carried_by,
             object_deviation_mm=self.object_deviation_mm,
+            controller=self.controller,
+            events=[
+                EventData(time_s=e.time, kind=e.kind, finger=e.finger, detail=e.detail)
+                for e in self.events
+            ],
             picture=None if self.picture is None else self.picture.name,
             picture_reason=self.picture_reason,
             samples=SampleData(
@@ -188,6 +199,15 @@ class ComparisonData(StrictData):
     measured_normal_force_N: float | None
     force_error_N: float | None
     force_error_percent: float | None
+
+
+class EventData(StrictData):
+    """What a controller noticed and did."""
+
+    time_s: float
+    kind: EventKind
+    finger: str
+    detail: str
 
 
 class SampleData(StrictData):
@@ -240,6 +260,8 @@ class ReportFile(StrictData):
     supported_until_lift: bool
     carried_by: Literal["mount", "arm"] = "mount"
     object_deviation_mm: float = 0.0
+    controller: str = ""
+    events: list[EventData] = Field(default_factory=list)
     picture: str | None
     picture_reason: str
     samples: SampleData

@@ -66,6 +66,13 @@ def print_report(report: TrialReport, console: Console) -> None:
         f"{report.wall_s:.1f} s)",
         highlight=False,
     )
+    for event in report.events:
+        who = f" {event.finger}" if event.finger else ""
+        console.print(
+            f"  {event.time:.3f} s: {event.kind}{who}: {event.detail}",
+            highlight=False,
+            markup=False,
+        )
     if report.comparison:
         table = _table(
             "planned and measured contacts while holding",

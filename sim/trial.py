@@ -32,9 +32,11 @@ from sim.controllers import (
     GraspController,
     Observation,
     Phase,
+    ReportsEvents,
     ReportsLimits,
 )
 from sim.controllers.grasp import TOUCH_FORCE
+from sim.pads import read_pads
 from sim.picture import save_picture
 from sim.recorder import Recorder
 from sim.report import TrialReport
@@ -232,6 +234,7 @@ class Trial:
             object_twist=twist,
             normal_forces=normal_forces(scene, data, self.plan.task.finger_names),
             read_contacts=partial(hand_contacts, scene, data),
+            read_pads=partial(read_pads, scene, data, self.plan.task.finger_names),
         )
 
     def _held_by_enough(self) -> bool:
@@ -289,6 +292,8 @@ class Trial:
             supported=task.table_height is None,
             carried_by="mount" if plan.arm is None else "arm",
             object_deviation_mm=1e3 * self.scene.deviation,
+            controller=type(self.controller).__name__,
+            events=self.controller.events if isinstance(self.controller, ReportsEvents) else (),
         )
 
 

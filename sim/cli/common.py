@@ -77,6 +77,10 @@ CpuOption = Annotated[
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines on stdout.")]
 ViewOption = Annotated[bool, typer.Option("--view", help="Show the run in MuJoCo's viewer.")]
+ControllerOption = Annotated[
+    str,
+    typer.Option(help="open: the planned forces; closed: a loop that keeps the object in place."),
+]
 SimMuOption = Annotated[float, typer.Option(help="Sliding friction in simulation (-).")]
 PlanArgument = Annotated[Path, typer.Argument(help="A plan file.", metavar="PLAN")]
 

@@ -11,6 +11,7 @@ from rich.markup import escape
 from sim.cli.common import (
     AttemptsOption,
     AvoidOption,
+    ControllerOption,
     CpuOption,
     DensityOption,
     FingersOption,
@@ -120,7 +121,7 @@ LONGEST_NAME = 60
 """Characters of an object in a folder's name."""
 
 
-def _simulate(plan: Any, *, mu: float, view: bool, picture: Path | None) -> Any:
+def _simulate(plan: Any, *, make: Any, mu: float, view: bool, picture: Path | None) -> Any:
     """Execute with a progress bar on stderr."""
     from rich.progress import Progress
 
@@ -132,6 +133,7 @@ def _simulate(plan: Any, *, mu: float, view: bool, picture: Path | None) -> Any:
         return simulate(
             plan,
             physics=PhysicsOptions(mu=mu),
+            controller=make(plan),
             progress=lambda share: progress.update(bar, completed=share),
             view=view,
             picture=picture,
@@ -149,6 +151,7 @@ def run(
     seed: SeedOption = 0,
     mu: MuOption = 0.5,
     sim_mu: SimMuOption = 0.6,
+    controller: ControllerOption = "open",
     mass: MassOption = None,
     density: DensityOption = None,
     repair: RepairOption = False,
@@ -164,9 +167,11 @@ def run(
 ) -> None:
     """Plan a grasp, distribute its forces, execute it, judge it; writes plan, report, picture."""
     from planner.files import plan_to_dict, write_json, write_plan
+    from sim.controllers import named_controller
     from sim.summary import print_plan, print_report
     from sim.viewing import check_display
 
+    make_controller = named_controller(controller)
     if out_dir is not None:
         make_folder(out_dir)
     if view:
@@ -196,7 +201,9 @@ def run(
     write_plan(plan, folder / "plan.json")
     if not as_json:
         print_plan(plan, out)
-    report = _simulate(plan, mu=sim_mu, view=view, picture=folder / "held.png")
+    report = _simulate(
+        plan, make=make_controller, mu=sim_mu, view=view, picture=folder / "held.png"
+    )
     write_json(report.to_dict(), folder / "report.json")
     if as_json:
         print_json({"plan": plan_to_dict(plan), "report": report.to_dict()})
@@ -265,16 +272,21 @@ def simulate(
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Write a picture (PNG) here.")] = None,
     sim_mu: SimMuOption = 0.6,
+    controller: ControllerOption = "open",
     view: ViewOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Execute a plan file in MuJoCo: approach, close, squeeze, lift, hold; and judge it."""
     from planner.files import read_plan, write_json
+    from sim.controllers import named_controller
     from sim.summary import print_report
 
+    make_controller = named_controller(controller)
     check_folder(report_file)
     check_folder(picture)
-    report = _simulate(read_plan(plan_file), mu=sim_mu, view=view, picture=picture)
+    report = _simulate(
+        read_plan(plan_file), make=make_controller, mu=sim_mu, view=view, picture=picture
+    )
     if report_file is not None:
         write_json(report.to_dict(), report_file)
     if as_json:

@@ -2,7 +2,38 @@
 
 from __future__ import annotations
 
-from sim.controllers.base import PHASES, Controller, Observation, Phase, ReportsLimits
+from sim.controllers.base import (
+    PHASES,
+    Controller,
+    Observation,
+    Phase,
+    ReportsEvents,
+    ReportsLimits,
+)
+from sim.controllers.closed import ObjectImpedance
+from sim.controllers.events import Event, EventKind
+from sim.controllers.gains import ImpedanceGains
 from sim.controllers.grasp import GraspController
+from sim.controllers.named import CONTROLLERS, named_controller
+from sim.controllers.pads import PadReading
+from sim.controllers.sensing import Sensing
+from sim.controllers.slip import SlipDetector
 
-__all__ = ["PHASES", "Controller", "GraspController", "Observation", "Phase", "ReportsLimits"]
+__all__ = [
+    "CONTROLLERS",
+    "PHASES",
+    "Controller",
+    "Event",
+    "EventKind",
+    "GraspController",
+    "ImpedanceGains",
+    "ObjectImpedance",
+    "Observation",
+    "PadReading",
+    "Phase",
+    "ReportsEvents",
+    "ReportsLimits",
+    "Sensing",
+    "SlipDetector",
+    "named_controller",
+]

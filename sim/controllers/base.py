@@ -18,8 +18,10 @@ from typing import Literal, Protocol, TypeAlias, runtime_checkable
 
 from planner.contacts import ContactSet
 from planner.spatial import SE3, FloatArray
+from sim.controllers.events import Event
+from sim.controllers.pads import PadReading
 
-__all__ = ["PHASES", "Controller", "Observation", "Phase", "ReportsLimits"]
+__all__ = ["PHASES", "Controller", "Observation", "Phase", "ReportsEvents", "ReportsLimits"]
 
 Phase: TypeAlias = Literal["approach", "close", "squeeze", "settle", "lift", "hold"]
 
@@ -46,6 +48,7 @@ class Observation:
         normal_forces: Sum of normal forces on the object per finger that takes part, N, order of
             ``task.finger_names``.
         read_contacts: Reads ``contacts``.
+        read_pads: Reads ``pads``.
     """
 
     time: float
@@ -58,11 +61,17 @@ class Observation:
     object_twist: FloatArray
     normal_forces: FloatArray
     read_contacts: Callable[[], ContactSet]
+    read_pads: Callable[[], PadReading] = PadReading.nothing
 
     @cached_property
     def contacts(self) -> ContactSet:
         """Loaded contacts of hand and object, world, not merged; read when first asked for."""
         return self.read_contacts()
+
+    @cached_property
+    def pads(self) -> PadReading:
+        """What tactile pads feel, per finger that takes part; read when first asked for."""
+        return self.read_pads()
 
 
 class Controller(Protocol):
@@ -86,4 +95,14 @@ class ReportsLimits(Protocol):
 
     def limited_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last step wanted."""
+        ...
+
+
+@runtime_checkable
+class ReportsEvents(Protocol):
+    """A controller that notices what goes wrong, and says when; a report repeats it."""
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What it has noticed and done so far, in order."""
         ...

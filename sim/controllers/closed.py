@@ -1,0 +1,281 @@
+"""``ObjectImpedance``: holds the object where it is, whatever pushes it.
+
+Approach and closing are those of ``GraspController``. From the squeeze on, at every step:
+
+    wrench   impedance of the object's pose in the hand (``sim.controllers.impedance``), and its
+             believed weight; its velocity comes from the joints, as the contacts stick
+    forces   the least contact forces that give that wrench within friction, normal forces and
+             actuators (``planner.forces.ForceLoop``), at the contacts that the pads feel
+    ctrl     joint torques for these forces (``sim.controllers.torques``), through motors, servos
+             or tendons
+
+What it notices and what it does then:
+    contact lost    the forces are planned over the others at once; the finger searches along its
+                    last normal, and takes its share again when it feels the object
+    slip            all press harder by ``GRIP_STEP``, and the friction of that finger is believed
+                    to be what the pad felt when it slipped, less a margin
+    infeasible      the forces that come nearest within all limits are given
+    gave up         fewer fingers than can hold the object, or infeasible, for ``PATIENCE``: nothing
+                    is learned or tightened any more, and the reason is kept
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.errors import NotFoundError, TaskError
+from planner.forces import ForceLoop, turned_frames
+from planner.plan import GraspPlan, smooth
+from planner.spatial import SE3, FloatArray
+from sim.controllers.base import Observation
+from sim.controllers.events import Event, EventKind
+from sim.controllers.gains import ImpedanceGains, felt_inertia
+from sim.controllers.grasp import FIRST_SHARE, GraspController
+from sim.controllers.impedance import ImpedanceLaw
+from sim.controllers.pads import PadReading
+from sim.controllers.schedule import TOUCH_FORCE, ContactSchedule
+from sim.controllers.sensing import Senses, Sensing
+from sim.controllers.slip import SlipDetector
+from sim.controllers.torques import HoldingTorques
+
+__all__ = ["ObjectImpedance"]
+
+MAX_NORMAL = 40.0
+"""Largest normal force (N) that a pad is asked for; the actuators usually end far below."""
+
+CHANGE_COST = 2.0
+"""Cost of a squared change of force beside that of a squared force (-): forces that do not matter
+for the wrench follow within some 5 ms."""
+
+GRIP_STEP, MAX_GRIP = 1.3, 3.0
+"""Factor on the least normal forces per slip, and the largest that comes of it (-)."""
+
+FRICTION_MARGIN, LEAST_MU = 0.85, 0.1
+"""After a slip friction is believed to be this share of what was felt, and never less than this."""
+
+MISSED_TOL = 0.05
+"""A wrench counts as missed when more than this share of it, or this many N, is left over."""
+
+INFEASIBLE_TIME, PATIENCE = 0.006, 0.5
+"""How long (s) a wrench must be missed to be called infeasible, and to give up."""
+
+
+class ObjectImpedance:
+    """Closed-loop execution of a plan.
+
+    Attributes:
+        plan: What is executed.
+        law: The impedance, with its gains and the learned load.
+        schedule: Which fingers hold, from the squeeze on.
+        T_palm_wanted: Where the object is to be kept, in the palm; None before the squeeze. May be
+            set.
+        forces: (n, 4), contact forces of the last step in the contact frames, N and N m.
+        gave_up: Why it gave up, "" while it has not.
+    """
+
+    def __init__(
+        self,
+        plan: GraspPlan,
+        *,
+        gains: ImpedanceGains | None = None,
+        sensing: Sensing | None = None,
+        mass: float | None = None,
+        mu: float | None = None,
+    ) -> None:
+        """Prepare for a plan.
+
+        Args:
+            plan: What to execute.
+            gains: Of the impedance; from what moves with the object if None.
+            sensing: How well the object is known; exactly and at once if None.
+            mass: Mass that the object is believed to have, kg; the task's if None.
+            mu: Friction that the contacts are believed to have (-); the task's if None.
+
+        Raises:
+            TaskError: A mass or a friction that is not positive.
+        """
+        task = plan.task
+        self.plan = plan
+        self._mass = task.object.mass if mass is None else mass
+        first_mu = task.mu if mu is None else mu
+        for name, value, unit in (("mass", self._mass, " in kg"), ("mu", first_mu, "")):
+            if not (np.isfinite(value) and value > 0):
+                raise TaskError(f"the believed {name} is {value}; give a number > 0{unit}")
+        n = len(task.fingers)
+        if gains is None:
+            felt_mass, inertia = felt_inertia(plan, self._mass)
+            gains = ImpedanceGains.of_body(mass=felt_mass, inertia=inertia)
+        self.law = ImpedanceLaw(gains)
+        self.schedule = ContactSchedule(np.zeros(n, dtype=bool))
+        self.T_palm_wanted: SE3 | None = None
+        self.forces = np.zeros((n, 4))
+        self.gave_up = ""
+        self._events: list[Event] = []
+        self._opening = GraspController(plan)
+        self._senses = Senses(sensing or Sensing())
+        self._slips = SlipDetector(n)
+        self._torques = HoldingTorques(plan)
+        self._mu = np.full(n, first_mu)
+        self._grip = 1.0
+        self._contacts = plan.contacts.transformed(plan.T_world_base.inverse())
+        self._points = np.array(self._contacts.positions)
+        self._frames = np.array(self._contacts.frames)
+        self._loop = self._make_loop()
+        self._time = 0.0
+        self._missed_for, self._few_for = 0.0, 0.0
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What it noticed, in order."""
+        return tuple(self._events)
+
+    def limited_actuators(self) -> tuple[str, ...]:
+        """Names of the actuators that could not give what the last step wanted."""
+        if self.T_palm_wanted is None:
+            return self._opening.limited_actuators()
+        return self._torques.limited_actuators()
+
+    def leave(self, finger: str) -> None:
+        """Tell a finger to give its force to the others and to go off the object.
+
+        Raises:
+            NotFoundError: No finger of that name takes part.
+        """
+        self._tell(finger, False)
+
+    def join(self, finger: str) -> None:
+        """Tell a finger to come back.
+
+        Raises:
+            NotFoundError: No finger of that name takes part.
+        """
+        self._tell(finger, True)
+
+    def step(self, observation: Observation) -> FloatArray:
+        """Commands (nu,) for the hand's actuators."""
+        elapsed, self._time = observation.time - self._time, observation.time
+        if observation.phase in ("approach", "close"):
+            return self._opening.step(observation)
+        pads = self._senses.pads(observation)
+        T_base_world = observation.T_world_base.inverse()
+        gravity = T_base_world.rotation @ self.plan.task.gravity
+        self._torques.move(observation.q, observation.v, gravity)
+        T_base_palm = self._torques.T_base_palm
+        exact = T_base_palm.actInv(T_base_world * observation.T_world_object)
+        in_palm = self._senses.pose(observation.time, exact)
+        if self.T_palm_wanted is None:
+            self.T_palm_wanted = in_palm
+            self.schedule = ContactSchedule(pads.normal_force > TOUCH_FORCE)
+            self._torques.latch()
+        self._feel(elapsed, pads, T_base_world)
+        carries = observation.phase in ("lift", "hold")
+        if carries and not self.gave_up:
+            self._tighten(elapsed, pads)
+        ramp = observation.progress if observation.phase == "squeeze" else 1.0
+        scale = FIRST_SHARE + (1.0 - FIRST_SHARE) * float(smooth(np.asarray(ramp)))
+        holding = self.schedule.holding
+        pose = T_base_palm * in_palm
+        twist = self._torques.touch(self._points, pose.translation, holding)
+        wrench = self.law.wrench(T_base_palm * self.T_palm_wanted, pose, twist)
+        wrench[:3] -= self._mass * gravity
+        missed = self._distribute(scale * wrench, pose.translation, observation.q, scale)
+        if carries and not self.gave_up:
+            self.law.learn(elapsed, missed)
+            self._judge(elapsed, wrench, missed)
+        forces = (self._frames @ self.forces[:, :3, None])[:, :, 0]
+        normals = self._frames[:, :, 0]
+        return self._torques.commands(forces, normals, holding, self.schedule.searching)
+
+    def _feel(self, elapsed: float, pads: PadReading, T_base_world: SE3) -> None:
+        """Take over where and how the fingers touch, and note what has changed."""
+        felt = (pads.normal_force > 0)[:, None]
+        turn = T_base_world.rotation
+        points = pads.position @ turn.T + T_base_world.translation
+        self._points = np.where(felt, points, self._torques.centers)
+        normals = np.where(felt, pads.normal @ turn.T, self._frames[:, :, 0])
+        self._frames = turned_frames(self._frames, normals)
+        lost, found = self.schedule.step(elapsed, pads.normal_force)
+        for i in np.flatnonzero(lost).tolist():
+            self._note("contact lost", i, "forces over the others; it searches")
+        for i in np.flatnonzero(found).tolist():
+            self._torques.latch(i)
+            self._note("contact found", i, f"felt {pads.normal_force[i]:.2f} N")
+
+    def _tighten(self, elapsed: float, pads: PadReading) -> None:
+        """Answer to slips: press harder, and believe less friction."""
+        begun = self._slips.update(elapsed, pads) & self.schedule.holding
+        if not begun.any():
+            return
+        self._grip = min(MAX_GRIP, self._grip * GRIP_STEP)
+        felt = np.maximum(FRICTION_MARGIN * pads.friction_ratio(), LEAST_MU)
+        self._mu = np.where(begun, np.minimum(self._mu, felt), self._mu)
+        for i in np.flatnonzero(begun).tolist():
+            did = f"grip x {self._grip:.2f}, friction believed {self._mu[i]:.2f}"
+            self._note("slip", i, f"{1e3 * self._slips.speed[i]:.0f} mm/s; {did}")
+        self._loop = self._make_loop()
+
+    def _distribute(
+        self, wrench: FloatArray, center: FloatArray, q: FloatArray, scale: float
+    ) -> FloatArray:
+        """Find the contact forces for a wrench (6,); returns what they give less that (6,)."""
+        share = np.where(self.schedule.holding, self.schedule.share, 0.0)
+        step = self._loop.step(
+            -wrench,
+            positions=self._points,
+            frames=self._frames,
+            center=center,
+            jacobians=self._torques.jacobians,
+            q=q,
+            gravity_torque=self._torques.gravity_torque,
+            min_normal=scale * self._grip * self.plan.task.grip_force * share,
+            max_normal=MAX_NORMAL * share,
+            previous=self.forces,
+        )
+        if not step.allowed:
+            # the least grip is more than the actuators have: without it nothing is always allowed
+            step = self._loop.step(-wrench, q=q, min_normal=0.0)
+        if step.allowed:
+            self.forces = step.forces.copy()
+        return step.left_over.copy()
+
+    def _judge(self, elapsed: float, wrench: FloatArray, missed: FloatArray) -> None:
+        """Note when a wrench cannot be had, and give up when that lasts."""
+        weight = np.repeat([1.0, 1.0 / self._loop.problem.length], 3)
+        short = float(np.linalg.norm(weight * missed))
+        asked = float(np.linalg.norm(weight * wrench))
+        before = self._missed_for
+        self._missed_for = before + elapsed if short > MISSED_TOL * max(1.0, asked) else 0.0
+        detail = f"{short:.2f} N of {asked:.2f} N cannot be had"
+        if before < INFEASIBLE_TIME <= self._missed_for:
+            self._note("infeasible", None, f"{detail}; the nearest forces are given")
+        if before >= INFEASIBLE_TIME and self._missed_for == 0.0:
+            self._note("feasible again", None, f"after {before:.3f} s")
+        holding = int(self.schedule.holding.sum())
+        few = holding < self.plan.task.fingers_needed
+        self._few_for = self._few_for + elapsed if few else 0.0
+        if self._few_for > PATIENCE:
+            self.gave_up = f"only {holding} fingers hold, for {PATIENCE} s"
+        elif self._missed_for > PATIENCE:
+            self.gave_up = f"{detail}, for {PATIENCE} s"
+        if self.gave_up:
+            self._note("gave up", None, self.gave_up)
+
+    def _make_loop(self) -> ForceLoop:
+        """The force programme under the friction that is believed now."""
+        return ForceLoop(
+            self._contacts.with_friction(self._mu),
+            change_cost=CHANGE_COST,
+            actuation=self.plan.task.hand.actuation,
+        )
+
+    def _tell(self, finger: str, wanted: bool) -> None:
+        names = self.plan.task.finger_names
+        if finger not in names:
+            raise NotFoundError("finger that takes part", finger, names)
+        i = names.index(finger)
+        self.schedule.wanted[i] = wanted
+        self._note("finger joins" if wanted else "finger leaves", i, "as told")
+
+    def _note(self, kind: EventKind, finger: int | None, detail: str) -> None:
+        name = "" if finger is None else self.plan.task.finger_names[finger]
+        self._events.append(Event(time=self._time, kind=kind, finger=name, detail=detail))

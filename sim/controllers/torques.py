@@ -1,0 +1,195 @@
+"""``HoldingTorques``: from contact forces to commands for motors, servos and tendons.
+
+    torque   sum_i J_i^T f_i, the hand's own gravity, a spring on the fingertips that does not move
+             the object, a spring on the posture that does not move the fingertips, and a damper
+    ctrl     the actuators' law solved for that torque where the joints are: a motor gets the
+             torque, a servo the target q + torque / kp, a tendon its share
+
+The spring on the fingertips acts on what their displacements p* - p have beyond those of a rigid
+body: f = K (1 - G^T (G G^T)^-1 G) (p* - p), so that G f = 0. The velocity of that rigid body is
+what the joints know of the object's in the palm, as long as the contacts stick. Joints of fingers
+that take no part, of the wrist and of an arm stay where they were by their servos' own stiffness.
+All of it is in the axes of the hand's base.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from planner.plan import GraspPlan
+from planner.spatial import SE3, FloatArray, skew
+from sim.controllers.grasp import LIMIT_TOL, motor_servo
+
+__all__ = ["HoldingTorques", "grasp_matrix"]
+
+TIP_STIFFNESS = 150.0
+"""Spring (N/m) of fingertips against each other: 0.15 N per millimetre of creeping apart."""
+
+POSTURE_STIFFNESS, JOINT_DAMPING = 0.3, 0.02
+"""Spring (N m/rad) on what a redundant finger can do by itself, a tenth of a servo's, and damper
+(N m s/rad) on every joint of the fingers."""
+
+SEARCH_FORCE, SEARCH_DAMPING = 0.5, 15.0
+"""A finger that lost the object presses on along its last normal with this force (N), against this
+damper (N s/m): it moves at some 3 cm/s."""
+
+RETREAT, RETREAT_STIFFNESS = 0.01, 100.0
+"""A finger that is told to leave stays this far (m) off where it held, by this spring (N/m)."""
+
+RANK_TOL = 1e-6
+"""Added to G G^T (-, m^2) where too few fingers hold to fix every motion."""
+
+FLAT = 1e-8
+"""Added to J J^T (m^2): a stretched finger has a direction in which it cannot push, 0.1 mm/rad."""
+
+
+class HoldingTorques:
+    """Kinematics of the fingers that take part, and the commands that press as told.
+
+    Attributes:
+        T_base_palm: Pose of the palm.
+        centers: (n, 3), centres of the pads, m.
+        jacobians: (n, 3, nq), of the pads' material points at the contacts.
+        gravity_torque: (nq,), what holds the hand itself, N m.
+    """
+
+    def __init__(self, plan: GraspPlan) -> None:
+        """Prepare memory."""
+        self._hand, self._fingers = plan.task.hand, plan.task.fingers
+        self._data: Any = self._hand.pin_model.createData()
+        n, nq = len(self._fingers), self._hand.nq
+        frame = self._hand.pin_model.frames[self._hand.palm_frame_id]
+        self._palm_joint, self._palm_in_joint = frame.parentJoint, SE3(frame.placement)
+        self.T_base_palm = SE3.Identity()
+        self.centers = np.zeros((n, 3))
+        self.jacobians = np.zeros((n, 3, nq))
+        self.gravity_torque = np.zeros(nq)
+        self._full = np.zeros((n, 6, nq))
+        self._own = np.zeros((n, nq), dtype=bool)
+        for row, finger in zip(self._own, self._fingers, strict=True):
+            row[finger.q_index] = True
+        self._moving = self._own.any(axis=0)
+        self._stiffness, self._damping = motor_servo(self._hand, plan.q)
+        self._stiffness[self._moving] = 0.0
+        self._damping[self._moving] = JOINT_DAMPING
+        self._q_ref = plan.q.copy()
+        self._q, self._v = plan.q.copy(), np.zeros(nq)
+        self._tips = np.zeros((n, 3))
+        self._tip_forces = np.zeros((n, 3))
+        self._tip_velocity = np.zeros((n, 3))
+        self._law_q, self._torque = plan.q.copy(), np.zeros(nq)
+
+    def move(self, q: FloatArray, v: FloatArray, gravity: FloatArray) -> None:
+        """Go to joints (nq,) and rates (nq,), with gravity (3,) in the base's axes, m/s2."""
+        self._q, self._v = q, v
+        model, data = self._hand.pin_model, self._data
+        pin.computeJointJacobians(model, data, q)
+        com_jacobian = pin.jacobianCenterOfMass(model, data, q)
+        self.T_base_palm = data.oMi[self._palm_joint] * self._palm_in_joint
+        self.gravity_torque = -data.mass[0] * (gravity @ com_jacobian)
+        for i, finger in enumerate(self._fingers):
+            joint = finger.pad.joint_id
+            self.centers[i] = data.oMi[joint].act(finger.pad.center)
+            # WORLD: linear rows are the velocity of the point that passes the origin
+            self._full[i] = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.WORLD)
+
+    def latch(self, finger: int | None = None) -> None:
+        """Keep the posture and the fingertips as they are now; of one finger, or of all."""
+        if finger is None:
+            self._q_ref, self._tips = self._q.copy(), self._in_palm(self.centers)
+            return
+        own = self._own[finger]
+        self._q_ref[own] = self._q[own]
+        self._tips[finger] = self._in_palm(self.centers)[finger]
+
+    def touch(
+        self, points: FloatArray, center: FloatArray, holding: NDArray[np.bool_]
+    ) -> FloatArray:
+        """Renew the Jacobians for contact points (n, 3); which fingers hold (n,).
+
+        Returns:
+            Twist (6,) of the body that the holding fingertips move like, relative to the palm,
+            about ``center``.
+        """
+        np.subtract(self._full[:, :3], skew(points) @ self._full[:, 3:], out=self.jacobians)
+        self._tip_velocity = self.jacobians @ np.where(self._moving, self._v, 0.0)
+        mask = holding[:, None]
+        grasp = grasp_matrix(points - center) * np.repeat(holding, 3)
+        gram = grasp @ grasp.T + RANK_TOL * np.eye(6)
+        apart = np.where(mask, self._latched() - self.centers, 0.0)
+        moved = np.column_stack([self._tip_velocity.ravel(), apart.ravel()])
+        rigid = np.linalg.solve(gram, grasp @ moved)
+        rest = apart - (rigid[:, 1] @ grasp).reshape(-1, 3)
+        self._tip_forces = np.where(mask, TIP_STIFFNESS * rest, 0.0)
+        return np.asarray(rigid[:, 0])
+
+    def commands(
+        self,
+        forces: FloatArray,
+        normals: FloatArray,
+        holding: NDArray[np.bool_],
+        searching: NDArray[np.bool_],
+    ) -> FloatArray:
+        """Commands (nu,) that press.
+
+        Args:
+            forces: (n, 3), wanted forces on the object, N, of the fingers that hold.
+            normals: (n, 3), into the object.
+            holding: (n,), which fingers hold.
+            searching: (n,), which look for the object; the rest stay off it.
+        """
+        seek = SEARCH_FORCE * normals
+        away = RETREAT_STIFFNESS * (self._latched() - RETREAT * normals - self.centers)
+        alone = np.where(searching[:, None], seek, away) - SEARCH_DAMPING * self._tip_velocity
+        total = np.where(holding[:, None], forces + self._tip_forces, alone)
+        torque = total.ravel() @ self.jacobians.reshape(-1, self._hand.nq) + self.gravity_torque
+        torque += self._idle_part(np.where(self._moving, self._q_ref - self._q, 0.0))
+        torque += self._stiffness * (self._q_ref - self._q) - self._damping * self._v
+        self._torque = torque
+        self._law_q = np.where(self._moving, self._q, self._q_ref)
+        ctrl, _ = self._hand.actuation.ctrl_for_torque(
+            self._law_q, np.where(self._moving, self._v, 0.0), torque
+        )
+        return ctrl
+
+    def limited_actuators(self) -> tuple[str, ...]:
+        """Names of the actuators that could not give what the last command wanted."""
+        actuation = self._hand.actuation
+        force, _ = actuation.split_torque(self._law_q, self._torque)
+        low, high = actuation.force_limits(self._law_q).T
+        beyond = np.flatnonzero((force > high + LIMIT_TOL) | (force < low - LIMIT_TOL))
+        return tuple(actuation.names[i] for i in beyond)
+
+    def _in_palm(self, points: FloatArray) -> FloatArray:
+        """Points (n, 3) of the base in the palm."""
+        T = self.T_base_palm
+        return np.asarray((points - T.translation) @ T.rotation)
+
+    def _latched(self) -> FloatArray:
+        """Where the fingertips (n, 3) were when latched, with the palm where it is now."""
+        T = self.T_base_palm
+        return np.asarray(self._tips @ T.rotation.T + T.translation)
+
+    def _idle_part(self, bent: FloatArray) -> FloatArray:
+        """Spring torque (nq,) on the posture that presses nowhere: torque - J^T f, f least squares.
+
+        It moves what a redundant finger can move without its tip.
+        """
+        own = np.where(self._own, POSTURE_STIFFNESS * bent, 0.0)  # (n, nq)
+        jac = np.where(self._own[:, None], self.jacobians, 0.0)
+        gram = jac @ jac.transpose(0, 2, 1) + FLAT * np.eye(3)
+        force = np.linalg.solve(gram, jac @ own[..., None])
+        return np.asarray((own - (jac.transpose(0, 2, 1) @ force)[..., 0]).sum(axis=0))
+
+
+def grasp_matrix(arms: FloatArray) -> FloatArray:
+    """G (6, 3 n): forces in the axes at arms (n, 3) from the centre -> wrench about it."""
+    n = len(arms)
+    out = np.empty((6, n, 3))
+    out[:3] = np.eye(3)[:, None]
+    out[3:] = skew(arms).transpose(1, 0, 2)
+    return out.reshape(6, 3 * n)

@@ -1,0 +1,261 @@
+"""The closed loop in trials: what it holds, what it notices, and what it does then."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from planner.errors import NotFoundError, TaskError
+from planner.plan import GraspPlan
+from planner.search import plan_grasp
+from planner.spatial import FloatArray
+from planner.task import GraspTask
+from sim.controllers import GraspController, ImpedanceGains, ObjectImpedance, Sensing
+from sim.controllers.slip import LATENCY, true_slips
+from sim.pads import read_pads
+from sim.report import ReportFile, TrialReport
+from sim.scene import PhysicsOptions
+from sim.trial import Timeline, Trial
+
+SHORT = Timeline(
+    approach=0.3,
+    close=0.25,
+    close_wait=0.2,
+    squeeze=0.25,
+    settle=0.05,
+    lift=0.15,
+    hold=0.6,
+    lift_height=0.01,
+)
+"""Long enough to hold the object in the air; 1.6 s simulated."""
+
+
+@pytest.fixture(scope="module")
+def plan() -> GraspPlan:
+    return plan_grasp(GraspTask.create("allegro_hand", "sphere"))
+
+
+@pytest.fixture(scope="module")
+def shadow_plan() -> GraspPlan:
+    return plan_grasp(GraspTask.create("shadow_hand", "cylinder"))
+
+
+def run(
+    plan: GraspPlan,
+    controller: ObjectImpedance | GraspController,
+    on_hold: Callable[[Trial, float], None] = lambda _trial, _since: None,
+    *,
+    timeline: Timeline = SHORT,
+    mu: float = 0.6,
+) -> TrialReport:
+    """A short trial; ``on_hold`` is called after every step of the hold with the time since."""
+    trial = Trial(plan, controller=controller, timeline=timeline, physics=PhysicsOptions(mu=mu))
+    began: list[float] = []
+
+    def on_step(t: Trial) -> None:
+        if t.phase == "hold":
+            began.append(float(t.data.time))
+            on_hold(t, began[-1] - began[0])
+
+    return trial.run(on_step=on_step)
+
+
+def kinds(controller: ObjectImpedance, finger: str | None = None) -> list[str]:
+    return [e.kind for e in controller.events if finger in (None, e.finger)]
+
+
+def in_base(trial: Trial) -> FloatArray:
+    """Position of the object in the hand's base, m."""
+    base = trial.scene.body_pose(trial.data, trial.scene.base_body)
+    there = trial.scene.body_pose(trial.data, trial.scene.object_body)
+    return np.array(base.actInv(there).translation)
+
+
+def push(trial: Trial, force: FloatArray) -> None:
+    trial.data.xfrc_applied[trial.scene.object_body, :3] = force
+
+
+def test_tendons_and_servos_hold(shadow_plan: GraspPlan) -> None:
+    controller = ObjectImpedance(shadow_plan)
+    report = run(shadow_plan, controller)
+    assert report.success, report.verdict.detail
+    assert report.largest_slip[0] < 0.3
+    assert controller.gave_up == ""
+    wanted, felt = controller.forces[:, 0], report.samples.normal_force[-1]
+    np.testing.assert_allclose(felt, wanted, atol=0.4)
+    assert report.controller == "ObjectImpedance"
+
+
+def test_a_push_deflects_the_object_by_push_over_stiffness(plan: GraspPlan) -> None:
+    stiffness, force = 1500.0, 2.0
+    gains = ImpedanceGains(
+        stiffness=stiffness,
+        damping=60.0,
+        turning_stiffness=3.0,
+        turning_damping=0.1,
+        learning_rate=0.0,
+    )
+    places: dict[str, FloatArray] = {}
+
+    def on_hold(trial: Trial, since: float) -> None:
+        if since < 0.4:
+            places["before"] = in_base(trial)
+        else:
+            push(trial, np.array([0.0, force, 0.0]))
+            places["after"] = in_base(trial)
+
+    run(plan, ObjectImpedance(plan, gains=gains), on_hold, timeline=replace(SHORT, hold=1.0))
+    moved = float(np.linalg.norm(places["after"] - places["before"]))
+    # dry friction of contacts and what rolls keep it a little off
+    assert moved == pytest.approx(force / stiffness, rel=0.2)
+
+
+def test_a_wrong_mass_is_learned(plan: GraspPlan) -> None:
+    believed = 0.5 * plan.task.object.mass
+    controller = ObjectImpedance(plan, mass=believed)
+    report = run(plan, controller)
+    assert report.success, report.verdict.detail
+    missing = 0.5 * plan.task.object.mass * 9.81
+    upward = plan.T_world_base.rotation @ controller.law.load[:3]
+    assert upward[2] == pytest.approx(missing, abs=0.25 * missing)
+
+
+def test_it_holds_against_what_breaks_the_open_loop(plan: GraspPlan) -> None:
+    def on_hold(trial: Trial, since: float) -> None:
+        push(trial, min(since / 0.4, 1.0) * np.array([0.0, 7.0, 0.0]))
+
+    open_loop = run(plan, GraspController(plan), on_hold)
+    closed_loop = run(plan, ObjectImpedance(plan), on_hold)
+    assert not open_loop.success
+    assert closed_loop.success, closed_loop.verdict.detail
+    assert closed_loop.largest_slip[0] < 2.0
+
+
+def test_no_delay_and_no_noise_are_the_same_as_none(plan: GraspPlan) -> None:
+    short = replace(SHORT, hold=0.1)
+    exact = run(plan, ObjectImpedance(plan), timeline=short)
+    nothing = Sensing(pose_noise=0.0, turn_noise=0.0, pose_delay=0.0, seed=3)
+    same = run(plan, ObjectImpedance(plan, sensing=nothing), timeline=short)
+    late = run(plan, ObjectImpedance(plan, sensing=Sensing(pose_delay=0.01)), timeline=short)
+    np.testing.assert_array_equal(exact.samples.slip_mm, same.samples.slip_mm)
+    np.testing.assert_array_equal(exact.samples.normal_force, same.samples.normal_force)
+    assert np.abs(exact.samples.normal_force - late.samples.normal_force).max() > 1e-6
+
+
+def test_it_holds_with_noise_and_delay(plan: GraspPlan) -> None:
+    sensing = Sensing(
+        pose_noise=3e-4, turn_noise=3e-3, pose_delay=0.01, force_noise=0.02, sliding_noise=0.002
+    )
+    controller = ObjectImpedance(plan, sensing=sensing, mass=1.3 * plan.task.object.mass)
+    report = run(plan, controller)
+    assert report.success, report.verdict.detail
+    assert "gave up" not in kinds(controller)
+
+
+def test_a_finger_leaves_and_comes_back(plan: GraspPlan) -> None:
+    controller = ObjectImpedance(plan)
+    forces: dict[str, list[float]] = {"away": [], "back": []}
+    told: set[str] = set()
+
+    def on_hold(trial: Trial, since: float) -> None:
+        for when, what in ((0.1, "leave"), (0.5, "join")):
+            if since >= when and what not in told:
+                told.add(what)
+                getattr(controller, what)("middle")
+        felt = read_pads(trial.scene, trial.data, plan.task.finger_names).normal_force
+        middle = float(felt[plan.task.finger_names.index("middle")])
+        if 0.35 < since < 0.5:
+            forces["away"].append(middle)
+        if since > 1.0:
+            forces["back"].append(middle)
+
+    report = run(plan, controller, on_hold, timeline=replace(SHORT, hold=1.1))
+    assert kinds(controller, "middle") == ["finger leaves", "finger joins", "contact found"]
+    assert max(forces["away"]) == 0.0
+    assert min(forces["back"]) > 0.7 * plan.task.grip_force
+    assert report.largest_slip[0] < 3.0
+    with pytest.raises(NotFoundError, match="There is: index, middle, ring, thumb"):
+        controller.leave("litle")
+
+
+def test_a_contact_that_is_lost_is_noticed_and_found_again(plan: GraspPlan) -> None:
+    """The tip of a finger is torn off the object for 60 ms."""
+    controller = ObjectImpedance(plan)
+    name = "middle"
+    normal = plan.contacts.normals[plan.task.finger_names.index(name)]
+    lost: list[float] = []
+
+    def on_hold(trial: Trial, since: float) -> None:
+        body = int(trial.scene.model.body("hand/middle_distal").id)
+        torn = 0.1 <= since < 0.16
+        trial.data.xfrc_applied[body, :3] = -4.0 * normal if torn else 0.0
+        felt = read_pads(trial.scene, trial.data, (name,)).normal_force[0]
+        if torn and felt == 0.0 and not lost:
+            lost.append(float(trial.data.time))
+
+    report = run(plan, controller, on_hold)
+    assert kinds(controller, name)[:2] == ["contact lost", "contact found"]
+    noticed = next(e.time for e in controller.events if e.kind == "contact lost")
+    assert lost
+    assert 0.0 <= noticed - lost[0] <= 0.02
+    assert report.success, report.verdict.detail
+
+
+def test_slips_are_noticed_and_answered(plan: GraspPlan) -> None:
+    """Friction falls to less than is believed, while the object is pulled."""
+    sensing = Sensing(force_noise=0.02, sliding_noise=0.002)
+    controller = ObjectImpedance(plan, sensing=sensing)
+    rows: list[tuple[float, FloatArray, FloatArray]] = []
+
+    def on_hold(trial: Trial, since: float) -> None:
+        push(trial, np.array([0.0, 0.0, -1.0]))
+        if since > 0.2:
+            trial.scene.model.geom_friction[:, 0] = 0.3
+        pads = read_pads(trial.scene, trial.data, plan.task.finger_names)
+        rows.append((float(trial.data.time), pads.sliding_speed, pads.normal_force))
+
+    run(plan, controller, on_hold, timeline=replace(SHORT, hold=0.8))
+    times, speed, force = (np.array(column) for column in zip(*rows, strict=True))
+    slips = true_slips(times, speed, force)
+    noticed = [e for e in controller.events if e.kind == "slip"]
+    assert slips
+    assert noticed
+    for slip in slips[:1]:
+        finger = plan.task.finger_names[slip.finger]
+        assert any(e.finger == finger and e.time <= slip.begin + LATENCY for e in noticed)
+    assert "grip x 1.30" in noticed[0].detail
+    end = times > times[-1] - 0.2
+    assert force[end].min() > 1.2 * plan.task.grip_force
+    assert speed[end].max() < 0.005  # held again
+
+
+def test_what_cannot_be_held_is_said(plan: GraspPlan) -> None:
+    controller = ObjectImpedance(plan)
+    begun: list[float] = []
+
+    def on_hold(trial: Trial, since: float) -> None:
+        if since > 0.1 and not begun:
+            begun.append(float(trial.data.time))
+        push(trial, np.array([0.0, 0.0, -60.0 if since > 0.1 else 0.0]))
+
+    report = run(plan, controller, on_hold, timeline=replace(SHORT, hold=1.0))
+    assert not report.success
+    first = next(e for e in controller.events if e.kind == "infeasible")
+    assert "cannot be had; the nearest forces are given" in first.detail
+    assert first.time - begun[0] < 0.05
+    assert controller.gave_up
+    assert controller.events[-1].detail == controller.gave_up
+    times = [e.time for e in controller.events]
+    assert times == sorted(times)
+    assert report.events == controller.events
+    assert len(ReportFile.model_validate(report.to_dict()).events) == len(times)
+
+
+def test_beliefs_must_make_sense(plan: GraspPlan) -> None:
+    with pytest.raises(TaskError, match="the believed mass is 0; give a number > 0 in kg"):
+        ObjectImpedance(plan, mass=0)
+    with pytest.raises(TaskError, match="the believed mu is -1; give a number > 0"):
+        ObjectImpedance(plan, mu=-1)
