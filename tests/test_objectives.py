@@ -536,30 +536,36 @@ def test_the_default_has_no_rows_of_objectives_and_weights_do_not_rebuild(
 # plans
 
 
-ATTEMPTS = 7
-"""Paired attempts, of which nearly all find a grasp of the cylinder."""
+SEEDS, ATTEMPTS = range(4), 4
+"""Paired attempts, of which nearly all find a grasp of the cylinder. One seed is too few: where the
+start is near the best there is by chance, an objective may well end a little below it."""
 
 
-def reached(task: GraspTask, objective: str) -> dict[int, dict[str, float]]:
-    """The measures of what each of the first attempts finds."""
-    made = attempts(task, seed=3, options=SynthesisOptions(objective=objective))
-    return {a.index: measured(a.plan) for a in islice(made, ATTEMPTS) if a.plan is not None}
+def reached(task: GraspTask, objective: str) -> dict[tuple[int, int], dict[str, float]]:
+    """The measures of what each of the first attempts of every seed finds."""
+    options = SynthesisOptions(objective=objective)
+    return {
+        (seed, a.index): measured(a.plan)
+        for seed in SEEDS
+        for a in islice(attempts(task, seed=seed, options=options), ATTEMPTS)
+        if a.plan is not None
+    }
 
 
 @pytest.fixture(scope="module")
-def without(cylinder: GraspTask) -> dict[int, dict[str, float]]:
+def without(cylinder: GraspTask) -> dict[tuple[int, int], dict[str, float]]:
     return reached(cylinder, "none")
 
 
 @pytest.mark.parametrize("name", OBJECTIVES)
 def test_each_objective_improves_its_measure(
-    cylinder: GraspTask, without: dict[int, dict[str, float]], name: str
+    cylinder: GraspTask, without: dict[tuple[int, int], dict[str, float]], name: str
 ) -> None:
     with_it = reached(cylinder, name)
     pairs = [(with_it[k][name], without[k][name]) for k in with_it.keys() & without.keys()]
-    assert len(pairs) >= 4
+    assert len(pairs) >= 10
     assert np.median([after for after, _ in pairs]) > np.median([before for _, before in pairs])
-    assert np.mean([after > before for after, before in pairs]) > 0.5
+    assert np.mean([after > before for after, before in pairs]) > 0.6
 
 
 def test_given_wrenches_are_what_is_worked_on(cylinder: GraspTask) -> None:
@@ -569,7 +575,7 @@ def test_given_wrenches_are_what_is_worked_on(cylinder: GraspTask) -> None:
         ("none", SynthesisOptions(objective="none")),
         ("with", SynthesisOptions(objective="task", task_wrenches=turn)),
     ):
-        made = islice(attempts(cylinder, seed=3, options=options), ATTEMPTS)
+        made = islice(attempts(cylinder, seed=3, options=options), 7)
         plans = [a.plan for a in made if a.plan is not None]
         resisted[label] = np.median([measured(plan, turn)["task"] for plan in plans])
     assert resisted["with"] > 1.2 * resisted["none"]
