@@ -123,8 +123,10 @@ def test_predictors_are_what_they_are_called(allegro: Hand) -> None:
 def test_reckless_plans_are_worse_at_the_common_friction(allegro: Hand) -> None:
     def epsilons(name: str) -> list[float]:
         grade = GRADES[name]
-        task = GraspTask.create(allegro, "box", mu=grade.mu)
-        plans = [plan_grasp(task, seed=seed, options=grade.options) for seed in range(4)]
+        tasks = [GraspTask.create(allegro, item, mu=grade.mu) for item in ("box", "cylinder")]
+        plans = [
+            plan_grasp(t, seed=seed, options=grade.options) for t in tasks for seed in range(4)
+        ]
         return [predictors_of(plan)["epsilon"] for plan in plans]
 
     assert np.mean(epsilons("reckless")) < 0.8 * np.mean(epsilons("best"))

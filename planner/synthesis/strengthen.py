@@ -1,11 +1,10 @@
-"""From a start to a strong grasp by least squares: reach one, strengthen it, keep it off edges.
+"""From a start to a strong grasp by least squares: reach one, strengthen it, mend it.
 
 A first descent (``planner.synthesis.descent``) satisfies the terms and stops; where that fails the
 start is given up. Then, in rounds, the directions of wrench in which the grasp resists least are
 looked for (``planner.quality.weakest``), and a descent works on its resistance there as a further
-cost; likewise on the other objectives (``planner.synthesis.objectives``). On a mesh a contact that
-has come to lie on an edge is held in a small box beside it. The last descent is for the terms
-alone.
+cost; likewise on the other objectives (``planner.synthesis.objectives``). The last descent is for
+the terms alone.
 """
 
 from __future__ import annotations
@@ -15,11 +14,10 @@ import time
 import numpy as np
 
 from planner.quality.weakest import weakest_directions
-from planner.shapes import Mesh
+from planner.shapes import Mesh, Shape
 from planner.spatial import FloatArray
 from planner.stages import stage
 from planner.synthesis.descent import MAX_ITERATIONS, SOLVED, Descent, descend
-from planner.synthesis.edges import EDGE_SPREAD, ROOM, edge_free, spreads
 from planner.synthesis.objectives import EPSILON, Moment, objective_parameters
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start
@@ -41,9 +39,6 @@ ROUND_ITERATIONS = 8
 
 SMALLEST_RANGE = 1e-3
 """Least scale (rad or m) of a joint that can hardly move."""
-
-OFF_EDGES = 2
-"""How often contacts are brought off edges at the end: beside one edge there may be another."""
 
 
 def descend_grasp(
@@ -72,8 +67,6 @@ def descend_grasp(
     run.descend(MAX_ITERATIONS)
     status = run.end.status
     if run.end.worst <= WORTH_IMPROVING:
-        if rounds and run.leave_edges():
-            run.descend(MAX_ITERATIONS)
         for _ in range(rounds):
             with stage("weakest"):
                 run.aim(options)
@@ -82,10 +75,6 @@ def descend_grasp(
         problem.residuals.set_objectives(np.zeros(0))
         if rounds and run.end.worst > SOLVED:
             run.descend(ROUND_ITERATIONS)
-        for _ in range(OFF_EDGES):
-            if not run.leave_edges():
-                break
-            run.descend(MAX_ITERATIONS)
     violation = problem.residuals.violations()
     return problem.candidate(start, run.x, violation, status, run.iterations, begin)
 
@@ -127,7 +116,7 @@ class _Run:
         """Tell the residuals where the objectives are to be worked on from here."""
         problem, task, weights = self._problem, self._task, options.weights
         shape = task.object.shape
-        points, outward = shape.closest_point(self._unknowns.points(self.x))
+        points, outward = _contacts(shape, self._unknowns.points(self.x))
         if EPSILON in weights:
             length = shape.bounding_radius
             found = weakest_directions(points, -outward, task.mu, length, N_DIRECTIONS)
@@ -144,31 +133,14 @@ class _Run:
                 objective_parameters(problem.objectives, weights, moment)
             )
 
-    def leave_edges(self) -> bool:
-        """Whether a contact is on an edge; if so its bounds become a box beside it."""
-        shape = self._task.object.shape
-        if not isinstance(shape, Mesh):
-            return False
-        # a pad touches the true mesh beside where it touches the smooth one, far so near edges
-        smooth = shape.field().taylor(self._unknowns.points(self.x), 1)[:, 1:4]
-        slopes = np.linalg.norm(smooth, axis=1)
-        suspect = np.flatnonzero(slopes < SUSPECT)
-        if not len(suspect):
-            return False
-        radii = np.array([self._problem.fingers[i].pad.radius for i in suspect])
-        away = (radii / np.maximum(slopes[suspect], TINY))[:, None] * smooth[suspect]
-        points, outward = shape.closest_point(self._unknowns.points(self.x)[suspect] + away)
-        on_edge = np.flatnonzero(spreads(shape, points) > EDGE_SPREAD)
-        for k in on_edge:
-            place, i = edge_free(shape).nearest(points[k], outward[k]), suspect[k]
-            if place is not None:
-                self._unknowns.points(self._lower)[i] = place - ROOM
-                self._unknowns.points(self._upper)[i] = place + ROOM
-        return bool(len(on_edge))
 
+def _contacts(shape: Shape, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Contacts (n, 3) and outward normals (n, 3): of a mesh, on its smooth surface."""
+    if not isinstance(shape, Mesh):
+        return shape.closest_point(points)
+    slopes = shape.field().taylor(points, 1)[:, 1:4]
+    return points, slopes / np.maximum(np.linalg.norm(slopes, axis=1, keepdims=True), TINY)
 
-SUSPECT = 0.95
-"""Slope (-) of the smooth distance below which a contact may be on an edge; see ``surfaces``."""
 
 TINY = 1e-9
 """A gradient shorter than this has no direction."""

@@ -16,7 +16,6 @@ from planner.collision import Clearance, CollisionWorld
 from planner.contacts import ContactSet
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.edges import EDGE_RADIUS, EDGE_SPREAD, spreads
 from planner.synthesis.touch import PadTouch, pad_touches, touching_of
 from planner.task import GraspTask
 
@@ -62,6 +61,14 @@ class Verification:
         return not self.faults
 
 
+EDGE_RADIUS = 0.002
+"""How far (m) around a contact normals are looked at: what a pad creeps and rolls in a grasp. On an
+edge a pad that creeps by a millimetre meets another normal."""
+
+EDGE_SPREAD = float(np.deg2rad(25.0))
+"""Largest dispersion of normals there (rad); it is 45 degrees on a right-angled edge."""
+
+
 def edge_faults(task: GraspTask, points: FloatArray) -> list[str]:
     """Which contacts, at points (n, 3) of the object's frame, m, are on an edge of a mesh.
 
@@ -70,10 +77,11 @@ def edge_faults(task: GraspTask, points: FloatArray) -> list[str]:
     shape = task.object.shape
     if not isinstance(shape, Mesh):
         return []
+    spreads = [shape.normal_dispersion(point, EDGE_RADIUS) for point in points]
     return [
         f"{finger} is on an edge: normals differ by {np.rad2deg(angle):.0f} degrees within "
         f"{1e3 * EDGE_RADIUS:.0f} mm"
-        for finger, angle in zip(task.finger_names, spreads(shape, points), strict=True)
+        for finger, angle in zip(task.finger_names, spreads, strict=True)
         if angle > EDGE_SPREAD
     ]
 
