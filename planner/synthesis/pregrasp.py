@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.collision import CollisionWorld
-from planner.kinematics import MovingHand
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.carried import (
     ArmPath,
@@ -192,26 +191,30 @@ def _ways_in(
     """Approaches to be looked at; a base that is fixed without an arm stays where it is."""
     hand = world.task.hand
     if hand.arm is not None and lift is not None:
-        for path in retreats(
-            hand, T_world_base, opened, _ways_back(world.moving, T_world_base, opened)
-        ):
+        for path in retreats(hand, T_world_base, opened, _ways_back(world, T_world_base, opened)):
             arm = ArmPath(approach=path, lift=lift)
             yield Approach(q=opened, opening=opening, T_world_base_start=T_world_base, arm=arm)
         return
     ways = [np.zeros(3)]
     if world.task.T_world_base is None:
-        ways = _ways_back(world.moving, T_world_base, opened)
+        ways = _ways_back(world, T_world_base, opened)
     for way in ways:
         start = SE3(T_world_base.rotation, T_world_base.translation + way)
         yield Approach(q=opened, opening=opening, T_world_base_start=start)
 
 
-def _ways_back(moving: MovingHand, T_world_base: SE3, opened: FloatArray) -> list[FloatArray]:
-    """Where the palm may come from, (3,), m: above, against its normal, or between the two."""
-    palm = T_world_base * moving.move(opened).T_base_palm
-    back = -(palm.rotation @ moving.hand.palm_normal)
+def _ways_back(world: CollisionWorld, T_world_base: SE3, opened: FloatArray) -> list[FloatArray]:
+    """Where the palm may come from, (3,), m: above, against its normal, or between the two.
+
+    Over a table first from above, without one first against the palm's normal.
+    """
+    palm = T_world_base * world.moving.move(opened).T_base_palm
+    back = -(palm.rotation @ world.moving.hand.palm_normal)
     up = np.array([0.0, 0.0, 1.0])
-    lengths = [(d, float(np.linalg.norm(d))) for d in (up, back + up, back)]
+    ways = (up, back + up, back)
+    if world.task.table_height is None:
+        ways = ways[::-1]
+    lengths = [(d, float(np.linalg.norm(d))) for d in ways]
     return [STANDOFF * d / length for d, length in lengths if length > SHORTEST]
 
 
