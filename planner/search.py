@@ -25,7 +25,7 @@ from planner.synthesis.problems import Problems, problems_for
 from planner.synthesis.residuals import WEIGHTS
 from planner.synthesis.seeds import Seeder
 from planner.synthesis.settle import settle
-from planner.synthesis.strengthen import descend_grasp
+from planner.synthesis.strengthen import NEARLY, descend_grasp
 from planner.task import GraspTask
 
 __all__ = [
@@ -41,10 +41,6 @@ ten milliseconds."""
 SPARE_AFTER = 5
 """Attempts after which every other one is made with three fingers alone, if the choice of fingers
 was left to us: on narrow faces, rims and handles four fingers find no room."""
-
-WORTH_A_LOOK = 0.5
-"""Largest weighted residual of a term (``planner.synthesis.residuals``) with which a candidate is
-looked at further; half a millimetre. The verdict is on the true geometry."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,10 +197,10 @@ def _attempt(
         return start
     parameters = problems.grasp.parameters(task, start, seeder.posture, options)
     with stage("solve"):
-        candidate = descend_grasp(problems.grasp, task, start, parameters, options.rounds, options)
+        candidate = descend_grasp(problems.grasp, task, start, parameters, options)
     worst = max(candidate.violation, key=lambda name: candidate.violation[name] * WEIGHTS[name])
     violation = candidate.violation[worst]
-    if not violation * WEIGHTS[worst] <= WORTH_A_LOOK:
+    if not violation * WEIGHTS[worst] <= NEARLY:
         return f"not solved, term {worst}: violated by {violation:.1e}"
     record = SolveRecord(
         seed=0,

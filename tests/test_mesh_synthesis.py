@@ -249,11 +249,11 @@ def test_contacts_leave_edges_while_they_move(
 
     def on_edges() -> int:
         problem = build_problem(allegro, task.fingers, shape)
-        count = 0
+        options, count = SynthesisOptions(), 0
         for start in starts:
             assert isinstance(start, Start)
-            parameters = problem.parameters(task, start, seeder.posture, SynthesisOptions())
-            end = descend_grasp(problem, task, start, parameters, 2)
+            parameters = problem.parameters(task, start, seeder.posture, options)
+            end = descend_grasp(problem, task, start, parameters, options)
             slopes = np.linalg.norm(shape.field().taylor(end.points, 1)[:, 1:4], axis=1)
             count += int((slopes < STEEP - 0.03).sum())
         return count

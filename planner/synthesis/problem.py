@@ -37,8 +37,8 @@ joints near the pinch posture.
 The same terms are solved in two ways. ``planner.synthesis.strengthen`` takes them as residuals of a
 least-squares problem, inequalities counting where they are violated and the cost
 weighing little: a few milliseconds from a start to a grasp or to nothing. ``solve`` gives them to
-IPOPT as the constrained programme they are, with exact second derivatives: to its optimum, in tens
-of times as long.
+IPOPT as the constrained programme they are, with exact second derivatives: to its optimum, in ten
+times as long.
 """
 
 from __future__ import annotations
@@ -181,7 +181,7 @@ class GraspProblem:
         return "\n".join(lines)
 
     def solve(self, task: GraspTask, start: Start, parameters: FloatArray) -> Candidate:
-        """Run IPOPT from one start.
+        """Run IPOPT from one start: all terms and the cost, without objectives.
 
         Args:
             task: The task.

@@ -56,8 +56,7 @@ EDGE_SHARE = 20.0
 """Residual of one unit of slope that the smooth distance lacks at a contact: an edge lacks 0.2."""
 
 QUALITY_SHARE = 15.0
-"""Residual of one unit of missing resistance: enough to move contacts by centimetres. What it costs
-the terms is mended by a last descent without it."""
+"""Residual of one unit of missing resistance: enough to move contacts by centimetres."""
 
 
 class Residuals:
@@ -65,7 +64,7 @@ class Residuals:
 
     Attributes:
         formulation: Terms without clearances, and cost.
-        n_terms: How many of the last ones belong to terms.
+        n_terms: After a call: how many of the first ones belong to terms.
     """
 
     def __init__(

@@ -3,8 +3,8 @@
 A first descent (``planner.synthesis.descent``) satisfies the terms and stops; where that fails the
 start is given up. Then, in rounds, the directions of wrench in which the grasp resists least are
 looked for (``planner.quality.weakest``), and a descent works on its resistance there as a further
-cost; likewise on the other objectives (``planner.synthesis.objectives``). The last descent is for
-the terms alone.
+cost; likewise on the other objectives (``planner.synthesis.objectives``). Where terms have suffered
+from that, a last descent without objectives mends them.
 """
 
 from __future__ import annotations
@@ -25,14 +25,15 @@ from planner.synthesis.task_wrenches import resisted_wrenches
 from planner.synthesis.terms import N_DIRECTIONS
 from planner.task import GraspTask
 
-__all__ = ["descend_grasp"]
+__all__ = ["NEARLY", "descend_grasp"]
 
 TURN_SCALE, SHIFT_SCALE, JOINT_SCALE, POINT_SCALE, FORCE_SCALE = 0.3, 0.02, 0.3, 0.01, 0.5
 """Steps that count as alike in least squares: Rodrigues parameters (-), base (m), joints (rad or
 m), contact points (m), forces (in units of the mean normal force)."""
 
-WORTH_IMPROVING = 0.5
-"""Largest weighted residual of a term with which a grasp is worth strengthening."""
+NEARLY = 0.5
+"""Largest weighted residual of a term with which a grasp is worth strengthening, and a look at the
+true geometry, which has the verdict: half a millimetre."""
 
 ROUND_ITERATIONS = 8
 """Evaluations of one round."""
@@ -46,8 +47,7 @@ def descend_grasp(
     task: GraspTask,
     start: Start,
     parameters: FloatArray,
-    rounds: int = 0,
-    options: SynthesisOptions | None = None,
+    options: SynthesisOptions,
 ) -> Candidate:
     """Where least squares lead from a start.
 
@@ -56,17 +56,15 @@ def descend_grasp(
         task: The task.
         start: The start.
         parameters: From ``GraspProblem.parameters``.
-        rounds: How many rounds strengthen the grasp; none leaves the first that is reached.
-        options: What they work on; the default if None.
+        options: Objectives and rounds; without either the first grasp that is reached stays.
     """
-    options = options or SynthesisOptions()
-    rounds = rounds if options.weights else 0
+    rounds = options.rounds if options.weights else 0
     begin = time.process_time()
     problem.residuals.bind(parameters, problem.surface.field_of(task.object.shape))
     run = _Run(problem, task, start)
     run.descend(MAX_ITERATIONS)
     status = run.end.status
-    if run.end.worst <= WORTH_IMPROVING:
+    if run.end.worst <= NEARLY:
         for _ in range(rounds):
             with stage("weakest"):
                 run.aim(options)

@@ -68,7 +68,7 @@ class Formulation:
         cost_rows: The cost is the sum of their squares.
         edge_rows: Negative (-) where a contact is on an edge; a cost of least squares alone.
         quality_rows: How much the grasp resists in given directions, less what is aimed at, then
-            the rows of the objectives; a cost where negative.
+            the rows of the objectives; a cost of least squares alone, where negative.
     """
 
     unknowns: Unknowns
