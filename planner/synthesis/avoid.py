@@ -42,7 +42,7 @@ __all__ = ["TERMS", "Avoidance", "Violated"]
 TERMS = ("object", "table", "obstacle", "fingers")
 """Names of the terms, as in the NLP."""
 
-STEEPEST = 1.1
+FASTEST = 1.1
 """Largest slope (-) of a mesh's smooth distance; a little more than that of the true one."""
 
 
@@ -65,8 +65,8 @@ class _Points:
     """Points that move with joints: which joints' columns count for each."""
 
     def __init__(self, hand: Hand, joints: list[int]) -> None:
-        self.joints = np.array(joints, dtype=np.int64)
-        self.moved = hand.moved_by[self.joints].reshape(len(joints), hand.nq).copy()
+        moved = hand.moved_by[np.array(joints, dtype=np.int64)]
+        self.moved = moved.reshape(len(joints), hand.nq).copy()
         # what the arm carries is placed by the unknowns s and t, its other links by its joints
         self.carried = np.ones((len(joints), 1), dtype=bool)
         if hand.arm is not None:
@@ -196,7 +196,7 @@ class Avoidance:
         centers = self._found["centers"]
         moved = centers - self._seen
         moved *= moved
-        near = np.flatnonzero(self._gaps < STEEPEST * np.sqrt(moved.sum(axis=1)))
+        near = np.flatnonzero(self._gaps < FASTEST * np.sqrt(moved.sum(axis=1)))
         if not len(near):
             return self._gaps, near, np.zeros((0, 3))
         assert self._field is not None
