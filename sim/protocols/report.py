@@ -73,14 +73,12 @@ class ProtocolReport:
 
     @property
     def success(self) -> bool:
-        """Whether all trials were finished, and held to the end where no load grows."""
+        """Whether the grasp held in every trial without a growing load and bore loads in the rest.
+
+        All trials must have been finished; to bear a load is to come to rest under the first one.
+        """
         held = all(o.held for o in self.fixed) and all(o.borne > 0 for o in self.loaded)
         return self.complete and held
-
-    @property
-    def held_share(self) -> float:
-        """Share of the trials without a growing load in which the object was held; NaN if none."""
-        return float(np.mean([o.held for o in self.fixed])) if self.fixed else float("nan")
 
     @property
     def reasons(self) -> dict[str, int]:
