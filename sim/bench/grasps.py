@@ -15,6 +15,7 @@ from typing import Any
 from rich.table import Table
 
 from planner.errors import NoGraspFoundError, PlannerError
+from planner.plain import finite
 from planner.search import plan_grasp
 from planner.synthesis.problems import problems_for
 from sim.bench.journal import run_with_journal
@@ -124,8 +125,8 @@ def plan_and_execute(seed: Seed, check: Check) -> dict[str, Any]:
         epsilon=plan.quality.epsilon,
         held=report.success,
         reason=report.reason,
-        slip_mm=slip_mm if math.isfinite(slip_mm) else None,
-        slip_deg=slip_deg if math.isfinite(slip_deg) else None,
+        slip_mm=finite(slip_mm),
+        slip_deg=finite(slip_deg),
         position_errors_mm=_known(c.position_error_mm for c in report.comparison),
         force_errors_percent=_known(c.force_error_percent for c in report.comparison),
     )

@@ -15,7 +15,8 @@ from rich import box
 from rich.table import Table
 
 from planner.errors import FileFormatError
-from sim.protocols.outcome import Outcome, finite
+from planner.plain import finite
+from sim.protocols.outcome import Outcome
 
 __all__ = ["ProtocolReport", "protocol_table", "write_csv"]
 
@@ -130,12 +131,12 @@ class ProtocolReport:
             "contradictions": list(self.contradictions),
             "largest_drift_mm": max(drift, default=float("nan")),
             "epsilon_planned": self.epsilon_planned,
-            "grip_N": list(self.grip_N),
-            "physics": dict(self.physics),
-            "settings": dict(self.settings),
+            "grip_N": self.grip_N,
+            "physics": self.physics,
+            "settings": self.settings,
             "wall_s": self.wall_s,
         }
-        return {key: finite(value) for key, value in data.items()}
+        return dict(finite(data))
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain data; what is not a finite number becomes None."""
