@@ -27,8 +27,8 @@ class SolveRecord:
         seed: Seed of the search.
         attempt: Number of the attempt that gave this plan, from 0; seed and attempt fix the start.
         attempts: How many attempts had been made when it was found.
-        iterations: IPOPT iterations of its attempt.
-        status: IPOPT's return status (informative only; the verdict is ``Verification``).
+        iterations: Evaluations of the residuals in its attempt.
+        status: Why the descent ended (informative only; the verdict is ``Verification``).
         cpu_s: CPU time of the search until it was found, s, without building.
         build_s: Time that building the NLPs took, s: once per hand, fingers and kind of shape.
         objective: What the grasp was to be good at, as ``SynthesisOptions.objective``.
