@@ -16,8 +16,8 @@ __all__ = ["CONTROLLERS", "named_controller"]
 CONTROLLERS: Mapping[str, Callable[[GraspPlan], Controller]] = MappingProxyType(
     {"open": GraspController, "closed": ObjectImpedance}
 )
-"""open: the planned forces, turned with the object, and servos that hold the posture: nothing steers
-the object; closed: the loop that keeps the object's pose."""
+"""open: the planned forces, turned with the object, and servos that hold the posture, but nothing
+that steers the object; closed: the loop that keeps the object's pose."""
 
 
 def named_controller(name: str) -> Callable[[GraspPlan], Controller]:

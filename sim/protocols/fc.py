@@ -27,7 +27,7 @@ from planner.plan import GraspPlan
 from planner.spatial import FloatArray, rotation_angle
 from sim.controllers import Observation
 from sim.physics import PhysicsOptions
-from sim.protocols.cases import AXES, Conditions
+from sim.protocols.cases import AXES, Conditions, axis_of
 from sim.protocols.hold import Hold
 from sim.protocols.outcome import Fault, Outcome
 from sim.timeline import Timeline
@@ -77,8 +77,7 @@ class FcCase:
         )
         floating = replace(plan, task=task)
         trial = _FcTrial(floating)
-        force = np.zeros(6)
-        force[self.index // 2] = PUSH * MASS * (1.0 - 2.0 * (self.index % 2))
+        force = np.append(PUSH * MASS * axis_of(self.index), np.zeros(3))
         fault = trial.test(force)
         return Outcome(
             index=self.index,
