@@ -122,6 +122,7 @@ ALLOWED = {
     "planner.contacts": ("errors", "spatial"),
     "planner.actuation": ("errors", "spatial"),
     "planner.programme": ("spatial",),
+    "planner.paths": ("spatial",),
     "planner.plain": (),
     "planner.quality": ("errors", "spatial", "contacts", "plain", "programme"),
     "planner.forces": ("errors", "spatial", "contacts", "actuation", "programme"),

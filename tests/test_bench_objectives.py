@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from rich.console import Console
@@ -13,10 +13,12 @@ from typer.testing import CliRunner
 
 from planner.errors import NotFoundError, PlannerError, TaskError
 from planner.measures import MEASURES
+from planner.synthesis import OBJECTIVES
 from sim.bench.objectives import objective_tables, run_objectives, summary_of_objective
 from sim.bench.objects import bench_objects
-from sim.bench.run import Runner
 from sim.cli import app
+from sim.cli.common import ObjectiveOption
+from sim.runner import Runner
 
 
 def row(objective: str, k: int, attempts: int, value: float | None) -> dict[str, Any]:
@@ -137,6 +139,23 @@ def test_the_command_prints_both_tables_and_writes_the_figures(tmp_path: Path) -
     assert "epsilon,limits" in told.output
     assert "its own measure" in told.output
     assert json.loads(out.read_text())["format"] == "opposable-bench-objectives"
+
+
+def test_all_are_none_and_each_objective_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+
+    def note(*_: object, objectives: list[str], **__: object) -> None:
+        asked.extend(objectives)
+        raise TaskError("that is enough")
+
+    monkeypatch.setattr("sim.bench.objectives.run_objectives", note)
+    CliRunner().invoke(app, ["bench", "objectives", "allegro_hand"])
+    assert asked == ["none", *OBJECTIVES]
+
+
+def test_the_help_names_every_objective() -> None:
+    option = get_args(ObjectiveOption)[1]
+    assert f"{', '.join(OBJECTIVES)}; several" in option.help
 
 
 def test_a_plan_is_made_for_an_objective_and_says_so(tmp_path: Path) -> None:

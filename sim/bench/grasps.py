@@ -21,8 +21,8 @@ from planner.synthesis.problems import problems_for
 from sim.bench.journal import run_with_journal
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, task_for
-from sim.bench.run import Check, Runner, made_with
 from sim.bench.tables import table_of
+from sim.runner import Check, Runner, made_with
 from sim.scene import PhysicsOptions
 from sim.trial import simulate
 

@@ -21,9 +21,9 @@ from planner.search import attempts
 from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, loaded_hand, task_for
-from sim.bench.run import Runner, made_with
 from sim.bench.statistics import median_of, ratio
 from sim.bench.tables import number, table_of
+from sim.runner import Runner, made_with
 
 __all__ = ["objective_tables", "run_objectives", "summary_of_objective"]
 

@@ -22,7 +22,8 @@ import pinocchio as pin
 from planner.actuation import Actuation
 from planner.hand import Hand
 from planner.kinematics import HandState, MovingHand
-from planner.plan import GraspPlan, smooth
+from planner.paths import smooth
+from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, skew
 from sim.controllers.base import Observation
 from sim.controllers.schedule import TOUCH_FORCE

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 import time
 from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass
@@ -19,10 +18,9 @@ import mujoco
 from rich.console import Console
 
 from planner.errors import FileFormatError, PlannerError, TaskError
-from planner.files import plan_to_dict, read_plan
+from planner.files import plan_from_dict, plan_to_dict
 from planner.hand import Hand
 from planner.plan import GraspPlan
-from sim.bench.run import Runner, made_with
 from sim.controllers import named_controller
 from sim.physics import CONTACT_SOLIMP, CONTACT_SOLREF, PhysicsOptions
 from sim.protocols.cases import Case, Conditions, MakeController
@@ -32,6 +30,7 @@ from sim.protocols.hold import quiet
 from sim.protocols.outcome import Outcome
 from sim.protocols.report import ProtocolReport
 from sim.protocols.settings import Settings
+from sim.runner import Runner, made_with
 from sim.scene import build_scene
 
 __all__ = ["run_protocol"]
@@ -192,10 +191,7 @@ _plans: dict[str, GraspPlan] = {}
 def _plan_of(text: str, hand: Hand | None = None) -> GraspPlan:
     """The plan that a text holds; only the last one is kept."""
     if text not in _plans:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "plan.json"
-            path.write_text(text, encoding="utf-8")
-            plan = read_plan(path, hand=hand)
+        plan = plan_from_dict(json.loads(text), "the plan", hand=hand)
         _plans.clear()
         _plans[text] = plan
     return _plans[text]

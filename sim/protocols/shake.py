@@ -16,7 +16,8 @@ import numpy as np
 
 from planner.errors import TaskError
 from planner.hand import Hand
-from planner.plan import GraspPlan, smooth
+from planner.paths import smooth
+from planner.plan import GraspPlan
 from sim.controllers import Phase
 from sim.mount import MOUNT_AXES, MOUNT_FREQUENCY, Mount
 from sim.protocols.cases import Conditions
