@@ -28,12 +28,15 @@ from numpy.typing import ArrayLike
 from planner.errors import ContactError
 from planner.spatial import SE3, FloatArray, contact_frames, skew
 
-__all__ = ["CONTACT_DIM", "Contact", "ContactModel", "ContactSet"]
+__all__ = ["CONTACT_DIM", "MIN_EDGES", "Contact", "ContactModel", "ContactSet"]
 
 ContactModel: TypeAlias = Literal["frictionless", "point", "soft"]
 
 CONTACT_DIM: dict[str, int] = {"frictionless": 1, "point": 3, "soft": 4}
 """Number of force components that each contact model transmits."""
+
+MIN_EDGES = 3
+"""Fewest edges of a polyhedral friction cone (-): two span no area."""
 
 _ORTHONORMAL_TOL = 1e-6
 """How far a given frame may be from a rotation matrix (-)."""

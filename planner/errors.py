@@ -42,11 +42,16 @@ class NotFoundError(PlannerError):
         self.what = what
         self.given = given
         self.available = tuple(sorted(available))
+        self.hint = hint
         near = get_close_matches(given, self.available, n=1)
         meant = f" Did you mean {near[0]!r}?" if near else ""
         listed = ", ".join(self.available) if self.available else "none"
         tail = f" {hint}" if hint else ""
         super().__init__(f"no {what} is called {given!r}.{meant} There is: {listed}.{tail}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """How it is sent to another process: it is made again of what it was made of."""
+        return type(self), (self.what, self.given, self.available, self.hint)
 
 
 class ModelError(PlannerError):
@@ -84,6 +89,10 @@ class NoGraspFoundError(PlannerError):
         """Keep the message and the attempts."""
         self.attempts = attempts
         super().__init__(message)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """How it is sent to another process: it is made again of what it was made of."""
+        return type(self), (str(self), self.attempts)
 
 
 class InfeasibleError(PlannerError):

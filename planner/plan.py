@@ -10,6 +10,7 @@ import numpy as np
 from planner.contacts import ContactSet
 from planner.forces import ForceSolution
 from planner.kinematics import HandState
+from planner.paths import along, smooth
 from planner.quality import QualityReport, analyse
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.carried import ArmPath
@@ -27,8 +28,8 @@ class SolveRecord:
         seed: Seed of the search.
         attempt: Number of the attempt that gave this plan, from 0; seed and attempt fix the start.
         attempts: How many attempts had been made when it was found.
-        iterations: IPOPT iterations of its attempt.
-        status: IPOPT's return status (informative only; the verdict is ``Verification``).
+        iterations: Evaluations of the residuals in its attempt.
+        status: Why the descent ended (informative only; the verdict is ``Verification``).
         cpu_s: CPU time of the search until it was found, s, without building.
         build_s: Time that building the NLPs took, s: once per hand, fingers and kind of shape.
         objective: What the grasp was to be good at, as ``SynthesisOptions.objective``.
@@ -148,14 +149,3 @@ class GraspPlan:
             phases=("approach",) * n_approach + ("close",) * len(r),
             T_world_base=(*bases, *(self.T_world_base,) * len(r)),
         )
-
-
-def along(path: FloatArray, share: FloatArray) -> FloatArray:
-    """Joints (k, n) at shares (k,) in [0, 1] of a path (m, n) of evenly spaced postures."""
-    at = np.linspace(0.0, 1.0, len(path))
-    return np.column_stack([np.interp(share, at, column) for column in path.T])
-
-
-def smooth(s: FloatArray) -> FloatArray:
-    """Minimum-jerk profile 10 s^3 - 15 s^4 + 6 s^5 of s in [0, 1]: at rest at both ends."""
-    return s**3 * (10 + s * (6 * s - 15))

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from planner.plain import finite
 from planner.quality import QualityReport
 from planner.schema import StrictData
 from planner.spatial import FloatArray
@@ -126,24 +124,24 @@ class TrialReport:
             success=self.success,
             reason=self.reason,
             detail=self.verdict.detail,
-            reason_time_s=_number(self.verdict.time),
+            reason_time_s=finite(self.verdict.time),
             hand=self.hand,
             object=self.object,
             mass_kg=self.mass_kg,
             seed=self.seed,
             fingers=list(self.fingers),
-            largest_slip_mm=_number(self.largest_slip[0]),
-            largest_slip_deg=_number(self.largest_slip[1]),
+            largest_slip_mm=finite(self.largest_slip[0]),
+            largest_slip_deg=finite(self.largest_slip[1]),
             comparison=[
                 ComparisonData(
                     finger=c.finger,
-                    planned_position_object_m=_plain(c.planned_position),
-                    measured_position_object_m=_plain(c.measured_position),
-                    position_error_mm=_number(c.position_error_mm),
+                    planned_position_object_m=finite(c.planned_position),
+                    measured_position_object_m=finite(c.measured_position),
+                    position_error_mm=finite(c.position_error_mm),
                     planned_normal_force_N=c.planned_normal_force,
-                    measured_normal_force_N=_number(c.measured_normal_force),
-                    force_error_N=_number(c.force_error_N),
-                    force_error_percent=_number(c.force_error_percent),
+                    measured_normal_force_N=finite(c.measured_normal_force),
+                    force_error_N=finite(c.force_error_N),
+                    force_error_percent=finite(c.force_error_percent),
                 )
                 for c in self.comparison
             ],
@@ -167,21 +165,21 @@ class TrialReport:
             picture=None if self.picture is None else self.picture.name,
             picture_reason=self.picture_reason,
             samples=SampleData(
-                time_s=_plain(s.time),
+                time_s=finite(s.time),
                 phase=list(s.phase),
                 contacts_per_finger=s.contacts.tolist(),
                 palm_contacts=s.palm_contacts.tolist(),
-                normal_force_N=_plain(s.normal_force),
-                friction_utilisation=_plain(s.friction_utilisation),
+                normal_force_N=finite(s.normal_force),
+                friction_utilisation=finite(s.friction_utilisation),
                 closed=[bool(c) for c in s.closed],
                 closed_unmerged=[bool(c) for c in s.closed_unmerged],
-                epsilon=_plain(s.epsilon),
-                object_in_palm_moved_mm=_plain(s.slip_mm),
-                object_in_palm_turned_deg=_plain(s.slip_deg),
-                object_moved_mm=_plain(s.moved_mm),
-                object_turned_deg=_plain(s.turned_deg),
-                lift_mm=_plain(s.lift_mm),
-                collision_N=_plain(s.collision_N),
+                epsilon=finite(s.epsilon),
+                object_in_palm_moved_mm=finite(s.slip_mm),
+                object_in_palm_turned_deg=finite(s.slip_deg),
+                object_moved_mm=finite(s.moved_mm),
+                object_turned_deg=finite(s.turned_deg),
+                lift_mm=finite(s.lift_mm),
+                collision_N=finite(s.collision_N),
                 collision=list(s.collision),
                 actuators_at_limit=[list(names) for names in s.limited],
             ),
@@ -265,14 +263,3 @@ class ReportFile(StrictData):
     picture: str | None
     picture_reason: str
     samples: SampleData
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
-
-def _plain(values: FloatArray) -> Any:
-    """Nested lists of an array, with None for what is not finite."""
-    known: NDArray[np.object_] = np.array(values, dtype=object)
-    known[~np.isfinite(values)] = None
-    return known.tolist()

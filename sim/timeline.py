@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from planner.errors import TaskError
-from planner.plan import smooth
+from planner.paths import smooth
 from sim.controllers.base import PHASES
 
 __all__ = ["Timeline"]

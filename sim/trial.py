@@ -35,7 +35,7 @@ from sim.controllers import (
     ReportsEvents,
     ReportsLimits,
 )
-from sim.controllers.grasp import TOUCH_FORCE
+from sim.controllers.schedule import TOUCH_FORCE
 from sim.pads import read_pads
 from sim.picture import save_picture
 from sim.recorder import Recorder
@@ -219,10 +219,6 @@ class Trial:
 
     def _observe(self, phase: Phase, share: float) -> Observation:
         scene, data = self.scene, self.data
-        twist = np.empty(6)
-        rotation = data.xmat[scene.object_body].reshape(3, 3)
-        twist[:3] = data.qvel[scene.object_dof[:3]]
-        twist[3:] = rotation @ data.qvel[scene.object_dof[3:]]
         return Observation(
             time=float(data.time),
             phase=phase,
@@ -231,11 +227,17 @@ class Trial:
             v=data.qvel[scene.hand_dof],
             T_world_base=scene.body_pose(data, scene.base_body),
             T_world_object=scene.body_pose(data, scene.object_body),
-            object_twist=twist,
+            read_twist=self._object_twist,
             normal_forces=normal_forces(scene, data, self.plan.task.finger_names),
             read_contacts=partial(hand_contacts, scene, data),
             read_pads=partial(read_pads, scene, data, self.plan.task.finger_names),
         )
+
+    def _object_twist(self) -> FloatArray:
+        """Linear and angular velocity (6,) of the object, world axes."""
+        linear, angular = np.split(self.data.qvel[self.scene.object_dof], 2)
+        rotation = self.data.xmat[self.scene.object_body].reshape(3, 3)
+        return np.concatenate([linear, rotation @ angular])
 
     def _held_by_enough(self) -> bool:
         """Whether as many fingers touch as can hold the object."""

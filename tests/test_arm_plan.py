@@ -18,7 +18,8 @@ from planner.files import read_plan, write_plan
 from planner.hand import Hand
 from planner.ik import palm_pose
 from planner.objects import GraspObject
-from planner.plan import GraspPlan, along
+from planner.paths import along
+from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.synthesis.carried import LIFT_HEIGHT, _Radii, lift_fault, path_fault

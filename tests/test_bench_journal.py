@@ -14,7 +14,7 @@ from rich.console import Console
 
 from planner.errors import FileFormatError
 from sim.bench.journal import Journal, run_with_journal
-from sim.bench.run import Check, Runner
+from sim.runner import Check, Runner
 
 ASKED = {"format": "opposable-test", "version": 1, "seeds": 3}
 

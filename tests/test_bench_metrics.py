@@ -19,8 +19,8 @@ from sim.bench.auc import auc
 from sim.bench.metrics import metrics_table, run_metrics, samples_for, summary_of_trials
 from sim.bench.objects import BenchObject
 from sim.bench.predictors import PREDICTORS, predictors_of
-from sim.bench.run import Runner
 from sim.bench.trials import CONDITIONS, GRADES, TIMELINE, Sample, try_sample
+from sim.runner import Runner
 from sim.trial import Trial
 
 SPHERE = BenchObject(label="sphere", spec="sphere")

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from planner.errors import NotFoundError
+from planner.errors import NotFoundError, PlannerError, TaskError
 from planner.measures import MEASURES
+from planner.synthesis import OBJECTIVES
 from sim.bench.objectives import objective_tables, run_objectives, summary_of_objective
 from sim.bench.objects import bench_objects
-from sim.bench.run import Runner
 from sim.cli import app
+from sim.cli.common import ObjectiveOption
+from sim.runner import Runner
 
 
 def row(objective: str, k: int, attempts: int, value: float | None) -> dict[str, Any]:
@@ -63,10 +66,49 @@ def test_nothing_found_is_a_row_without_figures() -> None:
     assert tables[0].row_count == 1
 
 
-def run(objectives: list[str]) -> dict[str, Any]:
+def test_medians_stand_beside_those_of_their_own_cell() -> None:
+    # Ctrl-C came before the first object was tried without an objective
+    rows = [
+        row("none", 0, 1, 2.0) | {"object": "second"},
+        row("torque", 0, 1, 3.0) | {"object": "first"},
+        row("torque", 0, 1, 4.0) | {"object": "second"},
+    ]
+    summaries = [summary_of_objective(name, rows) for name in ("none", "torque")]
+    units = {name: measure.unit for name, measure in MEASURES.items()}
+    own = objective_tables({"units": units, "objectives": summaries})[1]
+    columns = [list(column.cells) for column in own.columns]
+    shown = list(zip(*columns, strict=True))
+    assert shown[0][2:5] == ("first", "-", "3.")
+    assert shown[1][2:5] == ("second", "2.", "4.")
+
+
+def test_a_bad_mesh_out_of_a_folder_is_a_row_and_one_that_was_named_an_error(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "open.obj").write_text("v 0 0 0\nv 0.05 0 0\nv 0 0.05 0\nf 1 2 3\n")
+    result = run(["none"], [str(tmp_path), "sphere"])
+    by_object = {r["object"]: r for r in result["rows"] if r["k"] == 0}
+    assert "not closed" in by_object["open"]["error"]
+    assert by_object["open"]["measures"] is None
+    assert by_object["sphere"]["measures"] is not None
+    assert result["objectives"][0]["requested"] == 4
+    with pytest.raises(PlannerError, match="not closed"):
+        run(["none"], [str(tmp_path / "open.obj")])
+
+
+def test_a_request_that_cannot_be_tried_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise TaskError("no pads left")
+
+    monkeypatch.setattr("sim.bench.objectives.attempts", refuse)
+    rows = run(["none"])["rows"]
+    assert [r["error"] for r in rows] == ["no pads left"] * 2
+
+
+def run(objectives: list[str], objects: Sequence[str] = ("sphere",)) -> dict[str, Any]:
     return run_objectives(
         ["allegro_hand"],
-        bench_objects(["sphere"]),
+        bench_objects(objects),
         2,
         objectives=objectives,
         seed=0,
@@ -97,6 +139,23 @@ def test_the_command_prints_both_tables_and_writes_the_figures(tmp_path: Path) -
     assert "epsilon,limits" in told.output
     assert "its own measure" in told.output
     assert json.loads(out.read_text())["format"] == "opposable-bench-objectives"
+
+
+def test_all_are_none_and_each_objective_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+
+    def note(*_: object, objectives: list[str], **__: object) -> None:
+        asked.extend(objectives)
+        raise TaskError("that is enough")
+
+    monkeypatch.setattr("sim.bench.objectives.run_objectives", note)
+    CliRunner().invoke(app, ["bench", "objectives", "allegro_hand"])
+    assert asked == ["none", *OBJECTIVES]
+
+
+def test_the_help_names_every_objective() -> None:
+    option = get_args(ObjectiveOption)[1]
+    assert f"{', '.join(OBJECTIVES)}; several" in option.help
 
 
 def test_a_plan_is_made_for_an_objective_and_says_so(tmp_path: Path) -> None:

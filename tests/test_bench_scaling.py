@@ -13,9 +13,9 @@ from planner.errors import NotFoundError
 from planner.hand import Hand
 from planner.kinematics import HandState
 from planner.shapes.cache import CACHE_VARIABLE
-from sim.bench.run import Runner
 from sim.bench.scaling import CURVES, curve, points_of, run_scaling, scaling_tables
 from sim.bench.star_hand import write_star_hand
+from sim.runner import Runner
 
 HERE = Runner(console=Console(quiet=True), check=lambda: None)
 """Works here, shows nothing, and never finds Ctrl-C."""

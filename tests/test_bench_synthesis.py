@@ -25,11 +25,11 @@ from planner.task import GraspTask
 from sim.bench.baseline import BASELINE_EPSILON, BASELINE_RATE, against_baseline
 from sim.bench.objects import BenchObject, bench_objects
 from sim.bench.requests import Outcome, Request, Setting, half_longest_side, measure
-from sim.bench.run import Runner
 from sim.bench.statistics import power_law
 from sim.bench.synthesis import run_synthesis, summary_of, total_of
 from sim.bench.tables import print_synthesis
 from sim.cli import app
+from sim.runner import Runner
 
 QUIET = Console(quiet=True)
 SPHERE = BenchObject(label="sphere", spec="sphere")

@@ -23,6 +23,7 @@ import pytest
 from planner.files import PlanFile, read_plan
 from planner.hand import Hand
 from sim.cli import main
+from sim.cli.common import names, print_json
 from sim.report import ReportFile
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -302,6 +303,8 @@ def test_no_grasp_found_has_its_own_exit_code_and_writes_nothing(tmp_path: Path)
         (("plan", "allegro_hand", "sphere:nan"), "radius is nan; give metres > 0"),
         (("plan", "allegro_hand", "box:[/]"), "box:[/]"),
         (("plan", "allegro_hand", "box", "--fingers", "thumb,index"), "needs at least 3"),
+        (("plan", "allegro_hand", "box", "--fingers", " ,"), "holds no name"),
+        (("bench", "synthesis", "allegro_hand", "--objects", ""), "'' holds no name"),
         (("plan", "allegro_hand", "box", "--fingers", "thumb,thumb,ring"), "named twice"),
         (("plan", "allegro_hand", "box", "--max-cpu-s", "0"), "give seconds > 0"),
         (("plan", "allegro_hand", "box", "-o", "nowhere/plan.json"), "no folder nowhere"),
@@ -531,3 +534,13 @@ def test_defaults_are_those_of_the_library() -> None:
     assert defaults["mu"] == DEFAULT_MU
     assert defaults["max_attempts"] == DEFAULT_MAX_ATTEMPTS
     assert defaults["sim_mu"] == PhysicsOptions().mu
+
+
+def test_names_are_those_between_the_commas() -> None:
+    assert names("sphere, box,,mug ,") == ["sphere", "box", "mug"]
+
+
+def test_json_on_stdout_knows_no_nan(capsys: pytest.CaptureFixture[str]) -> None:
+    print_json({"dual": float("nan"), "cells": [{"bound": np.inf}]})
+    told = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert told == {"dual": None, "cells": [{"bound": None}]}

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from slips import LATENCY, true_slips
 
 from planner.errors import NotFoundError, TaskError
 from planner.plan import GraspPlan
@@ -14,7 +15,6 @@ from planner.search import plan_grasp
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 from sim.controllers import GraspController, ImpedanceGains, ObjectImpedance, Sensing
-from sim.controllers.slip import LATENCY, true_slips
 from sim.pads import read_pads
 from sim.report import ReportFile, TrialReport
 from sim.scene import PhysicsOptions

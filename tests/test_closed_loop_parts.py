@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from slips import LATENCY, Slip, score_slips, true_slips
 
 from planner.contacts import ContactSet
 from planner.errors import NotFoundError, TaskError
@@ -22,7 +23,7 @@ from sim.controllers.gains import felt_inertia
 from sim.controllers.impedance import ImpedanceLaw
 from sim.controllers.schedule import LOST_TIME, RAMP, TOUCH_TIME, ContactSchedule
 from sim.controllers.sensing import Senses
-from sim.controllers.slip import LATENCY, Slip, SlipDetector, score_slips, true_slips
+from sim.controllers.slip import SlipDetector
 from sim.controllers.torques import HoldingTorques, grasp_matrix
 
 DT = 0.002
@@ -157,7 +158,7 @@ def observation(pads: PadReading) -> Observation:
         v=np.zeros(1),
         T_world_base=at(0.0),
         T_world_object=at(0.5),
-        object_twist=np.zeros(6),
+        read_twist=lambda: np.zeros(6),
         normal_forces=pads.normal_force,
         read_contacts=lambda: ContactSet.from_arrays(np.zeros((0, 3)), np.zeros((0, 3))),
         read_pads=lambda: pads,

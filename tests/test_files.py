@@ -12,7 +12,15 @@ import pinocchio as pin
 import pytest
 
 from planner.errors import ContactError, FileFormatError, PlannerError
-from planner.files import PLAN_VERSION, PlanFile, plan_to_dict, read_contacts, read_plan, write_plan
+from planner.files import (
+    PLAN_VERSION,
+    PlanFile,
+    plan_from_dict,
+    plan_to_dict,
+    read_contacts,
+    read_plan,
+    write_plan,
+)
 from planner.hand import Hand
 from planner.objects import parse_object
 from planner.plan import GraspPlan
@@ -50,6 +58,14 @@ def plan(allegro: Hand) -> GraspPlan:
 @pytest.fixture(scope="module")
 def good(plan: GraspPlan) -> Json:
     return json.loads(json.dumps(plan_to_dict(plan)))
+
+
+def test_a_plan_goes_through_plain_data_too(plan: GraspPlan, good: Json) -> None:
+    back = plan_from_dict(good, "mine")
+    assert back.q.tobytes() == plan.q.tobytes()
+    assert back.record == plan.record
+    with pytest.raises(FileFormatError, match="mine is not a plan file: its format is 'other'"):
+        plan_from_dict(good | {"format": "other"}, "mine")
 
 
 def test_a_plan_comes_back_as_it_was(plan: GraspPlan, tmp_path: Path) -> None:

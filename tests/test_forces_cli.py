@@ -33,7 +33,7 @@ def test_the_problem_and_its_answer(plan_file: Path) -> None:
 def test_solvers_on_a_plan(plan_file: Path) -> None:
     arguments = ["forces", str(plan_file), "--solvers", "daqp,osqp", "--steps", "30", "--json"]
     done = RUN.invoke(app, arguments)
-    data = json.loads(done.output)
+    data = json.loads(done.output, parse_constant=pytest.fail)  # NaN is no JSON
     records = data["solvers"]["records"]
     assert [r["solver"] for r in records] == ["daqp", "osqp"]
     assert all(r["solved"] + r["refused"] + r["failed"] == 30 for r in records)

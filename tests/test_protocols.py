@@ -29,16 +29,18 @@ from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GraspTask
 from sim.cli import main
+from sim.cli.test import _show
 from sim.controllers import Controller, GraspController, Observation, Phase
 from sim.physics import PhysicsOptions
 from sim.protocols import FAILURES, Outcome, Settings, protocol_table, run_protocol, write_csv
 from sim.protocols.bounds import proven_bound
 from sim.protocols.cases import AXES, Conditions, MakeController
+from sim.protocols.catalog import PROTOCOLS, cases_of, trials_of, unsuitable
 from sim.protocols.fc import FcCase, Replay, fc_cases, fc_physics
 from sim.protocols.forces import GravityCase, PushCase, forces_cases
 from sim.protocols.hold import Hold, Lost
 from sim.protocols.robust import RobustCase, displaced, robust_cases
-from sim.protocols.run import PROTOCOLS, cases_of, physics_of
+from sim.protocols.run import physics_of
 from sim.protocols.shake import ShakeCase, Shaker, shake_cases
 
 HALF, PAD = 0.02, 0.012
@@ -512,6 +514,8 @@ def test_every_protocol_has_cases_in_order(pinched: GraspPlan) -> None:
     with pytest.raises(NotFoundError, match="protocol"):
         run_protocol(pinched, "push")
     with pytest.raises(NotFoundError, match="trial"):
+        run_protocol(pinched, "fc", only=["shake x"])
+    with pytest.raises(NotFoundError, match="trial"):
         run_protocol(pinched, "shake", only=["shake w"])
     with pytest.raises(NotFoundError, match="controller"):
         run_protocol(pinched, "shake", controller="none")
@@ -550,3 +554,71 @@ def test_the_command(
     names = {path.name for path in out.iterdir()}
     assert names == {"000-plan-fc.jsonl", "000-plan-fc.json", "trials.csv"}
     assert len((out / "000-plan-fc.jsonl").read_text().splitlines()) == 6
+    lines = (out / "000-plan-fc.jsonl").read_text().splitlines()
+    assert {json.loads(line)["controller"] for line in lines} == {"replay"}
+    assert summary["controller"] == "replay"
+
+
+def test_trials_are_looked_for_in_every_protocol() -> None:
+    asked = ["shake x", "fc +z", "shake rz"]
+    assert trials_of(PROTOCOLS, asked, Settings(), 0) == {
+        "fc": ("fc +z",),
+        "shake": ("shake x", "shake rz"),
+    }
+    assert tuple(trials_of(PROTOCOLS, [], Settings(), 0)) == tuple(PROTOCOLS)
+    with pytest.raises(NotFoundError, match="no trial is called 'shake w'"):
+        trials_of(PROTOCOLS, ["shake x", "shake w"], Settings(), 0)
+
+
+def test_a_protocol_says_which_hands_it_is_not_for(jaw: Hand, servo_jaw: Hand) -> None:
+    of_motors, of_servos = pinch(jaw).task, pinch(servo_jaw).task
+    assert "left, right of jaw are no position servos" in unsuitable("fc", of_motors)
+    assert [unsuitable(name, of_servos) for name in PROTOCOLS] == [""] * len(PROTOCOLS)
+    on_arm = GraspTask.create("allegro_on_arm7", "sphere")
+    assert "allegro_on_arm7 is on an arm" in unsuitable("shake", on_arm)
+    assert unsuitable("forces", on_arm) == ""
+
+
+def test_of_all_protocols_those_that_a_hand_cannot_take_are_skipped(
+    pinched: GraspPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "plan.json"
+    write_plan(pinched, file)
+    arguments = ["test", str(file), "--workers", "1", "--out", str(tmp_path / "out"), "--json"]
+
+    def run(*names: str) -> tuple[int, dict[str, list[dict[str, str]]], str]:
+        with pytest.raises(SystemExit) as ended:
+            main([*arguments, *(text for name in names for text in ("--only", name))])
+        told = capsys.readouterr()
+        return int(ended.value.code or 0), json.loads(told.out or "{}"), told.err
+
+    code, told, text = run("fc +x", "shake x")
+    assert code == 0
+    assert [report["protocol"] for report in told["reports"]] == ["shake"]
+    assert [each["protocol"] for each in told["skipped"]] == ["fc"]
+    assert "skipped: " in text
+    assert "left, right of jaw are no position servos" in text
+    code, told, text = run("fc +x")
+    assert (code, told) == (3, {})
+    assert "nothing was tested" in text
+
+
+def test_without_bounds_loads_are_told_without_a_share(
+    pinched: GraspPlan, capsys: pytest.CaptureFixture[str]
+) -> None:
+    coarse = Settings(random=0, growth=4.0, step_s=0.1)
+    report = run_protocol(pinched, "forces", settings=coarse, only=["force +y"])
+    _show(report, protocol_table(report))
+    assert "of what the certificate allows" in " ".join(capsys.readouterr().out.split())
+    boundless = tuple(replace(o, bound=float("nan")) for o in report.outcomes)
+    _show(replace(report, outcomes=boundless), protocol_table(report))
+    told = " ".join(capsys.readouterr().out.split())
+    assert "borne: median" in told
+    assert "certificate" not in told
+
+
+def test_the_help_names_every_protocol(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["test", "--help"])
+    told = " ".join(capsys.readouterr().out.split())
+    assert f"{', '.join(PROTOCOLS)}, or all" in told.replace("\u2502 ", "")

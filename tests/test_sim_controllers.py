@@ -48,7 +48,7 @@ def observe(
         v=np.zeros(hand.nq),
         T_world_base=shift * plan.T_world_base,
         T_world_object=shift * plan.task.T_world_object,
-        object_twist=np.zeros(6),
+        read_twist=lambda: np.zeros(6),
         normal_forces=np.zeros(len(plan.task.fingers)) + force,
         read_contacts=lambda: ContactSet.from_arrays(np.zeros((0, 3)), np.zeros((0, 3))),
     )

@@ -14,7 +14,8 @@ import pytest
 
 from planner.errors import TaskError
 from planner.hand import Hand
-from planner.plan import GraspPlan, smooth
+from planner.paths import smooth
+from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle

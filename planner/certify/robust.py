@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 from planner.certify.programme import Minimum, minimise
 from planner.certify.sphere import halved, icosphere
-from planner.contacts import ContactSet
+from planner.contacts import MIN_EDGES, ContactSet
 from planner.errors import ContactError, PlannerError
 from planner.quality import measure_hull
 from planner.spatial import FloatArray, IntArray
@@ -55,9 +55,6 @@ HALVINGS = 1
 
 FINEST = 4
 """Times that a triangle may be halved further (-): 2 degrees."""
-
-MIN_EDGES = 3
-"""Fewest edges of a pyramid (-)."""
 
 FINE_EDGES = 64
 """Edges where the true cones are meant and nothing has to be proven (-): within 0.1 %."""

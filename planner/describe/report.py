@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-import numpy as np
+from planner.plain import finite
 
 __all__ = [
     "CheckReport",
@@ -136,15 +136,4 @@ class CheckReport:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON; infinities are None."""
-        return {"ok": self.ok, **_plain(asdict(self))}
-
-
-def _plain(value: Any) -> Any:
-    """Lists for tuples, None for infinity and NaN."""
-    if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
+        return {"ok": self.ok, **finite(asdict(self))}

@@ -3,7 +3,7 @@
 from planner.files.contacts_file import ContactsFile, read_contacts
 from planner.files.data import PLAN_VERSION, PlanFile, TaskData
 from planner.files.json_csv import read_json, write_json, write_trajectory
-from planner.files.plans import plan_to_dict, read_plan, write_plan
+from planner.files.plans import plan_from_dict, plan_to_dict, read_plan, write_plan
 from planner.files.tasks import task_data, task_from_data
 
 __all__ = [
@@ -11,6 +11,7 @@ __all__ = [
     "ContactsFile",
     "PlanFile",
     "TaskData",
+    "plan_from_dict",
     "plan_to_dict",
     "read_contacts",
     "read_json",

@@ -35,7 +35,7 @@ from planner.schema import faults_of
 from planner.spatial import FloatArray
 from planner.synthesis.pregrasp import Approach
 
-__all__ = ["plan_to_dict", "read_plan", "write_plan"]
+__all__ = ["plan_from_dict", "plan_to_dict", "read_plan", "write_plan"]
 
 CONTACT_TOL = 1e-4
 """How far stored contacts (m), normals (-), forces (N) and torques (N m) may be from those
@@ -106,32 +106,46 @@ def read_plan(path: Path | str, *, hand: Hand | None = None) -> GraspPlan:
         FileFormatError: Damaged, of another version, or for another hand.
         PlannerError: The hand or object cannot be loaded.
     """
-    data = read_json(path, "plan file")
+    return plan_from_dict(read_json(path, "plan file"), str(path), hand=hand)
+
+
+def plan_from_dict(data: dict[str, Any], source: str, *, hand: Hand | None = None) -> GraspPlan:
+    """The plan that plain data hold, checked like a file.
+
+    Args:
+        data: What ``plan_to_dict`` gave.
+        source: What errors call it, as the path of a file.
+        hand: The hand to use; the one that the data name if None.
+
+    Raises:
+        FileFormatError: Damaged, of another version, or for another hand.
+        PlannerError: The hand or object cannot be loaded.
+    """
     if data.get("format") != "opposable-plan":
-        raise FileFormatError(f"{path} is not a plan file: its format is {data.get('format')!r}")
+        raise FileFormatError(f"{source} is not a plan file: its format is {data.get('format')!r}")
     if data.get("version") != PLAN_VERSION:
         raise FileFormatError(
-            f"{path} has plan version {data.get('version')!r}; this Opposable reads version "
+            f"{source} has plan version {data.get('version')!r}; this Opposable reads version "
             f"{PLAN_VERSION}; plan again"
         )
     try:
         file = PlanFile.model_validate(data)
     except ValidationError as error:
-        raise FileFormatError(f"{path} is damaged: {faults_of(error)}") from error
+        raise FileFormatError(f"{source} is damaged: {faults_of(error)}") from error
     given = file.task.hand
     hand = hand or Hand.load(given.description_path or given.name)
     if hand.digest != given.sha256:
         raise FileFormatError(
-            f"{path} was planned for a different {given.name!r} than "
+            f"{source} was planned for a different {given.name!r} than "
             f"{hand.reference or hand.name}: the files have changed since; plan again, or give the "
             "hand that it was planned for"
         )
     if list(hand.joint_names) != file.grasp.joint_names:
-        raise FileFormatError(f"{path} has other joints than {hand.name}; it is damaged")
-    return _rebuild(file, hand, Path(path))
+        raise FileFormatError(f"{source} has other joints than {hand.name}; it is damaged")
+    return _rebuild(file, hand, source)
 
 
-def _rebuild(file: PlanFile, hand: Hand, path: Path) -> GraspPlan:
+def _rebuild(file: PlanFile, hand: Hand, source: str) -> GraspPlan:
     task = task_from_data(file.task, hand)
     grasp = file.grasp
     approach = Approach(
@@ -148,10 +162,10 @@ def _rebuild(file: PlanFile, hand: Hand, path: Path) -> GraspPlan:
         approach=approach,
     )
     if isinstance(plan, str):
-        raise FileFormatError(f"{path} holds a grasp that fails its checks: {plan}")
+        raise FileFormatError(f"{source} holds a grasp that fails its checks: {plan}")
     again = PlanFile.model_validate(plan_to_dict(plan))
     if [c.finger for c in file.contacts] != [c.finger for c in again.contacts]:
-        raise FileFormatError(f"{path}: its contacts are not those of its fingers; it is damaged")
+        raise FileFormatError(f"{source}: its contacts are not those of its fingers; it is damaged")
     for what, stored, true, tolerance in (
         ("contacts", _numbers(file.contacts), _numbers(again.contacts), CONTACT_TOL),
         ("torques", file.joint_torques_N_m, again.joint_torques_N_m, CONTACT_TOL),
@@ -160,7 +174,9 @@ def _rebuild(file: PlanFile, hand: Hand, path: Path) -> GraspPlan:
         if np.shape(stored) != np.shape(true) or not np.allclose(
             stored, true, atol=tolerance, rtol=CONTACT_TOL
         ):
-            raise FileFormatError(f"{path}: its {what} are not those of its joints; it is damaged")
+            raise FileFormatError(
+                f"{source}: its {what} are not those of its joints; it is damaged"
+            )
     return plan
 
 

@@ -27,6 +27,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from planner.contacts import MIN_EDGES
 from planner.errors import ContactError
 from planner.spatial import FloatArray
 
@@ -35,9 +36,6 @@ __all__ = ["Cone", "LimitSurface", "Pyramid", "pyramid_faces", "round_cone"]
 Pyramid: TypeAlias = Literal["inscribed", "circumscribed"]
 Cone: TypeAlias = Literal["inscribed", "circumscribed", "round"]
 LimitSurface: TypeAlias = Literal["ellipsoid", "independent"]
-
-MIN_EDGES = 3
-"""Fewest sides (-): two bound no area."""
 
 
 def pyramid_faces(

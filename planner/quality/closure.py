@@ -29,6 +29,7 @@ from scipy.optimize import linprog
 
 from planner.contacts import ContactSet
 from planner.errors import ContactError, PlannerError
+from planner.plain import finite
 from planner.programme import programme
 from planner.quality.cones import primitive_wrenches
 from planner.spatial import FloatArray
@@ -91,11 +92,11 @@ class ClosureResult:
         return {
             "closed": self.closed,
             "rank": self.rank,
-            "min_weight": _finite(self.min_weight),
-            "normalised_min_weight": _finite(self.normalised_min_weight),
-            "weights": _listed(self.weights),
-            "separator_m_rad": _listed(self.separator),
-            "unresisted_wrench_n_nm": _listed(self.unresisted_wrench),
+            "min_weight": finite(self.min_weight),
+            "normalised_min_weight": finite(self.normalised_min_weight),
+            "weights": finite(self.weights),
+            "separator_m_rad": finite(self.separator),
+            "unresisted_wrench_n_nm": finite(self.unresisted_wrench),
             "residual": self.residual,
             "reason": self.reason,
         }
@@ -291,11 +292,3 @@ def _separation_reason(m: int, unresisted: FloatArray) -> str:
 
 def _vector(v: FloatArray) -> str:
     return "(" + ", ".join(f"{x:.3g}" for x in np.round(v, 6) + 0.0) + ")"
-
-
-def _finite(x: float) -> float | None:
-    return float(x) if np.isfinite(x) else None
-
-
-def _listed(x: FloatArray | None) -> list[float] | None:
-    return None if x is None else [float(v) for v in x]

@@ -31,7 +31,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from planner.contacts import ContactSet
+from planner.contacts import MIN_EDGES, ContactSet
 from planner.errors import ContactError
 from planner.spatial import FloatArray
 
@@ -39,9 +39,6 @@ __all__ = ["Cone", "RoundCones", "cone_edges", "contact_wrenches", "primitive_wr
 
 Cone: TypeAlias = Literal["inscribed", "circumscribed"]
 EdgeUnit: TypeAlias = Literal["normal", "length"]
-
-MIN_EDGES = 3
-"""Fewest tangential edges (-): two span no area, so the friction disc would be lost."""
 
 
 def cone_edges(

@@ -15,13 +15,14 @@ from typing import Any
 from rich.table import Table
 
 from planner.errors import NoGraspFoundError, PlannerError
+from planner.plain import finite
 from planner.search import plan_grasp
 from planner.synthesis.problems import problems_for
 from sim.bench.journal import run_with_journal
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, task_for
-from sim.bench.run import Check, Runner, made_with
 from sim.bench.tables import table_of
+from sim.runner import Check, Runner, made_with
 from sim.scene import PhysicsOptions
 from sim.trial import simulate
 
@@ -124,8 +125,8 @@ def plan_and_execute(seed: Seed, check: Check) -> dict[str, Any]:
         epsilon=plan.quality.epsilon,
         held=report.success,
         reason=report.reason,
-        slip_mm=slip_mm if math.isfinite(slip_mm) else None,
-        slip_deg=slip_deg if math.isfinite(slip_deg) else None,
+        slip_mm=finite(slip_mm),
+        slip_deg=finite(slip_deg),
         position_errors_mm=_known(c.position_error_mm for c in report.comparison),
         force_errors_percent=_known(c.force_error_percent for c in report.comparison),
     )

@@ -16,7 +16,7 @@ from typing import Any, Protocol, Self, TypeVar
 from rich.markup import escape
 
 from planner.errors import FileFormatError
-from sim.bench.run import Check, Runner
+from sim.runner import Check, Runner
 
 __all__ = ["Journal", "Row", "run_with_journal"]
 

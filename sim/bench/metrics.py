@@ -20,9 +20,9 @@ from sim.bench.journal import run_with_journal
 from sim.bench.objects import BenchObject
 from sim.bench.predictors import PREDICTORS
 from sim.bench.requests import check_tasks
-from sim.bench.run import Runner, made_with
 from sim.bench.tables import table_of
 from sim.bench.trials import CONDITIONS, GRADES, Sample, lost_sample, try_sample
+from sim.runner import Runner, made_with
 
 __all__ = ["metrics_table", "run_metrics", "samples_for", "summary_of_trials"]
 

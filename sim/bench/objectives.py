@@ -15,15 +15,15 @@ from rich.table import Table
 
 from planner.batch.jobs import grasp_seed
 from planner.batch.recipe import shape_key
-from planner.errors import TaskError
+from planner.errors import PlannerError
 from planner.measures import MEASURES, measured
 from planner.search import attempts
 from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions
 from sim.bench.objects import BenchObject
-from sim.bench.requests import Setting, loaded_hand, task_for
-from sim.bench.run import Runner, made_with
+from sim.bench.requests import Setting, check_tasks, loaded_hand, task_for
 from sim.bench.statistics import median_of, ratio
 from sim.bench.tables import number, table_of
+from sim.runner import Runner, made_with
 
 __all__ = ["objective_tables", "run_objectives", "summary_of_objective"]
 
@@ -68,14 +68,10 @@ def run_objectives(
         runner: Who works on them.
 
     Raises:
-        PlannerError: A hand, an object or an objective cannot be used.
+        PlannerError: A hand, an object that was named, or an objective cannot be used; an object
+            out of a folder may fail.
     """
-    for hand in hands:
-        loaded_hand(hand)
-        for item in objects:
-            task = task_for(hand, item.spec, SETTING)
-            if isinstance(task, str):
-                raise TaskError(task)
+    check_tasks(hands, objects)
     asked = [str(SynthesisOptions(objective=text).objective) for text in objectives]
     requests = [
         _Request(hand=hand, item=item, objective=text, k=k, seed=seed, max_attempts=max_attempts)
@@ -106,18 +102,21 @@ def _measure(request: _Request, check: Callable[[], None]) -> dict[str, Any]:
     """Attempts until one is found, and the measures of what is found."""
     task = task_for(request.hand, request.item.spec, SETTING)
     if isinstance(task, str):
-        raise TaskError(task)
+        return _given_up(request, task)
     seed = grasp_seed(request.seed, shape_key(task.object.shape), request.k)
     options = SynthesisOptions(objective=request.objective)
     made, cpu, values = 0, 0.0, None
-    for attempt in attempts(task, seed=seed, options=options):
-        made += 1
-        cpu += attempt.cpu_s
-        check()
-        if attempt.plan is not None:
-            values = measured(attempt.plan)
-        if values is not None or made >= request.max_attempts:
-            break
+    try:
+        for attempt in attempts(task, seed=seed, options=options):
+            made += 1
+            cpu += attempt.cpu_s
+            check()
+            if attempt.plan is not None:
+                values = measured(attempt.plan)
+            if values is not None or made >= request.max_attempts:
+                break
+    except PlannerError as error:
+        return _given_up(request, str(error))
     return {
         "hand": task.hand.name,
         "object": request.item.label,
@@ -130,7 +129,7 @@ def _measure(request: _Request, check: Callable[[], None]) -> dict[str, Any]:
 
 
 def _given_up(request: _Request, reason: str) -> dict[str, Any]:
-    """The row of a request that killed its processes: nothing was found."""
+    """The row of a request that could not be tried or killed its processes: nothing was found."""
     return {
         "hand": loaded_hand(request.hand).name,
         "object": request.item.label,
@@ -220,9 +219,12 @@ def objective_tables(result: dict[str, Any]) -> list[Table]:
         name = each["objective"]
         if name not in names or plain is None:
             continue
-        for cell, before in zip(each["cells"], plain["cells"], strict=False):
-            medians = (_digits(before["medians"][name]), _digits(cell["medians"][name]))
-            own.add_row(name, cell["hand"], cell["object"], *medians, "")
+        before = {(c["hand"], c["object"]): c["medians"][name] for c in plain["cells"]}
+        for cell in each["cells"]:
+            place = cell["hand"], cell["object"]
+            # after Ctrl-C a cell may have no request without an objective
+            medians = (_digits(before.get(place)), _digits(cell["medians"][name]))
+            own.add_row(name, *place, *medians, "")
         better = each["better_than_none"][name]
         own.add_row(
             name,

@@ -33,10 +33,10 @@ from planner.hand import Hand
 from planner.shapes.cache import CACHE_VARIABLE
 from planner.task import FINGERS_NEEDED, GraspTask
 from sim.bench.requests import Outcome, Request, Setting, loaded_hand, measure, measure_task
-from sim.bench.run import Check, Runner, made_with
 from sim.bench.star_hand import write_star_hand
 from sim.bench.statistics import median_of, power_law, ratio
 from sim.bench.tables import number, table_of
+from sim.runner import Check, Runner, made_with
 
 __all__ = ["CURVES", "curve", "points_of", "run_scaling", "scaling_tables"]
 

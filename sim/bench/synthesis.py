@@ -14,8 +14,8 @@ from planner.task import GraspTask
 from sim.bench.baseline import against_baseline
 from sim.bench.objects import BenchObject
 from sim.bench.requests import APPROACH, Outcome, Request, Setting, loaded_hand, measure, task_for
-from sim.bench.run import Check, Runner, made_with
 from sim.bench.statistics import median_of, quantile_of, ratio, summed
+from sim.runner import Check, Runner, made_with
 
 __all__ = ["run_synthesis", "summary_of", "total_of"]
 

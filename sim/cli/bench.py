@@ -28,7 +28,7 @@ from sim.cli.common import (
 )
 
 if TYPE_CHECKING:
-    from sim.bench.run import Runner
+    from sim.runner import Runner
 
 TABLE_WIDTH = 140
 """Characters that the benchmark's tables need at least."""
@@ -129,8 +129,12 @@ def bench_objectives(
     objects: ObjectsOption = "cylinder,box,mug",
     n: Annotated[int, typer.Option("-n", "--number", min=1, help="Requests per cell.")] = 15,
     objectives: Annotated[
-        str, typer.Option(help="Objectives, comma separated; of several with weights: a:1+b:0.5")
-    ] = "none,epsilon,min_weight,task,robustness,torque,manipulability,limits",
+        str,
+        typer.Option(
+            help="Objectives, comma separated; of several with weights: a:1+b:0.5; all stands for "
+            "none and each alone."
+        ),
+    ] = "all",
     seed: SeedOption = 0,
     max_attempts: AttemptsOption = 50,
     workers: WorkersOption = 1,
@@ -138,15 +142,19 @@ def bench_objectives(
     as_json: JsonOption = False,
 ) -> None:
     """Measure what each objective of synthesis brings, and what it costs."""
+    from planner.synthesis import OBJECTIVES
+    from planner.synthesis.options import NO_OBJECTIVE
     from sim.bench.objectives import objective_tables, run_objectives
     from sim.bench.objects import bench_objects
 
+    every = [NO_OBJECTIVE, *OBJECTIVES]
+    asked = every if objectives == "all" else names(objectives)
     with measuring(output, workers) as runner:
         result = run_objectives(
             hands,
             bench_objects(names(objects)),
             n,
-            objectives=[text.replace("+", ",") for text in names(objectives)],
+            objectives=[text.replace("+", ",") for text in asked],
             seed=seed,
             max_attempts=max_attempts,
             runner=runner,
@@ -199,7 +207,7 @@ def bench_scaling(
 @contextmanager
 def measuring(output: Path | None, workers: int) -> Iterator[Runner]:
     """Who works on a measurement: shows how far it is on stderr, and heeds Ctrl-C and SIGTERM."""
-    from sim.bench.run import Runner
+    from sim.runner import Runner
 
     check_folder(output)
     with heeding_ctrl_c() as check:

@@ -91,8 +91,17 @@ def say(console: Console, text: str) -> None:
 
 
 def names(text: str) -> list[str]:
-    """Names out of a comma-separated list."""
-    return [name.strip() for name in text.split(",")]
+    """Names out of a comma-separated list; empty ones are dropped.
+
+    Raises:
+        TaskError: There is none.
+    """
+    from planner.errors import TaskError
+
+    found = [name.strip() for name in text.split(",") if name.strip()]
+    if not found:
+        raise TaskError(f"{text!r} holds no name; give names with commas between them")
+    return found
 
 
 def options_of(objective: str, task_wrench: list[str] | None) -> Any:
@@ -178,8 +187,10 @@ def heeding_ctrl_c() -> Iterator[Callable[[], None]]:
 
 
 def print_json(data: dict[str, Any]) -> None:
-    """JSON on stdout, for machines."""
-    sys.stdout.write(json.dumps(data, indent=1) + "\n")
+    """JSON on stdout, for machines; a number that is not finite becomes null."""
+    from planner.plain import finite
+
+    sys.stdout.write(json.dumps(finite(data), indent=1, allow_nan=False) + "\n")
 
 
 def make_folder(folder: Path) -> None:

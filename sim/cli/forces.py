@@ -47,6 +47,8 @@ def forces(
     Solvers meet a sequence: the weight turned through all directions, and a pulsating push. Ends
     with 1 if the forces do not exist, or a solver missed forces that do.
     """
+    import numpy as np
+
     from planner.files import read_plan
     from planner.forces import compare_solvers, cone_gaps, distribute_forces, turning_wrenches
     from planner.judge import force_arguments
@@ -55,7 +57,7 @@ def forces(
     given: dict[str, Any] = dict(
         force_arguments(plan.task, plan.contacts, plan.T_world_base, plan.q)
     )
-    weight = max(abs(force) for force in given["wrench"][:3])
+    weight = float(np.linalg.norm(given["wrench"][:3]))
     solution = distribute_forces(plan.contacts, edges=edges, **given)
     data: dict[str, Any] = {"found": solution.found, "reason": solution.reason}
     texts = [str(solution.problem), _answer(solution)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -28,21 +27,15 @@ from sim.cli.common import (
 TABLE_WIDTH = 120
 """Characters that the table needs."""
 
-
-class Which(StrEnum):
-    """Protocols."""
-
-    fc = "fc"
-    forces = "forces"
-    shake = "shake"
-    robust = "robust"
-    all = "all"
+ALLOWED = "what the certificate allows any control"
 
 
 @errors_for_people()
 def test(
     plans: Annotated[list[Path], typer.Argument(help="Plan files.", metavar="PLAN...")],
-    protocol: Annotated[Which, typer.Option(help="What to do to the grasp.")] = Which.all,
+    protocol: Annotated[
+        str, typer.Option(help="What to do to the grasp: fc, forces, shake, robust, or all.")
+    ] = "all",
     controller: ControllerOption = "open",
     only: Annotated[
         list[str] | None, typer.Option(help='Only trials of this name: "force +z"; repeatable.')
@@ -56,20 +49,37 @@ def test(
 ) -> None:
     """Test plans in MuJoCo by named protocols: fc, forces, shake, robust.
 
-    Ends with 0 if every grasp held in every trial without a growing load.
+    Ends with 0 if every grasp held in every trial without a growing load and bore the first load at
+    rest in every direction. Of all protocols, those that a hand cannot take are skipped.
     """
+    from planner.errors import TaskError
     from planner.files import read_plan, write_json
     from sim.controllers import named_controller
-    from sim.protocols import PROTOCOLS, ProtocolReport, protocol_table, run_protocol, write_csv
+    from sim.protocols import (
+        PROTOCOLS,
+        ProtocolReport,
+        Settings,
+        protocol_table,
+        run_protocol,
+        trials_of,
+        unsuitable,
+        write_csv,
+    )
 
     named_controller(controller)  # bad input ends here
+    asked = PROTOCOLS if protocol == "all" else [protocol]
+    trials = trials_of(asked, only or (), Settings(), seed)
     loaded = [(path, read_plan(path)) for path in plans]
     make_folder(folder)
-    names = PROTOCOLS if protocol is Which.all else (protocol.value,)
     reports: list[ProtocolReport] = []
+    skipped: list[dict[str, str]] = []
     with heeding_ctrl_c() as check:
         for number, (path, plan) in enumerate(loaded):
-            for name in names:
+            for name, some in trials.items():
+                if protocol == "all" and (reason := unsuitable(name, plan.task)):
+                    skipped.append({"plan": str(path), "protocol": name, "reason": reason})
+                    say(err, f"skipped: {escape(f'{path}: {reason}')}")
+                    continue
                 stem = f"{number:03d}-{path.stem}-{name}"
                 report = run_protocol(
                     plan,
@@ -77,7 +87,7 @@ def test(
                     controller=controller,
                     seed=seed,
                     workers=workers,
-                    only=only or (),
+                    only=some,
                     name=str(path),
                     file=folder / f"{stem}.jsonl",
                     console=err,
@@ -90,10 +100,12 @@ def test(
                     _show(report, protocol_table(report))
                 if not report.complete:
                     break
-            if not reports[-1].complete:
+            if reports and not reports[-1].complete:
                 break
+    if not reports:
+        raise TaskError("nothing was tested: no plan's hand can take a protocol that was asked for")
     if as_json:
-        print_json({"reports": [report.summary() for report in reports]})
+        print_json({"reports": [report.summary() for report in reports], "skipped": skipped})
     else:
         say(out, escape(f"written to {folder}: a report per plan and protocol, trials.csv"))
     if not all(report.complete for report in reports):
@@ -119,10 +131,12 @@ def _show(report: Any, table: Any) -> None:
     for reason, count in s["reasons"].items():
         say(out, f"ended by {reason}: {count}")
     if s["median_borne_N"] is not None:
+        share = s["median_share_of_bound"]
+        of_bound = "" if share is None else f"; {100 * share:.0f} % of {ALLOWED}"
         say(
             out,
-            f"borne: median {s['median_borne_N']:.3g} N, least {s['least_borne_N']:.3g} N; "
-            f"{100 * s['median_share_of_bound']:.0f} % of what the certificate allows any control",
+            f"borne: median {s['median_borne_N']:.3g} N, least {s['least_borne_N']:.3g} N"
+            + of_bound,
         )
     for name in s["contradictions"]:
         say(out, f"[bold red]contradiction:[/] {escape(name)}: more than the certificate allows")

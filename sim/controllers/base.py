@@ -44,9 +44,9 @@ class Observation:
         v: Their rates (nq,).
         T_world_base: Pose of the hand's base.
         T_world_object: Pose of the object.
-        object_twist: (6,), linear velocity of the centre of mass and angular velocity, world axes.
         normal_forces: Sum of normal forces on the object per finger that takes part, N, order of
             ``task.finger_names``.
+        read_twist: Reads ``object_twist``.
         read_contacts: Reads ``contacts``.
         read_pads: Reads ``pads``.
     """
@@ -58,10 +58,15 @@ class Observation:
     v: FloatArray
     T_world_base: SE3
     T_world_object: SE3
-    object_twist: FloatArray
     normal_forces: FloatArray
+    read_twist: Callable[[], FloatArray]
     read_contacts: Callable[[], ContactSet]
     read_pads: Callable[[], PadReading] = PadReading.nothing
+
+    @cached_property
+    def object_twist(self) -> FloatArray:
+        """Linear velocity of the object's centre of mass and its angular velocity, (6,), world."""
+        return self.read_twist()
 
     @cached_property
     def contacts(self) -> ContactSet:

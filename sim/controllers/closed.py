@@ -25,7 +25,8 @@ import numpy as np
 
 from planner.errors import NotFoundError, TaskError
 from planner.forces import ForceLoop, turned_frames
-from planner.plan import GraspPlan, smooth
+from planner.paths import smooth
+from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from sim.controllers.base import Observation
 from sim.controllers.events import Event, EventKind

@@ -16,22 +16,19 @@ neutral equilibrium. Joints whose actuators have no stiffness (motors) get one h
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pinocchio as pin
 
+from planner.actuation import Actuation
 from planner.hand import Hand
-from planner.kinematics import HandState
-from planner.plan import GraspPlan, smooth
+from planner.kinematics import HandState, MovingHand
+from planner.paths import smooth
+from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, skew
 from sim.controllers.base import Observation
+from sim.controllers.schedule import TOUCH_FORCE
 
-__all__ = ["GraspController", "motor_servo"]
-
-TOUCH_FORCE = 0.1
-"""Normal force (N) at which a finger counts as touching while it closes: a tenth of what moves an
-object of 0.1 kg, and far above what contact reports by rounding."""
+__all__ = ["GraspController", "limited", "motor_servo"]
 
 CLOSE_RATE = 4.0
 """Fastest change (1/s) of a finger's share of the closing motion, for one that lost touch."""
@@ -82,7 +79,7 @@ class GraspController:
         self._share = np.zeros(len(self._fingers))
         self._reach = np.zeros(len(self._fingers))
         self._stiffness, self._damping = motor_servo(self._hand, plan.q)
-        self._pin_data: Any = self._hand.pin_model.createData()
+        self._state = MovingHand(self._hand, plan.q)
         self._torque = np.zeros(self._hand.nq)
         self._latched = False
         self._time = 0.0
@@ -91,7 +88,8 @@ class GraspController:
     def step(self, observation: Observation) -> FloatArray:
         """Commands (nu,) for the hand's actuators."""
         elapsed, self._time = observation.time - self._time, observation.time
-        torque = self._gravity_torque(observation)
+        gravity = observation.T_world_base.rotation.T @ self._gravity
+        torque = self._state.move(observation.q).gravity_torque(gravity)
         if observation.phase == "close":
             self._close(observation, elapsed)
         elif observation.phase != "approach":
@@ -108,11 +106,7 @@ class GraspController:
 
     def limited_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last step wanted."""
-        actuation = self._hand.actuation
-        force, _ = actuation.split_torque(self.q_ref, self._torque)
-        low, high = actuation.force_limits(self.q_ref).T
-        beyond = np.flatnonzero((force > high + LIMIT_TOL) | (force < low - LIMIT_TOL))
-        return tuple(actuation.names[i] for i in beyond)
+        return limited(self._hand.actuation, self.q_ref, self._torque)
 
     def _close(self, observation: Observation, elapsed: float) -> None:
         """Advance every finger that does not touch."""
@@ -129,19 +123,11 @@ class GraspController:
             q[k] = plan.q_pregrasp[k] + share * (plan.q[k] - plan.q_pregrasp[k])
         self.q_ref = q + self._reach @ self._search
 
-    def _gravity_torque(self, observation: Observation) -> FloatArray:
-        """Joint torques (nq,) that carry the hand; leaves the Jacobians at q in ``_pin_data``.
-
-        The same as ``HandState.gravity_torque``, without allocating at every time step.
-        """
-        model, data = self._hand.pin_model, self._pin_data
-        pin.computeJointJacobians(model, data, observation.q)
-        com_jacobian = pin.jacobianCenterOfMass(model, data, observation.q)
-        gravity = observation.T_world_base.rotation.T @ self._gravity
-        return np.asarray(-data.mass[0] * gravity @ com_jacobian)
-
     def _pressing_torque(self, observation: Observation) -> FloatArray:
-        """Joint torques (nq,) of the full planned forces at the object's present pose."""
+        """Joint torques (nq,) of the full planned forces at the object's present pose.
+
+        The hand must have been moved to the joints of now.
+        """
         T_base_object: SE3 = observation.T_world_base.inverse() * observation.T_world_object
         turn = T_base_object.rotation.T
         points = self._points @ turn + T_base_object.translation
@@ -152,7 +138,7 @@ class GraspController:
         for finger, force, moment in zip(self._fingers, forces, moments, strict=True):
             jacobian = pin.getJointJacobian(
                 self._hand.pin_model,
-                self._pin_data,
+                self._state.pin_data,
                 finger.pad.joint_id,
                 pin.ReferenceFrame.WORLD,
             )
@@ -173,6 +159,14 @@ class GraspController:
             gram = jacobian @ jacobian.T + SEARCH_DAMPING**2 * np.eye(3)
             row[finger.q_index] = jacobian.T @ np.linalg.solve(gram, inverse.rotation @ normal)
         return out
+
+
+def limited(actuation: Actuation, q: FloatArray, torque: FloatArray) -> tuple[str, ...]:
+    """Names of the actuators whose limits at q (nq,) are below what a joint torque (nq,) takes."""
+    force, _ = actuation.split_torque(q, torque)
+    low, high = actuation.force_limits(q).T
+    beyond = np.flatnonzero((force > high + LIMIT_TOL) | (force < low - LIMIT_TOL))
+    return tuple(actuation.names[i] for i in beyond)
 
 
 def motor_servo(hand: Hand, q: FloatArray) -> tuple[FloatArray, FloatArray]:

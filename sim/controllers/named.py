@@ -16,7 +16,8 @@ __all__ = ["CONTROLLERS", "named_controller"]
 CONTROLLERS: Mapping[str, Callable[[GraspPlan], Controller]] = MappingProxyType(
     {"open": GraspController, "closed": ObjectImpedance}
 )
-"""open: the planned forces, and servos that hold the posture; closed: the loop on the object."""
+"""open: the planned forces, turned with the object, and servos that hold the posture, but nothing
+that steers the object; closed: the loop that keeps the object's pose."""
 
 
 def named_controller(name: str) -> Callable[[GraspPlan], Controller]:

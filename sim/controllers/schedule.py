@@ -19,8 +19,9 @@ RAMP = 0.1
 """Time (s) in which a finger takes or gives away its whole force: slow beside the bandwidth."""
 
 TOUCH_FORCE, LOST_FORCE = 0.1, 0.03
-"""Normal forces (N) from which on a pad touches, and below which it has lost the object: above and
-below the rounding of forces, apart so that noise does not toggle them."""
+"""Normal forces (N) from which on a finger touches, and below which it has lost the object: a tenth
+of what moves an object of 0.1 kg, and both far above rounding; apart, so that noise does not toggle
+them."""
 
 TOUCH_TIME, LOST_TIME = 0.006, 0.006
 """How long (s) that must last: three steps of 2 ms."""

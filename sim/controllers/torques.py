@@ -14,15 +14,14 @@ All of it is in the axes of the hand's base.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from planner.kinematics import MovingHand
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, skew
-from sim.controllers.grasp import LIMIT_TOL, motor_servo
+from sim.controllers.grasp import limited, motor_servo
 
 __all__ = ["HoldingTorques", "grasp_matrix"]
 
@@ -60,10 +59,8 @@ class HoldingTorques:
     def __init__(self, plan: GraspPlan) -> None:
         """Prepare memory."""
         self._hand, self._fingers = plan.task.hand, plan.task.fingers
-        self._data: Any = self._hand.pin_model.createData()
+        self._state = MovingHand(self._hand, plan.q)
         n, nq = len(self._fingers), self._hand.nq
-        frame = self._hand.pin_model.frames[self._hand.palm_frame_id]
-        self._palm_joint, self._palm_in_joint = frame.parentJoint, SE3(frame.placement)
         self.T_base_palm = SE3.Identity()
         self.centers = np.zeros((n, 3))
         self.jacobians = np.zeros((n, 3, nq))
@@ -86,16 +83,18 @@ class HoldingTorques:
     def move(self, q: FloatArray, v: FloatArray, gravity: FloatArray) -> None:
         """Go to joints (nq,) and rates (nq,), with gravity (3,) in the base's axes, m/s2."""
         self._q, self._v = q, v
-        model, data = self._hand.pin_model, self._data
-        pin.computeJointJacobians(model, data, q)
-        com_jacobian = pin.jacobianCenterOfMass(model, data, q)
-        self.T_base_palm = data.oMi[self._palm_joint] * self._palm_in_joint
-        self.gravity_torque = -data.mass[0] * (gravity @ com_jacobian)
+        state = self._state.move(q)
+        self.T_base_palm = state.T_base_palm
+        self.gravity_torque = state.gravity_torque(gravity)
         for i, finger in enumerate(self._fingers):
-            joint = finger.pad.joint_id
-            self.centers[i] = data.oMi[joint].act(finger.pad.center)
+            self.centers[i] = state.pad_center(finger)
             # WORLD: linear rows are the velocity of the point that passes the origin
-            self._full[i] = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.WORLD)
+            self._full[i] = pin.getJointJacobian(
+                self._hand.pin_model,
+                state.pin_data,
+                finger.pad.joint_id,
+                pin.ReferenceFrame.WORLD,
+            )
 
     def latch(self, finger: int | None = None) -> None:
         """Keep the posture and the fingertips as they are now; of one finger, or of all."""
@@ -158,11 +157,7 @@ class HoldingTorques:
 
     def limited_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last command wanted."""
-        actuation = self._hand.actuation
-        force, _ = actuation.split_torque(self._law_q, self._torque)
-        low, high = actuation.force_limits(self._law_q).T
-        beyond = np.flatnonzero((force > high + LIMIT_TOL) | (force < low - LIMIT_TOL))
-        return tuple(actuation.names[i] for i in beyond)
+        return limited(self._hand.actuation, self._law_q, self._torque)
 
     def _in_palm(self, points: FloatArray) -> FloatArray:
         """Points (n, 3) of the base in the palm."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
-
+from planner.plain import finite
 from sim.crosscheck.quantities import QUANTITIES, Difference, Quantity, Tally, Tolerances
 
 __all__ = ["SCHEMA", "Cell", "Column", "CrosscheckReport", "column_from"]
@@ -129,8 +128,8 @@ class CrosscheckReport:
                 "ok": c.ok,
                 "judged": c.judged,
                 "failure": c.failure,
-                "cells": [_plain(asdict(cell)) for cell in c.cells],
-                "differences": [_plain(asdict(d)) for d in c.differences],
+                "cells": [finite(asdict(cell)) for cell in c.cells],
+                "differences": [finite(asdict(d)) for d in c.differences],
                 "causes": c.causes,
                 "notes": list(c.notes),
             }
@@ -183,10 +182,3 @@ def _verdict(quantity: Quantity, error: float, tolerance: float) -> str:
     if quantity.group == "overlap":
         return "reported"
     return "agrees" if error <= tolerance else "differs"
-
-
-def _plain(data: dict[str, Any]) -> dict[str, Any]:
-    return {
-        key: None if isinstance(value, float) and not np.isfinite(value) else value
-        for key, value in data.items()
-    }

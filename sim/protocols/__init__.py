@@ -10,9 +10,10 @@
 
 from __future__ import annotations
 
+from sim.protocols.catalog import PROTOCOLS, trials_of, unsuitable
 from sim.protocols.outcome import FAILURES, Fault, Outcome
 from sim.protocols.report import ProtocolReport, protocol_table, write_csv
-from sim.protocols.run import PROTOCOLS, run_protocol
+from sim.protocols.run import run_protocol
 from sim.protocols.settings import Settings
 
 __all__ = [
@@ -24,5 +25,7 @@ __all__ = [
     "Settings",
     "protocol_table",
     "run_protocol",
+    "trials_of",
+    "unsuitable",
     "write_csv",
 ]

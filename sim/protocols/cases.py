@@ -6,17 +6,27 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
+import numpy as np
+
 from planner.plan import GraspPlan
+from planner.spatial import FloatArray
 from sim.controllers import Controller
 from sim.physics import PhysicsOptions
 from sim.protocols.outcome import Outcome
 
-__all__ = ["AXES", "Case", "Conditions", "MakeController"]
+__all__ = ["AXES", "Case", "Conditions", "MakeController", "axis_of"]
 
 MakeController: TypeAlias = Callable[[GraspPlan], Controller]
 
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 """Names of the six directions along the world's axes."""
+
+
+def axis_of(i: int) -> FloatArray:
+    """Unit vector (3,) of a name in ``AXES``."""
+    out = np.zeros(3)
+    out[i // 2] = 1.0 - 2.0 * (i % 2)
+    return out
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,17 +21,18 @@ from typing import Any
 import numpy as np
 
 from planner.errors import TaskError
+from planner.hand import Hand
 from planner.judge import plan_forces
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, rotation_angle
 from sim.controllers import Observation
 from sim.physics import PhysicsOptions
-from sim.protocols.cases import AXES, Conditions
+from sim.protocols.cases import AXES, Conditions, axis_of
 from sim.protocols.hold import Hold
 from sim.protocols.outcome import Fault, Outcome
 from sim.timeline import Timeline
 
-__all__ = ["FcCase", "Replay", "fc_cases", "fc_physics"]
+__all__ = ["FcCase", "Replay", "fc_cases", "fc_physics", "without_servos"]
 
 MASS = 0.1
 """Of the object, kg."""
@@ -76,8 +77,7 @@ class FcCase:
         )
         floating = replace(plan, task=task)
         trial = _FcTrial(floating)
-        force = np.zeros(6)
-        force[self.index // 2] = PUSH * MASS * (1.0 - 2.0 * (self.index % 2))
+        force = np.append(PUSH * MASS * axis_of(self.index), np.zeros(3))
         fault = trial.test(force)
         return Outcome(
             index=self.index,
@@ -103,6 +103,18 @@ def fc_physics() -> PhysicsOptions:
     return PhysicsOptions(timestep=0.004, mu=0.6, mu_torsion=0.02, impratio=10, noslip_iterations=2)
 
 
+def without_servos(hand: Hand) -> str:
+    """Why a hand cannot be commanded by postures; "" if it can."""
+    actuation = hand.actuation
+    motors = [n for n, b in zip(actuation.names, actuation.bias, strict=True) if b[1] >= 0]
+    if not motors:
+        return ""
+    return (
+        f"protocol fc commands postures, and {', '.join(motors)} of {hand.name} are no "
+        "position servos; use the protocols forces, shake and robust"
+    )
+
+
 class Replay:
     """Commands postures one after the other, whatever happens: open loop."""
 
@@ -113,12 +125,8 @@ class Replay:
             TaskError: The hand has actuators that follow no position.
         """
         hand, actuation = plan.task.hand, plan.task.hand.actuation
-        motors = [n for n, b in zip(actuation.names, actuation.bias, strict=True) if b[1] >= 0]
-        if motors:
-            raise TaskError(
-                f"protocol fc commands postures, and {', '.join(motors)} of {hand.name} are no "
-                "position servos; use the protocols forces, shake and robust"
-            )
+        if reason := without_servos(hand):
+            raise TaskError(reason)
         forces = plan_forces(plan.task, plan.contacts, plan.T_world_base, plan.q)
         self.fault = "" if forces.found else forces.reason
         self.pregrasp = actuation.moment @ plan.q_pregrasp + actuation.length0

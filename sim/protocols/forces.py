@@ -15,15 +15,16 @@ import numpy as np
 from planner.judge import plan_forces
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
+from planner.task import GRAVITY
 from sim.protocols.bounds import proven_bound
-from sim.protocols.cases import AXES, Conditions
+from sim.protocols.cases import AXES, Conditions, axis_of
 from sim.protocols.hold import Hold
 from sim.protocols.outcome import Fault, Outcome
 from sim.protocols.settings import Settings
 
 __all__ = ["GravityCase", "PushCase", "forces_cases"]
 
-G = 9.81
+G = -GRAVITY[2]
 """Gravity (m/s2) of a task that has none, and what weights are reckoned with."""
 
 
@@ -49,7 +50,7 @@ class GravityCase:
     def run(self, plan: GraspPlan, conditions: Conditions) -> Outcome:
         """Distribute the forces for this gravity, then hold."""
         turned = replace(
-            plan.task, gravity=_axis(self.axis) * (np.linalg.norm(plan.task.gravity) or G)
+            plan.task, gravity=axis_of(self.axis) * (np.linalg.norm(plan.task.gravity) or G)
         )
         forces = plan_forces(turned, plan.contacts, plan.T_world_base, plan.q)
         other = replace(plan, task=turned, forces=forces, contacts=forces.contacts)
@@ -123,7 +124,7 @@ def forces_cases(settings: Settings, seed: int) -> tuple[GravityCase | PushCase,
     named = {}
     for offset, kind in ((0, "force"), (3, "torque")):
         for i, axis in enumerate(AXES):
-            named[f"{kind} {axis}"] = np.roll(np.append(_axis(i), np.zeros(3)), offset)
+            named[f"{kind} {axis}"] = np.roll(np.append(axis_of(i), np.zeros(3)), offset)
     rng = np.random.default_rng(seed)
     for k in range(settings.random):
         drawn = rng.normal(size=6)
@@ -133,13 +134,6 @@ def forces_cases(settings: Settings, seed: int) -> tuple[GravityCase | PushCase,
         for i, (name, direction) in enumerate(named.items())
     ]
     return (*gravity, *pushes)
-
-
-def _axis(i: int) -> FloatArray:
-    """Unit vector (3,) of a name in ``AXES``."""
-    out = np.zeros(3)
-    out[i // 2] = 1.0 - 2.0 * (i % 2)
-    return out
 
 
 def _load(

@@ -24,6 +24,7 @@ from planner.spatial import SE3, FloatArray, rotation_angle
 from sim.carrier import Carrier
 from sim.contacts import hand_contacts, normal_forces
 from sim.controllers import Controller, Event, Phase, ReportsEvents
+from sim.controllers.slip import SLIP_SPEED
 from sim.physics import PhysicsOptions
 from sim.protocols.outcome import Failure, Fault
 from sim.timeline import Timeline
@@ -46,7 +47,7 @@ BLAME_WINDOW = 0.2
 """An actuator at its limit in most looks of this long (s) before a failure is its reason."""
 
 
-REST_SPEED = 0.005
+REST_SPEED = SLIP_SPEED
 """Speed (m/s), of the centre of mass or by the turn on the bounding sphere, below which an object
 is at rest: the speed from which on a contact is said to slip."""
 

@@ -13,11 +13,12 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
+from planner.plain import finite
 from planner.spatial import FloatArray
 from sim.controllers import Event
 from sim.verdict import Reason, Samples
 
-__all__ = ["FAILURES", "Failure", "Fault", "Outcome", "finite"]
+__all__ = ["FAILURES", "Failure", "Fault", "Outcome"]
 
 Failure: TypeAlias = Reason | Literal["penetration"]
 
@@ -136,7 +137,7 @@ class Outcome:
             "detail": "" if self.fault is None else self.fault.detail,
             **self.conditions,
         }
-        return {key: finite(value) for key, value in row.items()}
+        return dict(finite(row))
 
     def to_dict(self) -> dict[str, Any]:
         """The row, and everything over time."""
@@ -159,12 +160,3 @@ class Outcome:
                 "actuators_at_limit": [list(names) for names in s.limited],
             },
         }
-
-
-def finite(value: Any) -> Any:
-    """Plain data of a number or an array, None for each number that is not finite."""
-    if isinstance(value, np.ndarray):
-        return [finite(v) for v in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value

@@ -15,7 +15,8 @@ from rich import box
 from rich.table import Table
 
 from planner.errors import FileFormatError
-from sim.protocols.outcome import Outcome, finite
+from planner.plain import finite
+from sim.protocols.outcome import Outcome
 
 __all__ = ["ProtocolReport", "protocol_table", "write_csv"]
 
@@ -73,14 +74,12 @@ class ProtocolReport:
 
     @property
     def success(self) -> bool:
-        """Whether all trials were finished, and held to the end where no load grows."""
+        """Whether the grasp held in every trial without a growing load and bore loads in the rest.
+
+        All trials must have been finished; to bear a load is to come to rest under the first one.
+        """
         held = all(o.held for o in self.fixed) and all(o.borne > 0 for o in self.loaded)
         return self.complete and held
-
-    @property
-    def held_share(self) -> float:
-        """Share of the trials without a growing load in which the object was held; NaN if none."""
-        return float(np.mean([o.held for o in self.fixed])) if self.fixed else float("nan")
 
     @property
     def reasons(self) -> dict[str, int]:
@@ -132,12 +131,12 @@ class ProtocolReport:
             "contradictions": list(self.contradictions),
             "largest_drift_mm": max(drift, default=float("nan")),
             "epsilon_planned": self.epsilon_planned,
-            "grip_N": list(self.grip_N),
-            "physics": dict(self.physics),
-            "settings": dict(self.settings),
+            "grip_N": self.grip_N,
+            "physics": self.physics,
+            "settings": self.settings,
             "wall_s": self.wall_s,
         }
-        return {key: finite(value) for key, value in data.items()}
+        return dict(finite(data))
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain data; what is not a finite number becomes None."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 import time
 from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass
@@ -18,28 +17,23 @@ from typing import Any
 import mujoco
 from rich.console import Console
 
-from planner.errors import FileFormatError, NotFoundError, PlannerError, TaskError
-from planner.files import plan_to_dict, read_plan
+from planner.errors import FileFormatError, PlannerError, TaskError
+from planner.files import plan_from_dict, plan_to_dict
 from planner.hand import Hand
 from planner.plan import GraspPlan
-from sim.bench.run import Runner, made_with
 from sim.controllers import named_controller
 from sim.physics import CONTACT_SOLIMP, CONTACT_SOLREF, PhysicsOptions
 from sim.protocols.cases import Case, Conditions, MakeController
-from sim.protocols.fc import fc_cases, fc_physics
-from sim.protocols.forces import forces_cases
+from sim.protocols.catalog import cases_of, trials_of, unsuitable
+from sim.protocols.fc import fc_physics
 from sim.protocols.hold import quiet
 from sim.protocols.outcome import Outcome
 from sim.protocols.report import ProtocolReport
-from sim.protocols.robust import robust_cases
 from sim.protocols.settings import Settings
-from sim.protocols.shake import shake_cases
+from sim.runner import Runner, made_with
 from sim.scene import build_scene
 
-__all__ = ["PROTOCOLS", "cases_of", "run_protocol"]
-
-PROTOCOLS = ("fc", "forces", "shake", "robust")
-"""Names of the protocols."""
+__all__ = ["run_protocol"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,23 +43,6 @@ class _Job:
     plan: str
     case: Case
     conditions: Conditions
-
-
-def cases_of(protocol: str, settings: Settings, seed: int) -> tuple[Case, ...]:
-    """The trials of a protocol, in order.
-
-    Raises:
-        NotFoundError: There is no such protocol.
-    """
-    if protocol == "fc":
-        return fc_cases()
-    if protocol == "forces":
-        return forces_cases(settings, seed)
-    if protocol == "shake":
-        return shake_cases(settings)
-    if protocol == "robust":
-        return robust_cases(settings, seed)
-    raise NotFoundError("protocol", protocol, list(PROTOCOLS))
 
 
 def run_protocol(
@@ -114,9 +91,14 @@ def run_protocol(
         raise TaskError("workers is 0; give the number of processes, or -1 for one per core")
     settings = settings or Settings()
     physics = fc_physics() if protocol == "fc" else physics or PhysicsOptions()
-    cases = _chosen(cases_of(protocol, settings, seed), only)
+    (names,) = trials_of([protocol], only, settings, seed).values()
+    cases = [case for case in cases_of(protocol, settings, seed) if case.name in names]
     make = named_controller(controller) if isinstance(controller, str) else controller
+    if reason := unsuitable(protocol, plan.task):
+        raise TaskError(reason)
     label = controller if isinstance(controller, str) else getattr(make, "__name__", "given")
+    if protocol == "fc":
+        label = "replay"
     text = json.dumps(plan_to_dict(plan))
     conditions = Conditions(physics=physics, controller=make)
     jobs = [_Job(plan=text, case=case, conditions=conditions) for case in cases]
@@ -135,14 +117,14 @@ def run_protocol(
             workers=(os.cpu_count() or 1) if workers < 0 else workers,
         ).run(_run, jobs, title=f"{protocol} {name}".strip(), keep=keep, given_up=_given_up)
     task = plan.task
-    own = {} if protocol == "fc" else {k: v for k, v in asdict(settings).items()}
+    own = {} if protocol == "fc" else asdict(settings)
     return ProtocolReport(
         protocol=protocol,
         plan=name,
         hand=task.hand.name,
         object=task.object.shape.spec,
         mass_kg=task.object.mass,
-        controller="replay" if protocol == "fc" else label,
+        controller=label,
         seed=seed,
         physics=physics_of(plan, physics),
         settings=own,
@@ -152,15 +134,6 @@ def run_protocol(
         outcomes=tuple(sorted(outcomes, key=lambda o: o.index)),
         wall_s=time.perf_counter() - begin,
     )
-
-
-def _chosen(cases: tuple[Case, ...], only: Collection[str]) -> tuple[Case, ...]:
-    """Those of some names, in order; all without names."""
-    names = [case.name for case in cases]
-    for name in only:
-        if name not in names:
-            raise NotFoundError("trial", name, names)
-    return tuple(case for case in cases if not only or case.name in only)
 
 
 def physics_of(plan: GraspPlan, physics: PhysicsOptions) -> dict[str, Any]:
@@ -218,10 +191,7 @@ _plans: dict[str, GraspPlan] = {}
 def _plan_of(text: str, hand: Hand | None = None) -> GraspPlan:
     """The plan that a text holds; only the last one is kept."""
     if text not in _plans:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "plan.json"
-            path.write_text(text, encoding="utf-8")
-            plan = read_plan(path, hand=hand)
+        plan = plan_from_dict(json.loads(text), "the plan", hand=hand)
         _plans.clear()
         _plans[text] = plan
     return _plans[text]

@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 
 from planner.errors import TaskError
-from planner.plan import GraspPlan, smooth
+from planner.hand import Hand
+from planner.paths import smooth
+from planner.plan import GraspPlan
 from sim.controllers import Phase
 from sim.mount import MOUNT_AXES, MOUNT_FREQUENCY, Mount
 from sim.protocols.cases import Conditions
@@ -23,7 +25,7 @@ from sim.protocols.hold import Hold
 from sim.protocols.outcome import Outcome
 from sim.protocols.settings import Settings
 
-__all__ = ["ShakeCase", "Shaker", "shake_cases"]
+__all__ = ["ShakeCase", "Shaker", "on_an_arm", "shake_cases"]
 
 TINY = 1e-4
 """Step (s) of the differences that rate and acceleration are taken by."""
@@ -61,10 +63,7 @@ class ShakeCase:
         )
         mount = hold.scene.mount
         if mount is None:
-            raise TaskError(
-                f"protocol shake shakes the mount, and {plan.task.hand.name} is on an arm; plan "
-                "with the hand without its arm"
-            )
+            raise TaskError(on_an_arm(plan.task.hand))
         linear = self.index < 3
         asked = 1e-3 * settings.shake_mm if linear else np.deg2rad(settings.shake_deg)
         shaker = Shaker(mount, self.index, asked, settings.shake_hz, settings.shake_s)
@@ -94,6 +93,16 @@ class ShakeCase:
 def shake_cases(settings: Settings) -> tuple[ShakeCase, ...]:
     """One for every axis of the mount."""
     return tuple(ShakeCase(index=i, settings=settings) for i in range(len(MOUNT_AXES)))
+
+
+def on_an_arm(hand: Hand) -> str:
+    """Why a hand's mount cannot be shaken; "" if it can."""
+    if hand.arm is None:
+        return ""
+    return (
+        f"protocol shake shakes the mount, and {hand.name} is on an arm; plan with the hand "
+        "without its arm"
+    )
 
 
 class Shaker:

@@ -1,0 +1,46 @@
+"""``finite``: whatever numbers go in, strict JSON comes out, and finite ones are not changed."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from planner.plain import finite
+
+NUMBERS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3)
+DATA = st.recursive(
+    NUMBERS, lambda inner: st.lists(inner) | st.dictionaries(st.text(max_size=3), inner)
+)
+
+
+@given(DATA)
+def test_the_outcome_is_strict_json_and_stays_what_it_is(data: Any) -> None:
+    once = finite(data)
+    assert json.loads(json.dumps(once, allow_nan=False)) == once
+    assert finite(once) == once
+
+
+def test_arrays_and_tuples_are_lists_and_what_is_not_finite_is_none() -> None:
+    given_data = {
+        "forces": np.array([[1.0, np.nan], [-np.inf, 2.5]]),
+        "pair": (1, float("inf")),
+        "deep": [{"worst": np.float64("nan"), "count": np.int64(3), "ok": np.True_}],
+        "name": "thumb",
+    }
+    assert finite(given_data) == {
+        "forces": [[1.0, None], [None, 2.5]],
+        "pair": [1, None],
+        "deep": [{"worst": None, "count": 3, "ok": True}],
+        "name": "thumb",
+    }
+    assert type(finite(given_data)["deep"][0]["count"]) is int
+
+
+@pytest.mark.parametrize("value", [0, -3, 2.5, True, None, "nan"])
+def test_the_rest_is_kept(value: object) -> None:
+    assert finite(value) is value
