@@ -1,0 +1,81 @@
+"""The path of an object in the hand: a turn about an axis, a translation, or both at once.
+
+At share s of the path the object has been turned by s * angle about an axis through the origin of
+its frame, and its origin moved by s * shift. Axis and shift are in world axes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from planner.errors import TaskError
+from planner.spatial import SE3, FloatArray
+
+__all__ = ["ObjectPath"]
+
+SHORTEST = 1e-9
+"""Length (-) below which an axis has no direction; turns (rad) and shifts (m) below it are none."""
+
+LARGEST_TURN = np.pi
+"""Largest turn (rad) of one stroke: no fixed grasp of a hand goes further."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectPath:
+    """Where an object is to go from where it is.
+
+    Attributes:
+        axis: (3,), unit, world.
+        angle: Turn about the axis over the whole path, rad, with its sign.
+        shift: Translation over the whole path (3,), m, world.
+    """
+
+    axis: FloatArray
+    angle: float
+    shift: FloatArray
+
+    def __post_init__(self) -> None:
+        """Check the numbers, and make the axis a unit vector.
+
+        Raises:
+            TaskError: No axis, numbers that are not finite, or a path that goes nowhere or too far.
+        """
+        axis = np.array(self.axis, dtype=np.float64)
+        shift = np.array(self.shift, dtype=np.float64)
+        length = float(np.linalg.norm(axis)) if axis.shape == (3,) else 0.0
+        if not (np.isfinite(axis).all() and length > SHORTEST):
+            raise TaskError(f"axis is {self.axis}; give a direction of three numbers in world axes")
+        if shift.shape != (3,) or not np.isfinite(shift).all():
+            raise TaskError(f"shift is {self.shift}; give three finite numbers in m, world axes")
+        if not np.isfinite(self.angle) or abs(self.angle) > LARGEST_TURN + SHORTEST:
+            raise TaskError(
+                f"angle is {self.angle} rad; give at most a half turn (pi) in either direction, "
+                "since the fingers stay where they touch"
+            )
+        if abs(self.angle) < SHORTEST and float(np.linalg.norm(shift)) < SHORTEST:
+            raise TaskError("the object is to stay where it is; give an angle or a shift")
+        object.__setattr__(self, "axis", axis / length)
+        object.__setattr__(self, "shift", shift)
+        object.__setattr__(self, "angle", float(self.angle))
+
+    def cut(self, share: float) -> ObjectPath:
+        """The first part of the path."""
+        return ObjectPath(axis=self.axis, angle=share * self.angle, shift=share * self.shift)
+
+    def pose(self, T_world_start: SE3, share: float) -> SE3:
+        """Pose of the object at a share of the path that begins at ``T_world_start``."""
+        turn = pin.exp3(share * self.angle * self.axis)
+        return SE3(turn @ T_world_start.rotation, T_world_start.translation + share * self.shift)
+
+    def __str__(self) -> str:
+        """Turn and translation in words."""
+        parts = []
+        if abs(self.angle) >= SHORTEST:
+            axis = ", ".join(f"{v:.3g}" for v in self.axis + 0.0)
+            parts.append(f"{np.rad2deg(self.angle):.1f} degrees about ({axis})")
+        if float(np.linalg.norm(self.shift)) >= SHORTEST:
+            parts.append(f"({', '.join(f'{1e3 * v:.1f}' for v in self.shift)}) mm")
+        return " and ".join(parts)

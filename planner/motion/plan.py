@@ -1,0 +1,182 @@
+"""``MotionPlan``: a verified motion of an object in the hand, knot by knot, and what limits it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner.contacts import ContactSet
+from planner.forces import ForceSolution
+from planner.motion.limits import Limit
+from planner.motion.path import ObjectPath
+from planner.plan import GraspPlan
+from planner.quality import ClosureResult
+from planner.spatial import SE3, FloatArray
+from planner.synthesis.verify import Verification
+
+__all__ = ["Knot", "MotionPlan", "MotionRecord"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Knot:
+    """The object in the hand at one place of its path, verified like a grasp.
+
+    Attributes:
+        place: Where on the path, 0 to 1.
+        T_world_object: Pose of the object; the base stands where the grasp has it.
+        q: Joints (nq,), pads just touching.
+        contacts: Contacts with the true surface, world, with the planned forces.
+        forces: The distribution that bears the object's weight here.
+        closure: Force closure of the contacts.
+        verification: Residuals on the true geometry.
+        off_path: Distance of the object from its path, m.
+        slips: How far (n,), m, each pad slides from the knot before to here: 0 if it rolls.
+        between: Largest pad gap, m, half-way from the knot before if all joints move evenly.
+    """
+
+    place: float
+    T_world_object: SE3
+    q: FloatArray
+    contacts: ContactSet
+    forces: ForceSolution
+    closure: ClosureResult
+    verification: Verification
+    off_path: float
+    slips: FloatArray
+    between: float
+
+    @property
+    def contacts_in_object(self) -> ContactSet:
+        """The contacts in the object's frame."""
+        return self.contacts.transformed(self.T_world_object.inverse())
+
+    @property
+    def clearance(self) -> float:
+        """Smallest distance of what must not touch, m."""
+        return min((c.distance for c in self.verification.closest), default=np.inf)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionRecord:
+    """Where a motion comes from.
+
+    Attributes:
+        seed: Seed of the search.
+        attempt: Number of the attempt that gave it, from 0; seed and attempt fix the start.
+        attempts: How many were made.
+        iterations: Evaluations of the descents of its attempt.
+        worst: Largest weighted residual of a term of what was verified.
+        cpu_s: CPU time of the search until it ended, s, without building.
+        build_s: Time that building took, s.
+    """
+
+    seed: int
+    attempt: int
+    attempts: int
+    iterations: int
+    worst: float
+    cpu_s: float
+    build_s: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MotionPlan:
+    """A motion of the object in the hand; every knot passed the checks of a grasp.
+
+    All poses are where the grasp is. Hand and object are lifted first, and both by the same
+    translation; that is left out here.
+
+    Attributes:
+        grasp: The grasp with which it begins, with its way in, on the table or where the object is.
+        path: The path that the object goes; shorter than what was asked for if that was too long.
+        knots: In order; the first is the grasp.
+        tube: Radius within which the object was allowed to leave the path, m.
+        limits: What kept the path from being longer, where as much as there is was asked for.
+        record: Where the motion comes from.
+    """
+
+    grasp: GraspPlan
+    path: ObjectPath
+    knots: tuple[Knot, ...]
+    tube: float
+    limits: tuple[Limit, ...]
+    record: MotionRecord
+
+    @property
+    def T_world_base(self) -> SE3:
+        """Pose of the hand's base, from the first knot to the last."""
+        return self.grasp.T_world_base
+
+    @property
+    def margin(self) -> float:
+        """Normalised min-weight of closure (-) at the knot where it is least."""
+        return min(k.closure.normalised_min_weight for k in self.knots)
+
+    @property
+    def clearance(self) -> float:
+        """Smallest distance of what must not touch, m, over all knots."""
+        return min(k.clearance for k in self.knots)
+
+    @property
+    def joint_room(self) -> tuple[str, float, float]:
+        """The finger joint that comes nearest to an end of its range, by how much (share), where.
+
+        Couplings' stops count as ends too little to be told here: only ranges do.
+        """
+        hand = self.grasp.task.hand
+        index = np.concatenate([f.q_index for f in self.grasp.task.fingers])
+        lower, upper = hand.q_lower[index], hand.q_upper[index]
+        q = np.array([k.q[index] for k in self.knots])
+        room = np.minimum(q - lower, upper - q) / np.maximum(upper - lower, SMALLEST_RANGE)
+        k, j = np.unravel_index(int(np.argmin(room)), room.shape)
+        return hand.joint_names[index[j]], float(room[k, j]), self.knots[k].place
+
+    @property
+    def slipped(self) -> FloatArray:
+        """How far (n,), m, each pad slides over the whole path: 0 if it only rolls."""
+        return np.sum([k.slips for k in self.knots], axis=0)
+
+    def at(self, place: float) -> tuple[SE3, FloatArray]:
+        """Pose of the object and joints (nq,) at a place of the path, 0 to 1, between knots.
+
+        The object is interpolated along its screw, the joints evenly.
+        """
+        places = np.array([k.place for k in self.knots])
+        i = int(np.clip(np.searchsorted(places, place, side="right") - 1, 0, len(places) - 2))
+        share = float(np.clip((place - places[i]) / (places[i + 1] - places[i]), 0.0, 1.0))
+        a, b = self.knots[i], self.knots[i + 1]
+        return SE3.Interpolate(a.T_world_object, b.T_world_object, share), a.q + share * (b.q - a.q)
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"<MotionPlan of {self.grasp.task!r}: {self.path}>"
+
+    def __str__(self) -> str:
+        """The path, the margins, and what limits it."""
+        joint, room, where = self.joint_room
+        task = self.grasp.task
+        lines = [
+            f"{task.hand.name} ({', '.join(task.finger_names)}), {task.object.shape.spec}: "
+            f"{self.path}",
+            f"  {len(self.knots)} knots, off the path by up to "
+            f"{1e3 * max(k.off_path for k in self.knots):.1f} mm (tube {1e3 * self.tube:.1f})",
+            f"  closure: least normalised min-weight {self.margin:.3f}",
+            f"  clearance: least {1e3 * self.clearance:.2f} mm",
+            f"  joints: {joint} comes within {100 * room:.1f} % of its range of an end, at "
+            f"{100 * where:.0f} % of the path",
+            "  pads slide by "
+            + ", ".join(
+                f"{name} {1e3 * s:.2f}"
+                for name, s in zip(task.finger_names, self.slipped, strict=True)
+            )
+            + " mm in all",
+        ]
+        if self.limits:
+            lines.append("  longer if these gave way:")
+            lines += [f"    {limit}" for limit in self.limits]
+        return "\n".join(lines)
+
+
+SMALLEST_RANGE = 1e-3
+"""Least range (rad or m) of a joint, so that a share of it is a number."""

@@ -1,0 +1,160 @@
+"""The problem of a motion: a grasp at every knot of a path, on one base, with tips that roll.
+
+Every knot is a grasp of ``planner.synthesis``: its terms (touch, surface, friction cones, an
+internal force, clearances, couplings, limits) hold there with the same margins. What binds them:
+
+    base     one pose for all knots (``planner.motion.unknowns``)
+    rolling  what a tip slides from knot to knot = 0 (``planner.motion.rolling``)
+    tube     how far the object leaves its path <= the tube's radius
+    reach    the share of the path that is covered: at least what is asked, or as much as there is
+
+Table and obstacles count at the first knot alone: the object is lifted before it is moved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from planner.hand import Finger, Hand
+from planner.motion.path import ObjectPath
+from planner.motion.rolling import rolling_function
+from planner.motion.unknowns import MotionUnknowns
+from planner.shapes import Shape
+from planner.spatial import FloatArray
+from planner.synthesis.avoid import Avoidance
+from planner.synthesis.options import SynthesisOptions
+from planner.synthesis.problem import GraspProblem, Start
+from planner.synthesis.residuals import Residuals
+from planner.synthesis.surfaces import surface_of
+from planner.synthesis.surroundings import NO_TABLE
+from planner.synthesis.terms import formulate
+from planner.task import GraspTask
+
+__all__ = ["MotionNumbers", "MotionProblem", "build_motion_problem"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionNumbers:
+    """The numbers of one motion to be solved for.
+
+    Attributes:
+        knots: Parameters (n_knots, n_p) of every knot as a grasp.
+        reference: R0 (3, 3) of the base in the middle frame.
+        places: Where each knot is on the path (n_knots,), 0 to 1.
+        axis: Axis in the object's frame at the start (3,), unit.
+        angle: Turn, rad.
+        shift: Translation in the same frame (3,), m.
+        tube: Radius within which the object may leave its path, m.
+    """
+
+    knots: FloatArray
+    reference: FloatArray
+    places: FloatArray
+    axis: FloatArray
+    angle: float
+    shift: FloatArray
+    tube: float
+
+
+@dataclass(frozen=True, eq=False)
+class MotionProblem:
+    """The problem of one hand, finger set and kind of shape, at any path.
+
+    Attributes:
+        grasp: The problem of a single knot.
+        avoidance: Its clearances.
+        n_knots: Number of knots.
+    """
+
+    grasp: GraspProblem
+    avoidance: Avoidance
+    n_knots: int
+
+    @property
+    def unknowns(self) -> MotionUnknowns:
+        """Layout of the unknowns."""
+        return MotionUnknowns(grasp=self.grasp.formulation.unknowns, n_knots=self.n_knots)
+
+    @cached_property
+    def rolling(self) -> Any:
+        """``rolling_function`` from every knot to the next, mapped."""
+        one = rolling_function(self.grasp.hand, self.grasp.fingers)
+        return one.map(self.n_knots - 1)
+
+    def numbers(
+        self,
+        task: GraspTask,
+        path: ObjectPath,
+        start: Start,
+        posture: FloatArray,
+        options: SynthesisOptions,
+        tube: float,
+    ) -> MotionNumbers:
+        """What the expressions need, for a start that grasps the object in the middle of its path.
+
+        Args:
+            task: The task; object, table and friction.
+            path: Where the object is to go.
+            start: Gives the base's reference orientation and the patches.
+            posture: Preferred joints (nq,).
+            options: Margins and weights.
+            tube: m.
+        """
+        first = self.grasp.parameters(task, start, posture, options)
+        later = first.copy()
+        later[self.grasp.formulation.places["table"].stop - 1] = -NO_TABLE
+        to_object = task.T_world_object.rotation.T
+        return MotionNumbers(
+            knots=np.vstack([first, *[later] * (self.n_knots - 1)]),
+            reference=np.array(start.T_object_base.rotation),
+            places=np.linspace(0.0, 1.0, self.n_knots),
+            axis=to_object @ path.axis,
+            angle=path.angle,
+            shift=to_object @ path.shift,
+            tube=tube,
+        )
+
+    def first(self, start: Start) -> FloatArray:
+        """The unknowns where all knots are the start: none of the path is covered."""
+        x = self.grasp.first(start)
+        shared = np.concatenate([x[:6], [0.0]])
+        n = self.n_knots
+        return self.unknowns.pack(shared, np.zeros((n, 3)), np.tile(x[6:], (n, 1)))
+
+    def bounds(self, start: Start, tube: float) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper bounds of the unknowns; the first knot is where the object is."""
+        n = self.n_knots
+        reach = np.full((n, 3), tube)
+        reach[0] = 0.0
+        lower, upper = (
+            self.unknowns.pack(
+                np.concatenate([bound[:6], [share]]), sign * reach, np.tile(bound[6:], (n, 1))
+            )
+            for bound, share, sign in zip(self.grasp.bounds(start), (0.0, 1.0), (-1, 1), strict=True)
+        )
+        return lower, upper
+
+
+def build_motion_problem(
+    hand: Hand, fingers: Sequence[Finger], kind_of: Shape, n_knots: int
+) -> MotionProblem:
+    """Build the problem of a motion.
+
+    Args:
+        hand: The hand; it floats.
+        fingers: The fingers that take part.
+        kind_of: Any shape of the kind; its size does not matter.
+        n_knots: Number of knots, 2 or more.
+    """
+    fingers = tuple(fingers)
+    surface = surface_of(kind_of)
+    formulation = formulate(hand, fingers, surface, 0, (), clearances=False)
+    avoidance = Avoidance(formulation, surface)
+    residuals = Residuals(formulation, surface.field, avoidance)
+    grasp = GraspProblem(hand, fingers, surface, 0, residuals, ())
+    return MotionProblem(grasp, avoidance, n_knots)

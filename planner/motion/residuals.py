@@ -1,0 +1,165 @@
+"""A motion as weighted residuals with their Jacobian: what ``planner.synthesis.descent`` descends.
+
+The residuals of a grasp are evaluated once for every knot; their derivatives by the knot's base
+pose are carried on to what all knots share. Units and weights are those of a grasp: a millimetre is
+one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from planner.motion.problem import MotionNumbers, MotionProblem
+from planner.motion.unknowns import SHARE, SHARED, TUBE, placement
+from planner.spatial import FloatArray, IntArray
+from planner.stages import stage
+from planner.synthesis.nlp import Field
+
+__all__ = ["PULL", "MotionResiduals", "Tally"]
+
+PER_METRE = 1e3
+"""A millimetre of sliding, or beyond the tube, is one unit of residual."""
+
+PULL = 4.0
+"""Residual of one radian, or of 35 mm (a fingertip's way in that), that is missing of the path. It
+makes a radian worth some 0.1 mm of violation, which the last descent takes back."""
+
+LEVER = 0.035
+"""Distance (m) of a contact from the axis that makes a shift comparable to a turn."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tally:
+    """How many rows of the last residuals belong to what, in their order.
+
+    Attributes:
+        avoided: Of each knot, which clearances are violated: numbers of their terms.
+        terms: Of each knot, how many other rows count.
+        rolling: Sliding.
+        tube: Knots outside the tube.
+    """
+
+    avoided: tuple[IntArray, ...]
+    terms: tuple[int, ...]
+    rolling: int
+    tube: int
+
+
+class MotionResiduals:
+    """Weighted residuals r(z) that count, (m,), and their Jacobian (m, n): terms, then costs.
+
+    Attributes:
+        n_terms: How many of the last ones belong to terms.
+        tally: What the last terms were.
+        pull: Residual per unit of the path's share that is missing; 0 for none.
+    """
+
+    def __init__(
+        self, problem: MotionProblem, numbers: MotionNumbers, field: Field | None
+    ) -> None:
+        """Bind a problem to numbers, and to the distance field of a mesh."""
+        self.problem, self.numbers, self._field = problem, numbers, field
+        self.n_terms = 0
+        self.tally: Tally
+        self.pull = 0.0
+
+    @property
+    def length(self) -> float:
+        """Length of the whole path in units of ``PULL``."""
+        n = self.numbers
+        return abs(n.angle) + float(np.linalg.norm(n.shift)) / LEVER
+
+    def knot(self, z: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
+        """Unknowns of knot k as a grasp (size,), and the derivative (6, 10) of the first six."""
+        u, n = self.problem.unknowns, self.numbers
+        y = np.concatenate([z[:SHARED], u.offsets(z)[k]])
+        reference = n.reference.ravel(order="F")
+        at, slope = placement()(y, reference, n.axis, n.angle, n.shift, n.places[k])
+        return np.concatenate([at.full().ravel(), u.rests(z)[k]]), slope.full()
+
+    def grasps(self, z: FloatArray) -> FloatArray:
+        """Unknowns (n_knots, size) of every knot as a grasp."""
+        return np.array([self.knot(z, k)[0] for k in range(self.problem.n_knots)])
+
+    def __call__(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Those that count at z."""
+        with stage("residuals"):
+            return self._evaluate(z)
+
+    def _evaluate(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        u, one = self.problem.unknowns, self.problem.grasp.residuals
+        terms: list[tuple[FloatArray, FloatArray]] = []
+        costs: list[tuple[FloatArray, FloatArray]] = []
+        avoided, counted = [], []
+        placed = [self.knot(z, k) for k in range(u.n_knots)]
+        for k, (x, slope) in enumerate(placed):
+            one.bind(self.numbers.knots[k], self._field)
+            r, local = one(x)
+            rows = np.zeros((len(r), u.size))
+            self._spread(rows, local, slope, k)
+            n = one.n_terms
+            terms.append((r[:n], rows[:n]))
+            costs.append((r[n:], rows[n:]))
+            violated = self.problem.avoidance(x).terms
+            avoided.append(violated)
+            counted.append(n - len(violated))
+        sliding = self._rolling(placed)
+        outside = self._tube(z)
+        self.tally = Tally(
+            avoided=tuple(avoided),
+            terms=tuple(counted),
+            rolling=len(sliding[0]),
+            tube=len(outside[0]),
+        )
+        terms += [sliding, outside]
+        if self.pull:
+            row = np.zeros((1, u.size))
+            row[0, SHARE] = -self.pull
+            # a term: as long as much of the path is missing, a descent goes on
+            terms.append((np.array([self.pull * (1.0 - z[SHARE])]), row))
+        self.n_terms = sum(len(r) for r, _ in terms)
+        parts = terms + costs
+        return np.concatenate([r for r, _ in parts]), np.vstack([rows for _, rows in parts])
+
+    def _spread(self, rows: FloatArray, local: FloatArray, slope: FloatArray, k: int) -> None:
+        """Add derivatives (m, size) by one knot's grasp unknowns to rows (m, n)."""
+        carried = local[:, :6] @ slope
+        at = self.problem.unknowns.columns(k)
+        rows[:, :SHARED] += carried[:, :SHARED]
+        rows[:, at.start : at.start + TUBE] += carried[:, SHARED:]
+        rows[:, at.start + TUBE : at.stop] += local[:, 6:]
+
+    def _rolling(
+        self, placed: list[tuple[FloatArray, FloatArray]]
+    ) -> tuple[FloatArray, FloatArray]:
+        u = self.problem.unknowns
+        x = np.array([x for x, _ in placed]).T
+        reference = np.tile(self.numbers.reference.ravel(order="F")[:, None], u.n_knots - 1)
+        out, jacobian = self.problem.rolling(ca.DM(x[:, :-1]), ca.DM(x[:, 1:]), ca.DM(reference))
+        values, slopes = out.full(), jacobian.full()
+        m, size = len(values), u.grasp.size
+        rows = np.zeros((m * (u.n_knots - 1), u.size))
+        for k in range(u.n_knots - 1):
+            mine = rows[k * m : (k + 1) * m]
+            local = slopes[:, 2 * size * k : 2 * size * (k + 1)]
+            self._spread(mine, local[:, :size], placed[k][1], k)
+            self._spread(mine, local[:, size:], placed[k + 1][1], k + 1)
+        return PER_METRE * values.T.ravel(), PER_METRE * rows
+
+    def _tube(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        u = self.problem.unknowns
+        offsets = u.offsets(z)
+        far = np.linalg.norm(offsets, axis=1)
+        out = np.flatnonzero(far > max(self.numbers.tube, LEAST_TUBE))
+        rows = np.zeros((len(out), u.size))
+        for row, k in zip(rows, out, strict=True):
+            at = u.columns(int(k)).start
+            row[at : at + TUBE] = -offsets[k] / far[k]
+        return PER_METRE * (self.numbers.tube - far[out]), PER_METRE * rows
+
+
+LEAST_TUBE = 1e-9
+"""Offset (m) from the path that is none."""

@@ -1,0 +1,303 @@
+"""``plan_motion``: draw a start, solve for all knots, verify each on the true geometry; repeat."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from planner.errors import NoGraspFoundError, TaskError
+from planner.motion.check import MotionJudge
+from planner.motion.path import LARGEST_TURN, ObjectPath
+from planner.motion.plan import MotionPlan, MotionRecord
+from planner.motion.problem import MotionProblem, build_motion_problem
+from planner.motion.solve import WORTH_A_LOOK, MotionCandidate, MotionSolver
+from planner.plan import SolveRecord
+from planner.spatial import FloatArray
+from planner.synthesis.mesh_seeds import seeder_for
+from planner.synthesis.options import SynthesisOptions
+from planner.task import GraspTask
+
+__all__ = ["MotionAttempt", "motion_attempts", "plan_motion"]
+
+TUBE = 0.01
+"""Default radius (m) within which the object may leave its path."""
+
+KNOT_TURN, KNOT_SHIFT = np.deg2rad(24.0), 0.015
+"""Most that the object turns (rad) or moves (m) between two knots of the solver."""
+
+STRETCH_KNOTS = 6
+"""Knots where as much as there is is asked for: up to 120 degrees are found."""
+
+MOTION_OPTIONS = SynthesisOptions(weight_posture=0.05)
+"""A motion leaves the pinch posture by design; a grasp is asked six times as much to keep to it."""
+
+ROUNDS = 1
+"""Rounds that work on closure at all knots."""
+
+BEST_OF = 6
+"""Attempts of which the longest path is taken where as much as there is is asked for."""
+
+MAX_ATTEMPTS = 30
+"""Attempts before giving up."""
+
+UP = (0.0, 0.0, 1.0)
+"""Default axis, world."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionAttempt:
+    """One attempt: a plan, or the reason why there is none.
+
+    Attributes:
+        index: Its number, from 0.
+        plan: The plan if it was found.
+        reason: Why not, "" if found.
+        cpu_s: CPU time of this attempt, s.
+    """
+
+    index: int
+    plan: MotionPlan | None
+    reason: str
+    cpu_s: float
+
+
+def motion_attempts(
+    task: GraspTask,
+    path: ObjectPath,
+    *,
+    whole: bool = True,
+    tube: float = TUBE,
+    seed: int = 0,
+    options: SynthesisOptions = MOTION_OPTIONS,
+) -> Iterator[MotionAttempt]:
+    """Endless independent attempts; attempt i depends on ``seed`` and i alone.
+
+    Args:
+        task: What is grasped, with what, where; the base is free.
+        path: Where the object is to go.
+        whole: Whether all of the path is asked for, else as much of it as there is.
+        tube: Radius within which the object may leave the path, m.
+        seed: Same seed, same attempts.
+        options: Margins and weights at each knot.
+
+    Raises:
+        TaskError: The task or the path cannot work, found out before solving.
+    """
+    _check(task, tube, seed)
+    seeder = seeder_for(task)
+    problem, build_s = _problem(task, _knots(path) if whole else STRETCH_KNOTS)
+    solver = MotionSolver(
+        problem, task, path, options, tube=tube, posture=seeder.posture, rounds=ROUNDS
+    )
+    judge = _judge(task)
+    index, total = 0, 0.0
+    while True:
+        begin = time.process_time()
+        start = seeder.draw(np.random.default_rng([seed, index]))
+        outcome: MotionPlan | str
+        if isinstance(start, str):
+            outcome = start
+        else:
+            candidate = solver.reach(start) if whole else solver.stretch(start)
+            outcome = _judged(judge, task, path, candidate, tube)
+        cpu = time.process_time() - begin
+        total += cpu
+        if isinstance(outcome, str):
+            yield MotionAttempt(index=index, plan=None, reason=outcome, cpu_s=cpu)
+        else:
+            record = replace(
+                outcome.record,
+                seed=seed,
+                attempt=index,
+                attempts=index + 1,
+                cpu_s=total,
+                build_s=build_s,
+            )
+            yield MotionAttempt(
+                index=index, plan=replace(outcome, record=record), reason="", cpu_s=cpu
+            )
+        index += 1
+
+
+def plan_motion(
+    task: GraspTask,
+    *,
+    axis: Sequence[float] | FloatArray = UP,
+    angle: float | None = None,
+    shift: Sequence[float] | FloatArray = (0.0, 0.0, 0.0),
+    tube: float = TUBE,
+    seed: int = 0,
+    max_attempts: int = MAX_ATTEMPTS,
+    best_of: int | None = None,
+    options: SynthesisOptions = MOTION_OPTIONS,
+) -> MotionPlan:
+    """A motion of the object in the hand, without regrasping.
+
+    Args:
+        task: What is grasped, with what, where it stands at the start; the base is free.
+        axis: Axis of the turn through the object's centre of mass (3,), world.
+        angle: Turn, rad, with its sign; None for as much as there is, counted positive about
+            ``axis``.
+        shift: Translation of the object along the path (3,), m, world.
+        tube: Radius within which the object may leave the path, m.
+        seed: Same seed, same plan.
+        max_attempts: Budget in attempts.
+        best_of: Attempts that are made in any case, of which the best is taken: the longest path
+            where ``angle`` is None, else the one with the largest margin of closure. None for one
+            where an angle is given and for ``BEST_OF`` where it is not.
+        options: Margins and weights at each knot.
+
+    Returns:
+        The plan; it tells what limits it.
+
+    Raises:
+        NoGraspFoundError: The budget ended; carries every attempt and its reason.
+        TaskError: The task or the path cannot work, or a budget is not positive.
+    """
+    if max_attempts < 1 or (best_of is not None and best_of < 1):
+        raise TaskError(f"max_attempts is {max_attempts}, best_of {best_of}; give at least 1")
+    whole = angle is not None
+    path = ObjectPath(
+        axis=np.asarray(axis, dtype=np.float64),
+        angle=LARGEST_TURN if angle is None else angle,
+        shift=np.asarray(shift, dtype=np.float64),
+    )
+    wanted = best_of or (1 if whole else BEST_OF)
+    made: list[MotionAttempt] = []
+    best: MotionPlan | None = None
+    for attempt in motion_attempts(
+        task, path, whole=whole, tube=tube, seed=seed, options=options
+    ):
+        made.append(attempt)
+        plan = attempt.plan
+        if plan is not None and (best is None or _rank(plan, whole) > _rank(best, whole)):
+            best = plan
+        if (best is not None and len(made) >= wanted) or len(made) >= max_attempts:
+            break
+    if best is None:
+        raise _nothing_found(task, path, made)
+    return replace(
+        best,
+        record=replace(best.record, attempts=len(made), cpu_s=sum(a.cpu_s for a in made)),
+    )
+
+
+def _rank(plan: MotionPlan, whole: bool) -> float:
+    """What makes one motion better than another: margin, or length of the path."""
+    if whole:
+        return plan.margin
+    return abs(plan.path.angle) + float(np.linalg.norm(plan.path.shift))
+
+
+def _judged(
+    judge: MotionJudge,
+    task: GraspTask,
+    path: ObjectPath,
+    candidate: MotionCandidate,
+    tube: float,
+) -> MotionPlan | str:
+    """A plan out of what the solver found, or why not."""
+    if candidate.worst > WORTH_A_LOOK:
+        return f"not solved: a term is violated by {candidate.worst:.2f} of its unit"
+    if candidate.share < LEAST_SHARE:
+        return f"only {100 * candidate.share:.1f} % of the path are reached"
+    covered = path.cut(candidate.share)
+    record = SolveRecord(
+        seed=0,
+        attempt=0,
+        attempts=1,
+        iterations=candidate.iterations,
+        status="motion",
+        cpu_s=candidate.cpu_s,
+        build_s=0.0,
+        objective="motion",
+    )
+    found = judge.judge(candidate, covered, tube, record)
+    if isinstance(found, str):
+        return found
+    grasp, knots = found
+    return MotionPlan(
+        grasp=grasp,
+        path=covered,
+        knots=knots,
+        tube=tube,
+        limits=candidate.limits,
+        record=MotionRecord(
+            seed=0,
+            attempt=0,
+            attempts=1,
+            iterations=candidate.iterations,
+            worst=candidate.worst,
+            cpu_s=0.0,
+            build_s=0.0,
+        ),
+    )
+
+
+LEAST_SHARE = 0.02
+"""Share of a path (-) below which nothing of it is reached."""
+
+
+def _knots(path: ObjectPath) -> int:
+    """Knots of the solver on a path."""
+    turn, shift = abs(path.angle) / KNOT_TURN, float(np.linalg.norm(path.shift)) / KNOT_SHIFT
+    return max(3, 1 + int(np.ceil(max(turn, shift) - ROUNDING)))
+
+
+ROUNDING = 1e-9
+"""A path longer than a whole number of pieces by this (-) has that number."""
+
+
+def _check(task: GraspTask, tube: float, seed: int) -> None:
+    if task.hand.arm is not None or task.T_world_base is not None:
+        raise TaskError(
+            f"the base of {task.hand.name} is fixed in this task; a motion is planned for a hand "
+            "whose base is free, so leave T_world_base out and take a hand without an arm"
+        )
+    if task.wrist_free:
+        raise TaskError("the wrist is free in this task; a motion is the fingers': hold the wrist")
+    if not (np.isfinite(tube) and tube >= 0):
+        raise TaskError(f"tube is {tube}; give a radius in m, 0 or more")
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise TaskError(f"seed is {seed!r}; give an integer >= 0")
+
+
+def _problem(task: GraspTask, n_knots: int) -> tuple[MotionProblem, float]:
+    """The problem of a task's hand, fingers and kind of shape, and the time to build it, s."""
+    begin = time.perf_counter()
+    kind = task.object.shape
+    found = _built(task, n_knots)
+    found.grasp.surface.field_of(kind)
+    return found, time.perf_counter() - begin
+
+
+@lru_cache(maxsize=8)
+def _built(task: GraspTask, n_knots: int) -> MotionProblem:
+    return build_motion_problem(task.hand, task.fingers, task.object.shape, n_knots)
+
+
+@lru_cache(maxsize=4)
+def _judge(task: GraspTask) -> MotionJudge:
+    return MotionJudge(task)
+
+
+def _nothing_found(
+    task: GraspTask, path: ObjectPath, made: list[MotionAttempt]
+) -> NoGraspFoundError:
+    """The error of an exhausted budget, with the commonest reasons."""
+    counts = Counter(a.reason.split(":")[0] for a in made)
+    why = "; ".join(f"{n} x {reason}" for reason, n in counts.most_common(3))
+    commonest = counts.most_common(1)[0][0]
+    example = next(a.reason for a in made if a.reason.startswith(commonest))
+    return NoGraspFoundError(
+        f"no motion of {task.object.name} by {path} with {task.hand.name} "
+        f"({', '.join(task.finger_names)}) in {len(made)} attempts: {why} (the first of these: "
+        f"{example}). Try a shorter path, a wider tube, other fingers or more attempts; angle=None "
+        "finds how far it goes and what limits it",
+        tuple(made),
+    )

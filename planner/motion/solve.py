@@ -1,0 +1,232 @@
+"""From a start to a motion by least squares: a given path, or as much of it as there is.
+
+A start is a grasp of the object in the middle of its path. For a given path all of it is asked for
+at once: the first residuals are centimetres, and the descent takes them back. Asking for it in
+steps costs half as much again and finds no more. For as much as there is the share of the
+path is an unknown that a residual pulls at; then the share is fixed a little below where the terms
+held it, and a last descent is for the terms alone.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from planner.motion.limits import Limit, what_limits
+from planner.motion.path import ObjectPath
+from planner.motion.problem import MotionProblem
+from planner.motion.residuals import PULL, MotionResiduals
+from planner.motion.unknowns import SHARE
+from planner.quality.weakest import weakest_directions
+from planner.spatial import FloatArray
+from planner.synthesis.descent import descend
+from planner.synthesis.options import SynthesisOptions
+from planner.synthesis.problem import Start
+from planner.synthesis.strengthen import (
+    FORCE_SCALE,
+    JOINT_SCALE,
+    POINT_SCALE,
+    SHIFT_SCALE,
+    SMALLEST_RANGE,
+    TURN_SCALE,
+    descend_grasp,
+)
+from planner.synthesis.terms import N_DIRECTIONS
+from planner.task import GraspTask
+
+__all__ = ["WORTH_A_LOOK", "MotionCandidate", "MotionSolver"]
+
+SHARE_SCALE, TUBE_SCALE = 0.1, 0.01
+"""Steps that count as alike: share of the path (-), place in the tube (m)."""
+
+REACHING = 80
+"""Evaluations of the descent that reaches a given path, or pulls."""
+
+HOLDING = 40
+"""Evaluations of a descent that makes good what pulling or strengthening cost the terms."""
+
+STRENGTHENING = 10
+"""Evaluations of a round that works on closure."""
+
+WORTH_A_LOOK = 0.2
+"""Largest weighted residual (mm, where a length is involved) of a motion worth verifying: less than
+for a grasp, since every term is met by the least-squares descent at every knot."""
+
+RELAX, RELAXINGS = 0.96, 4
+"""Factor on the share that pulling reached, tried again and again until the terms hold."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionCandidate:
+    """Where a solver ended.
+
+    Attributes:
+        share: Share of the path that is covered.
+        grasps: Every knot as a grasp's unknowns (n_knots, size).
+        reference: R0 (3, 3) of those.
+        worst: Largest weighted residual of a term.
+        limits: What keeps the path from being longer, where as much as there is was asked for.
+        iterations: Evaluations.
+        cpu_s: CPU time, s.
+    """
+
+    share: float
+    grasps: FloatArray
+    reference: FloatArray
+    worst: float
+    limits: tuple[Limit, ...]
+    iterations: int
+    cpu_s: float
+
+
+class MotionSolver:
+    """Solves for motions of one task along one path."""
+
+    def __init__(
+        self,
+        problem: MotionProblem,
+        task: GraspTask,
+        path: ObjectPath,
+        options: SynthesisOptions,
+        *,
+        tube: float,
+        posture: FloatArray,
+        rounds: int,
+    ) -> None:
+        """Keep what all starts share.
+
+        Args:
+            problem: The problem of the task's hand, fingers and kind of shape.
+            task: The task.
+            path: Where the object is to go.
+            options: Margins and weights of each knot.
+            tube: Radius within which the object may leave its path, m.
+            posture: Preferred joints (nq,).
+            rounds: How many rounds work on the closure of all knots.
+        """
+        self.problem, self.task, self.path = problem, task, path
+        self._options, self._tube, self._posture = options, tube, posture
+        self._rounds = rounds
+        self._field = problem.grasp.surface.field_of(task.object.shape)
+        hand, u = task.hand, problem.unknowns
+        n, k = len(task.fingers), u.n_knots
+        span = np.maximum(hand.q_upper - hand.q_lower, SMALLEST_RANGE)
+        rest = np.concatenate(
+            [
+                np.minimum(JOINT_SCALE, span),
+                np.full(3 * n, POINT_SCALE),
+                np.full(3 * n, FORCE_SCALE),
+            ]
+        )
+        shared = np.repeat([TURN_SCALE, SHIFT_SCALE, SHARE_SCALE], [3, 3, 1])
+        self._scale = u.pack(shared, np.full((k, 3), TUBE_SCALE), np.tile(rest, (k, 1)))
+
+    def reach(self, start: Start) -> MotionCandidate:
+        """The whole path, from a start in its middle."""
+        run = _Run(self, start)
+        run.fix(1.0)
+        run.descend(REACHING)
+        if run.worst <= WORTH_A_LOOK and self._rounds:
+            for _ in range(self._rounds):
+                run.strengthen(STRENGTHENING)
+            run.weaken()
+            run.descend(HOLDING)
+        return run.candidate(())
+
+    def stretch(self, start: Start) -> MotionCandidate:
+        """As much of the path as there is, from a start in its middle."""
+        run = _Run(self, start)
+        run.residuals.pull = PULL * run.residuals.length
+        run.descend(REACHING)
+        limits = what_limits(run.residuals, run.z, run.lower, run.upper)
+        run.residuals.pull = 0.0
+        share = run.z[SHARE]
+        for _ in range(RELAXINGS):
+            share *= RELAX
+            run.fix(share)
+            run.descend(HOLDING)
+            if run.worst <= WORTH_A_LOOK:
+                break
+        return run.candidate(limits)
+
+    def _grasped(self, start: Start) -> Start:
+        """The same start with the grasp that it leads to."""
+        one = self.problem.grasp
+        parameters = one.parameters(self.task, start, self._posture, self._options)
+        found = descend_grasp(one, self.task, start, parameters)
+        return replace(
+            start,
+            T_object_base=found.T_object_base,
+            q=found.q,
+            points=found.points,
+            forces=found.forces,
+        )
+
+
+class _Run:
+    """Where a motion has come to, and within which bounds it may move on."""
+
+    def __init__(self, solver: MotionSolver, start: Start) -> None:
+        self._begin = time.process_time()
+        self._solver = solver
+        start = solver._grasped(start)
+        problem = solver.problem
+        numbers = problem.numbers(
+            solver.task, solver.path, start, solver._posture, solver._options, solver._tube
+        )
+        self.residuals = MotionResiduals(problem, numbers, solver._field)
+        self.lower, self.upper = problem.bounds(start, solver._tube)
+        self.z = np.clip(problem.first(start), self.lower, self.upper)
+        self.worst = np.inf
+        self._iterations = 0
+
+    def fix(self, share: float) -> None:
+        """From now on exactly this share of the path."""
+        self.lower[SHARE] = self.upper[SHARE] = self.z[SHARE] = share
+
+    def descend(self, budget: int) -> None:
+        """Move on by at most ``budget`` evaluations."""
+        end = descend(
+            self.residuals,
+            np.clip(self.z, self.lower, self.upper),
+            lower=self.lower,
+            upper=self.upper,
+            scale=self._solver._scale,
+            max_iterations=budget,
+        )
+        self.z, self.worst = end.x.copy(), end.worst
+        self._iterations += end.iterations
+
+    def strengthen(self, budget: int) -> None:
+        """Work on the directions of wrench in which each knot resists least."""
+        task, problem = self._solver.task, self._solver.problem
+        shape, u = task.object.shape, problem.unknowns
+        place = problem.grasp.formulation.places["directions"]
+        for k, x in enumerate(self.residuals.grasps(self.z)):
+            points, outward = shape.closest_point(u.grasp.points(x))
+            found = weakest_directions(
+                points, -outward, task.mu, shape.bounding_radius, N_DIRECTIONS
+            )
+            found = found / np.sqrt(u.n_knots)  # all knots together count like one grasp
+            self.residuals.numbers.knots[k, place] = 0.0
+            self.residuals.numbers.knots[k, place.start : place.start + found.size] = found.ravel()
+        self.descend(budget)
+
+    def weaken(self) -> None:
+        """Leave closure to the terms again."""
+        place = self._solver.problem.grasp.formulation.places["directions"]
+        self.residuals.numbers.knots[:, place] = 0.0
+
+    def candidate(self, limits: tuple[Limit, ...]) -> MotionCandidate:
+        """Where it is now."""
+        return MotionCandidate(
+            share=float(self.z[SHARE]),
+            grasps=self.residuals.grasps(self.z),
+            reference=self.residuals.numbers.reference,
+            worst=self.worst,
+            limits=limits,
+            iterations=self._iterations,
+            cpu_s=time.process_time() - self._begin,
+        )

@@ -1,0 +1,122 @@
+"""What stands where among the unknowns of a motion, and where the base is at each knot.
+
+Unknowns: z = [s (3), t (3), share (1), then for each knot o (3), q, contact points, forces].
+
+The base stands still while the object moves. s and t place it in the middle frame, which has the
+object's orientation half-way and its origin at the start, as in a grasp: base = R0 M(s), at t. The
+object at knot k, at place c in [0, 1] of the path and with all of it scaled by the unknown share,
+is turned there by th = (c - 1/2) share angle about the axis a, and is off by d = c share R' shift
++ o, where o is its freedom within the tube. In the object's own frame the base is then at
+
+    R(a, -th) R0 M(s) = R0 M(s_k),    t_k = R(a, -th) (t - d),
+
+and s_k, t_k, q, points and forces of one knot are the unknowns of a grasp
+(``planner.synthesis.unknowns``): whatever is asked of a grasp can be asked of every knot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from planner.spatial import FloatArray
+from planner.synthesis.unknowns import Unknowns, mrp_matrix
+
+__all__ = ["SHARED", "MotionUnknowns", "placement"]
+
+SHARED = 7
+"""Unknowns that all knots have in common: turn, shift, and the share of the path."""
+
+SHARE = 6
+"""Where the share of the path stands."""
+
+TUBE = 3
+"""Unknowns of a knot's place in the tube."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionUnknowns:
+    """Layout of z.
+
+    Attributes:
+        grasp: Layout of one knot's unknowns as a grasp.
+        n_knots: Number of knots.
+    """
+
+    grasp: Unknowns
+    n_knots: int
+
+    @property
+    def own(self) -> int:
+        """Unknowns of one knot alone: place in the tube, joints, points and forces."""
+        return TUBE + self.grasp.size - 6
+
+    @property
+    def size(self) -> int:
+        """Length of z."""
+        return SHARED + self.n_knots * self.own
+
+    def pack(self, shared: FloatArray, offsets: FloatArray, rests: FloatArray) -> FloatArray:
+        """One column of its parts: (7,), (n_knots, 3), and [q, points, forces] of every knot."""
+        return np.concatenate([shared, np.hstack([offsets, rests]).ravel()])
+
+    def knots(self, z: FloatArray) -> FloatArray:
+        """Rows (n_knots, own) of what belongs to one knot each; a view."""
+        return z[SHARED:].reshape(self.n_knots, self.own)
+
+    def offsets(self, z: FloatArray) -> FloatArray:
+        """Places in the tube (n_knots, 3), m, middle frame; a view."""
+        return self.knots(z)[:, :TUBE]
+
+    def rests(self, z: FloatArray) -> FloatArray:
+        """[q, points, forces] of every knot (n_knots, grasp.size - 6); a view."""
+        return self.knots(z)[:, TUBE:]
+
+    def columns(self, k: int) -> slice:
+        """Where knot k stands in z."""
+        return slice(SHARED + k * self.own, SHARED + (k + 1) * self.own)
+
+
+@lru_cache(maxsize=1)
+def placement() -> Any:
+    """CasADi function of [s, t, share, o], R0 (9, by columns), axis, angle, shift and place c.
+
+    Axis and shift are in the object's frame at the start. Gives [s_k, t_k] (6,) and its
+    Jacobian (6, 10).
+    """
+    y, r0 = ca.SX.sym("y", SHARED + TUBE), ca.SX.sym("R0", 3, 3)
+    axis, angle, shift = ca.SX.sym("a", 3), ca.SX.sym("angle"), ca.SX.sym("d", 3)
+    place = ca.SX.sym("c")
+    s, t, share, offset = y[:3], y[3:6], y[SHARE], y[SHARED:]
+    turn = (place - 0.5) * share * angle
+    half = share * angle / 2
+    away = place * share * (_rotation(axis, -half) @ shift) + offset
+    back = _compose(*_quaternion(r0.T @ axis, -turn), *_of_mrp(s))
+    out = ca.vertcat(back, _rotation(axis, -turn) @ (t - away))
+    inputs = [y, ca.vec(r0), axis, angle, shift, place]
+    return ca.Function("placement", inputs, [out, ca.densify(ca.jacobian(out, y))])
+
+
+def _rotation(axis: Any, angle: Any) -> Any:
+    """Rotation (3, 3) by an angle about a unit axis."""
+    return mrp_matrix(axis * ca.tan(angle / 4))
+
+
+def _quaternion(axis: Any, angle: Any) -> tuple[Any, Any]:
+    return ca.cos(angle / 2), axis * ca.sin(angle / 2)
+
+
+def _of_mrp(s: Any) -> tuple[Any, Any]:
+    n = ca.dot(s, s)
+    return (1 - n) / (1 + n), 2 * s / (1 + n)
+
+
+def _compose(w1: Any, v1: Any, w2: Any, v2: Any) -> Any:
+    """Modified Rodrigues parameters of the product of two unit quaternions."""
+    w = w1 * w2 - ca.dot(v1, v2)
+    v = w1 * v2 + w2 * v1 + ca.cross(v1, v2)
+    return v / (1 + w)
