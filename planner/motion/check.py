@@ -1,13 +1,14 @@
 """The verdict on a motion: every knot by the true geometry, Pinocchio and coal, like a grasp.
 
 The solver's knots are some twenty degrees apart. Between them the object goes on along its path,
-and the pads over its surface (``planner.motion.between``); these places count as knots too. The first
-is judged as a grasp on the table with its way in, all by the same checks: touch, penetration,
+and the pads over its surface (``planner.motion.between``); these places count as knots too. The
+first is judged as a grasp on the table with its way in, all by the same checks: touch, penetration,
 couplings and limits, force closure with a margin, and forces that bear the weight.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,14 +23,14 @@ from planner.motion.rolling import slips
 from planner.motion.solve import MotionCandidate
 from planner.plan import GraspPlan, SolveRecord
 from planner.quality import force_closure
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.synthesis.settle import settle
 from planner.synthesis.touch import PadTouch, pad_touches
 from planner.synthesis.unknowns import Unknowns
 from planner.synthesis.verify import contacts_of, verify
 from planner.task import GraspTask
 
-__all__ = ["MotionJudge"]
+__all__ = ["MotionJudge", "Place"]
 
 CLOSURE_EDGES = 8
 """Sides of the friction pyramid with which closure is decided, as for a grasp."""
@@ -41,20 +42,30 @@ those of one that rests."""
 SUBKNOTS = 3
 """Knots of a plan for every one of the solver: 8 degrees apart where those are 24."""
 
-SLIP_TOL = 3e-4
-"""How far (m) a pad may slide from knot to knot: below what the compliance of a grip takes up."""
+SLIP_TOL = 5e-4
+"""How far (m) a pad may slide from knot to knot, as far as a pad may be off the
+surface: the compliance of a grip takes it up."""
 
 BETWEEN_TOL = 1e-3
 """Largest pad gap (m) half-way between knots, if joints move evenly: twice what counts as touching,
 since a controller closes it."""
 
+TURN_TOL = 1e-3
+"""How far (rad) the object may be turned off its path: it is turned as asked, exactly."""
+
 TUBE_TOL = 2e-4
 """How far (m) a knot may be outside the tube: the descent's accuracy."""
 
 
-@dataclass(frozen=True)
-class _Place:
-    """A knot before it is judged, as the base is seen from the object."""
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """A knot before it is judged.
+
+    Attributes:
+        place: Where on the path, 0 to 1.
+        T_object_base: The base as the object sees it.
+        q: Joints (nq,).
+    """
 
     place: float
     T_object_base: SE3
@@ -83,24 +94,37 @@ class MotionJudge:
             record: Where the candidate comes from.
         """
         places = self._places(candidate)
+        places = [replace(place, q=self._settled(place)) for place in places]
         T_world_base = self._task.T_world_object * places[0].T_object_base
-        q = self._settled(places[0])
-        grasp = judge_grasp(self._task, T_world_base, q, record=record, world=self._world)
+        grasp = judge_grasp(self._task, T_world_base, places[0].q, record=record, world=self._world)
         if isinstance(grasp, str):
             return f"start: {grasp}"
-        knots: list[Knot] = []
-        before: tuple[_Place, list[PadTouch]] | None = None
-        for place in places:
-            at = replace(place, q=self._settled(place))
-            found = self._knot(at, T_world_base, path, tube, before)
-            if isinstance(found, str):
-                return f"at {100 * place.place:.0f} % of the path: {found}"
-            knot, touches = found
-            knots.append(knot)
-            before = at, touches
-        return grasp, tuple(knots)
+        knots = self.knots(T_world_base, places, path, tube)
+        return knots if isinstance(knots, str) else (grasp, knots)
 
-    def _places(self, candidate: MotionCandidate) -> list[_Place]:
+    def knots(
+        self, T_world_base: SE3, places: Sequence[Place], path: ObjectPath, tube: float
+    ) -> tuple[Knot, ...] | str:
+        """The knots of a motion if all of them hold; else why not.
+
+        Args:
+            T_world_base: Pose of the base.
+            places: Where the object is, and the joints; from 0 to 1 in order.
+            path: The path that they cover.
+            tube: m.
+        """
+        out: list[Knot] = []
+        before: tuple[Place, list[PadTouch]] | None = None
+        for place in places:
+            touches = pad_touches(self._lifted, self._base(place), place.q)
+            knot = self._knot(place, touches, T_world_base, path, tube, before)
+            if isinstance(knot, str):
+                return f"at {100 * place.place:.0f} % of the path: {knot}"
+            out.append(knot)
+            before = place, touches
+        return tuple(out)
+
+    def _places(self, candidate: MotionCandidate) -> list[Place]:
         """The solver's knots and those between them."""
         task = self._task
         u = Unknowns(n_joints=task.hand.nq, n_contacts=len(task.fingers))
@@ -109,39 +133,37 @@ class MotionJudge:
         lower, upper = task.hand.q_lower, task.hand.q_upper
         postures = [np.clip(u.q(x), lower, upper) for x in candidate.grasps]
         n = SUBKNOTS * (len(poses) - 1)
-        out = []
-        for i in range(n + 1):
-            k, rest = divmod(i, SUBKNOTS)
-            if rest == 0:
-                out.append(_Place(i / n, poses[k], postures[k]))
-                continue
-            share = rest / SUBKNOTS
-            ends = poses[k], poses[k + 1]
-            pose = _between(*ends, share)
-            q = lead(self._lifted, ends, (postures[k], postures[k + 1]), pose, share)
-            out.append(_Place(i / n, pose, q))
+        out = [Place(place=0.0, T_object_base=poses[0], q=postures[0])]
+        for k in range(len(poses) - 1):
+            shares = np.linspace(0.0, 1.0, SUBKNOTS + 1)
+            bases = [_between(poses[k], poses[k + 1], share) for share in shares]
+            led = lead(self._lifted, bases, postures[k], postures[k + 1])
+            out += [
+                Place(place=(SUBKNOTS * k + i) / n, T_object_base=bases[i], q=led[i])
+                for i in range(1, SUBKNOTS + 1)
+            ]
         return out
 
-    def _settled(self, place: _Place) -> FloatArray:
+    def _settled(self, place: Place) -> FloatArray:
         """Joints with the pads on the true surface."""
         return settle(self._lifted, self._base(place), place.q)
 
-    def _base(self, place: _Place) -> SE3:
-        """Where the base is if the object is held where the task has it, so that it can be asked
-        of one world."""
+    def _base(self, place: Place) -> SE3:
+        """Where the base is if the object is held where the task has it: one world for all."""
         return self._lifted.T_world_object * place.T_object_base
 
     def _knot(
         self,
-        place: _Place,
+        place: Place,
+        touches: list[PadTouch],
         T_world_base: SE3,
         path: ObjectPath,
         tube: float,
-        before: tuple[_Place, list[PadTouch]] | None,
-    ) -> tuple[Knot, list[PadTouch]] | str:
-        base, task = self._base(place), self._lifted
-        touches = pad_touches(task, base, place.q)
-        verification = verify(self._free, base, place.q, touches)
+        before: tuple[Place, list[PadTouch]] | None,
+    ) -> Knot | str:
+        """One knot if it holds, and if the way there from the one before does; else why not."""
+        task = self._lifted
+        verification = verify(self._free, self._base(place), place.q, touches)
         if not verification.ok:
             return f"true geometry: {'; '.join(verification.faults)}"
         T_world_object = T_world_base * place.T_object_base.inverse()
@@ -159,10 +181,11 @@ class MotionJudge:
         forces = plan_forces(task, contacts, T_world_base, place.q)
         if not forces.found:
             return f"forces: with {task.grip_force:.3g} N per finger, {forces.reason}"
-        aim = path.pose(task.T_world_object, place.place)
-        off = float(np.linalg.norm(aim.translation - T_world_object.translation))
+        off, turned = self._off_path(T_world_object, path, place.place)
         if off > tube + TUBE_TOL:
             return f"the object is {1e3 * off:.1f} mm off its path (tube {1e3 * tube:.1f})"
+        if turned > TURN_TOL:
+            return f"the object is turned {np.rad2deg(turned):.1f} degrees off its path"
         slid, gap = np.zeros(len(touches)), 0.0
         if before is not None:
             slid = self._slips(before, (place, touches))
@@ -175,7 +198,7 @@ class MotionJudge:
                 f"a pad is {1e3 * gap:.2f} mm off the surface half-way from the knot before "
                 f"(allowed {1e3 * BETWEEN_TOL:.1f})"
             )
-        knot = Knot(
+        return Knot(
             place=place.place,
             T_world_object=T_world_object,
             q=place.q,
@@ -187,10 +210,14 @@ class MotionJudge:
             slips=slid,
             between=gap,
         )
-        return knot, touches
+
+    def _off_path(self, T_world_object: SE3, path: ObjectPath, place: float) -> tuple[float, float]:
+        """How far the object is off its path, m and rad."""
+        off = path.pose(self._task.T_world_object, place).inverse() * T_world_object
+        return float(np.linalg.norm(off.translation)), rotation_angle(off.rotation)
 
     def _slips(
-        self, before: tuple[_Place, list[PadTouch]], after: tuple[_Place, list[PadTouch]]
+        self, before: tuple[Place, list[PadTouch]], after: tuple[Place, list[PadTouch]]
     ) -> FloatArray:
         """How far each pad slides from one knot to the next, m."""
         (old, old_touches), (new, new_touches) = before, after
@@ -205,10 +232,10 @@ class MotionJudge:
             ),
         )
 
-    def _between(self, before: _Place, after: _Place) -> float:
+    def _between(self, before: Place, after: Place) -> float:
         """Largest pad gap half-way between two knots, m."""
         pose = _between(before.T_object_base, after.T_object_base, 0.5)
-        middle = _Place(0.5, pose, (before.q + after.q) / 2)
+        middle = Place(place=0.5, T_object_base=pose, q=(before.q + after.q) / 2)
         touches = pad_touches(self._lifted, self._base(middle), middle.q)
         return max(abs(t.pad_gap) for t in touches)
 

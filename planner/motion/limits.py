@@ -79,7 +79,8 @@ def what_limits(
     Args:
         residuals: With the pull on.
         z: Where a descent ended.
-        lower, upper: Bounds of z.
+        lower: Least z.
+        upper: Largest z.
     """
     r, jacobian = residuals(z)
     missing = residuals.pull * (1.0 - z[SHARE])

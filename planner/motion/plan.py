@@ -120,10 +120,7 @@ class MotionPlan:
 
     @property
     def joint_room(self) -> tuple[str, float, float]:
-        """The finger joint that comes nearest to an end of its range, by how much (share), where.
-
-        Couplings' stops count as ends too little to be told here: only ranges do.
-        """
+        """The finger joint that comes nearest to an end of its range, by how much (share), where."""
         hand = self.grasp.task.hand
         index = np.concatenate([f.q_index for f in self.grasp.task.fingers])
         lower, upper = hand.q_lower[index], hand.q_upper[index]
@@ -135,7 +132,7 @@ class MotionPlan:
     @property
     def slipped(self) -> FloatArray:
         """How far (n,), m, each pad slides over the whole path: 0 if it only rolls."""
-        return np.sum([k.slips for k in self.knots], axis=0)
+        return np.asarray(np.sum([k.slips for k in self.knots], axis=0))
 
     def at(self, place: float) -> tuple[SE3, FloatArray]:
         """Pose of the object and joints (nq,) at a place of the path, 0 to 1, between knots.

@@ -131,13 +131,23 @@ class MotionProblem:
         n = self.n_knots
         reach = np.full((n, 3), tube)
         reach[0] = 0.0
+        nq = self.grasp.hand.nq
+        ends = [bound[6:].copy() for bound in self.grasp.bounds(start)]
+        span = ends[1][:nq] - ends[0][:nq]
+        room = np.minimum(JOINT_ROOM, span / 4)
+        ends[0][:nq] += room
+        ends[1][:nq] -= room
+        carried = [bound[:6] for bound in self.grasp.bounds(start)]
         lower, upper = (
-            self.unknowns.pack(
-                np.concatenate([bound[:6], [share]]), sign * reach, np.tile(bound[6:], (n, 1))
-            )
-            for bound, share, sign in zip(self.grasp.bounds(start), (0.0, 1.0), (-1, 1), strict=True)
+            self.unknowns.pack(np.append(base, share), sign * reach, np.tile(rest, (n, 1)))
+            for base, rest, share, sign in zip(carried, ends, (0.0, 1.0), (-1, 1), strict=True)
         )
         return lower, upper
+
+
+JOINT_ROOM = 0.02
+"""How far (rad or m) joints stay from the ends of their ranges: a servo whose command ends there
+could not press any more."""
 
 
 def build_motion_problem(

@@ -57,9 +57,7 @@ class MotionResiduals:
         pull: Residual per unit of the path's share that is missing; 0 for none.
     """
 
-    def __init__(
-        self, problem: MotionProblem, numbers: MotionNumbers, field: Field | None
-    ) -> None:
+    def __init__(self, problem: MotionProblem, numbers: MotionNumbers, field: Field | None) -> None:
         """Bind a problem to numbers, and to the distance field of a mesh."""
         self.problem, self.numbers, self._field = problem, numbers, field
         self.n_terms = 0
@@ -84,10 +82,10 @@ class MotionResiduals:
         """Unknowns (n_knots, size) of every knot as a grasp."""
         return np.array([self.knot(z, k)[0] for k in range(self.problem.n_knots)])
 
-    def __call__(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Those that count at z."""
+    def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Those that count at the unknowns x."""
         with stage("residuals"):
-            return self._evaluate(z)
+            return self._evaluate(x)
 
     def _evaluate(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         u, one = self.problem.unknowns, self.problem.grasp.residuals

@@ -33,8 +33,10 @@ KNOT_TURN, KNOT_SHIFT = np.deg2rad(24.0), 0.015
 STRETCH_KNOTS = 6
 """Knots where as much as there is is asked for: up to 120 degrees are found."""
 
-MOTION_OPTIONS = SynthesisOptions(weight_posture=0.05)
-"""A motion leaves the pinch posture by design; a grasp is asked six times as much to keep to it."""
+MOTION_OPTIONS = SynthesisOptions(weight_posture=0.05, weight_share=1.0)
+"""A motion leaves the pinch posture by design: a grasp is asked six times as much to keep to it.
+Normal forces are to be even, by ten times the weight: where every finger must press with the grip,
+less is then asked of the strongest."""
 
 ROUNDS = 1
 """Rounds that work on closure at all knots."""
@@ -103,8 +105,11 @@ def motion_attempts(
         if isinstance(start, str):
             outcome = start
         else:
-            candidate = solver.reach(start) if whole else solver.stretch(start)
-            outcome = _judged(judge, task, path, candidate, tube)
+            outcome = "nothing was tried"
+            for candidate in solver.reach(start) if whole else solver.stretch(start):
+                outcome = _judged(judge, task, path, candidate, tube)
+                if not isinstance(outcome, str):
+                    break
         cpu = time.process_time() - begin
         total += cpu
         if isinstance(outcome, str):
@@ -170,9 +175,7 @@ def plan_motion(
     wanted = best_of or (1 if whole else BEST_OF)
     made: list[MotionAttempt] = []
     best: MotionPlan | None = None
-    for attempt in motion_attempts(
-        task, path, whole=whole, tube=tube, seed=seed, options=options
-    ):
+    for attempt in motion_attempts(task, path, whole=whole, tube=tube, seed=seed, options=options):
         made.append(attempt)
         plan = attempt.plan
         if plan is not None and (best is None or _rank(plan, whole) > _rank(best, whole)):

@@ -10,6 +10,7 @@ held it, and a last descent is for the terms alone.
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,8 +55,8 @@ WORTH_A_LOOK = 0.2
 """Largest weighted residual (mm, where a length is involved) of a motion worth verifying: less than
 for a grasp, since every term is met by the least-squares descent at every knot."""
 
-RELAX, RELAXINGS = 0.96, 4
-"""Factor on the share that pulling reached, tried again and again until the terms hold."""
+RELAX, RELAXINGS = 0.95, 5
+"""Factor on the share that pulling reached, applied again and again until the verdict is good."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +124,7 @@ class MotionSolver:
         shared = np.repeat([TURN_SCALE, SHIFT_SCALE, SHARE_SCALE], [3, 3, 1])
         self._scale = u.pack(shared, np.full((k, 3), TUBE_SCALE), np.tile(rest, (k, 1)))
 
-    def reach(self, start: Start) -> MotionCandidate:
+    def reach(self, start: Start) -> Iterator[MotionCandidate]:
         """The whole path, from a start in its middle."""
         run = _Run(self, start)
         run.fix(1.0)
@@ -133,10 +134,10 @@ class MotionSolver:
                 run.strengthen(STRENGTHENING)
             run.weaken()
             run.descend(HOLDING)
-        return run.candidate(())
+        yield run.candidate(())
 
-    def stretch(self, start: Start) -> MotionCandidate:
-        """As much of the path as there is, from a start in its middle."""
+    def stretch(self, start: Start) -> Iterator[MotionCandidate]:
+        """As much of the path as there is, from a start in its middle; then less and less of it."""
         run = _Run(self, start)
         run.residuals.pull = PULL * run.residuals.length
         run.descend(REACHING)
@@ -147,9 +148,7 @@ class MotionSolver:
             share *= RELAX
             run.fix(share)
             run.descend(HOLDING)
-            if run.worst <= WORTH_A_LOOK:
-                break
-        return run.candidate(limits)
+            yield run.candidate(limits)
 
     def _grasped(self, start: Start) -> Start:
         """The same start with the grasp that it leads to."""

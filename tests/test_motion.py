@@ -1,0 +1,429 @@
+"""Motions of an object in the hand: the path, rolling, derivatives, known ranges, the verdict."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from planner.collision import CollisionWorld
+from planner.errors import NoGraspFoundError, TaskError
+from planner.hand import Hand
+from planner.judge import plan_forces
+from planner.kinematics import HandState
+from planner.motion import MotionPlan, ObjectPath, plan_motion
+from planner.motion.between import lead
+from planner.motion.limits import what_limits
+from planner.motion.problem import JOINT_ROOM, MotionProblem, build_motion_problem
+from planner.motion.residuals import PULL, MotionResiduals
+from planner.motion.rolling import rolling_function, slips
+from planner.motion.search import MOTION_OPTIONS
+from planner.motion.solve import MotionSolver
+from planner.motion.unknowns import SHARE, placement
+from planner.quality import force_closure
+from planner.spatial import SE3, FloatArray
+from planner.synthesis.problem import Start
+from planner.synthesis.seeds import Seeder
+from planner.synthesis.unknowns import mrp_numeric
+from planner.synthesis.verify import contacts_at, verify
+from planner.task import GraspTask
+
+UP = np.array([0.0, 0.0, 1.0])
+
+HINGE = 0.5
+"""Range (rad, either way) of the hinges of the turning hand."""
+
+
+def write_turning_hand(folder: Path) -> Path:
+    """Three fingers that turn about one vertical axis and press towards it: a range on paper.
+
+    Each has a hinge on that axis and a slide along its radius. A cylinder on the axis can be
+    turned as far as the hinges go, and no further: a tip that turns with the object does not roll.
+    """
+    bodies, actuators, fingers = "", "", ""
+    names = [f"finger{k + 1}" for k in range(3)]
+    for k, name in enumerate(names):
+        turn = 2 * math.pi * k / 3
+        bodies += f"""
+    <body name="{name}_arm" quat="{math.cos(turn / 2)} 0 0 {math.sin(turn / 2)}">
+      <joint name="{name}_turn" axis="0 0 1" range="{-HINGE} {HINGE}" damping="0.1"/>
+      <geom name="{name}_arm" type="sphere" size="0.004" pos="0.01 0 0" mass="0.02"/>
+      <body name="{name}_leg" pos="0.055 0 -0.005">
+        <joint name="{name}_press" type="slide" axis="-1 0 0" range="-0.03 0.03" damping="1"/>
+        <geom name="{name}_leg" type="capsule" size="0.005" fromto="0 0 0 0 0 -0.06" mass="0.03"/>
+        <geom name="{name}_tip" type="sphere" size="0.01" pos="0 0 -0.08" mass="0.01"/>
+        <site name="{name}_tip" pos="0 0 -0.08"/>
+      </body>
+    </body>"""
+        for joint, span, force in (("turn", HINGE, 1.0), ("press", 0.03, 20.0)):
+            actuators += f"""
+    <position name="{name}_{joint}" joint="{name}_{joint}" kp="{100 if joint == "turn" else 5000}"
+      ctrlrange="{-span} {span}" forcerange="{-force} {force}"/>"""
+        fingers += f"""
+[[fingers]]
+name = "{name}"
+joints = ["{name}_turn", "{name}_press"]
+tip_site = "{name}_tip"
+[fingers.pad]
+geom = "{name}_tip"
+center = [0.0, 0.0, -0.08]
+radius = 0.01
+axis = [-1.0, 0.0, 0.0]
+half_angle_deg = 50.0
+"""
+    (folder / "turning.xml").write_text(
+        f"""<mujoco model="turning"><compiler angle="radian" autolimits="true"/><worldbody>
+  <body name="palm"><geom name="palm" type="cylinder" size="0.05 0.005" pos="0 0 0.015" mass="0.3"/>
+  {bodies}</body></worldbody><actuator>{actuators}</actuator></mujoco>"""
+    )
+    postures = ""
+    for posture, press in (("open", -0.02), ("pinch", 0.012)):
+        postures += f"[postures.{posture}]\n"
+        postures += "".join(f"{name}_press = {press}\n" for name in names)
+    path = folder / "turning.toml"
+    path.write_text(
+        f"""schema = 1
+name = "turning"
+model = "turning.xml"
+base_body = "palm"
+palm_body = "palm"
+palm_normal = [0.0, 0.0, -1.0]
+default_fingers = {names}
+{fingers}
+{postures}"""
+    )
+    return path
+
+
+@pytest.fixture(scope="module")
+def turning(tmp_path_factory: pytest.TempPathFactory) -> GraspTask:
+    hand = Hand.load(write_turning_hand(tmp_path_factory.mktemp("turning")))
+    return GraspTask.create(hand, "cylinder:0.03x0.08", mu=0.8, grip_force=2.0)
+
+
+def from_above(task: GraspTask) -> Start:
+    """The turning hand upright around its cylinder, all contacts 10 mm under its middle."""
+    seeder = Seeder(task)
+    q = np.array([0.0, 0.015] * 3)
+    turns = 2 * np.pi * np.arange(3) / 3
+    outward = np.stack([np.cos(turns), np.sin(turns), np.zeros(3)], axis=1)
+    points = 0.03 * outward - 0.01 * UP
+    side = next(p for p in seeder.surface.patches(task.object.shape) if "side" in p.name)
+    return Start(
+        T_object_base=SE3(np.eye(3), np.array([0.0, 0.0, 0.075])),
+        q=q,
+        points=points,
+        forces=-outward,
+        patches=(side,) * 3,
+        frozen=np.zeros(6, dtype=bool),
+    )
+
+
+def solver_of(task: GraspTask, path: ObjectPath, n_knots: int = 4) -> MotionSolver:
+    return MotionSolver(
+        problem_of(task.hand, n_knots),
+        task,
+        path,
+        MOTION_OPTIONS,
+        tube=0.01,
+        posture=Seeder(task).posture,
+        rounds=0,
+    )
+
+
+@cache
+def problem_of(hand: Hand, n_knots: int) -> MotionProblem:
+    fingers = [hand.fingers[name] for name in list(hand.fingers)[:3]]
+    shape = GraspTask.create(hand, "cylinder:0.03x0.1").object.shape
+    return build_motion_problem(hand, fingers, shape, n_knots)
+
+
+@pytest.fixture(scope="module")
+def ninety(allegro: Hand) -> MotionPlan:
+    task = GraspTask.create(allegro, "cylinder:0.03x0.1", fingers=["thumb", "index", "middle"])
+    return plan_motion(task, angle=np.pi / 2)
+
+
+def test_a_path_turns_and_moves_in_world_axes() -> None:
+    path = ObjectPath(axis=np.array([0.0, 0.0, 2.0]), angle=np.pi / 2, shift=np.array([0, 0, 0.1]))
+    start = SE3(pin.utils.rpyToMatrix(0.0, 0.3, 0.0), np.array([1.0, 2.0, 3.0]))
+    end = path.pose(start, 1.0)
+    assert np.allclose(end.translation, [1.0, 2.0, 3.1])
+    assert np.allclose(end.rotation @ start.rotation.T, [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    half = path.cut(0.5).pose(start, 1.0)
+    assert np.allclose(half.homogeneous, path.pose(start, 0.5).homogeneous)
+    assert str(path) == "90.0 degrees about (0, 0, 1) and (0.0, 0.0, 100.0) mm"
+
+
+@pytest.mark.parametrize(
+    ("axis", "angle", "shift", "words"),
+    [
+        ([0, 0, 0], 1.0, [0, 0, 0], "axis is"),
+        ([0, 0, 1], 4.0, [0, 0, 0], "at most a half turn"),
+        ([0, 0, 1], 0.0, [0, 0, 0], "give an angle or a shift"),
+        ([0, 0, 1], 1.0, [0, np.nan, 0], "shift is"),
+    ],
+)
+def test_a_path_that_cannot_be_is_refused(
+    axis: list[float], angle: float, shift: list[float], words: str
+) -> None:
+    with pytest.raises(TaskError, match=words):
+        ObjectPath(axis=np.array(axis), angle=angle, shift=np.array(shift))
+
+
+def test_the_base_seen_from_the_object_is_that_of_poses_in_the_world() -> None:
+    rng = np.random.default_rng(3)
+    reference = pin.exp3(rng.normal(size=3))
+    s, t, offset = rng.normal(0, 0.2, 3), rng.normal(0, 0.1, 3), rng.normal(0, 0.01, 3)
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    shift, angle, share = rng.normal(0, 0.02, 3), 1.4, 0.7
+    T_middle_base = SE3(reference @ mrp_numeric(s), t)
+    T_start_middle = SE3(pin.exp3(0.5 * share * angle * axis), np.zeros(3))
+    for place in (0.0, 0.3, 1.0):
+        y = np.concatenate([s, t, [share], offset])
+        at, _ = placement()(y, reference.ravel(order="F"), axis, angle, shift, place)
+        found = at.full().ravel()
+        path = ObjectPath(axis=axis, angle=angle, shift=shift).cut(share)
+        T_start_object = path.pose(SE3.Identity(), place)
+        T_start_object.translation += T_start_middle.rotation @ offset
+        expected = T_start_object.inverse() * T_start_middle * T_middle_base
+        assert np.allclose(reference @ mrp_numeric(found[:3]), expected.rotation, atol=1e-12)
+        assert np.allclose(found[3:], expected.translation, atol=1e-12)
+
+
+def test_a_tip_that_rolls_around_a_cylinder_does_not_slide(turning: GraspTask) -> None:
+    """A ball of radius r that rolls on a cylinder of radius a by an angle b about its axis, as
+    seen from there, is turned by b (a + r) / r. The base is turned about the tip's own axis so."""
+    hand, finger = turning.hand, turning.fingers[0]
+    a, r, b = 0.03, finger.pad.radius, 0.08
+    q = np.array([0.0, 0.015] * 3)
+    center = HandState(hand, q).pad_center(finger)
+    bases, normals = [], []
+    for angle in (0.0, b):
+        normal = np.array([np.cos(angle), np.sin(angle), 0.0])
+        turn = pin.exp3(angle * (a + r) / r * UP)
+        bases.append(SE3(turn, (a + r) * normal - turn @ center))
+        normals.append(np.tile(normal, (3, 1)))
+    rolled = slips(hand, (finger,), (bases[0], bases[1]), (q, q), (normals[0], normals[1]))
+    assert rolled[0] < 2e-6
+    turned = SE3(pin.exp3(0.05 * UP) @ bases[1].rotation, np.zeros(3))
+    turned.translation = bases[1].act(center) - turned.rotation @ center
+    slid = slips(hand, (finger,), (bases[0], turned), (q, q), (normals[0], normals[1]))
+    assert slid[0] == pytest.approx(0.05 * r, rel=0.01)
+
+
+def test_rolling_by_casadi_is_rolling_by_pinocchio(allegro: Hand) -> None:
+    rng = np.random.default_rng(5)
+    fingers = tuple(allegro.fingers.values())[:3]
+    reference = pin.exp3(rng.normal(size=3))
+    q = (allegro.q_lower + allegro.q_upper) / 2
+    x0, x1, poses, outward = [], [], [], []
+    for out in (x0, x1):
+        s, t = rng.normal(0, 0.05, 3), rng.normal(0, 0.01, 3)
+        moved = q + rng.normal(0, 0.05, len(q))
+        base = SE3(reference @ mrp_numeric(s), t)
+        state = HandState(allegro, moved)
+        centers = np.array([base.act(state.pad_center(f)) for f in fingers])
+        normals = rng.normal(size=(3, 3)) * 0.1 + UP
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        radii = np.array([f.pad.radius for f in fingers])
+        points = centers - radii[:, None] * normals
+        out += [*s, *t, *moved, *points.ravel(), *np.zeros(9)]
+        poses.append(base)
+        outward.append(normals)
+    found, _ = rolling_function(allegro, fingers)(x0, x1, reference.ravel(order="F"))
+    by_casadi = np.linalg.norm(found.full().reshape(3, 3), axis=1)
+    n = allegro.nq
+    postures = np.array(x0)[6 : 6 + n], np.array(x1)[6 : 6 + n]
+    by_pinocchio = slips(allegro, fingers, (poses[0], poses[1]), postures, (outward[0], outward[1]))
+    assert by_pinocchio.min() > 1e-4
+    assert np.allclose(by_casadi, by_pinocchio, rtol=1e-3)
+
+
+def test_derivatives_of_all_residuals_by_finite_differences(allegro: Hand) -> None:
+    task = GraspTask.create(allegro, "cylinder:0.03x0.1", fingers=["thumb", "index", "middle"])
+    path = ObjectPath(axis=np.array([0.2, 0.0, 1.0]), angle=2.0, shift=np.array([0.0, 0.01, 0.01]))
+    problem = problem_of(allegro, 3)
+    seeder = Seeder(task)
+    start = seeder.draw(np.random.default_rng(0))
+    assert isinstance(start, Start)
+    numbers = problem.numbers(task, path, start, seeder.posture, MOTION_OPTIONS, 0.002)
+    residuals = MotionResiduals(problem, numbers, None)
+    residuals.pull = PULL
+    rng = np.random.default_rng(1)
+    z = problem.first(start)
+    z += 0.01 * rng.normal(size=len(z))
+    z[SHARE] = 0.4
+    value, jacobian = residuals(z)
+    value, jacobian, tally = value.copy(), jacobian.copy(), residuals.tally
+    assert tally.tube and tally.rolling and any(len(a) for a in tally.avoided)
+    step = 1e-6
+    compared = 0
+    for i in range(len(z)):
+        e = step * np.eye(len(z))[i]
+        more, less = residuals(z + e)[0].copy(), residuals(z - e)[0].copy()
+        if len(more) != len(value) or len(less) != len(value):
+            continue  # a row began to count
+        slope = (more - less) / (2 * step)
+        scale = max(1.0, float(np.abs(slope).max()))
+        assert np.abs(slope - jacobian[:, i]).max() <= 2e-5 * scale, i
+        compared += 1
+    assert compared > 0.9 * len(z)
+
+
+def test_the_turning_hand_turns_as_far_as_its_hinges_and_says_so(turning: GraspTask) -> None:
+    """On paper: both ways HINGE, less the room that joints keep. If all six ends gave way by a
+    degree, three at the start and three at the end, the path were longer by two."""
+    path = ObjectPath(axis=UP, angle=np.pi, shift=np.zeros(3))
+    solver = solver_of(turning, path)
+    paper = 2 * (HINGE - JOINT_ROOM)
+    candidate = next(solver.stretch(from_above(turning)))
+    assert 0.9 * paper < candidate.share * np.pi <= paper * 1.001
+    first = candidate.limits[0]
+    assert first.joint.endswith("_turn") and "limit" in first.what
+    hinges = [limit for limit in candidate.limits if limit.joint.endswith("_turn")]
+    assert len(hinges) == 6
+    assert sum(limit.gain for limit in hinges) * 180 == pytest.approx(2.0, abs=0.01)
+
+
+@pytest.mark.parametrize(("share", "reached"), [(0.95, True), (1.2, False)])
+def test_the_turning_hand_reaches_what_its_hinges_allow(
+    turning: GraspTask, share: float, reached: bool
+) -> None:
+    angle = share * 2 * (HINGE - JOINT_ROOM)
+    path = ObjectPath(axis=UP, angle=angle, shift=np.zeros(3))
+    candidate = next(solver_of(turning, path).reach(from_above(turning)))
+    assert (candidate.worst < 0.1) == reached
+
+
+def test_turning_everything_about_the_vertical_changes_nothing(turning: GraspTask) -> None:
+    axis, shift = np.array([0.1, 0.0, 1.0]), np.array([0.004, 0.0, 0.002])
+    turn = SE3(pin.exp3(0.7 * UP), np.zeros(3))
+    found = []
+    for T in (SE3.Identity(), turn):
+        task = replace(turning, T_world_object=T * turning.T_world_object)
+        path = ObjectPath(axis=T.rotation @ axis, angle=0.4, shift=T.rotation @ shift)
+        found.append(next(solver_of(task, path).reach(from_above(task))))
+    assert found[0].worst < 0.1
+    assert np.allclose(found[0].grasps, found[1].grasps, atol=1e-7)
+
+
+def test_ninety_degrees_with_three_fingers(ninety: MotionPlan) -> None:
+    first, last = ninety.knots[0], ninety.knots[-1]
+    turn = last.T_world_object.rotation @ first.T_world_object.rotation.T
+    assert np.allclose(pin.log3(turn), [0.0, 0.0, np.pi / 2], atol=1e-6)
+    assert np.allclose(
+        first.T_world_object.homogeneous, ninety.grasp.task.T_world_object.homogeneous, atol=1e-9
+    )
+    assert np.allclose(first.q, ninety.grasp.q)
+    assert ninety.margin >= 0.05
+    assert np.max([k.off_path for k in ninety.knots]) <= ninety.tube + 2e-4
+
+
+def test_every_knot_passes_the_grasps_own_verdict_in_a_world_of_its_own(
+    ninety: MotionPlan,
+) -> None:
+    task = ninety.grasp.task
+    for knot in ninety.knots[::4]:
+        there = replace(task, T_world_object=knot.T_world_object, table_height=None)
+        assert verify(CollisionWorld(there), ninety.T_world_base, knot.q).ok
+        contacts = contacts_at(there, ninety.T_world_base, knot.q)
+        assert np.allclose(contacts.positions, knot.contacts.positions, atol=1e-9)
+        assert np.allclose(contacts.normals, knot.contacts.normals, atol=1e-7)
+        assert force_closure(contacts, edges=8).normalised_min_weight == pytest.approx(
+            knot.closure.normalised_min_weight, abs=1e-6
+        )
+        forces = plan_forces(there, contacts, ninety.T_world_base, knot.q)
+        assert forces.found
+
+
+def test_between_knots_the_object_and_the_pads_keep_together(ninety: MotionPlan) -> None:
+    task = ninety.grasp.task
+    for place in (0.04, 0.37, 0.96):
+        T_world_object, q = ninety.at(place)
+        there = replace(task, T_world_object=T_world_object, table_height=None)
+        found = verify(CollisionWorld(there), ninety.T_world_base, q)
+        assert np.abs(found.pad_gaps).max() < 1e-3
+
+
+def test_contacts_roll_on_the_object(ninety: MotionPlan) -> None:
+    """The tips turn against the object, so contacts move on it, by millimetres; they do not slide."""
+    first, last = (k.contacts_in_object.positions for k in (ninety.knots[0], ninety.knots[-1]))
+    assert np.linalg.norm(last - first, axis=1).max() > 2e-3
+    assert ninety.slipped.max() < 2e-3
+
+
+def test_the_plan_prints_its_path_and_margins(ninety: MotionPlan) -> None:
+    text = str(ninety)
+    assert "90.0 degrees about (0, 0, 1)" in text
+    assert "closure: least normalised min-weight" in text
+    assert ninety.joint_room[0] in text
+
+
+def test_the_same_seed_gives_the_same_motion(ninety: MotionPlan) -> None:
+    again = plan_motion(ninety.grasp.task, angle=np.pi / 2)
+    assert np.array_equal(again.knots[-1].q, ninety.knots[-1].q)
+
+
+def test_what_is_out_of_reach_is_refused_with_reasons(turning: GraspTask) -> None:
+    with pytest.raises(NoGraspFoundError, match="angle=None finds how far it goes") as caught:
+        plan_motion(turning, angle=np.pi, max_attempts=2)
+    assert [a.index for a in caught.value.attempts] == [0, 1]
+
+
+def test_tasks_and_budgets_that_cannot_work_are_refused(turning: GraspTask) -> None:
+    with pytest.raises(TaskError, match="the base of turning is fixed"):
+        plan_motion(replace(turning, T_world_base=SE3.Identity()), angle=1.0)
+    with pytest.raises(TaskError, match="tube is -1"):
+        plan_motion(turning, angle=1.0, tube=-1.0)
+    with pytest.raises(TaskError, match="max_attempts is 0"):
+        plan_motion(turning, angle=1.0, max_attempts=0)
+
+
+def test_without_a_pull_there_are_no_limits(turning: GraspTask) -> None:
+    path = ObjectPath(axis=UP, angle=0.3, shift=np.zeros(3))
+    problem, start = problem_of(turning.hand, 3), from_above(turning)
+    numbers = problem.numbers(turning, path, start, Seeder(turning).posture, MOTION_OPTIONS, 0.01)
+    residuals = MotionResiduals(problem, numbers, None)
+    lower, upper = problem.bounds(start, 0.01)
+    assert what_limits(residuals, problem.first(start), lower, upper) == ()
+
+
+def test_leading_keeps_the_ends_and_rolls_evenly(ninety: MotionPlan) -> None:
+    task = replace(ninety.grasp.task, table_height=None)
+    ends = ninety.knots[3], ninety.knots[6]
+    poses = [k.T_world_object.inverse() * ninety.T_world_base for k in ends]
+    bases = [SE3.Interpolate(poses[0], poses[1], s) for s in np.linspace(0, 1, 4)]
+    led = lead(task, bases, ends[0].q, ends[1].q)
+    assert np.array_equal(led[0], ends[0].q) and np.array_equal(led[-1], ends[1].q)
+    slid = _slid(task, bases, led)
+    even = [ends[0].q + s * (ends[1].q - ends[0].q) for s in np.linspace(0, 1, 4)]
+    assert slid.max() < 3e-4
+    assert slid.max() < _slid(task, bases, even).max()
+
+
+def _slid(task: GraspTask, bases: list[SE3], postures: list[FloatArray]) -> FloatArray:
+    """Slips (m - 1, n) between places."""
+    normals = []
+    for base, q in zip(bases, postures, strict=True):
+        state = HandState(task.hand, q)
+        centers = np.array([base.act(state.pad_center(f)) for f in task.fingers])
+        normals.append(task.object.shape.closest_point(centers)[1])
+    return np.array(
+        [
+            slips(
+                task.hand,
+                task.fingers,
+                (bases[k], bases[k + 1]),
+                (postures[k], postures[k + 1]),
+                (normals[k], normals[k + 1]),
+            )
+            for k in range(len(bases) - 1)
+        ]
+    )
