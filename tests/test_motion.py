@@ -198,8 +198,10 @@ def test_the_base_seen_from_the_object_is_that_of_poses_in_the_world() -> None:
 
 
 def test_a_tip_that_rolls_around_a_cylinder_does_not_slide(turning: GraspTask) -> None:
-    """A ball of radius r that rolls on a cylinder of radius a by an angle b about its axis, as
-    seen from there, is turned by b (a + r) / r. The base is turned about the tip's own axis so."""
+    """On paper: a ball of radius r that rolls by b around one of radius a turns by b (a + r) / r.
+
+    The whole hand is turned with the tip.
+    """
     hand, finger = turning.hand, turning.fingers[0]
     a, r, b = 0.03, finger.pad.radius, 0.08
     q = np.array([0.0, 0.015] * 3)
@@ -223,7 +225,9 @@ def test_rolling_by_casadi_is_rolling_by_pinocchio(allegro: Hand) -> None:
     fingers = tuple(allegro.fingers.values())[:3]
     reference = pin.exp3(rng.normal(size=3))
     q = (allegro.q_lower + allegro.q_upper) / 2
-    x0, x1, poses, outward = [], [], [], []
+    x0: list[float] = []
+    x1: list[float] = []
+    poses, outward = [], []
     for out in (x0, x1):
         s, t = rng.normal(0, 0.05, 3), rng.normal(0, 0.01, 3)
         moved = q + rng.normal(0, 0.05, len(q))
@@ -278,8 +282,11 @@ def test_derivatives_of_all_residuals_by_finite_differences(allegro: Hand) -> No
 
 
 def test_the_turning_hand_turns_as_far_as_its_hinges_and_says_so(turning: GraspTask) -> None:
-    """On paper: both ways HINGE, less the room that joints keep. If all six ends gave way by a
-    degree, three at the start and three at the end, the path were longer by two."""
+    """On paper: both ways HINGE, less the room that joints keep.
+
+    If all six ends gave way by a degree, three at the start and three at the end, the path were
+    longer by two.
+    """
     path = ObjectPath(axis=UP, angle=np.pi, shift=np.zeros(3))
     solver = solver_of(turning, path)
     paper = 2 * (HINGE - JOINT_ROOM)
@@ -353,7 +360,7 @@ def test_between_knots_the_object_and_the_pads_keep_together(ninety: MotionPlan)
 
 
 def test_contacts_roll_on_the_object(ninety: MotionPlan) -> None:
-    """The tips turn against the object, so contacts move on it, by millimetres; they do not slide."""
+    """The tips turn against the object, so contacts move on it, and they do not slide."""
     first, last = (k.contacts_in_object.positions for k in (ninety.knots[0], ninety.knots[-1]))
     assert np.linalg.norm(last - first, axis=1).max() > 2e-3
     assert ninety.slipped.max() < 2e-3

@@ -120,7 +120,7 @@ class MotionPlan:
 
     @property
     def joint_room(self) -> tuple[str, float, float]:
-        """The finger joint that comes nearest to an end of its range, by how much (share), where."""
+        """The finger joint nearest to an end of its range, how near (share of it), and where."""
         hand = self.grasp.task.hand
         index = np.concatenate([f.q_index for f in self.grasp.task.fingers])
         lower, upper = hand.q_lower[index], hand.q_upper[index]
