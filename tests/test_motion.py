@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from planner.collision import CollisionWorld
-from planner.errors import NoGraspFoundError, TaskError
+from planner.errors import FileFormatError, NoGraspFoundError, TaskError
+from planner.files import read_motion, write_json, write_motion
+from planner.files.motions import motion_to_dict
 from planner.hand import Hand
 from planner.judge import plan_forces
 from planner.kinematics import HandState
@@ -434,3 +438,40 @@ def _slid(task: GraspTask, bases: list[SE3], postures: list[FloatArray]) -> Floa
             for k in range(len(bases) - 1)
         ]
     )
+
+
+def test_a_motion_file_gives_the_motion_back(ninety: MotionPlan, tmp_path: Path) -> None:
+    path = tmp_path / "motion.json"
+    write_motion(ninety, path)
+    again = read_motion(path)
+    assert np.allclose(again.knots[-1].q, ninety.knots[-1].q, atol=1e-12)
+    assert again.path.angle == pytest.approx(ninety.path.angle)
+    assert again.margin == pytest.approx(ninety.margin, abs=1e-6)
+    assert np.allclose(again.slipped, ninety.slipped, atol=1e-7)
+    assert str(again) == str(ninety)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda data: data.update(format="opposable-plan"), "is not a motion file"),
+        (lambda data: data.update(version=9), "has motion version 9"),
+        (lambda data: data["knots"][0].update(place=0.5), "do not go from 0 to 1"),
+        (lambda data: data["knots"][0]["q_rad"].__setitem__(0, 0.1), "is not its grasp"),
+        (lambda data: data["knots"][5]["q_rad"].__setitem__(1, 0.4), "fails its checks"),
+        (lambda data: data["path"].update(angle_rad=0.8), "fails its checks"),
+        (
+            lambda data: data["knots"][5]["contacts"][0].update(force_normal_N=9.0),
+            "are not those of its joints",
+        ),
+    ],
+)
+def test_a_damaged_motion_file_is_refused(
+    ninety: MotionPlan, tmp_path: Path, change: Callable[[dict[str, Any]], None], words: str
+) -> None:
+    data = motion_to_dict(ninety)
+    change(data)
+    path = tmp_path / "motion.json"
+    write_json(data, path)
+    with pytest.raises(FileFormatError, match=words):
+        read_motion(path)

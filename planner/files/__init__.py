@@ -3,22 +3,26 @@
 from planner.files.contacts_file import ContactsFile, read_contacts
 from planner.files.data import PLAN_VERSION, PlanFile, TaskData
 from planner.files.json_csv import read_json, write_json, write_trajectory
+from planner.files.motions import MotionFile, read_motion, write_motion
 from planner.files.plans import plan_from_dict, plan_to_dict, read_plan, write_plan
 from planner.files.tasks import task_data, task_from_data
 
 __all__ = [
     "PLAN_VERSION",
     "ContactsFile",
+    "MotionFile",
     "PlanFile",
     "TaskData",
     "plan_from_dict",
     "plan_to_dict",
     "read_contacts",
     "read_json",
+    "read_motion",
     "read_plan",
     "task_data",
     "task_from_data",
     "write_json",
+    "write_motion",
     "write_plan",
     "write_trajectory",
 ]

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
+from planner.contacts import Contact, ContactSet
 from planner.errors import FileFormatError
 from planner.files.data import (
     PLAN_VERSION,
@@ -35,7 +36,15 @@ from planner.schema import faults_of
 from planner.spatial import FloatArray
 from planner.synthesis.pregrasp import Approach
 
-__all__ = ["plan_from_dict", "plan_to_dict", "read_plan", "write_plan"]
+__all__ = [
+    "CONTACT_TOL",
+    "contact_data",
+    "numbers_of",
+    "plan_from_dict",
+    "plan_to_dict",
+    "read_plan",
+    "write_plan",
+]
 
 CONTACT_TOL = 1e-4
 """How far stored contacts (m), normals (-), forces (N) and torques (N m) may be from those
@@ -58,7 +67,7 @@ def plan_to_dict(plan: GraspPlan) -> dict[str, Any]:
             opening_m=plan.opening,
             arm=None if plan.arm is None else ArmData.of(plan, plan.arm),
         ),
-        contacts=[_contact_data(plan, i) for i in range(len(plan.contacts))],
+        contacts=contact_data(plan.contacts),
         joint_torques_N_m=list(plan.forces.joint_torques),
         quality=plan.quality.to_dict(),
         pad_gaps_m=list(plan.verification.pad_gaps),
@@ -70,8 +79,12 @@ def plan_to_dict(plan: GraspPlan) -> dict[str, Any]:
     return data.model_dump(mode="json")
 
 
-def _contact_data(plan: GraspPlan, i: int) -> ContactData:
-    contact = plan.contacts[i]
+def contact_data(contacts: ContactSet) -> list[ContactData]:
+    """Contacts in the world as data."""
+    return [_one_contact(contacts[i]) for i in range(len(contacts))]
+
+
+def _one_contact(contact: Contact) -> ContactData:
     normal, tangent1, tangent2 = (tuple(column) for column in contact.frame.T)
     fn, ft1, ft2, torque = (float(v) for v in contact.force)
     return ContactData(
@@ -167,9 +180,9 @@ def _rebuild(file: PlanFile, hand: Hand, source: str) -> GraspPlan:
     if [c.finger for c in file.contacts] != [c.finger for c in again.contacts]:
         raise FileFormatError(f"{source}: its contacts are not those of its fingers; it is damaged")
     for what, stored, true, tolerance in (
-        ("contacts", _numbers(file.contacts), _numbers(again.contacts), CONTACT_TOL),
+        ("contacts", numbers_of(file.contacts), numbers_of(again.contacts), CONTACT_TOL),
         ("torques", file.joint_torques_N_m, again.joint_torques_N_m, CONTACT_TOL),
-        ("palm pose", _numbers([grasp.T_world_palm]), _numbers([again.grasp.T_world_palm]), 1e-6),
+        ("palm pose", numbers_of([grasp.T_world_palm]), numbers_of([again.grasp.T_world_palm]), 1e-6),
     ):
         if np.shape(stored) != np.shape(true) or not np.allclose(
             stored, true, atol=tolerance, rtol=CONTACT_TOL
@@ -180,7 +193,7 @@ def _rebuild(file: PlanFile, hand: Hand, source: str) -> GraspPlan:
     return plan
 
 
-def _numbers(items: Sequence[BaseModel]) -> FloatArray:
+def numbers_of(items: Sequence[BaseModel]) -> FloatArray:
     """All numbers in some data, in order."""
     flat: list[float] = []
     for item in items:

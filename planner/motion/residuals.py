@@ -63,6 +63,7 @@ class MotionResiduals:
         self.n_terms = 0
         self.tally: Tally
         self.pull = 0.0
+        self._bends = self._steady()
 
     @property
     def length(self) -> float:
@@ -113,6 +114,7 @@ class MotionResiduals:
             tube=len(outside[0]),
         )
         terms += [sliding, outside]
+        costs.append((self._bends @ z, self._bends))
         if self.pull:
             row = np.zeros((1, u.size))
             row[0, SHARE] = -self.pull
@@ -147,6 +149,18 @@ class MotionResiduals:
             self._spread(mine, local[:, size:], placed[k + 1][1], k + 1)
         return PER_METRE * values.T.ravel(), PER_METRE * rows
 
+    def _steady(self) -> FloatArray:
+        """Rows by which joints are asked to go evenly: their second differences over the knots."""
+        u, hand = self.problem.unknowns, self.problem.grasp.hand
+        span = np.maximum(hand.q_upper - hand.q_lower, SMALLEST_RANGE)
+        rows = np.zeros((max(u.n_knots - 2, 0), u.grasp.n_joints, u.size))
+        joints = np.arange(u.grasp.n_joints)
+        for k in range(1, u.n_knots - 1):
+            for neighbour, weight in ((k - 1, 1.0), (k, -2.0), (k + 1, 1.0)):
+                at = u.columns(neighbour).start + TUBE + joints
+                rows[k - 1, joints, at] = weight * STEADY / span
+        return rows.reshape(-1, u.size)
+
     def _tube(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         u = self.problem.unknowns
         offsets = u.offsets(z)
@@ -158,6 +172,13 @@ class MotionResiduals:
             row[at : at + TUBE] = -offsets[k] / far[k]
         return PER_METRE * (self.numbers.tube - far[out]), PER_METRE * rows
 
+
+STEADY = 1.0
+"""Residual of a second difference of a joint by its whole range: fingers with joints to spare would
+take another posture at every knot."""
+
+SMALLEST_RANGE = 1e-3
+"""Least range (rad or m) of a joint, so that a share of it is a number."""
 
 LEAST_TUBE = 1e-9
 """Offset (m) from the path that is none."""

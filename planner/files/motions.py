@@ -1,0 +1,205 @@
+"""Motion files: versioned JSON with the grasp, the path, and the object and joints at every knot.
+
+As with grasps, nothing in a file is believed: the hand's digest is checked, and grasp and knots are
+judged again on the true geometry. A file whose contacts are not those of its joints is refused.
+"""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import ValidationError
+
+from planner.errors import FileFormatError, TaskError
+from planner.files.data import ContactData, Finite, NotNegative, PlanFile, PoseData, Vector3
+from planner.files.json_csv import read_json, write_json
+from planner.files.plans import (
+    CONTACT_TOL,
+    contact_data,
+    numbers_of,
+    plan_from_dict,
+    plan_to_dict,
+)
+from planner.hand import Hand
+from planner.motion import Knot, Limit, MotionPlan, MotionRecord, ObjectPath
+from planner.motion.check import MotionJudge, Place
+from planner.plan import GraspPlan
+from planner.schema import StrictData, faults_of
+
+__all__ = ["MotionFile", "motion_to_dict", "read_motion", "write_motion"]
+
+MOTION_VERSION = 1
+
+SAME = 1e-9
+"""How far (rad, m) the first knot of a file may be from its grasp."""
+
+
+class KnotData(StrictData):
+    """One knot; joints in the order of the grasp's ``joint_names``."""
+
+    place: Finite
+    T_world_object: PoseData
+    q_rad: list[Finite]
+    contacts: list[ContactData]
+    normalised_min_weight: Finite
+    smallest_clearance_m: Finite
+    off_path_m: NotNegative
+    slips_m: list[NotNegative]
+
+
+class PathData(StrictData):
+    """The path of the object, world axes."""
+
+    axis: Vector3
+    angle_rad: Finite
+    shift_m: Vector3
+
+
+class LimitData(StrictData):
+    """What kept the path from being longer."""
+
+    what: str
+    finger: str
+    joint: str
+    place: Finite
+    gain: NotNegative
+    unit: str
+
+
+class MotionRecordData(StrictData):
+    """Where the motion comes from."""
+
+    seed: int
+    attempt: int
+    attempts: int
+    iterations: int
+    worst: Finite
+    cpu_s: Finite
+    build_s: Finite
+
+
+class MotionFile(StrictData):
+    """A motion plan as JSON."""
+
+    format: Literal["opposable-motion"] = "opposable-motion"
+    version: Literal[1] = 1
+    written_by: str
+    grasp: PlanFile
+    path: PathData
+    tube_m: NotNegative
+    knots: list[KnotData]
+    limits: list[LimitData]
+    record: MotionRecordData
+
+
+def motion_to_dict(plan: MotionPlan) -> dict[str, Any]:
+    """A motion as plain data that follows ``MotionFile``."""
+    data = MotionFile(
+        written_by=f"opposable {version('opposable')}",
+        grasp=PlanFile.model_validate(plan_to_dict(plan.grasp)),
+        path=PathData(
+            axis=tuple(plan.path.axis), angle_rad=plan.path.angle, shift_m=tuple(plan.path.shift)
+        ),
+        tube_m=plan.tube,
+        knots=[_knot_data(knot) for knot in plan.knots],
+        limits=[
+            LimitData(**{k: getattr(limit, k) for k in LimitData.model_fields})
+            for limit in plan.limits
+        ],
+        record=MotionRecordData(
+            **{k: getattr(plan.record, k) for k in MotionRecordData.model_fields}
+        ),
+    )
+    return data.model_dump(mode="json")
+
+
+def _knot_data(knot: Knot) -> KnotData:
+    return KnotData(
+        place=knot.place,
+        T_world_object=PoseData.of(knot.T_world_object),
+        q_rad=list(knot.q),
+        contacts=contact_data(knot.contacts),
+        normalised_min_weight=knot.closure.normalised_min_weight,
+        smallest_clearance_m=knot.clearance,
+        off_path_m=knot.off_path,
+        slips_m=list(knot.slips),
+    )
+
+
+def write_motion(plan: MotionPlan, path: Path | str) -> None:
+    """Write a motion file."""
+    write_json(motion_to_dict(plan), path)
+
+
+def read_motion(path: Path | str, *, hand: Hand | None = None) -> MotionPlan:
+    """Read a motion file and check it.
+
+    Args:
+        path: The file.
+        hand: The hand to use; the one that the file names if None.
+
+    Raises:
+        FileFormatError: Damaged, of another version, or for another hand; or it does not hold.
+        PlannerError: The hand or object cannot be loaded.
+    """
+    data = read_json(path, "motion file")
+    if data.get("format") != "opposable-motion":
+        raise FileFormatError(f"{path} is not a motion file: its format is {data.get('format')!r}")
+    if data.get("version") != MOTION_VERSION:
+        raise FileFormatError(
+            f"{path} has motion version {data.get('version')!r}; this Opposable reads version "
+            f"{MOTION_VERSION}; plan again"
+        )
+    try:
+        file = MotionFile.model_validate(data)
+    except ValidationError as error:
+        raise FileFormatError(f"{path} is damaged: {faults_of(error)}") from error
+    grasp = plan_from_dict(data["grasp"], str(path), hand=hand)
+    return _rebuild(file, grasp, path)
+
+
+def _rebuild(file: MotionFile, grasp: GraspPlan, path: Path | str) -> MotionPlan:
+    try:
+        covered = ObjectPath(
+            axis=np.array(file.path.axis),
+            angle=file.path.angle_rad,
+            shift=np.array(file.path.shift_m),
+        )
+    except TaskError as error:
+        raise FileFormatError(f"{path} is damaged: {error}") from error
+    given = [k.place for k in file.knots]
+    if len(given) < 2 or given[0] != 0.0 or given[-1] != 1.0 or np.diff(given).min() <= 0:
+        raise FileFormatError(f"{path}: its knots do not go from 0 to 1 in order; it is damaged")
+    places = [
+        Place(
+            place=k.place,
+            T_object_base=k.T_world_object.pose().inverse() * grasp.T_world_base,
+            q=grasp.task.hand.checked_q(k.q_rad, "q_rad"),
+        )
+        for k in file.knots
+    ]
+    if not np.allclose(places[0].q, grasp.q, rtol=0.0, atol=SAME):
+        raise FileFormatError(f"{path}: its first knot is not its grasp; it is damaged")
+    knots = MotionJudge(grasp.task).knots(grasp.T_world_base, places, covered, file.tube_m)
+    if isinstance(knots, str):
+        raise FileFormatError(f"{path} holds a motion that fails its checks: {knots}")
+    for stored, knot in zip(file.knots, knots, strict=True):
+        told, true = numbers_of(stored.contacts), numbers_of(contact_data(knot.contacts))
+        if told.shape != true.shape or not np.allclose(
+            told, true, atol=CONTACT_TOL, rtol=CONTACT_TOL
+        ):
+            raise FileFormatError(
+                f"{path}: its contacts at {100 * stored.place:.0f} % of the path are not those of "
+                "its joints; it is damaged"
+            )
+    return MotionPlan(
+        grasp=grasp,
+        path=covered,
+        knots=knots,
+        tube=file.tube_m,
+        limits=tuple(Limit(**limit.model_dump()) for limit in file.limits),
+        record=MotionRecord(**file.record.model_dump()),
+    )
