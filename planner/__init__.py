@@ -14,6 +14,7 @@ from planner.files import read_plan, write_plan
 from planner.forces import distribute_forces
 from planner.hand import Hand
 from planner.kinematics import HandState
+from planner.motion import MotionPlan, plan_motion
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
 from planner.quality import analyse, force_closure
@@ -32,6 +33,7 @@ __all__ = [
     "GraspTask",
     "Hand",
     "HandState",
+    "MotionPlan",
     "NoGraspFoundError",
     "Obstacle",
     "PlannerError",
@@ -43,6 +45,7 @@ __all__ = [
     "parse_object",
     "plan_grasp",
     "plan_grasps",
+    "plan_motion",
     "read_plan",
     "write_plan",
 ]

@@ -269,7 +269,7 @@ def test_derivatives_of_all_residuals_by_finite_differences(allegro: Hand) -> No
     z += 0.01 * rng.normal(size=len(z))
     z[SHARE] = 0.4
     value, jacobian = residuals(z)
-    value, jacobian, tally = value.copy(), jacobian.copy(), residuals.tally
+    value, jacobian, tally = value.copy(), jacobian.copy(), residuals.tally(z)
     assert tally.tube and tally.rolling and any(len(a) for a in tally.avoided)
     step = 1e-6
     compared = 0

@@ -23,7 +23,7 @@ from planner.synthesis.avoid import TERMS
 from planner.synthesis.residuals import WEIGHTS
 
 if TYPE_CHECKING:
-    from planner.motion.residuals import MotionResiduals
+    from planner.motion.residuals import MotionResiduals, Tally
 
 __all__ = ["Limit", "what_limits"]
 
@@ -88,7 +88,7 @@ def what_limits(
         return ()
     scale = 1.0 / (residuals.pull * missing)
     found = [*_joints(residuals, z, jacobian.T @ r, lower, upper, scale)]
-    found += _terms(residuals, r, jacobian, scale)
+    found += _terms(residuals, residuals.tally(z), r, jacobian, scale)
     found.sort(key=lambda limit: -limit.gain)
     best: dict[str, Limit] = {}
     for limit in found:
@@ -129,10 +129,10 @@ def _joints(
 
 
 def _terms(
-    residuals: MotionResiduals, r: FloatArray, jacobian: FloatArray, scale: float
+    residuals: MotionResiduals, tally: Tally, r: FloatArray, jacobian: FloatArray, scale: float
 ) -> Iterator[Limit]:
     """Violated inequalities; those of grasps are told by the unknowns that they depend on."""
-    problem, tally = residuals.problem, residuals.tally
+    problem = residuals.problem
     u, places = problem.unknowns, residuals.numbers.places
     terms = problem.grasp.formulation.terms
     equalities = sum(t.expression.numel() for t in terms if t.equality)

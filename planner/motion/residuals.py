@@ -33,7 +33,7 @@ LEVER = 0.035
 
 @dataclass(frozen=True, kw_only=True)
 class Tally:
-    """How many rows of the last residuals belong to what, in their order.
+    """How many rows of the residuals belong to what, in their order.
 
     Attributes:
         avoided: Of each knot, which clearances are violated: numbers of their terms.
@@ -53,7 +53,6 @@ class MotionResiduals:
 
     Attributes:
         n_terms: How many of the last ones belong to terms.
-        tally: What the last terms were.
         pull: Residual per unit of the path's share that is missing; 0 for none.
     """
 
@@ -61,7 +60,7 @@ class MotionResiduals:
         """Bind a problem to numbers, and to the distance field of a mesh."""
         self.problem, self.numbers, self._field = problem, numbers, field
         self.n_terms = 0
-        self.tally: Tally
+        self._placement = placement().map(problem.n_knots)
         self.pull = 0.0
         self._bends = self._steady()
 
@@ -71,17 +70,49 @@ class MotionResiduals:
         n = self.numbers
         return abs(n.angle) + float(np.linalg.norm(n.shift)) / LEVER
 
-    def knot(self, z: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
-        """Unknowns of knot k as a grasp (size,), and the derivative (6, 10) of the first six."""
+    def knots(self, z: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+        """Of every knot its unknowns as a grasp (size,), and the derivative (6, 10) of the first 6.
+
+        The derivative is by what all knots share and by the place in the tube.
+        """
         u, n = self.problem.unknowns, self.numbers
-        y = np.concatenate([z[:SHARED], u.offsets(z)[k]])
-        reference = n.reference.ravel(order="F")
-        at, slope = placement()(y, reference, n.axis, n.angle, n.shift, n.places[k])
-        return np.concatenate([at.full().ravel(), u.rests(z)[k]]), slope.full()
+        y = np.vstack([np.tile(z[:SHARED], (u.n_knots, 1)).T, u.offsets(z).T])
+        at, slopes = self._placement(
+            ca.DM(y),
+            ca.DM(n.reference.ravel(order="F")),
+            ca.DM(n.axis),
+            n.angle,
+            ca.DM(n.shift),
+            ca.DM(n.places).T,
+        )
+        bases, rates, rests = at.full().T, slopes.full(), u.rests(z)
+        width = SHARED + TUBE
+        return [
+            (np.concatenate([bases[k], rests[k]]), rates[:, width * k : width * (k + 1)])
+            for k in range(u.n_knots)
+        ]
 
     def grasps(self, z: FloatArray) -> FloatArray:
         """Unknowns (n_knots, size) of every knot as a grasp."""
-        return np.array([self.knot(z, k)[0] for k in range(self.problem.n_knots)])
+        return np.array([x for x, _ in self.knots(z)])
+
+    def tally(self, z: FloatArray) -> Tally:
+        """What the rows at z are about."""
+        one = self.problem.grasp.residuals
+        avoided, counted = [], []
+        for k, (x, _) in enumerate(self.knots(z)):
+            one.bind(self.numbers.knots[k], self._field)
+            one(x)
+            violated = self.problem.avoidance(x).terms
+            avoided.append(violated)
+            counted.append(one.n_terms - len(violated))
+        u = self.problem.unknowns
+        return Tally(
+            avoided=tuple(avoided),
+            terms=tuple(counted),
+            rolling=3 * u.grasp.n_contacts * (u.n_knots - 1),
+            tube=len(self._tube(z)[0]),
+        )
 
     def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Those that count at the unknowns x."""
@@ -92,8 +123,7 @@ class MotionResiduals:
         u, one = self.problem.unknowns, self.problem.grasp.residuals
         terms: list[tuple[FloatArray, FloatArray]] = []
         costs: list[tuple[FloatArray, FloatArray]] = []
-        avoided, counted = [], []
-        placed = [self.knot(z, k) for k in range(u.n_knots)]
+        placed = self.knots(z)
         for k, (x, slope) in enumerate(placed):
             one.bind(self.numbers.knots[k], self._field)
             r, local = one(x)
@@ -102,18 +132,7 @@ class MotionResiduals:
             n = one.n_terms
             terms.append((r[:n], rows[:n]))
             costs.append((r[n:], rows[n:]))
-            violated = self.problem.avoidance(x).terms
-            avoided.append(violated)
-            counted.append(n - len(violated))
-        sliding = self._rolling(placed)
-        outside = self._tube(z)
-        self.tally = Tally(
-            avoided=tuple(avoided),
-            terms=tuple(counted),
-            rolling=len(sliding[0]),
-            tube=len(outside[0]),
-        )
-        terms += [sliding, outside]
+        terms += [self._rolling(placed), self._tube(z)]
         costs.append((self._bends @ z, self._bends))
         if self.pull:
             row = np.zeros((1, u.size))

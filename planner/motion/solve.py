@@ -51,7 +51,7 @@ HOLDING = 40
 STRENGTHENING = 10
 """Evaluations of a round that works on closure."""
 
-WORTH_A_LOOK = 0.2
+WORTH_A_LOOK = 0.3
 """Largest weighted residual (mm, where a length is involved) of a motion worth verifying: less than
 for a grasp, since every term is met by the least-squares descent at every knot."""
 
