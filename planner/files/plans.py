@@ -182,7 +182,12 @@ def _rebuild(file: PlanFile, hand: Hand, source: str) -> GraspPlan:
     for what, stored, true, tolerance in (
         ("contacts", numbers_of(file.contacts), numbers_of(again.contacts), CONTACT_TOL),
         ("torques", file.joint_torques_N_m, again.joint_torques_N_m, CONTACT_TOL),
-        ("palm pose", numbers_of([grasp.T_world_palm]), numbers_of([again.grasp.T_world_palm]), 1e-6),
+        (
+            "palm pose",
+            numbers_of([grasp.T_world_palm]),
+            numbers_of([again.grasp.T_world_palm]),
+            1e-6,
+        ),
     ):
         if np.shape(stored) != np.shape(true) or not np.allclose(
             stored, true, atol=tolerance, rtol=CONTACT_TOL

@@ -109,6 +109,7 @@ class MotionSolver:
         """
         self.problem, self.task, self.path = problem, task, path
         self._options, self._tube, self._posture = options, tube, posture
+        self._first = replace(options, rounds=0)
         self._rounds = rounds
         self._field = problem.grasp.surface.field_of(task.object.shape)
         hand, u = task.hand, problem.unknowns
@@ -154,7 +155,7 @@ class MotionSolver:
         """The same start with the grasp that it leads to."""
         one = self.problem.grasp
         parameters = one.parameters(self.task, start, self._posture, self._options)
-        found = descend_grasp(one, self.task, start, parameters)
+        found = descend_grasp(one, self.task, start, parameters, self._first)
         return replace(
             start,
             T_object_base=found.T_object_base,
