@@ -55,17 +55,18 @@ def analyse(
 
 @errors_for_people()
 def schema(
-    kind: Annotated[str, typer.Argument(help="plan, report or contacts")] = "plan",
+    kind: Annotated[str, typer.Argument(help="plan, motion, report or contacts")] = "plan",
 ) -> None:
-    """The JSON Schema of plan files, trial reports, or contact lists."""
+    """The JSON Schema of plan and motion files, trial reports, or contact lists."""
     from pydantic import BaseModel
 
     from planner.errors import NotFoundError
-    from planner.files import ContactsFile, PlanFile
+    from planner.files import ContactsFile, MotionFile, PlanFile
     from sim.report import ReportFile
 
     models: dict[str, type[BaseModel]] = {
         "plan": PlanFile,
+        "motion": MotionFile,
         "report": ReportFile,
         "contacts": ContactsFile,
     }

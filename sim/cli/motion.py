@@ -1,0 +1,108 @@
+"""The command ``plan-motion``: how an object is turned or moved in the hand."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+
+from sim.cli.common import (
+    FingersOption,
+    HandArgument,
+    JsonOption,
+    MassOption,
+    MuOption,
+    ObjectArgument,
+    SeedOption,
+    check_folder,
+    err,
+    errors_for_people,
+    names,
+    out,
+    print_json,
+    say,
+)
+
+
+@errors_for_people()
+def plan_motion(
+    hand: HandArgument,
+    object: ObjectArgument,
+    output: Annotated[Path, typer.Option("--out", "-o", help="The motion file.")] = Path(
+        "motion.json"
+    ),
+    angle: Annotated[
+        float | None,
+        typer.Option(help="Turn, degrees, with its sign; as much as there is if not given."),
+    ] = None,
+    axis: Annotated[str, typer.Option(help="Axis of the turn, world: x,y,z.")] = "0,0,1",
+    shift: Annotated[
+        str, typer.Option(help="Translation of the object, m, world: x,y,z.")
+    ] = "0,0,0",
+    tube: Annotated[float, typer.Option(help="How far the object may leave its path, m.")] = 0.01,
+    fingers: FingersOption = None,
+    seed: SeedOption = 0,
+    mu: MuOption = 0.5,
+    mass: MassOption = None,
+    max_attempts: Annotated[int, typer.Option(min=1, help="Attempts before giving up.")] = 30,
+    best_of: Annotated[
+        int | None, typer.Option(min=1, help="Attempts of which the best is taken.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Plan how an object is turned or moved in the hand on one grasp, and write it to a file."""
+    from planner.files import write_motion
+    from planner.files.motions import motion_to_dict
+    from planner.motion import plan_motion as plan
+    from planner.objects import parse_object
+    from planner.task import GraspTask
+
+    check_folder(output)
+    task = GraspTask.create(
+        hand,
+        parse_object(object, mass=mass),
+        mu=mu,
+        fingers=None if fingers is None else names(fingers),
+    )
+    with err.status(f"planning: {task.hand.name}, {task.object.name} ..."):
+        found = plan(
+            task,
+            axis=_vector("--axis", axis),
+            angle=None if angle is None else math.radians(angle),
+            shift=_vector("--shift", shift),
+            tube=tube,
+            seed=seed,
+            max_attempts=max_attempts,
+            best_of=best_of,
+        )
+    write_motion(found, output)
+    if as_json:
+        print_json(motion_to_dict(found))
+    else:
+        say(out, escape(str(found)))
+        say(out, escape(f"written to {output}"))
+
+
+def _vector(option: str, text: str) -> list[float]:
+    """Three numbers as the command line gives them.
+
+    Raises:
+        TaskError: Something else.
+    """
+    from planner.errors import TaskError
+
+    try:
+        values = [float(v) for v in text.split(",")]
+    except ValueError as error:
+        raise TaskError(f"{option} {text!r} holds something else than numbers: x,y,z") from error
+    if len(values) != 3:
+        raise TaskError(f"{option} {text!r} has {len(values)} numbers; give three: x,y,z")
+    return values
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("plan-motion")(plan_motion)

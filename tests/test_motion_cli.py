@@ -1,0 +1,55 @@
+"""``opposable plan-motion``: a motion from the command line, and what is wrong with one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from planner.files import read_motion
+from sim.cli import app
+
+RUN = CliRunner()
+THREE = ["plan-motion", "allegro_hand", "cylinder:0.03x0.1", "--fingers", "thumb,index,middle"]
+
+
+def test_a_motion_is_planned_printed_and_written(tmp_path: Path) -> None:
+    path = tmp_path / "motion.json"
+    done = RUN.invoke(app, [*THREE, "--angle", "-40", "--out", str(path)])
+    assert done.exit_code == 0, done.output
+    assert "-40.0 degrees about (0, 0, 1)" in done.output
+    assert read_motion(path).path.angle == pytest.approx(-0.698132, abs=1e-6)
+
+
+def test_a_translation_as_json(tmp_path: Path) -> None:
+    arguments = ["--angle", "0", "--shift", "0,0,0.02", "--json", "-o", str(tmp_path / "m.json")]
+    done = RUN.invoke(app, [*THREE, *arguments])
+    assert done.exit_code == 0, done.output
+    data = json.loads(done.stdout)
+    first, last = (data["knots"][k]["T_world_object"]["position_m"] for k in (0, -1))
+    assert last[2] - first[2] == pytest.approx(0.02, abs=0.0102)  # and the tube
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--axis", "up"], "--axis 'up' holds something else than numbers"),
+        (["--axis", "0,1"], "--axis '0,1' has 2 numbers; give three"),
+        (["--angle", "400"], "at most a half turn"),
+        (["--angle", "90", "--tube", "-1"], "tube is -1"),
+    ],
+)
+def test_bad_input_is_told(tmp_path: Path, arguments: list[str], words: str) -> None:
+    done = RUN.invoke(app, [*THREE, *arguments, "-o", str(tmp_path / "m.json")])
+    assert done.exit_code == 3
+    assert words in done.output
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_is_out_of_reach_ends_with_four(tmp_path: Path) -> None:
+    arguments = ["--angle", "175", "--max-attempts", "1", "-o", str(tmp_path / "m.json")]
+    done = RUN.invoke(app, [*THREE, *arguments])
+    assert done.exit_code == 4
+    assert "no motion of" in done.output
