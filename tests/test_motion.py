@@ -26,6 +26,7 @@ from planner.motion.limits import what_limits
 from planner.motion.problem import JOINT_ROOM, MotionProblem, build_motion_problem
 from planner.motion.residuals import PULL, MotionResiduals
 from planner.motion.rolling import rolling_function, slips
+from planner.motion.rows import described
 from planner.motion.search import MOTION_OPTIONS
 from planner.motion.solve import MotionSolver
 from planner.motion.unknowns import SHARE, placement
@@ -283,6 +284,35 @@ def test_derivatives_of_all_residuals_by_finite_differences(allegro: Hand) -> No
         assert np.abs(slope - jacobian[:, i]).max() <= 2e-5 * scale, i
         compared += 1
     assert compared > 0.9 * len(z)
+
+
+def test_rows_are_told_in_their_order_with_their_units(allegro: Hand) -> None:
+    task = GraspTask.create(allegro, "cylinder:0.03x0.1", fingers=["thumb", "index", "middle"])
+    path = ObjectPath(axis=UP, angle=1.0, shift=np.zeros(3))
+    problem, seeder = problem_of(allegro, 3), Seeder(task)
+    start = seeder.draw(np.random.default_rng(0))
+    assert isinstance(start, Start)
+    numbers = problem.numbers(task, path, start, seeder.posture, MOTION_OPTIONS, 0.002)
+    residuals = MotionResiduals(problem, numbers, None)
+    z = problem.first(start) + 0.01 * np.random.default_rng(2).normal(size=problem.unknowns.size)
+    z[SHARE] = 0.3
+    r, jacobian = residuals(z)
+    rows = described(residuals, z, jacobian)
+    assert len(rows) == residuals.n_terms
+    for value, row in zip(r, rows, strict=False):
+        assert row.equality or value < 0
+    base, u = SE3(numbers.reference, np.zeros(3)), problem.unknowns.grasp
+    for k, x in enumerate(residuals.grasps(z)):
+        state = HandState(allegro, u.q(x))
+        for finger, point in zip(task.fingers, u.points(x), strict=True):
+            outward = np.array([point[0], point[1], 0.0]) / 0.03  # the first side of the cylinder
+            gap = u.pose(x, base).act(state.pad_center(finger)) - point - 0.012 * outward
+            told = [
+                value / row.weight
+                for value, row in zip(r, rows, strict=False)
+                if (row.what, row.knot) == (f"touch of {finger.name}", k)
+            ]
+            assert np.allclose(told, gap, atol=1e-9)
 
 
 def test_the_turning_hand_turns_as_far_as_its_hinges_and_says_so(turning: GraspTask) -> None:

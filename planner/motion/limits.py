@@ -13,28 +13,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.motion.unknowns import SHARE, SHARED, TUBE
+from planner.motion.residuals import MotionResiduals
+from planner.motion.rows import described
+from planner.motion.unknowns import SHARE, TUBE
 from planner.spatial import FloatArray
-from planner.synthesis.avoid import TERMS
-from planner.synthesis.residuals import WEIGHTS
 
-if TYPE_CHECKING:
-    from planner.motion.residuals import MotionResiduals, Tally
-
-__all__ = ["Limit", "what_limits"]
+__all__ = ["Limit", "what_limits", "worst_term"]
 
 LISTED = 6
 """Limits that are told."""
 
 AT_BOUND = 1e-9
 """Distance from a bound (rad or m) that is none."""
-
-PER_METRE = 1e3
-"""Residual of a metre beyond the tube, as in ``planner.motion.residuals``."""
 
 PER_UNIT = {
     "m": (1e-3, "mm"),
@@ -88,7 +81,7 @@ def what_limits(
         return ()
     scale = 1.0 / (residuals.pull * missing)
     found = [*_joints(residuals, z, jacobian.T @ r, lower, upper, scale)]
-    found += _terms(residuals, residuals.tally(z), r, jacobian, scale)
+    found += _terms(residuals, z, r, jacobian, scale)
     found.sort(key=lambda limit: -limit.gain)
     best: dict[str, Limit] = {}
     for limit in found:
@@ -129,65 +122,37 @@ def _joints(
 
 
 def _terms(
-    residuals: MotionResiduals, tally: Tally, r: FloatArray, jacobian: FloatArray, scale: float
+    residuals: MotionResiduals,
+    z: FloatArray,
+    r: FloatArray,
+    jacobian: FloatArray,
+    scale: float,
 ) -> Iterator[Limit]:
-    """Violated inequalities; those of grasps are told by the unknowns that they depend on."""
-    problem = residuals.problem
-    u, places = problem.unknowns, residuals.numbers.places
-    terms = problem.grasp.formulation.terms
-    equalities = sum(t.expression.numel() for t in terms if t.equality)
-    row = 0
-    for k, (avoided, others) in enumerate(zip(tally.avoided, tally.terms, strict=True)):
-        for i, number in enumerate(avoided, start=row):
-            name = TERMS[number]
-            fingers = _fingers_of(residuals, jacobian[i], k)
-            what = CLEARANCES[name].format(" and ".join(fingers) or "palm or wrist")
-            unit = "m2" if name == "fingers" else "m"
-            yield _limit(what, fingers, places[k], r[i] * WEIGHTS[name] * scale, unit)
-        row += len(avoided)
-        for i in range(row + equalities, row + others):
-            own = jacobian[i, u.columns(k)][TUBE:]
-            pressed = own[u.grasp.n_joints :].reshape(2, -1, 3)[1]
-            which = np.flatnonzero(np.abs(pressed).max(axis=1))
-            fingers = _fingers_of(residuals, jacobian[i], k)
-            if not len(which):
-                what, name = f"{fingers[0]} at the rim of its pad", "facing"
-            elif fingers:
-                what, name = "a stop that can only push", "stop"
-            else:
-                fingers = [problem.grasp.fingers[int(which[0])].name]
-                what, name = f"force of {fingers[0]} at the edge of its cone", "cone"
-            yield _limit(what, fingers, places[k], r[i] * WEIGHTS[name] * scale, "-")
-        row += others
-    row += tally.rolling
-    for i in range(row, row + tally.tube):
-        k = (int(np.flatnonzero(jacobian[i])[0]) - SHARED) // u.own
-        yield _limit("the tube around the path", [], places[k], r[i] * PER_METRE * scale, "m")
+    """Violated inequalities."""
+    for row, value in zip(described(residuals, z, jacobian), r, strict=False):
+        if row.equality:
+            continue
+        step, unit = PER_UNIT[row.unit]
+        yield Limit(
+            what=row.what,
+            finger=row.finger,
+            joint="",
+            place=float(residuals.numbers.places[row.knot]),
+            gain=abs(float(value)) * row.weight * scale * step,
+            unit=unit,
+        )
 
 
-CLEARANCES = {
-    "object": "clearance of {} from the object",
-    "table": "clearance of {} from the table",
-    "fingers": "clearance between {}",
-}
-"""What a term of ``planner.synthesis.avoid`` is about."""
+def worst_term(residuals: MotionResiduals, z: FloatArray) -> str:
+    """The term with the largest weighted residual at z, in words."""
+    r, jacobian = residuals(z)
+    rows = described(residuals, z, jacobian)
+    k = int(np.abs(r[: len(rows)]).argmax())
+    step, unit = WORDS[rows[k].unit]
+    place = 100 * residuals.numbers.places[rows[k].knot]
+    off = abs(float(r[k])) / rows[k].weight / step
+    return f"{rows[k].what} at {place:.0f} % of the path, off by {off:.2g}{unit}"
 
 
-def _limit(what: str, fingers: list[str], place: float, multiplier: float, unit: str) -> Limit:
-    step, name = PER_UNIT[unit]
-    return Limit(
-        what=what,
-        finger=fingers[0] if fingers else "",
-        joint="",
-        place=float(place),
-        gain=abs(float(multiplier)) * step,
-        unit=name,
-    )
-
-
-def _fingers_of(residuals: MotionResiduals, row: FloatArray, k: int) -> list[str]:
-    """Names of the fingers whose joints at knot k a row (n,) depends on."""
-    u = residuals.problem.unknowns
-    moves = np.flatnonzero(row[u.columns(k)][TUBE : TUBE + u.grasp.n_joints])
-    hand = residuals.problem.grasp.hand
-    return [f.name for f in hand.fingers.values() if np.isin(f.q_index, moves).any()]
+WORDS = {"m": (1e-3, " mm"), "rad": (np.pi / 180, " degrees"), "m2": (1e-6, " mm2"), "-": (1.0, "")}
+"""A unit that a person reads for every unit, and its name."""

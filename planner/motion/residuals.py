@@ -18,7 +18,7 @@ from planner.spatial import FloatArray, IntArray
 from planner.stages import stage
 from planner.synthesis.nlp import Field
 
-__all__ = ["PULL", "MotionResiduals", "Tally"]
+__all__ = ["PER_METRE", "PULL", "MotionResiduals", "Tally"]
 
 PER_METRE = 1e3
 """A millimetre of sliding, or beyond the tube, is one unit of residual."""

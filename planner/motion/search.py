@@ -206,7 +206,7 @@ def _judged(
 ) -> MotionPlan | str:
     """A plan out of what the solver found, or why not."""
     if candidate.worst > WORTH_A_LOOK:
-        return f"not solved: a term is violated by {candidate.worst:.2f} of its unit"
+        return f"not solved: {candidate.worst_term}"
     if candidate.share < LEAST_SHARE:
         return f"only {100 * candidate.share:.1f} % of the path are reached"
     covered = path.cut(candidate.share)

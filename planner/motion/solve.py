@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planner.motion.limits import Limit, what_limits
+from planner.motion.limits import Limit, what_limits, worst_term
 from planner.motion.path import ObjectPath
 from planner.motion.problem import MotionProblem
 from planner.motion.residuals import PULL, MotionResiduals
@@ -68,6 +68,7 @@ class MotionCandidate:
         grasps: Every knot as a grasp's unknowns (n_knots, size).
         reference: R0 (3, 3) of those.
         worst: Largest weighted residual of a term.
+        worst_term: Which that is, in words; "" where it is worth a look.
         limits: What keeps the path from being longer, where as much as there is was asked for.
         iterations: Evaluations.
         cpu_s: CPU time, s.
@@ -77,6 +78,7 @@ class MotionCandidate:
     grasps: FloatArray
     reference: FloatArray
     worst: float
+    worst_term: str
     limits: tuple[Limit, ...]
     iterations: int
     cpu_s: float
@@ -226,6 +228,7 @@ class _Run:
             grasps=self.residuals.grasps(self.z),
             reference=self.residuals.numbers.reference,
             worst=self.worst,
+            worst_term=worst_term(self.residuals, self.z) if self.worst > WORTH_A_LOOK else "",
             limits=limits,
             iterations=self._iterations,
             cpu_s=time.process_time() - self._begin,
