@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from planner.collision import CollisionWorld
+from planner.collision import Clearance, CollisionWorld
 from planner.judge import judge_grasp, plan_forces
 from planner.motion.between import lead
 from planner.motion.path import ObjectPath
@@ -25,7 +25,7 @@ from planner.plan import GraspPlan, SolveRecord
 from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.synthesis.settle import settle
-from planner.synthesis.touch import PadTouch, pad_touches
+from planner.synthesis.touch import PadTouch, pad_touches, touching_of
 from planner.synthesis.unknowns import Unknowns
 from planner.synthesis.verify import contacts_of, verify
 from planner.task import GraspTask
@@ -49,6 +49,9 @@ surface: the compliance of a grip takes it up."""
 BETWEEN_TOL = 1e-3
 """Largest pad gap (m) half-way between knots, if joints move evenly: twice what counts as touching,
 since a controller closes it."""
+
+BETWEEN_PENETRATION = 1e-4
+"""Depth (m) from which penetration counts there, where pads are off by as much."""
 
 TURN_TOL = 1e-3
 """How far (rad) the object may be turned off its path: it is turned as asked, exactly."""
@@ -186,10 +189,10 @@ class MotionJudge:
             return f"the object is {1e3 * off:.1f} mm off its path (tube {1e3 * tube:.1f})"
         if turned > TURN_TOL:
             return f"the object is turned {np.rad2deg(turned):.1f} degrees off its path"
-        slid, gap = np.zeros(len(touches)), 0.0
+        slid, gap, within = np.zeros(len(touches)), 0.0, None
         if before is not None:
             slid = self._slips(before, (place, touches))
-            gap = self._between(before[0], place)
+            gap, within = self._between(before[0], place)
         if slid.max() > SLIP_TOL:
             name = task.finger_names[int(slid.argmax())]
             return f"{name} slides by {1e3 * slid.max():.2f} mm (allowed {1e3 * SLIP_TOL:.1f})"
@@ -198,6 +201,8 @@ class MotionJudge:
                 f"a pad is {1e3 * gap:.2f} mm off the surface half-way from the knot before "
                 f"(allowed {1e3 * BETWEEN_TOL:.1f})"
             )
+        if within is not None:
+            return f"penetration half-way from the knot before, {within}"
         return Knot(
             place=place.place,
             T_world_object=T_world_object,
@@ -232,12 +237,15 @@ class MotionJudge:
             ),
         )
 
-    def _between(self, before: Place, after: Place) -> float:
-        """Largest pad gap half-way between two knots, m."""
+    def _between(self, before: Place, after: Place) -> tuple[float, Clearance | None]:
+        """Half-way between two knots: the largest pad gap, m, and what penetrates, if anything."""
         pose = _between(before.T_object_base, after.T_object_base, 0.5)
         middle = Place(place=0.5, T_object_base=pose, q=(before.q + after.q) / 2)
-        touches = pad_touches(self._lifted, self._base(middle), middle.q)
-        return max(abs(t.pad_gap) for t in touches)
+        base = self._base(middle)
+        touches = pad_touches(self._lifted, base, middle.q)
+        nearest = self._free.closest(base, middle.q, 1, touching=touching_of(self._lifted).names)
+        within = [c for c in nearest if c.distance < -BETWEEN_PENETRATION]
+        return max(abs(t.pad_gap) for t in touches), within[0] if within else None
 
 
 def _between(a: SE3, b: SE3, share: float) -> SE3:

@@ -131,16 +131,16 @@ class MotionProblem:
         n = self.n_knots
         reach = np.full((n, 3), tube)
         reach[0] = 0.0
-        nq = self.grasp.hand.nq
-        ends = [bound[6:].copy() for bound in self.grasp.bounds(start)]
-        span = ends[1][:nq] - ends[0][:nq]
-        room = np.minimum(JOINT_ROOM, span / 4)
-        ends[0][:nq] += room
-        ends[1][:nq] -= room
-        carried = [bound[:6] for bound in self.grasp.bounds(start)]
+        nq, (least, most) = self.grasp.hand.nq, self.grasp.bounds(start)
+        joints = slice(6, 6 + nq)
+        room = np.minimum(JOINT_ROOM, (most - least)[joints] / 4)
+        least[joints] += room
+        most[joints] -= room
         lower, upper = (
-            self.unknowns.pack(np.append(base, share), sign * reach, np.tile(rest, (n, 1)))
-            for base, rest, share, sign in zip(carried, ends, (0.0, 1.0), (-1, 1), strict=True)
+            self.unknowns.pack(
+                np.append(bound[:6], share), sign * reach, np.tile(bound[6:], (n, 1))
+            )
+            for bound, share, sign in ((least, 0.0, -1), (most, 1.0, 1))
         )
         return lower, upper
 

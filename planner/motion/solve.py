@@ -2,9 +2,13 @@
 
 A start is a grasp of the object in the middle of its path. For a given path all of it is asked for
 at once: the first residuals are centimetres, and the descent takes them back. Asking for it in
-steps costs half as much again and finds no more. For as much as there is the share of the
-path is an unknown that a residual pulls at; then the share is fixed a little below where the terms
-held it, and a last descent is for the terms alone.
+steps costs half as much again and finds hardly more (29 of 30 starts against 30). For as much as there is
+the share of the path is an unknown that a residual pulls at; then the share is fixed a little below
+where the terms held it, and a last descent is for the terms alone.
+
+IPOPT got the same programme (five knots, 192 unknowns, even without clearances) and was not done
+after 150 iterations and a second, from any of four starts; descents took a quarter of that, with
+clearances.
 """
 
 from __future__ import annotations
@@ -110,7 +114,8 @@ class MotionSolver:
             rounds: How many rounds work on the closure of all knots.
         """
         self.problem, self.task, self.path = problem, task, path
-        self._options, self._tube, self._posture = options, tube, posture
+        self.tube = tube
+        self._options, self._posture = options, posture
         self._first = replace(options, rounds=0)
         self._rounds = rounds
         self._field = problem.grasp.surface.field_of(task.object.shape)
@@ -176,10 +181,10 @@ class _Run:
         start = solver._grasped(start)
         problem = solver.problem
         numbers = problem.numbers(
-            solver.task, solver.path, start, solver._posture, solver._options, solver._tube
+            solver.task, solver.path, start, solver._posture, solver._options, solver.tube
         )
         self.residuals = MotionResiduals(problem, numbers, solver._field)
-        self.lower, self.upper = problem.bounds(start, solver._tube)
+        self.lower, self.upper = problem.bounds(start, solver.tube)
         self.z = np.clip(problem.first(start), self.lower, self.upper)
         self.worst = np.inf
         self._iterations = 0
