@@ -5,25 +5,22 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
 from planner.errors import NoGraspFoundError, TaskError
-from planner.hand import Hand
 from planner.motion.check import MotionJudge
 from planner.motion.path import LARGEST_TURN, ObjectPath
 from planner.motion.plan import MotionPlan, MotionRecord
-from planner.motion.problem import MotionProblem, build_motion_problem
+from planner.motion.problems import motion_problem_for
 from planner.motion.solve import WORTH_A_LOOK, MotionCandidate, MotionSolver
 from planner.plan import SolveRecord
-from planner.shapes import Shape
 from planner.spatial import FloatArray
 from planner.synthesis.mesh_seeds import seeder_for
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Start
-from planner.synthesis.surfaces import surface_of
 from planner.task import GraspTask
 
 __all__ = ["MotionAttempt", "motion_attempts", "plan_motion"]
@@ -99,7 +96,7 @@ def motion_attempts(
     """
     _check(task, tube, seed)
     seeder = seeder_for(task)
-    problem, build_s = _problem(task, _knots(path) if whole else STRETCH_KNOTS)
+    problem, build_s = motion_problem_for(task, _knots(path) if whole else STRETCH_KNOTS)
     solver = MotionSolver(
         problem, task, path, options, tube=tube, posture=seeder.posture, rounds=ROUNDS * strengthen
     )
@@ -276,36 +273,6 @@ def _check(task: GraspTask, tube: float, seed: int) -> None:
         raise TaskError(f"tube is {tube}; give a radius in m, 0 or more")
     if not isinstance(seed, int | np.integer) or seed < 0:
         raise TaskError(f"seed is {seed!r}; give an integer >= 0")
-
-
-def _problem(task: GraspTask, n_knots: int) -> tuple[MotionProblem, float]:
-    """The problem of a task's hand, fingers and kind of shape, and the time to build it, s."""
-    begin = time.perf_counter()
-    shape = task.object.shape
-    form = _Form(
-        task.hand.digest, task.finger_names, surface_of(shape).kind, n_knots, task.hand, shape
-    )
-    found = _built(form)
-    found.grasp.surface.field_of(shape)
-    return found, time.perf_counter() - begin
-
-
-@dataclass(frozen=True)
-class _Form:
-    """What determines a problem, for the cache; and an example of it."""
-
-    digest: str
-    finger_names: tuple[str, ...]
-    kind: str
-    n_knots: int
-    hand: Hand = field(compare=False)
-    shape: Shape = field(compare=False)
-
-
-@lru_cache(maxsize=8)
-def _built(form: _Form) -> MotionProblem:
-    fingers = form.hand.choose_fingers(form.finger_names)
-    return build_motion_problem(form.hand, fingers, form.shape, form.n_knots)
 
 
 @lru_cache(maxsize=4)

@@ -1,0 +1,45 @@
+"""The problem of a task's motions, built once and kept: like that of its grasps."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+from planner.hand import Hand
+from planner.motion.problem import MotionProblem, build_motion_problem
+from planner.shapes import Shape
+from planner.synthesis.surfaces import surface_of
+from planner.task import GraspTask
+
+__all__ = ["motion_problem_for"]
+
+
+def motion_problem_for(task: GraspTask, n_knots: int) -> tuple[MotionProblem, float]:
+    """The problem of a task's hand, fingers and kind of shape, and the time to build it, s."""
+    begin = time.perf_counter()
+    shape = task.object.shape
+    form = _Form(
+        task.hand.digest, task.finger_names, surface_of(shape).kind, n_knots, task.hand, shape
+    )
+    found = _built(form)
+    found.grasp.surface.field_of(shape)
+    return found, time.perf_counter() - begin
+
+
+@dataclass(frozen=True)
+class _Form:
+    """What determines a problem, for the cache; and an example of it."""
+
+    digest: str
+    finger_names: tuple[str, ...]
+    kind: str
+    n_knots: int
+    hand: Hand = field(compare=False)
+    shape: Shape = field(compare=False)
+
+
+@lru_cache(maxsize=8)
+def _built(form: _Form) -> MotionProblem:
+    fingers = form.hand.choose_fingers(form.finger_names)
+    return build_motion_problem(form.hand, fingers, form.shape, form.n_knots)
