@@ -14,6 +14,7 @@ import pinocchio as pin
 import pytest
 
 from planner.collision import CollisionWorld
+from planner.contacts import ContactSet
 from planner.errors import FileFormatError, NoGraspFoundError, TaskError
 from planner.files import read_motion, write_json, write_motion
 from planner.files.motions import motion_to_dict
@@ -30,13 +31,14 @@ from planner.motion.rows import described
 from planner.motion.search import MOTION_OPTIONS
 from planner.motion.solve import MotionSolver
 from planner.motion.unknowns import SHARE, placement
-from planner.quality import force_closure
+from planner.quality import analyse, force_closure
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.problem import Start
 from planner.synthesis.seeds import Seeder
+from planner.synthesis.surroundings import obstacles_in_object
 from planner.synthesis.unknowns import mrp_numeric
 from planner.synthesis.verify import contacts_at, verify
-from planner.task import GraspTask
+from planner.task import GraspTask, Obstacle
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -129,15 +131,15 @@ def from_above(task: GraspTask) -> Start:
     )
 
 
-def solver_of(task: GraspTask, path: ObjectPath, n_knots: int = 4) -> MotionSolver:
+def solver_of(task: GraspTask, path: ObjectPath, rounds: int = 0) -> MotionSolver:
     return MotionSolver(
-        problem_of(task.hand, n_knots),
+        problem_of(task.hand, 4),
         task,
         path,
         MOTION_OPTIONS,
         tube=0.01,
         posture=Seeder(task).posture,
-        rounds=0,
+        rounds=rounds,
     )
 
 
@@ -343,6 +345,19 @@ def test_the_turning_hand_reaches_what_its_hinges_allow(
     assert (candidate.worst < 0.1) == reached
 
 
+def test_rounds_on_closure_make_another_motion_of_it(turning: GraspTask) -> None:
+    path = ObjectPath(axis=UP, angle=0.3, shift=np.zeros(3))
+    plain, worked = solver_of(turning, path, rounds=1).reach(from_above(turning))
+    assert plain.worst < 0.1 and worked.worst < 0.1
+    margins = []
+    for candidate in (plain, worked):
+        points = candidate.grasps[0][12:21].reshape(3, 3)
+        normals = -points * [1, 1, 0] / 0.03
+        contacts = ContactSet.from_arrays(points, normals, mu=turning.mu)
+        margins.append(analyse(contacts, length=0.05).epsilon)
+    assert margins[1] > margins[0]
+
+
 def test_turning_everything_about_the_vertical_changes_nothing(turning: GraspTask) -> None:
     axis, shift = np.array([0.1, 0.0, 1.0]), np.array([0.004, 0.0, 0.002])
     turn = SE3(pin.exp3(0.7 * UP), np.zeros(3))
@@ -434,6 +449,33 @@ def test_without_a_pull_there_are_no_limits(turning: GraspTask) -> None:
     residuals = MotionResiduals(problem, numbers, None)
     lower, upper = problem.bounds(start, 0.01)
     assert what_limits(residuals, problem.first(start), lower, upper) == ()
+
+
+def test_table_and_obstacles_count_at_the_start_alone(turning: GraspTask) -> None:
+    obstacle = Obstacle(
+        name="wall",
+        size=np.full(3, 0.02),
+        T_world_obstacle=SE3(np.eye(3), np.array([0.2, 0, 0.01])),
+    )
+    task = replace(turning, obstacles=(obstacle,))
+    fingers, shape = turning.fingers, turning.object.shape
+    problem = build_motion_problem(turning.hand, fingers, shape, 3, n_obstacles=1)
+    path = ObjectPath(axis=UP, angle=0.3, shift=np.zeros(3))
+    numbers = problem.numbers(
+        task, path, from_above(task), Seeder(task).posture, MOTION_OPTIONS, 0.01
+    )
+    places = problem.grasp.formulation.places
+    first, later = (numbers.knots[k, places["obstacles"]] for k in (0, 2))
+    assert np.allclose(first, obstacles_in_object(task))
+    assert (later[9:12] > 1.0).all() and np.allclose(later[:9], first[:9])
+    assert numbers.knots[0, places["table"].stop - 1] == pytest.approx(-0.04)
+    assert (numbers.knots[1:, places["table"].stop - 1] < -1.0).all()
+
+
+def test_of_several_the_motion_with_the_largest_margin_is_taken(ninety: MotionPlan) -> None:
+    best = plan_motion(ninety.grasp.task, angle=np.pi / 2, best_of=3)
+    assert best.record.attempts == 3
+    assert best.margin >= ninety.margin
 
 
 def test_leading_keeps_the_ends_and_lets_pads_roll(

@@ -107,7 +107,9 @@ class MotionProblem:
         """
         first = self.grasp.parameters(task, start, posture, options)
         later = first.copy()
-        later[self.grasp.formulation.places["table"].stop - 1] = -NO_TABLE
+        places = self.grasp.formulation.places
+        later[places["table"].stop - 1] = -NO_TABLE
+        later[places["obstacles"]].reshape(-1, OBSTACLE_DIM)[:, 9:12] = NO_TABLE
         to_object = task.T_world_object.rotation.T
         return MotionNumbers(
             knots=np.vstack([first, *[later] * (self.n_knots - 1)]),
@@ -145,13 +147,16 @@ class MotionProblem:
         return lower, upper
 
 
+OBSTACLE_DIM = 15
+"""Numbers of an obstacle: rotation, translation and half extents (``surroundings``)."""
+
 JOINT_ROOM = 0.02
 """How far (rad or m) joints stay from the ends of their ranges: a servo whose command ends there
 could not press any more."""
 
 
 def build_motion_problem(
-    hand: Hand, fingers: Sequence[Finger], kind_of: Shape, n_knots: int
+    hand: Hand, fingers: Sequence[Finger], kind_of: Shape, n_knots: int, n_obstacles: int = 0
 ) -> MotionProblem:
     """Build the problem of a motion.
 
@@ -160,11 +165,12 @@ def build_motion_problem(
         fingers: The fingers that take part.
         kind_of: Any shape of the kind; its size does not matter.
         n_knots: Number of knots, 2 or more.
+        n_obstacles: Number of obstacle boxes.
     """
     fingers = tuple(fingers)
     surface = surface_of(kind_of)
-    formulation = formulate(hand, fingers, surface, 0, (), clearances=False)
+    formulation = formulate(hand, fingers, surface, n_obstacles, (), clearances=False)
     avoidance = Avoidance(formulation, surface)
     residuals = Residuals(formulation, surface.field, avoidance)
-    grasp = GraspProblem(hand, fingers, surface, 0, residuals, ())
+    grasp = GraspProblem(hand, fingers, surface, n_obstacles, residuals, ())
     return MotionProblem(grasp, avoidance, n_knots)

@@ -20,14 +20,20 @@ def motion_problem_for(task: GraspTask, n_knots: int) -> tuple[MotionProblem, fl
     begin = time.perf_counter()
     shape = task.object.shape
     form = _Form(
-        task.hand.digest, task.finger_names, surface_of(shape).kind, n_knots, task.hand, shape
+        digest=task.hand.digest,
+        finger_names=task.finger_names,
+        kind=surface_of(shape).kind,
+        n_knots=n_knots,
+        n_obstacles=len(task.obstacles),
+        hand=task.hand,
+        shape=shape,
     )
     found = _built(form)
     found.grasp.surface.field_of(shape)
     return found, time.perf_counter() - begin
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _Form:
     """What determines a problem, for the cache; and an example of it."""
 
@@ -35,6 +41,7 @@ class _Form:
     finger_names: tuple[str, ...]
     kind: str
     n_knots: int
+    n_obstacles: int
     hand: Hand = field(compare=False)
     shape: Shape = field(compare=False)
 
@@ -42,4 +49,4 @@ class _Form:
 @lru_cache(maxsize=8)
 def _built(form: _Form) -> MotionProblem:
     fingers = form.hand.choose_fingers(form.finger_names)
-    return build_motion_problem(form.hand, fingers, form.shape, form.n_knots)
+    return build_motion_problem(form.hand, fingers, form.shape, form.n_knots, form.n_obstacles)

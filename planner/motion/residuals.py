@@ -52,7 +52,7 @@ class MotionResiduals:
     """Weighted residuals r(z) that count, (m,), and their Jacobian (m, n): terms, then costs.
 
     Attributes:
-        n_terms: How many of the last ones belong to terms.
+        n_terms: After a call: how many of the first rows belong to terms.
         pull: Residual per unit of the path's share that is missing; 0 for none.
     """
 

@@ -24,6 +24,7 @@ __all__ = ["Row", "described"]
 CLEARANCES = {
     "object": "clearance of {} from the object",
     "table": "clearance of {} from the table",
+    "obstacle": "clearance of {} from an obstacle",
     "fingers": "clearance between {}",
 }
 """What a term of ``planner.synthesis.avoid`` is about."""
@@ -107,9 +108,8 @@ def _inequality(residuals: MotionResiduals, row: FloatArray, k: int) -> Row:
     forces = row[u.columns(k)][TUBE + u.grasp.n_joints :].reshape(2, -1, 3)[1]
     pressed = np.flatnonzero(np.abs(forces).max(axis=1))
     if not len(pressed):
-        return _row(
-            f"{fingers[0]} at the rim of its pad", fingers, k, WEIGHTS["facing"], "-", False
-        )
+        what = f"{fingers[0] if fingers else 'a finger'} at the rim of its pad"
+        return _row(what, fingers, k, WEIGHTS["facing"], "-", False)
     if fingers:
         return _row("a stop that can only push", fingers, k, WEIGHTS["stop"], "-", False)
     name = residuals.problem.grasp.fingers[int(pressed[0])].name

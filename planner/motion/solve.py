@@ -134,16 +134,17 @@ class MotionSolver:
         self._scale = u.pack(shared, np.full((k, 3), TUBE_SCALE), np.tile(rest, (k, 1)))
 
     def reach(self, start: Start) -> Iterator[MotionCandidate]:
-        """The whole path, from a start in its middle."""
+        """The whole path, from a start in its middle; then what rounds on closure make of it."""
         run = _Run(self, start)
         run.fix(1.0)
         run.descend(REACHING)
+        yield run.candidate(())
         if run.worst <= WORTH_A_LOOK and self._rounds:
             for _ in range(self._rounds):
                 run.strengthen(STRENGTHENING)
             run.weaken()
             run.descend(HOLDING)
-        yield run.candidate(())
+            yield run.candidate(())
 
     def stretch(self, start: Start) -> Iterator[MotionCandidate]:
         """As much of the path as there is, from a start in its middle; then less and less of it."""
