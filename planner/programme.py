@@ -102,8 +102,10 @@ class _CasadiProgramme:
         return -self._bounds
 
     def solve(self, **values: FloatArray) -> FloatArray | None:
-        # DAQP does not end where it is given NaN
+        # DAQP does not end where it is given NaN, and CasADi refuses limits that are
         if not math.isfinite(sum(float(values[k].sum()) for k in ("h", "g", "a") if k in values)):
+            return None
+        if any(np.isnan(values[k]).any() for k in ("lba", "uba", "lbx", "ubx")):
             return None
         for name, value in values.items():
             self._in[name][:] = value.ravel(order="F")

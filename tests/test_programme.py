@@ -134,7 +134,9 @@ def test_what_contradicts_itself_has_no_solution_and_leaves_nothing_behind(
     found = programme(solver, 2, 1).solve(**given)
     assert found is not None
     assert found.sum() == pytest.approx(1.5)
-    given["g"] = np.array([np.nan, 1.0])
+    given["lba"] = np.array([np.nan])
+    assert programme(solver, 2, 1).solve(**given) is None
+    given["lba"], given["g"] = np.array([1.5]), np.array([np.nan, 1.0])
     assert programme(solver, 2, 1).solve(**given) is None
 
 

@@ -237,6 +237,8 @@ class ObjectImpedance:
             step = self._loop.step(-wrench, q=q, min_normal=0.0)
         if step.allowed:
             self.forces = step.forces.copy()
+        if np.isnan(step.left_over).any():  # no answer at all: the last forces stay, all is missed
+            return -wrench
         return step.left_over.copy()
 
     def _judge(self, elapsed: float, wrench: FloatArray, missed: FloatArray) -> None:
