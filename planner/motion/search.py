@@ -32,7 +32,7 @@ KNOT_TURN, KNOT_SHIFT = np.deg2rad(24.0), 0.015
 """Most that the object turns (rad) or moves (m) between two knots of the solver."""
 
 STRETCH_KNOTS = 6
-"""Knots where as much as there is is asked for: up to 136 degrees were found, 27 between two."""
+"""Knots where as much as there is is asked for: up to 144 degrees were found, 29 between two."""
 
 MOTION_OPTIONS = SynthesisOptions(weight_posture=0.05, weight_share=1.0)
 """A motion leaves the pinch posture by design: a grasp is asked six times as much to keep to it.
