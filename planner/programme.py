@@ -102,10 +102,7 @@ class _CasadiProgramme:
         return -self._bounds
 
     def solve(self, **values: FloatArray) -> FloatArray | None:
-        # DAQP does not end where it is given NaN, and CasADi refuses limits that are
-        if not math.isfinite(sum(float(values[k].sum()) for k in ("h", "g", "a") if k in values)):
-            return None
-        if any(np.isnan(values[k]).any() for k in ("lba", "uba", "lbx", "ubx")):
+        if not _is_posed(values):
             return None
         for name, value in values.items():
             self._in[name][:] = value.ravel(order="F")
@@ -128,6 +125,9 @@ class ScipyProgramme:
 
     def solve(self, **values: FloatArray) -> FloatArray | None:
         """As ``Programme.solve``."""
+        self.infeasible = False
+        if not _is_posed(values):
+            return None
         a, low, high = values["a"], values["lba"], values["uba"]
         equal = low == high
         up, down = ~equal & np.isfinite(high), ~equal & np.isfinite(low)
@@ -151,6 +151,13 @@ class ScipyProgramme:
         self.row_prices[down] -= of_lower
         self.bound_prices = found.lower.marginals + found.upper.marginals
         return np.asarray(found.x)
+
+
+def _is_posed(values: dict[str, FloatArray]) -> bool:
+    """Whether all is a number: DAQP does not end on NaN, and the others raise on NaN limits."""
+    if not math.isfinite(sum(float(values[k].sum()) for k in ("h", "g", "a") if k in values)):
+        return False
+    return not any(np.isnan(values[k]).any() for k in ("lba", "uba", "lbx", "ubx"))
 
 
 def _is_allowed(x: FloatArray, values: dict[str, FloatArray]) -> bool:

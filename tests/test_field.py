@@ -228,3 +228,12 @@ def test_rough_values_are_near_the_true_ones_everywhere(shape: Shape) -> None:
         off = np.abs(field.rough_value(points) - field.value(points))
         assert off.max() <= 1.2 * field.levels[level].spacing
         assert off.max() > 0.0
+
+
+@each_shape
+def test_points_near_the_surface_do_not_depend_on_what_is_asked_beside_them(shape: Shape) -> None:
+    field = field_of(shape)
+    near, far = on_spheres(50, 0.0, 0.04), np.array([[1.5, 0.0, 0.0]])
+    alone = field.taylor(near, 2)  # all in the finest level
+    beside = field.taylor(np.vstack([near, far]), 2)[:-1]  # levels are told apart
+    np.testing.assert_allclose(alone, beside, rtol=0, atol=1e-12 * np.abs(beside).max())

@@ -106,6 +106,18 @@ def test_both_linear_solvers_agree_on_rows_limited_on_both_sides(seed: int) -> N
         np.testing.assert_allclose(one.bound_prices, other.bound_prices, rtol=0, atol=1e-8)
 
 
+@pytest.mark.parametrize("name", ["g", "a", "lba", "uba", "lbx", "ubx"])
+def test_what_is_no_number_has_no_solution_by_either(name: str) -> None:
+    given = quadratic(np.random.default_rng(0))
+    del given["h"]
+    given[name] = given[name].copy()
+    given[name].flat[0] = np.nan
+    other = ScipyProgramme()
+    assert programme("highs", 6, 7).solve(**given) is None
+    assert other.solve(**given) is None
+    assert not other.infeasible
+
+
 def test_beside_a_second_library_of_the_same_name_scipy_is_asked(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

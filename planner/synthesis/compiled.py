@@ -1,7 +1,7 @@
 """CasADi functions as compiled libraries: an option, the same numbers, kept on disk.
 
 CasADi evaluates expressions in a virtual machine. As C, compiled once, the residuals of a grasp
-take a seventh of the time (0.03 instead of 0.19 ms). The compiler needs 5 to 15 s for each kind of
+take a seventh of the time (0.02 instead of 0.11 ms). The compiler needs 5 to 15 s for each kind of
 problem, so this is for many grasps and is asked for: environment variable ``OPPOSABLE_COMPILE=1``.
 Libraries lie in the cache directory under the digest of their source; no fast-math, no fused
 multiplication, so that rounding is the virtual machine's.
