@@ -174,7 +174,7 @@ def test_residuals_of_a_grasp_have_exact_derivatives(
     problem, task, parameters, x = posed
     residuals = problem.residuals
     residuals.bind(parameters, problem.surface.field_of(task.object.shape))
-    residuals.set_directions(np.random.default_rng(2).normal(size=(5, 6)))
+    residuals.set_directions(np.random.default_rng(2).normal(size=(5, 6)), 0.6)
     exact = residuals(x)[1].copy()
     violated = {name for name, value in residuals.violations().items() if value > 0.0}
     assert missed(task) <= violated

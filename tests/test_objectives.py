@@ -45,7 +45,7 @@ from planner.synthesis.problem import Start
 from planner.synthesis.problems import problems_for
 from planner.synthesis.surfaces import surface_of
 from planner.synthesis.task_wrenches import resisted_wrenches
-from planner.synthesis.terms import N_DIRECTIONS, Formulation, formulate
+from planner.synthesis.terms import Formulation, formulate
 from planner.synthesis.wrench_objectives import (
     NORMAL_ERROR,
     POSITION_ERROR,
@@ -65,7 +65,7 @@ def written(task: GraspTask) -> tuple[Formulation, Any]:
     f = formulate(
         task.hand, task.fingers, surface_of(task.object.shape), 0, BUILT, clearances=False
     )
-    rows = f.quality_rows[N_DIRECTIONS:]
+    rows = f.objective_rows
     return f, ca.Function("rows", [f.x, f.p], [rows, ca.jacobian(rows, f.x)])
 
 
@@ -108,6 +108,7 @@ class Place:
             "length": shape.bounding_radius,
             "posture": self.q,
             **SynthesisOptions().values(),
+            "aim": 0.0,
             "directions": 0.0,
         }
         self.moment = Moment(
@@ -525,7 +526,7 @@ def test_the_default_has_no_rows_of_objectives_and_weights_do_not_rebuild(
     cylinder: GraspTask,
 ) -> None:
     plain = problems_for(cylinder, SynthesisOptions().built).grasp
-    assert plain.formulation.quality_rows.numel() == N_DIRECTIONS
+    assert plain.formulation.objective_rows.numel() == 0
     assert plain.formulation.parameters["objectives"].numel() == 0
     first = problems_for(cylinder, SynthesisOptions(objective="limits:1").built).grasp
     again = problems_for(cylinder, SynthesisOptions(objective="limits:7,epsilon").built).grasp

@@ -39,7 +39,6 @@ from planner.synthesis.strengthen import (
     TURN_SCALE,
     descend_grasp,
 )
-from planner.synthesis.terms import N_DIRECTIONS
 from planner.task import GraspTask
 
 __all__ = ["WORTH_A_LOOK", "MotionCandidate", "MotionSolver"]
@@ -52,6 +51,12 @@ REACHING = 80
 
 HOLDING = 40
 """Evaluations of a descent that makes good what pulling or strengthening cost the terms."""
+
+DIRECTIONS = 12
+"""Directions of wrench that a round works on at each knot."""
+
+RESISTANCE_AIM = 0.3
+"""Resistance (normal forces sum to 1) that is aimed at in each: more than grasps reach."""
 
 STRENGTHENING = 10
 """Evaluations of a round that works on closure."""
@@ -212,13 +217,13 @@ class _Run:
         """Work on the directions of wrench in which each knot resists least."""
         task, problem = self._solver.task, self._solver.problem
         shape, u = task.object.shape, problem.unknowns
-        place = problem.grasp.formulation.places["directions"]
+        places = problem.grasp.formulation.places
+        place, aim = places["directions"], places["aim"]
         for k, x in enumerate(self.residuals.grasps(self.z)):
             points, outward = shape.closest_point(u.grasp.points(x))
-            found = weakest_directions(
-                points, -outward, task.mu, shape.bounding_radius, N_DIRECTIONS
-            )
+            found = weakest_directions(points, -outward, task.mu, shape.bounding_radius, DIRECTIONS)
             found = found / np.sqrt(u.n_knots)  # all knots together count like one grasp
+            self.residuals.numbers.knots[k, aim] = RESISTANCE_AIM
             self.residuals.numbers.knots[k, place] = 0.0
             self.residuals.numbers.knots[k, place.start : place.start + found.size] = found.ravel()
         self.descend(budget)

@@ -36,13 +36,12 @@ def weakest_directions(
         length: Characteristic length, m.
         count: How many.
     """
-    faces = wrench_faces(points, inward, mu, length)
-    faces = faces[np.argsort(-faces[:, 6], kind="stable"), :6]
+    faces = wrench_faces(points, inward, mu, length)[:, :6]
     return faces[first_apart(faces, count)]
 
 
 def wrench_faces(points: FloatArray, inward: FloatArray, mu: float, length: float) -> FloatArray:
-    """Faces (k, 7) of the hull: outward unit normal, minus its distance from the origin.
+    """Faces (k, 7) of the hull, nearest first: outward unit normal, minus its distance.
 
     None where the wrenches span no volume. Arguments are those of ``weakest_directions``.
     """
@@ -55,9 +54,10 @@ def wrench_faces(points: FloatArray, inward: FloatArray, mu: float, length: floa
     force = inward + mu * across
     wrenches = np.concatenate([force, np.cross(points / length, force)], axis=2).reshape(-1, 6)
     try:
-        return np.asarray(ConvexHull(wrenches).equations)
+        faces = np.asarray(ConvexHull(wrenches).equations)
     except QhullError:
         return np.zeros((0, 7))
+    return faces[np.argsort(-faces[:, 6], kind="stable")]
 
 
 def first_apart(directions: FloatArray, count: int) -> list[int]:

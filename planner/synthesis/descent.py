@@ -48,12 +48,14 @@ class Descent:
         worst: Largest residual of a term, weighted.
         status: Why it ended.
         iterations: Evaluations of the residuals.
+        damping: What the next step would have had; None before the first.
     """
 
     x: FloatArray
     worst: float
     status: str
     iterations: int
+    damping: float | None
 
 
 class Residuals(Protocol):
@@ -81,6 +83,7 @@ def descend(
     upper: FloatArray,
     scale: FloatArray,
     max_iterations: int = MAX_ITERATIONS,
+    damping: float | None = None,
 ) -> Descent:
     """Descend from x. The last call of the residuals is at the x that is returned.
 
@@ -91,6 +94,7 @@ def descend(
         upper: Largest x (n,).
         scale: Typical steps (n,): damping treats them alike.
         max_iterations: Budget in evaluations.
+        damping: Of the first step; None for ``FIRST_DAMPING``.
     """
     free = np.flatnonzero(upper > lower)
     scale, lower, upper = scale[free], lower[free], upper[free]
@@ -103,14 +107,14 @@ def descend(
 
     r, jacobian, worst = look(last)
     total = float(r @ r)
-    damping, growth, idle, iterations, status = -1.0, 2.0, 0, 1, "out of iterations"
+    growth, idle, iterations, status = 2.0, 0, 1, "out of iterations"
     while iterations < max_iterations:
         if total <= NOTHING:
             status = "solved"
             break
         rows = jacobian[:, free] * scale
         slope, normal = r @ rows, rows.T @ rows
-        if damping < 0:
+        if damping is None:
             damping = FIRST_DAMPING * float(normal.diagonal().max())
         least, most = (lower - last) / scale, (upper - last) / scale
         accepted = False
@@ -140,7 +144,7 @@ def descend(
             status = "stalled"
             break
     look(last)
-    return Descent(x=x, worst=worst, status=status, iterations=iterations)
+    return Descent(x=x, worst=worst, status=status, iterations=iterations, damping=damping)
 
 
 MOST_GROWTH = 2.0**10

@@ -53,7 +53,7 @@ class SynthesisOptions:
     weight_share: float = 0.1
     weight_posture: float = 0.3
     weight_center: float = 1.0
-    rounds: int = 2
+    rounds: int = 4
     objective: str | Mapping[str, float] = EPSILON
     task_wrenches: tuple[tuple[float, ...], ...] | FloatArray = ()
 

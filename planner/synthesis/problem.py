@@ -309,6 +309,7 @@ class GraspProblem:
                 "posture": posture,
                 **options.values(),
                 "objectives": 0.0,
+                "aim": 0.0,
                 "directions": 0.0,
             }
         )

@@ -19,6 +19,7 @@ from planner.stages import stage
 from planner.synthesis.avoid import TERMS, Avoidance, Violated
 from planner.synthesis.compiled import compiled
 from planner.synthesis.nlp import THIRD, Field, FieldPoints
+from planner.synthesis.resistance import missing_resistance
 from planner.synthesis.terms import Formulation
 
 __all__ = ["COST_SHARE", "WEIGHTS", "Residuals"]
@@ -55,7 +56,7 @@ contact. With half of it forces are infeasible more often, with twice of it desc
 EDGE_SHARE = 20.0
 """Residual of one unit of slope that the smooth distance lacks at a contact: an edge lacks 0.2."""
 
-QUALITY_SHARE = 15.0
+QUALITY_SHARE = 25.0
 """Residual of one unit of missing resistance: enough to move contacts by centimetres."""
 
 
@@ -83,7 +84,7 @@ class Residuals:
         tau = ca.SX(0, 1) if self._points is None else self._points.symbols
         rows = [WEIGHTS[t.name] * (t.expression - SPARE.get(t.name, 0.0)) for t in terms]
         sided = ca.vertcat(
-            EDGE_SHARE * formulation.edge_rows, QUALITY_SHARE * formulation.quality_rows
+            EDGE_SHARE * formulation.edge_rows, QUALITY_SHARE * formulation.objective_rows
         )
         rows += [COST_SHARE * formulation.cost_rows, sided]
         residual = ca.densify(ca.vertcat(*rows))
@@ -103,12 +104,14 @@ class Residuals:
         outputs = {name: ca.densify(v) for name, v in avoidance.outputs.items()}
         links = {name: np.zeros(v.shape[::-1]) for name, v in outputs.items()}
         avoidance.receive(links)
+        normals = ca.densify(formulation.normals)
+        bending = ca.densify(_bending(formulation))
+        self._outward, self._bending = np.zeros(normals.shape[::-1]), np.zeros(bending.shape[::-1])
+        results = [residual, jacobian, normals, bending, *outputs.values()]
         self._call = _into_buffers(
-            compiled(
-                ca.Function("residuals", [x, p, tau], [residual, jacobian, *outputs.values()])
-            ),
+            compiled(ca.Function("residuals", [x, p, tau], results)),
             [self._x, self._p, self._tau],
-            [self._values, self._entries, *links.values()],
+            [self._values, self._entries, self._outward, self._bending, *links.values()],
         )
         self._weights = np.array([WEIGHTS[name] for name in TERMS])
         self._field: Field | None = None
@@ -122,8 +125,9 @@ class Residuals:
         self._field = field
         self._avoidance.bind(self.formulation.unpack(self._p), field)
 
-    def set_directions(self, directions: FloatArray) -> None:
-        """Directions (k, 6) of wrench to work on from now on."""
+    def set_directions(self, directions: FloatArray, aim: float = 0.0) -> None:
+        """Directions (k, 6) of wrench to work on from now on; resistance to aim at in each (-)."""
+        self._p[self.formulation.places["aim"]] = aim
         free = self._p[self.formulation.places["directions"]]
         free[:] = 0.0
         free[: directions.size] = directions.ravel()
@@ -151,10 +155,31 @@ class Residuals:
         self._violated = self._avoidance(x)
         weights = self._weights[self._violated.terms]
         self.n_terms = len(weights) + int(np.count_nonzero(counts[: self._n_terms]))
+        missing, slopes = self._missing(x)
         return (
-            np.concatenate([weights * self._violated.values, self._values[counts]]),
-            np.vstack([weights[:, None] * self._violated.rows, self._jacobian[counts]]),
+            np.concatenate([weights * self._violated.values, self._values[counts], missing]),
+            np.vstack([weights[:, None] * self._violated.rows, self._jacobian[counts], slopes]),
         )
+
+    def _missing(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Rows of the resistance that is missing, and their derivatives."""
+        places, unknowns = self.formulation.places, self.formulation.unknowns
+        directions = self._p[places["directions"]].reshape(-1, 6)
+        directions = directions[directions.any(axis=1)]
+        if not len(directions):
+            return np.zeros(0), np.zeros((0, len(x)))
+        values, slopes = missing_resistance(
+            directions,
+            unknowns.points(x),
+            self._outward,
+            self._bending.reshape(-1, 3, 3),
+            mu=float(self._p[places["mu"]][0]),
+            length=float(self._p[places["length"]][0]),
+            aim=float(self._p[places["aim"]][0]),
+        )
+        rows = np.zeros((len(values), len(x)))
+        rows[:, unknowns.point_columns] = QUALITY_SHARE * slopes
+        return QUALITY_SHARE * values, rows
 
     def violations(self) -> dict[str, float]:
         """Largest violation of each term at the last x, in its unit."""
@@ -165,6 +190,18 @@ class Residuals:
         for k, value in zip(self._violated.terms, self._violated.values, strict=True):
             out[TERMS[k]] = max(out[TERMS[k]], -float(value))
         return out
+
+
+def _bending(formulation: Formulation) -> Any:
+    """Derivatives of the normals by their points (3, 3 n), each transposed: columns are stored."""
+    normals, x = formulation.normals, formulation.x
+    columns = formulation.unknowns.point_columns
+    return ca.horzcat(
+        *[
+            ca.jacobian(normals[:, i], x[columns][3 * i : 3 * i + 3]).T
+            for i in range(normals.shape[1])
+        ]
+    )
 
 
 def _into_buffers(

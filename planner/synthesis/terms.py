@@ -18,7 +18,7 @@ from planner.synthesis.options import OPTION_NAMES
 from planner.synthesis.surfaces import CODE_DIM, SIZE_DIM, Surface
 from planner.synthesis.surroundings import Surroundings
 from planner.synthesis.unknowns import Unknowns, mrp_matrix
-from planner.synthesis.wrenches import contact_torque, support
+from planner.synthesis.wrenches import contact_torque
 
 __all__ = ["PRESS_MIN", "Formulation", "Term", "formulate"]
 
@@ -67,8 +67,8 @@ class Formulation:
         terms: Constraints.
         cost_rows: The cost is the sum of their squares.
         edge_rows: Negative (-) where a contact is on an edge; a cost of least squares alone.
-        quality_rows: How much the grasp resists in given directions, less what is aimed at, then
-            the rows of the objectives; a cost of least squares alone, where negative.
+        objective_rows: Rows of the objectives; a cost of least squares alone, where negative.
+        normals: Outward normals (3, n) at the contact points.
     """
 
     unknowns: Unknowns
@@ -81,7 +81,8 @@ class Formulation:
     terms: tuple[Term, ...]
     cost_rows: Any
     edge_rows: Any
-    quality_rows: Any
+    objective_rows: Any
+    normals: Any
 
     @cached_property
     def places(self) -> dict[str, slice]:
@@ -188,12 +189,6 @@ def formulate(
     span[hand.arm_index] /= np.sqrt(ARM_POSTURE)
     n_hand = hand.nq - len(hand.arm_index)
     cost_rows.append(ca.sqrt(option["weight_posture"] / n_hand) * (q - posture) / span)
-    directions = ca.SX.sym("u", 6, N_DIRECTIONS)
-    quality_rows = [
-        support(directions[:, k], points, normals, mu, length)
-        - SUPPORT_AIM * ca.norm_2(directions[:, k])
-        for k in range(N_DIRECTIONS)
-    ]
     extra, extra_p = objective_rows(
         objectives,
         GraspSymbols(
@@ -222,7 +217,8 @@ def formulate(
         "posture": posture,
         **option,
         "objectives": extra_p,
-        "directions": ca.vec(directions),
+        "aim": ca.SX.sym("aim"),
+        "directions": ca.SX.sym("u", 6 * N_DIRECTIONS),
     }
     terms = tuple(
         Term(name=name, expression=ca.vertcat(*parts), equality=group is equal)
@@ -239,7 +235,8 @@ def formulate(
         links=links,
         surroundings=surroundings,
         terms=terms,
-        quality_rows=ca.vertcat(*quality_rows, extra),
+        objective_rows=extra,
+        normals=ca.horzcat(*normals),
         cost_rows=ca.vertcat(*cost_rows),
         edge_rows=ca.vertcat(*edge_rows),
     )
@@ -252,11 +249,9 @@ set out from the ready posture. With 0.1, or with the ready posture itself as th
 60 attempts are solved on sphere, box and cylinder, so 48."""
 
 
-N_DIRECTIONS = 12
-"""Directions of wrench in which a descent can work on what a grasp resists."""
-
-SUPPORT_AIM = 0.3
-"""Resistance (normal forces sum to 1) that is aimed at in each: more than grasps reach."""
+N_DIRECTIONS = 64
+"""Directions of wrench in which a descent can work on what a grasp resists; they stand among the
+parameters, for ``planner.synthesis.resistance``. With 12 a round makes others weak."""
 
 
 def _arm_gap(symbolic: SymbolicHand, root: tuple[Any, Any], rotation: Any, shift: Any) -> list[Any]:

@@ -62,15 +62,16 @@ class Unknowns:
 
     def points(self, x: FloatArray) -> FloatArray:
         """Contact points (n_contacts, 3)."""
-        return x[self._first : self._first + 3 * self.n_contacts].reshape(-1, 3)
+        return x[self.point_columns].reshape(-1, 3)
 
     def forces(self, x: FloatArray) -> FloatArray:
         """Forces (n_contacts, 3)."""
-        return x[self._first + 3 * self.n_contacts :].reshape(-1, 3)
+        return x[self.point_columns.stop :].reshape(-1, 3)
 
     @property
-    def _first(self) -> int:
-        return 6 + self.n_joints
+    def point_columns(self) -> slice:
+        """Where the contact points stand."""
+        return slice(6 + self.n_joints, 6 + self.n_joints + 3 * self.n_contacts)
 
 
 def mrp_matrix(s: Any) -> Any:

@@ -1,0 +1,68 @@
+"""Resistance in many directions at once against the expression, paper and steps."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from planner.spatial import FloatArray
+from planner.synthesis.resistance import missing_resistance
+from planner.synthesis.wrenches import support
+
+MU, LENGTH = 0.7, 1.3
+
+
+def on_sphere(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Normals (n, 3) about a unit sphere, not of unit length off it, and their derivatives."""
+    radii = np.linalg.norm(points, axis=1)[:, None]
+    normals = points / np.sqrt(radii)
+    unit = points / radii
+    bending = (np.eye(3) - unit[:, :, None] * unit[:, None, :] / 2) / np.sqrt(radii)[:, :, None]
+    return normals, bending
+
+
+def missing(points: FloatArray, directions: FloatArray, aim: float) -> tuple[FloatArray, ...]:
+    """Rows at contacts about a sphere."""
+    normals, bending = on_sphere(points)
+    return missing_resistance(directions, points, normals, bending, mu=MU, length=LENGTH, aim=aim)
+
+
+@given(st.integers(0, 10_000))
+def test_values_are_those_of_the_expression_and_derivatives_those_of_steps(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points, directions = rng.normal(size=(4, 3)), rng.normal(size=(9, 6))
+    far = 100.0  # so that every direction counts
+    values, rows = missing(points, directions, far)
+    normals, _ = on_sphere(points)
+    told = [
+        float(
+            support(ca.DM(u), [ca.DM(p) for p in points], [ca.DM(n) for n in normals], MU, LENGTH)
+        )
+        for u in directions
+    ]
+    np.testing.assert_allclose(
+        values + far * np.linalg.norm(directions, axis=1), told, rtol=1e-9, atol=1e-9
+    )
+    step = 1e-6
+    by_steps = np.array(
+        [
+            (missing(points + e, directions, far)[0] - missing(points - e, directions, far)[0])
+            / (2 * step)
+            for e in step * np.eye(12).reshape(12, 4, 3)
+        ]
+    ).T
+    # where two contacts resist alike the largest of them has no derivative
+    smooth = np.abs(by_steps - rows).max(axis=1) < 1e-5
+    assert np.count_nonzero(smooth) >= 8
+
+
+def test_only_what_is_missing_counts() -> None:
+    """Two contacts face each other along x: mu times the press across, one along the axis."""
+    points = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
+    along, across = np.eye(6)[0], np.eye(6)[1]
+    values, rows = missing(points, np.array([along, across]), 0.9)
+    assert values.shape == (1,)
+    assert rows.shape == (1, 6)
+    np.testing.assert_allclose(values, [MU - 0.9], atol=1e-6)
