@@ -50,6 +50,10 @@ def test_a_batch_is_planned_summed_up_exported_and_picked_from(tmp_path: Path) -
     code, _, err = opposable(*words, "--out", folder, "--mu", "0.6")
     assert code == 3
     assert "mu is 0.5 there and 0.6 here" in err
+    for other in (("--objective", "torque"), ("--rounds", "0")):
+        code, _, err = opposable(*words, "--out", folder, *other)
+        assert code == 3
+        assert "options" in err
 
     code, _, err = opposable("pick", folder, "1", "-o", tmp_path / "plan.json")
     assert code == 0, err

@@ -16,6 +16,7 @@ from sim.cli.common import (
     FingersOption,
     JsonOption,
     MuOption,
+    RoundsOption,
     SeedOption,
     SimMuOption,
     check_folder,
@@ -90,9 +91,7 @@ def bench_synthesis(
     clearance: Annotated[
         float, typer.Option(min=0, help="Least distance of what must not touch, m.")
     ] = 0.0,
-    rounds: Annotated[
-        int | None, typer.Option(min=0, help="Rounds that strengthen a grasp.")
-    ] = None,
+    rounds: RoundsOption = None,
     max_attempts: AttemptsOption = 100,
     workers: WorkersOption = 1,
     baseline: Annotated[

@@ -8,6 +8,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -71,6 +72,14 @@ TaskWrenchOption = Annotated[
         "N m, object's frame; the weight in any direction if there is none."
     ),
 ]
+RoundsOption = Annotated[
+    int | None,
+    typer.Option(
+        min=0,
+        help="Rounds that work on the objectives; the planner's default if not given. More make "
+        "stronger grasps, fewer are faster.",
+    ),
+]
 AttemptsOption = Annotated[int, typer.Option(min=1, help="Attempts before giving up.")]
 CpuOption = Annotated[
     float | None, typer.Option(help="CPU seconds before giving up; checked between attempts.")
@@ -104,7 +113,7 @@ def names(text: str) -> list[str]:
     return found
 
 
-def options_of(objective: str, task_wrench: list[str] | None) -> Any:
+def options_of(objective: str, task_wrench: list[str] | None, rounds: int | None) -> Any:
     """Options of synthesis as the command line gives them.
 
     Raises:
@@ -128,9 +137,10 @@ def options_of(objective: str, task_wrench: list[str] | None) -> Any:
                 f"--task-wrench {text!r} has {len(wrenches[-1])} numbers; give six, "
                 "fx,fy,fz,tx,ty,tz in N and N m"
             )
-    return SynthesisOptions(
+    options = SynthesisOptions(
         objective=objective, task_wrenches=tuple(tuple(row) for row in wrenches)
     )
+    return options if rounds is None else replace(options, rounds=rounds)
 
 
 def _leave(*_: object) -> None:

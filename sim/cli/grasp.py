@@ -24,6 +24,7 @@ from sim.cli.common import (
     PlanArgument,
     PoseOption,
     RepairOption,
+    RoundsOption,
     SeedOption,
     SimMuOption,
     TaskWrenchOption,
@@ -60,13 +61,14 @@ def _plan(
     max_cpu_s: float | None,
     objective: str,
     task_wrench: list[str] | None,
+    rounds: int | None,
 ) -> Any:
     """Plan with a spinner that counts attempts on stderr."""
     from planner.objects import parse_object
     from planner.search import Attempt, plan_grasp
     from planner.task import GraspTask
 
-    options = options_of(objective, task_wrench)
+    options = options_of(objective, task_wrench, rounds)
     item = parse_object(
         object,
         mass=mass,
@@ -162,6 +164,7 @@ def run(
     max_cpu_s: CpuOption = None,
     objective: ObjectiveOption = "epsilon",
     task_wrench: TaskWrenchOption = None,
+    rounds: RoundsOption = None,
     view: ViewOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -192,6 +195,7 @@ def run(
         max_cpu_s=max_cpu_s,
         objective=objective,
         task_wrench=task_wrench,
+        rounds=rounds,
     )
     spec = _folder_name(plan.task.object)
     folder = out_dir or Path("runs") / f"{plan.task.hand.name}-{spec}-{seed}"
@@ -232,6 +236,7 @@ def plan(
     max_cpu_s: CpuOption = None,
     objective: ObjectiveOption = "epsilon",
     task_wrench: TaskWrenchOption = None,
+    rounds: RoundsOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Plan a grasp and write it to a file."""
@@ -255,6 +260,7 @@ def plan(
         max_cpu_s=max_cpu_s,
         objective=objective,
         task_wrench=task_wrench,
+        rounds=rounds,
     )
     write_plan(found, output)
     if as_json:
