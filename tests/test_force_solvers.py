@@ -24,7 +24,8 @@ from planner.forces import (
     solver_names,
     turning_wrenches,
 )
-from planner.forces.dense import DenseQp, keep_solver
+from planner.forces.dense import DenseQp
+from planner.forces.kept import keep_solver
 from planner.forces.minimise import minimise
 from planner.forces.outlines import outlined
 from planner.spatial import FloatArray

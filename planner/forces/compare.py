@@ -20,9 +20,9 @@ from planner.actuation import Actuation
 from planner.contacts import ContactSet
 from planner.errors import ContactError
 from planner.forces.build import build_force_problem
-from planner.forces.dense import QUICK_SOLVER, solver_names
 from planner.forces.friction import Pyramid
 from planner.forces.infeasible import explain_infeasibility
+from planner.forces.kept import QUICK_SOLVER, solver_names
 from planner.forces.loop import STEP_TOL, ForceLoop
 from planner.spatial import FloatArray
 
