@@ -24,7 +24,7 @@ from scipy.sparse import csc_matrix
 from planner.forces.dense import DenseQp, SolverBase
 from planner.spatial import FloatArray
 
-__all__ = ["MAX_ITERATIONS", "Osqp"]
+__all__ = ["Osqp"]
 
 LOOSE = 0.05
 """Residual that is asked for first, as a share of the last forces' norm (-). On five fingers with
