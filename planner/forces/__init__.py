@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from planner.forces.build import ForceArguments, build_force_problem, gravity_wrench
+from planner.forces.build import (
+    ForceArguments,
+    LimitArguments,
+    build_force_problem,
+    gravity_wrench,
+)
 from planner.forces.compare import (
     SolverComparison,
     SolverRecord,
@@ -34,6 +39,7 @@ __all__ = [
     "ForceStep",
     "Infeasibility",
     "LeastViolation",
+    "LimitArguments",
     "LimitSurface",
     "Pyramid",
     "PyramidGap",

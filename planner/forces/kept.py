@@ -150,6 +150,9 @@ class _Proxqp(SolverBase):
         settings = self._solver.settings
         settings.eps_abs, settings.eps_rel = tolerance, 0.0
         settings.max_iter = _PROXQP_ITERATIONS
+        # else multipliers of limits that have moved away count as an answer: 20 mN off
+        settings.check_duality_gap = True
+        settings.eps_duality_gap_abs, settings.eps_duality_gap_rel = tolerance, 0.0
         settings.eps_primal_inf = _PROXQP_INFEASIBLE
         # from the last answer, but not from its penalties: with those too (WARM_START...) answers
         # that it called solved were 0.1 N off stationarity
@@ -160,16 +163,9 @@ class _Proxqp(SolverBase):
     def solve(self) -> bool:
         """Solve; see ``KeptSolver``."""
         qp, k = self.qp, self.qp.equalities
-        limits = {"b": qp.low[:k], "l": qp.low[k:], "u": qp.high[k:]}
-        bounds = {"l_box": qp.lower, "u_box": qp.upper}
-        if not self._used:
-            self._solver.init(H=qp.p, g=qp.q, A=qp.a[:k], C=qp.a[k:], **limits, **bounds)
-            self._used = True
-        else:
-            if qp.new_p or qp.new_q:
-                self._solver.update(H=qp.p if qp.new_p else None, g=qp.q if qp.new_q else None)
-            rows = {"A": qp.a[:k], "C": qp.a[k:]} if qp.new_a else {}
-            self._solver.update(**rows, **limits, **bounds)
+        data = (qp.p, qp.q, qp.a[:k], qp.low[:k], qp.a[k:], qp.low[k:], qp.high[k:])
+        (self._solver.update if self._used else self._solver.init)(*data, qp.lower, qp.upper)
+        self._used = True
         qp.new_p = qp.new_q = qp.new_a = False
         self._solver.solve()
         results = self._solver.results

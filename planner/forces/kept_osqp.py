@@ -61,6 +61,7 @@ class Osqp(SolverBase):
         self._limits = np.zeros_like(qp.limits)
         self._low, self._high = self._limits
         self._ext = import_module("osqp").OSQP().ext
+        self._balance = qp.low[: qp.equalities]
         self._solver: Any = None
         settings = self._settings = self._ext.OSQPSettings()
         self._ext.osqp_set_default_settings(settings)
@@ -68,17 +69,19 @@ class Osqp(SolverBase):
         settings.check_termination, settings.check_dualgap = CHECK_EVERY, 0
         settings.verbose, settings.scaling = 0, 0
         # without equalities there may be no active limit, of which polishing would print a line
-        settings.polishing = int(qp.equalities > 0)
+        self._loose = LOOSE if qp.equalities else 0.0
 
     def solve(self) -> bool:
         """Solve; see the module."""
         self._write()
         solver, settings, tolerance = self._solver, self._settings, self._least
-        share = LOOSE * math.sqrt(self.x @ self.x) if settings.polishing else 0.0
-        asked = share if share > tolerance else tolerance  # NaN, without a last answer, is not
+        # forces are of the size of the last ones, or else of the wrench
+        sized = self._balance if self.x is self._no_x else self.x
+        asked = max(tolerance, self._loose * math.sqrt(sized @ sized))
         self.iterations = 0
         while True:
-            settings.eps_abs = asked
+            # within the tolerance there is nothing to polish, and one residual may grow by it
+            settings.eps_abs, settings.polishing = asked, int(asked > tolerance)
             solver.update_settings(settings)
             solver.solve()
             info = solver.info
@@ -117,7 +120,8 @@ class Osqp(SolverBase):
     def _values(self) -> FloatArray:
         """Entries of [1; A] in OSQP's order."""
         entries = self.qp.table.take(self._at, out=self._entries, mode="clip")
-        return np.multiply(entries, self._entry_weights, out=entries)
+        entries *= self._entry_weights
+        return entries
 
     def _set_up(self) -> None:
         """A new solver, for the entries that are not 0 now or were not before."""

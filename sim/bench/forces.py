@@ -106,7 +106,8 @@ def _work(job: tuple[int, int], check: Check) -> dict[str, Any]:
     """One programme: who holds it and at what cost, and what solvers say."""
     contacts, wrench = _draw(*job)
     given: ForceArguments = {"wrench": wrench, "max_normal": MAX_NORMAL}
-    round_answer = distribute_forces(contacts, **{**given, "cone": "round"})
+    true_cone: ForceArguments = {**given, "cone": "round"}
+    round_answer = distribute_forces(contacts, **true_cone)
     pyramids = []
     for cone in get_args(Pyramid):
         for sides in SIDES:
@@ -153,8 +154,8 @@ def _draw(seed: int, k: int) -> tuple[ContactSet, FloatArray]:
 def _solved(contacts: ContactSet, given: ForceArguments, check: Check) -> list[dict[str, Any]]:
     """What every solver gives at every tolerance, recomputed from the contacts."""
     wrench = np.asarray(given["wrench"])
-    problem = build_force_problem(contacts, **{**given, "edges": LOOP_SIDES})
-    exists = explain_infeasibility(problem).feasible
+    pyramid: ForceArguments = {**given, "edges": LOOP_SIDES}
+    exists = explain_infeasibility(build_force_problem(contacts, **pyramid)).feasible
     out = []
     for tolerance in TOLERANCES:
         for name in solver_names():
