@@ -33,11 +33,11 @@ _DAQP_EQUALITY = 5
 _PIQP_OPEN = 1e9
 """Upper limit of a row without limits (N), about which PIQP would print three lines a step."""
 
-_PROXQP_INFEASIBLE = 1e-7
+_PROXQP_INFEASIBLE = 1e-10
 """ProxQP's tolerance of a proof that nothing is allowed (-): at its own 1e-4 it refused 5 of 1000
 programmes that have answers."""
 
-_PROXQP_ITERATIONS = 100
+_PROXQP_ITERATIONS = 50
 """Iterations, and within each, before ProxQP gives up (-): it takes about ten where there is an
 answer, and seconds for the thousands of its own limits where there is none."""
 
