@@ -24,7 +24,8 @@ from planner.forces import (
     solver_names,
     turning_wrenches,
 )
-from planner.forces.dense import DenseQp, keep_solver
+from planner.forces.dense import DenseQp
+from planner.forces.kept import keep_solver
 from planner.forces.minimise import minimise
 from planner.forces.outlines import outlined
 from planner.spatial import FloatArray
@@ -345,7 +346,7 @@ def test_round_cones_that_cannot_hold_say_why() -> None:
     with pytest.raises(ContactError, match="cannot do round cones"):
         distribute_forces(contacts, wrench=np.zeros(6), cone="round", solver="osqp")
     with pytest.raises(ContactError, match="a loop takes"):
-        ForceLoop(contacts, cone="round")  # type: ignore[arg-type]
+        ForceLoop(contacts, cone="round")
 
 
 def test_between_the_outlines_a_problem_is_called_by_a_hair() -> None:

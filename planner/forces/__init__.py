@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from planner.forces.build import ForceArguments, build_force_problem, gravity_wrench
+from planner.forces.build import (
+    ForceArguments,
+    LimitArguments,
+    build_force_problem,
+    gravity_wrench,
+)
 from planner.forces.compare import (
     SolverComparison,
     SolverRecord,
     compare_solvers,
     turning_wrenches,
 )
-from planner.forces.dense import QUICK_SOLVER, solver_names
 from planner.forces.friction import Cone, LimitSurface, Pyramid, pyramid_faces, round_cone
 from planner.forces.gaps import PyramidGap, cone_gaps
 from planner.forces.infeasible import Infeasibility, explain_infeasibility
+from planner.forces.kept import QUICK_SOLVER, solver_names
 from planner.forces.loop import ForceLoop, ForceStep
 from planner.forces.placed import turned_frames
 from planner.forces.priorities import LeastViolation, least_violation
@@ -34,6 +39,7 @@ __all__ = [
     "ForceStep",
     "Infeasibility",
     "LeastViolation",
+    "LimitArguments",
     "LimitSurface",
     "Pyramid",
     "PyramidGap",

@@ -22,7 +22,7 @@ from planner.forces.problem import ForceProblem
 from planner.forces.transmission import HandPart
 from planner.spatial import FloatArray
 
-__all__ = ["ForceArguments", "build_force_problem", "gravity_wrench"]
+__all__ = ["ForceArguments", "LimitArguments", "build_force_problem", "gravity_wrench"]
 
 ACTUATOR_COST = 1e-6
 """Cost of (actuator force / length)^2 beside that of (contact force)^2 (-): it decides where
@@ -58,10 +58,9 @@ def gravity_wrench(mass: float, gravity: ArrayLike) -> FloatArray:
     return np.concatenate([mass * g, np.zeros(3)])
 
 
-class ForceArguments(TypedDict, total=False):
-    """Arguments of ``build_force_problem``, explained there; all but ``wrench`` may be left out."""
+class LimitArguments(TypedDict, total=False):
+    """What forces may be and what they cost: ``build_force_problem`` and ``ForceLoop`` take it."""
 
-    wrench: Required[ArrayLike]
     edges: int
     cone: Cone
     limit_surface: LimitSurface
@@ -71,6 +70,12 @@ class ForceArguments(TypedDict, total=False):
     tangential_cost: float
     edge_cost: float
     edge_margin: float
+
+
+class ForceArguments(LimitArguments, total=False):
+    """Arguments of ``build_force_problem``, explained there; all but ``wrench`` may be left out."""
+
+    wrench: Required[ArrayLike]
     change_cost: float
     previous: ArrayLike | None
     torque_cost: float

@@ -9,9 +9,10 @@ linear programme, which shares nothing with the solver, finds no forces either.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,10 +20,9 @@ from numpy.typing import ArrayLike
 from planner.actuation import Actuation
 from planner.contacts import ContactSet
 from planner.errors import ContactError
-from planner.forces.build import build_force_problem
-from planner.forces.dense import QUICK_SOLVER, solver_names
-from planner.forces.friction import Pyramid
+from planner.forces.build import LimitArguments, build_force_problem
 from planner.forces.infeasible import explain_infeasibility
+from planner.forces.kept import QUICK_SOLVER, solver_names
 from planner.forces.loop import STEP_TOL, ForceLoop
 from planner.spatial import FloatArray
 
@@ -144,15 +144,12 @@ def compare_solvers(
     *,
     solvers: Sequence[str] | None = None,
     tolerance: float = STEP_TOL,
-    edges: int = 8,
-    cone: Pyramid = "inscribed",
-    min_normal: ArrayLike = 0.0,
-    max_normal: ArrayLike = np.inf,
-    friction_scale: float = 1.0,
+    period: float = 0.0,
     jacobians: FloatArray | None = None,
     actuation: Actuation | None = None,
     q: FloatArray | None = None,
     gravity_torque: FloatArray | None = None,
+    **limits: Unpack[LimitArguments],
 ) -> SolverComparison:
     """Run solvers over wrenches (m, 6), N and N m, with the contacts where they are.
 
@@ -161,15 +158,13 @@ def compare_solvers(
         wrenches: External wrenches, in the order of time.
         solvers: Names; None for all that are installed.
         tolerance: Of every solver, N, torques divided by the length.
-        edges: As for ``build_force_problem``, like the arguments below.
-        cone: "inscribed" or "circumscribed".
-        min_normal: Least normal force.
-        max_normal: Greatest normal force.
-        friction_scale: Factor on friction.
+        period: Time from one step to the next, s; a loop that waits finds its caches cold. 0 for
+            one after the other.
         jacobians: (n, 3 or 6, nv).
         actuation: Limits the joint torques.
         q: Joints (nv,).
         gravity_torque: (nv,), N m.
+        **limits: As for ``ForceLoop``.
 
     Raises:
         ContactError: The arguments do not fit together.
@@ -177,30 +172,33 @@ def compare_solvers(
         NotFoundError: A solver is not installed.
     """
     rows = np.array(wrenches, dtype=np.float64).reshape(-1, 6)
-    limits: dict[str, Any] = {
-        "edges": edges,
-        "cone": cone,
-        "min_normal": min_normal,
-        "max_normal": max_normal,
-        "friction_scale": friction_scale,
-        "actuation": actuation,
-    }
     joints = 0 if jacobians is None else jacobians.shape[2]
     state: dict[str, Any] = {"jacobians": jacobians, "q": q, "gravity_torque": gravity_torque}
     exist: dict[int, bool] = {}
 
     def forces_exist(step: int) -> bool:
         if step not in exist:
-            problem = build_force_problem(contacts, wrench=rows[step], **limits, **state)
+            problem = build_force_problem(
+                contacts, wrench=rows[step], actuation=actuation, **limits, **state
+            )
             exist[step] = explain_infeasibility(problem).feasible
         return exist[step]
 
     def walk(solver: str, exact: FloatArray | None) -> tuple[SolverRecord, FloatArray, ForceLoop]:
-        loop = ForceLoop(contacts, solver=solver, tolerance=tolerance, joints=joints, **limits)
+        loop = ForceLoop(
+            contacts,
+            solver=solver,
+            tolerance=tolerance,
+            joints=joints,
+            actuation=actuation,
+            **limits,
+        )
         forces = np.full((len(rows), len(contacts), 4), np.nan)
         total, inside, turns = (np.full(len(rows), np.nan) for _ in range(3))
         primal, dual = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
+        due = time.perf_counter()
         for i, wrench in enumerate(rows):
+            due = _wait(due + period)
             r = loop.step(wrench, **state)
             if r.balanced:
                 forces[i], primal[i] = r.forces, r.violation
@@ -236,6 +234,15 @@ def compare_solvers(
         rows=int(np.isfinite(loop.qp.limits).any(axis=0).sum()),
         tolerance=tolerance,
     )
+
+
+def _wait(due: float) -> float:
+    """Wait until a time on the clock of ``perf_counter``; that, or now if it has gone by."""
+    now = time.perf_counter()
+    if due <= now:
+        return now
+    time.sleep(due - now)
+    return due
 
 
 def _percentile(values: FloatArray, share: float) -> float:

@@ -13,6 +13,8 @@ any other stop that repeats what is there is left out, which can only refuse, ne
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,8 +28,31 @@ RANK_TOL = 1e-9
 """Share of a column (-) that must be outside the columns before it, else it repeats them."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Case:
+    """What depends on which stops are active, but not on q.
+
+    Attributes:
+        rows: Z (nv, nv) over the length.
+        linear: [gap of each stop; offset of the limits' ends; Z (gravity - passive)], all of them
+            linear in (q, 1, gravity).
+        ends: (2, nv), of the actuators' laws without the offset; infinite where nothing limits.
+        least, most: (2, nv), what both limits are kept within.
+    """
+
+    rows: FloatArray
+    linear: FloatArray
+    ends: FloatArray
+    least: FloatArray
+    most: FloatArray
+
+
 class DriveRows:
-    """Rows Z (nv, nv) and their limits; see the module. What ``at`` returns is written again."""
+    """Rows Z (nv, nv) and their limits; see the module.
+
+    Attributes:
+        gravity: Joint torques (nv,) that hold the hand itself, N m; write them, then ``at``.
+    """
 
     def __init__(self, actuation: Actuation, length: float) -> None:
         """Prepare what does not depend on q.
@@ -48,45 +73,56 @@ class DriveRows:
                 "distribute_forces, which keeps one unknown per actuator"
             )
         self._length = length
-        # [offset of each actuator's force, gap of each stop, passive torque] = linear q + constant
-        self._linear = np.vstack(
-            [
-                a.bias[:, 1, None] * a.moment / length,
-                a.stop_rows,
-                -np.reshape(a.stiffness, (nv, nv)),
-            ]
-        )
         offset = a.bias[:, 0] + a.bias[:, 1] * a.length0
-        self._constant = np.concatenate([offset / length, -a.stop_values, a.spring_torque])
+        self._laws = np.zeros((nv, nv + 1))  # offset of the limits' ends = laws (q, 1)
+        self._laws[:nu] = np.column_stack([a.bias[:, 1, None] * a.moment, offset]) / length
+        self._gap_rows = np.column_stack([a.stop_rows, -a.stop_values])
+        self._passive = np.column_stack([-np.reshape(a.stiffness, (nv, nv)), a.spring_torque])
         # forces clipped to the law's ends and to the force range; first the least, then the most
-        self._ends = np.sort(a.gain[:, None] * a.ctrl_range, axis=1).T / length
-        self._range = a.force_range.T[:, None] / length  # (2, 1, nu)
-        self._moving = bool(np.isfinite(self._ends).any())
-        self._limits = np.zeros((2, nv))
-        self._forces = np.clip(self._ends, self._range[0], self._range[1])
-        self._known: dict[bytes, tuple[FloatArray, FloatArray]] = {}
-        self._constant_limits: tuple[FloatArray, FloatArray, FloatArray] | None = None
-        if not (self._moving or a.stop_names or a.stiffness.any()):  # plain motors
-            self._constant_limits = self.at(np.zeros(nv))
+        self._ends, self._least, self._most = np.zeros((3, 2, nv))
+        self._ends[:, :nu] = np.sort(a.gain[:, None] * a.ctrl_range, axis=1).T / length
+        self._least[:, :nu], self._most[:, :nu] = a.force_range.T[:, None] / length
+        self._state = np.ones(2 * nv + 1)
+        self.gravity, self._q = self._state[nv + 1 :], self._state[:nv]
+        self.gravity.fill(0.0)
+        ns = len(a.stop_names)
+        out = self._out = np.zeros(ns + 2 * nv)
+        self._gaps, self._offset, self._shift = np.split(out, [ns, ns + nv])
+        self._active = np.zeros(ns, dtype=np.bool_)
+        self._cases: dict[bytes, _Case] = {}
+        self._key = self._active.tobytes()
+        self._case = self._case_of(self._key)
 
-    def at(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Z (nv, nv) over the length, limits (2, nv) over it, passive torque (nv,) at q (nv,)."""
-        if self._constant_limits is not None:
-            return self._constant_limits
-        nu, ns = len(self._actuation.names), len(self._actuation.stop_names)
-        out = self._linear @ q
-        out += self._constant
-        key = (out[nu : nu + ns] <= STOP_TOL).tobytes()
-        if key not in self._known:
-            self._known[key] = self._rows(np.frombuffer(key, dtype=np.bool_))
-        rows, widening = self._known[key]
-        if self._moving:
-            forces = np.add(self._ends, out[:nu], out=self._forces)
-            np.maximum(forces, self._range[0], out=forces)
-            np.minimum(forces, self._range[1], out=forces)
-        self._limits[:] = widening
-        self._limits[:, :nu] += self._forces
-        return rows, self._limits, out[nu + ns :]
+    def at(self, q: FloatArray, limits: FloatArray) -> FloatArray:
+        """Z (nv, nv) over the length at q (nv,); writes the limits (2, nv) of Z J'f over it."""
+        self._q[:] = q
+        np.dot(self._case.linear, self._state, out=self._out)
+        np.less_equal(self._gaps, STOP_TOL, out=self._active)
+        if (key := self._active.tobytes()) != self._key:
+            self._key, self._case = key, self._case_of(key)
+            np.dot(self._case.linear, self._state, out=self._out)
+        case = self._case
+        np.add(case.ends, self._offset, out=limits)
+        np.maximum(limits, case.least, out=limits)
+        np.minimum(limits, case.most, out=limits)
+        np.subtract(limits, self._shift, out=limits)
+        return case.rows
+
+    def _case_of(self, key: bytes) -> _Case:
+        """What holds while the same stops are active; a case once met is kept."""
+        if key not in self._cases:
+            nv = len(self._q)
+            rows, widening = self._rows(np.frombuffer(key, dtype=np.bool_))
+            wide = np.isinf(widening)  # open on one side, whatever the law and the force range
+            linear = np.zeros((len(self._out), len(self._state)))
+            constant = np.vstack([self._gap_rows, self._laws, -rows @ self._passive])
+            linear[:, : nv + 1] = constant
+            linear[-nv:, nv + 1 :] = rows
+            ends, least, most = (
+                np.where(wide, widening, part) for part in (self._ends, self._least, self._most)
+            )
+            self._cases[key] = _Case(rows=rows, linear=linear, ends=ends, least=least, most=most)
+        return self._cases[key]
 
     def _rows(self, active: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
         """Z over the length, and what is added to the limits (2, nv): 0 or infinity."""

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 
 from planner.contacts import ContactSet
 from planner.forces.build import ForceArguments
-from planner.forces.dense import QUICK_SOLVER
 from planner.forces.friction import Pyramid
+from planner.forces.kept import QUICK_SOLVER
 from planner.forces.solve import distribute_forces
 
 __all__ = ["PyramidGap", "cone_gaps"]

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
-from typing import get_args
+from typing import Any, Unpack, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,10 +26,11 @@ from numpy.typing import ArrayLike
 from planner.actuation import Actuation
 from planner.contacts import ContactSet
 from planner.errors import ContactError
-from planner.forces.build import EDGE_MARGIN, build_force_problem
-from planner.forces.dense import QUICK_SOLVER, DenseQp, KeptSolver, keep_solver
+from planner.forces.build import LimitArguments, build_force_problem
+from planner.forces.dense import DenseQp, KeptSolver
 from planner.forces.drive import DriveRows
-from planner.forces.friction import LimitSurface, Pyramid
+from planner.forces.friction import Pyramid
+from planner.forces.kept import QUICK_SOLVER, keep_solver
 from planner.forces.placed import PlacedContacts
 from planner.spatial import FloatArray
 
@@ -91,41 +92,26 @@ class ForceLoop:
         self,
         contacts: ContactSet,
         *,
-        edges: int = 8,
-        cone: Pyramid = "inscribed",
-        limit_surface: LimitSurface = "ellipsoid",
-        min_normal: ArrayLike = 0.0,
-        max_normal: ArrayLike = np.inf,
-        friction_scale: float = 1.0,
-        tangential_cost: float = 1.0,
-        edge_cost: float = 0.0,
-        edge_margin: float = EDGE_MARGIN,
         change_cost: float = 0.0,
         torque_cost: float = 0.0,
         actuation: Actuation | None = None,
         joints: int = 0,
         solver: str = QUICK_SOLVER,
         tolerance: float = STEP_TOL,
+        **limits: Unpack[LimitArguments],
     ) -> None:
         """Lay out the programme.
 
         Args:
             contacts: n contacts as they are at first: models, friction, places.
-            edges: As for ``build_force_problem``.
-            cone: "inscribed" or "circumscribed".
-            limit_surface: As for ``build_force_problem``.
-            min_normal: As there; a step may change it.
-            max_normal: As there; a step may change it.
-            friction_scale: As for ``build_force_problem``.
-            tangential_cost: As for ``build_force_problem``.
-            edge_cost: As for ``build_force_problem``.
-            edge_margin: As for ``build_force_problem``.
             change_cost: Cost of a squared change of force since the previous step, >= 0 (-).
             torque_cost: Cost of a squared joint torque divided by the squared length, >= 0 (-).
             actuation: Limits the joint torques; each step then needs ``jacobians`` and ``q``.
             joints: Number of joints, if there are Jacobians without an actuation.
             solver: One of ``solver_names()``.
             tolerance: Of the solver and of the verdict, N, torques divided by the length.
+            **limits: As for ``build_force_problem``, but no round cone. A step may change
+                ``min_normal`` and ``max_normal``.
 
         Raises:
             ContactError: A value out of range.
@@ -135,23 +121,11 @@ class ForceLoop:
         for name, value in (("change_cost", change_cost), ("torque_cost", torque_cost)):
             if not 0 <= value < np.inf:
                 raise ContactError(f"{name} is {value}; give a finite number >= 0")
-        if cone not in get_args(Pyramid):
+        if (cone := limits.get("cone", "inscribed")) not in get_args(Pyramid):
             raise ContactError(f"cone is {cone!r}; a loop takes 'inscribed' or 'circumscribed'")
         if not 0 < tolerance < np.inf:
             raise ContactError(f"tolerance is {tolerance}; give a number > 0 in N")
-        p = self.problem = build_force_problem(
-            contacts,
-            wrench=np.zeros(6),
-            edges=edges,
-            cone=cone,
-            min_normal=min_normal,
-            max_normal=max_normal,
-            friction_scale=friction_scale,
-            limit_surface=limit_surface,
-            tangential_cost=tangential_cost,
-            edge_cost=edge_cost,
-            edge_margin=edge_margin,
-        )
+        p = self.problem = build_force_problem(contacts, wrench=np.zeros(6), **limits)
         self._tolerance = tolerance
         n, nx = len(contacts), len(p.column_names)
         nv = len(actuation.joint_names) if actuation is not None else joints
@@ -166,7 +140,7 @@ class ForceLoop:
         self._plain_cost = np.diag(p.cost * self._unit**2)
         forces = range(p.n_force)
         self._plain_cost[forces, forces] += change_cost
-        self._change, self._torque = change_cost, torque_cost
+        self._change, self._effort = change_cost, torque_cost
         for qp in (self.qp, self._fallback):
             qp.p[:] = self._plain_cost
             faces = slice(qp.equalities, qp.equalities + m_faces)
@@ -180,20 +154,30 @@ class ForceLoop:
         self.placed.place()
         dims = np.array(contacts.dims, dtype=np.int64)
         self._of_four = np.flatnonzero((np.arange(4) < dims[:, None]).ravel())
-        self._normal = (np.cumsum(dims) - dims).astype(np.int64)
-        self._tail = np.flatnonzero(~np.isin(np.arange(p.n_force), self._normal))
+        normal = np.cumsum(dims) - dims
+        self._tail = np.flatnonzero(~np.isin(np.arange(p.n_force), normal))
         self._owner = np.repeat(np.arange(n), dims)[self._tail]
-        self._tail_limits = p.lower[self._tail], p.upper[self._tail]  # 0 or infinite
-        self._least, self._most = p.lower[self._normal], p.upper[self._normal]
+        self._tail_limits = np.stack([p.lower[self._tail], p.upper[self._tail]])  # 0 or infinite
+        self._normal: Any = normal
+        if n and (dims == dims[0]).all():  # evenly spaced: a view
+            self._normal = slice(0, p.n_force, int(dims[0]))
+        self._least, self._most = np.array(p.lower[normal]), np.array(p.upper[normal])
+        self._away = b""  # which contacts are away, as it was last written
         self._balance = self.qp.limits[:, nx : nx + 6]
+        self._met = self.qp.value[nx : nx + 6]
+        self._minus_row_scale, self._row_unit = -p.row_scale[:6], 1.0 / p.row_scale[:6]
         # rows of torque that no contact loads are open; known for these rows and this loading
-        self._open, self._loaded = np.zeros((2, nv)), b""
-        self._torque_limits = self.qp.limits[:, len(self.qp.value) - m_drive :]
+        self._open, self._has_open = np.zeros((2, nv)), False
+        self._loaded, self._loading = np.zeros((nx, nv), dtype=np.bool_), b""
+        self._torque_limits = self.qp.limits[:, nx + 6 + m_faces :]
+        self._torque_rows = self.qp.a[6 + m_faces :]
         self._rows: FloatArray | None = None
-        self._gravity, self._x = np.zeros(nv), np.zeros(nx)
+        self._gravity = np.zeros(nv) if self._drive is None else self._drive.gravity
+        self._x = np.zeros(nx)
         self.result = ForceStep(
             forces=np.zeros((n, 4)), joint_torques=np.zeros(nv), left_over=np.zeros(6)
         )
+        self._vectors = self.result.forces[:, :3]
 
     def step(
         self,
@@ -232,51 +216,53 @@ class ForceLoop:
             ContactError: Shapes do not fit, or an actuation without Jacobians or q.
         """
         begin = time.perf_counter()
-        moved = positions is not None or frames is not None or center is not None
-        placed = self.placed
-        if positions is not None:
-            placed.positions[:] = positions
-        if frames is not None:
-            placed.frames[:] = frames
-        if center is not None:
-            placed.center[:] = center
-        if moved:
+        placed, qp = self.placed, self.qp
+        if positions is not None or frames is not None or center is not None:
+            if positions is not None:
+                placed.positions[:] = positions
+            if frames is not None:
+                placed.frames[:] = frames
+            if center is not None:
+                placed.center[:] = center
             placed.place()
+            qp.new_a = True
         if jacobians is not None:
             placed.load(jacobians)
         if gravity_torque is not None:
             self._gravity[:] = gravity_torque
         if min_normal is not None or max_normal is not None:
             self._press(min_normal, max_normal)
-        if self._change or self._torque:
+        if self._change or self._effort:
             self._write_costs(previous)
         if self._drive is not None:
             if q is None:
                 raise ContactError("an actuation limits the torques; give q (nv,) at every step")
-            self._limit_torques(self._drive, q)
-        qp = self.qp
-        scaled = self.problem.row_scale[:6] * wrench
-        np.negative(scaled, out=self._balance)
-        allowed_error = self._tolerance * max(1.0, math.sqrt(scaled @ scaled))
+            self._limit_torques(self._drive, q, moved=jacobians is not None)
+        np.multiply(self._minus_row_scale, wrench, out=self._balance)
         solver = self.solver
         called = time.perf_counter()
         solver.solve()
         solver_s = time.perf_counter() - called
         r = self.result
         r.violation = qp.violation(solver.x)
-        r.balanced = r.allowed = r.violation <= allowed_error
+        r.balanced = r.allowed = r.violation <= self._tolerance or r.violation <= self._error()
         if not r.balanced:
-            solver, spent = self._least_violation(scaled)
+            solver, spent = self._least_violation()
             solver_s += spent
             r.violation = self._fallback.violation(solver.x)
             qp.violation(solver.x)  # for what is left over
-            r.allowed = r.violation <= allowed_error
+            r.allowed = r.violation <= self._error()
         if r.allowed:
-            self._x[:] = solver.x
+            self._x = solver.x
         r.iterations, r.status = solver.iterations, solver.status
         self._give(solver.x, wrench)
         r.solver_s, r.total_s = solver_s, time.perf_counter() - begin
         return r
+
+    def _error(self) -> float:
+        """What may be missed of a wrench (N)."""
+        wanted = self._balance[0]
+        return self._tolerance * max(1.0, math.sqrt(wanted @ wanted))
 
     def _press(self, min_normal: ArrayLike | None, max_normal: ArrayLike | None) -> None:
         """Write bounds on normal forces; of a contact that is away everything is 0."""
@@ -286,45 +272,58 @@ class ForceLoop:
         if max_normal is not None:
             self._most[:] = max_normal
             qp.upper[self._normal] = self._most
-            away = (self._most <= 0.0)[self._owner]
-            qp.lower[self._tail] = np.where(away, 0.0, self._tail_limits[0])
-            qp.upper[self._tail] = np.where(away, 0.0, self._tail_limits[1])
+            away = self._most <= 0.0
+            if (key := away.tobytes()) != self._away:
+                self._away = key
+                tails = np.where(away[self._owner], 0.0, self._tail_limits)
+                qp.lower[self._tail], qp.upper[self._tail] = tails
         qp.lower[self._normal] = np.minimum(self._least, self._most)
 
     def _write_costs(self, previous: FloatArray | None) -> None:
         """Write the costs on change of force and on joint torque."""
         qp, n = self.qp, self.problem.n_force
-        qp.q.fill(0.0)
         if self._change:
+            before = self._x[:n]
             if previous is not None:
-                self._x[:n] = previous.ravel()[self._of_four] / self._unit[:n]
-            qp.q[:n] = -self._change * self._x[:n]
-        if self._torque:
-            weight, lever = self._torque / self.problem.length**2, self.placed.lever
+                before = previous.ravel()[self._of_four] / self._unit[:n]
+            np.multiply(before, -self._change, out=qp.q[:n])
+        if self._effort:
+            weight, lever = self._effort / self.problem.length**2, self.placed.lever
             qp.p[:] = self._plain_cost + weight * (lever @ lever.T)
-            qp.q += weight * (lever @ self._gravity)
+            slope = weight * (lever @ self._gravity)
+            if not self._change:
+                qp.q.fill(0.0)
+            qp.q += slope
+            qp.new_p = True
+        qp.new_q = True
 
-    def _limit_torques(self, drive: DriveRows, q: FloatArray) -> None:
+    def _limit_torques(self, drive: DriveRows, q: FloatArray, *, moved: bool) -> None:
         """Write the rows of torque: Z (J'f + gravity - passive) within its limits."""
-        rows, limits, passive = drive.at(q)
-        part = slice(len(self.qp.a) - self._nv, None)
-        np.dot(rows, self.placed.lever.T, out=self.qp.a[part])
-        loaded = (self.placed.lever != 0.0).tobytes()
-        if rows is not self._rows or loaded != self._loaded:
-            self._rows, self._loaded = rows, loaded
-            idle = np.abs(self.qp.a[part]).max(axis=1, initial=0.0) < LOADED_TOL
-            self._open[:] = np.where(idle, [[-np.inf], [np.inf]], 0.0)
-        np.subtract(self._open, rows @ (self._gravity - passive), out=self._torque_limits)
-        self._torque_limits += limits
+        rows = drive.at(q, self._torque_limits)
+        changed = rows is not self._rows
+        if moved or changed:
+            lever = self.placed.lever
+            np.dot(rows, lever.T, out=self._torque_rows)
+            np.not_equal(lever, 0.0, out=self._loaded)
+            loading = self._loaded.tobytes()
+            if changed or loading != self._loading:
+                self._rows, self._loading = rows, loading
+                idle = np.abs(self._torque_rows).max(axis=1, initial=0.0) < LOADED_TOL
+                self._open[:] = np.where(idle, [[-np.inf], [np.inf]], 0.0)
+                self._has_open = bool(idle.any())
+            self.qp.new_a = True
+        if self._has_open:
+            self._torque_limits += self._open
 
-    def _least_violation(self, scaled: FloatArray) -> tuple[KeptSolver, float]:
+    def _least_violation(self) -> tuple[KeptSolver, float]:
         """Solve for the least that is left over of a wrench in newtons; the solver and its time."""
         qp, loose = self.qp, self._fallback
-        table = qp.a[:6]
+        table, k = qp.a[:6], qp.equalities
         loose.p[:] = qp.p + VIOLATION_WEIGHT * (table.T @ table)
-        loose.q[:] = qp.q + VIOLATION_WEIGHT * (table.T @ scaled)
+        loose.q[:] = qp.q - VIOLATION_WEIGHT * (table.T @ qp.low[:k])
         loose.a[:], loose.low[:], loose.high[:] = qp.a[6:], qp.low[6:], qp.high[6:]
         loose.lower[:], loose.upper[:] = qp.lower, qp.upper
+        loose.new_p = loose.new_q = loose.new_a = True
         if self._yielding is None:
             self._yielding = keep_solver(self._solver_name, loose, self._tolerance)
         begin = time.perf_counter()
@@ -335,11 +334,10 @@ class ForceLoop:
         """Write forces, torques and what is left over of an answer."""
         r = self.result
         if self.placed.plain:
-            r.forces[:, :3] = x.reshape(-1, 3)
+            self._vectors[:] = x.reshape(-1, 3)
         else:
             r.forces.reshape(-1)[self._of_four] = (self._unit * x)[: self.problem.n_force]
-        balance = self.qp.value[len(x) : len(x) + 6]
-        np.divide(balance, self.problem.row_scale[:6], out=r.left_over)
+        np.multiply(self._met, self._row_unit, out=r.left_over)
         r.left_over += wrench
         if self._nv:
             np.dot(x, self.placed.lever, out=r.joint_torques)

@@ -18,7 +18,7 @@ import qpsolvers
 from scipy.sparse import csc_matrix, triu
 
 from planner.errors import ContactError, NotFoundError
-from planner.forces.dense import QUICK_SOLVER, solver_names
+from planner.forces.kept import QUICK_SOLVER, solver_names
 from planner.forces.problem import ForceProblem
 from planner.programme import programme
 from planner.spatial import FloatArray

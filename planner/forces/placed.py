@@ -50,18 +50,22 @@ class PlacedContacts:
         self._from_arms = np.zeros((4, 18))
         self._from_arms[:3, 9:] = skew(np.eye(3)).reshape(3, 9) / problem.length
         self._from_arms[3, :9] = np.eye(3).ravel()
+        self._six = self._carry.reshape(-1, 6, 3)
+        self._moved = self._arms[:, :3]
+        self._turned = self.frames.transpose(0, 2, 1)
         self._map = np.zeros((n, 6, wide))
         self.lever = np.zeros((nx, nv))
         self._levers = np.zeros((n, wide, nv))
         if direct:
             self._map = table.reshape(6, n, wide).transpose(1, 0, 2)
             self._levers = self.lever.reshape(n, wide, nv)
+        self._forces_map, self._force_levers = self._map[:, :, :3], self._levers[:, :3]
 
     def place(self) -> None:
         """Write the grasp map for the present places."""
-        np.subtract(self.positions, self.center, out=self._arms[:, :3])
+        np.subtract(self.positions, self.center, out=self._moved)
         np.dot(self._arms, self._from_arms, out=self._carry)
-        np.matmul(self._carry.reshape(-1, 6, 3), self.frames, out=self._map[:, :, :3])
+        np.matmul(self._six, self.frames, out=self._forces_map)
         if self._soft:
             self._map[:, 3:, 3] = self.frames[:, :, 0] / self._length
         if self._used is not None:
@@ -80,10 +84,9 @@ class PlacedContacts:
         given = jacobians.shape
         if len(given) != 3 or given[0] != n or given[1] < rows or given[2] != self._nv:
             raise ContactError(f"jacobians have shape {given}; give ({n}, {rows}, {self._nv})")
-        turned = self.frames.transpose(0, 2, 1)
-        np.matmul(turned, jacobians[:, :3], out=self._levers[:, :3])
+        np.matmul(self._turned, jacobians[:, :3], out=self._force_levers)
         if self._soft:
-            np.matmul(turned[:, :1], jacobians[:, 3:], out=self._levers[:, 3:])
+            np.matmul(self._turned[:, :1], jacobians[:, 3:], out=self._levers[:, 3:])
         if self._used is not None:
             self.lever[: len(self._used)] = self._levers.reshape(-1, self._nv)[self._used]
         if self._soft:

@@ -203,6 +203,22 @@ def bench_scaling(
     give(result, output, as_json, lambda console: console.print(*scaling_tables(result)))
 
 
+@errors_for_people()
+def bench_forces(
+    n: Annotated[int, typer.Option("-n", "--number", min=1, help="Programmes.")] = 1000,
+    seed: SeedOption = 0,
+    workers: WorkersOption = 1,
+    output: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Check random force programmes: pyramids and cones, proofs, every solver (needs clarabel)."""
+    from sim.bench.forces import force_tables, run_forces
+
+    with measuring(output, workers) as runner:
+        result = run_forces(n, seed=seed, runner=runner)
+    give(result, output, as_json, lambda console: console.print(*force_tables(result)))
+
+
 @contextmanager
 def measuring(output: Path | None, workers: int) -> Iterator[Runner]:
     """Who works on a measurement: shows how far it is on stderr, and heeds Ctrl-C and SIGTERM."""
@@ -246,4 +262,5 @@ def register(app: typer.Typer) -> None:
     bench.command("objectives")(bench_objectives)
     bench.command("metrics")(bench_metrics)
     bench.command("scaling")(bench_scaling)
+    bench.command("forces")(bench_forces)
     app.add_typer(bench, name="bench")

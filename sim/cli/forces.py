@@ -36,6 +36,10 @@ def forces(
         int, typer.Option(min=1, help="Programmes in the sequence that solvers are compared on.")
     ] = 1000,
     tolerance: Annotated[float, typer.Option(help="Asked of the solvers, N.")] = 1e-6,
+    rate: Annotated[
+        float | None,
+        typer.Option(min=1.0, help="Steps per second of the sequence; at once unless given."),
+    ] = None,
     edges: Annotated[int, typer.Option(min=3, help="Sides of the friction pyramids.")] = 8,
     gaps: Annotated[
         bool, typer.Option("--gaps", help="Set pyramids beside the round cone (needs clarabel).")
@@ -69,6 +73,7 @@ def forces(
             wrenches,
             solvers=None if solvers == "all" else names(solvers),
             tolerance=tolerance,
+            period=1.0 / rate if rate else 0.0,
             edges=edges,
             **{key: value for key, value in given.items() if key != "wrench"},
         )
