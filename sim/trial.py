@@ -24,7 +24,7 @@ from planner.errors import TaskError
 from planner.plan import GraspPlan
 from planner.quality import analyse
 from planner.spatial import FloatArray
-from sim.carrier import carrier_of
+from sim.carrier import Carrier, carrier_of
 from sim.contacts import NO_FORCE, hand_contacts, merge_per_finger, normal_forces
 from sim.controllers import (
     PHASES,
@@ -61,6 +61,9 @@ class Trial:
         data: ``mujoco.MjData``, as it is now.
         timeline: Durations.
         controller: What drives the hand.
+        carrier: What moves the hand as a whole; may be set.
+        recorder: Who takes samples.
+        steps: Time steps made so far.
         phase: The phase that it is in.
     """
 
@@ -97,10 +100,10 @@ class Trial:
             plan.task, T_world_base=plan.T_world_base, q=plan.q, physics=physics
         )
         self.data = self.scene.start(plan.q_start, plan.T_world_base_start)
-        self._carrier = carrier_of(plan, self.scene, self.timeline)
+        self.carrier: Carrier = carrier_of(plan, self.scene, self.timeline)
         self._every = max(1, round(record_every / self.scene.physics.timestep))
-        self._recorder = Recorder(plan, self.scene)
-        self._steps = 0
+        self.recorder = Recorder(plan, self.scene)
+        self.steps = 0
         self.phase: Phase = PHASES[0]
 
     def run(
@@ -122,7 +125,7 @@ class Trial:
         Raises:
             TaskError: ``view`` without a display, or the trial has run already.
         """
-        if self._steps:
+        if self.steps:
             raise TaskError("this trial has run already; make a new Trial to run again")
         begin = time.perf_counter()
         if not self.plan.forces.found:
@@ -136,7 +139,7 @@ class Trial:
         mujoco.set_mju_user_warning(lambda _: None)
         try:
             for phase in PHASES:
-                if not self._run_phase(phase, progress, on_step, viewer):
+                if not self.run_phase(phase, progress, on_step, viewer):
                     break
         except KeyboardInterrupt:
             interrupted = True
@@ -145,13 +148,13 @@ class Trial:
             if viewer is not None:
                 viewer.close()
         verdict = judge(
-            self._recorder.samples(),
+            self.recorder.samples(),
             fingers=self.plan.task.finger_names,
             needed=self.plan.task.fingers_needed,
             lift_mm=1e3 * self.timeline.lift_height,
             thresholds=self.thresholds,
             interrupted=interrupted,
-            diverged=self._divergence(),
+            diverged=self.divergence(),
         )
         report = self._report(verdict, begin)
         if picture is None:
@@ -159,14 +162,24 @@ class Trial:
         made = save_picture(self.scene.model, self.data, Path(picture))
         return replace(report, picture=made.path, picture_reason=made.reason)
 
-    def _run_phase(
+    def run_phase(
         self,
         phase: Phase,
-        progress: Callable[[float], None] | None,
-        on_step: Callable[[Trial], None] | None,
-        viewer: Viewer | None,
+        progress: Callable[[float], None] | None = None,
+        on_step: Callable[[Trial], None] | None = None,
+        viewer: Viewer | None = None,
     ) -> bool:
-        """Run one phase; False if going on makes no sense."""
+        """Run one phase.
+
+        Args:
+            phase: Which.
+            progress: As for ``run``.
+            on_step: As for ``run``.
+            viewer: Where it is shown; nowhere if None.
+
+        Returns:
+            Whether going on makes sense: too few fingers may touch, or numbers be bad.
+        """
         self.phase = phase
         dt = self.scene.physics.timestep
         steps = max(1, round(getattr(self.timeline, phase) / dt))
@@ -174,37 +187,45 @@ class Trial:
         if phase == "close":
             longest += round(self.timeline.close_wait / dt)
         if phase == "settle":
-            self._recorder.mark_reference(self.data)
+            self.recorder.mark_reference(self.data)
         if phase == "lift":
             if not self._held_by_enough():
-                self._recorder.record(self.data, "settle", self._limited())
+                self.recorder.record(self.data, "settle", self.limited_actuators())
                 return False
             self.scene.release(self.data)
         for k in range(longest):
-            touching = self._step(phase, min(1.0, k / steps))
-            if self._steps % self._every == 0:
-                self._recorder.record(self.data, phase, self._limited())
+            touching = self.step(phase, min(1.0, k / steps))
+            if self.sample_due:
+                self.recorder.record(self.data, phase, self.limited_actuators())
                 if progress is not None:
                     progress(min(1.0, self.data.time / self.timeline.duration))
             if on_step is not None:
                 on_step(self)
             if viewer is not None:
                 viewer.show(self.data.time)
-            if self._divergence():
+            if self.divergence():
                 return False
             if phase == "close" and k + 1 >= steps and touching:
                 break
         return True
 
-    def _step(self, phase: Phase, share: float) -> bool:
-        """One time step; whether every finger touched at its beginning."""
+    def step(self, phase: Phase, share: float) -> bool:
+        """Make one time step.
+
+        Args:
+            phase: What the controller is told.
+            share: How much of it has passed, in [0, 1].
+
+        Returns:
+            Whether every finger touched at the beginning of the step.
+        """
         scene, data = self.scene, self.data
-        observation = self._observe(phase, share)
+        observation = self.observe(phase, share)
         data.ctrl[scene.hand_ctrl] = self._commands(observation)
-        self._carrier.drive(data, phase, share)
+        self.carrier.drive(data, phase, share)
         self._ctrl = data.ctrl[scene.hand_ctrl].copy()
         mujoco.mj_step(scene.model, data)
-        self._steps += 1
+        self.steps += 1
         return bool((observation.normal_forces >= TOUCH_FORCE).all())
 
     def _commands(self, observation: Observation) -> FloatArray:
@@ -217,7 +238,8 @@ class Trial:
             )
         return ctrl
 
-    def _observe(self, phase: Phase, share: float) -> Observation:
+    def observe(self, phase: Phase, share: float) -> Observation:
+        """What a controller is told now, in a phase of which a share in [0, 1] has passed."""
         scene, data = self.scene, self.data
         return Observation(
             time=float(data.time),
@@ -244,7 +266,12 @@ class Trial:
         forces = normal_forces(self.scene, self.data, self.plan.task.finger_names)
         return int((forces > NO_FORCE).sum()) >= self.plan.task.fingers_needed
 
-    def _limited(self) -> tuple[str, ...]:
+    @property
+    def sample_due(self) -> bool:
+        """Whether a sample is to be taken after this step."""
+        return self.steps % self._every == 0
+
+    def limited_actuators(self) -> tuple[str, ...]:
         """Names of the hand's actuators that could not do what was asked in the last step."""
         actuation = self.plan.task.hand.actuation
         force = self.data.actuator_force[self.scene.hand_ctrl]
@@ -257,7 +284,7 @@ class Trial:
             names.update(self.controller.limited_actuators())
         return tuple(sorted(names))
 
-    def _divergence(self) -> str:
+    def divergence(self) -> str:
         """What MuJoCo warns of, "" if nothing: numbers that are not finite or huge."""
         for what, index in _BAD_NUMBERS.items():
             if self.data.warning[index].number:
@@ -266,7 +293,7 @@ class Trial:
 
     def _report(self, verdict: Verdict, begin: float) -> TrialReport:
         plan, task = self.plan, self.plan.task
-        samples = self._recorder.samples()
+        samples = self.recorder.samples()
         merged = merge_per_finger(hand_contacts(self.scene, self.data))
         # under the plan's own friction, so that the two can be compared
         measured = replace(
@@ -283,7 +310,7 @@ class Trial:
             seed=plan.record.seed,
             fingers=task.finger_names,
             samples=samples,
-            comparison=self._recorder.comparison(),
+            comparison=self.recorder.comparison(),
             quality_planned=plan.quality,
             quality_measured=analyse(measured, length=length) if ended_holding else None,
             thresholds=self.thresholds,

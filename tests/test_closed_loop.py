@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slips import LATENCY, true_slips
 
 from planner.errors import NotFoundError, TaskError
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import FloatArray
 from planner.task import GraspTask
+from sim.bench.control.slips import LATENCY, true_slips
 from sim.controllers import GraspController, ImpedanceGains, ObjectImpedance, Sensing
 from sim.pads import read_pads
 from sim.report import ReportFile, TrialReport

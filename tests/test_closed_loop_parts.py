@@ -9,7 +9,6 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from slips import LATENCY, Slip, score_slips, true_slips
 
 from planner.contacts import ContactSet
 from planner.errors import NotFoundError, TaskError
@@ -18,6 +17,7 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
+from sim.bench.control.slips import LATENCY, Slip, score_slips, true_slips
 from sim.controllers import ImpedanceGains, Observation, PadReading, Sensing, named_controller
 from sim.controllers.gains import felt_inertia
 from sim.controllers.impedance import ImpedanceLaw

@@ -253,7 +253,7 @@ def test_fc_is_a_sequence_of_stages(servo_jaw: Hand) -> None:
     hold = Hold(plan, controller=replay)
 
     def commands(phase: Phase) -> FloatArray:
-        return np.array([replay.step(hold._observe(phase, k / 100)) for k in range(100)])
+        return np.array([replay.step(hold.observe(phase, k / 100)) for k in range(100)])
 
     close, squeeze = commands("close"), commands("squeeze")
     for motion, begin, end in (

@@ -65,12 +65,13 @@ def run_with_journal(
     """
     with Journal(file, asked) as journal:
         done = {row["index"] for row in journal.rows}
-        if done:
-            _say(runner, f"{len(done)} of {len(jobs)} are in {file} already")
         left = [job for job in jobs if job.index not in done]
+        if done:
+            _say(runner, f"{len(jobs) - len(left)} of {len(jobs)} are in {file} already")
         whole = runner.run(work, left, title=title, keep=journal.add, given_up=given_up)
         if not whole:
-            kept = f"{len(journal.rows)} of {len(jobs)} are in {file}"
+            made = {row["index"] for row in journal.rows}
+            kept = f"{sum(job.index in made for job in jobs)} of {len(jobs)} are in {file}"
             _say(runner, f"interrupted: {kept}; the same command goes on")
     return journal.rows, whole
 

@@ -1,4 +1,4 @@
-"""Commands that measure: ``bench grasps``, ``synthesis``, ``objectives``, and others."""
+"""Commands that measure: ``bench grasps``, ``synthesis``, ``control``, and others."""
 
 from __future__ import annotations
 
@@ -219,6 +219,43 @@ def bench_forces(
     give(result, output, as_json, lambda console: console.print(*force_tables(result)))
 
 
+@errors_for_people()
+def bench_control(
+    hands: Annotated[list[str] | None, typer.Argument(help="Hands.", metavar="[HAND]...")] = None,
+    objects: ObjectsOption = f"{PRIMITIVES},mug,lbracket,torus,hammer,superquadric",
+    n: Annotated[
+        int | None, typer.Option("-n", "--number", min=1, help="Grasps of every part.")
+    ] = None,
+    parts: Annotated[
+        str, typer.Option(help="Comma separated: fc, push, drift, slip, robust, rate.")
+    ] = "fc,push,drift,slip,robust,rate",
+    seed: SeedOption = 0,
+    workers: WorkersOption = 1,
+    samples: SamplesOption = Path("control.jsonl"),
+    output: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure control: what grasps bear in either loop, how they drift, slips that are noticed.
+
+    Both hands of the project unless others are named. Without -n every part has as many grasps as
+    its figure asks for. The same file goes on with more grasps or other parts.
+    """
+    from sim.bench.control import control_tables, grasps_of, run_control
+    from sim.bench.objects import bench_objects
+
+    check_folder(samples)
+    with measuring(output, workers) as runner:
+        result = run_control(
+            hands or ["shadow_hand", "allegro_hand"],
+            bench_objects(names(objects)),
+            grasps_of(names(parts), n),
+            seed=seed,
+            file=samples,
+            runner=runner,
+        )
+    give(result, output, as_json, lambda console: console.print(*control_tables(result)))
+
+
 @contextmanager
 def measuring(output: Path | None, workers: int) -> Iterator[Runner]:
     """Who works on a measurement: shows how far it is on stderr, and heeds Ctrl-C and SIGTERM."""
@@ -263,4 +300,5 @@ def register(app: typer.Typer) -> None:
     bench.command("metrics")(bench_metrics)
     bench.command("scaling")(bench_scaling)
     bench.command("forces")(bench_forces)
+    bench.command("control")(bench_control)
     app.add_typer(bench, name="bench")

@@ -182,8 +182,8 @@ class _FcTrial(Hold):
             return self.fault("penetration", detail)
         begin = self.scene.body_pose(self.data, self.scene.object_body)
         for phase in ("close", "squeeze"):
-            if not self._run_phase(phase, None, None, None):
-                return self.fault("diverged", self._divergence())
+            if not self.run_phase(phase):
+                return self.fault("diverged", self.divergence())
         self.mark()
         self.load = float(np.linalg.norm(force))
         self.push(force)

@@ -106,7 +106,7 @@ class Hold(Trial):
             record_every=RECORD_EVERY,
         )
         self.data = self.scene.start(plan.q_pregrasp, plan.T_world_base)
-        self._carrier: Carrier = _Still(self._carrier)
+        self.carrier = _Still(self.carrier)
         self._lost = lost
         self._reference = self._in_palm()
         self._looks = max(1, round(CHECK_EVERY / self.scene.physics.timestep))
@@ -114,18 +114,14 @@ class Hold(Trial):
         self._loads: list[float] = []
         self.load = 0.0
 
-    def carry_by(self, carrier: Carrier) -> None:
-        """Let something else move the hand from now on."""
-        self._carrier = carrier
-
     def grip(self) -> Fault | None:
         """Close, press, and let go of the object; what went wrong, None if nothing did."""
         task = self.plan.task
         if not self.plan.forces.found:
             return self.fault("infeasible forces", self.plan.forces.reason)
         for phase in _PUSHED:
-            going = self._run_phase(phase, None, None, None)
-            if divergence := self._divergence():
+            going = self.run_phase(phase)
+            if divergence := self.divergence():
                 return self.fault("diverged", divergence)
             if not going:
                 forces = normal_forces(self.scene, self.data, task.finger_names)
@@ -143,7 +139,7 @@ class Hold(Trial):
     def mark(self) -> None:
         """From now on it is a hold, and the object's movement in the palm counts."""
         self._reference = self._in_palm()
-        self._recorder.mark_reference(self.data)
+        self.recorder.mark_reference(self.data)
         self.phase = "hold"
         self.record()
 
@@ -164,13 +160,13 @@ class Hold(Trial):
         for k in range(steps):
             if each_step is not None:
                 each_step(k * dt)
-            self._step("hold", min(1.0, k / steps))
-            if self._steps % self._every == 0:
+            self.step("hold", min(1.0, k / steps))
+            if self.sample_due:
                 self.record()
-            if divergence := self._divergence():
+            if divergence := self.divergence():
                 return self.fault("diverged", divergence)
-            if self._steps % self._looks == 0:
-                self._recent.append(self._limited())
+            if self.steps % self._looks == 0:
+                self._recent.append(self.limited_actuators())
                 if self._lost is not None and (fault := self._look(self._lost)):
                     self.record()
                     return fault
@@ -182,7 +178,7 @@ class Hold(Trial):
 
     def record(self) -> None:
         """Take a sample."""
-        self._recorder.record(self.data, "hold", self._limited())
+        self.recorder.record(self.data, "hold", self.limited_actuators())
         self._loads.append(self.load)
 
     def at_rest(self) -> bool:
@@ -195,7 +191,7 @@ class Hold(Trial):
     @property
     def samples(self) -> Samples:
         """What was recorded so far."""
-        return self._recorder.samples()
+        return self.recorder.samples()
 
     @property
     def loads(self) -> FloatArray:

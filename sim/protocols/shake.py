@@ -69,7 +69,7 @@ class ShakeCase:
         shaker = Shaker(mount, self.index, asked, settings.shake_hz, settings.shake_s)
         fault = hold.grip()
         if fault is None:
-            hold.carry_by(shaker)
+            hold.carrier = shaker
             shaker.start(float(hold.data.time))
             fault = hold.endure(settings.shake_s)
         unit, factor = ("mm", 1e3) if linear else ("deg", float(np.rad2deg(1.0)))

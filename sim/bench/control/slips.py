@@ -13,6 +13,8 @@ import numpy as np
 from planner.spatial import FloatArray
 from sim.controllers.slip import LOADED, SLIP_SPEED
 
+__all__ = ["LATENCY", "SLIP_TIME", "Slip", "SlipScore", "score_slips", "true_slips"]
+
 SLIP_TIME = 0.01
 """How long (s) the speed must be too high."""
 
@@ -43,7 +45,8 @@ class SlipScore:
         slips: How many true slips there were.
         found: How many of them were found within ``LATENCY``.
         alarms: How many alarms were raised.
-        right: How many of them fell into a true slip, or at most ``LATENCY`` after it.
+        right: How many of them lasted while there was a true slip, or began at most ``LATENCY``
+            after it.
         delay: Median time from the beginning of a found slip to its alarm, s; NaN if none.
     """
 
@@ -97,7 +100,7 @@ def score_slips(slips: Sequence[Slip], alarms: Sequence[Slip]) -> SlipScore:
         if late:
             delays.append(max(0.0, min(late)))
     right = sum(
-        any(s.finger == a.finger and s.begin <= a.begin <= s.end + LATENCY for s in slips)
+        any(s.finger == a.finger and s.begin <= a.end and a.begin <= s.end + LATENCY for s in slips)
         for a in alarms
     )
     return SlipScore(

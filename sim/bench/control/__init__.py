@@ -1,0 +1,12 @@
+"""``bench control``: what grasps bear in either loop, how they drift, and slips that are noticed.
+
+One part for one grasp is one job (``jobs``); ``parts`` runs the protocols, ``slip_trial`` makes
+slips that are known, ``rate`` times the loop, ``tables`` counts.
+"""
+
+from __future__ import annotations
+
+from sim.bench.control.jobs import PARTS, grasps_of, run_control
+from sim.bench.control.tables import control_tables
+
+__all__ = ["PARTS", "control_tables", "grasps_of", "run_control"]

@@ -1,0 +1,133 @@
+"""Parts that run the protocols: ``fc``, pushes until something breaks, drift, and the grid.
+
+Every function takes a plan and a source of randomness, and gives plain data. Both loops, open and
+closed, meet the same directions and errors.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.plain import finite
+from planner.plan import GraspPlan
+from planner.spatial import FloatArray
+from sim.controllers import CONTROLLERS
+from sim.physics import PhysicsOptions
+from sim.protocols.cases import Conditions
+from sim.protocols.fc import fc_cases
+from sim.protocols.forces import PushCase
+from sim.protocols.hold import Hold
+from sim.protocols.robust import robust_cases
+from sim.protocols.settings import Settings
+
+__all__ = ["drift_row", "fc_row", "push_row", "robust_row"]
+
+DRIFT_S = 10.0
+"""How long an object is held for its drift to be seen, s."""
+
+NOSLIP = (10, 0)
+"""Noslip iterations (-) with which drift is measured: the simulation's own, and none."""
+
+
+def fc_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
+    """The six pushes of DexGraspBench's test; it draws nothing."""
+    del rng
+    outcomes = [case.run(plan, _conditions("open")) for case in fc_cases()]
+    return {
+        "held": sum(o.held for o in outcomes),
+        "of": len(outcomes),
+        "reasons": [o.reason for o in outcomes if o.reason],
+        "start_penetration_mm": max(o.conditions["start_penetration_mm"] for o in outcomes),
+        "grasp_penetration_mm": max(o.conditions["grasp_penetration_mm"] for o in outcomes),
+    }
+
+
+def push_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
+    """A force and a torque in random directions that grow until the object is lost, by each loop.
+
+    Both loops begin with the plan's grip: the open one presses with the planned forces, and the
+    closed one with no less than the least normal force that these were planned with.
+    """
+    pushes = []
+    for kind, offset in (("force", 0), ("torque", 3)):
+        direction = np.zeros(6)
+        direction[offset : offset + 3] = unit(rng)
+        case = PushCase(index=0, name=kind, direction=direction, settings=Settings())
+        push: dict[str, Any] = {"kind": kind, "direction": direction.tolist()}
+        for loop in CONTROLLERS:
+            outcome = case.run(plan, _conditions(loop))
+            push[loop] = finite(
+                {"borne": outcome.borne, "broke": outcome.broke, "reason": outcome.reason}
+            )
+            push |= finite({"bound": outcome.bound, "unit": outcome.unit})
+        pushes.append(push)
+    return {"pushes": pushes}
+
+
+def drift_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
+    """How far an object moves in the hand while nothing happens; it draws nothing."""
+    del rng
+    holds = []
+    for loop, make in CONTROLLERS.items():
+        for noslip in NOSLIP:
+            hold = Hold(
+                plan, controller=make(plan), physics=PhysicsOptions(noslip_iterations=noslip)
+            )
+            fault = hold.grip() or hold.endure(DRIFT_S)
+            seen = hold.samples.during("hold")
+            moved, turned = hold.samples.slip_mm[seen], hold.samples.slip_deg[seen]
+            holds.append(
+                {
+                    "loop": loop,
+                    "noslip": noslip,
+                    "reason": "" if fault is None else fault.reason,
+                    "moved_mm": float(moved[-1]) if len(seen) else None,
+                    "turned_deg": float(turned[-1]) if len(seen) else None,
+                }
+            )
+    return {"seconds": DRIFT_S, "holds": holds}
+
+
+def robust_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
+    """A third of the grid of masses, frictions and pose errors, by each loop.
+
+    A Latin square: every mass, friction and error three times, every pair of them once. Three
+    grasps in the mean see the whole grid.
+    """
+    seed, shift = int(rng.integers(2**31)), int(rng.integers(3))
+    settings = Settings()
+    grid = settings.mass_factors, settings.friction_factors, settings.pose_errors
+    trials = []
+    for case in robust_cases(settings, seed):
+        error = (case.shift_mm, case.turn_deg)
+        m, f, e = (
+            level.index(value)
+            for level, value in zip(grid, (case.mass, case.friction, error), strict=True)
+        )
+        if (m + f + e + shift) % len(settings.pose_errors):
+            continue
+        for loop in CONTROLLERS:
+            outcome = case.run(plan, _conditions(loop))
+            trials.append(
+                {
+                    "loop": loop,
+                    "mass": case.mass,
+                    "friction": case.friction,
+                    "pose": f"{case.shift_mm:g} mm {case.turn_deg:g} deg",
+                    "held": outcome.held,
+                    "reason": outcome.reason,
+                }
+            )
+    return {"trials": trials}
+
+
+def unit(rng: np.random.Generator) -> FloatArray:
+    """A direction (3,), uniform on the sphere."""
+    drawn = rng.normal(size=3)
+    return np.asarray(drawn / np.linalg.norm(drawn))
+
+
+def _conditions(loop: str) -> Conditions:
+    return Conditions(physics=PhysicsOptions(), controller=CONTROLLERS[loop])

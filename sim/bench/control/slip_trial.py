@@ -1,0 +1,170 @@
+"""Trials with known slips: what a detector says beside what exact velocities say.
+
+The object is gripped and held in peace for a while; then it is provoked again and again, by turns
+with a push in a random direction that grows and with friction that dwindles, until a pad slips.
+Then the push ends, or the friction comes back, before the object is lost. The detector sees the
+pads with noise; it watches and does nothing. Both loops are watched: the closed one fights back
+and moves the fingers while it holds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from planner.plan import GraspPlan
+from planner.spatial import FloatArray
+from planner.task import GRAVITY
+from sim.bench.control.slips import SLIP_TIME, Slip, score_slips, true_slips
+from sim.controllers import CONTROLLERS, Controller, Observation, Sensing, SlipDetector
+from sim.controllers.sensing import Senses
+from sim.controllers.slip import LOADED, SLIP_SPEED
+from sim.protocols.hold import Hold
+from sim.protocols.outcome import Fault
+
+__all__ = ["SENSING", "Watched", "slip_row"]
+
+SENSING = Sensing(force_noise=0.02, sliding_noise=0.002)
+"""Noise of the pads: 20 mN and 2 mm/s at every step, of the order of a good optical pad."""
+
+PEACE_S = 10.0
+"""How long the object is held before anything happens, s."""
+
+PROVOCATIONS = 6
+"""How often it is made to slip."""
+
+GROW_S, MOST_WEIGHTS = 2.0, 60.0
+"""A provocation grows for so long (s): a push up to so many weights of the object, which the closed
+loop seldom bears."""
+
+LEAST_FRICTION = 0.02
+"""Share of the friction (-) that is left at the end of a provocation: nothing can be held then."""
+
+SLIDING_S, REST_S = 0.06, 0.4
+"""A provocation ends so long (s) after a pad began to slide; then everything rests."""
+
+
+class Watched:
+    """A controller with a slip detector beside it that only watches.
+
+    Attributes:
+        times: When it looked, s.
+        speeds: What the object's sliding speed over each pad really was, m/s.
+        forces: What the normal forces really were, N.
+        alarms: Of the detector; the last ones may not have ended.
+    """
+
+    def __init__(self, inner: Controller, fingers: int, sensing: Sensing) -> None:
+        """Watch a controller's pads.
+
+        Args:
+            inner: What drives the hand.
+            fingers: How many take part.
+            sensing: Noise of the pads.
+        """
+        self._inner = inner
+        self._senses = Senses(sensing)
+        self._detector = SlipDetector(fingers)
+        self._open: dict[int, float] = {}
+        self.times: list[float] = []
+        self.speeds: list[FloatArray] = []
+        self.forces: list[FloatArray] = []
+        self.alarms: list[Slip] = []
+
+    def step(self, observation: Observation) -> FloatArray:
+        """Commands (nu,) of the controller."""
+        ctrl = self._inner.step(observation)
+        if observation.phase == "hold":
+            self._look(observation)
+        return ctrl
+
+    def sliding(self) -> bool:
+        """Whether a loaded pad has been sliding for as long as a slip lasts at least."""
+        steps = 1 + sum(t > self.times[-1] - SLIP_TIME for t in self.times[-20:])
+        late = slice(-steps, None)
+        fast = (np.array(self.speeds[late]) > SLIP_SPEED) & (np.array(self.forces[late]) > LOADED)
+        return bool(fast.all(axis=0).any())
+
+    def finish(self) -> None:
+        """End the alarms that still last."""
+        for finger in list(self._open):
+            self._end(finger)
+
+    def _look(self, observation: Observation) -> None:
+        elapsed = observation.time - self.times[-1] if self.times else 0.0
+        self.times.append(observation.time)
+        self.speeds.append(observation.pads.sliding_speed)
+        self.forces.append(observation.pads.normal_force)
+        begun = self._detector.update(elapsed, self._senses.pads(observation))
+        for finger in np.flatnonzero(begun).tolist():
+            self._open[finger] = observation.time
+        for finger in [f for f in self._open if not self._detector.slipping[f]]:
+            self._end(finger)
+
+    def _end(self, finger: int) -> None:
+        self.alarms.append(Slip(finger=finger, begin=self._open.pop(finger), end=self.times[-1]))
+
+
+def slip_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
+    """Peace, then provocations, under each loop."""
+    pushes = rng.normal(size=(PROVOCATIONS, 3))
+    pushes /= np.linalg.norm(pushes, axis=1, keepdims=True)
+    seed = int(rng.integers(2**31))
+    sensing = Sensing(
+        force_noise=SENSING.force_noise, sliding_noise=SENSING.sliding_noise, seed=seed
+    )
+    loops = []
+    for loop, make in CONTROLLERS.items():
+        watched = Watched(make(plan), len(plan.task.fingers), sensing)
+        hold = Hold(plan, controller=watched)
+        fault = hold.grip() or hold.endure(PEACE_S)
+        peace = hold.data.time
+        for k, push in enumerate(pushes):
+            fault = fault or _provoke(hold, watched, push if k % 2 == 0 else None)
+        watched.finish()
+        slips = _truth(watched)
+        score = score_slips(slips, watched.alarms)
+        begin = watched.times[0] if watched.times else peace
+        early = score_slips(slips, [a for a in watched.alarms if a.begin <= peace])
+        loops.append(
+            {
+                "loop": loop,
+                "reason": "" if fault is None else fault.reason,
+                **asdict(score),
+                "delay": None if np.isnan(score.delay) else score.delay,
+                "calm_s": max(0.0, peace - begin),
+                "calm_false": early.alarms - early.right,
+            }
+        )
+    return {"loops": loops}
+
+
+def _provoke(hold: Hold, watched: Watched, push: FloatArray | None) -> Fault | None:
+    """Push harder and harder along a direction, or without one take the friction away."""
+    weight = -GRAVITY[2] * hold.plan.task.object.mass
+    friction = hold.scene.model.geom_friction
+    normal = friction.copy()
+    slid = 0.0
+    dt = hold.scene.physics.timestep
+    for k in range(round(GROW_S / dt)):
+        share = k * dt / GROW_S
+        if push is None:
+            friction[:] = normal * (1.0 - share * (1.0 - LEAST_FRICTION))
+        else:
+            hold.push(share * MOST_WEIGHTS * weight * np.append(push, np.zeros(3)))
+        if fault := hold.endure(dt):
+            return fault
+        slid += dt if slid or watched.sliding() else 0.0
+        if slid > SLIDING_S:
+            break
+    friction[:] = normal
+    hold.push(np.zeros(6))
+    return hold.endure(REST_S)
+
+
+def _truth(watched: Watched) -> list[Slip]:
+    if not watched.times:
+        return []
+    return true_slips(np.array(watched.times), np.array(watched.speeds), np.array(watched.forces))
