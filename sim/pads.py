@@ -11,7 +11,6 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from planner.spatial import FloatArray
 from sim.contacts import NO_FORCE, object_contacts
 from sim.controllers.pads import PadReading
 from sim.scene import Scene
@@ -22,11 +21,14 @@ __all__ = ["read_pads"]
 def read_pads(scene: Scene, data: Any, fingers: tuple[str, ...]) -> PadReading:
     """What the pads of some fingers feel after a step."""
     index = {name: k for k, name in enumerate(fingers)}
-    found, loads, slips, signs, finger = [], [], [], [], []
+    n = len(fingers)
+    # per finger: normal force; force; and, weighted by normal force, place, normal and sliding
+    total = [0.0] * n
+    sums = [[0.0] * 12 for _ in range(n)]
+    load = np.zeros(6)
     twists: dict[int, list[float]] = {}
     for i, geom, sign in object_contacts(scene, data):
         k = index.get(scene.finger_of_geom[geom])
-        load = np.zeros(6)
         mujoco.mj_contactForce(scene.model, data, i, load)
         if k is None or load[0] <= NO_FORCE:
             continue
@@ -34,32 +36,57 @@ def read_pads(scene: Scene, data: Any, fingers: tuple[str, ...]) -> PadReading:
         for b in (body, scene.object_body):
             if b not in twists:
                 twists[b] = _twist(scene, data, b)
-        found.append(i)
-        loads.append(load[:3])
-        slips.append(_relative(twists[scene.object_body], twists[body], data.contact[i].pos))
-        signs.append(sign)
-        finger.append(k)
-    n = len(fingers)
-    if not found:
-        return PadReading.nothing(n)
-    sign_column = np.array(signs)[:, None]
-    frames = data.contact.frame[found].reshape(-1, 3, 3)
-    load_rows, slip = np.array(loads), np.array(slips)
-    into = sign_column * frames[:, 0]
-    slip -= (slip * into).sum(axis=1, keepdims=True) * into
-    share = np.zeros((n, len(found)))  # normal forces, one row per finger
-    share[finger, range(len(found))] = load_rows[:, 0]
-    total = share.sum(axis=1)
-    mean = share / np.where(total > 0, total, np.nan)[:, None]
-    normal = mean @ into
-    length = np.maximum(np.sqrt((normal * normal).sum(axis=1, keepdims=True)), MIN_LENGTH)
+        contact = data.contact[i]
+        _add(
+            sums[k],
+            load.tolist(),
+            contact.pos.tolist(),
+            contact.frame.tolist(),
+            sign,
+            (twists[scene.object_body], twists[body]),
+        )
+        total[k] += float(load[0])
+    rows = np.array(sums).reshape(n, 4, 3)
+    normal_force = np.array(total)
+    weight = np.where(normal_force > 0, normal_force, np.nan)[:, None]
+    force, position, normal, sliding = rows.transpose(1, 0, 2)
+    normal = normal / weight
+    length = np.sqrt((normal * normal).sum(axis=1, keepdims=True))
     return PadReading(
-        normal_force=total,
-        force=(share > 0) @ (sign_column * (load_rows[:, None] @ frames)[:, 0]),
-        position=mean @ data.contact.pos[found],
-        normal=normal / length,
-        sliding=mean @ slip,
+        normal_force=normal_force,
+        force=force,
+        position=position / weight,
+        normal=normal / np.maximum(length, MIN_LENGTH),
+        sliding=sliding / weight,
     )
+
+
+def _add(
+    sums: list[float],
+    load: list[float],
+    at: list[float],
+    frame: list[float],
+    sign: float,
+    twists: tuple[list[float], list[float]],
+) -> None:
+    """Add a contact to the sums of its finger; plain numbers are cheaper than arrays of three.
+
+    Args:
+        sums: Force, then place, normal and sliding times the normal force: written.
+        load: Force (and torque) in the contact's frame, N.
+        at: Its place, m.
+        frame: Its axes, one after the other.
+        sign: 1 where the first axis points into the object, else -1.
+        twists: Of the object and of the finger's body.
+    """
+    press, t1, t2 = load[:3]
+    slip = _relative(*twists, at)
+    across = slip[0] * frame[0] + slip[1] * frame[1] + slip[2] * frame[2]
+    for j in range(3):
+        sums[j] += sign * (press * frame[j] + t1 * frame[3 + j] + t2 * frame[6 + j])
+        sums[3 + j] += press * at[j]
+        sums[6 + j] += press * sign * frame[j]
+        sums[9 + j] += press * (slip[j] - across * frame[j])
 
 
 MIN_LENGTH = 1e-12
@@ -77,8 +104,8 @@ def _twist(scene: Scene, data: Any, body: int) -> list[float]:
     return [a, b, c, u - b * z + c * y, v - c * x + a * z, w - a * y + b * x]
 
 
-def _relative(of: list[float], to: list[float], point: FloatArray) -> list[float]:
-    """Velocity at a point (3,) of one twist relative to another."""
+def _relative(of: list[float], to: list[float], point: list[float]) -> list[float]:
+    """Velocity at a point of one twist relative to another."""
     a, b, c, u, v, w = (p - q for p, q in zip(of, to, strict=True))
-    x, y, z = point.tolist()
+    x, y, z = point
     return [u + b * z - c * y, v + c * x - a * z, w + a * y - b * x]

@@ -21,6 +21,8 @@ What it notices and what it does then:
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from planner.errors import NotFoundError, TaskError
@@ -243,9 +245,8 @@ class ObjectImpedance:
 
     def _judge(self, elapsed: float, wrench: FloatArray, missed: FloatArray) -> None:
         """Note when a wrench cannot be had, and give up when that lasts."""
-        weight = np.repeat([1.0, 1.0 / self._loop.problem.length], 3)
-        short = float(np.linalg.norm(weight * missed))
-        asked = float(np.linalg.norm(weight * wrench))
+        weight = self._loop.problem.row_scale[:6]
+        short, asked = (math.sqrt(w @ w) for w in (weight * missed, weight * wrench))
         before = self._missed_for
         self._missed_for = before + elapsed if short > MISSED_TOL * max(1.0, asked) else 0.0
         detail = f"{short:.2f} N of {asked:.2f} N cannot be had"

@@ -53,8 +53,8 @@ class SlipDetector:
         """
         share = elapsed / (AVERAGE_TIME + elapsed)
         loaded = pads.normal_force > LOADED
-        self._average += share * (np.nan_to_num(pads.sliding) - self._average)
-        self._average[~loaded] = 0.0
+        seen = np.where(loaded[:, None], pads.sliding, 0.0)
+        self._average = np.where(loaded[:, None], self._average + share * (seen - self._average), 0)
         self.speed = np.sqrt((self._average**2).sum(axis=1))
         fast = self.speed > ALARM_SPEED
         self._above = np.where(fast, self._above + elapsed, 0.0)

@@ -45,6 +45,8 @@ RANK_TOL = 1e-6
 FLAT = 1e-8
 """Added to J J^T (m^2): a stretched finger has a direction in which it cannot push, 0.1 mm/rad."""
 
+_RANK, _FLAT = RANK_TOL * np.eye(6), FLAT * np.eye(3)
+
 
 class HoldingTorques:
     """Kinematics of the fingers that take part, and the commands that press as told.
@@ -118,7 +120,7 @@ class HoldingTorques:
         self._tip_velocity = self.jacobians @ np.where(self._moving, self._v, 0.0)
         mask = holding[:, None]
         grasp = grasp_matrix(points - center) * np.repeat(holding, 3)
-        gram = grasp @ grasp.T + RANK_TOL * np.eye(6)
+        gram = grasp @ grasp.T + _RANK
         apart = np.where(mask, self._latched() - self.centers, 0.0)
         moved = np.column_stack([self._tip_velocity.ravel(), apart.ravel()])
         rigid = np.linalg.solve(gram, grasp @ moved)
@@ -176,7 +178,7 @@ class HoldingTorques:
         """
         own = np.where(self._own, POSTURE_STIFFNESS * bent, 0.0)  # (n, nq)
         jac = np.where(self._own[:, None], self.jacobians, 0.0)
-        gram = jac @ jac.transpose(0, 2, 1) + FLAT * np.eye(3)
+        gram = jac @ jac.transpose(0, 2, 1) + _FLAT
         force = np.linalg.solve(gram, jac @ own[..., None])
         return np.asarray((own - (jac.transpose(0, 2, 1) @ force)[..., 0]).sum(axis=0))
 
