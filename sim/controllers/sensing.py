@@ -18,7 +18,7 @@ from planner.spatial import SE3, FloatArray
 from sim.controllers.base import Observation
 from sim.controllers.pads import PadReading
 
-__all__ = ["Senses", "Sensing"]
+__all__ = ["TIME_TOL", "Senses", "Sensing"]
 
 TIME_TOL = 1e-9
 """Times that differ by less (s) are the same: rounding of sums of time steps."""

@@ -9,6 +9,7 @@ and moves the fingers while it holds.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import asdict
 from typing import Any
 
@@ -19,7 +20,7 @@ from planner.spatial import FloatArray
 from planner.task import GRAVITY
 from sim.bench.control.slips import SLIP_TIME, Slip, score_slips, true_slips
 from sim.controllers import CONTROLLERS, Controller, Observation, Sensing, SlipDetector
-from sim.controllers.sensing import Senses
+from sim.controllers.sensing import TIME_TOL, Senses
 from sim.controllers.slip import LOADED, SLIP_SPEED
 from sim.protocols.hold import Hold
 from sim.protocols.outcome import Fault
@@ -82,8 +83,8 @@ class Watched:
 
     def sliding(self) -> bool:
         """Whether a loaded pad has been sliding for as long as a slip lasts at least."""
-        steps = 1 + sum(t > self.times[-1] - SLIP_TIME for t in self.times[-20:])
-        late = slice(-steps, None)
+        begin = self.times[-1] - SLIP_TIME - TIME_TOL
+        late = slice(bisect_left(self.times, begin), None)
         fast = (np.array(self.speeds[late]) > SLIP_SPEED) & (np.array(self.forces[late]) > LOADED)
         return bool(fast.all(axis=0).any())
 
