@@ -19,7 +19,7 @@ from planner import GraspTask, plan_grasp
 from planner.spatial import FloatArray
 from sim.controllers import ImpedanceGains, ObjectImpedance, Sensing
 from sim.controllers.gains import BANDWIDTH, LEARNING_RATE, felt_inertia
-from sim.trial import Timeline, Trial
+from sim.protocols.hold import Hold
 
 HAND = "allegro_hand"
 OBJECT = "sphere"
@@ -27,9 +27,6 @@ SEED = 0
 PUSH = np.array([0.0, 3.0, 0.0])  # world axes, N: three times the object's weight
 BEGIN, END, HOLD = 0.2, 0.6, 1.2  # of the push, and of the hold, s since the hold began
 CASES = ((0, 1.0), (20, 1.0), (50, 1.0), (100, 1.0), (100, 0.4))  # ms, of the bandwidth
-QUICK = Timeline(
-    approach=0.3, close=0.3, squeeze=0.3, settle=0.1, lift=0.2, hold=HOLD, lift_height=0.02
-)
 PICTURE = "delay.png"
 
 matplotlib.use("Agg")  # draws into files, without a display
@@ -51,21 +48,18 @@ def pushed(delay_ms: float, share: float) -> tuple[FloatArray, tuple[str, ...]]:
         ),
         sensing=Sensing(pose_delay=1e-3 * delay_ms),
     )
+    hold = Hold(plan, controller=controller, lost=None)
+    hold.grip()
+    first = hold.T_palm_object.translation
+    towards = hold.scene.body_pose(hold.data, hold.scene.palm_body).rotation.T @ PUSH
     rows: list[tuple[float, float]] = []
-    start: list[tuple[float, FloatArray]] = []
 
-    def on_step(t: Trial) -> None:
-        if t.phase != "hold":
-            return
-        palm = t.scene.body_pose(t.data, t.scene.palm_body)
-        place = palm.actInv(t.data.xpos[t.scene.object_body])
-        start.append((t.data.time, place))
-        since = t.data.time - start[0][0]
-        t.data.xfrc_applied[t.scene.object_body, :3] = PUSH if BEGIN < since < END else 0.0
-        along = (palm.rotation @ (place - start[0][1])) @ PUSH / np.linalg.norm(PUSH)
-        rows.append((since, 1e3 * float(along)))
+    def look(since: float) -> None:
+        hold.push(np.append(PUSH if BEGIN < since < END else np.zeros(3), np.zeros(3)))
+        moved = (hold.T_palm_object.translation - first) @ towards / np.linalg.norm(PUSH)
+        rows.append((since, 1e3 * float(moved)))
 
-    Trial(plan, controller=controller, timeline=QUICK, record_every=0.1).run(on_step=on_step)
+    hold.endure(HOLD, each_step=look)
     return np.array(rows), tuple(event.kind for event in controller.events)
 
 
@@ -80,7 +74,7 @@ for delay, share in CASES:
     counts = ", ".join(f"{noticed.count(k)} x {k}" for k in dict.fromkeys(noticed)) or "nothing"
     print(f"{delay:10d} {share * BANDWIDTH:19.0f} {numbers}   {counts}")
     axis.plot(time, moved, label=f"{delay} ms, {share * BANDWIDTH:.0f} rad/s")
-axis.set_ylim(-8.0, 8.0)
+axis.set_ylim(-13.0, 13.0)
 axis.set_xlabel("time since the hold began (s)")
 axis.set_ylabel("movement along the push (mm)")
 axis.legend()

@@ -6,7 +6,8 @@ keeps its torque while a servo keeps a spring around where the joint was. Prints
 the same hand and some control rates, how far the object moves in the hand under a sudden push and
 what the fingers then press (30 % more after each slip that was noticed), and draws the movement in
 servo_and_torque.png. At 250 Hz and more both agree within a tenth of a millimetre. At 125 Hz the
-servos' springs still hold what motors let go, and at 50 Hz these gains are too high for both.
+loop swings until pads slip and presses several times as hard, more so with motors, and at 50 Hz
+these gains are too high for both.
 Needs matplotlib: pip install "opposable[plot]".
 """
 
@@ -21,7 +22,7 @@ import numpy as np
 from planner import GraspPlan, GraspTask, Hand, plan_grasp
 from planner.spatial import FloatArray
 from sim.controllers import ObjectImpedance, Observation
-from sim.trial import Timeline, Trial
+from sim.protocols.hold import Hold, Lost
 
 HAND = "allegro_hand"
 OBJECT = "sphere"
@@ -29,11 +30,7 @@ SEED = 0
 PUSH = np.array([0.0, 3.0, 0.0])  # world axes, N: three times the object's weight
 BEGIN, HOLD = 0.2, 0.8  # of the push and the end, s since the hold began
 EVERY = (1, 2, 4, 10)  # a new command every so many time steps
-DT = 0.002  # time step, s
-LOST = 8.0  # movement in the hand that counts as lost, mm
-QUICK = Timeline(
-    approach=0.3, close=0.3, squeeze=0.3, settle=0.1, lift=0.2, hold=HOLD, lift_height=0.02
-)
+LOST = Lost(mm=8.0)  # movement in the hand that counts as lost
 PICTURE = "servo_and_torque.png"
 
 matplotlib.use("Agg")  # draws into files, without a display
@@ -65,26 +62,21 @@ def with_motors(hand: Hand) -> Hand:
     return Hand.from_spec(spec, hand.description)
 
 
-def pushed(plan: GraspPlan, every: int) -> tuple[FloatArray, FloatArray]:
-    """Time (s) and movement (mm) since the hold began (m, 2), and normal forces (m, n), N."""
-    rows: list[tuple[float, float]] = []
-    forces: list[FloatArray] = []
-    start: list[tuple[float, FloatArray]] = []
-
-    def on_step(t: Trial) -> None:
-        if t.phase != "hold":
-            return
-        palm = t.scene.body_pose(t.data, t.scene.palm_body)
-        place = palm.actInv(t.data.xpos[t.scene.object_body])
-        start.append((t.data.time, place))
-        since = t.data.time - start[0][0]
-        t.data.xfrc_applied[t.scene.object_body, :3] = PUSH if since > BEGIN else 0.0
-        rows.append((since, 1e3 * float(np.linalg.norm(place - start[0][1]))))
-        forces.append(controller.inner.forces[:, 0].copy())
-
+def pushed(plan: GraspPlan, every: int) -> tuple[bool, FloatArray, FloatArray]:
+    """Whether it was held, time (s) and movement (mm) (m, 2), and last normal forces (n,), N."""
     controller = Slower(ObjectImpedance(plan), every)
-    Trial(plan, controller=controller, timeline=QUICK, record_every=0.1).run(on_step=on_step)
-    return np.array(rows).reshape(-1, 2), np.array(forces)
+    hold = Hold(plan, controller=controller, lost=LOST)
+    fault = hold.grip()
+    first = hold.T_palm_object.translation
+    rows: list[tuple[float, float]] = []
+
+    def look(since: float) -> None:
+        hold.push(np.append(PUSH if since > BEGIN else np.zeros(3), np.zeros(3)))
+        moved = hold.T_palm_object.translation - first
+        rows.append((since, 1e3 * float(np.linalg.norm(moved))))
+
+    fault = fault or hold.endure(HOLD, each_step=look)
+    return fault is None, np.array(rows).reshape(-1, 2), controller.inner.forces[:, 0]
 
 
 servo_plan = plan_grasp(GraspTask.create(HAND, OBJECT), seed=SEED)
@@ -95,12 +87,12 @@ print(f"{HAND}, {OBJECT}: pushed by {np.linalg.norm(PUSH):.0f} N\n")
 print("rate (Hz)   drive    moved (mm)   at the end (mm)   normal forces at the end (N)")
 for axis, every in zip(axes, EVERY, strict=True):
     for drive, plan in (("servos", servo_plan), ("motors", motor_plan)):
-        rows, forces = pushed(plan, every)
+        held, rows, forces = pushed(plan, every)
         line = f"{500 / every:9.0f}   {drive:6}"
-        if len(rows) < round(HOLD / DT) or rows[:, 1].max() > LOST:
+        if not held:
             print(f"{line}   lost the object")
             continue
-        print(f"{line} {rows[:, 1].max():12.3f} {rows[-1, 1]:17.3f}   {np.round(forces[-1], 2)}")
+        print(f"{line} {rows[:, 1].max():12.3f} {rows[-1, 1]:17.3f}   {np.round(forces, 2)}")
         axis.plot(rows[:, 0], rows[:, 1], label=drive)
     axis.set_title(f"{500 / every:.0f} Hz")
     axis.set_xlabel("time since the hold began (s)")

@@ -108,7 +108,7 @@ class Hold(Trial):
         self.data = self.scene.start(plan.q_pregrasp, plan.T_world_base)
         self.carrier = _Still(self.carrier)
         self._lost = lost
-        self._reference = self._in_palm()
+        self._reference = self.T_palm_object
         self._looks = max(1, round(CHECK_EVERY / self.scene.physics.timestep))
         self._recent: deque[tuple[str, ...]] = deque(maxlen=round(BLAME_WINDOW / CHECK_EVERY))
         self._loads: list[float] = []
@@ -138,7 +138,7 @@ class Hold(Trial):
 
     def mark(self) -> None:
         """From now on it is a hold, and the object's movement in the palm counts."""
-        self._reference = self._in_palm()
+        self._reference = self.T_palm_object
         self.recorder.mark_reference(self.data)
         self.phase = "hold"
         self.record()
@@ -189,6 +189,13 @@ class Hold(Trial):
         return bool(fastest < REST_SPEED)
 
     @property
+    def T_palm_object(self) -> SE3:
+        """Where the object is in the palm."""
+        scene = self.scene
+        T_world_palm = scene.body_pose(self.data, scene.palm_body)
+        return T_world_palm.inverse() * scene.body_pose(self.data, scene.object_body)
+
+    @property
     def samples(self) -> Samples:
         """What was recorded so far."""
         return self.recorder.samples()
@@ -222,7 +229,7 @@ class Hold(Trial):
 
     def _look(self, lost: Lost) -> Fault | None:
         """Whether the object is lost now."""
-        now = self._in_palm()
+        now = self.T_palm_object
         moved = 1e3 * float(np.linalg.norm(now.translation - self._reference.translation))
         turned = float(np.rad2deg(rotation_angle(self._reference.rotation.T @ now.rotation)))
         where = f"the object had moved {moved:.1f} mm and turned {turned:.1f} degrees in the hand"
@@ -232,11 +239,6 @@ class Hold(Trial):
         if moved > lost.mm or turned > lost.deg:
             return self.blamed("slipped", f"{where}; {touching} fingers touched")
         return None
-
-    def _in_palm(self) -> SE3:
-        scene = self.scene
-        T_world_palm = scene.body_pose(self.data, scene.palm_body)
-        return T_world_palm.inverse() * scene.body_pose(self.data, scene.object_body)
 
 
 class _Still:
