@@ -134,6 +134,26 @@ def test_it_holds_against_what_breaks_the_open_loop(plan: GraspPlan) -> None:
     assert closed_loop.largest_slip[0] < 2.0
 
 
+def test_fingers_ease_off_where_one_must_push_alone() -> None:
+    """The thumb stands alone against three: what they press takes from what it can give."""
+    alone = plan_grasp(GraspTask.create("allegro_hand", "box"), seed=1)
+    k = alone.task.finger_names.index("thumb")
+    onto_thumb = -7.2 * alone.contacts.normals[k]
+
+    def on_hold(trial: Trial, since: float) -> None:
+        push(trial, min(since / 0.9, 1.0) * onto_thumb)
+
+    controller = ObjectImpedance(alone)
+    report = run(alone, controller, on_hold, timeline=replace(SHORT, hold=1.2))
+    assert report.success, report.verdict.detail
+    assert "gave up" not in kinds(controller)
+    grip = alone.task.grip_force
+    pressed = np.delete(controller.forces[:, 0], k)
+    assert 0 < pressed.min() < 0.9 * grip  # it was all of the grip, and the push was not met
+    # 7.2 N are within what this thumb gives, and with three times the grip against it they are not
+    assert 7.2 < controller.forces[k, 0] < 7.2 + 3 * grip - 0.5
+
+
 def test_no_delay_and_no_noise_are_the_same_as_none(plan: GraspPlan) -> None:
     short = replace(SHORT, hold=0.1)
     exact = run(plan, ObjectImpedance(plan), timeline=short)

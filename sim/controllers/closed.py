@@ -14,7 +14,8 @@ What it notices and what it does then:
                     last normal, and takes its share again when it feels the object
     slip            all press harder by ``GRIP_STEP``, and the friction of that finger is believed
                     to be what the pad felt when it slipped, less a margin
-    infeasible      the forces that come nearest within all limits are given
+    infeasible      the forces that come nearest within all limits are given, and fingers that only
+                    press on each other ease off: the wrench comes before the grip
     gave up         fewer fingers than can hold the object, or infeasible, for ``PATIENCE``: nothing
                     is learned or tightened any more, and the reason is kept
 """
@@ -58,6 +59,10 @@ FRICTION_MARGIN, LEAST_MU = 0.85, 0.1
 
 MISSED_TOL = 0.05
 """A wrench counts as missed when more than this share of it, or this many N, is left over."""
+
+EASE_TIME, LEAST_EASE = 0.1, 0.3
+"""While a wrench cannot be had, the least normal forces fall to this share (-) within this time (s),
+and come back as slowly: fingers that press against the one that must push take from its actuators."""
 
 INFEASIBLE_TIME, PATIENCE = 0.006, 0.5
 """How long (s) a wrench must be missed to be called infeasible, and to give up."""
@@ -119,7 +124,7 @@ class ObjectImpedance:
         self._slips = SlipDetector(n)
         self._torques = HoldingTorques(plan)
         self._mu = np.full(n, first_mu)
-        self._grip = 1.0
+        self._grip, self._ease = 1.0, 1.0
         self._contacts = plan.contacts.transformed(plan.T_world_base.inverse())
         self._points = np.array(self._contacts.positions)
         self._frames = np.array(self._contacts.frames)
@@ -184,6 +189,9 @@ class ObjectImpedance:
         missed = self._distribute(scale * wrench, pose.translation, observation.q, scale)
         if carries and not self.gave_up:
             self.law.learn(elapsed, missed)
+            rate = elapsed / EASE_TIME
+            self._ease += rate if self._loop.result.balanced else -rate
+            self._ease = min(1.0, max(LEAST_EASE, self._ease))
             self._judge(elapsed, wrench, missed)
         forces = (self._frames @ self.forces[:, :3, None])[:, :, 0]
         normals = self._frames[:, :, 0]
@@ -230,7 +238,7 @@ class ObjectImpedance:
             jacobians=self._torques.jacobians,
             q=q,
             gravity_torque=self._torques.gravity_torque,
-            min_normal=scale * self._grip * self.plan.task.grip_force * share,
+            min_normal=scale * self._grip * self._ease * self.plan.task.grip_force * share,
             max_normal=MAX_NORMAL * share,
             previous=self.forces,
         )
