@@ -61,8 +61,8 @@ MISSED_TOL = 0.05
 """A wrench counts as missed when more than this share of it, or this many N, is left over."""
 
 EASE_TIME, LEAST_EASE = 0.1, 0.3
-"""While a wrench cannot be had, the least normal forces fall to this share (-) within this time (s),
-and come back as slowly: fingers that press against the one that must push take from its actuators."""
+"""While a wrench cannot be had, the least normal forces fall to this share (-) within about this
+time (s), and come back as slowly: what presses against a finger that must push takes from it."""
 
 INFEASIBLE_TIME, PATIENCE = 0.006, 0.5
 """How long (s) a wrench must be missed to be called infeasible, and to give up."""
