@@ -25,6 +25,7 @@ from sim.bench.control.jobs import PARTS, ROWS_PER_GRASP, Part, control_jobs
 from sim.bench.control.rate import rate_row
 from sim.bench.control.slip_trial import Watched, slip_row
 from sim.bench.objects import BenchObject
+from sim.contacts import hand_contacts
 from sim.controllers import CONTROLLERS, GraspController, Observation, PadReading, Sensing
 from sim.controllers.slip import SLIP_SPEED
 from sim.pads import read_pads
@@ -69,6 +70,8 @@ def test_numbers_of_rows_do_not_depend_on_what_else_is_asked() -> None:
     many = control_jobs(HANDS, [SPHERE], {"fc": 7, "drift": 5}, 0)
     assert set(few) <= set(many)
     assert len({part.number for part in PARTS.values()}) == len(PARTS) <= ROWS_PER_GRASP
+    everything = control_jobs(HANDS, [SPHERE], dict.fromkeys(PARTS, 40), 0)
+    assert len({job.index for job in everything}) == 40 * len(PARTS)
 
 
 def test_parts_have_the_numbers_that_their_figures_ask_for() -> None:
@@ -353,16 +356,24 @@ def test_pads_of_one_finger_are_summed(plan: GraspPlan) -> None:
     """Two pads that are called one: forces add, places and normals are weighted means."""
     hold = Hold(plan, controller=GraspController(plan))
     assert hold.grip() is None
-    apart = read_pads(hold.scene, hold.data, ("thumb", "index"))
+    found = hand_contacts(hold.scene, hold.data)
+    apart = ContactSet.from_contacts(
+        [found[i] for i, f in enumerate(found.fingers) if f in ("thumb", "index")],
+        center=found.center,
+    )
+    slid = read_pads(hold.scene, hold.data, apart.fingers).sliding
     names = {
         geom: "thumb" if name == "index" else name
         for geom, name in hold.scene.finger_of_geom.items()
     }
     together = read_pads(replace(hold.scene, finger_of_geom=names), hold.data, ("thumb", "ring"))
-    weight = apart.normal_force / apart.normal_force.sum()
-    assert together.normal_force[0] == pytest.approx(apart.normal_force.sum())
-    np.testing.assert_allclose(together.force[0], apart.force.sum(axis=0), atol=1e-12)
-    np.testing.assert_allclose(together.position[0], weight @ apart.position, atol=1e-12)
-    np.testing.assert_allclose(together.sliding[0], weight @ apart.sliding, atol=1e-12)
-    mean = weight @ apart.normal
+    assert len(apart) == 2
+    press = apart.forces[:, 0]
+    weight = press / press.sum()
+    forces = apart.forces_in_axes()
+    assert together.normal_force[0] == pytest.approx(press.sum())
+    np.testing.assert_allclose(together.force[0], forces.sum(axis=0), atol=1e-12)
+    np.testing.assert_allclose(together.position[0], weight @ apart.positions, atol=1e-12)
+    np.testing.assert_allclose(together.sliding[0], weight @ slid, atol=1e-12)
+    mean = weight @ apart.normals
     np.testing.assert_allclose(together.normal[0], mean / np.linalg.norm(mean), atol=1e-9)
