@@ -13,6 +13,8 @@ __all__ = ["PlacedContacts", "turned_frames"]
 OPPOSED = -0.9
 """Cosine between an old and a new normal below which tangents are chosen anew (-)."""
 
+_IDENTITY = np.eye(3)
+
 
 class PlacedContacts:
     """Where contacts are, and what they do to the object and to the joints.
@@ -99,10 +101,10 @@ def turned_frames(frames: FloatArray, normals: FloatArray) -> FloatArray:
     Tangents then move as little as the normals do, where ``contact_frames`` may jump.
     """
     old = frames[:, :, 0]
-    axis = np.cross(old, normals)
-    cosine = np.einsum("ni,ni->n", old, normals)
+    cosine = (old * normals).sum(axis=1)
     if (cosine < OPPOSED).any():
         return contact_frames(normals)
-    turn = skew(axis)
-    rotation = np.eye(3) + turn + turn @ turn / (1.0 + cosine)[:, None, None]
+    dyad = normals[:, :, None] * old[:, None]
+    turn = dyad - dyad.transpose(0, 2, 1)  # the cross-product matrix of old x normals
+    rotation = _IDENTITY + turn + turn @ turn / (1.0 + cosine)[:, None, None]
     return np.asarray(rotation @ frames)
