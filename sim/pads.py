@@ -26,6 +26,7 @@ def read_pads(scene: Scene, data: Any, fingers: tuple[str, ...]) -> PadReading:
     total = [0.0] * n
     sums = [[0.0] * 12 for _ in range(n)]
     load = np.zeros(6)
+    places, frames = data.contact.pos.tolist(), data.contact.frame.tolist()
     twists: dict[int, list[float]] = {}
     for i, geom, sign in object_contacts(scene, data):
         k = index.get(scene.finger_of_geom[geom])
@@ -36,12 +37,11 @@ def read_pads(scene: Scene, data: Any, fingers: tuple[str, ...]) -> PadReading:
         for b in (body, scene.object_body):
             if b not in twists:
                 twists[b] = _twist(scene, data, b)
-        contact = data.contact[i]
         _add(
             sums[k],
             load.tolist(),
-            contact.pos.tolist(),
-            contact.frame.tolist(),
+            places[i],
+            frames[i],
             sign,
             (twists[scene.object_body], twists[body]),
         )

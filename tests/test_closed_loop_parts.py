@@ -335,6 +335,21 @@ def test_a_slip_is_seen_within_50_ms_and_noise_is_not() -> None:
         assert 4 <= steps <= LATENCY / DT
 
 
+def test_an_alarm_takes_as_many_steps_whenever_it_begins() -> None:
+    """Times are sums of steps: their rounding must not cost a step."""
+    needed = set()
+    for start in range(300):
+        detector, steps = SlipDetector(1), 0
+        times = np.cumsum(np.full(start + 20, DT))[start:]
+        for elapsed in np.diff(times):
+            steps += 1
+            if detector.update(float(elapsed), reading(np.array([[0.0, 0.02, 0.0]]))).any():
+                break
+        needed.add(steps)
+    # the average passes 4.5 mm/s at the second step of 20 mm/s, and 8 ms are four of them
+    assert needed == {5}
+
+
 def test_an_unloaded_contact_does_not_slip() -> None:
     detector = SlipDetector(1)
     for _ in range(50):

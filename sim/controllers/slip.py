@@ -58,6 +58,6 @@ class SlipDetector:
         self.speed = np.sqrt((self._average**2).sum(axis=1))
         fast = self.speed > ALARM_SPEED
         self._above = np.where(fast, self._above + elapsed, 0.0)
-        begins = (self._above >= ALARM_TIME) & ~self.slipping
+        begins = (self._above >= ALARM_TIME - elapsed / 2) & ~self.slipping
         self.slipping = (self.slipping | begins) & (self.speed > ALARM_SPEED / 2)
         return np.asarray(begins)
