@@ -62,7 +62,8 @@ MISSED_TOL = 0.05
 
 EASE_TIME, LEAST_EASE = 0.1, 0.3
 """While a wrench cannot be had, the least normal forces fall to this share (-) within about this
-time (s), and come back as slowly: what presses against a finger that must push takes from it."""
+time (s), and come back as slowly: what presses against a finger that must push takes from it. Not
+after a slip: then it is friction that is wanting."""
 
 INFEASIBLE_TIME, PATIENCE = 0.006, 0.5
 """How long (s) a wrench must be missed to be called infeasible, and to give up."""
@@ -189,10 +190,11 @@ class ObjectImpedance:
         missed = self._distribute(scale * wrench, pose.translation, observation.q, scale)
         if carries and not self.gave_up:
             self.law.learn(elapsed, missed)
-            rate = elapsed / EASE_TIME
-            self._ease += rate if self._loop.result.balanced else -rate
-            self._ease = min(1.0, max(LEAST_EASE, self._ease))
             self._judge(elapsed, wrench, missed)
+            rate = elapsed / EASE_TIME
+            too_much = self._missed_for > 0.0 and self._grip == 1.0
+            eased = self._ease + (-rate if too_much else rate)
+            self._ease = min(1.0, max(LEAST_EASE, eased))
         forces = (self._frames @ self.forces[:, :3, None])[:, :, 0]
         normals = self._frames[:, :, 0]
         return self._torques.commands(forces, normals, holding, self.schedule.searching)
