@@ -1,6 +1,7 @@
 """``ObjectImpedance``: holds the object where it is, whatever pushes it.
 
-Approach and closing are those of ``GraspController``. From the squeeze on, at every step:
+Approach and closing are those of ``GraspController``. From the squeeze on, at every step (in the
+phase "turn" a ``Reference`` may lead object and fingers elsewhere):
 
     wrench   impedance of the object's pose in the hand (``sim.controllers.impedance``), and its
              believed weight; its velocity comes from the joints, as the contacts stick
@@ -28,12 +29,13 @@ from planner.forces import ForceLoop, turned_frames
 from planner.paths import smooth
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
-from sim.controllers.base import Observation
+from sim.controllers.base import Observation, Phase
 from sim.controllers.events import Event, EventKind
 from sim.controllers.gains import ImpedanceGains, felt_inertia
 from sim.controllers.grasp import FIRST_SHARE, GraspController
 from sim.controllers.impedance import ImpedanceLaw
 from sim.controllers.pads import PadReading
+from sim.controllers.reference import Reference
 from sim.controllers.schedule import TOUCH_FORCE, ContactSchedule
 from sim.controllers.sensing import Senses, Sensing
 from sim.controllers.slip import SlipDetector
@@ -57,6 +59,9 @@ FRICTION_MARGIN, LEAST_MU = 0.85, 0.1
 MISSED_TOL = 0.05
 """A wrench counts as missed when more than this share of it, or this many N, is left over."""
 
+CARRYING: frozenset[Phase] = frozenset({"lift", "hold", "turn", "carry"})
+"""Phases in which nothing but the hand holds the object: then loads and friction are learned."""
+
 INFEASIBLE_TIME, PATIENCE = 0.006, 0.5
 """How long (s) a wrench must be missed to be called infeasible, and to give up."""
 
@@ -70,6 +75,7 @@ class ObjectImpedance:
         schedule: Which fingers hold, from the squeeze on.
         T_palm_wanted: Where the object is to be kept, in the palm; None before the squeeze. May be
             set.
+        reference: What leads object and fingers in the phase "turn"; None keeps them.
         forces: (n, 4), contact forces of the last step in the contact frames, N and N m.
         gave_up: Why it gave up, "" while it has not.
     """
@@ -109,6 +115,7 @@ class ObjectImpedance:
         self.law = ImpedanceLaw(gains)
         self.schedule = ContactSchedule(np.zeros(n, dtype=bool))
         self.T_palm_wanted: SE3 | None = None
+        self.reference: Reference | None = None
         self.forces = np.zeros((n, 4))
         self.gave_up = ""
         self._events: list[Event] = []
@@ -168,15 +175,21 @@ class ObjectImpedance:
             self.T_palm_wanted = in_palm
             self.schedule = ContactSchedule(pads.normal_force > TOUCH_FORCE)
             self._torques.latch()
+        wanted_twist = np.zeros(6)
+        if observation.phase == "turn" and self.reference is not None:
+            wanted_twist = self._lead(self.reference, elapsed, in_palm, observation.q)
         self._feel(elapsed, pads, T_base_world)
-        carries = observation.phase in ("lift", "hold")
+        carries = observation.phase in CARRYING
         if carries and not self.gave_up:
             self._tighten(elapsed, pads)
-        ramp = observation.progress if observation.phase == "squeeze" else 1.0
+        ramp = 1.0
+        if observation.phase in ("squeeze", "release"):
+            begins = observation.phase == "squeeze"
+            ramp = observation.progress if begins else 1.0 - observation.progress
         scale = FIRST_SHARE + (1.0 - FIRST_SHARE) * float(smooth(np.asarray(ramp)))
         holding = self.schedule.holding
         pose = T_base_palm * in_palm
-        twist = self._torques.touch(self._points, pose.translation, holding)
+        twist = self._torques.touch(self._points, pose.translation, holding) - wanted_twist
         wrench = self.law.wrench(T_base_palm * self.T_palm_wanted, pose, twist)
         wrench[:3] -= self._mass * gravity
         missed = self._distribute(scale * wrench, pose.translation, observation.q, scale)
@@ -186,6 +199,16 @@ class ObjectImpedance:
         forces = (self._frames @ self.forces[:, :3, None])[:, :, 0]
         normals = self._frames[:, :, 0]
         return self._torques.commands(forces, normals, holding, self.schedule.searching)
+
+    def _lead(
+        self, reference: Reference, elapsed: float, in_palm: SE3, q: FloatArray
+    ) -> FloatArray:
+        """Take over where object and fingers should be now; returns the wanted twist (6,)."""
+        target = reference.advance(elapsed, in_palm, self._torques.tips_in_palm, q)
+        self.T_palm_wanted = target.T_palm_object
+        self._torques.aim(target.tips, target.q)
+        turn = self._torques.T_base_palm.rotation
+        return np.concatenate([turn @ target.twist[:3], turn @ target.twist[3:]])
 
     def _feel(self, elapsed: float, pads: PadReading, T_base_world: SE3) -> None:
         """Take over where and how the fingers touch, and note what has changed."""

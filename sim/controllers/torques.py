@@ -105,6 +105,16 @@ class HoldingTorques:
         self._q_ref[own] = self._q[own]
         self._tips[finger] = self._in_palm(self.centers)[finger]
 
+    def aim(self, tips: FloatArray, q: FloatArray) -> None:
+        """Pursue fingertips (n, 3), palm, and a posture (nq,) of the fingers from now on."""
+        self._tips = tips
+        self._q_ref = np.where(self._moving, q, self._q_ref)
+
+    @property
+    def tips_in_palm(self) -> FloatArray:
+        """Where the fingertips (n, 3) are."""
+        return self._in_palm(self.centers)
+
     def touch(
         self, points: FloatArray, center: FloatArray, holding: NDArray[np.bool_]
     ) -> FloatArray:

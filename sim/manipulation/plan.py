@@ -1,0 +1,125 @@
+"""``plan_manipulation``: pick an object from a table, turn it in the hand, put it down elsewhere.
+
+A plan is a motion on one grasp with a way into it, a way out of its end, and the pose in which the
+object is to stand at last.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from planner.errors import NoGraspFoundError, TaskError
+from planner.motion import MotionAttempt, MotionPlan, ObjectPath, motion_attempts
+from planner.motion.release import find_release
+from planner.spatial import SE3, FloatArray
+from planner.synthesis.pregrasp import Approach
+from planner.task import GraspTask
+
+__all__ = ["ManipulationPlan", "plan_manipulation"]
+
+MORE = np.deg2rad(2.0)
+"""Turn (rad) that is planned beyond what is asked for, so that a little too much can be turned."""
+
+TUBE = 0.02
+"""Default radius (m) of the tube: what is free gives some ten degrees more."""
+
+MAX_ATTEMPTS = 60
+"""Attempts before giving up."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ManipulationPlan:
+    """Pick, turn, place.
+
+    Attributes:
+        motion: The turn in the hand, with the grasp that it begins with; goes a little beyond
+            ``angle``.
+        angle: Turn that is asked for, rad, with its sign.
+        T_world_target: Where the object is to stand at last.
+        release: Fingers opened at the end, and the way out, where the motion ends.
+        attempts: Attempts made.
+        cpu_s: CPU time of planning without building, s.
+    """
+
+    motion: MotionPlan
+    angle: float
+    T_world_target: SE3
+    release: Approach
+    attempts: int
+    cpu_s: float
+
+
+def plan_manipulation(
+    task: GraspTask,
+    *,
+    axis: Sequence[float] | FloatArray = (0.0, 0.0, 1.0),
+    angle: float,
+    place: tuple[float, float] | None = None,
+    tube: float = TUBE,
+    seed: int = 0,
+    max_attempts: int = MAX_ATTEMPTS,
+) -> ManipulationPlan:
+    """Plan it all.
+
+    Args:
+        task: What stands where, on a table, and the hand.
+        axis: Axis of the turn (3,), world.
+        angle: Turn in the hand, rad, with its sign.
+        place: Where the object is to stand, x and y in m, world; where it was if None.
+        tube: Radius within which the object may leave its place while it is turned, m.
+        seed: Same seed, same plan.
+        max_attempts: Budget in attempts.
+
+    Raises:
+        NoGraspFoundError: The budget ended.
+        TaskError: No table, or what ``plan_motion`` refuses.
+    """
+    if task.table_height is None:
+        raise TaskError("there is no table to pick from and to place on; give table_height")
+    if max_attempts < 1:
+        raise TaskError(f"max_attempts is {max_attempts}; give at least 1")
+    path = ObjectPath(
+        axis=np.asarray(axis, dtype=np.float64),
+        angle=angle + float(np.sign(angle)) * MORE,
+        shift=np.zeros(3),
+    )
+    made: list[MotionAttempt] = []
+    for attempt in motion_attempts(task, path, tube=tube, seed=seed):
+        made.append(attempt)
+        if attempt.plan is not None:
+            release = find_release(attempt.plan)
+            if not isinstance(release, str):
+                return ManipulationPlan(
+                    motion=attempt.plan,
+                    angle=angle,
+                    T_world_target=_target(task, path.axis, angle, place),
+                    release=release,
+                    attempts=len(made),
+                    cpu_s=sum(a.cpu_s for a in made),
+                )
+            made[-1] = replace(attempt, plan=None, reason=f"cannot let go at the end: {release}")
+        if len(made) >= max_attempts:
+            break
+    reasons = Counter(a.reason for a in made).most_common(3)
+    why = "; ".join(f"{n} x {reason}" for reason, n in reasons)
+    raise NoGraspFoundError(
+        f"no way to turn {task.object.name} by {np.rad2deg(angle):.1f} degrees with "
+        f"{task.hand.name} ({', '.join(task.finger_names)}) in {max_attempts} attempts: {why}. Try "
+        "a smaller turn, a wider tube, other fingers or more attempts",
+        tuple(made),
+    )
+
+
+def _target(
+    task: GraspTask, axis: FloatArray, angle: float, place: tuple[float, float] | None
+) -> SE3:
+    """The object turned, at a place, with its lowest point on the table."""
+    turned = pin.exp3(angle * axis) @ task.T_world_object.rotation
+    x, y = task.T_world_object.translation[:2] if place is None else place
+    height = task.object.shape.support(-turned[2])
+    return SE3(turned, np.array([x, y, (task.table_height or 0.0) + height]))
