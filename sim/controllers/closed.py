@@ -206,7 +206,7 @@ class ObjectImpedance:
         """Take over where object and fingers should be now; returns the wanted twist (6,)."""
         target = reference.advance(elapsed, in_palm, self._torques.tips_in_palm, q)
         self.T_palm_wanted = target.T_palm_object
-        self._torques.aim(target.tips, target.q)
+        self._torques.aim(target.tips, target.q, target.v)
         turn = self._torques.T_base_palm.rotation
         return np.concatenate([turn @ target.twist[:3], turn @ target.twist[3:]])
 
@@ -250,7 +250,7 @@ class ObjectImpedance:
             center=center,
             jacobians=self._torques.jacobians,
             q=q,
-            gravity_torque=self._torques.gravity_torque,
+            gravity_torque=self._torques.own_torque,
             min_normal=scale * self._grip * self.plan.task.grip_force * share,
             max_normal=MAX_NORMAL * share,
             previous=self.forces,

@@ -125,9 +125,10 @@ class MotionReference:
             self.turned = signed_twist(turn, self.axis, near=self.turned)
             self._go_on(elapsed)
         place = self.place
-        here = self.pose(place)
+        here, posture = self._motion.at(place)
         step = self._speed * VELOCITY_STEP / self._length
-        there = self.pose(min(1.0, place + step))
+        there, next_posture = self._motion.at(min(1.0, place + step))
+        here, there = self._T_palm_world * here, self._T_palm_world * there
         wanted = self._begin.led(here, place)
         return Target(
             T_palm_object=wanted,
@@ -139,7 +140,8 @@ class MotionReference:
             )
             / VELOCITY_STEP,
             tips=self._tips_at(place) @ wanted.rotation.T + wanted.translation,
-            q=self._motion.at(place)[1] + (1.0 - place) * self._begin.bent,
+            q=posture + (1.0 - place) * self._begin.bent,
+            v=(next_posture - posture) / VELOCITY_STEP,
         )
 
     def pose(self, place: float) -> SE3:

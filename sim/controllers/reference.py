@@ -24,12 +24,14 @@ class Target:
         tips: (n, 3), pad centres of the fingers that take part, m. Only how they lie to each other
             is pursued for those that hold; one that leaves stays off its own.
         q: (nq,), posture that redundant fingers keep to.
+        v: (nq,), its rates.
     """
 
     T_palm_object: SE3
     twist: FloatArray
     tips: FloatArray
     q: FloatArray
+    v: FloatArray
 
 
 class Reference(Protocol):

@@ -20,7 +20,7 @@ from planner.spatial import SE3, FloatArray
 from planner.synthesis.pregrasp import Approach
 from planner.task import GraspTask
 
-__all__ = ["ManipulationPlan", "plan_manipulation"]
+__all__ = ["ManipulationPlan", "carrying_grip", "plan_manipulation"]
 
 MORE = np.deg2rad(2.0)
 """Turn (rad) that is planned beyond what is asked for, so that a little too much can be turned."""
@@ -113,6 +113,20 @@ def plan_manipulation(
         "a smaller turn, a wider tube, other fingers or more attempts",
         tuple(made),
     )
+
+
+def carrying_grip(task: GraspTask) -> float:
+    """Least normal force (N) per finger with which friction carries the weight, shared evenly.
+
+    A grasp that is only held takes twice as much by default; the thumb of a hand that turns has to
+    oppose all other fingers along the whole path, and its joints have no torque for that.
+    """
+    weight = task.object.mass * float(np.linalg.norm(task.gravity))
+    return max(LEAST_GRIP, weight / (task.mu * len(task.finger_names)))
+
+
+LEAST_GRIP = 1.5
+"""Smallest normal force (N) per finger: with less, contacts of three fingers were lost at times."""
 
 
 def _target(
