@@ -22,7 +22,7 @@ __all__ = ["read_pads"]
 def read_pads(scene: Scene, data: Any, fingers: tuple[str, ...]) -> PadReading:
     """What the pads of some fingers feel after a step."""
     index = {name: k for k, name in enumerate(fingers)}
-    found, loads, slips, signs, finger = [], [], [], [], []
+    found, loads, slips, spins, signs, finger = [], [], [], [], [], []
     twists: dict[int, list[float]] = {}
     for i, geom, sign in object_contacts(scene, data):
         k = index.get(scene.finger_of_geom[geom])
@@ -36,7 +36,9 @@ def read_pads(scene: Scene, data: Any, fingers: tuple[str, ...]) -> PadReading:
                 twists[b] = _twist(scene, data, b)
         found.append(i)
         loads.append(load[:3])
-        slips.append(_relative(twists[scene.object_body], twists[body], data.contact[i].pos))
+        twist = [p - q for p, q in zip(twists[scene.object_body], twists[body], strict=True)]
+        slips.append(_velocity(twist, data.contact[i].pos))
+        spins.append(twist[:3])
         signs.append(sign)
         finger.append(k)
     n = len(fingers)
@@ -59,6 +61,7 @@ def read_pads(scene: Scene, data: Any, fingers: tuple[str, ...]) -> PadReading:
         position=mean @ data.contact.pos[found],
         normal=normal / length,
         sliding=mean @ slip,
+        spin=np.nan_to_num(mean @ (np.array(spins) * into).sum(axis=1)),
     )
 
 
@@ -77,8 +80,8 @@ def _twist(scene: Scene, data: Any, body: int) -> list[float]:
     return [a, b, c, u - b * z + c * y, v - c * x + a * z, w - a * y + b * x]
 
 
-def _relative(of: list[float], to: list[float], point: FloatArray) -> list[float]:
-    """Velocity at a point (3,) of one twist relative to another."""
-    a, b, c, u, v, w = (p - q for p, q in zip(of, to, strict=True))
+def _velocity(twist: list[float], point: FloatArray) -> list[float]:
+    """Velocity at a point (3,) of a body that moves by a twist."""
+    a, b, c, u, v, w = twist
     x, y, z = point.tolist()
     return [u + b * z - c * y, v + c * x - a * z, w + a * y - b * x]

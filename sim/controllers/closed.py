@@ -204,7 +204,10 @@ class ObjectImpedance:
         self, reference: Reference, elapsed: float, in_palm: SE3, q: FloatArray
     ) -> FloatArray:
         """Take over where object and fingers should be now; returns the wanted twist (6,)."""
-        target = reference.advance(elapsed, in_palm, self._torques.tips_in_palm, q)
+        strained = self._missed_for > 0.0
+        target = reference.advance(
+            elapsed, in_palm, self._torques.tips_in_palm, q, strained=strained
+        )
         self.T_palm_wanted = target.T_palm_object
         self._torques.aim(target.tips, target.q, target.v)
         turn = self._torques.T_base_palm.rotation

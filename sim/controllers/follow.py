@@ -42,6 +42,10 @@ SPEED = 0.05
 """Largest speed (m/s) of a translation in the hand."""
 
 
+BRAKING = 2.0
+"""How much faster (-) than it gains speed the reference loses it while the forces that are wanted
+cannot be had: moving itself takes torque, a fifth of what the Allegro's thumb has at full rate."""
+
 VELOCITY_STEP = 0.002
 """Time (s) over which the wanted velocity is taken from the path: a control step."""
 
@@ -111,7 +115,7 @@ class MotionReference:
         return self._sign * (self.goal - self.turned)
 
     def advance(
-        self, elapsed: float, T_palm_object: SE3, tips: FloatArray, q: FloatArray
+        self, elapsed: float, T_palm_object: SE3, tips: FloatArray, q: FloatArray, *, strained: bool
     ) -> Target:
         """Go on by one step; see ``Reference``."""
         if self._begin is None:
@@ -123,7 +127,7 @@ class MotionReference:
         else:
             turn = T_palm_object.rotation @ self._begin.rotation.T
             self.turned = signed_twist(turn, self.axis, near=self.turned)
-            self._go_on(elapsed)
+            self._go_on(elapsed, strained)
         place = self.place
         here, posture = self._motion.at(place)
         step = self._speed * VELOCITY_STEP / self._length
@@ -148,12 +152,13 @@ class MotionReference:
         """Planned T_palm_object at a place of the path."""
         return self._T_palm_world * self._motion.at(place)[0]
 
-    def _go_on(self, elapsed: float) -> None:
+    def _go_on(self, elapsed: float, strained: bool) -> None:
         """Let the reference move on as far as the object follows."""
         left = self._end - self._gone
+        change = -BRAKING if strained else 1.0
         speed = min(
             self._fastest,
-            self._speed + self._acceleration * elapsed,
+            max(self._speed + change * self._acceleration * elapsed, CREEP * self._fastest),
             float(np.sqrt(2.0 * self._acceleration * left)) + CREEP * self._fastest,
         )
         if self._turns:

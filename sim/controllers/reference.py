@@ -38,7 +38,7 @@ class Reference(Protocol):
     """What gives a target at every step."""
 
     def advance(
-        self, elapsed: float, T_palm_object: SE3, tips: FloatArray, q: FloatArray
+        self, elapsed: float, T_palm_object: SE3, tips: FloatArray, q: FloatArray, *, strained: bool
     ) -> Target:
         """Go on by one step.
 
@@ -47,5 +47,6 @@ class Reference(Protocol):
             T_palm_object: Measured pose of the object.
             tips: Pad centres (n, 3) where they are, palm, m.
             q: Joints (nq,) where they are.
+            strained: Whether the wrench of the last step could not be had.
         """
         ...

@@ -15,6 +15,7 @@ import pinocchio as pin
 
 from planner.errors import NoGraspFoundError, TaskError
 from planner.motion import MotionAttempt, MotionPlan, ObjectPath, motion_attempts
+from planner.motion.path import LARGEST_TURN
 from planner.motion.release import find_release
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.pregrasp import Approach
@@ -22,8 +23,12 @@ from planner.task import GraspTask
 
 __all__ = ["ManipulationPlan", "carrying_grip", "plan_manipulation"]
 
-MORE = np.deg2rad(2.0)
-"""Turn (rad) that is planned beyond what is asked for, so that a little too much can be turned."""
+MORE = tuple(np.deg2rad([8.0, 4.0, 2.0]).tolist())
+"""Turns (rad) that are planned beyond what is asked for, tried in this order: a grasp that is made
+a little beside its place meets a joint's end before the plan does."""
+
+FIRST_ATTEMPTS = 6
+"""Attempts for each of these but the last."""
 
 TUBE = 0.02
 """Default radius (m) of the tube: what is free gives some ten degrees more."""
@@ -83,15 +88,21 @@ def plan_manipulation(
         raise TaskError("there is no table to pick from and to place on; give table_height")
     if max_attempts < 1:
         raise TaskError(f"max_attempts is {max_attempts}; give at least 1")
-    path = ObjectPath(
-        axis=np.asarray(axis, dtype=np.float64),
-        angle=angle + float(np.sign(angle)) * MORE,
-        shift=np.zeros(3),
-    )
+    direction = np.asarray(axis, dtype=np.float64)
     made: list[MotionAttempt] = []
-    for attempt in motion_attempts(task, path, tube=tube, seed=seed):
-        made.append(attempt)
-        if attempt.plan is not None:
+    for k, more in enumerate(MORE):
+        further = angle + float(np.sign(angle)) * more
+        if abs(further) > LARGEST_TURN:
+            continue
+        path = ObjectPath(axis=direction, angle=further, shift=np.zeros(3))
+        last = k == len(MORE) - 1
+        most = max_attempts if last else min(max_attempts, len(made) + FIRST_ATTEMPTS)
+        for attempt in motion_attempts(task, path, tube=tube, seed=seed):
+            if len(made) >= most:
+                break
+            made.append(attempt)
+            if attempt.plan is None:
+                continue
             release = find_release(attempt.plan)
             if not isinstance(release, str):
                 return ManipulationPlan(
@@ -103,13 +114,11 @@ def plan_manipulation(
                     cpu_s=sum(a.cpu_s for a in made),
                 )
             made[-1] = replace(attempt, plan=None, reason=f"cannot let go at the end: {release}")
-        if len(made) >= max_attempts:
-            break
     reasons = Counter(a.reason for a in made).most_common(3)
     why = "; ".join(f"{n} x {reason}" for reason, n in reasons)
     raise NoGraspFoundError(
         f"no way to turn {task.object.name} by {np.rad2deg(angle):.1f} degrees with "
-        f"{task.hand.name} ({', '.join(task.finger_names)}) in {max_attempts} attempts: {why}. Try "
+        f"{task.hand.name} ({', '.join(task.finger_names)}) in {len(made)} attempts: {why}. Try "
         "a smaller turn, a wider tube, other fingers or more attempts",
         tuple(made),
     )

@@ -30,7 +30,8 @@ class Track:
         touching: (m,), how many fingers of the hand touch the object, the palm not counted.
         normal_force: (m, n), N.
         points: (m, n, 3), merged contacts in the object's frame, m; NaN without contact.
-        sliding: (m, n), speed of the object over the pad, m/s; NaN without contact.
+        sliding: (m, n), speed of the object over the pad beyond what spinning explains, m/s; NaN
+            without contact.
         closed: (m,), force closure of the measured contacts, merged per finger, with their own
             friction.
         epsilon: (m,), L1 epsilon of these contacts (-); NaN without closure.
@@ -129,7 +130,7 @@ class Watch:
                 "touching": len(set(merged.fingers) - {""}),
                 "normal_force": pads.normal_force,
                 "points": (pads.position - pose.translation) @ pose.rotation,
-                "sliding": np.linalg.norm(pads.sliding, axis=1),
+                "sliding": np.linalg.norm(pads.sliding, axis=1) - pads.creep_speed,
                 "closed": closed,
                 "epsilon": epsilon,
                 "turn": self._turn,
