@@ -131,6 +131,7 @@ class ObjectImpedance:
         self._loop = self._make_loop()
         self._time = 0.0
         self._missed_for, self._few_for = 0.0, 0.0
+        self._missed_share = 0.0
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -204,9 +205,8 @@ class ObjectImpedance:
         self, reference: Reference, elapsed: float, in_palm: SE3, q: FloatArray
     ) -> FloatArray:
         """Take over where object and fingers should be now; returns the wanted twist (6,)."""
-        strained = self._missed_for > 0.0
         target = reference.advance(
-            elapsed, in_palm, self._torques.tips_in_palm, q, strained=strained
+            elapsed, in_palm, self._torques.tips_in_palm, q, missed=self._missed_share
         )
         self.T_palm_wanted = target.T_palm_object
         self._torques.aim(target.tips, target.q, target.v)
@@ -272,8 +272,9 @@ class ObjectImpedance:
         weight = np.repeat([1.0, 1.0 / self._loop.problem.length], 3)
         short = float(np.linalg.norm(weight * missed))
         asked = float(np.linalg.norm(weight * wrench))
+        self._missed_share = short / max(1.0, asked)
         before = self._missed_for
-        self._missed_for = before + elapsed if short > MISSED_TOL * max(1.0, asked) else 0.0
+        self._missed_for = before + elapsed if self._missed_share > MISSED_TOL else 0.0
         detail = f"{short:.2f} N of {asked:.2f} N cannot be had"
         if before < INFEASIBLE_TIME <= self._missed_for:
             self._note("infeasible", None, f"{detail}; the nearest forces are given")

@@ -6,16 +6,19 @@ the measured turn y, the signed twist of the object in the palm since the turn b
     dy*/dt <= rate clip(2 (1 - (y* - y) / LEAD), 0, 1),    y* ends at the angle asked for
 
 so it is the measured turn that counts: what rolling adds or loses is seen and made up for. The
-place on the planned path is y* over the planned angle; object pose and pad centres are interpolated
-between knots there, the pads in the object's frame, in which they move by rolling only. Where the
-object lay otherwise than planned when the turn began, it is led onto the planned path bit by bit;
+place on the planned path is y* over the planned angle. Cubic splines through the knots give the
+object's pose, the pad centres in the object's frame, in which they move by rolling only, and the
+joints: a velocity that jumps at a knot would be felt as a blow. Where the object lay otherwise than planned when the turn began, it is led onto the planned path bit by bit;
 only its turn about the axis stays its own.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pinocchio as pin
+from scipy.interpolate import CubicSpline
 
 from planner.errors import TaskError
 from planner.kinematics import HandState
@@ -42,9 +45,10 @@ SPEED = 0.05
 """Largest speed (m/s) of a translation in the hand."""
 
 
-BRAKING = 2.0
-"""How much faster (-) than it gains speed the reference loses it while the forces that are wanted
-cannot be had: moving itself takes torque, a fifth of what the Allegro's thumb has at full rate."""
+STOPPING, LEAST_ABLE, MISSED_TIME = 0.5, 0.3, 0.05
+"""The rate falls with the share of the wanted wrench that cannot be had (averaged over a time, s),
+to the least share of the full rate: moving itself takes torque, a fifth of what the Allegro's thumb
+has at full rate."""
 
 VELOCITY_STEP = 0.002
 """Time (s) over which the wanted velocity is taken from the path: a control step."""
@@ -84,11 +88,8 @@ class MotionReference:
                 f"a turn by {np.rad2deg(self.goal):.1f} degrees is asked of a motion that was "
                 f"planned for {np.rad2deg(path.angle):.1f}; give at most that, or plan further"
             )
-        self._motion = motion
-        self._T_palm_world = motion.grasp.T_world_palm.inverse()
-        self.axis: FloatArray = self._T_palm_world.rotation @ path.axis
-        self._places = np.array([k.place for k in motion.knots])
-        self._tips = np.array([_tips_in_object(motion, knot) for knot in motion.knots])
+        self.axis: FloatArray = motion.grasp.T_world_palm.rotation.T @ path.axis
+        self._path = _Path(motion)
         self._turns = abs(path.angle) > ROUNDING
         self._sign = float(np.sign(path.angle))
         self._length = abs(path.angle) if self._turns else float(np.linalg.norm(path.shift))
@@ -96,6 +97,7 @@ class MotionReference:
         self._fastest = rate if self._turns else SPEED
         self._acceleration = self._fastest / RAMP
         self._gone, self._speed = 0.0, 0.0  # along the path, rad or m
+        self._missed = 0.0
         self.turned = 0.0
         self._begin: _Begin | None = None
 
@@ -115,50 +117,37 @@ class MotionReference:
         return self._sign * (self.goal - self.turned)
 
     def advance(
-        self, elapsed: float, T_palm_object: SE3, tips: FloatArray, q: FloatArray, *, strained: bool
+        self, elapsed: float, T_palm_object: SE3, tips: FloatArray, q: FloatArray, *, missed: float
     ) -> Target:
         """Go on by one step; see ``Reference``."""
         if self._begin is None:
-            self._begin = _Begin(
-                self.axis, self.pose(0.0), self._motion.knots[0].q, T_palm_object, q
-            )
-            local = (tips - T_palm_object.translation) @ T_palm_object.rotation
-            self._tips = self._tips + (local - self._tips[0])
+            self._begin = _Begin(self.axis, self._path.at(0.0), T_palm_object, tips, q)
         else:
             turn = T_palm_object.rotation @ self._begin.rotation.T
             self.turned = signed_twist(turn, self.axis, near=self.turned)
-            self._go_on(elapsed, strained)
-        place = self.place
-        here, posture = self._motion.at(place)
-        step = self._speed * VELOCITY_STEP / self._length
-        there, next_posture = self._motion.at(min(1.0, place + step))
-        here, there = self._T_palm_world * here, self._T_palm_world * there
-        wanted = self._begin.led(here, place)
+            self._go_on(elapsed, missed)
+        place, begin = self.place, self._begin
+        here = self._path.at(place)
+        there = self._path.at(min(1.0, place + self._speed * VELOCITY_STEP / self._length))
+        wanted = begin.led(here.T_palm_object, place)
+        turn = pin.log3(there.T_palm_object.rotation @ here.T_palm_object.rotation.T)
+        shift = there.T_palm_object.translation - here.T_palm_object.translation
         return Target(
             T_palm_object=wanted,
-            twist=np.concatenate(
-                [
-                    there.translation - here.translation,
-                    pin.log3(there.rotation @ here.rotation.T),
-                ]
-            )
-            / VELOCITY_STEP,
-            tips=self._tips_at(place) @ wanted.rotation.T + wanted.translation,
-            q=posture + (1.0 - place) * self._begin.bent,
-            v=(next_posture - posture) / VELOCITY_STEP,
+            twist=np.concatenate([shift, turn]) / VELOCITY_STEP,
+            tips=(here.tips + begin.aside) @ wanted.rotation.T + wanted.translation,
+            q=here.q + (1.0 - place) * begin.bent,
+            v=(there.q - here.q) / VELOCITY_STEP,
         )
 
-    def pose(self, place: float) -> SE3:
-        """Planned T_palm_object at a place of the path."""
-        return self._T_palm_world * self._motion.at(place)[0]
-
-    def _go_on(self, elapsed: float, strained: bool) -> None:
+    def _go_on(self, elapsed: float, missed: float) -> None:
         """Let the reference move on as far as the object follows."""
         left = self._end - self._gone
-        change = -BRAKING if strained else 1.0
+        self._missed += min(1.0, elapsed / MISSED_TIME) * (missed - self._missed)
+        able = max(LEAST_ABLE, 1.0 - self._missed / STOPPING)
         speed = min(
-            self._fastest,
-            max(self._speed + change * self._acceleration * elapsed, CREEP * self._fastest),
+            able * self._fastest,
+            self._speed + self._acceleration * elapsed,
             float(np.sqrt(2.0 * self._acceleration * left)) + CREEP * self._fastest,
         )
         if self._turns:
@@ -167,11 +156,44 @@ class MotionReference:
         self._speed = min(speed, left / elapsed)
         self._gone += self._speed * elapsed
 
-    def _tips_at(self, place: float) -> FloatArray:
-        """Pad centres (n, 3) in the object's frame at a place of the path."""
-        i = int(np.clip(np.searchsorted(self._places, place) - 1, 0, len(self._places) - 2))
-        share = (place - self._places[i]) / (self._places[i + 1] - self._places[i])
-        return np.asarray(self._tips[i] + share * (self._tips[i + 1] - self._tips[i]))
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Place:
+    """A place of a path: pose, pads (n, 3) in the object's frame, joints (nq,)."""
+
+    T_palm_object: SE3
+    tips: FloatArray
+    q: FloatArray
+
+
+class _Path:
+    """A planned motion between its knots."""
+
+    def __init__(self, motion: MotionPlan) -> None:
+        T_palm_world = motion.grasp.T_world_palm.inverse()
+        poses = [T_palm_world * k.T_world_object for k in motion.knots]
+        self._first: FloatArray = poses[0].rotation
+        rows = [
+            np.concatenate(
+                [
+                    pin.log3(pose.rotation @ self._first.T),
+                    pose.translation,
+                    _tips_in_object(motion, knot).ravel(),
+                    knot.q,
+                ]
+            )
+            for pose, knot in zip(poses, motion.knots, strict=True)
+        ]
+        self._n = 3 * len(motion.grasp.task.fingers)
+        self._spline = CubicSpline([k.place for k in motion.knots], rows)
+
+    def at(self, place: float) -> _Place:
+        row = self._spline(place)
+        return _Place(
+            T_palm_object=SE3(pin.exp3(row[:3]) @ self._first, row[3:6]),
+            tips=row[6 : 6 + self._n].reshape(-1, 3),
+            q=row[6 + self._n :],
+        )
 
 
 class _Begin:
@@ -180,17 +202,20 @@ class _Begin:
     Attributes:
         rotation: (3, 3), of the object in the palm.
         bent: (nq,), joints less the planned ones, rad.
+        aside: (n, 3), pads less the planned ones, object's frame, m.
     """
 
     def __init__(
-        self, axis: FloatArray, planned: SE3, q_planned: FloatArray, actual: SE3, q: FloatArray
+        self, axis: FloatArray, planned: _Place, actual: SE3, tips: FloatArray, q: FloatArray
     ) -> None:
+        pose = planned.T_palm_object
         self.rotation: FloatArray = actual.rotation.copy()
-        self.bent: FloatArray = q - q_planned
-        turn = pin.log3(actual.rotation @ planned.rotation.T)
+        self.bent: FloatArray = q - planned.q
+        self.aside: FloatArray = (tips - actual.translation) @ actual.rotation - planned.tips
+        turn = pin.log3(actual.rotation @ pose.rotation.T)
         self._about = (turn @ axis) * axis
         self._tilt = turn - self._about
-        self._shift = actual.translation - planned.translation
+        self._shift = actual.translation - pose.translation
 
     def led(self, planned: SE3, place: float) -> SE3:
         """The planned pose with what is left there of the difference."""

@@ -38,7 +38,7 @@ class Reference(Protocol):
     """What gives a target at every step."""
 
     def advance(
-        self, elapsed: float, T_palm_object: SE3, tips: FloatArray, q: FloatArray, *, strained: bool
+        self, elapsed: float, T_palm_object: SE3, tips: FloatArray, q: FloatArray, *, missed: float
     ) -> Target:
         """Go on by one step.
 
@@ -47,6 +47,6 @@ class Reference(Protocol):
             T_palm_object: Measured pose of the object.
             tips: Pad centres (n, 3) where they are, palm, m.
             q: Joints (nq,) where they are.
-            strained: Whether the wrench of the last step could not be had.
+            missed: Share (-) of the last step's wrench that could not be had, at least of 1 N.
         """
         ...

@@ -6,6 +6,7 @@ object is to stand at last.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,13 +28,13 @@ MORE = tuple(np.deg2rad([8.0, 4.0, 2.0]).tolist())
 """Turns (rad) that are planned beyond what is asked for, tried in this order: a grasp that is made
 a little beside its place meets a joint's end before the plan does."""
 
-FIRST_ATTEMPTS = 6
-"""Attempts for each of these but the last."""
+SHARES = (0.3, 0.5, 1.0)
+"""Share of the budget of attempts that may be spent when each of these is given up."""
 
 TUBE = 0.02
 """Default radius (m) of the tube: what is free gives some ten degrees more."""
 
-MAX_ATTEMPTS = 60
+MAX_ATTEMPTS = 50
 """Attempts before giving up."""
 
 
@@ -90,13 +91,12 @@ def plan_manipulation(
         raise TaskError(f"max_attempts is {max_attempts}; give at least 1")
     direction = np.asarray(axis, dtype=np.float64)
     made: list[MotionAttempt] = []
-    for k, more in enumerate(MORE):
+    for more, share in zip(MORE, SHARES, strict=True):
         further = angle + float(np.sign(angle)) * more
         if abs(further) > LARGEST_TURN:
             continue
         path = ObjectPath(axis=direction, angle=further, shift=np.zeros(3))
-        last = k == len(MORE) - 1
-        most = max_attempts if last else min(max_attempts, len(made) + FIRST_ATTEMPTS)
+        most = math.ceil(share * max_attempts)
         for attempt in motion_attempts(task, path, tube=tube, seed=seed):
             if len(made) >= most:
                 break
