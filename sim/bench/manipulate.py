@@ -27,8 +27,7 @@ from planner.task import GraspTask
 from sim.bench.journal import run_with_journal
 from sim.bench.statistics import median_of
 from sim.bench.tables import number, table_of
-from sim.manipulation import Push, manipulate, plan_manipulation
-from sim.manipulation.plan import carrying_grip
+from sim.manipulation import Push, manipulate, manipulation_task, plan_manipulation
 from sim.physics import PhysicsOptions
 from sim.runner import Check, Runner, made_with
 
@@ -160,9 +159,7 @@ def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
         plan,
         really=really,
         physics=PhysicsOptions(mu=there.mu),
-        push=Push(
-            force=np.array([*there.push, 0.0]), after=there.push_after, duration=PUSH_TIME
-        ),
+        push=Push(force=np.array([*there.push, 0.0]), after=there.push_after, duration=PUSH_TIME),
     )
     check()
     last = report.checks[-1].numbers
@@ -188,8 +185,7 @@ def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
 def _believed(turn: Turn, there: Conditions) -> GraspTask:
     """The task as the planner has it."""
     item = parse_object(there.spec, mass=MASS[1])
-    task = GraspTask.create(turn.hand, item, mu=BELIEVED_MU, fingers=turn.fingers)
-    return replace(task, grip_force=carrying_grip(task), may_spare_fingers=False)
+    return manipulation_task(turn.hand, item, mu=BELIEVED_MU, fingers=turn.fingers)
 
 
 def _row(turn: Turn, there: Conditions, **values: Any) -> dict[str, Any]:
@@ -251,7 +247,7 @@ def run_manipulate(
         Turn(
             index=i,
             hand=hand,
-            kind=KINDS[KINDS.index(kind)],  # type: ignore[arg-type]
+            kind=KINDS[KINDS.index(kind)],
             number=k,
             height=height,
             fingers=fingers,

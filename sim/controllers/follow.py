@@ -8,8 +8,9 @@ the measured turn y, the signed twist of the object in the palm since the turn b
 so it is the measured turn that counts: what rolling adds or loses is seen and made up for. The
 place on the planned path is y* over the planned angle. Cubic splines through the knots give the
 object's pose, the pad centres in the object's frame, in which they move by rolling only, and the
-joints: a velocity that jumps at a knot would be felt as a blow. Where the object lay otherwise than planned when the turn began, it is led onto the planned path bit by bit;
-only its turn about the axis stays its own.
+joints: a velocity that jumps at a knot would be felt as a blow. Where the object lay otherwise than
+planned when the turn began, it is led onto the planned path bit by bit; only its turn about the
+axis stays its own. While the wanted forces cannot be had, the rate is lower.
 """
 
 from __future__ import annotations

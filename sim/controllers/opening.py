@@ -1,4 +1,4 @@
-"""``PostureServo``: moves the fingers from where they are to a posture, and holds the hand's weight."""
+"""``PostureServo``: moves the fingers to a posture, and holds the hand's own weight."""
 
 from __future__ import annotations
 

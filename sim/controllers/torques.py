@@ -57,7 +57,7 @@ class HoldingTorques:
         T_base_palm: Pose of the palm.
         centers: (n, 3), centres of the pads, m.
         jacobians: (n, 3, nq), of the pads' material points at the contacts.
-        own_torque: (nq,), what holds the hand itself, and moves it against its joints' damping, N m.
+        own_torque: (nq,), N m, what holds the hand itself, and moves it against its joints' drag.
     """
 
     def __init__(self, plan: GraspPlan) -> None:
@@ -171,7 +171,9 @@ class HoldingTorques:
         total = np.where(holding[:, None], forces + self._tip_forces, alone)
         torque = total.ravel() @ self.jacobians.reshape(-1, self._hand.nq) + self.own_torque
         torque += self._idle_part(np.where(self._moving, self._q_ref - self._q, 0.0))
-        torque += self._stiffness * (self._q_ref - self._q) - self._damping * (self._v - self._v_ref)
+        torque += self._stiffness * (self._q_ref - self._q) - self._damping * (
+            self._v - self._v_ref
+        )
         self._torque = torque
         self._law_q = np.where(self._moving, self._q, self._q_ref)
         ctrl, _ = self._hand.actuation.ctrl_for_torque(

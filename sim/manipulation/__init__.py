@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from sim.manipulation.pace import IN_THE_AIR, STEPS, Bounds, Pace, Step
-from sim.manipulation.plan import ManipulationPlan, plan_manipulation
+from sim.manipulation.plan import ManipulationPlan, manipulation_task, plan_manipulation
 from sim.manipulation.report import Check, ManipulationReport
-from sim.manipulation.run import ManipulationRun, Push, manipulate
+from sim.manipulation.run import ManipulationRun, manipulate
 from sim.manipulation.samples import Track
+from sim.manipulation.stage import Push
 
 __all__ = [
     "IN_THE_AIR",
@@ -21,5 +22,6 @@ __all__ = [
     "Step",
     "Track",
     "manipulate",
+    "manipulation_task",
     "plan_manipulation",
 ]

@@ -15,11 +15,22 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import interp1d
 
+from planner.motion import MotionPlan
 from planner.spatial import FloatArray
 from sim.controllers.slip import SLIP_SPEED
+from sim.manipulation.pace import STEPS, Step
 
-__all__ = ["MODES", "ROLL_SPEED", "Mode", "measured_modes", "mode_table", "planned_modes"]
+__all__ = [
+    "MODES",
+    "ROLL_SPEED",
+    "Mode",
+    "measured_modes",
+    "mode_table",
+    "planned_modes",
+    "planned_points",
+]
 
 Mode: TypeAlias = Literal["off", "break", "slip", "roll", "stick"]
 
@@ -53,13 +64,13 @@ def measured_modes(
 
 
 def planned_modes(time: FloatArray, points: FloatArray) -> NDArray[np.str_]:
-    """The same of planned contacts (m, n, 3) in the object's frame: NaN is off; they never slip."""
+    """The same of planned contacts (m, n, 3) in the object's frame: NaN is off; none slips."""
     modes = np.where(np.nan_to_num(wandering(time, points)) > ROLL_SPEED, "roll", "stick")
     return np.where(np.isfinite(points[..., 0]), modes, "off")
 
 
 def wandering(time: FloatArray, points: FloatArray) -> FloatArray:
-    """Speed (m, n), m/s, of contacts (m, n, 3) over the object; NaN next to where one is missing."""
+    """Speed (m, n), m/s, of contacts (m, n, 3) over the object; NaN next to a missing one."""
     m = len(time)
     if m < 2:
         return np.full(points.shape[:2], np.nan)
@@ -67,6 +78,23 @@ def wandering(time: FloatArray, points: FloatArray) -> FloatArray:
     before, after = np.maximum(index - SPAN, 0), np.minimum(index + SPAN, m - 1)
     moved = np.linalg.norm(points[after] - points[before], axis=2)
     return np.asarray(moved / (time[after] - time[before])[:, None])
+
+
+def planned_points(motion: MotionPlan, place: FloatArray, step: tuple[Step, ...]) -> FloatArray:
+    """Planned contacts (m, n, 3) in the object's frame; NaN before the grip and after the release.
+
+    Args:
+        motion: The plan.
+        place: (m,), where on its path the reference is, 0 to 1.
+        step: m phases.
+    """
+    points = np.array([k.contacts_in_object.positions for k in motion.knots])
+    planned = interp1d([k.place for k in motion.knots], points, axis=0)(place)
+    order = {name: k for k, name in enumerate(STEPS)}
+    index = np.array([order[s] for s in step], dtype=int)
+    off = (index < order["verify"]) | (index > order["lower"])
+    planned[off] = np.nan
+    return np.asarray(planned)
 
 
 def mode_table(planned: NDArray[np.str_], measured: NDArray[np.str_]) -> dict[str, dict[str, int]]:

@@ -48,7 +48,7 @@ class Pace:
         verify: Full forces, before the lift and after the turn.
         lift: Upwards by ``height``.
         turn_rate: Largest rate of the turn, rad/s.
-        turn_wait: Longest further wait, beyond the time that the rate takes, until the turn is made.
+        turn_wait: Longest wait for the turn beyond the time that the rate takes.
         hold: Held still after the turn.
         carry: To above the target.
         lower: Down to the table.

@@ -10,19 +10,22 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
 from planner.errors import NoGraspFoundError, TaskError
+from planner.hand import Hand
 from planner.motion import MotionAttempt, MotionPlan, ObjectPath, motion_attempts
 from planner.motion.path import LARGEST_TURN
 from planner.motion.release import find_release
+from planner.objects import GraspObject
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.pregrasp import Approach
 from planner.task import GraspTask
 
-__all__ = ["ManipulationPlan", "carrying_grip", "plan_manipulation"]
+__all__ = ["ManipulationPlan", "manipulation_task", "plan_manipulation"]
 
 MORE = tuple(np.deg2rad([8.0, 4.0, 2.0]).tolist())
 """Turns (rad) that are planned beyond what is asked for, tried in this order: a grasp that is made
@@ -124,14 +127,28 @@ def plan_manipulation(
     )
 
 
-def carrying_grip(task: GraspTask) -> float:
-    """Least normal force (N) per finger with which friction carries the weight, shared evenly.
+def manipulation_task(
+    hand: Hand | str | Path,
+    object: GraspObject,
+    *,
+    mu: float,
+    fingers: Sequence[str] | None = None,
+) -> GraspTask:
+    """A task with a grip that friction carries the weight with, shared evenly.
 
-    A grasp that is only held takes twice as much by default; the thumb of a hand that turns has to
+    A grasp that is only held has twice that by default; the thumb of a hand that turns has to
     oppose all other fingers along the whole path, and its joints have no torque for that.
+
+    Args:
+        hand: A hand, its name, or the path of its description.
+        object: The object, with the largest mass that it may have.
+        mu: Sliding friction (-), the least that there may be.
+        fingers: Finger names; the hand's default set if None.
     """
+    task = GraspTask.create(hand, object, mu=mu, fingers=fingers)
     weight = task.object.mass * float(np.linalg.norm(task.gravity))
-    return max(LEAST_GRIP, weight / (task.mu * len(task.finger_names)))
+    grip = max(LEAST_GRIP, weight / (task.mu * len(task.finger_names)))
+    return replace(task, grip_force=grip, may_spare_fingers=False)
 
 
 LEAST_GRIP = 1.5

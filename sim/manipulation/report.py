@@ -17,6 +17,12 @@ from sim.manipulation.samples import Track
 
 __all__ = ["Check", "ManipulationReport"]
 
+MODE_LETTERS = 60
+"""Letters in which the contact modes of a turn are told, about."""
+
+LETTERS = (("stick", "s"), ("roll", "r"), ("slip", "S"), ("break", "!"), ("off", "-"))
+"""One for each mode."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
@@ -141,6 +147,40 @@ class ManipulationReport:
     def largest_off_path(self) -> float:
         """Largest distance of the object from where it was wanted, while turning and holding, m."""
         return self._largest(self.track.off_path)
+
+    def __str__(self) -> str:
+        """Phase by phase, contact modes, and the verdict."""
+        lines = [str(check) for check in self.checks]
+        if self.track.during("turn").size:
+            lines += ["", *self._modes(), ""]
+            numbers = self.numbers()
+            lines += [
+                f"turned {numbers['turned_deg']:.2f} of {np.rad2deg(self.asked):.1f} degrees, "
+                f"reached after {numbers['time_to_angle_s']:.2f} s; tilt up to "
+                f"{numbers['largest_tilt_deg']:.2f} degrees off the planned attitude, centre up to "
+                f"{numbers['largest_off_path_mm']:.2f} mm off its path",
+                f"in the air: at least {self.least_fingers} fingers touched, "
+                f"{self.open_samples} samples without force closure",
+            ]
+        lines += [f"controller: {e.time:.2f} s {e.kind} {e.finger} {e.detail}" for e in self.events]
+        verdict = "complete" if self.complete else f"failed in {self.reason}"
+        strictness = "strict" if self.strict else "loose" if self.loose else "not turned"
+        return "\n".join([*lines, f"{verdict}; the turn: {strictness}"])
+
+    def _modes(self) -> list[str]:
+        """Contact modes of each finger while the object is turned, planned above measured."""
+        index = self.track.during("turn")
+        index = index[:: max(1, len(index) // MODE_LETTERS)]
+        lines = [f"contact modes during the turn ({', '.join(f'{v} {k}' for k, v in LETTERS)}):"]
+        width = max(len(f) for f in self.fingers)
+        for i, finger in enumerate(self.fingers):
+            for name, modes in (
+                ("planned", self.planned_modes),
+                ("measured", self.measured_modes),
+            ):
+                row = "".join(dict(LETTERS)[str(m)] for m in modes[index, i])
+                lines.append(f"  {finger:<{width}} {name:<8} {row}")
+        return lines
 
     def numbers(self) -> dict[str, float]:
         """The figures of a row in a table."""

@@ -21,8 +21,10 @@ __all__ = ["Track", "Watch"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Track:
-    """What happened, m samples, n fingers that take part. Turn, tilt and shift are the object's in
-    the palm since the turn began, or since the grip was there while it has not.
+    """What happened, m samples, n fingers that take part.
+
+    Turn, tilt and shift are the object's in the palm since the turn began, or since the grip was
+    there while it has not.
 
     Attributes:
         time: (m,), s.
@@ -154,7 +156,7 @@ class Watch:
             "shift": (3,),
         }
         kinds: dict[str, type] = {"touching": int, "closed": bool}
-        columns = {
+        columns: dict[str, Any] = {
             f.name: np.array(
                 [row[f.name] for row in self._rows], dtype=kinds.get(f.name, float)
             ).reshape(-1, *shapes.get(f.name, ()))
