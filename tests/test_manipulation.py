@@ -102,7 +102,7 @@ def test_a_twist_that_is_followed_counts_whole_turns() -> None:
 
 
 def test_modes_of_constructed_samples() -> None:
-    time = 0.02 * np.arange(10)
+    time: FloatArray = 0.02 * np.arange(10, dtype=np.float64)
     points = np.zeros((10, 4, 3))
     points[:, 1, 0] = 0.004 * time  # wanders at 4 mm/s
     points[:, 2, 0] = 0.001 * time  # at 1 mm/s: sticks

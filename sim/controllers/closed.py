@@ -15,9 +15,10 @@ What it notices and what it does then:
                     last normal, and takes its share again when it feels the object
     slip            all press harder by ``GRIP_STEP``, and the friction of that finger is believed
                     to be what the pad felt when it slipped, less a margin
-    infeasible      the forces that come nearest within all limits are given
+    infeasible      the forces that come nearest within all limits are given, and the least normal
+                    forces give way
     gave up         fewer fingers than can hold the object, or infeasible, for ``PATIENCE``: nothing
-                    is learned or tightened any more, and the reason is kept
+                    is learned or tightened any more, and the reason is kept, until it is over
 """
 
 from __future__ import annotations
@@ -61,6 +62,11 @@ MISSED_TOL = 0.05
 
 CARRYING: frozenset[Phase] = frozenset({"lift", "hold", "turn", "carry"})
 """Phases in which nothing but the hand holds the object: then loads and friction are learned."""
+
+LEAST_GIVEN, GIVING_TIME, TAKING_TIME = 0.3, 0.05, 0.5
+"""While a wrench is missed the least normal forces give way to this share of them, as fast as all
+of them would in the first time (s), and come back in the second: a finger that must press where
+its force cannot be balanced is itself what is in the way."""
 
 INFEASIBLE_TIME, PATIENCE = 0.006, 0.5
 """How long (s) a wrench must be missed to be called infeasible, and to give up."""
@@ -132,6 +138,7 @@ class ObjectImpedance:
         self._time = 0.0
         self._missed_for, self._few_for = 0.0, 0.0
         self._missed_share = 0.0
+        self._given = 1.0
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -194,9 +201,10 @@ class ObjectImpedance:
         wrench = self.law.wrench(T_base_palm * self.T_palm_wanted, pose, twist)
         wrench[:3] -= self._mass * gravity
         missed = self._distribute(scale * wrench, pose.translation, observation.q, scale)
+        if carries:
+            self._judge(elapsed, wrench, missed)
         if carries and not self.gave_up:
             self.law.learn(elapsed, missed)
-            self._judge(elapsed, wrench, missed)
         forces = (self._frames @ self.forces[:, :3, None])[:, :, 0]
         normals = self._frames[:, :, 0]
         return self._torques.commands(forces, normals, holding, self.schedule.searching)
@@ -254,7 +262,7 @@ class ObjectImpedance:
             jacobians=self._torques.jacobians,
             q=q,
             gravity_torque=self._torques.own_torque,
-            min_normal=scale * self._grip * self.plan.task.grip_force * share,
+            min_normal=scale * self._grip * self._given * self.plan.task.grip_force * share,
             max_normal=MAX_NORMAL * share,
             previous=self.forces,
         )
@@ -273,8 +281,11 @@ class ObjectImpedance:
         short = float(np.linalg.norm(weight * missed))
         asked = float(np.linalg.norm(weight * wrench))
         self._missed_share = short / max(1.0, asked)
+        wanting = self._missed_share > MISSED_TOL
+        rate = -1.0 / GIVING_TIME if wanting else 1.0 / TAKING_TIME
+        self._given = float(np.clip(self._given + elapsed * rate, LEAST_GIVEN, 1.0))
         before = self._missed_for
-        self._missed_for = before + elapsed if self._missed_share > MISSED_TOL else 0.0
+        self._missed_for = before + elapsed if wanting else 0.0
         detail = f"{short:.2f} N of {asked:.2f} N cannot be had"
         if before < INFEASIBLE_TIME <= self._missed_for:
             self._note("infeasible", None, f"{detail}; the nearest forces are given")
@@ -283,6 +294,10 @@ class ObjectImpedance:
         holding = int(self.schedule.holding.sum())
         few = holding < self.plan.task.fingers_needed
         self._few_for = self._few_for + elapsed if few else 0.0
+        if self.gave_up and self._missed_for == 0.0 and not few:
+            self.gave_up = ""
+        if self.gave_up:
+            return
         if self._few_for > PATIENCE:
             self.gave_up = f"only {holding} fingers hold, for {PATIENCE} s"
         elif self._missed_for > PATIENCE:

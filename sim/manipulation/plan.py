@@ -22,10 +22,11 @@ from planner.motion.path import LARGEST_TURN
 from planner.motion.release import find_release
 from planner.objects import GraspObject
 from planner.spatial import SE3, FloatArray
+from planner.synthesis.joint_objectives import driving
 from planner.synthesis.pregrasp import Approach
 from planner.task import GraspTask
 
-__all__ = ["ManipulationPlan", "manipulation_task", "plan_manipulation"]
+__all__ = ["ManipulationPlan", "manipulation_task", "plan_manipulation", "torque_reserve"]
 
 MORE = tuple(np.deg2rad([8.0, 4.0, 2.0]).tolist())
 """Turns (rad) that are planned beyond what is asked for, tried in this order: a grasp that is made
@@ -33,6 +34,12 @@ a little beside its place meets a joint's end before the plan does."""
 
 SHARES = (0.3, 0.5, 1.0)
 """Share of the budget of attempts that may be spent when each of these is given up."""
+
+GOOD_RESERVE, CANDIDATES = 0.25, 3
+"""A plan that leaves this share of every actuator is taken at once; otherwise the one that leaves
+most of this many. What is left moves the fingers and answers to what was not planned for: pushes,
+slips, an object that stands beside its place. Of 21 Allegro trials the one that stalled had 0.01.
+"""
 
 TUBE = 0.02
 """Default radius (m) of the tube: what is free gives some ten degrees more."""
@@ -51,6 +58,8 @@ class ManipulationPlan:
         angle: Turn that is asked for, rad, with its sign.
         T_world_target: Where the object is to stand at last.
         release: Fingers opened at the end, and the way out, where the motion ends.
+        reserve: Share of its limit that the most loaded actuator has left at the worst knot, with
+            the forces that bear the weight.
         attempts: Attempts made.
         cpu_s: CPU time of planning without building, s.
     """
@@ -59,6 +68,7 @@ class ManipulationPlan:
     angle: float
     T_world_target: SE3
     release: Approach
+    reserve: float
     attempts: int
     cpu_s: float
 
@@ -94,29 +104,37 @@ def plan_manipulation(
         raise TaskError(f"max_attempts is {max_attempts}; give at least 1")
     direction = np.asarray(axis, dtype=np.float64)
     made: list[MotionAttempt] = []
+    found: list[ManipulationPlan] = []
     for more, share in zip(MORE, SHARES, strict=True):
         further = angle + float(np.sign(angle)) * more
         if abs(further) > LARGEST_TURN:
             continue
         path = ObjectPath(axis=direction, angle=further, shift=np.zeros(3))
-        most = math.ceil(share * max_attempts)
         for attempt in motion_attempts(task, path, tube=tube, seed=seed):
-            if len(made) >= most:
+            if len(made) >= math.ceil(share * max_attempts) or _enough(found):
                 break
             made.append(attempt)
             if attempt.plan is None:
                 continue
             release = find_release(attempt.plan)
-            if not isinstance(release, str):
-                return ManipulationPlan(
+            if isinstance(release, str):
+                reason = f"cannot let go at the end: {release}"
+                made[-1] = replace(attempt, plan=None, reason=reason)
+                continue
+            found.append(
+                ManipulationPlan(
                     motion=attempt.plan,
                     angle=angle,
                     T_world_target=_target(task, path.axis, angle, place),
                     release=release,
-                    attempts=len(made),
-                    cpu_s=sum(a.cpu_s for a in made),
+                    reserve=torque_reserve(attempt.plan),
+                    attempts=0,
+                    cpu_s=0.0,
                 )
-            made[-1] = replace(attempt, plan=None, reason=f"cannot let go at the end: {release}")
+            )
+        if found:
+            best = max(found, key=lambda plan: plan.reserve)
+            return replace(best, attempts=len(made), cpu_s=sum(a.cpu_s for a in made))
     reasons = Counter(a.reason for a in made).most_common(3)
     why = "; ".join(f"{n} x {reason}" for reason, n in reasons)
     raise NoGraspFoundError(
@@ -153,6 +171,28 @@ def manipulation_task(
 
 LEAST_GRIP = 1.5
 """Smallest normal force (N) per finger: with less, contacts of three fingers were lost at times."""
+
+
+def torque_reserve(motion: MotionPlan) -> float:
+    """Share of its limit that the most loaded actuator of the fingers has left at any knot."""
+    task = motion.grasp.task
+    actuation, used = task.hand.actuation, driving(task.hand, task.fingers)
+    left = 1.0
+    for knot in motion.knots:
+        low, high = actuation.force_limits(knot.q)[used].T
+        force = knot.forces.actuator_forces[used]
+        limit = np.where(force > 0, high, -low)
+        left = min(left, float((1.0 - np.abs(force) / np.maximum(limit, NO_LIMIT)).min()))
+    return left
+
+
+NO_LIMIT = 1e-9
+"""Least limit (N m) that a force is divided by."""
+
+
+def _enough(found: list[ManipulationPlan]) -> bool:
+    """Whether it is time to take the best of what was found."""
+    return len(found) >= CANDIDATES or any(p.reserve >= GOOD_RESERVE for p in found)
 
 
 def _target(
