@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from dataclasses import replace
@@ -35,6 +36,7 @@ from sim.manipulation import (
 )
 from sim.manipulation.checks import placed, tilt_between, undisturbed
 from sim.manipulation.modes import measured_modes, mode_table, planned_modes
+from sim.manipulation.plan import _rounds
 from sim.physics import PhysicsOptions
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -339,6 +341,24 @@ def test_a_turn_on_ice_fails_with_a_reason(plan: ManipulationPlan) -> None:
     assert not told.complete
     assert not told.strict
     assert told.reason
+
+
+def test_a_turn_beyond_one_stroke_is_refused(plan: ManipulationPlan) -> None:
+    with pytest.raises(TaskError, match="at most a half turn"):
+        plan_manipulation(plan.motion.grasp.task, angle=math.radians(200.0))
+
+
+def test_fingers_are_spared_only_where_they_may_be() -> None:
+    item = parse_object("cylinder:0.03x0.08", mass=0.3)
+    task = manipulation_task("allegro_hand", item, mu=0.45)
+    tried = [t for t, _, _ in itertools.islice(_rounds(task), 7)]
+    assert [len(t.finger_names) for t in tried] == [4, 3, 3, 3, 3, 4, 4]
+    assert all("thumb" in t.finger_names for t in tried[:4])
+    assert "thumb" not in tried[4].finger_names
+    # three fingers carry the same weight as four
+    assert tried[1].grip_force * 3 == pytest.approx(tried[0].grip_force * 4)
+    named = manipulation_task("allegro_hand", item, mu=0.45, fingers=task.finger_names)
+    assert all(len(t.finger_names) == 4 for t, _, _ in itertools.islice(_rounds(named), 4))
 
 
 def test_a_task_without_a_table_is_refused(plan: ManipulationPlan) -> None:

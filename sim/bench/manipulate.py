@@ -147,6 +147,7 @@ def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
     except PlannerError as error:
         return _row(turn, there, found=False, reason=str(error))
     check()
+    task = plan.motion.grasp.task  # with the fingers that were chosen
     pose = task.T_world_object
     turned = pin.exp3(np.array([0.0, 0.0, there.heading])) @ pose.rotation
     really = replace(

@@ -6,6 +6,7 @@ during the turn; then the forces go down, and the fingers open to the planned po
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -53,7 +54,8 @@ class MotionController:
         """
         grasp = plan.motion.grasp
         self.holding = ObjectImpedance(grasp, sensing=sensing, mass=mass, mu=mu)
-        angle = plan.angle + float(np.sign(plan.angle)) * BEYOND
+        most = abs(plan.motion.path.angle)
+        angle = math.copysign(min(abs(plan.angle) + BEYOND, most), plan.angle)
         self.reference = MotionReference(plan.motion, angle=angle, rate=rate)
         self.holding.reference = self.reference
         self._opening = PostureServo(grasp, plan.release.q)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -28,12 +28,13 @@ from planner.task import GraspTask
 
 __all__ = ["ManipulationPlan", "manipulation_task", "plan_manipulation", "torque_reserve"]
 
-MORE = tuple(np.deg2rad([8.0, 4.0, 2.0]).tolist())
-"""Turns (rad) that are planned beyond what is asked for, tried in this order: a grasp that is made
-a little beside its place meets a joint's end before the plan does."""
+MORE, FIRST, THEN = math.radians(8.0), 10, 8
+"""Turn (rad) that is planned beyond what is asked for, since a grasp that is made a little beside
+its place meets a joint's end before the plan does; attempts for it; and attempts with one finger
+less, for each, where fingers may be spared."""
 
-SHARES = (0.3, 0.5, 1.0)
-"""Share of the budget of attempts that may be spent when each of these is given up."""
+LITTLE_MORE = math.radians(2.0)
+"""Turn (rad) beyond what is asked for where no other plan is found."""
 
 GOOD_RESERVE, CANDIDATES = 0.25, 3
 """A plan that leaves this share of every actuator is taken at once; otherwise the one that leaves
@@ -86,7 +87,8 @@ def plan_manipulation(
     """Plan it all.
 
     Args:
-        task: What stands where, on a table, and the hand.
+        task: What stands where, on a table, and the hand. Where it may spare fingers, plans are
+            tried with one less too, and the plan's task says with which.
         axis: Axis of the turn (3,), world.
         angle: Turn in the hand, rad, with its sign.
         place: Where the object is to stand, x and y in m, world; where it was if None.
@@ -105,13 +107,14 @@ def plan_manipulation(
     direction = np.asarray(axis, dtype=np.float64)
     made: list[MotionAttempt] = []
     found: list[ManipulationPlan] = []
-    for more, share in zip(MORE, SHARES, strict=True):
-        further = angle + float(np.sign(angle)) * more
-        if abs(further) > LARGEST_TURN:
-            continue
-        path = ObjectPath(axis=direction, angle=further, shift=np.zeros(3))
-        for attempt in motion_attempts(task, path, tube=tube, seed=seed):
-            if len(made) >= math.ceil(share * max_attempts) or _enough(found):
+    for chosen, more, attempts in _rounds(task):
+        if len(made) >= max_attempts:
+            break
+        further = max(abs(angle), min(abs(angle) + more, LARGEST_TURN))
+        path = ObjectPath(axis=direction, angle=math.copysign(further, angle), shift=np.zeros(3))
+        most = min(max_attempts, len(made) + attempts)
+        for attempt in motion_attempts(chosen, path, tube=tube, seed=seed):
+            if len(made) >= most or _enough(found):
                 break
             made.append(attempt)
             if attempt.plan is None:
@@ -161,16 +164,30 @@ def manipulation_task(
         hand: A hand, its name, or the path of its description.
         object: The object, with the largest mass that it may have.
         mu: Sliding friction (-), the least that there may be.
-        fingers: Finger names; the hand's default set if None.
+        fingers: Finger names; if None the hand's default set, of which one may be spared.
     """
     task = GraspTask.create(hand, object, mu=mu, fingers=fingers)
     weight = task.object.mass * float(np.linalg.norm(task.gravity))
     grip = max(LEAST_GRIP, weight / (task.mu * len(task.finger_names)))
-    return replace(task, grip_force=grip, may_spare_fingers=False)
+    return replace(task, grip_force=grip)
 
 
 LEAST_GRIP = 1.5
 """Smallest normal force (N) per finger: with less, contacts of three fingers were lost at times."""
+
+
+def _rounds(task: GraspTask) -> Iterator[tuple[GraspTask, float, int]]:
+    """What is tried in turn: a task, how much more than is asked for (rad), and how often."""
+    yield task, MORE, FIRST
+    n = len(task.finger_names)
+    if task.may_spare_fingers and n > task.fingers_needed:
+        # the thumb, which comes first, is spared last
+        for spared in reversed(task.finger_names):
+            others = tuple(name for name in task.finger_names if name != spared)
+            grip = task.grip_force * n / (n - 1)
+            yield replace(task, finger_names=others, grip_force=grip), MORE, THEN
+    while True:
+        yield task, LITTLE_MORE, FIRST
 
 
 def torque_reserve(motion: MotionPlan) -> float:
