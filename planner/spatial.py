@@ -28,6 +28,7 @@ __all__ = [
     "pose_from_wxyz",
     "pose_to_wxyz",
     "rotation_angle",
+    "signed_twist",
     "skew",
 ]
 
@@ -104,3 +105,23 @@ def pose_to_wxyz(pose: SE3) -> tuple[FloatArray, FloatArray]:
 def rotation_angle(rotation: FloatArray) -> float:
     """Angle in rad, in [0, pi], by which a rotation matrix (3, 3) turns."""
     return float(np.linalg.norm(pin.log3(np.asarray(rotation, dtype=np.float64))))
+
+
+def signed_twist(rotation: FloatArray, axis: FloatArray, *, near: float = 0.0) -> float:
+    """Turn of a rotation about an axis, with its sign, whatever it tilts beside that.
+
+    The rotation is split into a swing, whose axis is perpendicular to ``axis``, after a turn about
+    ``axis`` (swing-twist decomposition): with the quaternion w, v the turn is 2 atan2(v . a, w).
+
+    Args:
+        rotation: (3, 3).
+        axis: (3,), unit.
+        near: The turn is told up to whole turns; the one nearest to this is taken, rad. A turn
+            that is followed step by step so counts beyond half a turn.
+
+    Returns:
+        rad; within pi of ``near``. A swing by 180 degrees leaves it undetermined.
+    """
+    quat = pin.Quaternion(np.asarray(rotation, dtype=np.float64))
+    turn = 2.0 * float(np.arctan2(axis @ np.array([quat.x, quat.y, quat.z]), quat.w))
+    return turn + 2.0 * np.pi * round((near - turn) / (2.0 * np.pi))

@@ -22,9 +22,9 @@ def read_pads(scene: Scene, data: Any, fingers: tuple[str, ...]) -> PadReading:
     """What the pads of some fingers feel after a step."""
     index = {name: k for k, name in enumerate(fingers)}
     n = len(fingers)
-    # per finger: normal force; force; and, weighted by normal force, place, normal and sliding
+    # per finger: normal force; force; and, times normal force, place, normal, sliding and spin
     total = [0.0] * n
-    sums = [[0.0] * 12 for _ in range(n)]
+    sums = [[0.0] * 13 for _ in range(n)]
     load = np.zeros(6)
     places, frames = data.contact.pos.tolist(), data.contact.frame.tolist()
     twists: dict[int, list[float]] = {}
@@ -37,19 +37,13 @@ def read_pads(scene: Scene, data: Any, fingers: tuple[str, ...]) -> PadReading:
         for b in (body, scene.object_body):
             if b not in twists:
                 twists[b] = _twist(scene, data, b)
-        _add(
-            sums[k],
-            load.tolist(),
-            places[i],
-            frames[i],
-            sign,
-            (twists[scene.object_body], twists[body]),
-        )
+        twist = [p - q for p, q in zip(twists[scene.object_body], twists[body], strict=True)]
+        _add(sums[k], load.tolist(), places[i], frames[i], sign, twist)
         total[k] += float(load[0])
-    rows = np.array(sums).reshape(n, 4, 3)
+    table = np.array(sums).reshape(n, 13)
     normal_force = np.array(total)
     weight = np.where(normal_force > 0, normal_force, np.nan)[:, None]
-    force, position, normal, sliding = rows.transpose(1, 0, 2)
+    force, position, normal, sliding = table[:, :12].reshape(n, 4, 3).transpose(1, 0, 2)
     normal = normal / weight
     length = np.sqrt((normal * normal).sum(axis=1, keepdims=True))
     return PadReading(
@@ -58,6 +52,7 @@ def read_pads(scene: Scene, data: Any, fingers: tuple[str, ...]) -> PadReading:
         position=position / weight,
         normal=normal / np.maximum(length, MIN_LENGTH),
         sliding=sliding / weight,
+        spin=np.nan_to_num(table[:, 12] / weight[:, 0]),
     )
 
 
@@ -67,26 +62,27 @@ def _add(
     at: list[float],
     frame: list[float],
     sign: float,
-    twists: tuple[list[float], list[float]],
+    twist: list[float],
 ) -> None:
     """Add a contact to the sums of its finger; plain numbers are cheaper than arrays of three.
 
     Args:
-        sums: Force, then place, normal and sliding times the normal force: written.
+        sums: Force, then place, normal, sliding and spin times the normal force: written.
         load: Force (and torque) in the contact's frame, N.
         at: Its place, m.
         frame: Its axes, one after the other.
         sign: 1 where the first axis points into the object, else -1.
-        twists: Of the object and of the finger's body.
+        twist: Of the object relative to the finger's body.
     """
     press, t1, t2 = load[:3]
-    slip = _relative(*twists, at)
+    slip = _velocity(twist, at)
     across = slip[0] * frame[0] + slip[1] * frame[1] + slip[2] * frame[2]
     for j in range(3):
         sums[j] += sign * (press * frame[j] + t1 * frame[3 + j] + t2 * frame[6 + j])
         sums[3 + j] += press * at[j]
         sums[6 + j] += press * sign * frame[j]
         sums[9 + j] += press * (slip[j] - across * frame[j])
+        sums[12] += press * sign * twist[j] * frame[j]
 
 
 MIN_LENGTH = 1e-12
@@ -104,8 +100,8 @@ def _twist(scene: Scene, data: Any, body: int) -> list[float]:
     return [a, b, c, u - b * z + c * y, v - c * x + a * z, w - a * y + b * x]
 
 
-def _relative(of: list[float], to: list[float], point: list[float]) -> list[float]:
-    """Velocity at a point of one twist relative to another."""
-    a, b, c, u, v, w = (p - q for p, q in zip(of, to, strict=True))
+def _velocity(twist: list[float], point: list[float]) -> list[float]:
+    """Velocity at a point of a body that moves by a twist."""
+    a, b, c, u, v, w = twist
     x, y, z = point
     return [u + b * z - c * y, v + c * x - a * z, w + a * y - b * x]

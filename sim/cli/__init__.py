@@ -12,7 +12,19 @@ from typing import Any
 
 import typer
 
-from sim.cli import batch, bench, certify, crosscheck, forces, grasp, hands, look, motion, test
+from sim.cli import (
+    batch,
+    bench,
+    certify,
+    crosscheck,
+    forces,
+    grasp,
+    hands,
+    look,
+    manipulation,
+    motion,
+    test,
+)
 from sim.cli.common import EXIT_INTERRUPTED
 
 __all__ = ["app", "main"]
@@ -23,7 +35,19 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for group in (grasp, motion, batch, hands, look, certify, forces, crosscheck, bench, test):
+for group in (
+    grasp,
+    motion,
+    manipulation,
+    batch,
+    hands,
+    look,
+    certify,
+    forces,
+    crosscheck,
+    bench,
+    test,
+):
     group.register(app)
 
 

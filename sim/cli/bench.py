@@ -256,6 +256,41 @@ def bench_control(
     give(result, output, as_json, lambda console: console.print(*control_tables(result)))
 
 
+@errors_for_people()
+def bench_manipulate(
+    hands: HandsArgument,
+    objects: Annotated[
+        str, typer.Option(help="Comma separated: cylinder, block, sphere, ellipsoid.")
+    ] = "cylinder",
+    n: Annotated[int, typer.Option("-n", "--number", min=1, help="Trials per cell.")] = 50,
+    height: Annotated[
+        float, typer.Option(min=0.04, help="Height of cylinder, block and ellipsoid, m.")
+    ] = 0.08,
+    fingers: FingersOption = None,
+    seed: SeedOption = 0,
+    workers: WorkersOption = 1,
+    samples: SamplesOption = Path("manipulate.jsonl"),
+    output: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Pick, turn by 90 degrees in the hand, place: randomised trials, strict and loose rates."""
+    from sim.bench.manipulate import manipulate_table, run_manipulate
+
+    check_folder(samples)
+    with measuring(output, workers) as runner:
+        result = run_manipulate(
+            hands,
+            names(objects),
+            n,
+            height=height,
+            fingers=None if fingers is None else tuple(names(fingers)),
+            seed=seed,
+            file=samples,
+            runner=runner,
+        )
+    give(result, output, as_json, lambda console: console.print(manipulate_table(result)))
+
+
 @contextmanager
 def measuring(output: Path | None, workers: int) -> Iterator[Runner]:
     """Who works on a measurement: shows how far it is on stderr, and heeds Ctrl-C and SIGTERM."""
@@ -301,4 +336,5 @@ def register(app: typer.Typer) -> None:
     bench.command("scaling")(bench_scaling)
     bench.command("forces")(bench_forces)
     bench.command("control")(bench_control)
+    bench.command("manipulate")(bench_manipulate)
     app.add_typer(bench, name="bench")

@@ -12,10 +12,12 @@ from sim.controllers.base import (
 )
 from sim.controllers.closed import ObjectImpedance
 from sim.controllers.events import Event, EventKind
+from sim.controllers.follow import MotionReference
 from sim.controllers.gains import ImpedanceGains
 from sim.controllers.grasp import GraspController
 from sim.controllers.named import CONTROLLERS, named_controller
 from sim.controllers.pads import PadReading
+from sim.controllers.reference import Reference, Target
 from sim.controllers.sensing import Sensing
 from sim.controllers.slip import SlipDetector
 
@@ -27,13 +29,16 @@ __all__ = [
     "EventKind",
     "GraspController",
     "ImpedanceGains",
+    "MotionReference",
     "ObjectImpedance",
     "Observation",
     "PadReading",
     "Phase",
+    "Reference",
     "ReportsEvents",
     "ReportsLimits",
     "Sensing",
     "SlipDetector",
+    "Target",
     "named_controller",
 ]

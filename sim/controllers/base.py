@@ -23,10 +23,24 @@ from sim.controllers.pads import PadReading
 
 __all__ = ["PHASES", "Controller", "Observation", "Phase", "ReportsEvents", "ReportsLimits"]
 
-Phase: TypeAlias = Literal["approach", "close", "squeeze", "settle", "lift", "hold"]
+Phase: TypeAlias = Literal[
+    "approach",
+    "close",
+    "squeeze",
+    "settle",
+    "lift",
+    "hold",
+    "turn",
+    "carry",
+    "lower",
+    "release",
+    "open",
+    "retreat",
+]
 
 PHASES: tuple[Phase, ...] = ("approach", "close", "squeeze", "settle", "lift", "hold")
-"""Phases of a trial in order."""
+"""Phases of a trial in order. A manipulation (``sim.manipulation``) turns the object in the hand,
+carries it elsewhere, lowers it, opens the fingers and retreats."""
 
 
 @dataclass(frozen=True, kw_only=True)

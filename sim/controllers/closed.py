@@ -1,6 +1,7 @@
 """``ObjectImpedance``: holds the object where it is, whatever pushes it.
 
-Approach and closing are those of ``GraspController``. From the squeeze on, at every step:
+Approach and closing are those of ``GraspController``. From the squeeze on, at every step (in the
+phase "turn" a ``Reference`` may lead object and fingers elsewhere):
 
     wrench   impedance of the object's pose in the hand (``sim.controllers.impedance``), and its
              believed weight; its velocity comes from the joints, as the contacts stick
@@ -17,7 +18,7 @@ What it notices and what it does then:
     infeasible      the forces that come nearest within all limits are given, and fingers that only
                     press on each other ease off: the wrench comes before the grip
     gave up         fewer fingers than can hold the object, or infeasible, for ``PATIENCE``: nothing
-                    is learned or tightened any more, and the reason is kept
+                    is learned or tightened any more, and the reason is kept, until it is over
 """
 
 from __future__ import annotations
@@ -31,12 +32,13 @@ from planner.forces import ForceLoop, turned_frames
 from planner.paths import smooth
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
-from sim.controllers.base import Observation
+from sim.controllers.base import Observation, Phase
 from sim.controllers.events import Event, EventKind
 from sim.controllers.gains import ImpedanceGains, felt_inertia
 from sim.controllers.grasp import FIRST_SHARE, GraspController
 from sim.controllers.impedance import ImpedanceLaw
 from sim.controllers.pads import PadReading
+from sim.controllers.reference import Reference
 from sim.controllers.schedule import TOUCH_FORCE, ContactSchedule
 from sim.controllers.sensing import Senses, Sensing
 from sim.controllers.slip import SlipDetector
@@ -60,10 +62,14 @@ FRICTION_MARGIN, LEAST_MU = 0.85, 0.1
 MISSED_TOL = 0.05
 """A wrench counts as missed when more than this share of it, or this many N, is left over."""
 
-EASE_TIME, LEAST_EASE = 0.1, 0.3
-"""While a wrench cannot be had, the least normal forces fall to this share (-) within about this
-time (s), and come back as slowly: what presses against a finger that must push takes from it. Not
-after a slip: then it is friction that is wanting."""
+CARRYING: frozenset[Phase] = frozenset({"lift", "hold", "turn", "carry"})
+"""Phases in which nothing but the hand holds the object: then loads and friction are learned."""
+
+LEAST_GIVEN, GIVING_TIME, TAKING_TIME = 0.3, 0.05, 0.5
+"""While a wrench is missed the least normal forces give way to this share of them, as fast as all
+of them would in the first time (s), and come back in the second: a finger that must press where
+its force cannot be balanced is itself what is in the way. Not after a slip: then it is friction
+that is wanting."""
 
 INFEASIBLE_TIME, PATIENCE = 0.006, 0.5
 """How long (s) a wrench must be missed to be called infeasible, and to give up."""
@@ -78,6 +84,7 @@ class ObjectImpedance:
         schedule: Which fingers hold, from the squeeze on.
         T_palm_wanted: Where the object is to be kept, in the palm; None before the squeeze. May be
             set.
+        reference: What leads object and fingers in the phase "turn"; None keeps them.
         forces: (n, 4), contact forces of the last step in the contact frames, N and N m.
         gave_up: Why it gave up, "" while it has not.
     """
@@ -117,6 +124,7 @@ class ObjectImpedance:
         self.law = ImpedanceLaw(gains)
         self.schedule = ContactSchedule(np.zeros(n, dtype=bool))
         self.T_palm_wanted: SE3 | None = None
+        self.reference: Reference | None = None
         self.forces = np.zeros((n, 4))
         self.gave_up = ""
         self._events: list[Event] = []
@@ -125,13 +133,15 @@ class ObjectImpedance:
         self._slips = SlipDetector(n)
         self._torques = HoldingTorques(plan)
         self._mu = np.full(n, first_mu)
-        self._grip, self._ease = 1.0, 1.0
+        self._grip = 1.0
         self._contacts = plan.contacts.transformed(plan.T_world_base.inverse())
         self._points = np.array(self._contacts.positions)
         self._frames = np.array(self._contacts.frames)
         self._loop = self._make_loop()
         self._time = 0.0
         self._missed_for, self._few_for = 0.0, 0.0
+        self._missed_share = 0.0
+        self._given = 1.0
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -176,28 +186,43 @@ class ObjectImpedance:
             self.T_palm_wanted = in_palm
             self.schedule = ContactSchedule(pads.normal_force > TOUCH_FORCE)
             self._torques.latch()
+        wanted_twist = np.zeros(6)
+        if observation.phase == "turn" and self.reference is not None:
+            wanted_twist = self._lead(self.reference, elapsed, in_palm, observation.q)
         self._feel(elapsed, pads, T_base_world)
-        carries = observation.phase in ("lift", "hold")
+        carries = observation.phase in CARRYING
         if carries and not self.gave_up:
             self._tighten(elapsed, pads)
-        ramp = observation.progress if observation.phase == "squeeze" else 1.0
+        ramp = 1.0
+        if observation.phase in ("squeeze", "release"):
+            begins = observation.phase == "squeeze"
+            ramp = observation.progress if begins else 1.0 - observation.progress
         scale = FIRST_SHARE + (1.0 - FIRST_SHARE) * float(smooth(np.asarray(ramp)))
         holding = self.schedule.holding
         pose = T_base_palm * in_palm
-        twist = self._torques.touch(self._points, pose.translation, holding)
+        twist = self._torques.touch(self._points, pose.translation, holding) - wanted_twist
         wrench = self.law.wrench(T_base_palm * self.T_palm_wanted, pose, twist)
         wrench[:3] -= self._mass * gravity
         missed = self._distribute(scale * wrench, pose.translation, observation.q, scale)
+        if carries:
+            self._judge(elapsed, wrench, missed)
         if carries and not self.gave_up:
             self.law.learn(elapsed, missed)
-            self._judge(elapsed, wrench, missed)
-            rate = elapsed / EASE_TIME
-            too_much = self._missed_for > 0.0 and self._grip == 1.0
-            eased = self._ease + (-rate if too_much else rate)
-            self._ease = min(1.0, max(LEAST_EASE, eased))
         forces = (self._frames @ self.forces[:, :3, None])[:, :, 0]
         normals = self._frames[:, :, 0]
         return self._torques.commands(forces, normals, holding, self.schedule.searching)
+
+    def _lead(
+        self, reference: Reference, elapsed: float, in_palm: SE3, q: FloatArray
+    ) -> FloatArray:
+        """Take over where object and fingers should be now; returns the wanted twist (6,)."""
+        target = reference.advance(
+            elapsed, in_palm, self._torques.tips_in_palm, q, missed=self._missed_share
+        )
+        self.T_palm_wanted = target.T_palm_object
+        self._torques.aim(target.tips, target.q, target.v)
+        turn = self._torques.T_base_palm.rotation
+        return np.concatenate([turn @ target.twist[:3], turn @ target.twist[3:]])
 
     def _feel(self, elapsed: float, pads: PadReading, T_base_world: SE3) -> None:
         """Take over where and how the fingers touch, and note what has changed."""
@@ -239,8 +264,8 @@ class ObjectImpedance:
             center=center,
             jacobians=self._torques.jacobians,
             q=q,
-            gravity_torque=self._torques.gravity_torque,
-            min_normal=scale * self._grip * self._ease * self.plan.task.grip_force * share,
+            gravity_torque=self._torques.own_torque,
+            min_normal=scale * self._grip * self._given * self.plan.task.grip_force * share,
             max_normal=MAX_NORMAL * share,
             previous=self.forces,
         )
@@ -257,8 +282,13 @@ class ObjectImpedance:
         """Note when a wrench cannot be had, and give up when that lasts."""
         weight = self._loop.problem.row_scale[:6]
         short, asked = (math.sqrt(w @ w) for w in (weight * missed, weight * wrench))
+        self._missed_share = short / max(1.0, asked)
+        wanting = self._missed_share > MISSED_TOL
+        gives = wanting and self._grip == 1.0
+        rate = -1.0 / GIVING_TIME if gives else 1.0 / TAKING_TIME
+        self._given = min(1.0, max(LEAST_GIVEN, self._given + elapsed * rate))
         before = self._missed_for
-        self._missed_for = before + elapsed if short > MISSED_TOL * max(1.0, asked) else 0.0
+        self._missed_for = before + elapsed if wanting else 0.0
         detail = f"{short:.2f} N of {asked:.2f} N cannot be had"
         if before < INFEASIBLE_TIME <= self._missed_for:
             self._note("infeasible", None, f"{detail}; the nearest forces are given")
@@ -267,6 +297,10 @@ class ObjectImpedance:
         holding = int(self.schedule.holding.sum())
         few = holding < self.plan.task.fingers_needed
         self._few_for = self._few_for + elapsed if few else 0.0
+        if self.gave_up and self._missed_for == 0.0 and not few:
+            self.gave_up = ""
+        if self.gave_up:
+            return
         if self._few_for > PATIENCE:
             self.gave_up = f"only {holding} fingers hold, for {PATIENCE} s"
         elif self._missed_for > PATIENCE:

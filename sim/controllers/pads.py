@@ -7,13 +7,19 @@ Contacts of one finger are summed; positions and velocities are means weighted b
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from planner.spatial import FloatArray
 
-__all__ = ["PadReading"]
+__all__ = ["CREEP", "PadReading"]
+
+CREEP = 0.01
+"""Sliding per spin (m): a soft finger that spins under a tangential force creeps along it, far
+inside its cone. With the ellipsoidal limit surface it does so by (a / mu) mu_torsion /
+sqrt(1 - a^2) per radian at the share a of its sliding friction: 10 mm at a = 0.7, mu = 0.7 and
+mu_torsion = 7 mm, or a = 0.7, mu = 0.5 and 5 mm."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -27,6 +33,8 @@ class PadReading:
         normal: (n, 3), unit, into the object; NaN without contact.
         sliding: (n, 3), velocity of the object relative to the pad along the surface, m/s; NaN
             without contact.
+        spin: (n,), angular velocity of the object relative to the pad about the normal, rad/s, 0
+            without contact; or a single 0 of pads that do not feel it.
     """
 
     normal_force: FloatArray
@@ -34,6 +42,7 @@ class PadReading:
     position: FloatArray
     normal: FloatArray
     sliding: FloatArray
+    spin: FloatArray = field(default_factory=lambda: np.zeros(1))
 
     @classmethod
     def nothing(cls, n: int = 0) -> PadReading:
@@ -58,6 +67,11 @@ class PadReading:
     def sliding_speed(self) -> FloatArray:
         """Size of ``sliding``, (n,), m/s; 0 without contact."""
         return np.asarray(np.linalg.norm(np.nan_to_num(self.sliding), axis=1))
+
+    @property
+    def creep_speed(self) -> FloatArray:
+        """Speed (n,), m/s, to which spinning explains sliding: see ``CREEP``."""
+        return np.asarray(CREEP * np.abs(self.spin))
 
     def friction_ratio(self) -> FloatArray:
         """Tangential over normal force, (n,), -: the friction in use; 0 without contact."""

@@ -2,7 +2,8 @@
 
 A slip is a tangential speed above ``SLIP_SPEED`` for 10 ms at a loaded contact. The detector sees a
 pad's sliding velocity with noise and averages it over some milliseconds; what it reports ends when
-the average has fallen to half of the speed of the alarm.
+the average has fallen to half of the speed of the alarm. What a pad creeps because it spins (see
+``sim.controllers.pads.CREEP``) is no slip.
 """
 
 from __future__ import annotations
@@ -34,13 +35,14 @@ class SlipDetector:
 
     Attributes:
         slipping: (n,), which fingers slip now.
-        speed: (n,), averaged sliding speed, m/s.
+        speed: (n,), averaged sliding speed beyond what spinning explains, m/s.
     """
 
     def __init__(self, n: int) -> None:
         """Nothing slips yet."""
         self.slipping: NDArray[np.bool_] = np.zeros(n, dtype=bool)
         self._average = np.zeros((n, 3))
+        self._creep = np.zeros(n)
         self._above = np.zeros(n)
         self.speed = np.zeros(n)
 
@@ -55,7 +57,8 @@ class SlipDetector:
         loaded = pads.normal_force > LOADED
         seen = np.where(loaded[:, None], pads.sliding, 0.0)
         self._average = np.where(loaded[:, None], self._average + share * (seen - self._average), 0)
-        self.speed = np.sqrt((self._average**2).sum(axis=1))
+        self._creep += share * (np.where(loaded, pads.creep_speed, 0.0) - self._creep)
+        self.speed = np.maximum(np.sqrt((self._average**2).sum(axis=1)) - self._creep, 0.0)
         fast = self.speed > ALARM_SPEED
         self._above = np.where(fast, self._above + elapsed, 0.0)
         begins = (self._above >= ALARM_TIME - elapsed / 2) & ~self.slipping

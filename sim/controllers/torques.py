@@ -18,12 +18,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from planner.hand import Hand
 from planner.kinematics import MovingHand
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, skew
 from sim.controllers.grasp import limited, motor_servo
 
-__all__ = ["HoldingTorques", "grasp_matrix"]
+__all__ = ["HoldingTorques", "grasp_matrix", "joint_drag"]
 
 TIP_STIFFNESS = 150.0
 """Spring (N/m) of fingertips against each other: 0.15 N per millimetre of creeping apart."""
@@ -38,6 +39,9 @@ damper (N s/m): it moves at some 3 cm/s."""
 
 RETREAT, RETREAT_STIFFNESS = 0.01, 100.0
 """A finger that is told to leave stays this far (m) off where it held, by this spring (N/m)."""
+
+FULL_FRICTION_RATE = 0.05
+"""Wanted rate (rad/s) of a joint from which on all of its dry friction is made up for."""
 
 RANK_TOL = 1e-6
 """Added to G G^T (-, m^2) where too few fingers hold to fix every motion."""
@@ -55,7 +59,7 @@ class HoldingTorques:
         T_base_palm: Pose of the palm.
         centers: (n, 3), centres of the pads, m.
         jacobians: (n, 3, nq), of the pads' material points at the contacts.
-        gravity_torque: (nq,), what holds the hand itself, N m.
+        own_torque: (nq,), N m, what holds the hand itself, and moves it against its joints' drag.
     """
 
     def __init__(self, plan: GraspPlan) -> None:
@@ -66,7 +70,9 @@ class HoldingTorques:
         self.T_base_palm = SE3.Identity()
         self.centers = np.zeros((n, 3))
         self.jacobians = np.zeros((n, 3, nq))
-        self.gravity_torque = np.zeros(nq)
+        self.own_torque = np.zeros(nq)
+        self._drag, self._stiction = joint_drag(self._hand)
+        self._v_ref = np.zeros(nq)
         self._full = np.zeros((n, 6, nq))
         self._own = np.zeros((n, nq), dtype=bool)
         for row, finger in zip(self._own, self._fingers, strict=True):
@@ -87,7 +93,8 @@ class HoldingTorques:
         self._q, self._v = q, v
         state = self._state.move(q)
         self.T_base_palm = state.T_base_palm
-        self.gravity_torque = state.gravity_torque(gravity)
+        self.own_torque = state.gravity_torque(gravity)
+        self._v_ref = np.zeros(self._hand.nq)
         for i, finger in enumerate(self._fingers):
             self.centers[i] = state.pad_center(finger)
             # WORLD: linear rows are the velocity of the point that passes the origin
@@ -106,6 +113,23 @@ class HoldingTorques:
         own = self._own[finger]
         self._q_ref[own] = self._q[own]
         self._tips[finger] = self._in_palm(self.centers)[finger]
+
+    def aim(self, tips: FloatArray, q: FloatArray, v: FloatArray) -> None:
+        """Pursue fingertips (n, 3), palm, and a posture (nq,) of the fingers from now on.
+
+        The rates (nq,) at which the posture changes count until the next ``move``: what the joints'
+        own damping and friction take of the torque is made up for.
+        """
+        self._tips = tips
+        self._q_ref = np.where(self._moving, q, self._q_ref)
+        self._v_ref = np.where(self._moving, v, 0.0)
+        sign = np.clip(self._v_ref / FULL_FRICTION_RATE, -1.0, 1.0)
+        self.own_torque += self._drag * self._v_ref + self._stiction * sign
+
+    @property
+    def tips_in_palm(self) -> FloatArray:
+        """Where the fingertips (n, 3) are."""
+        return self._in_palm(self.centers)
 
     def touch(
         self, points: FloatArray, center: FloatArray, holding: NDArray[np.bool_]
@@ -147,9 +171,11 @@ class HoldingTorques:
         away = RETREAT_STIFFNESS * (self._latched() - RETREAT * normals - self.centers)
         alone = np.where(searching[:, None], seek, away) - SEARCH_DAMPING * self._tip_velocity
         total = np.where(holding[:, None], forces + self._tip_forces, alone)
-        torque = total.ravel() @ self.jacobians.reshape(-1, self._hand.nq) + self.gravity_torque
+        torque = total.ravel() @ self.jacobians.reshape(-1, self._hand.nq) + self.own_torque
         torque += self._idle_part(np.where(self._moving, self._q_ref - self._q, 0.0))
-        torque += self._stiffness * (self._q_ref - self._q) - self._damping * self._v
+        torque += self._stiffness * (self._q_ref - self._q) - self._damping * (
+            self._v - self._v_ref
+        )
         self._torque = torque
         self._law_q = np.where(self._moving, self._q, self._q_ref)
         ctrl, _ = self._hand.actuation.ctrl_for_torque(
@@ -181,6 +207,12 @@ class HoldingTorques:
         gram = jac @ jac.transpose(0, 2, 1) + _FLAT
         force = np.linalg.solve(gram, jac @ own[..., None])
         return np.asarray((own - (jac.transpose(0, 2, 1) @ force)[..., 0]).sum(axis=0))
+
+
+def joint_drag(hand: Hand) -> tuple[FloatArray, FloatArray]:
+    """Damping (nq,), N m s/rad, and dry friction (nq,), N m, of a hand's joints by its model."""
+    model = hand.pin_model
+    return np.array(model.damping), np.array(model.upperDryFrictionLimit)
 
 
 def grasp_matrix(arms: FloatArray) -> FloatArray:

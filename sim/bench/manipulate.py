@@ -1,0 +1,342 @@
+"""``run_manipulate``: pick, turn by 90 degrees, place, under conditions that the planner ignores.
+
+A trial draws what there is: size, mass, friction, where the object really stands, and a push while
+it is turned. The planner knows the size. Of mass and friction it knows the bounds, the largest mass
+and the least friction less a margin, of the pose where the object ought to stand; the controller
+measures the pose once it holds the object.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+import pinocchio as pin
+from rich.table import Table
+
+from planner.errors import NotFoundError, PlannerError
+from planner.objects import parse_object
+from planner.plain import finite
+from planner.spatial import SE3
+from planner.task import GraspTask
+from sim.bench.journal import run_with_journal
+from sim.bench.statistics import median_of
+from sim.bench.tables import number, table_of
+from sim.manipulation import Push, manipulate, manipulation_task, plan_manipulation
+from sim.physics import PhysicsOptions
+from sim.runner import Check, Runner, made_with
+
+__all__ = ["KINDS", "Conditions", "Turn", "manipulate_table", "run_manipulate", "run_turn"]
+
+FORMAT = "opposable-bench-manipulate"
+
+Kind: TypeAlias = Literal["cylinder", "block", "sphere", "ellipsoid"]
+
+KINDS: tuple[Kind, ...] = Kind.__args__  # type: ignore[attr-defined]
+
+SIZE = (0.05, 0.07)
+"""Diameter of cylinder and sphere, width of a block, widths of an ellipsoid, m."""
+
+FRICTION = (0.5, 1.0)
+"""Sliding friction in simulation (-)."""
+
+MASS = (0.05, 0.3)
+"""Mass, kg."""
+
+BELIEVED_MU = 0.9 * FRICTION[0]
+"""Friction (-) that planner and controller rely on: a tenth below the least that there is."""
+
+SHIFT, HEADING = 0.003, np.deg2rad(5.0)
+"""Largest error of the place along either axis (m), and of the heading (rad)."""
+
+PUSH_FORCE, PUSH_TIME = 0.4, 0.3
+"""The push, N and s: horizontal, from any side, at some time of the turn."""
+
+PLACE = 0.15
+"""Distance (m) from the object to where it is put, in any direction."""
+
+ANGLE = np.pi / 2
+"""Turn that is asked for, rad."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conditions:
+    """What there really is in one trial.
+
+    Attributes:
+        spec: The object.
+        mass: kg.
+        mu: Sliding friction (-).
+        shift: Where it stands beside its place, x and y, m.
+        heading: How it is turned there, rad.
+        push: Force (x, y) of the push, N.
+        push_after: When it begins, since the beginning of the turn, s.
+        place: Where the object is to be put, x and y, m.
+    """
+
+    spec: str
+    mass: float
+    mu: float
+    shift: tuple[float, float]
+    heading: float
+    push: tuple[float, float]
+    push_after: float
+    place: tuple[float, float]
+
+    @classmethod
+    def draw(cls, kind: Kind, height: float, rng: np.random.Generator) -> Conditions:
+        """Conditions of one trial; sizes to a tenth of a millimetre."""
+        a, b = np.round(rng.uniform(*SIZE, size=2), 4).tolist()
+        specs = {
+            "cylinder": f"cylinder:{a / 2:g}x{height:g}",
+            "block": f"box:{a:g}x{a:g}x{height:g}",
+            "sphere": f"sphere:{a / 2:g}",
+            "ellipsoid": f"ellipsoid:{a:g}x{b:g}x{height:g}",
+        }
+        mass, mu = float(rng.uniform(*MASS)), float(rng.uniform(*FRICTION))
+        x, y = rng.uniform(-SHIFT, SHIFT, size=2).tolist()
+        heading = float(rng.uniform(-HEADING, HEADING))
+        side, way = rng.uniform(0.0, 2.0 * np.pi, size=2).tolist()
+        return cls(
+            spec=specs[kind],
+            mass=mass,
+            mu=mu,
+            shift=(x, y),
+            heading=heading,
+            push=(PUSH_FORCE * math.cos(side), PUSH_FORCE * math.sin(side)),
+            push_after=float(rng.uniform(0.0, 1.2)),
+            place=(PLACE * math.cos(way), PLACE * math.sin(way)),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Turn:
+    """One trial, as it is sent to a worker.
+
+    Attributes:
+        index: Its number among all.
+        hand: Name or path of the hand.
+        kind: Kind of object.
+        number: Its number in its cell.
+        height: Height of cylinder, block and ellipsoid, m.
+        fingers: Fingers that take part; the hand's default set if None.
+        seed: Of all that is drawn.
+    """
+
+    index: int
+    hand: str
+    kind: Kind
+    number: int
+    height: float
+    fingers: tuple[str, ...] | None
+    seed: int
+
+
+def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
+    """Plan and execute one trial; its row, as plain data."""
+    rng = np.random.default_rng([turn.seed, KINDS.index(turn.kind), turn.number])
+    there = Conditions.draw(turn.kind, turn.height, rng)
+    task = _believed(turn, there)
+    try:
+        plan = plan_manipulation(task, angle=ANGLE, place=there.place, seed=turn.seed + turn.number)
+    except PlannerError as error:
+        return _row(turn, there, found=False, reason=str(error))
+    check()
+    task = plan.motion.grasp.task  # with the fingers that were chosen
+    pose = task.T_world_object
+    turned = pin.exp3(np.array([0.0, 0.0, there.heading])) @ pose.rotation
+    really = replace(
+        task,
+        object=replace(task.object, mass=there.mass),
+        T_world_object=SE3(turned, pose.translation + np.array([*there.shift, 0.0])),
+    )
+    begin = time.process_time()
+    report = manipulate(
+        plan,
+        really=really,
+        physics=PhysicsOptions(mu=there.mu),
+        push=Push(force=np.array([*there.push, 0.0]), after=there.push_after, duration=PUSH_TIME),
+    )
+    check()
+    last = report.checks[-1].numbers
+    return _row(
+        turn,
+        there,
+        found=True,
+        attempts=plan.attempts,
+        planning_cpu_s=plan.cpu_s,
+        simulation_cpu_s=time.process_time() - begin,
+        strict=report.strict,
+        loose=report.loose,
+        complete=report.complete,
+        dropped=report.dropped,
+        reason=report.reason,
+        place_off_mm=last.get("off_mm") if report.complete else None,
+        place_heading_deg=last.get("heading_deg") if report.complete else None,
+        events=[f"{e.time:.2f} {e.kind} {e.finger} {e.detail}" for e in report.events],
+        **report.numbers(),
+    )
+
+
+def _believed(turn: Turn, there: Conditions) -> GraspTask:
+    """The task as the planner has it."""
+    item = parse_object(there.spec, mass=MASS[1])
+    return manipulation_task(turn.hand, item, mu=BELIEVED_MU, fingers=turn.fingers)
+
+
+def _row(turn: Turn, there: Conditions, **values: Any) -> dict[str, Any]:
+    row: dict[str, Any] = finite(
+        {
+            "index": turn.index,
+            "hand": turn.hand,
+            "kind": turn.kind,
+            "number": turn.number,
+            "conditions": asdict(there),
+            **values,
+        }
+    )
+    return row
+
+
+def _given_up(turn: Turn, reason: str) -> dict[str, Any]:
+    rng = np.random.default_rng([turn.seed, KINDS.index(turn.kind), turn.number])
+    return _row(turn, Conditions.draw(turn.kind, turn.height, rng), found=False, reason=reason)
+
+
+def run_manipulate(
+    hands: Sequence[str],
+    kinds: Sequence[str],
+    n: int,
+    *,
+    height: float,
+    fingers: tuple[str, ...] | None,
+    seed: int,
+    file: Path,
+    runner: Runner,
+) -> dict[str, Any]:
+    """Run the trials that the file does not have yet.
+
+    Args:
+        hands: Names or paths.
+        kinds: Kinds of objects out of ``KINDS``.
+        n: Trials for each hand and kind.
+        height: Height of cylinder, block and ellipsoid, m.
+        fingers: Fingers that take part; each hand's default set if None.
+        seed: Of all that is drawn.
+        file: Of the rows; made if it is not there.
+        runner: Who works on them.
+
+    Returns:
+        Plain data: all rows that the file has then, and what they were made with.
+
+    Raises:
+        FileFormatError: The file is not one of these, or was begun with other arguments.
+        NotFoundError: A kind or a hand that does not exist.
+    """
+    for kind in kinds:
+        if kind not in KINDS:
+            raise NotFoundError("kind of object", kind, KINDS)
+    for hand in hands:
+        GraspTask.create(hand, "cylinder", fingers=fingers)
+    cells = [(hand, kind, k) for hand in hands for kind in kinds for k in range(n)]
+    jobs = [
+        Turn(
+            index=i,
+            hand=hand,
+            kind=KINDS[KINDS.index(kind)],
+            number=k,
+            height=height,
+            fingers=fingers,
+            seed=seed,
+        )
+        for i, (hand, kind, k) in enumerate(cells)
+    ]
+    asked = {
+        "format": f"{FORMAT}-rows",
+        "version": 1,
+        "hands": list(hands),
+        "kinds": list(kinds),
+        "n": n,
+        "height": height,
+        "fingers": None if fingers is None else list(fingers),
+        "seed": seed,
+    }
+    rows, whole = run_with_journal(
+        runner,
+        run_turn,
+        jobs,
+        file=file,
+        asked=asked,
+        title="pick, turn, place",
+        given_up=_given_up,
+    )
+    return {
+        "format": FORMAT,
+        "version": 1,
+        **made_with(),
+        **{k: v for k, v in asked.items() if k not in ("format", "version")},
+        "workers": runner.workers,
+        "interrupted": not whole,
+        "rows": sorted(rows, key=lambda row: int(row["index"])),
+    }
+
+
+COLUMNS = (
+    "planned",
+    "strict",
+    "loose",
+    "complete",
+    "drops",
+    "to 90 s",
+    "error deg",
+    "tilt deg",
+    "off path mm",
+    "fingers",
+    "placed mm",
+    "placed deg",
+    "planning s",
+)
+
+
+def manipulate_table(result: dict[str, Any]) -> Table:
+    """Counts out of all trials, and medians, per hand and kind of object."""
+    table = table_of(
+        "counts out of all trials; medians of those that turned: time to 90 degrees, |turn - 90|, "
+        "largest tilt, largest distance off the path; fewest fingers in any; then of those placed",
+        ("hand", "object"),
+        COLUMNS,
+    )
+    cells: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for row in result["rows"]:
+        cells.setdefault((row["hand"], row["kind"]), []).append(row)
+    for (hand, kind), rows in cells.items():
+        table.add_row(hand, kind, *_cells(rows))
+    return table
+
+
+def _cells(rows: list[dict[str, Any]]) -> list[str]:
+    def count(name: str) -> str:
+        return f"{sum(bool(row.get(name)) for row in rows)}/{len(rows)}"
+
+    def median(name: str, members: list[dict[str, Any]], less: float = 0.0) -> float | None:
+        return median_of(abs(m[name] - less) for m in members if m.get(name) is not None)
+
+    turned = [row for row in rows if row.get("loose")]
+    found = [row for row in rows if row["found"]]
+    least = [row["least_fingers"] for row in turned]
+    return [
+        *(count(name) for name in ("found", "strict", "loose", "complete", "dropped")),
+        number(median("time_to_angle_s", turned), 2),
+        number(median("turned_deg", turned, float(np.rad2deg(ANGLE))), 2),
+        number(median("largest_tilt_deg", turned), 1),
+        number(median("largest_off_path_mm", turned), 1),
+        f"{min(least):.0f}" if least else "-",
+        number(median("place_off_mm", rows), 1),
+        number(median("place_heading_deg", rows), 1),
+        number(median("planning_cpu_s", found), 2),
+    ]

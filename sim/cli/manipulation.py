@@ -1,0 +1,191 @@
+"""Commands that turn an object in the hand: ``manipulate`` and its default, ``demo``."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+
+from sim.cli.common import (
+    EXIT_NO,
+    FingersOption,
+    HandArgument,
+    JsonOption,
+    MassOption,
+    MuOption,
+    ObjectArgument,
+    SeedOption,
+    SimMuOption,
+    err,
+    errors_for_people,
+    make_folder,
+    names,
+    out,
+    print_json,
+    say,
+)
+
+OutOption = Annotated[
+    Path | None, typer.Option("--out", help="Folder for motion, report and a picture per phase.")
+]
+
+DEMO = {"hand": "allegro_hand", "object": "cylinder:0.03x0.08", "rotate": "z:90"}
+"""What ``demo`` shows."""
+
+
+@errors_for_people()
+def manipulate(
+    hand: HandArgument,
+    object: ObjectArgument,
+    rotate: Annotated[
+        str, typer.Option(help="Turn in the hand: axis (x, y, z, world) and degrees.")
+    ] = DEMO["rotate"],
+    place: Annotated[
+        str, typer.Option(help="Where the object is put, m: x,y; it stands at 0,0.")
+    ] = "0.1,0.05",
+    out_dir: OutOption = None,
+    fingers: FingersOption = None,
+    seed: SeedOption = 0,
+    mu: MuOption = 0.45,
+    sim_mu: SimMuOption = 0.6,
+    mass: MassOption = None,
+    max_attempts: Annotated[int, typer.Option(min=1, help="Attempts before giving up.")] = 50,
+    as_json: JsonOption = False,
+) -> None:
+    """Pick an object from a table, turn it in the hand, put it down; a check after every phase."""
+    _perform(
+        hand,
+        object,
+        rotate=rotate,
+        place=place,
+        folder=out_dir,
+        fingers=fingers,
+        seed=seed,
+        mu=mu,
+        sim_mu=sim_mu,
+        mass=mass,
+        max_attempts=max_attempts,
+        as_json=as_json,
+    )
+
+
+@errors_for_people()
+def demo(out_dir: OutOption = None, as_json: JsonOption = False) -> None:
+    """The whole of it: an Allegro-type hand picks a cylinder, turns it by 90 degrees, places it."""
+    _perform(
+        DEMO["hand"],
+        DEMO["object"],
+        rotate=DEMO["rotate"],
+        place="0.1,0.05",
+        folder=out_dir,
+        fingers=None,
+        seed=0,
+        mu=0.45,
+        sim_mu=0.6,
+        mass=None,
+        max_attempts=50,
+        as_json=as_json,
+    )
+
+
+def _perform(
+    hand: str,
+    object: str,
+    *,
+    rotate: str,
+    place: str,
+    folder: Path | None,
+    fingers: str | None,
+    seed: int,
+    mu: float,
+    sim_mu: float,
+    mass: float | None,
+    max_attempts: int,
+    as_json: bool,
+) -> None:
+    """Plan, execute, tell."""
+    from planner.files import write_json, write_motion
+    from planner.objects import parse_object
+    from sim.manipulation import manipulate as execute
+    from sim.manipulation import manipulation_task, plan_manipulation
+    from sim.physics import PhysicsOptions
+
+    axis, degrees = _turn(rotate)
+    if folder is not None:
+        make_folder(folder)
+    task = manipulation_task(
+        hand,
+        parse_object(object, mass=mass),
+        mu=mu,
+        fingers=None if fingers is None else names(fingers),
+    )
+    x, y = _numbers("--place", place, 2)
+    with err.status(f"planning: {task.hand.name}, {task.object.name} ..."):
+        plan = plan_manipulation(
+            task,
+            axis=axis,
+            angle=math.radians(degrees),
+            place=(x, y),
+            seed=seed,
+            max_attempts=max_attempts,
+        )
+    if not as_json:
+        say(out, escape(str(plan.motion)))
+        say(out, f"planned in {plan.cpu_s:.2f} s of CPU, {plan.attempts} attempts\n")
+    with err.status("executing ..."):
+        report = execute(plan, physics=PhysicsOptions(mu=sim_mu), pictures=folder)
+    if folder is not None:
+        write_motion(plan.motion, folder / "motion.json")
+        write_json(report.to_dict(), folder / "report.json")
+    if as_json:
+        print_json(report.to_dict())
+    else:
+        say(out, escape(str(report)))
+        if folder is not None:
+            note = report.picture_reason and f" (no pictures: {report.picture_reason})"
+            say(out, escape(f"written to {folder}: motion.json, report.json, pictures{note}"))
+    if not report.complete:
+        raise typer.Exit(EXIT_NO)
+
+
+def _turn(text: str) -> tuple[list[float], float]:
+    """Axis and degrees of a turn.
+
+    Raises:
+        TaskError: Something else.
+    """
+    from planner.errors import TaskError
+
+    axis, _, degrees = text.partition(":")
+    if axis not in AXES:
+        raise TaskError(f"--rotate {text!r} names no axis; give x, y or z and degrees: z:90")
+    return AXES[axis], _numbers("--rotate", degrees, 1)[0]
+
+
+AXES = {"x": [1.0, 0.0, 0.0], "y": [0.0, 1.0, 0.0], "z": [0.0, 0.0, 1.0]}
+
+
+def _numbers(option: str, text: str, count: int) -> list[float]:
+    """Numbers with commas between them.
+
+    Raises:
+        TaskError: Something else.
+    """
+    from planner.errors import TaskError
+
+    try:
+        values = [float(v) for v in text.split(",")]
+    except ValueError as error:
+        raise TaskError(f"{option}: {text!r} is no number; see --help") from error
+    if len(values) != count or not all(math.isfinite(v) for v in values):
+        raise TaskError(f"{option}: {text!r}; give {count} finite numbers, commas between them")
+    return values
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command()(manipulate)
+    app.command()(demo)

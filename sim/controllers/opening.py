@@ -1,0 +1,46 @@
+"""``PostureServo``: moves the fingers to a posture, and holds the hand's own weight."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.kinematics import MovingHand
+from planner.paths import smooth
+from planner.plan import GraspPlan
+from planner.spatial import FloatArray
+from sim.controllers.base import Observation
+from sim.controllers.grasp import motor_servo
+
+__all__ = ["PostureServo"]
+
+
+class PostureServo:
+    """Goes to a posture evenly in all joints; motors get the spring of ``motor_servo``."""
+
+    def __init__(self, plan: GraspPlan, goal: FloatArray) -> None:
+        """Prepare gains.
+
+        Args:
+            plan: Whose hand it is.
+            goal: Posture (nq,); the fingers that take part go there, other joints stay.
+        """
+        task = plan.task
+        self._hand, self._gravity = task.hand, task.gravity
+        self._goal = goal
+        self._index = np.concatenate([f.q_index for f in task.fingers])
+        self._stiffness, self._damping = motor_servo(task.hand, plan.q)
+        self._state = MovingHand(task.hand, plan.q)
+        self._begin: FloatArray | None = None
+
+    def command(self, observation: Observation, share: float) -> FloatArray:
+        """Commands (nu,) for a share of the way, in [0, 1]."""
+        if self._begin is None:
+            self._begin = observation.q.copy()
+        q = self._begin.copy()
+        way = float(smooth(np.asarray(share)))
+        q[self._index] += way * (self._goal - self._begin)[self._index]
+        gravity = observation.T_world_base.rotation.T @ self._gravity
+        torque = self._state.move(observation.q).gravity_torque(gravity)
+        torque += self._stiffness * (q - observation.q) - self._damping * observation.v
+        ctrl, _ = self._hand.actuation.ctrl_for_torque(q, np.zeros(self._hand.nq), torque)
+        return ctrl

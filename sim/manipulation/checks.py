@@ -1,0 +1,61 @@
+"""What the phases of a manipulation end in: a reason, "" if all is well, and the numbers seen."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+
+from planner.spatial import SE3, FloatArray, signed_twist
+from sim.manipulation.pace import Bounds
+
+__all__ = ["Outcome", "off_target", "placed", "tilt_between", "undisturbed"]
+
+Outcome: TypeAlias = tuple[str, dict[str, float]]
+"""Why a phase failed, "" if it did not, and its numbers by name with unit."""
+
+UP: FloatArray = np.array([0.0, 0.0, 1.0])
+
+
+def undisturbed(first: SE3, now: SE3, bounds: Bounds) -> Outcome:
+    """Whether an object that is not held yet stands where it stood."""
+    moved = 1e3 * float(np.linalg.norm(now.translation - first.translation))
+    tilted = tilt_between(first, now)
+    reason = ""
+    if moved > bounds.disturbed_mm or tilted > bounds.tilt_deg:
+        reason = f"the object was moved by {moved:.1f} mm and tilted by {tilted:.1f} degrees"
+    return reason, {"moved_mm": moved, "tilt_deg": tilted}
+
+
+def off_target(target: SE3, now: SE3) -> dict[str, float]:
+    """How far an object is from a target pose."""
+    off = now.translation - target.translation
+    return {
+        "off_mm": 1e3 * float(np.linalg.norm(off[:2])),
+        "above_mm": 1e3 * float(off[2]),
+        "heading_deg": float(np.rad2deg(signed_twist(now.rotation @ target.rotation.T, UP))),
+        "tilt_deg": tilt_between(target, now),
+    }
+
+
+def placed(target: SE3, now: SE3, bounds: Bounds) -> Outcome:
+    """Whether an object is where it was to be put."""
+    numbers = off_target(target, now)
+    reason = ""
+    if max(numbers["off_mm"], abs(numbers["above_mm"])) > bounds.place_mm:
+        reason = (
+            f"the object is {numbers['off_mm']:.1f} mm beside and {numbers['above_mm']:.1f} mm "
+            "above its target"
+        )
+    elif max(abs(numbers["heading_deg"]), numbers["tilt_deg"]) > bounds.angle_deg:
+        reason = (
+            f"the object is {numbers['heading_deg']:.1f} degrees off its heading and tilted by "
+            f"{numbers['tilt_deg']:.1f}"
+        )
+    return reason, numbers
+
+
+def tilt_between(first: SE3, now: SE3) -> float:
+    """Angle (degrees) between what was vertical in an object and the vertical."""
+    axis = now.rotation @ first.rotation.T @ UP
+    return float(np.rad2deg(np.arccos(np.clip(axis @ UP, -1.0, 1.0))))

@@ -1,0 +1,110 @@
+"""What drives a manipulation: the fingers' controller over all phases, and the base's way.
+
+Before the squeeze and up to the lowering it is ``ObjectImpedance``, led by a ``MotionReference``
+during the turn; then the forces go down, and the fingers open to the planned posture.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from planner.errors import TaskError
+from planner.spatial import SE3, FloatArray
+from sim.controllers import Event, ObjectImpedance, Observation, Phase, Sensing
+from sim.controllers.follow import MotionReference
+from sim.controllers.opening import PostureServo
+from sim.manipulation.plan import ManipulationPlan
+from sim.mount import Mount
+from sim.timeline import Timeline
+
+__all__ = ["BaseMover", "MotionController"]
+
+BEYOND = np.deg2rad(0.5)
+"""Turn (rad) beyond what is asked for, so that at least that is made whatever little comes back."""
+
+
+class MotionController:
+    """Executes a ``ManipulationPlan``: closes, holds, turns, lets go.
+
+    Attributes:
+        holding: The closed loop that holds and turns.
+        reference: What leads it during the turn.
+    """
+
+    def __init__(
+        self,
+        plan: ManipulationPlan,
+        *,
+        rate: float,
+        sensing: Sensing | None = None,
+        mass: float | None = None,
+        mu: float | None = None,
+    ) -> None:
+        """Prepare.
+
+        Args:
+            plan: What to execute.
+            rate: Largest rate of the turn, rad/s.
+            sensing: How well the object is known.
+            mass: Mass that the object is believed to have, kg; the task's if None.
+            mu: Friction that is believed (-), a lower bound; the task's if None.
+        """
+        grasp = plan.motion.grasp
+        self.holding = ObjectImpedance(grasp, sensing=sensing, mass=mass, mu=mu)
+        most = abs(plan.motion.path.angle)
+        angle = math.copysign(min(abs(plan.angle) + BEYOND, most), plan.angle)
+        self.reference = MotionReference(plan.motion, angle=angle, rate=rate)
+        self.holding.reference = self.reference
+        self._opening = PostureServo(grasp, plan.release.q)
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What was noticed, in order."""
+        return self.holding.events
+
+    def step(self, observation: Observation) -> FloatArray:
+        """Commands (nu,) for the hand's actuators."""
+        if observation.phase in ("open", "retreat"):
+            share = observation.progress if observation.phase == "open" else 1.0
+            return self._opening.command(observation, share)
+        return self.holding.step(observation)
+
+    def limited_actuators(self) -> tuple[str, ...]:
+        """Names of the actuators that could not give what the last step wanted."""
+        return self.holding.limited_actuators()
+
+
+class BaseMover:
+    """Moves the mount from pose to pose: a ``sim.carrier.Carrier``."""
+
+    def __init__(self, mount: Mount | None, T_world_base: SE3) -> None:
+        """Stay at a pose.
+
+        Raises:
+            TaskError: There is no mount: the hand is on an arm.
+        """
+        if mount is None:
+            raise TaskError("the hand is on an arm; a manipulation needs a hand whose base is free")
+        self._mount = mount
+        self._from = self._to = mount.coordinates(T_world_base)
+        self._duration = 1.0
+
+    def stay(self) -> None:
+        """Stay where it was sent last."""
+        self._from = self._to
+
+    def go(self, T_world_base: SE3, duration: float) -> None:
+        """From where it was sent last to a pose, in a time (s) that is the phase's own."""
+        self._from, self._to = self._to, self._mount.coordinates(T_world_base)
+        self._duration = duration
+
+    def drive(self, data: Any, phase: Phase, share: float) -> None:
+        """Set the mount's commands for a share of the way."""
+        del phase
+        s, rate = Timeline.profile(share)
+        way = self._to - self._from
+        target, velocity = self._from + s * way, rate / self._duration * way
+        data.ctrl[self._mount.ctrl] = self._mount.command(data, target, velocity)

@@ -1,0 +1,105 @@
+"""``Pace``: how long the phases of a manipulation take, and ``Bounds``: where each one fails."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from planner.errors import TaskError
+
+__all__ = ["IN_THE_AIR", "STEPS", "Bounds", "Pace", "Step"]
+
+Step: TypeAlias = Literal[
+    "stand",
+    "approach",
+    "close",
+    "squeeze",
+    "verify",
+    "lift",
+    "turn",
+    "hold",
+    "verify again",
+    "carry",
+    "lower",
+    "release",
+    "open",
+    "retreat",
+]
+
+STEPS: tuple[Step, ...] = Step.__args__  # type: ignore[attr-defined]
+"""Phases of a manipulation in order."""
+
+IN_THE_AIR: tuple[Step, ...] = ("lift", "turn", "hold", "verify again", "carry")
+"""Phases in which the hand alone carries the object, from the lift to the table."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pace:
+    """How long each phase takes, s, and how fast and how high it goes.
+
+    Attributes:
+        stand: The object stands, the hand waits.
+        approach: From the start pose straight to the grasp.
+        close: Fingers from pre-grasp to grasp.
+        close_wait: Longest further wait for fingers that do not touch yet.
+        squeeze: From first touch to the planned forces.
+        verify: Full forces, before the lift and after the turn.
+        lift: Upwards by ``height``.
+        turn_rate: Largest rate of the turn, rad/s.
+        turn_wait: Longest wait for the turn beyond the time that the rate takes.
+        hold: Held still after the turn.
+        carry: To above the target.
+        lower: Down to the table.
+        release: Forces down.
+        open: Fingers open.
+        retreat: Out.
+        height: How far the object is lifted, m.
+    """
+
+    stand: float = 0.1
+    approach: float = 0.8
+    close: float = 0.4
+    close_wait: float = 0.5
+    squeeze: float = 0.5
+    verify: float = 0.2
+    lift: float = 0.7
+    turn_rate: float = 1.1
+    turn_wait: float = 1.5
+    hold: float = 0.3
+    carry: float = 0.8
+    lower: float = 0.6
+    release: float = 0.3
+    open: float = 0.4
+    retreat: float = 0.6
+    height: float = 0.08
+
+    def __post_init__(self) -> None:
+        """Check that every number is positive."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (np.isfinite(value) and value > 0):
+                raise TaskError(f"pace: {field.name} is {value}; give a finite number > 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounds:
+    """Where a phase fails.
+
+    Attributes:
+        disturbed_mm: Movement of the object before it is held, mm.
+        slip_mm: Movement in the palm while it is held still, mm.
+        angle_deg: How much of the turn may be missing, degrees; and how far the heading may be off
+            at last.
+        tilt_deg: Tilt off the axis of the turn, and of the object that was placed, degrees.
+        place_mm: How far from the target the object may stand at last, horizontally, mm.
+        fingers: Fewest fingers that must touch for the strict verdict.
+    """
+
+    disturbed_mm: float = 20.0
+    slip_mm: float = 5.0
+    angle_deg: float = 5.0
+    tilt_deg: float = 15.0
+    place_mm: float = 10.0
+    fingers: int = 3

@@ -1,0 +1,231 @@
+"""``ManipulationReport``: what a manipulation did, phase by phase, with numbers and reasons."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.plain import finite
+from planner.quality import QualityReport
+from sim.controllers import Event
+from sim.manipulation.modes import mode_table
+from sim.manipulation.pace import IN_THE_AIR, Bounds, Step
+from sim.manipulation.samples import Track
+
+__all__ = ["Check", "ManipulationReport"]
+
+MODE_LETTERS = 60
+"""Letters in which the contact modes of a turn are told, about."""
+
+LETTERS = (("stick", "s"), ("roll", "r"), ("slip", "S"), ("break", "!"), ("off", "-"))
+"""One for each mode."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """The end of a phase.
+
+    Attributes:
+        step: Which.
+        begin: When it began, s.
+        end: When it ended, s.
+        reason: Why it failed, "" if it did not.
+        numbers: What was looked at, by name with unit.
+    """
+
+    step: Step
+    begin: float
+    end: float
+    reason: str
+    numbers: dict[str, float]
+
+    @property
+    def passed(self) -> bool:
+        """Whether the phase ended as it should."""
+        return not self.reason
+
+    def __str__(self) -> str:
+        """One line."""
+        told = ", ".join(f"{name} {value:.3g}" for name, value in self.numbers.items())
+        mark = "ok  " if self.passed else "FAIL"
+        line = f"{mark} {self.step:<13}{self.end - self.begin:5.2f} s  {told}"
+        return line if self.passed else f"{line}\n     {self.reason}"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ManipulationReport:
+    """What happened, and whether it is what was asked for.
+
+    Attributes:
+        checks: The phases that were run, in order; the last one failed if not all were run.
+        complete: Whether all phases passed.
+        fingers: Fingers that take part.
+        asked: Turn that was asked for, rad.
+        track: All samples.
+        planned_modes: (m, n), contact modes as planned, at every sample.
+        measured_modes: (m, n), as measured.
+        before: Quality of the measured contacts before the lift; None if it never came to that.
+        after: After the turn.
+        bounds: Where phases fail.
+        events: What the controller noticed.
+        pictures: Files of pictures, by phase.
+        picture_reason: Why there are none, "" otherwise.
+    """
+
+    checks: tuple[Check, ...]
+    complete: bool
+    fingers: tuple[str, ...]
+    asked: float
+    track: Track
+    planned_modes: NDArray[np.str_]
+    measured_modes: NDArray[np.str_]
+    before: QualityReport | None
+    after: QualityReport | None
+    bounds: Bounds
+    events: tuple[Event, ...]
+    pictures: dict[str, str]
+    picture_reason: str
+
+    @property
+    def reason(self) -> str:
+        """Why it failed, "" if it did not."""
+        failed = [c for c in self.checks if not c.passed]
+        return f"{failed[0].step}: {failed[0].reason}" if failed else ""
+
+    @property
+    def dropped(self) -> bool:
+        """Whether the object was lost in the air: no finger touched it any more."""
+        air = self.track.during(*IN_THE_AIR)
+        return bool((self.track.touching[air] == 0).any())
+
+    @property
+    def turned(self) -> float:
+        """Signed twist at the end of the hold, rad; NaN if it never came to that."""
+        held = self.track.during("hold")
+        return float(self.track.turn[held[-1]]) if len(held) else float("nan")
+
+    @property
+    def least_fingers(self) -> int:
+        """Fewest fingers that touched at any sample in the air; 0 if it was never in the air."""
+        air = self.track.during(*IN_THE_AIR)
+        return int(self.track.touching[air].min()) if len(air) else 0
+
+    @property
+    def open_samples(self) -> int:
+        """Samples in the air without force closure."""
+        return int((~self.track.closed[self.track.during(*IN_THE_AIR)]).sum())
+
+    @property
+    def loose(self) -> bool:
+        """Turned as far as asked for, and not dropped."""
+        return self.turned * np.sign(self.asked) >= abs(self.asked) and not self.dropped
+
+    @property
+    def strict(self) -> bool:
+        """Loose, and at every sample in the air enough fingers and force closure."""
+        return self.loose and self.least_fingers >= self.bounds.fingers and not self.open_samples
+
+    @property
+    def time_to_angle(self) -> float:
+        """Time from the beginning of the turn until the angle was reached, s; NaN if never."""
+        turning = self.track.during("turn", "hold")
+        done = self.track.turn[turning] * np.sign(self.asked) >= abs(self.asked)
+        if not done.any():
+            return float("nan")
+        times = self.track.time[turning]
+        return float(times[np.argmax(done)] - times[0])
+
+    @property
+    def largest_tilt(self) -> float:
+        """Largest rotation beside the turn, while turning and holding, rad."""
+        return self._largest(self.track.tilt)
+
+    @property
+    def largest_off_path(self) -> float:
+        """Largest distance of the object from where it was wanted, while turning and holding, m."""
+        return self._largest(self.track.off_path)
+
+    def __str__(self) -> str:
+        """Phase by phase, contact modes, and the verdict."""
+        lines = [str(check) for check in self.checks]
+        if self.track.during("turn").size:
+            lines += ["", *self._modes(), ""]
+            numbers = self.numbers()
+            lines += [
+                f"turned {numbers['turned_deg']:.2f} of {np.rad2deg(self.asked):.1f} degrees, "
+                f"reached after {numbers['time_to_angle_s']:.2f} s; tilt up to "
+                f"{numbers['largest_tilt_deg']:.2f} degrees off the planned attitude, centre up to "
+                f"{numbers['largest_off_path_mm']:.2f} mm off its path",
+                f"in the air: at least {self.least_fingers} fingers touched, "
+                f"{self.open_samples} samples without force closure",
+            ]
+        lines += [f"controller: {e.time:.2f} s {e.kind} {e.finger} {e.detail}" for e in self.events]
+        verdict = "complete" if self.complete else f"failed in {self.reason}"
+        strictness = "strict" if self.strict else "loose" if self.loose else "not turned"
+        return "\n".join([*lines, f"{verdict}; the turn: {strictness}"])
+
+    def _modes(self) -> list[str]:
+        """Contact modes of each finger while the object is turned, planned above measured."""
+        index = self.track.during("turn")
+        index = index[:: max(1, len(index) // MODE_LETTERS)]
+        lines = [f"contact modes during the turn ({', '.join(f'{v} {k}' for k, v in LETTERS)}):"]
+        width = max(len(f) for f in self.fingers)
+        for i, finger in enumerate(self.fingers):
+            for name, modes in (
+                ("planned", self.planned_modes),
+                ("measured", self.measured_modes),
+            ):
+                row = "".join(dict(LETTERS)[str(m)] for m in modes[index, i])
+                lines.append(f"  {finger:<{width}} {name:<8} {row}")
+        return lines
+
+    def numbers(self) -> dict[str, float]:
+        """The figures of a row in a table."""
+        after = self.after
+        return {
+            "turned_deg": float(np.rad2deg(self.turned)),
+            "time_to_angle_s": self.time_to_angle,
+            "largest_tilt_deg": float(np.rad2deg(self.largest_tilt)),
+            "largest_off_path_mm": 1e3 * self.largest_off_path,
+            "least_fingers": float(self.least_fingers),
+            "open_samples": float(self.open_samples),
+            "epsilon_after": float("nan") if after is None else after.epsilon,
+            "duration_s": self.checks[-1].end if self.checks else 0.0,
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return {
+            "complete": self.complete,
+            "strict": self.strict,
+            "loose": self.loose,
+            "dropped": self.dropped,
+            "reason": self.reason,
+            "fingers": list(self.fingers),
+            "asked_deg": float(np.rad2deg(self.asked)),
+            "numbers": finite(self.numbers()),
+            "phases": [
+                {
+                    "phase": c.step,
+                    "begin_s": c.begin,
+                    "end_s": c.end,
+                    "passed": c.passed,
+                    "reason": c.reason,
+                    "numbers": finite(c.numbers),
+                }
+                for c in self.checks
+            ],
+            "contact_modes": {
+                finger: mode_table(self.planned_modes[:, i], self.measured_modes[:, i])
+                for i, finger in enumerate(self.fingers)
+            },
+            "events": [vars(e) for e in self.events],
+            "pictures": self.pictures,
+        }
+
+    def _largest(self, values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
+        turning = values[self.track.during("turn", "hold")]
+        return float(np.nanmax(turning)) if np.isfinite(turning).any() else float("nan")

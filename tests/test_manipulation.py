@@ -1,0 +1,452 @@
+"""Turning in the hand: signed twists, contact modes, the reference, and a whole pick and place."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from planner.collision import CollisionWorld
+from planner.errors import NotFoundError, TaskError
+from planner.motion.release import find_release
+from planner.objects import parse_object
+from planner.plain import finite
+from planner.spatial import SE3, FloatArray, signed_twist
+from sim.bench.manipulate import FRICTION, MASS, SIZE, Conditions, manipulate_table, run_manipulate
+from sim.cli.manipulation import _turn
+from sim.controllers.follow import LEAD, RATE, MotionReference
+from sim.controllers.pads import CREEP, PadReading
+from sim.controllers.slip import SLIP_SPEED, SlipDetector
+from sim.controllers.torques import HoldingTorques
+from sim.manipulation import (
+    STEPS,
+    Bounds,
+    ManipulationPlan,
+    ManipulationReport,
+    Pace,
+    manipulate,
+    manipulation_task,
+    plan_manipulation,
+)
+from sim.manipulation.checks import placed, tilt_between, undisturbed
+from sim.manipulation.modes import measured_modes, mode_table, planned_modes
+from sim.manipulation.plan import _rounds
+from sim.physics import PhysicsOptions
+
+UP = np.array([0.0, 0.0, 1.0])
+DT = 0.002
+ANGLE = math.radians(40.0)
+
+QUICK = Pace(
+    approach=0.4,
+    close=0.3,
+    squeeze=0.3,
+    verify=0.1,
+    lift=0.4,
+    hold=0.2,
+    carry=0.5,
+    lower=0.4,
+    open=0.3,
+    retreat=0.4,
+    height=0.03,
+)
+
+
+@pytest.fixture(scope="module")
+def plan() -> ManipulationPlan:
+    """A small turn of a cylinder by an Allegro-type hand; the mass is what it may be at most."""
+    task = manipulation_task("allegro_hand", parse_object("cylinder:0.03x0.08", mass=0.2), mu=0.45)
+    return plan_manipulation(task, angle=ANGLE, place=(0.04, -0.02), seed=0)
+
+
+@pytest.fixture(scope="module")
+def report(plan: ManipulationPlan) -> ManipulationReport:
+    """What comes of it where the object is lighter, and stands beside its place."""
+    task = plan.motion.grasp.task
+    pose = task.T_world_object
+    really = replace(
+        task,
+        object=replace(task.object, mass=0.1),
+        T_world_object=SE3(pin.exp3(0.05 * UP), pose.translation + np.array([0.001, -0.002, 0.0])),
+    )
+    return manipulate(plan, really=really, physics=PhysicsOptions(mu=0.6), pace=QUICK)
+
+
+# --- signed twist ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("degrees", [-170.0, -90.0, 0.0, 30.0, 179.0])
+def test_a_twist_keeps_its_sign_whatever_the_tilt(degrees: float) -> None:
+    turn = math.radians(degrees)
+    swing = pin.exp3(np.array([0.3, -0.2, 0.0]))  # about an axis perpendicular to the twist's
+    assert signed_twist(swing @ pin.exp3(turn * UP), UP) == pytest.approx(turn, abs=1e-12)
+    assert signed_twist(pin.exp3(turn * UP), -UP) == pytest.approx(-turn, abs=1e-12)
+
+
+def test_a_pure_swing_has_no_twist() -> None:
+    assert signed_twist(pin.exp3(np.array([0.0, 1.2, 0.0])), UP) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_twist_that_is_followed_counts_whole_turns() -> None:
+    counted = 0.0
+    for turn in np.linspace(0.0, 4.0 * math.pi, 50):
+        counted = signed_twist(pin.exp3(turn * UP), UP, near=counted)
+    assert counted == pytest.approx(4.0 * math.pi)
+
+
+# --- contact modes -----------------------------------------------------------------------------
+
+
+def test_modes_of_constructed_samples() -> None:
+    time: FloatArray = 0.02 * np.arange(10, dtype=np.float64)
+    points = np.zeros((10, 4, 3))
+    points[:, 1, 0] = 0.004 * time  # wanders at 4 mm/s
+    points[:, 2, 0] = 0.001 * time  # at 1 mm/s: sticks
+    points[5:, 3] = np.nan
+    sliding = np.zeros((10, 4))
+    sliding[3, 2] = 2 * SLIP_SPEED
+    wanted = np.ones((10, 4), dtype=bool)
+    wanted[8:, 3] = False
+    modes = measured_modes(time, points, sliding, wanted)
+    assert set(modes[:, 0]) == {"stick"}
+    assert set(modes[:, 1]) == {"roll"}
+    assert modes[:, 2].tolist() == ["stick"] * 3 + ["slip"] + ["stick"] * 6
+    assert modes[:, 3].tolist() == ["stick"] * 5 + ["break"] * 3 + ["off"] * 2
+    planned = planned_modes(time, points)
+    assert set(planned[5:, 3]) == {"off"}
+    assert mode_table(planned[:, 3], modes[:, 3]) == {
+        "off": {"off": 2, "break": 3},
+        "stick": {"stick": 5},
+    }
+
+
+def reading(sliding: float, spin: float) -> PadReading:
+    return PadReading(
+        normal_force=np.array([2.0]),
+        force=np.array([[2.0, 0.0, 0.0]]),
+        position=np.zeros((1, 3)),
+        normal=np.array([[1.0, 0.0, 0.0]]),
+        sliding=np.array([[0.0, sliding, 0.0]]),
+        spin=np.array([spin]),
+    )
+
+
+@pytest.mark.parametrize(("spin", "alarms"), [(0.0, 1), (1.0, 0), (-1.0, 0), (0.2, 1)])
+def test_creeping_of_a_pad_that_spins_is_no_slip(spin: float, alarms: int) -> None:
+    detector = SlipDetector(1)
+    # 9 mm/s: 1 rad/s explains 10, 0.2 rad/s only 2
+    assert pytest.approx(0.01) == CREEP
+    assert sum(int(detector.update(DT, reading(0.009, spin))[0]) for _ in range(50)) == alarms
+
+
+# --- the reference -----------------------------------------------------------------------------
+
+
+def led(plan: ManipulationPlan, reference: MotionReference, follow: Any) -> list[float]:
+    """Places of the reference over 4 s, while ``follow`` says how far (rad) the object has come."""
+    motion = plan.motion
+    first = motion.grasp.T_world_palm.inverse() * motion.knots[0].T_world_object
+    tips, q, places = np.zeros((4, 3)), motion.knots[0].q, []
+    for k in range(2000):
+        turn = follow(k * DT, reference)
+        pose = SE3(pin.exp3(turn * reference.axis) @ first.rotation, first.translation)
+        reference.advance(DT, pose, tips, q, missed=0.0)
+        places.append(reference.place)
+    return places
+
+
+def test_a_reference_waits_for_an_object_that_stalls(plan: ManipulationPlan) -> None:
+    stalled = math.radians(15.0)
+    reference = MotionReference(plan.motion, angle=plan.angle)
+
+    def follow(_: float, r: MotionReference) -> float:
+        return min(stalled, r.place * plan.motion.path.angle)
+
+    places = np.array(led(plan, reference, follow))
+    ahead = places * plan.motion.path.angle - stalled
+    assert ahead.max() <= LEAD + 1e-9
+    assert ahead[-1] > 0.5 * LEAD  # it presses on
+    assert not reference.arrived
+    assert reference.turned == pytest.approx(stalled)
+    assert reference.left == pytest.approx(plan.angle - stalled)
+
+
+def test_a_reference_goes_no_faster_than_it_may(plan: ManipulationPlan) -> None:
+    reference = MotionReference(plan.motion, angle=plan.angle, rate=0.8)
+    places = np.array(led(plan, reference, lambda _, r: r.place * plan.motion.path.angle))
+    rates = np.diff(places) * plan.motion.path.angle / DT
+    assert rates.max() == pytest.approx(0.8, rel=1e-6)
+    assert (rates >= 0).all()
+    assert reference.arrived
+    assert places[-1] * plan.motion.path.angle == pytest.approx(plan.angle)
+    # a jump of the rate would be felt as a blow: 0.8 rad/s take 0.15 s
+    assert np.diff(rates).max() / DT <= 0.8 / 0.15 + 1e-6
+
+
+def test_missed_forces_slow_a_reference_down(plan: ManipulationPlan) -> None:
+    def gone(missed: float) -> float:
+        reference = MotionReference(plan.motion)
+        start = plan.motion.grasp.T_world_palm.inverse() * plan.motion.knots[0].T_world_object
+        for _ in range(250):
+            turn = reference.place * plan.motion.path.angle
+            pose = SE3(pin.exp3(turn * reference.axis) @ start.rotation, start.translation)
+            reference.advance(DT, pose, np.zeros((4, 3)), plan.motion.knots[0].q, missed=missed)
+        return reference.place
+
+    assert 0.0 < gone(1.0) < 0.5 * gone(0.0)
+
+
+def test_a_reference_begins_where_the_object_is_and_ends_on_the_path(
+    plan: ManipulationPlan,
+) -> None:
+    motion = plan.motion
+    T_palm_world = motion.grasp.T_world_palm.inverse()
+    first = T_palm_world * motion.knots[0].T_world_object
+    about = pin.exp3(0.04 * motion.grasp.T_world_palm.rotation.T @ UP)
+    actual = SE3(about @ first.rotation, first.translation + np.array([0.002, 0.0, -0.001]))
+    tips, q = np.zeros((4, 3)), motion.knots[0].q
+    reference = MotionReference(motion)
+    target = reference.advance(DT, actual, tips, q, missed=0.0)
+    assert target.T_palm_object.isApprox(actual, 1e-9)
+    np.testing.assert_allclose(target.tips, tips, atol=1e-12)
+    last, before, twist = target, target.T_palm_object, target.twist
+    for _ in range(3000):
+        turn = pin.exp3(reference.place * motion.path.angle * reference.axis)
+        pose = SE3(turn @ actual.rotation, actual.translation)
+        last = reference.advance(DT, pose, tips, q, missed=0.0)
+        # the wanted twist is the derivative of the wanted pose, up to a step
+        moved = (last.T_palm_object.translation - before.translation) / DT
+        assert np.abs(moved - twist[:3]).max() < 4e-3
+        before, twist = last.T_palm_object, last.twist
+    end = T_palm_world * motion.knots[-1].T_world_object
+    np.testing.assert_allclose(last.T_palm_object.translation, end.translation, atol=1e-9)
+    # the heading keeps its own error: the measured turn is what was asked for
+    np.testing.assert_allclose(last.T_palm_object.rotation, about @ end.rotation, atol=1e-9)
+    np.testing.assert_allclose(last.q, motion.knots[-1].q, atol=1e-9)
+
+
+def test_a_reference_refuses_what_was_not_planned(plan: ManipulationPlan) -> None:
+    with pytest.raises(TaskError, match="was planned for"):
+        MotionReference(plan.motion, angle=plan.motion.path.angle + 0.1)
+    with pytest.raises(TaskError, match="was planned for"):
+        MotionReference(plan.motion, angle=-0.1)
+    with pytest.raises(TaskError, match="rate is 0"):
+        MotionReference(plan.motion, rate=0.0)
+
+
+def test_what_joints_take_for_moving_is_made_up_for(plan: ManipulationPlan) -> None:
+    grasp = plan.motion.grasp
+    torques = HoldingTorques(grasp)
+    torques.move(grasp.q, np.zeros_like(grasp.q), np.array([0.0, 0.0, -9.81]))
+    still = torques.own_torque.copy()
+    rates: FloatArray = np.linspace(-1.0, 1.0, len(grasp.q))
+    torques.aim(np.zeros((4, 3)), grasp.q, rates)
+    # the Allegro-type model has 0.1 N m s/rad on every joint and no dry friction
+    np.testing.assert_allclose(torques.own_torque - still, 0.1 * rates, atol=1e-12)
+    torques.move(grasp.q, np.zeros_like(grasp.q), np.array([0.0, 0.0, -9.81]))
+    np.testing.assert_allclose(torques.own_torque, still, atol=1e-12)
+
+
+# --- the plan and the run ----------------------------------------------------------------------
+
+
+def test_a_plan_knows_how_to_let_go(plan: ManipulationPlan) -> None:
+    motion, release = plan.motion, plan.release
+    end, task = motion.knots[-1], motion.grasp.task
+    there = replace(task, T_world_object=end.T_world_object, table_height=None)
+    world = CollisionWorld(there)
+    assert world.touching(motion.T_world_base, release.q, clearance=0.0005) is None
+    again = find_release(motion)
+    assert not isinstance(again, str)
+    np.testing.assert_array_equal(again.q, release.q)
+
+
+def test_a_target_stands_on_the_table_turned(plan: ManipulationPlan) -> None:
+    target = plan.T_world_target
+    np.testing.assert_allclose(target.translation, [0.04, -0.02, 0.04], atol=1e-12)
+    assert signed_twist(target.rotation, UP) == pytest.approx(ANGLE)
+
+
+def test_every_phase_passes_and_the_turn_is_strict(report: ManipulationReport) -> None:
+    assert report.complete, str(report)
+    assert tuple(c.step for c in report.checks) == STEPS
+    assert report.strict
+    assert not report.dropped
+    assert report.reason == ""
+    assert math.degrees(report.turned) == pytest.approx(40.0, abs=1.0)
+    assert report.turned >= ANGLE
+    assert report.time_to_angle < ANGLE / RATE + 0.5
+    assert math.degrees(report.largest_tilt) < 3.0
+    assert report.largest_off_path < 2e-3
+
+
+def test_the_object_ends_where_it_was_asked_for(
+    plan: ManipulationPlan, report: ManipulationReport
+) -> None:
+    last = report.checks[-1].numbers
+    # it stood 2 mm and 3 degrees beside its place, and nobody was told
+    assert last["off_mm"] < 3.0
+    assert abs(last["heading_deg"]) < 2.0
+    assert last["tilt_deg"] < 0.5
+    assert abs(last["above_mm"]) < 0.5
+
+
+def test_samples_are_20_ms_apart_and_roll_as_planned(report: ManipulationReport) -> None:
+    track = report.track
+    np.testing.assert_allclose(np.diff(track.time), 0.02, atol=1e-9)
+    turning = track.during("turn")
+    assert (np.diff(track.turn[turning]) > -1e-3).all()
+    same = report.planned_modes[turning] == report.measured_modes[turning]
+    assert same.mean() > 0.7
+    assert (report.measured_modes[turning] == "roll").mean() > 0.5
+    assert report.after is not None
+    assert report.after.closure.closed
+
+
+def test_a_report_is_plain_data_and_reads_well(report: ManipulationReport) -> None:
+    data = json.loads(json.dumps(finite(report.to_dict())))
+    assert data["strict"] is True
+    assert [p["phase"] for p in data["phases"]] == list(STEPS)
+    text = str(report)
+    assert "complete; the turn: strict" in text
+    assert "thumb" in text
+
+
+def test_a_lost_contact_or_an_open_sample_is_not_strict(report: ManipulationReport) -> None:
+    air = report.track.during("turn")[3]
+    touching = report.track.touching.copy()
+    touching[air] = 2
+    two = replace(report, track=replace(report.track, touching=touching))
+    assert two.loose
+    assert not two.strict
+    closed = report.track.closed.copy()
+    closed[air] = False
+    opened = replace(report, track=replace(report.track, closed=closed))
+    assert opened.loose
+    assert not opened.strict
+    touching[air] = 0
+    gone = replace(report, track=replace(report.track, touching=touching))
+    assert gone.dropped
+    assert not gone.loose
+
+
+def test_a_turn_on_ice_fails_with_a_reason(plan: ManipulationPlan) -> None:
+    told = manipulate(plan, physics=PhysicsOptions(mu=0.05), pace=QUICK)
+    assert not told.complete
+    assert not told.strict
+    assert told.reason
+
+
+def test_a_turn_beyond_one_stroke_is_refused(plan: ManipulationPlan) -> None:
+    with pytest.raises(TaskError, match="at most a half turn"):
+        plan_manipulation(plan.motion.grasp.task, angle=math.radians(200.0))
+
+
+def test_fingers_are_spared_only_where_they_may_be() -> None:
+    item = parse_object("cylinder:0.03x0.08", mass=0.3)
+    task = manipulation_task("allegro_hand", item, mu=0.45)
+    tried = [t for t, _, _ in itertools.islice(_rounds(task), 7)]
+    assert [len(t.finger_names) for t in tried] == [4, 3, 3, 3, 3, 4, 4]
+    assert all("thumb" in t.finger_names for t in tried[:4])
+    assert "thumb" not in tried[4].finger_names
+    # three fingers carry the same weight as four
+    assert tried[1].grip_force * 3 == pytest.approx(tried[0].grip_force * 4)
+    named = manipulation_task("allegro_hand", item, mu=0.45, fingers=task.finger_names)
+    assert all(len(t.finger_names) == 4 for t, _, _ in itertools.islice(_rounds(named), 4))
+
+
+def test_a_task_without_a_table_is_refused(plan: ManipulationPlan) -> None:
+    task = replace(plan.motion.grasp.task, table_height=None)
+    with pytest.raises(TaskError, match="no table"):
+        plan_manipulation(task, angle=ANGLE)
+
+
+# --- checks ------------------------------------------------------------------------------------
+
+
+def test_checks_on_paper() -> None:
+    first = SE3.Identity()
+    moved = SE3(pin.exp3(np.array([0.1, 0.0, 0.0])), np.array([0.003, 0.004, 0.0]))
+    reason, numbers = undisturbed(first, moved, Bounds())
+    assert reason == ""
+    assert numbers["moved_mm"] == pytest.approx(5.0)
+    assert tilt_between(first, moved) == pytest.approx(math.degrees(0.1))
+    far = SE3(np.eye(3), np.array([0.03, 0.0, 0.0]))
+    assert "moved by 30.0 mm" in undisturbed(first, far, Bounds())[0]
+    assert "30.0 mm beside" in placed(first, far, Bounds())[0]
+    turned = SE3(pin.exp3(math.radians(-7.0) * UP), np.zeros(3))
+    reason, numbers = placed(first, turned, Bounds())
+    assert "-7.0 degrees off its heading" in reason
+    assert numbers["heading_deg"] == pytest.approx(-7.0)
+
+
+# --- the benchmark and the commands ------------------------------------------------------------
+
+
+def test_conditions_keep_their_ranges_and_their_seed() -> None:
+    drawn = [Conditions.draw("cylinder", 0.08, np.random.default_rng([1, k])) for k in range(200)]
+    again = Conditions.draw("cylinder", 0.08, np.random.default_rng([1, 7]))
+    assert again == drawn[7]
+    sizes = [2 * float(c.spec.split(":")[1].split("x")[0]) for c in drawn]
+    for values, (low, high) in (
+        (sizes, SIZE),
+        ([c.mass for c in drawn], MASS),
+        ([c.mu for c in drawn], FRICTION),
+        ([math.degrees(c.heading) for c in drawn], (-5.0, 5.0)),
+        ([1e3 * c.shift[0] for c in drawn], (-3.0, 3.0)),
+    ):
+        assert low - 1e-9 <= min(values) < low + 0.1 * (high - low)
+        assert high - 0.1 * (high - low) < max(values) <= high + 1e-9
+    assert all(math.hypot(*c.push) == pytest.approx(0.4) for c in drawn)
+
+
+def test_a_table_counts_over_all_trials() -> None:
+    base: dict[str, Any] = {"hand": "h", "kind": "cylinder", "found": True, "planning_cpu_s": 1.0}
+    good = {
+        "strict": True,
+        "loose": True,
+        "complete": True,
+        "dropped": False,
+        "time_to_angle_s": 1.5,
+        "turned_deg": 90.5,
+        "largest_tilt_deg": 1.0,
+        "largest_off_path_mm": 0.5,
+        "least_fingers": 4.0,
+        "place_off_mm": 1.0,
+        "place_heading_deg": -0.5,
+    }
+    rows = [{**base, **good}, {**base, "dropped": True}, {**base, "found": False}]
+    table = manipulate_table({"rows": rows})
+    cells = [next(iter(column.cells)) for column in table.columns]
+    assert cells[2:7] == ["2/3", "1/3", "1/3", "1/3", "1/3"]
+    assert cells[7:9] == ["1.50", "0.50"]
+
+
+def test_an_unknown_kind_is_refused_before_any_work(tmp_path: Any) -> None:
+    with pytest.raises(NotFoundError, match="cone"):
+        run_manipulate(
+            ["allegro_hand"],
+            ["cone"],
+            1,
+            height=0.08,
+            fingers=None,
+            seed=0,
+            file=tmp_path / "rows.jsonl",
+            runner=None,  # type: ignore[arg-type]
+        )
+
+
+@pytest.mark.parametrize("text", ["q:90", "z", "z:", "z:a", "z:1,2"])
+def test_a_turn_that_cannot_be_read_is_refused(text: str) -> None:
+    with pytest.raises(TaskError, match="--rotate"):
+        _turn(text)
+
+
+def test_a_turn_is_an_axis_and_degrees() -> None:
+    assert _turn("y:-45") == ([0.0, 1.0, 0.0], -45.0)
