@@ -84,7 +84,7 @@ class Stage(Trial):
         )
         self._push = push
         self.mover = BaseMover(self.scene.mount, grasp.T_world_base_start)
-        self._carrier = self.mover
+        self.carrier = self.mover
         self.watch = Watch(self.scene, self.driver.reference.axis)
         self._sample_steps = max(1, round(SAMPLE_EVERY / self.scene.physics.timestep))
 
@@ -115,9 +115,9 @@ class Stage(Trial):
         for k in range(max(steps, longest)):
             if self._push is not None and step == "turn":
                 self._push_object(self._push, float(self.data.time) - begin)
-            touching = self._step(PHASE_OF[step], min(1.0, k / steps))
-            fault = self._divergence() or self._dropped(step)
-            if fault or self._steps % self._sample_steps == 0:
+            touching = self.step(PHASE_OF[step], min(1.0, k / steps))
+            fault = self.divergence() or self._dropped(step)
+            if fault or self.steps % self._sample_steps == 0:
                 place = self.driver.reference.place
                 self.watch.take(self.data, step, place, self.driver.holding.T_palm_wanted)
             if fault or (k + 1 >= steps and (until is None or until(touching))):
