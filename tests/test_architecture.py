@@ -227,6 +227,7 @@ ALLOWED = {
     "planner.motion": (
         "errors",
         "spatial",
+        "attempts",
         "collision",
         "contacts",
         "forces",

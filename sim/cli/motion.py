@@ -42,7 +42,7 @@ def plan_motion(
     shift: Annotated[
         str, typer.Option(help="Translation of the object, m, world: x,y,z.")
     ] = "0,0,0",
-    tube: Annotated[float, typer.Option(help="How far the object may leave its path, m.")] = 0.01,
+    tube: Annotated[float, typer.Option(help="How far the object may leave its path, m.")] = 0.02,
     fingers: FingersOption = None,
     seed: SeedOption = 0,
     mu: MuOption = 0.5,
