@@ -15,6 +15,7 @@ import numpy as np
 
 from planner.errors import TaskError
 from planner.motion.check import MotionJudge
+from planner.motion.holds import Hold
 from planner.motion.path import ObjectPath
 from planner.motion.plan import MotionPlan, MotionRecord
 from planner.motion.problems import motion_problem_for
@@ -81,6 +82,8 @@ class Ground:
         whole: bool,
         tube: float,
         rounds: int,
+        exact_end: bool,
+        holds: tuple[Hold, ...],
     ) -> Ground:
         """Build it.
 
@@ -92,11 +95,20 @@ class Ground:
             whole: Whether all of the path is asked for, else as much of it as there is.
             tube: Radius within which the object may leave the path, m.
             rounds: How many rounds work on closure once a whole path is reached.
+            exact_end: Whether the object ends on its path.
+            holds: What must hold while a finger is away.
         """
         seeder = seeder_for(task)
-        problem, build_s = motion_problem_for(task, n_knots)
+        problem, build_s = motion_problem_for(task, n_knots, holds)
         solver = MotionSolver(
-            problem, task, path, options, tube=tube, posture=seeder.posture, rounds=rounds
+            problem,
+            task,
+            path,
+            options,
+            tube=tube,
+            posture=seeder.posture,
+            rounds=rounds,
+            exact_end=exact_end,
         )
         return cls(seeder=seeder, solver=solver, judge=_judge(task), whole=whole, build_s=build_s)
 

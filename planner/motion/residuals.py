@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from planner.motion.holds import turned
 from planner.motion.problem import MotionNumbers, MotionProblem
 from planner.motion.unknowns import SHARE, SHARED, TUBE, placement
 from planner.spatial import FloatArray, IntArray
@@ -40,12 +41,14 @@ class Tally:
         terms: Of each knot, how many other rows count.
         rolling: Sliding.
         tube: Knots outside the tube.
+        holds: Of each hold, how many rows count.
     """
 
     avoided: tuple[IntArray, ...]
     terms: tuple[int, ...]
     rolling: int
     tube: int
+    holds: tuple[int, ...]
 
 
 class MotionResiduals:
@@ -112,6 +115,7 @@ class MotionResiduals:
             terms=tuple(counted),
             rolling=3 * u.grasp.n_contacts * (u.n_knots - 1),
             tube=len(self._tube(z)[0]),
+            holds=tuple(len(self._hold(h, z)[0]) for h in range(u.n_holds)),
         )
 
     def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -133,6 +137,7 @@ class MotionResiduals:
             terms.append((r[:n], rows[:n]))
             costs.append((r[n:], rows[n:]))
         terms += [self._rolling(placed), self._tube(z)]
+        terms += [self._hold(h, z) for h in range(len(self.problem.holds))]
         costs.append((self._bends @ z, self._bends))
         if self.pull:
             row = np.zeros((1, u.size))
@@ -167,6 +172,35 @@ class MotionResiduals:
             self._spread(mine, local[:, :size], placed[k][1], k)
             self._spread(mine, local[:, size:], placed[k + 1][1], k + 1)
         return PER_METRE * values.T.ravel(), PER_METRE * rows
+
+    def _hold(self, h: int, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What hold h asks for."""
+        problem, n = self.problem, self.numbers
+        u, hold = problem.unknowns, problem.holds[h]
+        n_contacts = u.grasp.n_contacts
+        others = [j for j in range(n_contacts) if j != hold.lifted]
+        knots = [hold.knots[j] % u.n_knots for j in others]
+        p = problem.grasp.formulation.unpack(n.knots[0])
+        shares = n.places[knots] * z[SHARE]
+        first = TUBE + u.grasp.n_joints
+        columns = np.concatenate(
+            [
+                np.arange(3) + u.columns(k).start + first + 3 * j
+                for j, k in zip(others, knots, strict=True)
+            ]
+        )
+        mine = np.arange(u.size)[u.hold_columns(h)]
+        values, slopes = problem.hold_rows(
+            z[columns].reshape(-1, 3),
+            z[mine].reshape(-1, 3),
+            turned(n.axis, shares * n.angle),
+            shares[:, None] * n.shift,
+            p,
+            p["codes"].reshape(n_contacts, -1)[others],
+        )
+        rows = np.zeros((len(values), u.size))
+        rows[:, np.concatenate([columns, mine])] = slopes
+        return values, rows
 
     def _steady(self) -> FloatArray:
         """Rows by which joints are asked to go evenly: their second differences over the knots."""

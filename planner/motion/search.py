@@ -61,6 +61,7 @@ def motion_attempts(
     tube: float = TUBE,
     seed: int = 0,
     strengthen: bool = False,
+    exact_end: bool = False,
     options: SynthesisOptions = MOTION_OPTIONS,
 ) -> Iterator[MotionAttempt]:
     """Endless independent attempts; attempt i depends on ``seed`` and i alone.
@@ -74,6 +75,8 @@ def motion_attempts(
         tube: Radius within which the object may leave the path, m.
         seed: Same seed, same attempts.
         strengthen: Whether to work on closure once a whole path is reached.
+        exact_end: Whether the object ends on its path, and leaves it within the tube only on the
+            way there.
         options: Margins and weights at each knot.
 
     Raises:
@@ -93,6 +96,8 @@ def motion_attempts(
             whole=whole,
             tube=tube,
             rounds=ROUNDS * strengthen,
+            exact_end=exact_end,
+            holds=(),
         )
 
     def make(index: int) -> MotionPlan | str:
