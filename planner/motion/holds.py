@@ -27,7 +27,7 @@ from planner.synthesis.terms import PRESS_MIN
 
 __all__ = ["Hold", "HoldRows", "turned"]
 
-HOLD_SHARE = 0.9
+HOLD_SHARE = 0.85
 """Share of the friction coefficient (-) that the internal force of a hold may use. With the share
 of a grasp (0.7) the others would have to reach much further around the object; what is reached is
 judged with a margin of its own."""

@@ -17,7 +17,15 @@ from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
 
-__all__ = ["MotionAttempt", "motion_attempts", "plan_motion"]
+__all__ = [
+    "MOTION_OPTIONS",
+    "TUBE",
+    "UP",
+    "MotionAttempt",
+    "check_task",
+    "motion_attempts",
+    "plan_motion",
+]
 
 MotionAttempt = Attempt[MotionPlan]
 """One attempt: a motion, or the reason why there is none."""
@@ -82,7 +90,7 @@ def motion_attempts(
     Raises:
         TaskError: The task or the path cannot work, found out before solving.
     """
-    _check(task, tube, seed)
+    check_task(task, tube, seed)
     sets = finger_sets(task)
     n_knots = _knots(path) if whole else STRETCH_KNOTS
 
@@ -185,7 +193,12 @@ ROUNDING = 1e-9
 """A path longer than a whole number of pieces by this (-) has that number."""
 
 
-def _check(task: GraspTask, tube: float, seed: int) -> None:
+def check_task(task: GraspTask, tube: float, seed: int) -> None:
+    """Check what every motion needs.
+
+    Raises:
+        TaskError: The base or the wrist is not as it must be, or a number is out of range.
+    """
     if task.hand.arm is not None or task.T_world_base is not None:
         raise TaskError(
             f"the base of {task.hand.name} is fixed in this task; a motion is planned for a hand "
