@@ -19,11 +19,11 @@ from planner.gait.order import NoOrder, Order, find_order, holding, standing
 from planner.gait.plan import GaitPlan, Relocation, Stroke
 from planner.gait.relocate import FingerPaths
 from planner.judge import plan_forces
-from planner.motion import MotionPlan
+from planner.motion import Knot, MotionPlan
 from planner.motion.check import MotionJudge, Place
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.touch import pad_touches
-from planner.synthesis.verify import TOUCH_TOL, contacts_of
+from planner.synthesis.verify import TOUCH_TOL, contacts_of, verify
 from planner.task import GraspTask
 
 __all__ = ["GaitJudge"]
@@ -35,6 +35,10 @@ finger between two others presses the object out of them, so it is to press ligh
 HOLDING_SHARE = 0.9
 """Share of the friction coefficient (-) that their forces may use. A grasp uses 0.8; while a finger
 is away every degree around the object counts."""
+
+SAME_POINT, SAME_NORMAL = 1e-5, 1e-3
+"""How far contacts (m) and normals (-) of a later stroke may be from those of the first to count as
+the same: far below what is allowed of a touch."""
 
 HOLDING_EDGES = 16
 """Sides of the pyramid of those forces, for the same reason: it gives away 2 % of the friction."""
@@ -107,20 +111,52 @@ class GaitJudge:
 
     def _stroke(self, stroke: MotionPlan, cycle: int) -> Stroke | str:
         """A later stroke, judged where the object is by then; or why it does not hold."""
+        poses = [_displaced(knot.T_world_object, stroke, cycle) for knot in stroke.knots]
+        alike = [
+            self._alike(knot, pose, stroke) for knot, pose in zip(stroke.knots, poses, strict=True)
+        ]
+        same = [knot for knot in alike if knot is not None]
+        if len(same) == len(alike):
+            return Stroke(cycle=cycle, knots=tuple(same))
         places = [
             Place(
                 place=knot.place,
-                T_object_base=_displaced(knot.T_world_object, stroke, cycle).inverse()
-                * stroke.T_world_base,
+                T_object_base=pose.inverse() * stroke.T_world_base,
                 q=knot.q,
             )
-            for knot in stroke.knots
+            for knot, pose in zip(stroke.knots, poses, strict=True)
         ]
-        start = _displaced(stroke.knots[0].T_world_object, stroke, cycle)
         knots = self._motion.knots(
-            stroke.T_world_base, places, stroke.path, stroke.tube, T_world_start=start
+            stroke.T_world_base, places, stroke.path, stroke.tube, T_world_start=poses[0]
         )
         return knots if isinstance(knots, str) else Stroke(cycle=cycle, knots=knots)
+
+    def _alike(self, knot: Knot, T_world_object: SE3, stroke: MotionPlan) -> Knot | None:
+        """A knot of the first stroke with the object elsewhere, if the hand feels no difference.
+
+        The same contacts in the world close as before and bear the weight with the same forces; on
+        the way there the pads slide as little as before. What is near is looked at again.
+        """
+        task = self.lifted
+        base = task.T_world_object * T_world_object.inverse() * stroke.T_world_base
+        touches = pad_touches(task, base, knot.q)
+        contacts = contacts_of(task, touches).transformed(
+            T_world_object * task.T_world_object.inverse()
+        )
+        apart = np.abs(contacts.positions - knot.contacts.positions).max()
+        turned = np.abs(contacts.normals - knot.contacts.normals).max()
+        if apart > SAME_POINT or turned > SAME_NORMAL:
+            return None
+        verification = verify(self.paths.world, base, knot.q, touches)
+        if not verification.ok:
+            return None
+        moved = T_world_object.translation - knot.T_world_object.translation
+        return replace(
+            knot,
+            T_world_object=T_world_object,
+            contacts=replace(knot.contacts, center=knot.contacts.center + moved),
+            verification=verification,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -68,7 +68,11 @@ from which the finger does not come back evenly."""
 
 
 class FingerPaths:
-    """Ways of single fingers, for one task, in a world where hand and object alone are."""
+    """Ways of single fingers, for one task.
+
+    Attributes:
+        world: Hand and object alone.
+    """
 
     def __init__(self, task: GraspTask) -> None:
         """Collect the geometry.
@@ -77,7 +81,7 @@ class FingerPaths:
             task: Without table and obstacles: the object is lifted.
         """
         self._task = task
-        self._world = CollisionWorld(task)
+        self.world = CollisionWorld(task)
         self._moving = MovingHand(task.hand, task.hand.q_lower)
 
     def path(
@@ -171,7 +175,7 @@ class FingerPaths:
         self, T_world_base: SE3, q: FloatArray, index: IntArray
     ) -> tuple[FloatArray, FloatArray]:
         """Rates (k, n) of distances that a finger's joints change, and what they lack (k,), m."""
-        near = self._world.near(T_world_base, q, SEEN)
+        near = self.world.near(T_world_base, q, SEEN)
         ahead = self._moving.point_rates(near.joints[:, 1], near.points_b, near.normals)
         behind = self._moving.point_rates(near.joints[:, 0], near.points_a, near.normals)
         rates = (ahead - behind)[:, index]
@@ -198,7 +202,7 @@ class FingerPaths:
         for k, q in enumerate(places[1:-1], start=1):
             leaving = k <= near or k >= len(places) - 1 - near
             touching = holding | (mine if leaving else set())
-            found = self._world.closest(T_world_base, q, 1, touching=touching)
+            found = self.world.closest(T_world_base, q, 1, touching=touching)
             if found and found[0].distance < (-PENETRATION_TOL if leaving else 0.0):
                 return f"the way of {finger.name} is blocked at {_share(k, places)}: {found[0]}"
             gap = self._gap(finger, T_object_base, q)

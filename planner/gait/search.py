@@ -28,11 +28,12 @@ from planner.motion.search import MOTION_OPTIONS, TUBE, UP, check_task
 from planner.spatial import FloatArray
 from planner.synthesis.mesh_seeds import seeder_for
 from planner.synthesis.options import SynthesisOptions
+from planner.synthesis.seeds import frame_of
 from planner.task import GraspTask
 
 __all__ = ["plan_gait"]
 
-STROKES = tuple(np.deg2rad([30.0, 36.0, 24.0]))
+STROKES = tuple(np.deg2rad([30.0, 24.0, 36.0, 20.0]))
 """Turns (rad) of a stroke that attempts take turns between. Longer ones need fewer cycles, shorter
 ones leave the fingers more room to reach around the object while one of them is away."""
 
@@ -96,7 +97,7 @@ def plan_gait(
             tube=tube,
             rounds=0,
             exact_end=True,
-            holds=_holds(task, path, seed),
+            holds=_holds(task, path),
         )
 
     def make(index: int) -> GaitPlan | str:
@@ -154,25 +155,32 @@ def _pieces(axis: FloatArray, angle: float, shift: FloatArray) -> list[tuple[Obj
     return [(ObjectPath(axis=axis, angle=angle / n, shift=shift / n), n) for n in counts]
 
 
+SMALL = 1e-6
+"""Length (-) below which a vector has no direction."""
+
 ROUNDING = 1e-9
 """A path longer than a whole number of strokes by this (-) has that number."""
 
 
-def _holds(task: GraspTask, path: ObjectPath, seed: int) -> tuple[Hold, ...]:
-    """The opposing finger away, those that trail moved on; on a mesh none, by its field's cost."""
+def _holds(task: GraspTask, path: ObjectPath) -> tuple[Hold, ...]:
+    """The opposing finger away, those that trail moved on; none on a mesh, which has no formula."""
     seeder = seeder_for(task)
     if seeder.surface.field_of(task.object.shape) is not None:
         return ()
     n, opposer = len(task.fingers), seeder.pinch.opposer
     others = [i for i in range(n) if i != opposer]
-    start = seeder.draw(np.random.default_rng(seed))
     moved: set[int] = set()
-    if path.angle and not isinstance(start, str):
-        state = HandState(task.hand, seeder.posture)
-        turn = task.T_world_object.rotation @ start.T_object_base.rotation
-        pads = np.array([turn @ state.pad_center(f) for f in task.fingers])
-        across = pads[others].mean(axis=0) - pads[opposer]
-        ahead = np.cross(np.sign(path.angle) * path.axis, across)
-        others.sort(key=lambda i: float(pads[i] @ ahead))
+    if path.angle:
+        # as the hand comes from above, if nothing is noisy
+        sideways = np.cross(path.axis, UP)
+        across = sideways if np.linalg.norm(sideways) > SMALL else np.eye(3)[0]
+        pinch = seeder.pinch
+        turn = frame_of(across / np.linalg.norm(across), np.array(UP))
+        turn = turn @ frame_of(pinch.axis, pinch.palm_side).T
+        ahead = turn.T @ np.cross(np.sign(path.angle) * path.axis, turn @ pinch.axis)
+        hand, state = task.hand, HandState(task.hand, seeder.posture)
+        knuckles = [hand.pin_model.getJointId(f.joints[0]) for f in task.fingers]
+        roots = [float(state.joint_pose(joint).translation @ ahead) for joint in knuckles]
+        others.sort(key=lambda i: roots[i])
         moved = set(others[: len(others) // 2])
     return (Hold(lifted=opposer, knots=tuple(0 if i in moved else -1 for i in range(n))),)
