@@ -20,7 +20,16 @@ from planner.contacts import ContactSet
 from planner.quality import closure_of_wrenches, force_closure, primitive_wrenches
 from planner.spatial import FloatArray
 
-__all__ = ["LIFT_MARGIN", "Lift", "NoOrder", "Order", "find_order", "holding", "standing"]
+__all__ = [
+    "LIFT_MARGIN",
+    "NO_ORDER",
+    "Lift",
+    "NoOrder",
+    "Order",
+    "find_order",
+    "holding",
+    "standing",
+]
 
 LIFT_MARGIN = 0.05
 """Least normalised min-weight (-) of the contacts that hold while a finger is away: that of every
@@ -103,7 +112,7 @@ class NoOrder:
     def __str__(self) -> str:
         """One line per finger that can never be lifted, with the numbers of its best lift."""
         n = len(self.lifts)
-        lines = [f"no order of lifts holds; {n} lift{'s' if n != 1 else ''} looked at"]
+        lines = [f"{NO_ORDER}; {n} lift{'s' if n != 1 else ''} looked at"]
         for i in self.stuck or range(len(self.names)):
             mine = [lift for lift in self.lifts if lift.finger == i and lift.refused]
             if not mine:
@@ -215,6 +224,9 @@ def _closed(contacts: ContactSet, finger: int, moved: frozenset[int], margin: fl
         refused = f"the others close with a margin of {weight:.3f} only (at least {margin})"
     return Lift(finger=finger, moved=moved, margin=weight, refused=refused, proven=proven)
 
+
+NO_ORDER = "no order of lifts holds"
+"""How the answer begins that there is none."""
 
 RANK = 6
 """Rank of the wrenches of a closed grasp."""

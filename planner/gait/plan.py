@@ -137,7 +137,7 @@ class GaitPlan:
         task = self.motion.grasp.task
         lines = [
             f"{task.hand.name} ({', '.join(task.finger_names)}), {task.object.shape.spec}: "
-            f"{self.cycles} strokes of {self.motion.path}",
+            f"{self.cycles} stroke{'s' if self.cycles > 1 else ''} of {self.motion.path}",
             f"  strokes: least closure {self.motion.margin:.3f}, clearance "
             f"{1e3 * self.motion.clearance:.2f} mm",
         ]

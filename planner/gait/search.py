@@ -17,8 +17,9 @@ from functools import cache
 import numpy as np
 
 from planner.attempts import Attempt, nothing_found, numbered
-from planner.errors import TaskError
+from planner.errors import NoGraspFoundError, TaskError
 from planner.gait.check import GaitJudge
+from planner.gait.order import NO_ORDER
 from planner.gait.plan import GaitPlan
 from planner.kinematics import HandState
 from planner.motion import ObjectPath
@@ -43,7 +44,7 @@ STROKE_SHIFT = 0.01
 N_KNOTS = 3
 """Knots of the solver in a stroke: 18 degrees apart at most."""
 
-MAX_ATTEMPTS = 30
+MAX_ATTEMPTS = 20
 """Attempts before giving up."""
 
 
@@ -87,7 +88,7 @@ def plan_gait(
 
     @cache
     def ground(number: int) -> Ground:
-        path, _ = pieces[number]
+        path, cycles, held = pieces[number]
         return Ground.of(
             task,
             path,
@@ -97,8 +98,10 @@ def plan_gait(
             tube=tube,
             rounds=0,
             exact_end=True,
-            holds=_holds(task, path),
+            holds=_holds(task, path) if held and cycles > 1 else (),
         )
+
+    ground(0)  # built for all strokes alike
 
     def make(index: int) -> GaitPlan | str:
         number = index % len(pieces)
@@ -115,13 +118,7 @@ def plan_gait(
             return attempt.plan
         if len(made) >= max_attempts:
             break
-    path, cycles = pieces[0]
-    raise nothing_found(
-        f"regrasping of {task.object.name} with {task.hand.name} "
-        f"({', '.join(task.finger_names)}) for {cycles} strokes of {path}",
-        made,
-        "Try more friction, another object, other fingers or more attempts",
-    )
+    raise _nothing_found(task, pieces[0], made)
 
 
 def _with_all(task: GraspTask) -> GraspTask:
@@ -142,8 +139,28 @@ def _check_fingers(task: GraspTask) -> None:
         )
 
 
-def _pieces(axis: FloatArray, angle: float, shift: FloatArray) -> list[tuple[ObjectPath, int]]:
-    """Strokes that attempts take turns between, and how many of each there are."""
+def _nothing_found(
+    task: GraspTask, piece: tuple[ObjectPath, int, bool], made: list[Attempt[GaitPlan]]
+) -> NoGraspFoundError:
+    """The error of an exhausted budget; it tells what stands against lifting, if that was tried."""
+    path, cycles, _ = piece
+    told = [a.reason for a in made if a.reason.startswith(NO_ORDER)]
+    why = f"Of a stroke that was found, {told[-1]}\n" if told else ""
+    return nothing_found(
+        f"regrasping of {task.object.name} with {task.hand.name} "
+        f"({', '.join(task.finger_names)}) for {cycles} strokes of {path}",
+        made,
+        f"{why}Try more friction, another object, other fingers or more attempts",
+    )
+
+
+def _pieces(
+    axis: FloatArray, angle: float, shift: FloatArray
+) -> list[tuple[ObjectPath, int, bool]]:
+    """What attempts take turns between: a stroke, how many of it, and whether lifts are asked for.
+
+    The last asks for none, so that there is a stroke to tell of where lifts cannot be had.
+    """
     if not np.isfinite(angle):
         raise TaskError(f"angle is {angle} rad; give a finite number")
     counts: list[int] = []
@@ -152,7 +169,9 @@ def _pieces(axis: FloatArray, angle: float, shift: FloatArray) -> list[tuple[Obj
         count = max(1, int(np.ceil(pieces - ROUNDING)))
         if count not in counts:
             counts.append(count)
-    return [(ObjectPath(axis=axis, angle=angle / n, shift=shift / n), n) for n in counts]
+    paths = [(ObjectPath(axis=axis, angle=angle / n, shift=shift / n), n) for n in counts]
+    held = [(path, n, True) for path, n in paths]
+    return held if counts == [1] else [*held, (*paths[0], False)]
 
 
 SMALL = 1e-6
