@@ -7,6 +7,7 @@ from itertools import permutations
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -25,6 +26,7 @@ from planner.motion import plan_motion
 from planner.quality import force_closure
 from planner.spatial import FloatArray
 from planner.task import GraspTask
+from sim.bench.star_hand import write_star_hand
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -222,6 +224,23 @@ def test_lifting_the_allegros_thumb_is_proven_impossible(allegro: Hand) -> None:
     assert isinstance(found, NoOrder) and found.proven
     assert 0 in found.stuck and "thumb: the others do not close" in str(found)
     assert found.spans[0] < found.needed
+
+
+def test_a_hand_of_four_fingers_in_a_circle_finds_an_order(tmp_path: Path) -> None:
+    # three of four at right angles close with any friction, so some order always holds
+    hand = Hand.load(write_star_hand(tmp_path, 4))
+    plan = plan_gait(GraspTask.create(hand, "sphere:0.03"), angle=math.radians(60), seed=1)
+    assert sorted(plan.order) == sorted(hand.fingers)
+    assert min(r.margin for r in plan.relocations) > 0.3
+
+
+def test_a_round_object_is_rolled_about_a_level_axis(tmp_path: Path) -> None:
+    hand = Hand.load(write_star_hand(tmp_path, 4))
+    task = GraspTask.create(hand, "sphere:0.03", mu=0.8)
+    plan = plan_gait(task, axis=(1, 0, 0), angle=math.radians(40), seed=0)
+    first, last = plan.strokes[0].knots[0], plan.strokes[-1].knots[-1]
+    turn = pin.log3(last.T_world_object.rotation @ first.T_world_object.rotation.T)
+    assert np.allclose(turn, [math.radians(40), 0, 0], atol=2e-3)
 
 
 def test_three_fingers_are_refused_before_anything_is_solved(allegro: Hand) -> None:

@@ -44,7 +44,7 @@ STROKE_SHIFT = 0.01
 N_KNOTS = 3
 """Knots of the solver in a stroke: 18 degrees apart at most."""
 
-MAX_ATTEMPTS = 20
+MAX_ATTEMPTS = 30
 """Attempts before giving up."""
 
 
