@@ -17,15 +17,15 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from planner.spatial import FloatArray
 from planner.synthesis.residuals import WEIGHTS
 from planner.synthesis.surfaces import CODE_DIM, SIZE_DIM, Surface
 from planner.synthesis.terms import PRESS_MIN
+from planner.synthesis.unknowns import mrp_matrix
 
-__all__ = ["Hold", "HoldRows", "turned"]
+__all__ = ["Hold", "HoldRows"]
 
 HOLD_SHARE = 0.85
 """Share of the friction coefficient (-) that the internal force of a hold may use. With the share
@@ -47,7 +47,10 @@ class Hold:
 
 
 class HoldRows:
-    """Weighted residuals of one hold, by the contact points and the forces of those that hold."""
+    """Weighted residuals of one hold, by contacts, forces and places of those that hold.
+
+    Everything is in the object's frame where its path begins.
+    """
 
     def __init__(self, surface: Surface, n_contacts: int) -> None:
         """Differentiate.
@@ -58,32 +61,32 @@ class HoldRows:
         """
         m = n_contacts
         points, forces = ca.SX.sym("x", 3 * m), ca.SX.sym("g", 3 * m)
-        turns, codes = ca.SX.sym("R", 9 * m), ca.SX.sym("codes", CODE_DIM * m)
-        away = ca.SX.sym("d", 3 * m)
+        shares, codes = ca.SX.sym("c", m), ca.SX.sym("codes", CODE_DIM * m)
+        axis, angle, shift = ca.SX.sym("a", 3), ca.SX.sym("angle"), ca.SX.sym("d", 3)
         size, mu, length = ca.SX.sym("size", SIZE_DIM), ca.SX.sym("mu"), ca.SX.sym("length")
         total, torque, level = ca.SX.zeros(3), ca.SX.zeros(3), ca.SX.zeros(1)
         cones: list[Any] = []
         presses: list[Any] = []
         for j in range(m):
             p, g = points[3 * j : 3 * j + 3], forces[3 * j : 3 * j + 3]
-            turn = ca.reshape(turns[9 * j : 9 * j + 9], 3, 3)
+            turn = mrp_matrix(axis * ca.tan(shares[j] * angle / 4))
             code = codes[CODE_DIM * j : CODE_DIM * (j + 1)]
-            normal = turn @ surface.outward_normal(size, code, p)
-            pressed = -ca.dot(g, normal)
-            total, torque = total + g, torque + ca.cross(turn @ p + away[3 * j : 3 * j + 3], g)
+            pressed = -ca.dot(g, turn @ surface.outward_normal(size, code, p))
+            total, torque = total + g, torque + ca.cross(turn @ p + shares[j] * shift, g)
             level += pressed / m
             cones.append((HOLD_SHARE * mu * pressed) ** 2 - ca.dot(g, g) + pressed**2)
             presses.append(pressed - PRESS_MIN)
-        rows = ca.vertcat(
-            WEIGHTS["balance"] * total,
-            WEIGHTS["balance"] * torque / length,
-            WEIGHTS["level"] * (level - 1),
-            WEIGHTS["cone"] * ca.vertcat(*cones),
-            WEIGHTS["press"] * ca.vertcat(*presses),
+        rows = ca.densify(
+            ca.vertcat(
+                WEIGHTS["balance"] * total,
+                WEIGHTS["balance"] * torque / length,
+                WEIGHTS["level"] * (level - 1),
+                WEIGHTS["cone"] * ca.vertcat(*cones),
+                WEIGHTS["press"] * ca.vertcat(*presses),
+            )
         )
-        rows = ca.densify(rows)
-        jacobian = ca.densify(ca.jacobian(rows, ca.vertcat(points, forces)))
-        inputs = [points, forces, turns, away, codes, size, mu, length]
+        jacobian = ca.densify(ca.jacobian(rows, ca.vertcat(points, forces, shares)))
+        inputs = [points, forces, shares, axis, angle, shift, codes, size, mu, length]
         self._call = ca.Function("hold", inputs, [rows, jacobian])
         self._both: NDArray[np.bool_] = np.arange(rows.numel()) < N_EQUAL
 
@@ -91,32 +94,23 @@ class HoldRows:
         self,
         points: FloatArray,
         forces: FloatArray,
-        turns: FloatArray,
-        away: FloatArray,
+        shares: FloatArray,
+        path: tuple[FloatArray, float, FloatArray],
         p: dict[str, FloatArray],
         codes: FloatArray,
     ) -> tuple[FloatArray, FloatArray]:
-        """Rows (k,) that count, and their Jacobian (k, 6 m) by points, then forces.
+        """Rows (k,) that count, and their Jacobian (k, 7 m) by points, forces and shares.
 
         Args:
             points: Contact points (m, 3), each in the object's frame at its knot.
-            forces: (m, 3), object frame at the start, in units of the mean normal force.
-            turns: Of the object from the start to each one's knot (m, 3, 3).
-            away: How far it has moved until then (m, 3), m, object frame at the start.
+            forces: (m, 3), in units of the mean normal force.
+            shares: How much of the path the object has gone at each one's knot (m,).
+            path: Axis (3,), angle (rad) and shift (3,), m, of the whole path.
             p: Parameters of a grasp, by name.
             codes: Codes of the patches (m, k).
         """
-        by_columns = np.transpose(turns, (0, 2, 1)).ravel()
-        found = self._call(
-            points.ravel(),
-            forces.ravel(),
-            by_columns,
-            away.ravel(),
-            codes.ravel(),
-            p["size"],
-            p["mu"],
-            p["length"],
-        )
+        grasp = (codes.ravel(), p["size"], p["mu"], p["length"])
+        found = self._call(points.ravel(), forces.ravel(), shares, *path, *grasp)
         values, slopes = found[0].full().ravel(), found[1].full()
         counts = self._both | (values < 0.0)
         return values[counts], slopes[counts]
@@ -124,8 +118,3 @@ class HoldRows:
 
 N_EQUAL = 7
 """Rows that are to be zero: force, torque and the mean of the normal forces."""
-
-
-def turned(axis: FloatArray, angles: FloatArray) -> FloatArray:
-    """Rotations (m, 3, 3) about a unit axis by angles (m,), rad."""
-    return np.array([pin.exp3(angle * axis) for angle in angles])

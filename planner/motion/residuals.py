@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from planner.motion.holds import turned
 from planner.motion.problem import MotionNumbers, MotionProblem
 from planner.motion.unknowns import SHARE, SHARED, TUBE, placement
 from planner.spatial import FloatArray, IntArray
@@ -193,13 +192,15 @@ class MotionResiduals:
         values, slopes = problem.hold_rows(
             z[columns].reshape(-1, 3),
             z[mine].reshape(-1, 3),
-            turned(n.axis, shares * n.angle),
-            shares[:, None] * n.shift,
+            shares,
+            (n.axis, n.angle, n.shift),
             p,
             p["codes"].reshape(n_contacts, -1)[others],
         )
         rows = np.zeros((len(values), u.size))
-        rows[:, np.concatenate([columns, mine])] = slopes
+        own = 6 * len(others)
+        rows[:, np.concatenate([columns, mine])] = slopes[:, :own]
+        rows[:, SHARE] += slopes[:, own:] @ n.places[knots]
         return values, rows
 
     def _steady(self) -> FloatArray:
