@@ -42,16 +42,21 @@ class Attempt(Generic[PlanT]):
 
 
 def numbered(
-    make: Callable[[int], PlanT | str], record: Callable[[PlanT, int, float], PlanT]
+    make: Callable[[int], PlanT | str],
+    record: Callable[[PlanT, int, float], PlanT],
+    *,
+    prepare: Callable[[int], object] = lambda index: None,
 ) -> Iterator[Attempt[PlanT]]:
     """Endless attempts.
 
     Args:
         make: Makes the attempt of a number: a plan, or why there is none.
         record: Writes into a plan the number of its attempt, and the CPU time of all until then, s.
+        prepare: Builds what the attempt of a number shares with others; its time does not count.
     """
     total = 0.0
     for index in count():
+        prepare(index)
         begin = time.process_time()
         outcome = make(index)
         cpu = time.process_time() - begin

@@ -101,8 +101,6 @@ def plan_gait(
             holds=_holds(task, path) if held and cycles > 1 else (),
         )
 
-    ground(0)  # built for all strokes alike
-
     def make(index: int) -> GaitPlan | str:
         number = index % len(pieces)
         stroke = ground(number).attempt(np.random.default_rng([seed, index]))
@@ -112,7 +110,7 @@ def plan_gait(
         told = replace(plan.record, seed=seed, attempt=index, attempts=index + 1, cpu_s=cpu_s)
         return replace(plan, record=told)
 
-    for attempt in numbered(make, record):
+    for attempt in numbered(make, record, prepare=lambda index: ground(index % len(pieces))):
         made.append(attempt)
         if attempt.plan is not None:
             return attempt.plan
