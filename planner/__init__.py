@@ -12,6 +12,7 @@ from planner.contacts import Contact, ContactSet
 from planner.errors import NoGraspFoundError, PlannerError
 from planner.files import read_plan, write_plan
 from planner.forces import distribute_forces
+from planner.gait import GaitPlan, plan_gait
 from planner.hand import Hand
 from planner.kinematics import HandState
 from planner.motion import MotionPlan, plan_motion
@@ -27,6 +28,7 @@ __all__ = [
     "SE3",
     "Contact",
     "ContactSet",
+    "GaitPlan",
     "GraspObject",
     "GraspPlan",
     "GraspSet",
@@ -43,6 +45,7 @@ __all__ = [
     "distribute_forces",
     "force_closure",
     "parse_object",
+    "plan_gait",
     "plan_grasp",
     "plan_grasps",
     "plan_motion",

@@ -23,6 +23,7 @@ from planner.judge import plan_forces
 from planner.kinematics import HandState
 from planner.motion import MotionPlan, ObjectPath, plan_motion
 from planner.motion.between import lead
+from planner.motion.holds import HOLD_SHARE, Hold, HoldRows
 from planner.motion.limits import what_limits
 from planner.motion.problem import JOINT_ROOM, MotionProblem, build_motion_problem
 from planner.motion.residuals import PULL, MotionResiduals
@@ -31,10 +32,13 @@ from planner.motion.rows import described
 from planner.motion.search import MOTION_OPTIONS
 from planner.motion.solve import MotionSolver
 from planner.motion.unknowns import SHARE, placement
+from planner.objects import parse_object
 from planner.quality import analyse, force_closure
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.problem import Start
+from planner.synthesis.residuals import WEIGHTS
 from planner.synthesis.seeds import Seeder
+from planner.synthesis.surfaces import surface_of
 from planner.synthesis.surroundings import obstacles_in_object
 from planner.synthesis.unknowns import mrp_numeric
 from planner.synthesis.verify import contacts_at, verify
@@ -257,10 +261,13 @@ def test_rolling_by_casadi_is_rolling_by_pinocchio(allegro: Hand) -> None:
     assert np.allclose(by_casadi, by_pinocchio, rtol=1e-3)
 
 
-def test_derivatives_of_all_residuals_by_finite_differences(allegro: Hand) -> None:
+@pytest.mark.parametrize("holds", [(), (Hold(lifted=0, knots=(-1, 0, 1)),)])
+def test_derivatives_of_all_residuals_by_finite_differences(
+    allegro: Hand, holds: tuple[Hold, ...]
+) -> None:
     task = GraspTask.create(allegro, "cylinder:0.03x0.1", fingers=["thumb", "index", "middle"])
     path = ObjectPath(axis=np.array([0.2, 0.0, 1.0]), angle=2.0, shift=np.array([0.0, 0.01, 0.01]))
-    problem = problem_of(allegro, 3)
+    problem = replace(problem_of(allegro, 3), holds=holds)
     seeder = Seeder(task)
     start = seeder.draw(np.random.default_rng(0))
     assert isinstance(start, Start)
@@ -274,6 +281,7 @@ def test_derivatives_of_all_residuals_by_finite_differences(allegro: Hand) -> No
     value, jacobian = residuals(z)
     value, jacobian, tally = value.copy(), jacobian.copy(), residuals.tally(z)
     assert tally.tube and tally.rolling and any(len(a) for a in tally.avoided)
+    assert len(tally.holds) == len(holds) and all(count >= 7 for count in tally.holds)
     step = 1e-6
     compared = 0
     for i in range(len(z)):
@@ -286,6 +294,29 @@ def test_derivatives_of_all_residuals_by_finite_differences(allegro: Hand) -> No
         assert np.abs(slope - jacobian[:, i]).max() <= 2e-5 * scale, i
         compared += 1
     assert compared > 0.9 * len(z)
+
+
+def test_forces_of_a_hold_balance_where_each_contact_is_seen_by_the_hand() -> None:
+    # three contacts at 0, 120 and 240 degrees, of which the second is told in the frame of an
+    # object that has turned by 40 degrees and gone up by 10 mm since
+    shape = parse_object("cylinder:0.03x0.1").shape
+    surface = surface_of(shape)
+    shares, shift = np.array([0.0, 0.5, 0.0]), np.array([0.0, 0.0, 0.02])
+    path = (UP, np.deg2rad(80.0), shift)
+    angles = 2 * np.pi * np.arange(3) / 3
+    outward = np.stack([np.cos(angles), np.sin(angles), np.zeros(3)], axis=1)
+    points = 0.03 * outward
+    points[1] = pin.exp3(-0.5 * path[1] * UP) @ (points[1] - 0.5 * shift)
+    side = next(p for p in surface.patches(shape) if "side" in p.name)
+    p = {"size": surface.size(shape), "mu": np.array([0.5]), "length": np.array([0.05])}
+    rows = HoldRows(surface, 3)
+    values, slopes = rows(points, -outward, shares, path, p, np.array([side.code] * 3))
+    assert np.allclose(values, 0.0, atol=1e-12) and slopes.shape == (7, 21)
+    tilted = -outward + 0.6 * UP  # outside the cones, and not in balance
+    values, _ = rows(points, tilted, shares, path, p, np.array([side.code] * 3))
+    assert values[2] == pytest.approx(WEIGHTS["balance"] * 1.8)
+    cone = WEIGHTS["cone"] * ((HOLD_SHARE * 0.5) ** 2 - 0.36)
+    assert np.allclose(values[7:], cone)
 
 
 def test_rows_are_told_in_their_order_with_their_units(allegro: Hand) -> None:

@@ -1,4 +1,4 @@
-"""``opposable plan-motion``: a motion from the command line, and what is wrong with one."""
+"""``opposable plan-motion`` and ``plan-gait``, and what is wrong with what they are given."""
 
 from __future__ import annotations
 
@@ -53,3 +53,26 @@ def test_what_is_out_of_reach_ends_with_four(tmp_path: Path) -> None:
     done = RUN.invoke(app, [*THREE, *arguments])
     assert done.exit_code == 4
     assert "no motion of" in done.output
+
+
+def test_a_regrasp_that_cannot_be_is_told(tmp_path: Path) -> None:
+    arguments = [*THREE[1:], "--angle", "360", "-o", str(tmp_path / "gait.json")]
+    done = RUN.invoke(app, ["plan-gait", *arguments])
+    assert done.exit_code == 3
+    assert "lifting one of 3 fingers" in " ".join(done.output.split())
+
+
+def test_a_gait_of_one_stroke_is_written(tmp_path: Path) -> None:
+    path = tmp_path / "gait.json"
+    arguments = [
+        "allegro_hand",
+        "cylinder:0.03x0.1",
+        "--angle",
+        "20",
+        "-o",
+        str(path),
+    ]
+    done = RUN.invoke(app, ["plan-gait", *arguments])
+    assert done.exit_code == 0, done.output
+    assert "1 stroke of 20.0 degrees" in done.output
+    assert json.loads(path.read_text())["format"] == "opposable-gait"

@@ -2,6 +2,7 @@
 
 from planner.files.contacts_file import ContactsFile, read_contacts
 from planner.files.data import PLAN_VERSION, PlanFile, TaskData
+from planner.files.gaits import GaitFile, read_gait, write_gait
 from planner.files.json_csv import read_json, write_json, write_trajectory
 from planner.files.motions import MotionFile, read_motion, write_motion
 from planner.files.plans import plan_from_dict, plan_to_dict, read_plan, write_plan
@@ -10,17 +11,20 @@ from planner.files.tasks import task_data, task_from_data
 __all__ = [
     "PLAN_VERSION",
     "ContactsFile",
+    "GaitFile",
     "MotionFile",
     "PlanFile",
     "TaskData",
     "plan_from_dict",
     "plan_to_dict",
     "read_contacts",
+    "read_gait",
     "read_json",
     "read_motion",
     "read_plan",
     "task_data",
     "task_from_data",
+    "write_gait",
     "write_json",
     "write_motion",
     "write_plan",

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import ValidationError
 
 from planner.errors import FileFormatError, TaskError
 from planner.files.data import ContactData, Finite, NotNegative, PlanFile, PoseData, Vector3
+from planner.files.head import checked_file
 from planner.files.json_csv import read_json, write_json
 from planner.files.plans import (
     CONTACT_TOL,
@@ -27,11 +27,9 @@ from planner.hand import Hand
 from planner.motion import Knot, Limit, MotionPlan, MotionRecord, ObjectPath
 from planner.motion.check import MotionJudge, Place
 from planner.plan import GraspPlan
-from planner.schema import StrictData, faults_of
+from planner.schema import StrictData
 
-__all__ = ["MotionFile", "motion_to_dict", "read_motion", "write_motion"]
-
-MOTION_VERSION = 1
+__all__ = ["MotionFile", "motion_from_dict", "motion_to_dict", "read_motion", "write_motion"]
 
 SAME = 1e-9
 """How far (rad, m) the first knot of a file may be from its grasp."""
@@ -145,23 +143,27 @@ def read_motion(path: Path | str, *, hand: Hand | None = None) -> MotionPlan:
         FileFormatError: Damaged, of another version, or for another hand; or it does not hold.
         PlannerError: The hand or object cannot be loaded.
     """
-    data = read_json(path, "motion file")
-    if data.get("format") != "opposable-motion":
-        raise FileFormatError(f"{path} is not a motion file: its format is {data.get('format')!r}")
-    if data.get("version") != MOTION_VERSION:
-        raise FileFormatError(
-            f"{path} has motion version {data.get('version')!r}; this Opposable reads version "
-            f"{MOTION_VERSION}; plan again"
-        )
-    try:
-        file = MotionFile.model_validate(data)
-    except ValidationError as error:
-        raise FileFormatError(f"{path} is damaged: {faults_of(error)}") from error
-    grasp = plan_from_dict(data["grasp"], str(path), hand=hand)
-    return _rebuild(file, grasp, path)
+    return motion_from_dict(read_json(path, "motion file"), str(path), hand=hand)
 
 
-def _rebuild(file: MotionFile, grasp: GraspPlan, path: Path | str) -> MotionPlan:
+def motion_from_dict(data: dict[str, Any], source: str, *, hand: Hand | None = None) -> MotionPlan:
+    """The motion that plain data hold, checked like a file.
+
+    Args:
+        data: What ``motion_to_dict`` gave.
+        source: What errors call it, as the path of a file.
+        hand: The hand to use; the one that the data name if None.
+
+    Raises:
+        FileFormatError: Damaged, of another version, or for another hand; or it does not hold.
+        PlannerError: The hand or object cannot be loaded.
+    """
+    file = checked_file(MotionFile, data, source)
+    grasp = plan_from_dict(data["grasp"], source, hand=hand)
+    return _rebuild(file, grasp, source)
+
+
+def _rebuild(file: MotionFile, grasp: GraspPlan, path: str) -> MotionPlan:
     try:
         covered = ObjectPath(
             axis=np.array(file.path.axis),

@@ -14,12 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from planner.contacts import Contact, ContactSet
 from planner.errors import FileFormatError
 from planner.files.data import (
-    PLAN_VERSION,
     ArmData,
     ContactData,
     GraspData,
@@ -27,12 +26,12 @@ from planner.files.data import (
     PoseData,
     RecordData,
 )
+from planner.files.head import checked_file
 from planner.files.json_csv import read_json, write_json
 from planner.files.tasks import task_data, task_from_data
 from planner.hand import Hand
 from planner.judge import judge_grasp
 from planner.plan import GraspPlan, SolveRecord
-from planner.schema import faults_of
 from planner.spatial import FloatArray
 from planner.synthesis.pregrasp import Approach
 
@@ -134,17 +133,7 @@ def plan_from_dict(data: dict[str, Any], source: str, *, hand: Hand | None = Non
         FileFormatError: Damaged, of another version, or for another hand.
         PlannerError: The hand or object cannot be loaded.
     """
-    if data.get("format") != "opposable-plan":
-        raise FileFormatError(f"{source} is not a plan file: its format is {data.get('format')!r}")
-    if data.get("version") != PLAN_VERSION:
-        raise FileFormatError(
-            f"{source} has plan version {data.get('version')!r}; this Opposable reads version "
-            f"{PLAN_VERSION}; plan again"
-        )
-    try:
-        file = PlanFile.model_validate(data)
-    except ValidationError as error:
-        raise FileFormatError(f"{source} is damaged: {faults_of(error)}") from error
+    file = checked_file(PlanFile, data, source)
     given = file.task.hand
     hand = hand or Hand.load(given.description_path or given.name)
     if hand.digest != given.sha256:

@@ -106,7 +106,13 @@ class MotionJudge:
         return knots if isinstance(knots, str) else (grasp, knots)
 
     def knots(
-        self, T_world_base: SE3, places: Sequence[Place], path: ObjectPath, tube: float
+        self,
+        T_world_base: SE3,
+        places: Sequence[Place],
+        path: ObjectPath,
+        tube: float,
+        *,
+        T_world_start: SE3 | None = None,
     ) -> tuple[Knot, ...] | str:
         """The knots of a motion if all of them hold; else why not.
 
@@ -115,12 +121,14 @@ class MotionJudge:
             places: Where the object is, and the joints; from 0 to 1 in order.
             path: The path that they cover.
             tube: m.
+            T_world_start: Pose of the object where the path begins; where the task has it if None.
         """
+        start = self._task.T_world_object if T_world_start is None else T_world_start
         out: list[Knot] = []
         before: tuple[Place, list[PadTouch]] | None = None
         for place in places:
             touches = pad_touches(self._lifted, self._base(place), place.q)
-            knot = self._knot(place, touches, T_world_base, path, tube, before)
+            knot = self._knot(place, touches, T_world_base, path, tube, start, before)
             if isinstance(knot, str):
                 return f"at {100 * place.place:.0f} % of the path: {knot}"
             out.append(knot)
@@ -162,6 +170,7 @@ class MotionJudge:
         T_world_base: SE3,
         path: ObjectPath,
         tube: float,
+        start: SE3,
         before: tuple[Place, list[PadTouch]] | None,
     ) -> Knot | str:
         """One knot if it holds, and if the way there from the one before does; else why not."""
@@ -184,7 +193,7 @@ class MotionJudge:
         forces = plan_forces(task, contacts, T_world_base, place.q)
         if not forces.found:
             return f"forces: with {task.grip_force:.3g} N per finger, {forces.reason}"
-        off, turned = self._off_path(T_world_object, path, place.place)
+        off, turned = _off_path(T_world_object, path.pose(start, place.place))
         if off > tube + TUBE_TOL:
             return f"the object is {1e3 * off:.1f} mm off its path (tube {1e3 * tube:.1f})"
         if turned > TURN_TOL:
@@ -216,11 +225,6 @@ class MotionJudge:
             between=gap,
         )
 
-    def _off_path(self, T_world_object: SE3, path: ObjectPath, place: float) -> tuple[float, float]:
-        """How far the object is off its path, m and rad."""
-        off = path.pose(self._task.T_world_object, place).inverse() * T_world_object
-        return float(np.linalg.norm(off.translation)), rotation_angle(off.rotation)
-
     def _slips(
         self, before: tuple[Place, list[PadTouch]], after: tuple[Place, list[PadTouch]]
     ) -> FloatArray:
@@ -246,6 +250,12 @@ class MotionJudge:
         nearest = self._free.closest(base, middle.q, 1, touching=touching_of(self._lifted).names)
         within = [c for c in nearest if c.distance < -BETWEEN_PENETRATION]
         return max(abs(t.pad_gap) for t in touches), within[0] if within else None
+
+
+def _off_path(T_world_object: SE3, wanted: SE3) -> tuple[float, float]:
+    """How far the object is off its path, m and rad."""
+    off = wanted.inverse() * T_world_object
+    return float(np.linalg.norm(off.translation)), rotation_angle(off.rotation)
 
 
 def _between(a: SE3, b: SE3, share: float) -> SE3:

@@ -7,6 +7,7 @@ internal force, clearances, couplings, limits) hold there with the same margins.
     rolling  what a tip slides from knot to knot = 0 (``planner.motion.rolling``)
     tube     how far the object leaves its path <= the tube's radius
     reach    the share of the path that is covered: at least what is asked, or as much as there is
+    holds    where a finger is to move on, closure by the others (``planner.motion.holds``)
 
 Table and obstacles count at the first knot alone: the object is lifted before it is moved.
 """
@@ -21,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from planner.hand import Finger, Hand
+from planner.motion.holds import Hold, HoldRows
 from planner.motion.path import ObjectPath
 from planner.motion.rolling import rolling_function
 from planner.motion.unknowns import MotionUnknowns
@@ -69,22 +71,31 @@ class MotionProblem:
         grasp: The problem of a single knot.
         avoidance: Its clearances.
         n_knots: Number of knots.
+        holds: What must hold while a finger is away.
     """
 
     grasp: GraspProblem
     avoidance: Avoidance
     n_knots: int
+    holds: tuple[Hold, ...] = ()
 
     @property
     def unknowns(self) -> MotionUnknowns:
         """Layout of the unknowns."""
-        return MotionUnknowns(grasp=self.grasp.formulation.unknowns, n_knots=self.n_knots)
+        return MotionUnknowns(
+            grasp=self.grasp.formulation.unknowns, n_knots=self.n_knots, n_holds=len(self.holds)
+        )
 
     @cached_property
     def rolling(self) -> Any:
         """``rolling_function`` from every knot to the next, mapped."""
         one = rolling_function(self.grasp.hand, self.grasp.fingers)
         return one.map(self.n_knots - 1)
+
+    @cached_property
+    def hold_rows(self) -> HoldRows:
+        """The residuals of a hold."""
+        return HoldRows(self.grasp.surface, len(self.grasp.fingers) - 1)
 
     def numbers(
         self,
@@ -126,21 +137,34 @@ class MotionProblem:
         x = self.grasp.first(start)
         shared = np.concatenate([x[:6], [0.0]])
         n = self.n_knots
-        return self.unknowns.pack(shared, np.zeros((n, 3)), np.tile(x[6:], (n, 1)))
+        forces = start.forces
+        held = np.array([np.delete(forces, hold.lifted, axis=0) for hold in self.holds])
+        return self.unknowns.pack(shared, np.zeros((n, 3)), np.tile(x[6:], (n, 1)), held)
 
-    def bounds(self, start: Start, tube: float) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper bounds of the unknowns; the first knot is where the object is."""
+    def bounds(
+        self, start: Start, tube: float, *, exact_end: bool = False
+    ) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper bounds of the unknowns; the first knot is where the object is.
+
+        Args:
+            start: Gives the base where that is fixed, and the patches.
+            tube: Radius within which the object may leave its path, m.
+            exact_end: Whether the last knot is on the path as well.
+        """
         n = self.n_knots
         reach = np.full((n, 3), tube)
         reach[0] = 0.0
+        if exact_end:
+            reach[-1] = 0.0
         nq, (least, most) = self.grasp.hand.nq, self.grasp.bounds(start)
         joints = slice(6, 6 + nq)
         room = np.minimum(JOINT_ROOM, (most - least)[joints] / 4)
         least[joints] += room
         most[joints] -= room
+        pushed = np.full((len(self.holds), self.unknowns.held), 4.0 * len(self.grasp.fingers))
         lower, upper = (
             self.unknowns.pack(
-                np.append(bound[:6], share), sign * reach, np.tile(bound[6:], (n, 1))
+                np.append(bound[:6], share), sign * reach, np.tile(bound[6:], (n, 1)), sign * pushed
             )
             for bound, share, sign in ((least, 0.0, -1), (most, 1.0, 1))
         )
@@ -156,7 +180,12 @@ could not press any more."""
 
 
 def build_motion_problem(
-    hand: Hand, fingers: Sequence[Finger], kind_of: Shape, n_knots: int, n_obstacles: int = 0
+    hand: Hand,
+    fingers: Sequence[Finger],
+    kind_of: Shape,
+    n_knots: int,
+    n_obstacles: int = 0,
+    holds: tuple[Hold, ...] = (),
 ) -> MotionProblem:
     """Build the problem of a motion.
 
@@ -166,6 +195,7 @@ def build_motion_problem(
         kind_of: Any shape of the kind; its size does not matter.
         n_knots: Number of knots, 2 or more.
         n_obstacles: Number of obstacle boxes.
+        holds: What must hold while a finger is away.
     """
     fingers = tuple(fingers)
     surface = surface_of(kind_of)
@@ -173,4 +203,4 @@ def build_motion_problem(
     avoidance = Avoidance(formulation, surface)
     residuals = Residuals(formulation, surface.field, avoidance)
     grasp = GraspProblem(hand, fingers, surface, n_obstacles, residuals, ())
-    return MotionProblem(grasp, avoidance, n_knots)
+    return MotionProblem(grasp, avoidance, n_knots, holds)

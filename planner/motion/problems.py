@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 from planner.hand import Hand
+from planner.motion.holds import Hold
 from planner.motion.problem import MotionProblem, build_motion_problem
 from planner.shapes import Shape
 from planner.synthesis.surfaces import surface_of
@@ -15,7 +16,9 @@ from planner.task import GraspTask
 __all__ = ["motion_problem_for"]
 
 
-def motion_problem_for(task: GraspTask, n_knots: int) -> tuple[MotionProblem, float]:
+def motion_problem_for(
+    task: GraspTask, n_knots: int, holds: tuple[Hold, ...] = ()
+) -> tuple[MotionProblem, float]:
     """The problem of a task's hand, fingers and kind of shape, and the time to build it, s."""
     begin = time.perf_counter()
     shape = task.object.shape
@@ -25,6 +28,7 @@ def motion_problem_for(task: GraspTask, n_knots: int) -> tuple[MotionProblem, fl
         kind=surface_of(shape).kind,
         n_knots=n_knots,
         n_obstacles=len(task.obstacles),
+        holds=holds,
         hand=task.hand,
         shape=shape,
     )
@@ -42,6 +46,7 @@ class _Form:
     kind: str
     n_knots: int
     n_obstacles: int
+    holds: tuple[Hold, ...]
     hand: Hand = field(compare=False)
     shape: Shape = field(compare=False)
 
@@ -49,4 +54,6 @@ class _Form:
 @lru_cache(maxsize=8)
 def _built(form: _Form) -> MotionProblem:
     fingers = form.hand.choose_fingers(form.finger_names)
-    return build_motion_problem(form.hand, fingers, form.shape, form.n_knots, form.n_obstacles)
+    return build_motion_problem(
+        form.hand, fingers, form.shape, form.n_knots, form.n_obstacles, form.holds
+    )

@@ -40,12 +40,14 @@ class Tally:
         terms: Of each knot, how many other rows count.
         rolling: Sliding.
         tube: Knots outside the tube.
+        holds: Of each hold, how many rows count.
     """
 
     avoided: tuple[IntArray, ...]
     terms: tuple[int, ...]
     rolling: int
     tube: int
+    holds: tuple[int, ...]
 
 
 class MotionResiduals:
@@ -112,6 +114,7 @@ class MotionResiduals:
             terms=tuple(counted),
             rolling=3 * u.grasp.n_contacts * (u.n_knots - 1),
             tube=len(self._tube(z)[0]),
+            holds=tuple(len(self._hold(h, z)[0]) for h in range(u.n_holds)),
         )
 
     def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -133,6 +136,7 @@ class MotionResiduals:
             terms.append((r[:n], rows[:n]))
             costs.append((r[n:], rows[n:]))
         terms += [self._rolling(placed), self._tube(z)]
+        terms += [self._hold(h, z) for h in range(len(self.problem.holds))]
         costs.append((self._bends @ z, self._bends))
         if self.pull:
             row = np.zeros((1, u.size))
@@ -167,6 +171,37 @@ class MotionResiduals:
             self._spread(mine, local[:, :size], placed[k][1], k)
             self._spread(mine, local[:, size:], placed[k + 1][1], k + 1)
         return PER_METRE * values.T.ravel(), PER_METRE * rows
+
+    def _hold(self, h: int, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What hold h asks for."""
+        problem, n = self.problem, self.numbers
+        u, hold = problem.unknowns, problem.holds[h]
+        n_contacts = u.grasp.n_contacts
+        others = [j for j in range(n_contacts) if j != hold.lifted]
+        knots = [hold.knots[j] % u.n_knots for j in others]
+        p = problem.grasp.formulation.unpack(n.knots[0])
+        shares = n.places[knots] * z[SHARE]
+        first = TUBE + u.grasp.n_joints
+        columns = np.concatenate(
+            [
+                np.arange(3) + u.columns(k).start + first + 3 * j
+                for j, k in zip(others, knots, strict=True)
+            ]
+        )
+        mine = np.arange(u.size)[u.hold_columns(h)]
+        values, slopes = problem.hold_rows(
+            z[columns].reshape(-1, 3),
+            z[mine].reshape(-1, 3),
+            shares,
+            (n.axis, n.angle, n.shift),
+            p,
+            p["codes"].reshape(n_contacts, -1)[others],
+        )
+        rows = np.zeros((len(values), u.size))
+        own = 6 * len(others)
+        rows[:, np.concatenate([columns, mine])] = slopes[:, :own]
+        rows[:, SHARE] += slopes[:, own:] @ n.places[knots]
+        return values, rows
 
     def _steady(self) -> FloatArray:
         """Rows by which joints are asked to go evenly: their second differences over the knots."""

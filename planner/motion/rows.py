@@ -78,6 +78,10 @@ def described(residuals: MotionResiduals, z: FloatArray, jacobian: FloatArray) -
     for i in range(len(out), len(out) + tally.tube):
         k = (int(np.flatnonzero(jacobian[i])[0]) - SHARED) // u.own
         out.append(_row("the tube around the path", [], k, PER_METRE, "m", False))
+    for hold, count in zip(problem.holds, tally.holds, strict=True):
+        name = fingers[hold.lifted].name
+        row = _row(f"closure without {name}", [name], u.n_knots - 1, WEIGHTS["balance"], "-", True)
+        out += [row] * count
     return out
 
 

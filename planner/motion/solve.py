@@ -107,6 +107,7 @@ class MotionSolver:
         tube: float,
         posture: FloatArray,
         rounds: int,
+        exact_end: bool = False,
     ) -> None:
         """Keep what all starts share.
 
@@ -118,7 +119,10 @@ class MotionSolver:
             tube: Radius within which the object may leave its path, m.
             posture: Preferred joints (nq,).
             rounds: How many rounds work on the closure of all knots.
+            exact_end: Whether the object ends on its path, and leaves it within the tube only on
+                the way.
         """
+        self._exact_end = exact_end
         self.problem, self.task, self.path = problem, task, path
         self.tube = tube
         self._options, self._posture = options, posture
@@ -136,7 +140,12 @@ class MotionSolver:
             ]
         )
         shared = np.repeat([TURN_SCALE, SHIFT_SCALE, SHARE_SCALE], [3, 3, 1])
-        self._scale = u.pack(shared, np.full((k, 3), TUBE_SCALE), np.tile(rest, (k, 1)))
+        self._scale = u.pack(
+            shared,
+            np.full((k, 3), TUBE_SCALE),
+            np.tile(rest, (k, 1)),
+            np.full((u.n_holds, u.held), FORCE_SCALE),
+        )
 
     def reach(self, start: Start) -> Iterator[MotionCandidate]:
         """The whole path, from a start in its middle; then what rounds on closure make of it."""
@@ -191,7 +200,7 @@ class _Run:
             solver.task, solver.path, start, solver._posture, solver._options, solver.tube
         )
         self.residuals = MotionResiduals(problem, numbers, solver._field)
-        self.lower, self.upper = problem.bounds(start, solver.tube)
+        self.lower, self.upper = problem.bounds(start, solver.tube, exact_end=solver._exact_end)
         self.z = np.clip(problem.first(start), self.lower, self.upper)
         self.worst = np.inf
         self._iterations = 0

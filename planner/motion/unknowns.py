@@ -1,6 +1,7 @@
 """What stands where among the unknowns of a motion, and where the base is at each knot.
 
-Unknowns: z = [s (3), t (3), share (1), then for each knot o (3), q, contact points, forces].
+Unknowns: z = [s (3), t (3), share (1), then for each knot o (3), q, contact points, forces; then
+the forces of holds (``planner.motion.holds``)].
 
 The base stands still while the object moves. s and t place it in the middle frame, which has the
 object's orientation half-way and its origin at the start, as in a grasp: base = R0 M(s), at t. The
@@ -45,10 +46,12 @@ class MotionUnknowns:
     Attributes:
         grasp: Layout of one knot's unknowns as a grasp.
         n_knots: Number of knots.
+        n_holds: Number of holds, each with the forces of all contacts but one.
     """
 
     grasp: Unknowns
     n_knots: int
+    n_holds: int = 0
 
     @property
     def own(self) -> int:
@@ -58,15 +61,30 @@ class MotionUnknowns:
     @property
     def size(self) -> int:
         """Length of z."""
+        return self._end + self.n_holds * self.held
+
+    @property
+    def held(self) -> int:
+        """Unknowns of one hold."""
+        return 3 * (self.grasp.n_contacts - 1)
+
+    @property
+    def _end(self) -> int:
         return SHARED + self.n_knots * self.own
 
-    def pack(self, shared: FloatArray, offsets: FloatArray, rests: FloatArray) -> FloatArray:
-        """One column of its parts: (7,), (n_knots, 3), and [q, points, forces] of every knot."""
-        return np.concatenate([shared, np.hstack([offsets, rests]).ravel()])
+    def hold_columns(self, h: int) -> slice:
+        """Where the forces of hold h stand in z."""
+        return slice(self._end + h * self.held, self._end + (h + 1) * self.held)
+
+    def pack(
+        self, shared: FloatArray, offsets: FloatArray, rests: FloatArray, held: FloatArray
+    ) -> FloatArray:
+        """One column of its parts: (7,), (n_knots, 3), [q, points, forces] of every knot, holds."""
+        return np.concatenate([shared, np.hstack([offsets, rests]).ravel(), held.ravel()])
 
     def knots(self, z: FloatArray) -> FloatArray:
         """Rows (n_knots, own) of what belongs to one knot each; a view."""
-        return z[SHARED:].reshape(self.n_knots, self.own)
+        return z[SHARED : self._end].reshape(self.n_knots, self.own)
 
     def offsets(self, z: FloatArray) -> FloatArray:
         """Places in the tube (n_knots, 3), m, middle frame; a view."""

@@ -1,4 +1,4 @@
-"""The command ``plan-motion``: how an object is turned or moved in the hand."""
+"""The commands ``plan-motion`` and ``plan-gait``: how an object is turned or moved in the hand."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def plan_motion(
     shift: Annotated[
         str, typer.Option(help="Translation of the object, m, world: x,y,z.")
     ] = "0,0,0",
-    tube: Annotated[float, typer.Option(help="How far the object may leave its path, m.")] = 0.01,
+    tube: Annotated[float, typer.Option(help="How far the object may leave its path, m.")] = 0.02,
     fingers: FingersOption = None,
     seed: SeedOption = 0,
     mu: MuOption = 0.5,
@@ -86,6 +86,54 @@ def plan_motion(
         say(out, escape(f"written to {output}"))
 
 
+@errors_for_people()
+def plan_gait(
+    hand: HandArgument,
+    object: ObjectArgument,
+    output: Annotated[Path, typer.Option("--out", "-o", help="The gait file.")] = Path("gait.json"),
+    angle: Annotated[float, typer.Option(help="Turn, degrees, with its sign, of any size.")] = 0.0,
+    axis: Annotated[str, typer.Option(help="Axis of the turn, world: x,y,z.")] = "0,0,1",
+    shift: Annotated[
+        str, typer.Option(help="Translation of the object, m, world: x,y,z.")
+    ] = "0,0,0",
+    fingers: FingersOption = None,
+    seed: SeedOption = 0,
+    mu: MuOption = 0.5,
+    mass: MassOption = None,
+    max_attempts: Annotated[int, typer.Option(min=1, help="Attempts before giving up.")] = 30,
+    as_json: JsonOption = False,
+) -> None:
+    """Plan how fingers move on, one at a time, to turn or move an object without end."""
+    from planner.files import write_gait
+    from planner.files.gaits import gait_to_dict
+    from planner.gait import plan_gait as plan
+    from planner.objects import parse_object
+    from planner.task import GraspTask
+
+    check_folder(output)
+    task = GraspTask.create(
+        hand,
+        parse_object(object, mass=mass),
+        mu=mu,
+        fingers=None if fingers is None else names(fingers),
+    )
+    with err.status(f"planning: {task.hand.name}, {task.object.name} ..."):
+        found = plan(
+            task,
+            axis=_vector("--axis", axis),
+            angle=math.radians(angle),
+            shift=_vector("--shift", shift),
+            seed=seed,
+            max_attempts=max_attempts,
+        )
+    write_gait(found, output)
+    if as_json:
+        print_json(gait_to_dict(found))
+    else:
+        say(out, escape(str(found)))
+        say(out, escape(f"written to {output}"))
+
+
 def _vector(option: str, text: str) -> list[float]:
     """Three numbers as the command line gives them.
 
@@ -104,5 +152,6 @@ def _vector(option: str, text: str) -> list[float]:
 
 
 def register(app: typer.Typer) -> None:
-    """Add the command."""
+    """Add the commands."""
     app.command("plan-motion")(plan_motion)
+    app.command("plan-gait")(plan_gait)

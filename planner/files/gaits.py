@@ -1,0 +1,112 @@
+"""Gait files: versioned JSON with the first stroke as a motion, and how fingers move on after it.
+
+Later cycles are the first one with the object further along; a file holds the first. Nothing in it
+is believed: the motion is judged again, orders and ways are searched again, and a file whose
+relocations are not those of its stroke is refused.
+"""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from planner.errors import FileFormatError
+from planner.files.data import ContactData, Finite
+from planner.files.head import checked_file
+from planner.files.json_csv import read_json, write_json
+from planner.files.motions import MotionFile, motion_from_dict, motion_to_dict
+from planner.files.plans import CONTACT_TOL, contact_data, numbers_of
+from planner.gait import GaitPlan, Relocation
+from planner.gait.check import GaitJudge
+from planner.hand import Hand
+from planner.schema import StrictData
+
+__all__ = ["GaitFile", "gait_to_dict", "read_gait", "write_gait"]
+
+MOST_CYCLES = 1000
+"""Most cycles of a file: each is judged when it is read."""
+
+
+class RelocationData(StrictData):
+    """One finger that moves on after the first stroke; joints in the order of the grasp's."""
+
+    finger: str
+    q_rad: list[list[Finite]]
+    contacts_held: list[ContactData]
+    contacts_after: list[ContactData]
+    normalised_min_weight: Finite
+
+
+class GaitFile(StrictData):
+    """A gait plan as JSON."""
+
+    format: Literal["opposable-gait"] = "opposable-gait"
+    version: Literal[1] = 1
+    written_by: str
+    cycles: int = Field(ge=1, le=MOST_CYCLES)
+    stroke: MotionFile
+    relocations: list[RelocationData]
+
+
+def gait_to_dict(plan: GaitPlan) -> dict[str, Any]:
+    """A gait as plain data that follows ``GaitFile``."""
+    data = GaitFile(
+        written_by=f"opposable {version('opposable')}",
+        cycles=plan.cycles,
+        stroke=MotionFile.model_validate(motion_to_dict(plan.motion)),
+        relocations=[_relocation(r) for r in plan.relocations if r.cycle == 0],
+    )
+    return data.model_dump(mode="json")
+
+
+def _relocation(relocation: Relocation) -> RelocationData:
+    return RelocationData(
+        finger=relocation.finger,
+        q_rad=relocation.postures.tolist(),
+        contacts_held=contact_data(relocation.during),
+        contacts_after=contact_data(relocation.after),
+        normalised_min_weight=relocation.margin,
+    )
+
+
+def write_gait(plan: GaitPlan, path: Path | str) -> None:
+    """Write a gait file."""
+    write_json(gait_to_dict(plan), path)
+
+
+def read_gait(path: Path | str, *, hand: Hand | None = None) -> GaitPlan:
+    """Read a gait file and check it.
+
+    Args:
+        path: The file.
+        hand: The hand to use; the one that the file names if None.
+
+    Raises:
+        FileFormatError: Damaged, of another version, or for another hand; or it does not hold.
+        PlannerError: The hand or object cannot be loaded.
+    """
+    data = read_json(path, "gait file")
+    file = checked_file(GaitFile, data, str(path))
+    stroke = motion_from_dict(data["stroke"], str(path), hand=hand)
+    plan = GaitJudge(stroke.grasp.task).judge(stroke, file.cycles)
+    if isinstance(plan, str):
+        raise FileFormatError(f"{path} holds a gait that fails its checks: {plan}")
+    true = [_relocation(r) for r in plan.relocations if r.cycle == 0]
+    if [r.finger for r in file.relocations] != [r.finger for r in true]:
+        raise FileFormatError(f"{path}: its fingers move on in another order; it is damaged")
+    for told, found in zip(file.relocations, true, strict=True):
+        for what, a, b in (
+            ("way", np.ravel(told.q_rad), np.ravel(found.q_rad)),
+            ("contacts", numbers_of(told.contacts_held), numbers_of(found.contacts_held)),
+            ("contacts", numbers_of(told.contacts_after), numbers_of(found.contacts_after)),
+        ):
+            if a.shape != b.shape or not np.allclose(a, b, atol=CONTACT_TOL, rtol=CONTACT_TOL):
+                raise FileFormatError(
+                    f"{path}: the {what} with {told.finger} away are not those of its stroke; it "
+                    "is damaged"
+                )
+    return plan

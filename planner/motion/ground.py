@@ -1,0 +1,179 @@
+"""What all attempts at a motion share, for each set of fingers that may hold the object.
+
+Where the caller names no fingers, attempts take turns between the sets. Three fingers go further
+than four: of 10 starts at 90 degrees about the vertical, cylinders of 5, 6 and 7 cm, tube 20 mm,
+1, 4 and 0 hold with four fingers of the Shadow-type hand and 5, 7 and 6 with its thumb, index and
+middle; 7, 5 and 6 against 9, 9 and 10 on the Allegro-type hand. Four have a contact to spare.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from planner.errors import TaskError
+from planner.motion.check import MotionJudge
+from planner.motion.holds import Hold
+from planner.motion.path import ObjectPath
+from planner.motion.plan import MotionPlan, MotionRecord
+from planner.motion.problems import motion_problem_for
+from planner.motion.solve import WORTH_A_LOOK, MotionCandidate, MotionSolver
+from planner.plan import SolveRecord
+from planner.synthesis.mesh_seeds import seeder_for
+from planner.synthesis.options import SynthesisOptions
+from planner.synthesis.seeds import TRIPOD, Seeder
+from planner.task import GraspTask
+
+__all__ = ["Ground", "finger_sets", "rank"]
+
+LEAST_SHARE = 0.02
+"""Share of a path (-) below which nothing of it is reached."""
+
+
+@lru_cache(maxsize=4)
+def finger_sets(task: GraspTask) -> tuple[GraspTask, ...]:
+    """The task for each set of fingers that attempts take turns between.
+
+    The opposer with the two fingers nearest to it, then all; all alone where the caller chose.
+    """
+    if not task.may_spare_fingers or len(task.fingers) <= TRIPOD:
+        return (task,)
+    try:
+        spared = task.with_fingers(seeder_for(task).tripod)
+        seeder_for(spared)
+    except TaskError:  # a region is required of a spared finger, or three do not open as wide
+        return (task,)
+    return (spared, task)
+
+
+@lru_cache(maxsize=8)
+def _judge(task: GraspTask) -> MotionJudge:
+    return MotionJudge(task)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Ground:
+    """What all attempts with one set of fingers share.
+
+    Attributes:
+        seeder: Draws starts.
+        solver: Solves from them.
+        judge: Judges what was solved.
+        whole: Whether all of the path is asked for.
+        build_s: Time that building the problem took, s.
+    """
+
+    seeder: Seeder
+    solver: MotionSolver
+    judge: MotionJudge
+    whole: bool
+    build_s: float
+
+    @classmethod
+    def of(
+        cls,
+        task: GraspTask,
+        path: ObjectPath,
+        options: SynthesisOptions,
+        *,
+        n_knots: int,
+        whole: bool,
+        tube: float,
+        rounds: int,
+        exact_end: bool,
+        holds: tuple[Hold, ...],
+    ) -> Ground:
+        """Build it.
+
+        Args:
+            task: The task, for one set of fingers.
+            path: Where the object is to go.
+            options: Margins and weights at each knot.
+            n_knots: Knots of the solver.
+            whole: Whether all of the path is asked for, else as much of it as there is.
+            tube: Radius within which the object may leave the path, m.
+            rounds: How many rounds work on closure once a whole path is reached.
+            exact_end: Whether the object ends on its path.
+            holds: What must hold while a finger is away.
+        """
+        seeder = seeder_for(task)
+        problem, build_s = motion_problem_for(task, n_knots, holds)
+        solver = MotionSolver(
+            problem,
+            task,
+            path,
+            options,
+            tube=tube,
+            posture=seeder.posture,
+            rounds=rounds,
+            exact_end=exact_end,
+        )
+        return cls(seeder=seeder, solver=solver, judge=_judge(task), whole=whole, build_s=build_s)
+
+    def attempt(self, rng: np.random.Generator) -> MotionPlan | str:
+        """What comes of a start: the best candidate that holds, or why the last one does not.
+
+        Of a whole path that is the one with the largest margin, else the longest, which comes
+        first.
+        """
+        start = self.seeder.draw(rng)
+        if isinstance(start, str):
+            return start
+        best: MotionPlan | None = None
+        reason = ""
+        for candidate in self.solver.reach(start) if self.whole else self.solver.stretch(start):
+            found = self._judged(candidate)
+            if isinstance(found, str):
+                reason = found
+            elif best is None or rank(found, self.whole) > rank(best, self.whole):
+                best = found
+            if best is not None and not self.whole:
+                break
+        return reason if best is None else best
+
+    def _judged(self, candidate: MotionCandidate) -> MotionPlan | str:
+        """A plan out of what the solver found, or why not."""
+        if candidate.worst > WORTH_A_LOOK:
+            return f"not solved: {candidate.worst_term}"
+        if candidate.share < LEAST_SHARE:
+            return f"only {100 * candidate.share:.1f} % of the path are reached"
+        covered = self.solver.path.cut(candidate.share)
+        record = SolveRecord(
+            seed=0,
+            attempt=0,
+            attempts=1,
+            iterations=candidate.iterations,
+            status="motion",
+            cpu_s=candidate.cpu_s,
+            build_s=0.0,
+            objective="motion",
+        )
+        found = self.judge.judge(candidate, covered, self.solver.tube, record)
+        if isinstance(found, str):
+            return found
+        grasp, knots = found
+        return MotionPlan(
+            grasp=grasp,
+            path=covered,
+            knots=knots,
+            tube=self.solver.tube,
+            limits=candidate.limits,
+            record=MotionRecord(
+                seed=0,
+                attempt=0,
+                attempts=1,
+                iterations=candidate.iterations,
+                worst=candidate.worst,
+                cpu_s=0.0,
+                build_s=self.build_s,
+            ),
+        )
+
+
+def rank(plan: MotionPlan, whole: bool) -> float:
+    """What makes one motion better than another: margin, or length of the path."""
+    if whole:
+        return plan.margin
+    return abs(plan.path.angle) + float(np.linalg.norm(plan.path.shift))
