@@ -6,16 +6,15 @@ machine; budgets stop between attempts.
 
 from __future__ import annotations
 
-import time
-from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
+from planner.attempts import Attempt, nothing_found, numbered
 from planner.collision import CollisionWorld
-from planner.errors import NoGraspFoundError, TaskError
+from planner.errors import TaskError
 from planner.judge import judge_grasp
 from planner.plan import GraspPlan, SolveRecord
 from planner.stages import stage
@@ -43,44 +42,12 @@ SPARE_AFTER = 5
 was left to us: on narrow faces, rims and handles four fingers find no room."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Attempt:
-    """One attempt: a plan, or the reason why there is none.
-
-    Attributes:
-        index: Its number, from 0.
-        plan: The plan if it was found.
-        reason: Why not, "" if found.
-        cpu_s: CPU time of this attempt, s.
-    """
-
-    index: int
-    plan: GraspPlan | None
-    reason: str
-    cpu_s: float
-
-
-def _nothing_found(task: GraspTask, made: tuple[Attempt, ...]) -> NoGraspFoundError:
-    """The error of an exhausted budget, with the commonest reasons."""
-    counts = Counter(a.reason.split(":")[0] for a in made)
-    why = "; ".join(f"{n} x {reason}" for reason, n in counts.most_common(3))
-    commonest = counts.most_common(1)[0][0]
-    example = next(a.reason for a in made if a.reason.startswith(commonest))
-    return NoGraspFoundError(
-        f"no grasp of {task.object.name} with {task.hand.name} "
-        f"({', '.join(task.finger_names)}) in {len(made)} attempts: {why} (the first of these: "
-        f"{example}). Try more attempts, other fingers, another pose or size of the object, more "
-        "friction or less grip",
-        made,
-    )
-
-
 def attempts(
     task: GraspTask,
     *,
     seed: int = 0,
     options: SynthesisOptions | None = None,
-) -> Iterator[Attempt]:
+) -> Iterator[Attempt[GraspPlan]]:
     """Endless independent attempts at a task; attempt i depends on ``seed`` and i alone.
 
     Raises:
@@ -89,33 +56,30 @@ def attempts(
     if not isinstance(seed, int | np.integer) or seed < 0:
         raise TaskError(f"seed is {seed!r}; give an integer >= 0")
     options = options or SynthesisOptions()
-    whole = spared = _ground(task, options.built)
-    total = 0.0
-    index = 0
-    while True:
-        if index == SPARE_AFTER and task.may_spare_fingers:
-            spared = _spared_ground(task, options.built)
+    whole = _ground(task, options.built)
+
+    def ground(index: int) -> _Ground:
         past = index - SPARE_AFTER
-        ground = spared if past >= 0 and past % 2 == 0 else whole
-        start_cpu = time.process_time()
-        rng = np.random.default_rng([seed, index])
-        outcome = _attempt(ground, rng, options)
-        cpu = time.process_time() - start_cpu
-        total += cpu
-        if isinstance(outcome, str):
-            yield Attempt(index=index, plan=None, reason=outcome, cpu_s=cpu)
-        else:
-            record = replace(
-                outcome.record,
-                seed=seed,
-                attempt=index,
-                attempts=index + 1,
-                cpu_s=total,
-                build_s=ground.problems.build_s,
-            )
-            plan = replace(outcome, record=record)
-            yield Attempt(index=index, plan=plan, reason="", cpu_s=cpu)
-        index += 1
+        if not task.may_spare_fingers or past < 0 or past % 2:
+            return whole
+        return _spared_ground(task, options.built)
+
+    def record(plan: GraspPlan, index: int, cpu_s: float) -> GraspPlan:
+        made = replace(
+            plan.record,
+            seed=seed,
+            attempt=index,
+            attempts=index + 1,
+            cpu_s=cpu_s,
+            build_s=ground(index).problems.build_s,
+        )
+        return replace(plan, record=made)
+
+    return numbered(
+        lambda index: _attempt(ground(index), np.random.default_rng([seed, index]), options),
+        record,
+        prepare=ground,
+    )
 
 
 def plan_grasp(
@@ -125,7 +89,7 @@ def plan_grasp(
     max_attempts: int = DEFAULT_MAX_ATTEMPTS,
     max_cpu_s: float | None = None,
     options: SynthesisOptions | None = None,
-    progress: Callable[[Attempt], None] | None = None,
+    progress: Callable[[Attempt[GraspPlan]], None] | None = None,
 ) -> GraspPlan:
     """The first grasp that holds on the true geometry.
 
@@ -145,7 +109,7 @@ def plan_grasp(
         raise TaskError(f"max_attempts is {max_attempts}; give at least 1")
     if max_cpu_s is not None and not max_cpu_s > 0:
         raise TaskError(f"max_cpu_s is {max_cpu_s}; give seconds > 0")
-    made: list[Attempt] = []
+    made: list[Attempt[GraspPlan]] = []
     used = 0.0
     for attempt in attempts(task, seed=seed, options=options):
         made.append(attempt)
@@ -156,7 +120,12 @@ def plan_grasp(
             return attempt.plan
         if len(made) >= max_attempts or (max_cpu_s is not None and used >= max_cpu_s):
             break
-    raise _nothing_found(task, tuple(made))
+    raise nothing_found(
+        f"grasp of {task.object.name} with {task.hand.name} ({', '.join(task.finger_names)})",
+        made,
+        "Try more attempts, other fingers, another pose or size of the object, more friction or "
+        "less grip",
+    )
 
 
 @dataclass(frozen=True)

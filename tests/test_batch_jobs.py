@@ -20,6 +20,7 @@ from planner.batch.recipe import label_of, recipe_of, shape_key, task_of
 from planner.errors import FileFormatError, TaskError
 from planner.hand import Hand
 from planner.objects import GraspObject, parse_object
+from planner.plan import GraspPlan
 from planner.regions import TouchRegion, parse_region
 from planner.search import Attempt
 from planner.shapes import Box, Mesh, Sphere
@@ -158,7 +159,9 @@ def test_failed_attempts_are_kept_with_their_reasons(
     assert row["cpu_s"] == pytest.approx(sum(cpu for _, cpu in row["tries"]))
 
 
-def interrupting(task: GraspTask, *, progress: Callable[[Attempt], None], **_: object) -> None:
+def interrupting(
+    task: GraspTask, *, progress: Callable[[Attempt[GraspPlan]], None], **_: object
+) -> None:
     """In place of planning: Ctrl-C while the solver runs, which goes on to the next attempt."""
     os.kill(os.getpid(), signal.SIGINT)
     for i in range(2):

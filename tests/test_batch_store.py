@@ -19,6 +19,7 @@ from planner.batch.store import Store, shard_file
 from planner.errors import FileFormatError, NotFoundError, TaskError
 from planner.files import TaskData
 from planner.hand import Hand
+from planner.plan import GraspPlan
 from planner.search import Attempt
 from planner.task import GraspTask
 
@@ -62,7 +63,7 @@ def kit(allegro: Hand) -> Kit:
 
 def row(index: int) -> dict[str, Any]:
     """The row of a request out of 2 objects x 5 grasps; requests make one to three attempts."""
-    made = [
+    made: list[Attempt[GraspPlan]] = [
         Attempt(index=i, plan=None, reason=f"reason {i}", cpu_s=0.1) for i in range(1 + index % 3)
     ]
     label = ("sphere", "box")[index // 5]

@@ -150,7 +150,7 @@ def test_an_object_inside_an_obstacle_is_found_out_before_solving(allegro: Hand)
 def test_no_grasp_tells_every_reason_and_keeps_to_the_number_of_attempts(
     out_of_reach: GraspTask,
 ) -> None:
-    seen: list[Attempt] = []
+    seen: list[Attempt[GraspPlan]] = []
     with pytest.raises(NoGraspFoundError) as caught:
         plan_grasp(out_of_reach, max_attempts=2, progress=seen.append)
     made = caught.value.attempts

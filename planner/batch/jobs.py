@@ -21,6 +21,7 @@ import numpy as np
 from planner.batch.recipe import recipe_of, shape_key, task_of
 from planner.batch.rows import failed_row, found_row
 from planner.errors import NoGraspFoundError, PlannerError
+from planner.plan import GraspPlan
 from planner.search import Attempt, plan_grasp
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
@@ -124,11 +125,11 @@ def plan_row(job: Job) -> dict[str, Any]:
     What the planner refuses (an object too large for the hand) is a row with that reason; only
     faults of the program get out.
     """
-    made: list[Attempt] = []
+    made: list[Attempt[GraspPlan]] = []
     end_with(job.parent)
     with _ONE_AT_A_TIME, _undisturbed(job.parent) as check:
 
-        def note(attempt: Attempt) -> None:
+        def note(attempt: Attempt[GraspPlan]) -> None:
             made.append(attempt)
             check()
 

@@ -43,7 +43,7 @@ def arrow() -> Any:
 
 
 def failed_row(
-    index: int, label: str, k: int, seed: int, reason: str, made: Sequence[Attempt]
+    index: int, label: str, k: int, seed: int, reason: str, made: Sequence[Attempt[GraspPlan]]
 ) -> dict[str, Any]:
     """The row of a request without a grasp; ``reason`` is that of its last attempt."""
     return {
@@ -60,7 +60,7 @@ def failed_row(
 
 
 def found_row(
-    index: int, label: str, k: int, plan: GraspPlan, made: Sequence[Attempt]
+    index: int, label: str, k: int, plan: GraspPlan, made: Sequence[Attempt[GraspPlan]]
 ) -> dict[str, Any]:
     """The row of a request with its grasp."""
     task, contacts = plan.task, plan.contacts_in_object

@@ -164,7 +164,7 @@ def measure_task(
     shape = task.object.shape
     seed = grasp_seed(setting.seed, shape_key(shape), k)
     begin = time.process_time()
-    made: list[Attempt] = []
+    made: list[Attempt[GraspPlan]] = []
     reasons: list[str] = []
     plan = None
     with timed() as stages:
@@ -203,7 +203,7 @@ def measure_task(
     )
 
 
-def _cleared(attempt: Attempt, clearance: float) -> tuple[GraspPlan | None, str]:
+def _cleared(attempt: Attempt[GraspPlan], clearance: float) -> tuple[GraspPlan | None, str]:
     """The plan of an attempt if it keeps its distance, and the first words of why there is none."""
     if attempt.plan is None:
         return None, attempt.reason.split(":")[0].split(",")[0]

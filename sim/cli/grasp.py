@@ -65,6 +65,7 @@ def _plan(
 ) -> Any:
     """Plan with a spinner that counts attempts on stderr."""
     from planner.objects import parse_object
+    from planner.plan import GraspPlan
     from planner.search import Attempt, plan_grasp
     from planner.task import GraspTask
 
@@ -86,7 +87,7 @@ def _plan(
     title = f"planning: {task.hand.name}, {task.object.name} ..."
     with heeding_ctrl_c() as check, err.status(title) as status:
 
-        def show(attempt: Attempt) -> None:
+        def show(attempt: Attempt[GraspPlan]) -> None:
             check()
             outcome = escape(attempt.reason[:70] or "found")
             status.update(f"planning: attempt {attempt.index + 1}: {outcome}")
