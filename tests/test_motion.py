@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,8 +22,9 @@ from planner.files.motions import motion_to_dict
 from planner.hand import Hand
 from planner.judge import plan_forces
 from planner.kinematics import HandState
-from planner.motion import MotionPlan, ObjectPath, plan_motion
+from planner.motion import MotionPlan, ObjectPath, motion_attempts, plan_motion
 from planner.motion.between import lead
+from planner.motion.ground import finger_sets
 from planner.motion.holds import HOLD_SHARE, Hold, HoldRows
 from planner.motion.limits import what_limits
 from planner.motion.problem import JOINT_ROOM, MotionProblem, build_motion_problem
@@ -507,6 +509,18 @@ def test_of_several_the_motion_with_the_largest_margin_is_taken(ninety: MotionPl
     best = plan_motion(ninety.grasp.task, angle=np.pi / 2, best_of=3)
     assert best.record.attempts == 3
     assert best.margin >= ninety.margin
+
+
+def test_fingers_are_spared_only_by_plan_motion_and_where_it_may(shadow: Hand) -> None:
+    task = GraspTask.create(shadow, "cylinder:0.03x0.08")
+    tripod, whole = finger_sets(task)
+    assert tripod.finger_names == ("thumb", "index", "middle") and whole is task
+    assert tripod.grip_force >= task.grip_force
+    named = GraspTask.create(shadow, "cylinder:0.03x0.08", fingers=list(task.finger_names))
+    assert finger_sets(named) == (named,)
+    path = ObjectPath(axis=UP, angle=0.3, shift=np.zeros(3))
+    for attempt in itertools.islice(motion_attempts(task, path), 3):
+        assert attempt.plan is None or attempt.plan.grasp.task is task
 
 
 def test_leading_keeps_the_ends_and_lets_pads_roll(

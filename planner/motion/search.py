@@ -70,29 +70,45 @@ def motion_attempts(
     tube: float = TUBE,
     seed: int = 0,
     strengthen: bool = False,
-    exact_end: bool = False,
     options: SynthesisOptions = MOTION_OPTIONS,
 ) -> Iterator[MotionAttempt]:
     """Endless independent attempts; attempt i depends on ``seed`` and i alone.
 
-    Attempts take turns between sets of fingers where the task names none (``finger_sets``).
-
     Args:
-        task: What is grasped, with what, where; the base is free.
+        task: What is grasped, with which fingers, where; the base is free.
         path: Where the object is to go.
         whole: Whether all of the path is asked for, else as much of it as there is.
         tube: Radius within which the object may leave the path, m.
         seed: Same seed, same attempts.
         strengthen: Whether to work on closure once a whole path is reached.
-        exact_end: Whether the object ends on its path, and leaves it within the tube only on the
-            way there.
         options: Margins and weights at each knot.
 
     Raises:
         TaskError: The task or the path cannot work, found out before solving.
     """
     check_task(task, tube, seed)
-    sets = finger_sets(task)
+    return _taking_turns(
+        (task,),
+        path,
+        whole=whole,
+        tube=tube,
+        seed=seed,
+        strengthen=strengthen,
+        options=options,
+    )
+
+
+def _taking_turns(
+    sets: Sequence[GraspTask],
+    path: ObjectPath,
+    *,
+    whole: bool,
+    tube: float,
+    seed: int,
+    strengthen: bool,
+    options: SynthesisOptions,
+) -> Iterator[MotionAttempt]:
+    """Attempts that take turns between tasks that differ in their fingers; see above."""
     n_knots = _knots(path) if whole else STRETCH_KNOTS
 
     @cache
@@ -105,7 +121,7 @@ def motion_attempts(
             whole=whole,
             tube=tube,
             rounds=ROUNDS * strengthen,
-            exact_end=exact_end,
+            exact_end=False,
             holds=(),
         )
 
@@ -135,7 +151,9 @@ def plan_motion(
     """A motion of the object in the hand, without regrasping.
 
     Args:
-        task: What is grasped, with what, where it stands at the start; the base is free.
+        task: What is grasped, with what, where it stands at the start; the base is free. Where it
+            leaves the choice of fingers, attempts take turns between three and all of its fingers
+            (``finger_sets``), and the task of the plan says with which it is.
         axis: Axis of the turn through the object's centre of mass (3,), world.
         angle: Turn, rad, with its sign; None for as much as there is, counted positive about
             ``axis``.
@@ -167,8 +185,15 @@ def plan_motion(
     wanted = best_of or (1 if whole else BEST_OF)
     made: list[MotionAttempt] = []
     best: MotionPlan | None = None
-    for attempt in motion_attempts(
-        task, path, whole=whole, tube=tube, seed=seed, strengthen=wanted > 1, options=options
+    check_task(task, tube, seed)
+    for attempt in _taking_turns(
+        finger_sets(task),
+        path,
+        whole=whole,
+        tube=tube,
+        seed=seed,
+        strengthen=wanted > 1,
+        options=options,
     ):
         made.append(attempt)
         plan = attempt.plan
