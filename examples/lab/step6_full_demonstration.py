@@ -26,8 +26,8 @@ PLACE = (0.10, 0.05)  # where the object is to stand, m; it is picked from (0, 0
 MU, MAX_MASS = 0.45, 0.2  # least friction (-) and largest mass (kg) that are planned for
 TRUE_MU, TRUE_MASS = 0.6, 0.1  # what there is
 BESIDE = np.array([0.002, -0.001, 0.0])  # how far it stands from where it should, m
-QUICK = Pace(
-    approach=0.4, close=0.3, squeeze=0.3, verify=0.1, lift=0.4, hold=0.2, carry=0.4, height=0.03
+QUICK = Pace(  # s; height in m
+    approach=0.4, close=0.3, squeeze=0.3, lift=0.4, carry=0.4, lower=0.4, retreat=0.4, height=0.03
 )
 
 task = manipulation_task(HAND, parse_object(OBJECT, mass=MAX_MASS), mu=MU)
