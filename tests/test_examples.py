@@ -110,7 +110,8 @@ EXPECTED: dict[str, tuple[str, ...]] = {
     "step5_turn_in_the_hand": (
         "degrees about (0, 0, 1)",
         "closure: least normalised min-weight",
-        "0 samples without force closure",
+        "not dropped",
+        "all of it, with force closure at every sample: yes",
         "fallen on its side: 90 degrees turned as the lab measures, 0 about the axis",
     ),
     "step6_full_demonstration": (

@@ -1,12 +1,12 @@
 """The lab's step 5: turn a held object by 90 degrees about the vertical.
 
 The lab lets the fingertips circle around the object and hopes; its angle, 2 acos |w|, has neither
-axis nor sign, so that a tumble counts as a turn. Here the turn is planned before it is made: object
-poses with joints and contacts, every one force-closed with a margin and clear of collisions; tips
-roll on the object and do not slide. It is then executed by a closed loop on the measured pose, and
-what counts is the signed twist about the axis that was commanded. Prints the plan, and over the
-turn the twist with the lab's angle beside it, tilt off the axis, fingers in contact and closure.
-Last, for a fall on the side without any turn, both angles: the lab's calls it 90 degrees turned.
+axis nor sign, so that a tumble counts as a turn. Here the turn is planned before it is made: poses
+of the object with joints and contacts, each force-closed with a margin and clear of collisions,
+while tips roll on the object. A closed loop on the measured pose makes it, and what counts is the
+signed twist about the axis that was commanded. Prints the plan with how far the pads slide in all,
+and over the turn the twist, the tilt off the axis, fingers in contact and closure. Last, a fall on
+the side without any turn, by both measures: the lab's calls it turned by 90 degrees.
 """
 
 from __future__ import annotations
@@ -52,9 +52,11 @@ for i in turning[:: max(1, len(turning) // ROWS)]:
         f"{track.time[i] - track.time[turning[0]]:8.2f} {angles} {track.touching[i]:9d}", end="   "
     )
     print("yes" if track.closed[i] else "no")
-print(f"\nturned by {np.rad2deg(report.turned):.1f} degrees, reached after", end=" ")
-print(f"{report.time_to_angle:.2f} s; at least {report.least_fingers} fingers in contact", end=", ")
-print(f"{report.open_samples} samples without force closure")
+print(f"\nturned by {np.rad2deg(report.turned):.1f} degrees", end=", ")
+print(
+    f"{'not dropped' if not report.dropped else 'dropped'}, {report.least_fingers} fingers at least"
+)
+print(f"all of it, with force closure at every sample: {'yes' if report.strict else 'no'}")
 
 fallen = pin.exp3(np.pi / 2 * np.array([1.0, 0.0, 0.0]))
 lab = 2 * np.arccos(np.clip(abs(pin.Quaternion(fallen).w), -1, 1))

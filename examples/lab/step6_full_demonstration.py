@@ -1,12 +1,11 @@
 """The lab's step 6: the full demonstration, pick, turn by 90 degrees, place.
 
-The lab's demonstration lifts nothing and places nothing, and its verdict is a line of text. Here an
-object stands on a table and ends elsewhere on it, and every phase ends in a check: numbers, and
-a reason if it failed. The true mass, friction and place are not those that were planned for, since
-a plan that works for exact figures only is none. Prints the lab's own questions with our answers:
-contacts, closure and epsilon after the grasp; whether the object rose with the hand; the turn that
-was asked for and that was made; the same contact analysis at the end; and where the object stands.
-On the command line: opposable demo.
+The lab's demonstration lifts nothing and places nothing. Here an object stands on a table and ends
+elsewhere on it, and every phase ends in a check: numbers, and a reason if it failed. The true mass,
+friction and place are not those that were planned for, since a plan that works for exact figures
+only is none. Prints the check of every phase, contact modes over the turn, and the lab's own
+questions with our answers: contacts, closure and epsilon before the lift and after the turn, the
+turn that was asked for and the one that was made. On the command line: opposable demo.
 """
 
 from __future__ import annotations
