@@ -48,14 +48,12 @@ turning = track.during("turn")
 print("\ntime (s)   turned (deg)   tilt (deg)   fingers   closed")
 for i in turning[:: max(1, len(turning) // ROWS)]:
     angles = f"{np.rad2deg(track.turn[i]):12.1f} {np.rad2deg(track.tilt[i]):12.1f}"
-    print(
-        f"{track.time[i] - track.time[turning[0]]:8.2f} {angles} {track.touching[i]:9d}", end="   "
-    )
-    print("yes" if track.closed[i] else "no")
-print(f"\nturned by {np.rad2deg(report.turned):.1f} degrees", end=", ")
-print(
-    f"{'not dropped' if not report.dropped else 'dropped'}, {report.least_fingers} fingers at least"
-)
+    since = track.time[i] - track.time[turning[0]]
+    closed = "yes" if track.closed[i] else "no"
+    print(f"{since:8.2f} {angles} {track.touching[i]:9d}   {closed}")
+end = "dropped" if report.dropped else "not dropped"
+print(f"\nturned by {np.rad2deg(report.turned):.1f} degrees, {end}", end=", ")
+print(f"at least {report.least_fingers} fingers in contact in the air")
 print(f"all of it, with force closure at every sample: {'yes' if report.strict else 'no'}")
 
 fallen = pin.exp3(np.pi / 2 * np.array([1.0, 0.0, 0.0]))
