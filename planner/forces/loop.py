@@ -250,8 +250,12 @@ class ForceLoop:
             solver, spent = self._least_violation()
             solver_s += spent
             r.violation = self._fallback.violation(solver.x)
-            qp.violation(solver.x)  # for what is left over
             r.allowed = r.violation <= self._error()
+            # this also tells what is left over: where a solver refused what can be had, no more
+            # than the error and what the cost of a missed newton lets through
+            missed = qp.violation(solver.x)
+            through = float(np.linalg.norm(self._balance)) / VIOLATION_WEIGHT
+            r.balanced = r.allowed and missed <= self._error() + through
         if r.allowed:
             self._x = solver.x
         r.iterations, r.status = solver.iterations, solver.status
