@@ -8,8 +8,11 @@ its worker is found out.
 
 from __future__ import annotations
 
+import signal
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import joblib
@@ -115,11 +118,30 @@ def _stream(
         active, n_workers = joblib.parallel.get_active_backend()
         if active.supports_return_generator:
             parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1)
-            yield from parallel(call(work, *job) for job in jobs)
+            with _deaf_children():
+                results = parallel(call(work, *job) for job in jobs)
+            yield from results
             return
         at_once = AT_ONCE * active.effective_n_jobs(n_workers)
         while wave := [job for _, job in zip(range(at_once), jobs, strict=False)]:
             yield from joblib.Parallel(batch_size=1)(call(work, *job) for job in wave)
+
+
+@contextmanager
+def _deaf_children() -> Iterator[None]:
+    """Processes that are started meanwhile do not hear Ctrl-C, which is for this one to answer.
+
+    They inherit that it is ignored; one that still loads its libraries would end with a traceback.
+    This process does not hear it either, for the tenths of a second that starting them takes.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _alone(
