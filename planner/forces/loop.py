@@ -154,6 +154,7 @@ class ForceLoop:
         self.placed.place()
         dims = np.array(contacts.dims, dtype=np.int64)
         self._of_four = np.flatnonzero((np.arange(4) < dims[:, None]).ravel())
+        self._n_force = p.n_force  # counted once: it is asked for at every step
         normal = np.cumsum(dims) - dims
         self._tail = np.flatnonzero(~np.isin(np.arange(p.n_force), normal))
         self._owner = np.repeat(np.arange(n), dims)[self._tail]
@@ -251,11 +252,8 @@ class ForceLoop:
             solver_s += spent
             r.violation = self._fallback.violation(solver.x)
             r.allowed = r.violation <= self._error()
-            # this also tells what is left over: where a solver refused what can be had, no more
-            # than the error and what the cost of a missed newton lets through
-            missed = qp.violation(solver.x)
-            through = float(np.linalg.norm(self._balance)) / VIOLATION_WEIGHT
-            r.balanced = r.allowed and missed <= self._error() + through
+            missed = qp.violation(solver.x)  # this also tells what is left over
+            r.balanced = r.allowed and missed <= self._error()
         if r.allowed:
             self._x = solver.x
         r.iterations, r.status = solver.iterations, solver.status
@@ -285,7 +283,7 @@ class ForceLoop:
 
     def _write_costs(self, previous: FloatArray | None) -> None:
         """Write the costs on change of force and on joint torque."""
-        qp, n = self.qp, self.problem.n_force
+        qp, n = self.qp, self._n_force
         if self._change:
             before = self._x[:n]
             if previous is not None:
@@ -331,8 +329,16 @@ class ForceLoop:
         if self._yielding is None:
             self._yielding = keep_solver(self._solver_name, loose, self._tolerance)
         begin = time.perf_counter()
-        self._yielding.solve()
-        return self._yielding, time.perf_counter() - begin
+        solver = self._yielding
+        solver.solve()
+        through = 2.0 * np.linalg.norm(qp.low[:k]) / VIOLATION_WEIGHT
+        if self._tolerance < qp.violation(solver.x) <= through:
+            # all that is left over is what the cost lets through: the wrench can be had, though the
+            # solver refused it, and a step of the method of multipliers gets it
+            loose.q -= VIOLATION_WEIGHT * (table.T @ (qp.low[:k] - self._met))
+            loose.new_q = True
+            solver.solve()
+        return solver, time.perf_counter() - begin
 
     def _give(self, x: FloatArray, wrench: FloatArray) -> None:
         """Write forces, torques and what is left over of an answer."""
@@ -340,7 +346,7 @@ class ForceLoop:
         if self.placed.plain:
             self._vectors[:] = x.reshape(-1, 3)
         else:
-            r.forces.reshape(-1)[self._of_four] = (self._unit * x)[: self.problem.n_force]
+            r.forces.reshape(-1)[self._of_four] = (self._unit * x)[: self._n_force]
         np.multiply(self._met, self._row_unit, out=r.left_over)
         r.left_over += wrench
         if self._nv:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import sys
@@ -113,6 +114,30 @@ def names(text: str) -> list[str]:
     return found
 
 
+def numbers(option: str, text: str, count: int) -> list[float]:
+    """So many numbers with commas between them.
+
+    Raises:
+        TaskError: Something else.
+    """
+    from planner.errors import TaskError
+
+    wanted = f"give {COUNTS[count]} with commas between them"
+    try:
+        values = [float(v) for v in text.split(",")]
+    except ValueError as error:
+        raise TaskError(f"{option} {text!r} holds something else than numbers; {wanted}") from error
+    if len(values) != count:
+        raise TaskError(f"{option} {text!r} has {len(values)} numbers; {wanted}")
+    if not all(math.isfinite(v) for v in values):
+        raise TaskError(f"{option} {text!r} is not finite; {wanted}")
+    return values
+
+
+COUNTS = ("none", "one", "two", "three", "four", "five", "six")
+"""Counts in words."""
+
+
 def options_of(objective: str, task_wrench: list[str] | None, rounds: int | None) -> Any:
     """Options of synthesis as the command line gives them.
 
@@ -120,23 +145,9 @@ def options_of(objective: str, task_wrench: list[str] | None, rounds: int | None
         TaskError: A wrench is not made of six numbers, or they are not those of an objective.
         NotFoundError: An objective that does not exist.
     """
-    from planner.errors import TaskError
     from planner.synthesis.options import SynthesisOptions
 
-    wrenches = []
-    for text in task_wrench or ():
-        try:
-            wrenches.append([float(v) for v in text.split(",")])
-        except ValueError as error:
-            raise TaskError(
-                f"--task-wrench {text!r} holds something else than numbers; give "
-                "fx,fy,fz,tx,ty,tz in N and N m"
-            ) from error
-        if len(wrenches[-1]) != 6:
-            raise TaskError(
-                f"--task-wrench {text!r} has {len(wrenches[-1])} numbers; give six, "
-                "fx,fy,fz,tx,ty,tz in N and N m"
-            )
+    wrenches = [numbers("--task-wrench", text, 6) for text in task_wrench or ()]
     options = SynthesisOptions(
         objective=objective, task_wrenches=tuple(tuple(row) for row in wrenches)
     )

@@ -23,6 +23,7 @@ from sim.cli.common import (
     errors_for_people,
     make_folder,
     names,
+    numbers,
     out,
     print_json,
     say,
@@ -122,7 +123,7 @@ def _perform(
         mu=mu,
         fingers=None if fingers is None else names(fingers),
     )
-    x, y = _numbers("--place", place, 2)
+    x, y = numbers("--place", place, 2)
     with err.status(f"planning: {task.hand.name}, {task.object.name} ..."):
         plan = plan_manipulation(
             task,
@@ -162,27 +163,10 @@ def _turn(text: str) -> tuple[list[float], float]:
     axis, _, degrees = text.partition(":")
     if axis not in AXES:
         raise TaskError(f"--rotate {text!r} names no axis; give x, y or z and degrees: z:90")
-    return AXES[axis], _numbers("--rotate", degrees, 1)[0]
+    return AXES[axis], numbers("--rotate", degrees, 1)[0]
 
 
 AXES = {"x": [1.0, 0.0, 0.0], "y": [0.0, 1.0, 0.0], "z": [0.0, 0.0, 1.0]}
-
-
-def _numbers(option: str, text: str, count: int) -> list[float]:
-    """Numbers with commas between them.
-
-    Raises:
-        TaskError: Something else.
-    """
-    from planner.errors import TaskError
-
-    try:
-        values = [float(v) for v in text.split(",")]
-    except ValueError as error:
-        raise TaskError(f"{option}: {text!r} is no number; see --help") from error
-    if len(values) != count or not all(math.isfinite(v) for v in values):
-        raise TaskError(f"{option}: {text!r}; give {count} finite numbers, commas between them")
-    return values
 
 
 def register(app: typer.Typer) -> None:

@@ -21,6 +21,7 @@ from sim.cli.common import (
     err,
     errors_for_people,
     names,
+    numbers,
     out,
     print_json,
     say,
@@ -70,9 +71,9 @@ def plan_motion(
     with err.status(f"planning: {task.hand.name}, {task.object.name} ..."):
         found = plan(
             task,
-            axis=_vector("--axis", axis),
+            axis=numbers("--axis", axis, 3),
             angle=None if angle is None else math.radians(angle),
-            shift=_vector("--shift", shift),
+            shift=numbers("--shift", shift, 3),
             tube=tube,
             seed=seed,
             max_attempts=max_attempts,
@@ -120,9 +121,9 @@ def plan_gait(
     with err.status(f"planning: {task.hand.name}, {task.object.name} ..."):
         found = plan(
             task,
-            axis=_vector("--axis", axis),
+            axis=numbers("--axis", axis, 3),
             angle=math.radians(angle),
-            shift=_vector("--shift", shift),
+            shift=numbers("--shift", shift, 3),
             seed=seed,
             max_attempts=max_attempts,
         )
@@ -132,23 +133,6 @@ def plan_gait(
     else:
         say(out, escape(str(found)))
         say(out, escape(f"written to {output}"))
-
-
-def _vector(option: str, text: str) -> list[float]:
-    """Three numbers as the command line gives them.
-
-    Raises:
-        TaskError: Something else.
-    """
-    from planner.errors import TaskError
-
-    try:
-        values = [float(v) for v in text.split(",")]
-    except ValueError as error:
-        raise TaskError(f"{option} {text!r} holds something else than numbers: x,y,z") from error
-    if len(values) != 3:
-        raise TaskError(f"{option} {text!r} has {len(values)} numbers; give three: x,y,z")
-    return values
 
 
 def register(app: typer.Typer) -> None:
