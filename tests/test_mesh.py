@@ -292,7 +292,9 @@ def test_samples_are_on_the_surface_and_even() -> None:
 
 def test_dispersion_of_normals() -> None:
     mesh = box_mesh((0.1, 0.1, 0.1))
-    assert mesh.normal_dispersion(np.array([[0.05, 0.0, 0.0]]), 0.01)[0] == pytest.approx(0, abs=1e-6)
+    assert mesh.normal_dispersion(np.array([[0.05, 0.0, 0.0]]), 0.01)[0] == pytest.approx(
+        0, abs=1e-6
+    )
     # right on the edge two faces have equal parts of the ball: arccos |(1, 1, 0) / 2|
     on_edge = mesh.normal_dispersion(np.array([[0.05, 0.05, 0.0]]), 0.01)[0]
     assert on_edge == pytest.approx(np.pi / 4, abs=0.1)

@@ -5,6 +5,10 @@ start is given up. Then, in rounds, the directions of wrench in which the grasp 
 looked for (``planner.quality.weakest``), and a descent works on its resistance there as a further
 cost; likewise on the other objectives (``planner.synthesis.objectives``). Where terms have suffered
 from that, a last descent without objectives mends them.
+
+Bars and hulls are wider than the bones that keep fingers apart. For hands with such links the true
+distances are looked at where a descent has come to, and those that are too small are kept from then
+on, linear in the joints: on ten scans with a hand of bars 1.3 attempts a grasp so 1.7.
 """
 
 from __future__ import annotations
