@@ -87,7 +87,8 @@ def least_resisted(
 def _sample(count: int) -> FloatArray:
     """Directions of wrench (count, 6), spread at random, always the same."""
     found = np.random.default_rng(0).normal(size=(count, 6))
-    return found / np.linalg.norm(found, axis=1, keepdims=True)
+    found /= np.linalg.norm(found, axis=1, keepdims=True)
+    return found
 
 
 SAMPLE = _sample(128)
