@@ -197,6 +197,7 @@ class CollisionWorld:
         among: IntArray | None = None,
         *,
         touching: Collection[str] = (),
+        meshes: bool = True,
     ) -> NearPairs:
         """How hand and surroundings lie, and links of different fingers, that are near; base axes.
 
@@ -206,6 +207,7 @@ class CollisionWorld:
             limit: Pairs nearer than this (m) are looked at.
             among: Numbers of pairs that are looked at instead, but for those with a mesh.
             touching: Geometries of the hand whose distance from the object is left out.
+            meshes: Whether pairs with a mesh are looked at, which takes most of the time.
         """
         self._place(T_world_base, q)
         layout = self._layout
@@ -214,7 +216,7 @@ class CollisionWorld:
         numbers, distances, rows = (
             self._geometries.near(convex, limit) if among is None else self._geometries.at(among)
         )
-        if self._mesh is not None:
+        if self._mesh is not None and meshes:
             on_mesh = np.flatnonzero(wanted & layout.on_mesh)
             places, apart, more = self._mesh.near(layout.first[on_mesh], min(limit, MESH_LIMIT))
             numbers = np.concatenate([numbers, on_mesh[places]])

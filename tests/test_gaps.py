@@ -17,7 +17,6 @@ from planner.synthesis.mesh_seeds import seeder_for
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start
 from planner.synthesis.problems import problems_for
-from planner.synthesis.settle import settle
 from planner.synthesis.strengthen import descend_grasp
 from planner.synthesis.touch import touching_of
 from planner.task import GraspTask
@@ -25,7 +24,7 @@ from planner.task import GraspTask
 
 @pytest.fixture(scope="module", params=["cylinder", "torus"])
 def task(request: pytest.FixtureRequest, allegro: Hand) -> GraspTask:
-    """The Allegro's links are bars; a torus is a mesh."""
+    """The Allegro's links are bars; a torus is a mesh, and stands on a table like the cylinder."""
     return GraspTask.create(allegro, parse_object(request.param))
 
 
@@ -53,13 +52,15 @@ def test_gaps_are_what_coal_measures_and_change_as_they_say(task: GraspTask) -> 
 
     def look(x: FloatArray, limit: float) -> tuple[SE3, dict[int, float]]:
         pose = problem.base_pose(start, x)
-        near = world.near(task.T_world_object * pose, unknowns.q(x), limit, touching=names)
+        near = world.near(
+            task.T_world_object * pose, unknowns.q(x), limit, touching=names, meshes=False
+        )
         asked = np.where(np.isin(near.joints[:, 0], pads), options.clear_tip, ROOM)
         asked = np.where(near.outward, asked, options.clear_fingers)
         found = zip(near.numbers.tolist(), near.distances - asked, strict=True)
         return pose, {number: float(value) for number, value in found if value < limit}
 
-    for _ in range(50):
+    for _ in range(120):
         x = problem.first(start)
         x[:6] += rng.normal(0, [0.3, 0.3, 0.3, 0.02, 0.02, 0.02])
         x[6 : 6 + task.hand.nq] = rng.uniform(task.hand.q_lower, task.hand.q_upper)
@@ -78,7 +79,7 @@ def test_gaps_are_what_coal_measures_and_change_as_they_say(task: GraspTask) -> 
             if value > 0.0:  # apart: in penetration coal's distance is not smooth
                 errors.append(abs(after[number] - value - row @ step))
     assert len(errors) > 20
-    assert outward > 20
+    assert outward > 10
     assert short > 20
     # where two faces are parallel the nearest points, and with them the slope, may jump
     assert np.quantile(errors, 0.8) < 2e-8
@@ -98,7 +99,7 @@ def _ends(task: GraspTask, apart: float, k: int) -> tuple[Candidate, Candidate]:
 
 
 def test_fingers_end_as_far_apart_as_is_asked_and_still_touch(allegro: Hand) -> None:
-    """3 mm farther than they come to be without: the bones know nothing of it, the look does."""
+    """Over twice as far as they come to be without: bones know nothing of it, the look does."""
     task = GraspTask.create(allegro, parse_object("cylinder"))
     world, better = CollisionWorld(task), 0
 
@@ -109,35 +110,8 @@ def test_fingers_end_as_far_apart_as_is_asked_and_still_touch(allegro: Hand) -> 
 
     for k in range(4):
         before = least(_ends(task, 0.002, k)[0])
-        plain, kept = _ends(task, before + 0.003, k)
+        plain, kept = _ends(task, 2.2 * before, k)
         assert least(plain) == pytest.approx(before)
         solved = kept.violation["touch"] < 1e-4 and kept.violation["balance"] < 5e-3
-        better += solved and least(kept) > before + 0.0025
+        better += solved and least(kept) > 2.0 * before
     assert better >= 3
-
-
-def test_settling_brings_links_out_of_the_object_where_models_left_them(allegro: Hand) -> None:
-    """A grasp with a link pushed into the object by joints that pads hardly feel: it comes out."""
-    task = GraspTask.create(allegro, parse_object("cylinder"))
-    world, mended, tried = CollisionWorld(task), 0, 0
-    names = touching_of(task).names
-    for k in range(6):
-        found = _ends(task, 0.002, k)[1]
-        base = task.T_world_object * found.T_object_base
-        near = world.near(base, found.q, 0.004, touching=names)
-        if not len(near.distances):
-            continue
-        nearest = int(np.argmin(near.distances))
-        state = world.moving.move(found.q)
-        row = state.point_rates(near.joints[:, 1], near.points_b, near.normals)[nearest]
-        row -= state.point_rates(near.joints[:, 0], near.points_a, near.normals)[nearest]
-        q = found.q - (near.distances[nearest] + 3e-4) * row / (row @ row)
-        q = np.clip(q, allegro.q_lower, allegro.q_upper)
-        worst = world.closest(base, settle(task, base, q), 1, touching=names)[0].distance
-        if worst < 0.0:
-            tried += 1
-            with_links = settle(task, base, q, world)
-            mended += world.closest(base, with_links, 1, touching=names)[0].distance >= 0.0
-            assert np.abs(touching_of(task).gaps(base, with_links).gaps).max() < 1e-4
-    assert tried >= 2
-    assert mended == tried

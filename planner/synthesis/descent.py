@@ -84,6 +84,7 @@ def descend(
     scale: FloatArray,
     max_iterations: int = MAX_ITERATIONS,
     damping: float | None = None,
+    slow: float = SLOW,
 ) -> Descent:
     """Descend from x. The last call of the residuals is at the x that is returned.
 
@@ -95,6 +96,8 @@ def descend(
         scale: Typical steps (n,): damping treats them alike.
         max_iterations: Budget in evaluations.
         damping: Of the first step; None for ``FIRST_DAMPING``.
+        slow: Share of the sum of squares below which a step's gain ends it when solved; infinite to
+            end with the first step that solves the terms, whatever the cost.
     """
     free = np.flatnonzero(upper > lower)
     scale, lower, upper = scale[free], lower[free], upper[free]
@@ -137,7 +140,7 @@ def descend(
         last, r, total, worst = to, r_to, total_to, worst_to
         damping, growth = damping * max(1 / 3, 1 - (2 * min(gain, 1.0) - 1) ** 3), 2.0
         idle = idle + 1 if share < STALLED else 0
-        if worst < SOLVED and share < SLOW:
+        if worst < SOLVED and share < slow:
             status = "solved"
             break
         if idle >= PATIENCE:
