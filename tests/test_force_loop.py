@@ -321,6 +321,31 @@ def test_tendon_and_stop(levers: tuple[float, float]) -> None:
     assert anew.found == (levers[0] > levers[1])
 
 
+@pytest.mark.parametrize("levers", [(0.05, 0.02), (0.02, 0.05), (0.05, -0.02), (-0.02, 0.05)])
+def test_a_tie_pulls_and_pushes(levers: tuple[float, float]) -> None:
+    """Joints a = b with the motor on a: it bears t_a + t_b, whatever the tie passes on for that."""
+    jacobians = np.zeros((2, 3, 2))
+    jacobians[0, 0] = -np.array(levers)
+    for share, borne in ((1.01, True), (0.99, False)):
+        limit = share * W * sum(levers)  # pressing takes W at mu 0.5
+        hand = motors(
+            2,
+            limit,
+            names=("a",),
+            moment=[[1.0, 0.0]],
+            length0=[0.0],
+            gain=[1.0],
+            bias=np.zeros((1, 3)),
+            force_range=[[-limit, limit]],
+            ctrl_range=[[-limit, limit]],
+            stop_rows=[[1.0, -1.0], [-1.0, 1.0]],
+            stop_values=[np.inf, np.inf],
+            stop_names=("up", "down"),
+        )
+        step = ForceLoop(opposed(), actuation=hand).step(WEIGHT, jacobians=jacobians, q=np.zeros(2))
+        assert step.balanced == borne
+
+
 def test_a_stop_along_a_motor_takes_its_limit_off_on_one_side() -> None:
     jacobians = np.zeros((2, 3, 1))
     jacobians[1, 0, 0] = 1.0  # pressing at contact 1 needs a positive torque
@@ -338,7 +363,7 @@ def test_a_stop_along_a_motor_takes_its_limit_off_on_one_side() -> None:
         assert not far.balanced
 
 
-@pytest.mark.parametrize("name", ["shadow_hand", "allegro_hand"])
+@pytest.mark.parametrize("name", ["shadow_hand", "allegro_hand", "shadow_hand_torque"])
 @pytest.mark.parametrize("at_limits", [False, True])
 def test_the_rows_of_a_real_hand_allow_what_its_columns_allow(name: str, at_limits: bool) -> None:
     """Random levers at random q. Where stops repeat each other at limits, rows may refuse more."""
