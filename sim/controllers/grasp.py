@@ -53,6 +53,10 @@ MOTOR_FREQUENCY, MOTOR_DAMPING = 30.0, 1.0
 """Natural frequency (rad/s) and damping ratio (-) of the spring given to joints with motors: about
 the stiffness of a hand with servos."""
 
+STICTION_ERROR = 0.005
+"""Largest deflection (rad) of that spring by the joint's dry friction: half a millimetre at the end
+of a finger of 10 cm. Light links would else stick short of the object."""
+
 
 class GraspController:
     """Executes the fingers' part of a plan.
@@ -176,8 +180,7 @@ def motor_servo(hand: Hand, q: FloatArray) -> tuple[FloatArray, FloatArray]:
     driven = squared.any(axis=0)
     has_servo = (-actuation.bias[:, 1] @ squared) > 0
     inertia = np.diag(pin.crba(hand.pin_model, hand.pin_model.createData(), q))
-    inertia = inertia * (driven & ~has_servo)
-    return (
-        inertia * MOTOR_FREQUENCY**2,
-        2.0 * MOTOR_DAMPING * MOTOR_FREQUENCY * inertia,
-    )
+    stiction = np.array(hand.pin_model.upperDryFrictionLimit)
+    stiffness = np.maximum(inertia * MOTOR_FREQUENCY**2, stiction / STICTION_ERROR)
+    mine = driven & ~has_servo
+    return stiffness * mine, 2.0 * MOTOR_DAMPING * np.sqrt(stiffness * inertia) * mine
