@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.bridge.motors import motorise_spec, tied
+from planner.bridge.motors import motorise_spec
 from planner.catalog import models_dir
 from planner.errors import HandError
 from planner.hand import Hand
@@ -37,35 +37,13 @@ def derived(folder: Path, of: Path, name: str = "hand.toml") -> Path:
 
 
 def posture(of: Hand, rng: np.random.Generator) -> FloatArray:
-    """Joints (nq,) away from their limits that keep the ties."""
-    lower, upper = of.pin_model.lowerPositionLimit, of.pin_model.upperPositionLimit
-    leaders, moved = tied(np.array([c.row for c in of.couplings]))
-    share = rng.uniform(0.3, 0.7, size=len(leaders))
-    return np.asarray(
-        moved @ (lower + (upper - lower) * 0.5)[leaders] * 0.8 + moved @ (0.1 * share)
-    )
-
-
-# --- which joints lead ----------------------------------------------------------------------------
-
-
-def test_joints_that_follow() -> None:
-    leaders, moved = tied(np.array([[0.0, 1.0, -1.0], [0.0, 0.0, 0.0]])[:1])
-    assert leaders.tolist() == [0, 1]
-    np.testing.assert_allclose(moved, [[1, 0], [0, 1], [0, 1]], atol=EXACT)
-
-
-def test_a_chain_of_gears() -> None:
-    # q1 = q0 / 2, q2 = 3 q1; the rows are given the other way round
-    leaders, moved = tied(np.array([[0.0, -3.0, 1.0], [-1.0, 2.0, 0.0]]))
-    assert leaders.tolist() == [0]
-    np.testing.assert_allclose(moved, np.array([[1.0], [0.5], [1.5]]), atol=EXACT)
-
-
-def test_without_ties_every_joint_leads() -> None:
-    leaders, moved = tied(np.zeros((0, 4)))
-    assert leaders.tolist() == [0, 1, 2, 3]
-    np.testing.assert_array_equal(moved, np.eye(4))
+    """Joints (nq,) away from their limits that keep the ties: J1 = J2, which stand side by side."""
+    share = rng.uniform(0.3, 0.7, size=of.nq)
+    q = of.q_lower + share * (of.q_upper - of.q_lower)
+    for coupling in of.couplings:
+        a, b = np.flatnonzero(coupling.row)
+        q[b] = q[a]
+    return np.asarray(q)
 
 
 # --- a small model, by hand -----------------------------------------------------------------------
@@ -121,18 +99,21 @@ def test_motors_have_the_torque_of_what_they_replace() -> None:
     assert model.ntendon == 0
 
 
-def test_of_tied_joints_one_has_the_motor_of_all() -> None:
-    # three turns back twice as fast as two: (0.5 - 2 * 0.25) * 8 = 0, so nothing moves them
-    _, motors = motors_of(SMALL.format(equality=TIE))
-    assert motors == {"one": [-0.5, 0.5]}
-    _, motors = motors_of(SMALL.format(equality=TIE.replace("-2", "2")))
-    assert motors == {"one": [-0.5, 0.5], "two": [0.0, 8.0]}
+def test_ties_stay_and_tied_joints_keep_their_motors() -> None:
+    model, motors = motors_of(SMALL.format(equality=TIE))
+    assert list(motors) == ["one", "two", "three"]
+    assert model.neq == 1
 
 
 def test_a_tendon_that_an_equality_holds_stays() -> None:
     model, motors = motors_of(SMALL.format(equality='<tendon tendon1="pull"/>'))
     assert [model.tendon(i).name for i in range(model.ntendon)] == ["pull"]
-    assert list(motors) == ["one"]  # the tendon cannot lengthen
+    assert list(motors) == ["one", "two", "three"]
+
+
+def test_a_joint_that_nothing_drives_has_no_motor() -> None:
+    text = SMALL.format(equality=TIE).replace('<joint joint="three" coef="0.25"/>', "", 1)
+    assert list(motors_of(text)[1]) == ["one", "two"]
 
 
 def test_a_motor_needs_a_greatest_torque() -> None:
@@ -147,9 +128,9 @@ def test_a_motor_needs_a_greatest_torque() -> None:
 def test_motors_of_the_shadow_type_hand() -> None:
     driven, own = hand("shadow_hand_torque"), hand("shadow_hand")
     motors = dict(zip(driven.actuation.names, driven.actuation.force_range[:, 1], strict=True))
-    assert len(motors) == 20
-    assert (motors["FFJ3"], motors["FFJ2"], motors["THJ5"], motors["WRJ2"]) == (1, 2, 3, 10)
-    assert "FFJ1" not in motors
+    assert tuple(motors) == own.joint_names
+    assert (motors["FFJ3"], motors["FFJ2"], motors["FFJ1"]) == (1, 1, 1)
+    assert (motors["THJ5"], motors["WRJ2"]) == (3, 10)
     assert not driven.actuation.stiffness.any()
     assert all(not c.one_sided for c in driven.couplings)
     for a, b in zip(driven.couplings, own.couplings, strict=True):
@@ -179,7 +160,7 @@ def test_kinematics_and_masses_are_those_of_the_hand_itself() -> None:
 
 
 def test_torques_act_as_asked() -> None:
-    # a load as large as the torque, the other way: nothing moves, and the ties carry their share
+    # a load as large as the torque, the other way: nothing moves
     of = hand("shadow_hand_torque")
     model = of.new_spec().compile()
     model.opt.gravity[:] = 0.0
@@ -188,7 +169,6 @@ def test_torques_act_as_asked() -> None:
     model.dof_damping[:] = 1e-3  # so that anything that is wrong shows at once
     data = mujoco.MjData(model)
     rng = np.random.default_rng(1)
-    _, moved = tied(np.array([c.row for c in of.couplings]))
     for _ in range(3):
         q = posture(of, rng)
         torque = rng.uniform(-0.4, 0.4, size=of.nq)
@@ -197,9 +177,9 @@ def test_torques_act_as_asked() -> None:
         mujoco.mj_resetData(model, data)
         data.qpos[:], data.ctrl[:], data.qfrc_applied[:] = q, ctrl, -torque
         mujoco.mj_forward(model, data)
-        np.testing.assert_allclose(moved.T @ data.qfrc_actuator, moved.T @ torque, atol=1e-9)
+        np.testing.assert_allclose(data.qfrc_actuator, torque, atol=1e-9)
         mujoco.mj_step(model, data, 100)
-        assert np.abs(data.qpos - q).max() < 2e-3  # what the ties give way
+        np.testing.assert_allclose(data.qpos, q, atol=1e-9)
 
 
 def test_a_torque_beyond_a_motor_is_cut() -> None:

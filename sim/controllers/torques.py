@@ -18,13 +18,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planner.hand import Hand
 from planner.kinematics import MovingHand
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, skew
-from sim.controllers.grasp import limited, motor_servo
+from sim.controllers.grasp import limited
+from sim.controllers.motors import FULL_FRICTION_RATE, joint_drag, motor_servo
 
-__all__ = ["HoldingTorques", "grasp_matrix", "joint_drag"]
+__all__ = ["HoldingTorques", "grasp_matrix"]
 
 TIP_STIFFNESS = 150.0
 """Spring (N/m) of fingertips against each other: 0.15 N per millimetre of creeping apart."""
@@ -39,9 +39,6 @@ damper (N s/m): it moves at some 3 cm/s."""
 
 RETREAT, RETREAT_STIFFNESS = 0.01, 100.0
 """A finger that is told to leave stays this far (m) off where it held, by this spring (N/m)."""
-
-FULL_FRICTION_RATE = 0.05
-"""Wanted rate (rad/s) of a joint from which on all of its dry friction is made up for."""
 
 RANK_TOL = 1e-6
 """Added to G G^T (-, m^2) where too few fingers hold to fix every motion."""
@@ -207,12 +204,6 @@ class HoldingTorques:
         gram = jac @ jac.transpose(0, 2, 1) + _FLAT
         force = np.linalg.solve(gram, jac @ own[..., None])
         return np.asarray((own - (jac.transpose(0, 2, 1) @ force)[..., 0]).sum(axis=0))
-
-
-def joint_drag(hand: Hand) -> tuple[FloatArray, FloatArray]:
-    """Damping (nq,), N m s/rad, and dry friction (nq,), N m, of a hand's joints by its model."""
-    model = hand.pin_model
-    return np.array(model.damping), np.array(model.upperDryFrictionLimit)
 
 
 def grasp_matrix(arms: FloatArray) -> FloatArray:
