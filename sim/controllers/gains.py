@@ -117,5 +117,5 @@ def felt_inertia(plan: GraspPlan, mass: float) -> tuple[float, float]:
         tip = np.linalg.inv(mobility + SOFTEST * np.eye(3))
         arm = np.vstack([np.eye(3), skew(point - contacts.center)])
         felt += arm @ tip @ arm.T
-    mobility = np.linalg.inv(felt)
-    return 3.0 / float(np.trace(mobility[:3, :3])), 3.0 / float(np.trace(mobility[3:, 3:]))
+    mean = np.diag(np.linalg.inv(felt)).reshape(2, 3).mean(axis=1)
+    return 1.0 / float(mean[0]), 1.0 / float(mean[1])

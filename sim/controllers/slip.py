@@ -46,7 +46,7 @@ class SlipDetector:
         self._average = np.zeros((n, 3))
         self._creep = np.zeros(n)
         # of the speed, and of what spinning leaves of it
-        self._above = np.zeros((2, n))
+        self._speeds, self._above = np.zeros((2, 2, n))
         self._slipping: NDArray[np.bool_] = np.zeros((2, n), dtype=bool)
 
     @property
@@ -63,13 +63,17 @@ class SlipDetector:
         """
         share = elapsed / (AVERAGE_TIME + elapsed)
         loaded = pads.normal_force > LOADED
-        seen = np.where(loaded[:, None], pads.sliding, 0.0)
-        self._average = np.where(loaded[:, None], self._average + share * (seen - self._average), 0)
-        self._creep += share * (np.where(loaded, pads.creep_speed, 0.0) - self._creep)
-        self.speed = np.sqrt((self._average**2).sum(axis=1))
-        speeds = np.stack([self.speed, self.speed - self._creep])
-        self._above = np.where(speeds > ALARM_SPEED, self._above + elapsed, 0.0)
+        if loaded.all():
+            self._average += share * (pads.sliding - self._average)
+            self._creep += share * (pads.creep_speed - self._creep)
+        else:
+            seen = np.where(loaded[:, None], pads.sliding, 0.0)
+            self._average = loaded[:, None] * (self._average + share * (seen - self._average))
+            self._creep += share * (loaded * pads.creep_speed - self._creep)
+        self.speed = np.sqrt((self._average * self._average).sum(axis=1))
+        self._speeds[0], self._speeds[1] = self.speed, self.speed - self._creep
+        self._above = (self._above + elapsed) * (self._speeds > ALARM_SPEED)
         begins = (self._above >= ALARM_TIME - elapsed / 2) & ~self._slipping
-        self._slipping = (self._slipping | begins) & (speeds > ALARM_SPEED / 2)
+        self._slipping = (self._slipping | begins) & (self._speeds > ALARM_SPEED / 2)
         self.begun_beyond_spin = np.asarray(begins[1])
         return np.asarray(begins[0])

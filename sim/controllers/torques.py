@@ -81,6 +81,7 @@ class HoldingTorques:
         self._q_ref = plan.q.copy()
         self._q, self._v = plan.q.copy(), np.zeros(nq)
         self._tips = np.zeros((n, 3))
+        self._apart = np.zeros((n, 3))  # from the fingertips to where they were when latched
         self._tip_forces = np.zeros((n, 3))
         self._tip_velocity = np.zeros((n, 3))
         self._law_q, self._torque = plan.q.copy(), np.zeros(nq)
@@ -142,7 +143,8 @@ class HoldingTorques:
         mask = holding[:, None]
         grasp = grasp_matrix(points - center) * np.repeat(holding, 3)
         gram = grasp @ grasp.T + _RANK
-        apart = np.where(mask, self._latched() - self.centers, 0.0)
+        self._apart = self._latched() - self.centers
+        apart = np.where(mask, self._apart, 0.0)
         moved = np.column_stack([self._tip_velocity.ravel(), apart.ravel()])
         rigid = np.linalg.solve(gram, grasp @ moved)
         rest = apart - (rigid[:, 1] @ grasp).reshape(-1, 3)
@@ -165,7 +167,7 @@ class HoldingTorques:
             searching: (n,), which look for the object; the rest stay off it.
         """
         seek = SEARCH_FORCE * normals
-        away = RETREAT_STIFFNESS * (self._latched() - RETREAT * normals - self.centers)
+        away = RETREAT_STIFFNESS * (self._apart - RETREAT * normals)
         alone = np.where(searching[:, None], seek, away) - SEARCH_DAMPING * self._tip_velocity
         total = np.where(holding[:, None], forces + self._tip_forces, alone)
         torque = total.ravel() @ self.jacobians.reshape(-1, self._hand.nq) + self.own_torque
