@@ -5,9 +5,8 @@ which at the moment it is sent gives the same torque. Between two commands the t
 keeps its torque while a servo keeps a spring around where the joint was. Prints, for both kinds of
 the same hand and some control rates, how far the object moves in the hand under a sudden push and
 what the fingers then press (30 % more after each slip that was noticed), and draws the movement in
-servo_and_torque.png. At 250 Hz and more both agree within a tenth of a millimetre. At 125 Hz the
-loop swings until pads slip and presses several times as hard, more so with motors, and at 50 Hz
-these gains are too high for both.
+servo_and_torque.png. At 125 Hz and more both agree within a few hundredths of a millimetre; at
+50 Hz these gains are too high for both.
 Needs matplotlib: pip install "opposable[plot]".
 """
 

@@ -1,16 +1,18 @@
-"""Reading a ``hand.toml``: the description in it, its model, and what a mirror image changes.
+"""Reading a ``hand.toml``: the description in it, its model, and what a derived hand changes.
 
 A hand of the other side is described by reference, ``mirror_of``: it has the model and the
 description of that hand, both reflected through a coordinate plane of the base's frame. Names of
 bodies, joints, tips and pads stay those of the hand it mirrors. See
-``models/hands/shadow_hand_left/hand.toml``.
+``models/hands/shadow_hand_left/hand.toml``. In the same way ``motors_of`` makes of any hand one
+with torque motors (``planner.bridge.motors``), whose stops are ties: joints that a tendon and its
+stop keep together in a grasp move together. See ``models/hands/shadow_hand_torque/hand.toml``.
 """
 
 from __future__ import annotations
 
 import hashlib
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal, TypeAlias, TypeVar
 
@@ -28,6 +30,7 @@ __all__ = [
     "DescribedHand",
     "MirrorAxis",
     "MirrorDescription",
+    "MotorsDescription",
     "read_description",
     "reflection_signs",
 ]
@@ -50,6 +53,21 @@ class MirrorDescription(StrictData):
     summary: str = ""
     mirror_of: str
     mirror_axis: MirrorAxis
+
+
+class MotorsDescription(StrictData):
+    """A ``hand.toml`` that only says which hand it is with torque motors.
+
+    Attributes:
+        name: Name of this hand.
+        summary: One line.
+        motors_of: Description file of that hand, which may be a mirror image, relative to this one.
+    """
+
+    schema_version: Literal[1] = Field(alias="schema")
+    name: str
+    summary: str = ""
+    motors_of: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,14 +110,16 @@ def reflection_signs(axis: MirrorAxis) -> FloatArray:
 
 
 def read_description(path: Path) -> DescribedHand:
-    """Read and validate a description file, and the one that it mirrors if it does.
+    """Read and validate a description file, and the one that it is derived from if it is.
 
     Raises:
         HandError: Not TOML, a field is missing, unknown or out of range (each one is named), or the
-            hand to mirror is missing or a mirror image itself.
+            hand that it is derived from is missing or itself derived where it must not be.
         ModelError: The model is in a package that is not installed.
     """
     raw = _read_toml(path)
+    if "motors_of" in raw:
+        return _motorised(path, _validated(path, MotorsDescription, raw))
     if "mirror_of" not in raw:
         description = _validated(path, HandDescription, raw)
         model = model_file(description.model, path.parent)
@@ -112,9 +132,13 @@ def read_description(path: Path) -> DescribedHand:
         )
     mirror = _validated(path, MirrorDescription, raw)
     other = path.parent / mirror.mirror_of
-    if not other.is_file():
-        raise HandError(f"{path}: mirror_of names {other}, which does not exist; correct it")
+    _check_there(path, "mirror_of", other)
     original_raw = _read_toml(other)
+    if "motors_of" in original_raw:
+        raise HandError(
+            f"{path}: mirror_of names {other}, a hand with motors in place of its own actuators; "
+            "mirror the hand that it is made of, and write motors_of = that mirror image"
+        )
     if "mirror_of" in original_raw:
         raise HandError(
             f"{path}: mirror_of names {other}, which is a mirror image itself; name the hand that "
@@ -144,18 +168,45 @@ def _mirrored(original: HandDescription, mirror: MirrorDescription) -> HandDescr
         tip = f.tip and f.tip.model_copy(update={"position": reflect(f.tip.position)})
         return f.model_copy(update={"pad": f.pad.model_copy(update=pad), "tip": tip})
 
-    model = original.model
-    if not model.startswith(PACKAGE_SCHEME):
-        model = str(PurePosixPath(mirror.mirror_of).parent / model)
     return original.model_copy(
         update={
             "name": mirror.name,
-            "model": model,
+            "model": _seen_from(mirror.mirror_of, original.model),
             "summary": mirror.summary,
             "palm_normal": reflect(original.palm_normal),
             "fingers": tuple(reflected(f) for f in original.fingers),
         }
     )
+
+
+def _motorised(path: Path, motors: MotorsDescription) -> DescribedHand:
+    """The hand of another description file, with motors."""
+    other = path.parent / motors.motors_of
+    _check_there(path, "motors_of", other)
+    original = read_description(other)
+    ties = tuple(c.model_copy(update={"kind": "equality"}) for c in original.description.couplings)
+    description = original.description.model_copy(
+        update={
+            "name": motors.name,
+            "model": _seen_from(motors.motors_of, original.description.model),
+            "summary": motors.summary,
+            "couplings": ties,
+            "motors": True,
+        }
+    )
+    return replace(original, description=description, files=(path, *original.files))
+
+
+def _seen_from(other: str, model: str) -> str:
+    """The ``model`` line of another description file, relative to the file that names that one."""
+    if model.startswith(PACKAGE_SCHEME):
+        return model
+    return str(PurePosixPath(other).parent / model)
+
+
+def _check_there(path: Path, field: str, other: Path) -> None:
+    if not other.is_file():
+        raise HandError(f"{path}: {field} names {other}, which does not exist; correct it")
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

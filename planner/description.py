@@ -185,7 +185,8 @@ class HandDescription(StrictData):
     """Everything in a ``hand.toml``; angles of postures in rad (slides in m).
 
     ``model`` is relative to the file, absolute, or ``package:PACKAGE/PATH``: a path inside an
-    installed Python package.
+    installed Python package. ``motors`` replaces all actuators and tendons by torque motors, see
+    ``planner.bridge.motors``; its couplings are equalities.
     """
 
     schema_version: Literal[1] = Field(alias="schema")
@@ -202,6 +203,7 @@ class HandDescription(StrictData):
     repair: RepairDescription = RepairDescription()
     joint_defaults: JointDefaults = JointDefaults()
     actuators: tuple[ActuatorDescription, ...] = ()
+    motors: bool = False
     fingers: tuple[FingerDescription, ...] = ()
     couplings: tuple[CouplingDescription, ...] = ()
     postures: dict[str, dict[str, Finite]] = Field(default_factory=dict)
@@ -210,6 +212,16 @@ class HandDescription(StrictData):
     @classmethod
     def _normalise(cls, v: Vector, info: ValidationInfo[Any]) -> Vector:
         return _unit(v, info)
+
+    @model_validator(mode="after")
+    def _motors_have_no_stops(self) -> Self:
+        stops = [c.name for c in self.couplings if c.kind == "stop"]
+        if self.motors and stops:
+            raise ValueError(
+                f"motors take the tendons away, so that nothing presses on the stops {stops}; "
+                'write kind = "equality" for joints that are tied, or drop the coupling'
+            )
+        return self
 
     def to_json(self) -> str:
         """The description as JSON, from which ``from_json`` makes it again to the last bit."""

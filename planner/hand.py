@@ -18,6 +18,7 @@ from planner.bridge import (
     hand_geometries,
     load_spec,
     mirror_spec,
+    motorise_spec,
     pinocchio_from_mujoco,
     prepare_spec,
     spec_from_model,
@@ -134,6 +135,8 @@ class Hand(HandModel):
         if mirror_axis is not None:
             mirror_spec(spec, reflection_signs(mirror_axis), model)
         add_described_parts(spec, description, model)
+        if description.motors:
+            motorise_spec(spec, model)
         mj_model = compile_spec(spec, model)
         if mj_model.nq != mj_model.nv or mj_model.nq != mj_model.njnt:
             raise HandError(

@@ -21,7 +21,7 @@ from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from planner.synthesis.carried import LIFT_HEIGHT, ArmPath
 from sim.controllers.base import Phase
-from sim.controllers.grasp import motor_servo
+from sim.controllers.motors import motor_servo
 from sim.mount import MountCarrier
 from sim.scene import Scene
 from sim.timeline import Timeline

@@ -27,6 +27,7 @@ from sim.scene import HAND_PREFIX, OBJECT, OBSTACLE_PREFIX, TABLE, Scene
 
 __all__ = [
     "Touch",
+    "contact_loads",
     "contacts_from_mujoco",
     "hand_contacts",
     "merge_per_finger",
@@ -118,13 +119,30 @@ def hand_contacts(scene: Scene, data: Any) -> ContactSet:
 
 def normal_forces(scene: Scene, data: Any, fingers: tuple[str, ...]) -> FloatArray:
     """Sum of normal forces on the object per finger, (n,), N: quick enough for every step."""
-    total = np.zeros(len(fingers))
+    total = [0.0] * len(fingers)
     index = {name: k for k, name in enumerate(fingers)}
+    loads = contact_loads(data)
     for i, geom, _ in _pairs(scene.model, data, scene.object_body, scene.finger_of_geom):
         k = index.get(scene.finger_of_geom[geom])
         if k is not None:
-            total[k] += _force(scene.model, data, i)[0]
-    return total
+            total[k] += loads[i][0]
+    return np.array(total)
+
+
+def contact_loads(data: Any) -> list[list[float]]:
+    """f_n, f_t1, f_t2 (N) of every contact on its geom 2, in MuJoCo's frame, as plain numbers.
+
+    What ``mj_contactForce`` gives, all at once: with elliptic cones, which scenes have, it is the
+    constraint force itself.
+    """
+    forces = data.efc_force.tolist()
+    out = []
+    for address, dim in zip(
+        data.contact.efc_address.tolist(), data.contact.dim.tolist(), strict=True
+    ):
+        load = forces[address : address + min(dim, 3)] if address >= 0 else []
+        out.append(load + [0.0] * (3 - len(load)))
+    return out
 
 
 def object_contacts(scene: Scene, data: Any) -> list[tuple[int, int, float]]:
@@ -184,11 +202,11 @@ def _pairs(
     if data.ncon == 0:
         return []
     out = []
-    body = model.geom_bodyid
+    body = model.geom_bodyid.tolist()
     for i, (first, second) in enumerate(data.contact.geom.tolist()):
-        if body[first] == object_body and second in finger_of_geom:
+        if second in finger_of_geom and body[first] == object_body:
             out.append((i, second, True))
-        elif body[second] == object_body and first in finger_of_geom:
+        elif first in finger_of_geom and body[second] == object_body:
             out.append((i, first, False))
     return out
 

@@ -11,7 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from sim.contacts import NO_FORCE, object_contacts
+from sim.contacts import NO_FORCE, contact_loads, object_contacts
 from sim.controllers.pads import PadReading
 from sim.scene import Scene
 
@@ -25,22 +25,23 @@ def read_pads(scene: Scene, data: Any, fingers: tuple[str, ...]) -> PadReading:
     # per finger: normal force; force; and, times normal force, place, normal, sliding and spin
     total = [0.0] * n
     sums = [[0.0] * 13 for _ in range(n)]
-    load = np.zeros(6)
+    loads = contact_loads(data)
     places, frames = data.contact.pos.tolist(), data.contact.frame.tolist()
+    bodies = scene.model.geom_bodyid
     twists: dict[int, list[float]] = {}
     for i, geom, sign in object_contacts(scene, data):
         k = index.get(scene.finger_of_geom[geom])
-        mujoco.mj_contactForce(scene.model, data, i, load)
-        if k is None or load[0] <= NO_FORCE:
+        if k is None or loads[i][0] <= NO_FORCE:
             continue
-        body = int(scene.model.geom_bodyid[geom])
+        body = int(bodies[geom])
         for b in (body, scene.object_body):
             if b not in twists:
                 twists[b] = _twist(scene, data, b)
         twist = [p - q for p, q in zip(twists[scene.object_body], twists[body], strict=True)]
-        _add(sums[k], load.tolist(), places[i], frames[i], sign, twist)
-        total[k] += float(load[0])
+        _add(sums[k], loads[i], places[i], frames[i], sign, twist)
+        total[k] += loads[i][0]
     table = np.array(sums).reshape(n, 13)
+    each = zip(sums, total, strict=True)
     normal_force = np.array(total)
     weight = np.where(normal_force > 0, normal_force, np.nan)[:, None]
     force, position, normal, sliding = table[:, :12].reshape(n, 4, 3).transpose(1, 0, 2)
@@ -52,7 +53,7 @@ def read_pads(scene: Scene, data: Any, fingers: tuple[str, ...]) -> PadReading:
         position=position / weight,
         normal=normal / np.maximum(length, MIN_LENGTH),
         sliding=sliding / weight,
-        spin=np.nan_to_num(table[:, 12] / weight[:, 0]),
+        spin=np.array([s[12] / press if press > 0 else 0.0 for s, press in each]),
     )
 
 
@@ -68,13 +69,13 @@ def _add(
 
     Args:
         sums: Force, then place, normal, sliding and spin times the normal force: written.
-        load: Force (and torque) in the contact's frame, N.
+        load: Force in the contact's frame, N.
         at: Its place, m.
         frame: Its axes, one after the other.
         sign: 1 where the first axis points into the object, else -1.
         twist: Of the object relative to the finger's body.
     """
-    press, t1, t2 = load[:3]
+    press, t1, t2 = load
     slip = _velocity(twist, at)
     across = slip[0] * frame[0] + slip[1] * frame[1] + slip[2] * frame[2]
     for j in range(3):

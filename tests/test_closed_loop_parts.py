@@ -15,10 +15,17 @@ from planner.errors import NotFoundError, TaskError
 from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, skew
 from planner.task import GraspTask
 from sim.bench.control.slips import LATENCY, Slip, score_slips, true_slips
-from sim.controllers import ImpedanceGains, Observation, PadReading, Sensing, named_controller
+from sim.controllers import (
+    ImpedanceGains,
+    ObjectImpedance,
+    Observation,
+    PadReading,
+    Sensing,
+    named_controller,
+)
 from sim.controllers.gains import felt_inertia
 from sim.controllers.impedance import ImpedanceLaw
 from sim.controllers.schedule import LOST_TIME, RAMP, TOUCH_TIME, ContactSchedule
@@ -123,27 +130,47 @@ def test_gains_and_names_that_make_no_sense_are_refused() -> None:
         named_controller("close")
 
 
-def test_felt_mass_is_that_of_the_least_kinetic_energy(plan: GraspPlan) -> None:
-    """Moving the object by a unit twist costs 1/2 M; fingers follow with the least energy."""
+def mobility(plan: GraspPlan, mass: float) -> FloatArray:
+    """Acceleration (6, 6) per wrench on the object: one system of all bodies, contacts stick."""
     hand, state = plan.task.hand, HandState(plan.task.hand, plan.q)
-    inertia = pin.crba(hand.pin_model, hand.pin_model.createData(), plan.q)
-    inertia = np.triu(inertia) + np.triu(inertia, 1).T
+    joints = pin.crba(hand.pin_model, hand.pin_model.createData(), plan.q)
+    joints = np.triu(joints) + np.triu(joints, 1).T
     contacts = plan.contacts.transformed(plan.T_world_base.inverse())
-    mass, _ = felt_inertia(plan, 0.2)
-    energies = []
-    for direction in np.eye(3):
-        energy = 0.5 * 0.2
-        for finger, point in zip(plan.task.fingers, contacts.positions, strict=True):
-            k = finger.q_index
-            jac = state.point_jacobian(finger.pad.joint_id, point)[:3, k]
-            block = inertia[np.ix_(k, k)]
-            n = len(k)
-            kkt = np.block([[block, jac.T], [jac, np.zeros((3, 3))]])
-            v = np.linalg.solve(kkt, np.concatenate([np.zeros(n), direction]))[:n]
-            energy += 0.5 * v @ block @ v
-        energies.append(2 * energy)
-    assert mass == pytest.approx(np.mean(energies), rel=1e-3)
+    ball = 0.4 * mass * plan.task.object.shape.bounding_radius**2
+    k = np.concatenate([finger.q_index for finger in plan.task.fingers])
+    inertia = np.zeros((6 + len(k), 6 + len(k)))
+    inertia[:6, :6] = np.diag([mass] * 3 + [ball] * 3)
+    start = 6
+    sticks = []  # velocity of the pad less that of the object where they touch
+    for finger, point in zip(plan.task.fingers, contacts.positions, strict=True):
+        own = slice(start, start + len(finger.q_index))
+        start = own.stop
+        inertia[own, own] = joints[np.ix_(finger.q_index, finger.q_index)]
+        row = np.zeros((3, len(inertia)))
+        row[:, :3], row[:, 3:6] = -np.eye(3), skew(point - contacts.center)
+        row[:, own] = state.point_jacobian(finger.pad.joint_id, point)[:3, finger.q_index]
+        sticks.append(row)
+    table = np.vstack(sticks)
+    kkt = np.block([[inertia, table.T], [table, np.zeros((len(table), len(table)))]])
+    return np.asarray(np.linalg.solve(kkt, np.eye(len(kkt))[:, :6])[:6])
+
+
+def test_felt_mass_is_force_by_acceleration(plan: GraspPlan) -> None:
+    moved = np.diag(mobility(plan, 0.2))
+    mass, turning = felt_inertia(plan, 0.2)
+    assert mass == pytest.approx(1 / moved[:3].mean(), rel=1e-3)
+    assert turning == pytest.approx(1 / moved[3:].mean(), rel=1e-3)
     assert mass > 0.2
+
+
+@pytest.mark.parametrize("name", ["shadow_hand", "allegro_hand"])
+def test_the_damper_suits_what_moves_most_easily(name: str) -> None:
+    """D dt / M well below 1 in every direction: more than that in a control step swings."""
+    grasp = plan_grasp(GraspTask.create(name, "cylinder:0.026x0.08"), seed=0)
+    gains = ObjectImpedance(grasp).law.gains
+    damper = np.repeat([gains.damping, gains.turning_damping], 3)
+    rates = np.linalg.eigvals(mobility(grasp, grasp.task.object.mass) * damper)
+    assert DT * rates.real.max() < 0.7
 
 
 # --- senses ------------------------------------------------------------------------------------

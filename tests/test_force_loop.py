@@ -25,6 +25,7 @@ from planner.forces import (
     turned_frames,
     turning_wrenches,
 )
+from planner.forces.dense import SolverBase
 from planner.forces.drive import DriveRows
 from planner.hand import Hand
 from planner.spatial import FloatArray
@@ -278,6 +279,33 @@ def test_what_cannot_be_met_is_met_as_far_as_it_can() -> None:
     assert again.left_over == pytest.approx(np.zeros(6), abs=1e-9)
 
 
+class Refuses(SolverBase):
+    """A solver that finds no answer where there is one."""
+
+    def solve(self) -> bool:
+        return self.nothing("refused")
+
+
+@pytest.mark.parametrize("mu", [0.7, 0.5, 0.1])
+def test_a_wrench_that_the_solver_refused_is_met(mu: float) -> None:
+    """Both give w / 2 by friction: the price of w is w / 2 (1 + 1 / mu^2), of which 1e-6 is left.
+
+    Over the tolerance of 1e-6 w at every mu here, so that a step of multipliers must follow.
+    """
+    loop = ForceLoop(opposed(mu=mu))
+    loop.solver = Refuses(loop.qp)
+    weight = 10.0 * WEIGHT
+    step = loop.step(weight)
+    assert step.allowed
+    assert step.balanced
+    assert step.left_over == pytest.approx(np.zeros(6), abs=1e-6)
+    assert step.forces[:, 0] == pytest.approx([10.0 * W / (2 * mu)] * 2)
+    beyond = loop.step(weight, max_normal=0.999 * 10.0 * W / (2 * mu))
+    assert beyond.allowed
+    assert not beyond.balanced
+    assert beyond.left_over[2] == pytest.approx(-0.001 * 10.0 * W, rel=1e-2)
+
+
 def test_limits_that_contradict_each_other_are_told() -> None:
     jacobians = np.zeros((2, 3, 2))
     jacobians[0, 0, 0] = jacobians[1, 0, 1] = 1.0
@@ -319,6 +347,31 @@ def test_tendon_and_stop(levers: tuple[float, float]) -> None:
         anew = distribute_forces(opposed(), wrench=WEIGHT, jacobians=jacobians, actuation=hand, q=q)
         assert loop.step(WEIGHT, jacobians=jacobians, q=q).balanced == anew.found
     assert anew.found == (levers[0] > levers[1])
+
+
+@pytest.mark.parametrize("levers", [(0.05, 0.02), (0.02, 0.05), (0.05, -0.02), (-0.02, 0.05)])
+def test_a_tie_pulls_and_pushes(levers: tuple[float, float]) -> None:
+    """Joints a = b with the motor on a: it bears t_a + t_b, whatever the tie passes on for that."""
+    jacobians = np.zeros((2, 3, 2))
+    jacobians[0, 0] = -np.array(levers)
+    for share, borne in ((1.01, True), (0.99, False)):
+        limit = share * W * sum(levers)  # pressing takes W at mu 0.5
+        hand = motors(
+            2,
+            limit,
+            names=("a",),
+            moment=[[1.0, 0.0]],
+            length0=[0.0],
+            gain=[1.0],
+            bias=np.zeros((1, 3)),
+            force_range=[[-limit, limit]],
+            ctrl_range=[[-limit, limit]],
+            stop_rows=[[1.0, -1.0], [-1.0, 1.0]],
+            stop_values=[np.inf, np.inf],
+            stop_names=("up", "down"),
+        )
+        step = ForceLoop(opposed(), actuation=hand).step(WEIGHT, jacobians=jacobians, q=np.zeros(2))
+        assert step.balanced == borne
 
 
 def test_a_stop_along_a_motor_takes_its_limit_off_on_one_side() -> None:

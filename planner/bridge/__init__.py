@@ -6,6 +6,7 @@ from planner.bridge.decompile import spec_from_model
 from planner.bridge.geometry import LinkGeometry, hand_geometries
 from planner.bridge.load import compile_spec, load_spec
 from planner.bridge.mirror import mirror_spec
+from planner.bridge.motors import motorise_spec
 from planner.bridge.pinocchio_model import pinocchio_from_mujoco
 from planner.bridge.prepare import add_described_parts, isolate_base, name_parts, prepare_spec
 
@@ -19,6 +20,7 @@ __all__ = [
     "isolate_base",
     "load_spec",
     "mirror_spec",
+    "motorise_spec",
     "name_parts",
     "pinocchio_from_mujoco",
     "prepare_spec",

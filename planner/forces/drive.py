@@ -7,8 +7,9 @@ pseudo-inverse and N a basis of what M does not make, that is the same as
     low <= Z (tau - passive) <= high,    Z = [M^+; N],  low = high = 0 on the rows of N,
 
 one row per joint, and the actuator and stop forces need no columns of their own. A stop along an
-actuator (a joint limit on a joint with its own motor) takes the limit off one side of it instead;
-any other stop that repeats what is there is left out, which can only refuse, never promise.
+actuator (a joint limit on a joint with its own motor) or against another stop (the two of a tie)
+takes the limit off one side of it instead; any other stop that repeats what is there is left out,
+which can only refuse, never promise.
 """
 
 from __future__ import annotations
@@ -131,19 +132,19 @@ class DriveRows:
         widening = np.zeros((2, nv))
         columns = list(a.moment)
         basis = list(np.linalg.qr(a.moment.T)[0].T)
-        for row in a.stop_rows[np.flatnonzero(active)]:
+        ties = np.isinf(a.stop_values)  # first, so that no limit of a joint stands in for a tie
+        for row in a.stop_rows[[*np.flatnonzero(active & ties), *np.flatnonzero(active & ~ties)]]:
             size = np.linalg.norm(row)
             rest = row - sum(((b @ row) * b for b in basis), start=np.zeros(nv))
             if np.linalg.norm(rest) > RANK_TOL * size:
                 columns.append(row)
                 basis.append(rest / np.linalg.norm(rest))
                 continue
-            share = np.linalg.lstsq(a.moment.T, row, rcond=None)[0]
+            share = np.linalg.lstsq(np.array(columns).T, row, rcond=None)[0]
             along = np.flatnonzero(np.abs(share) > RANK_TOL * np.abs(share).max(initial=0.0))
-            alone = len(along) == 1 and np.linalg.norm(a.moment.T @ share - row) <= RANK_TOL * size
-            if alone and share[along[0]] > 0:
+            if len(along) == 1 and share[along[0]] > 0:
                 widening[1, along[0]] = np.inf
-            elif alone:
+            elif len(along) == 1:
                 widening[0, along[0]] = -np.inf
         made = np.array(columns).reshape(-1, nv).T
         widening[1, nu : made.shape[1]] = np.inf  # stops push as hard as they must

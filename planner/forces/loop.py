@@ -40,6 +40,11 @@ VIOLATION_WEIGHT = 1e6
 """Cost of a squared newton that is left over beside that of a squared newton of contact force (-):
 where the wrench cannot be met, what is left over exceeds the least by a millionth of the forces."""
 
+DEAREST = 100.0
+"""Largest plausible price (N per N) of a wrench, beside its size: two contacts that bear it by a
+friction of 0.1 have 50. That price over ``VIOLATION_WEIGHT`` is let through of a wrench that can be
+had."""
+
 STEP_TOL = 1e-6
 """Largest residual of a step's answer (N, torques divided by the length), by the larger of the
 wrench's size and 1 N."""
@@ -331,9 +336,9 @@ class ForceLoop:
         begin = time.perf_counter()
         solver = self._yielding
         solver.solve()
-        through = 2.0 * np.linalg.norm(qp.low[:k]) / VIOLATION_WEIGHT
+        through = DEAREST * np.linalg.norm(qp.low[:k]) / VIOLATION_WEIGHT
         if self._tolerance < qp.violation(solver.x) <= through:
-            # all that is left over is what the cost lets through: the wrench can be had, though the
+            # what is left over may be what the cost lets through: the wrench can be had, though the
             # solver refused it, and a step of the method of multipliers gets it
             loose.q -= VIOLATION_WEIGHT * (table.T @ (qp.low[:k] - self._met))
             loose.new_q = True

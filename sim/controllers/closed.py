@@ -13,8 +13,9 @@ phase "turn" a ``Reference`` may lead object and fingers elsewhere):
 What it notices and what it does then:
     contact lost    the forces are planned over the others at once; the finger searches along its
                     last normal, and takes its share again when it feels the object
-    slip            all press harder by ``GRIP_STEP``, and the friction of that finger is believed
-                    to be what the pad felt when it slipped, less a margin
+    slip            beyond what spinning explains: all press harder by ``GRIP_STEP``, and the
+                    friction of that finger is believed to be what the pad felt when it slipped,
+                    less a margin
     infeasible      the forces that come nearest within all limits are given, and fingers that only
                     press on each other ease off: the wrench comes before the grip
     gave up         fewer fingers than can hold the object, or infeasible, for ``PATIENCE``: nothing
@@ -241,7 +242,8 @@ class ObjectImpedance:
 
     def _tighten(self, elapsed: float, pads: PadReading) -> None:
         """Answer to slips: press harder, and believe less friction."""
-        begun = self._slips.update(elapsed, pads) & self.schedule.holding
+        self._slips.update(elapsed, pads)
+        begun = self._slips.begun_beyond_spin & self.schedule.holding
         if not begun.any():
             return
         self._grip = min(MAX_GRIP, self._grip * GRIP_STEP)

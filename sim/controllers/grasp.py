@@ -26,9 +26,10 @@ from planner.paths import smooth
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, skew
 from sim.controllers.base import Observation
+from sim.controllers.motors import MotorServo
 from sim.controllers.schedule import TOUCH_FORCE
 
-__all__ = ["GraspController", "limited", "motor_servo"]
+__all__ = ["GraspController", "limited"]
 
 CLOSE_RATE = 4.0
 """Fastest change (1/s) of a finger's share of the closing motion, for one that lost touch."""
@@ -48,10 +49,6 @@ FIRST_SHARE = 0.1
 
 LIMIT_TOL = 1e-6
 """How far (N, N m) a wanted force may lie beyond its limit: rounding."""
-
-MOTOR_FREQUENCY, MOTOR_DAMPING = 30.0, 1.0
-"""Natural frequency (rad/s) and damping ratio (-) of the spring given to joints with motors: about
-the stiffness of a hand with servos."""
 
 
 class GraspController:
@@ -78,7 +75,7 @@ class GraspController:
         self._search = self._search_directions()
         self._share = np.zeros(len(self._fingers))
         self._reach = np.zeros(len(self._fingers))
-        self._stiffness, self._damping = motor_servo(self._hand, plan.q)
+        self._servo = MotorServo(self._hand, plan.q)
         self._state = MovingHand(self._hand, plan.q)
         self._torque = np.zeros(self._hand.nq)
         self._latched = False
@@ -95,11 +92,12 @@ class GraspController:
         elif observation.phase != "approach":
             if not self._latched:
                 self._latched = True
+                self._servo.rest()
                 self.q_ref = observation.q.copy()
             ramp = observation.progress if observation.phase == "squeeze" else 1.0
             scale = FIRST_SHARE + (1.0 - FIRST_SHARE) * float(smooth(np.asarray(ramp)))
             torque += scale * self._pressing_torque(observation)
-        torque += self._stiffness * (self.q_ref - observation.q) - self._damping * observation.v
+        torque += self._servo.torque(observation.time, self.q_ref, observation.q, observation.v)
         self._torque = torque
         ctrl, _ = self._hand.actuation.ctrl_for_torque(self.q_ref, np.zeros(self._hand.nq), torque)
         return ctrl
@@ -167,17 +165,3 @@ def limited(actuation: Actuation, q: FloatArray, torque: FloatArray) -> tuple[st
     low, high = actuation.force_limits(q).T
     beyond = np.flatnonzero((force > high + LIMIT_TOL) | (force < low - LIMIT_TOL))
     return tuple(actuation.names[i] for i in beyond)
-
-
-def motor_servo(hand: Hand, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Stiffness and damping (nq,) for joints that are driven but have no servo of their own."""
-    actuation = hand.actuation
-    squared = actuation.moment**2
-    driven = squared.any(axis=0)
-    has_servo = (-actuation.bias[:, 1] @ squared) > 0
-    inertia = np.diag(pin.crba(hand.pin_model, hand.pin_model.createData(), q))
-    inertia = inertia * (driven & ~has_servo)
-    return (
-        inertia * MOTOR_FREQUENCY**2,
-        2.0 * MOTOR_DAMPING * MOTOR_FREQUENCY * inertia,
-    )

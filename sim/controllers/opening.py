@@ -9,13 +9,13 @@ from planner.paths import smooth
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from sim.controllers.base import Observation
-from sim.controllers.grasp import motor_servo
+from sim.controllers.motors import MotorServo
 
 __all__ = ["PostureServo"]
 
 
 class PostureServo:
-    """Goes to a posture evenly in all joints; motors get the spring of ``motor_servo``."""
+    """Goes to a posture evenly in all joints; motors by a ``MotorServo``."""
 
     def __init__(self, plan: GraspPlan, goal: FloatArray) -> None:
         """Prepare gains.
@@ -28,7 +28,7 @@ class PostureServo:
         self._hand, self._gravity = task.hand, task.gravity
         self._goal = goal
         self._index = np.concatenate([f.q_index for f in task.fingers])
-        self._stiffness, self._damping = motor_servo(task.hand, plan.q)
+        self._servo = MotorServo(task.hand, plan.q)
         self._state = MovingHand(task.hand, plan.q)
         self._begin: FloatArray | None = None
 
@@ -41,6 +41,6 @@ class PostureServo:
         q[self._index] += way * (self._goal - self._begin)[self._index]
         gravity = observation.T_world_base.rotation.T @ self._gravity
         torque = self._state.move(observation.q).gravity_torque(gravity)
-        torque += self._stiffness * (q - observation.q) - self._damping * observation.v
+        torque += self._servo.torque(observation.time, q, observation.q, observation.v)
         ctrl, _ = self._hand.actuation.ctrl_for_torque(q, np.zeros(self._hand.nq), torque)
         return ctrl

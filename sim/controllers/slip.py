@@ -2,8 +2,9 @@
 
 A slip is a tangential speed above ``SLIP_SPEED`` for 10 ms at a loaded contact. The detector sees a
 pad's sliding velocity with noise and averages it over some milliseconds; what it reports ends when
-the average has fallen to half of the speed of the alarm. What a pad creeps because it spins (see
-``sim.controllers.pads.CREEP``) is no slip.
+the average has fallen to half of the speed of the alarm. A pad that spins creeps, far inside its
+cone (see ``sim.controllers.pads.CREEP``). That is a slip like any other if it is fast enough, but
+no sign that friction is wanting, and told apart.
 """
 
 from __future__ import annotations
@@ -34,17 +35,24 @@ class SlipDetector:
     """Watches the pads of n fingers.
 
     Attributes:
-        slipping: (n,), which fingers slip now.
-        speed: (n,), averaged sliding speed beyond what spinning explains, m/s.
+        begun_beyond_spin: (n,), which have just begun to slip faster than spinning explains.
+        speed: (n,), averaged sliding speed, m/s.
     """
 
     def __init__(self, n: int) -> None:
         """Nothing slips yet."""
-        self.slipping: NDArray[np.bool_] = np.zeros(n, dtype=bool)
+        self.begun_beyond_spin: NDArray[np.bool_] = np.zeros(n, dtype=bool)
+        self.speed = np.zeros(n)
         self._average = np.zeros((n, 3))
         self._creep = np.zeros(n)
-        self._above = np.zeros(n)
-        self.speed = np.zeros(n)
+        # of the speed, and of what spinning leaves of it
+        self._speeds, self._above = np.zeros((2, 2, n))
+        self._slipping: NDArray[np.bool_] = np.zeros((2, n), dtype=bool)
+
+    @property
+    def slipping(self) -> NDArray[np.bool_]:
+        """Which fingers slip now, (n,)."""
+        return np.asarray(self._slipping[0])
 
     def update(self, elapsed: float, pads: PadReading) -> NDArray[np.bool_]:
         """Which fingers have just begun to slip, (n,).
@@ -55,12 +63,17 @@ class SlipDetector:
         """
         share = elapsed / (AVERAGE_TIME + elapsed)
         loaded = pads.normal_force > LOADED
-        seen = np.where(loaded[:, None], pads.sliding, 0.0)
-        self._average = np.where(loaded[:, None], self._average + share * (seen - self._average), 0)
-        self._creep += share * (np.where(loaded, pads.creep_speed, 0.0) - self._creep)
-        self.speed = np.maximum(np.sqrt((self._average**2).sum(axis=1)) - self._creep, 0.0)
-        fast = self.speed > ALARM_SPEED
-        self._above = np.where(fast, self._above + elapsed, 0.0)
-        begins = (self._above >= ALARM_TIME - elapsed / 2) & ~self.slipping
-        self.slipping = (self.slipping | begins) & (self.speed > ALARM_SPEED / 2)
-        return np.asarray(begins)
+        if loaded.all():
+            self._average += share * (pads.sliding - self._average)
+            self._creep += share * (pads.creep_speed - self._creep)
+        else:
+            seen = np.where(loaded[:, None], pads.sliding, 0.0)
+            self._average = loaded[:, None] * (self._average + share * (seen - self._average))
+            self._creep += share * (loaded * pads.creep_speed - self._creep)
+        self.speed = np.sqrt((self._average * self._average).sum(axis=1))
+        self._speeds[0], self._speeds[1] = self.speed, self.speed - self._creep
+        self._above = (self._above + elapsed) * (self._speeds > ALARM_SPEED)
+        begins = (self._above >= ALARM_TIME - elapsed / 2) & ~self._slipping
+        self._slipping = (self._slipping | begins) & (self._speeds > ALARM_SPEED / 2)
+        self.begun_beyond_spin = np.asarray(begins[1])
+        return np.asarray(begins[0])

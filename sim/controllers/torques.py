@@ -18,13 +18,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planner.hand import Hand
 from planner.kinematics import MovingHand
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, skew
-from sim.controllers.grasp import limited, motor_servo
+from sim.controllers.grasp import limited
+from sim.controllers.motors import FULL_FRICTION_RATE, joint_drag, motor_servo
 
-__all__ = ["HoldingTorques", "grasp_matrix", "joint_drag"]
+__all__ = ["HoldingTorques", "grasp_matrix"]
 
 TIP_STIFFNESS = 150.0
 """Spring (N/m) of fingertips against each other: 0.15 N per millimetre of creeping apart."""
@@ -39,9 +39,6 @@ damper (N s/m): it moves at some 3 cm/s."""
 
 RETREAT, RETREAT_STIFFNESS = 0.01, 100.0
 """A finger that is told to leave stays this far (m) off where it held, by this spring (N/m)."""
-
-FULL_FRICTION_RATE = 0.05
-"""Wanted rate (rad/s) of a joint from which on all of its dry friction is made up for."""
 
 RANK_TOL = 1e-6
 """Added to G G^T (-, m^2) where too few fingers hold to fix every motion."""
@@ -84,6 +81,7 @@ class HoldingTorques:
         self._q_ref = plan.q.copy()
         self._q, self._v = plan.q.copy(), np.zeros(nq)
         self._tips = np.zeros((n, 3))
+        self._apart = np.zeros((n, 3))  # from the fingertips to where they were when latched
         self._tip_forces = np.zeros((n, 3))
         self._tip_velocity = np.zeros((n, 3))
         self._law_q, self._torque = plan.q.copy(), np.zeros(nq)
@@ -145,7 +143,8 @@ class HoldingTorques:
         mask = holding[:, None]
         grasp = grasp_matrix(points - center) * np.repeat(holding, 3)
         gram = grasp @ grasp.T + _RANK
-        apart = np.where(mask, self._latched() - self.centers, 0.0)
+        self._apart = self._latched() - self.centers
+        apart = np.where(mask, self._apart, 0.0)
         moved = np.column_stack([self._tip_velocity.ravel(), apart.ravel()])
         rigid = np.linalg.solve(gram, grasp @ moved)
         rest = apart - (rigid[:, 1] @ grasp).reshape(-1, 3)
@@ -168,7 +167,7 @@ class HoldingTorques:
             searching: (n,), which look for the object; the rest stay off it.
         """
         seek = SEARCH_FORCE * normals
-        away = RETREAT_STIFFNESS * (self._latched() - RETREAT * normals - self.centers)
+        away = RETREAT_STIFFNESS * (self._apart - RETREAT * normals)
         alone = np.where(searching[:, None], seek, away) - SEARCH_DAMPING * self._tip_velocity
         total = np.where(holding[:, None], forces + self._tip_forces, alone)
         torque = total.ravel() @ self.jacobians.reshape(-1, self._hand.nq) + self.own_torque
@@ -207,12 +206,6 @@ class HoldingTorques:
         gram = jac @ jac.transpose(0, 2, 1) + _FLAT
         force = np.linalg.solve(gram, jac @ own[..., None])
         return np.asarray((own - (jac.transpose(0, 2, 1) @ force)[..., 0]).sum(axis=0))
-
-
-def joint_drag(hand: Hand) -> tuple[FloatArray, FloatArray]:
-    """Damping (nq,), N m s/rad, and dry friction (nq,), N m, of a hand's joints by its model."""
-    model = hand.pin_model
-    return np.array(model.damping), np.array(model.upperDryFrictionLimit)
 
 
 def grasp_matrix(arms: FloatArray) -> FloatArray:
