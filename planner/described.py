@@ -164,7 +164,12 @@ def _mirrored(original: HandDescription, mirror: MirrorDescription) -> HandDescr
         return (x, y, z)
 
     def reflected(f: FingerDescription) -> FingerDescription:
-        pad = {"center": reflect(f.pad.center), "axis": reflect(f.pad.axis)}
+        rolling = f.pad.rolling_axis and reflect(f.pad.rolling_axis)
+        pad = {
+            "center": reflect(f.pad.center),
+            "axis": reflect(f.pad.axis),
+            "rolling_axis": rolling,
+        }
         tip = f.tip and f.tip.model_copy(update={"position": reflect(f.tip.position)})
         return f.model_copy(update={"pad": f.pad.model_copy(update=pad), "tip": tip})
 

@@ -50,6 +50,9 @@ class PadDescription(StrictData):
         radius: Radius, m.
         axis: Direction the pad faces, in that body's frame; normalised on reading.
         half_angle_deg: Contact points lie within this cone about ``axis``, seen from the centre.
+        rolling_axis: Middle of the wider cone in which the sphere is the tip's outer surface, if
+            the tip is round that far: while an object is turned, contacts may roll there.
+        rolling_half_angle_deg: That cone's half angle.
     """
 
     geom: str
@@ -57,11 +60,19 @@ class PadDescription(StrictData):
     radius: float = Field(gt=0, lt=0.1)
     axis: Vector
     half_angle_deg: float = Field(gt=0, le=90)
+    rolling_axis: Vector | None = None
+    rolling_half_angle_deg: float | None = Field(default=None, gt=0, le=90)
 
-    @field_validator("axis")
+    @field_validator("axis", "rolling_axis")
     @classmethod
-    def _normalise(cls, v: Vector, info: ValidationInfo[Any]) -> Vector:
-        return _unit(v, info)
+    def _normalise(cls, v: Vector | None, info: ValidationInfo[Any]) -> Vector | None:
+        return None if v is None else _unit(v, info)
+
+    @model_validator(mode="after")
+    def _rolls_or_not(self) -> Self:
+        if (self.rolling_axis is None) != (self.rolling_half_angle_deg is None):
+            raise ValueError("give both rolling_axis and rolling_half_angle_deg, or neither")
+        return self
 
 
 class TipDescription(StrictData):

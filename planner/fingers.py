@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -43,6 +43,8 @@ class Pad:
         axis: (3,), unit, in the joint's frame: where the pad faces.
         radius: m.
         half_angle: rad; contact points lie within this cone about the axis.
+        rolling_axis: (3,), unit: middle of the cone within which contacts may roll.
+        rolling_half_angle: rad; of that cone. Both are those above where none is described.
     """
 
     geom: str
@@ -51,6 +53,13 @@ class Pad:
     axis: FloatArray
     radius: float
     half_angle: float
+    rolling_axis: FloatArray
+    rolling_half_angle: float
+
+    @property
+    def rolling(self) -> Pad:
+        """The same pad with the cone within which contacts may roll."""
+        return replace(self, axis=self.rolling_axis, half_angle=self.rolling_half_angle)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,13 +196,17 @@ class Resolver:
                 f"{1e3 * finger.pad.radius:.2f} mm, but its center lies {1e3 * depth:.2f} mm below "
                 f"the surface of {finger.pad.geom!r}; the pad is a sphere that touches it inside"
             )
+        pad, turn = finger.pad, frame.placement.rotation
+        rolling_axis = pad.axis if pad.rolling_axis is None else pad.rolling_axis
         return Pad(
-            geom=finger.pad.geom,
+            geom=pad.geom,
             joint_id=int(frame.parentJoint),
             center=center,
-            axis=np.array(frame.placement.rotation @ np.array(finger.pad.axis)),
-            radius=finger.pad.radius,
-            half_angle=float(np.deg2rad(finger.pad.half_angle_deg)),
+            axis=np.array(turn @ np.array(pad.axis)),
+            radius=pad.radius,
+            half_angle=float(np.deg2rad(pad.half_angle_deg)),
+            rolling_axis=np.array(turn @ np.array(rolling_axis)),
+            rolling_half_angle=float(np.deg2rad(pad.rolling_half_angle_deg or pad.half_angle_deg)),
         )
 
     def couplings(self) -> tuple[Coupling, ...]:

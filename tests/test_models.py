@@ -376,17 +376,24 @@ def test_pads_are_the_outer_surface(hand: Model) -> None:
     hand.put(np.zeros(hand.m.nq))
     for name, finger in hand.fingers.items():
         pad, body = finger["pad"], hand.pad(name)[3]
-        axis, half = np.array(pad["axis"]), np.deg2rad(pad["half_angle_deg"])
-        side = np.array([1.0, 0, 0]) if abs(axis[0]) < 0.5 else np.array([0, 1.0, 0])
-        up = np.cross(axis, side)
         geoms = [g for g in range(hand.m.ngeom) if int(hand.m.geom_bodyid[g]) == body]
-        for opening in np.linspace(0, half, 7):
-            for turn in np.linspace(0, 2 * np.pi, 24, endpoint=False):
-                rim = np.cos(turn) * side + np.sin(turn) * up
-                direction = np.cos(opening) * axis + np.sin(opening) * rim
+        for cone in ("", "rolling_"):
+            axis, half = np.array(pad[f"{cone}axis"]), np.deg2rad(pad[f"{cone}half_angle_deg"])
+            for direction in _within(axis, half):
                 sphere = float(np.array(pad["center"]) @ direction) + pad["radius"]
                 reach = max(_support(hand.m, g, direction) for g in geoms)
-                assert sphere == pytest.approx(reach, abs=1e-9), (name, opening, turn)
+                assert sphere == pytest.approx(reach, abs=1e-9), (name, cone, direction)
+
+
+def _within(axis: Array, half: float) -> Iterator[Array]:
+    """Directions all over a cone and on its rim."""
+    side = np.cross(axis, [0.0, 1.0, 0.0] if abs(axis[1]) < 0.5 else [1.0, 0.0, 0.0])
+    side /= np.linalg.norm(side)
+    up = np.cross(axis, side)
+    for opening in np.linspace(0, half, 7):
+        for turn in np.linspace(0, 2 * np.pi, 24, endpoint=False):
+            rim = np.cos(turn) * side + np.sin(turn) * up
+            yield np.cos(opening) * axis + np.sin(opening) * rim
 
 
 def test_tip_sites_shadow_end_at_the_capsule(shadow: Model) -> None:

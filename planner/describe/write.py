@@ -95,7 +95,7 @@ def description_text(
             lines += _line("body", finger.tip.body) + _line("position", finger.tip.position)
         lines.append("[fingers.pad]")
         lines += _comments([because[f"{key}.pad"]] if f"{key}.pad" in because else [])
-        for field, value in finger.pad.model_dump().items():
+        for field, value in finger.pad.model_dump(exclude_none=True).items():
             lines += _line(field, value)
     for coupling in d.couplings:
         lines += ["", "[[couplings]]"]

@@ -75,11 +75,15 @@ class PoseData(StrictData):
 
 
 class HandData(StrictData):
-    """Which hand: its name, where it was described, and the digest of its files."""
+    """Which hand: its name, where it was described, and the digest of its files.
+
+    ``rolling`` tells whether contacts may be where pads roll (``Hand.rolling``).
+    """
 
     name: str
     description_path: str
     sha256: str
+    rolling: bool = False
 
 
 class RegionData(StrictData):

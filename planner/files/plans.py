@@ -136,6 +136,7 @@ def plan_from_dict(data: dict[str, Any], source: str, *, hand: Hand | None = Non
     file = checked_file(PlanFile, data, source)
     given = file.task.hand
     hand = hand or Hand.load(given.description_path or given.name)
+    hand = hand.rolling if given.rolling else hand
     if hand.digest != given.sha256:
         raise FileFormatError(
             f"{source} was planned for a different {given.name!r} than "

@@ -36,7 +36,9 @@ def task_data(task: GraspTask) -> TaskData:
         )
     path = "" if hand.reference in hand_names() else hand.reference
     return TaskData(
-        hand=HandData(name=hand.name, description_path=path, sha256=hand.digest),
+        hand=HandData(
+            name=hand.name, description_path=path, sha256=hand.digest, rolling=hand.rolls
+        ),
         object=ObjectData(
             name=task.object.name,
             shape=shape_to_dict(task.object.shape),

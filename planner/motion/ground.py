@@ -8,7 +8,7 @@ middle; 7, 5 and 6 against 9, 9 and 10 on the Allegro-type hand. Four have a con
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -26,10 +26,25 @@ from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.seeds import TRIPOD, Seeder
 from planner.task import GraspTask
 
-__all__ = ["Ground", "finger_sets", "rank"]
+__all__ = ["Ground", "finger_sets", "rank", "with_rolling_pads"]
 
 LEAST_SHARE = 0.02
 """Share of a path (-) below which nothing of it is reached."""
+
+FLAT = ("box", "mesh")
+"""Kinds of shapes with faces: a tip on a face has to turn with it, all the way. On cylinders and
+balls it may stay and let the contact wander."""
+
+
+def with_rolling_pads(task: GraspTask) -> GraspTask:
+    """The task with pads as wide as the tips are round, where its object has faces.
+
+    Of 8 starts for 94 degrees on blocks of 5, 6 and 7 cm, 60 mm high, tube 30 mm, 3, 3 and 2 hold
+    with thumb, index and middle of the Shadow-type hand; none with the pads of a grasp.
+    """
+    if task.object.shape.kind not in FLAT or task.hand.rolls:
+        return task
+    return replace(task, hand=task.hand.rolling)
 
 
 @lru_cache(maxsize=4)

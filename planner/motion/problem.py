@@ -8,6 +8,7 @@ internal force, clearances, couplings, limits) hold there with the same margins.
     tube     how far the object leaves its path <= the tube's radius
     reach    the share of the path that is covered: at least what is asked, or as much as there is
     holds    where a finger is to move on, closure by the others (``planner.motion.holds``)
+    loads    what pressing takes of each actuator <= a share of its limit (``planner.motion.loads``)
 
 Table and obstacles count at the first knot alone: the object is lifted before it is moved.
 """
@@ -23,6 +24,7 @@ import numpy as np
 
 from planner.hand import Finger, Hand
 from planner.motion.holds import Hold, HoldRows
+from planner.motion.loads import load_function, load_parameters
 from planner.motion.path import ObjectPath
 from planner.motion.rolling import rolling_function
 from planner.motion.unknowns import MotionUnknowns
@@ -52,6 +54,7 @@ class MotionNumbers:
         angle: Turn, rad.
         shift: Translation in the same frame (3,), m.
         tube: Radius within which the object may leave its path, m.
+        loads: Parameters (n_knots, m) of the actuators' loads.
     """
 
     knots: FloatArray
@@ -61,6 +64,7 @@ class MotionNumbers:
     angle: float
     shift: FloatArray
     tube: float
+    loads: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +97,11 @@ class MotionProblem:
         return one.map(self.n_knots - 1)
 
     @cached_property
+    def loads(self) -> Any:
+        """``load_function`` at every knot, mapped."""
+        return load_function(self.grasp.hand, self.grasp.fingers).map(self.n_knots)
+
+    @cached_property
     def hold_rows(self) -> HoldRows:
         """The residuals of a hold."""
         return HoldRows(self.grasp.surface, len(self.grasp.fingers) - 1)
@@ -119,17 +128,19 @@ class MotionProblem:
         first = self.grasp.parameters(task, start, posture, options)
         later = first.copy()
         places = self.grasp.formulation.places
+        along = np.linspace(0.0, 1.0, self.n_knots)
         later[places["table"].stop - 1] = -NO_TABLE
         later[places["obstacles"]].reshape(-1, OBSTACLE_DIM)[:, 9:12] = NO_TABLE
         to_object = task.T_world_object.rotation.T
         return MotionNumbers(
             knots=np.vstack([first, *[later] * (self.n_knots - 1)]),
             reference=np.array(start.T_object_base.rotation),
-            places=np.linspace(0.0, 1.0, self.n_knots),
+            places=along,
             axis=to_object @ path.axis,
             angle=path.angle,
             shift=to_object @ path.shift,
             tube=tube,
+            loads=load_parameters(task, path, along, start.q),
         )
 
     def first(self, start: Start) -> FloatArray:

@@ -41,6 +41,7 @@ class Tally:
         rolling: Sliding.
         tube: Knots outside the tube.
         holds: Of each hold, how many rows count.
+        loads: What bears too much: knot and number (k, 2), actuators of the fingers before contacts.
     """
 
     avoided: tuple[IntArray, ...]
@@ -48,6 +49,7 @@ class Tally:
     rolling: int
     tube: int
     holds: tuple[int, ...]
+    loads: IntArray
 
 
 class MotionResiduals:
@@ -115,6 +117,7 @@ class MotionResiduals:
             rolling=3 * u.grasp.n_contacts * (u.n_knots - 1),
             tube=len(self._tube(z)[0]),
             holds=tuple(len(self._hold(h, z)[0]) for h in range(u.n_holds)),
+            loads=np.argwhere(self._spare(self.knots(z))[0] < 0.0),
         )
 
     def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -137,6 +140,7 @@ class MotionResiduals:
             costs.append((r[n:], rows[n:]))
         terms += [self._rolling(placed), self._tube(z)]
         terms += [self._hold(h, z) for h in range(len(self.problem.holds))]
+        terms.append(self._loads(placed))
         costs.append((self._bends @ z, self._bends))
         if self.pull:
             row = np.zeros((1, u.size))
@@ -171,6 +175,30 @@ class MotionResiduals:
             self._spread(mine, local[:, :size], placed[k][1], k)
             self._spread(mine, local[:, size:], placed[k + 1][1], k + 1)
         return PER_METRE * values.T.ravel(), PER_METRE * rows
+
+    def _spare(self, placed: list[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+        """What is to spare at each knot (n_knots, k), and its Jacobian (k, n_knots size)."""
+        u, n = self.problem.unknowns, self.numbers
+        x = np.array([x for x, _ in placed]).T
+        reference = np.tile(n.reference.ravel(order="F")[:, None], u.n_knots)
+        spare, slopes = self.problem.loads(ca.DM(x), ca.DM(reference), ca.DM(n.loads.T))
+        return spare.full().T, slopes.full()
+
+    def _loads(self, placed: list[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+        """What bears more than it may, knot by knot."""
+        u = self.problem.unknowns
+        spare, slopes = self._spare(placed)
+        size = u.grasp.size
+        values, rows = [np.zeros(0)], [np.zeros((0, u.size))]
+        for k, mine in enumerate(spare):
+            over = np.flatnonzero(mine < 0.0)
+            if len(over):
+                added = np.zeros((len(over), u.size))
+                local = slopes[over, size * k : size * (k + 1)]
+                self._spread(added, local, placed[k][1], k)
+                values.append(mine[over])
+                rows.append(added)
+        return np.concatenate(values), np.vstack(rows)
 
     def _hold(self, h: int, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What hold h asks for."""

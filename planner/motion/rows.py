@@ -13,10 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from planner.motion.loads import PER_HOLD, PER_LOAD
 from planner.motion.residuals import PER_METRE, MotionResiduals
 from planner.motion.unknowns import SHARED, TUBE
 from planner.spatial import FloatArray
 from planner.synthesis.avoid import TERMS
+from planner.synthesis.joint_objectives import driving
 from planner.synthesis.residuals import WEIGHTS
 
 __all__ = ["Row", "described"]
@@ -82,6 +84,15 @@ def described(residuals: MotionResiduals, z: FloatArray, jacobian: FloatArray) -
         name = fingers[hold.lifted].name
         row = _row(f"closure without {name}", [name], u.n_knots - 1, WEIGHTS["balance"], "-", True)
         out += [row] * count
+    used = driving(problem.grasp.hand, problem.grasp.fingers)
+    for k, i in tally.loads.tolist():
+        if i < len(used):
+            name = problem.grasp.hand.actuation.names[used[i]]
+            out.append(_row(f"load of actuator {name}", [], k, PER_LOAD, "-", False))
+        else:
+            name = fingers[i - len(used)].name
+            what = f"friction of {name} under the weight"
+            out.append(_row(what, [name], k, PER_HOLD, "-", False))
     return out
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from planner.attempts import Attempt, nothing_found, numbered
 from planner.errors import NoGraspFoundError, TaskError
-from planner.motion.ground import Ground, finger_sets, rank
+from planner.motion.ground import Ground, finger_sets, rank, with_rolling_pads
 from planner.motion.path import LARGEST_TURN, ObjectPath
 from planner.motion.plan import MotionPlan
 from planner.spatial import FloatArray
@@ -75,7 +75,8 @@ def motion_attempts(
     """Endless independent attempts; attempt i depends on ``seed`` and i alone.
 
     Args:
-        task: What is grasped, with which fingers, where; the base is free.
+        task: What is grasped, with which fingers, where; the base is free. On objects with faces
+            contacts may be wherever tips are round (``Hand.rolling``).
         path: Where the object is to go.
         whole: Whether all of the path is asked for, else as much of it as there is.
         tube: Radius within which the object may leave the path, m.
@@ -88,7 +89,7 @@ def motion_attempts(
     """
     check_task(task, tube, seed)
     return _taking_turns(
-        (task,),
+        (with_rolling_pads(task),),
         path,
         whole=whole,
         tube=tube,
@@ -187,7 +188,7 @@ def plan_motion(
     best: MotionPlan | None = None
     check_task(task, tube, seed)
     for attempt in _taking_turns(
-        finger_sets(task),
+        finger_sets(with_rolling_pads(task)),
         path,
         whole=whole,
         tube=tube,

@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from planner.motion.release import find_release
 from planner.objects import GraspObject
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.joint_objectives import driving
+from planner.synthesis.mesh_seeds import seeder_for
 from planner.synthesis.pregrasp import Approach
 from planner.task import GraspTask
 
@@ -42,8 +44,10 @@ most of this many. What is left moves the fingers and answers to what was not pl
 slips, an object that stands beside its place. Of 21 Allegro trials the one that stalled had 0.01.
 """
 
-TUBE = 0.02
-"""Default radius (m) of the tube: what is free gives some ten degrees more."""
+TUBE, FLAT_TUBE = 0.02, 0.03
+"""Default radii (m) of the tube: what is free gives some ten degrees more. For blocks: a finger of
+the Shadow-type hand has to go a third of the way around with its face, and no further than 40
+degrees to the side; with 20 mm it turns them by 89 degrees, with 30 by 97."""
 
 MAX_ATTEMPTS = 50
 """Attempts before giving up."""
@@ -80,7 +84,7 @@ def plan_manipulation(
     axis: Sequence[float] | FloatArray = (0.0, 0.0, 1.0),
     angle: float,
     place: tuple[float, float] | None = None,
-    tube: float = TUBE,
+    tube: float | None = None,
     seed: int = 0,
     max_attempts: int = MAX_ATTEMPTS,
 ) -> ManipulationPlan:
@@ -92,7 +96,8 @@ def plan_manipulation(
         axis: Axis of the turn (3,), world.
         angle: Turn in the hand, rad, with its sign.
         place: Where the object is to stand, x and y in m, world; where it was if None.
-        tube: Radius within which the object may leave its place while it is turned, m.
+        tube: Radius within which the object may leave its place while it is turned, m; if None
+            ``TUBE``, or ``FLAT_TUBE`` for blocks.
         seed: Same seed, same plan.
         max_attempts: Budget in attempts.
 
@@ -105,6 +110,8 @@ def plan_manipulation(
     if max_attempts < 1:
         raise TaskError(f"max_attempts is {max_attempts}; give at least 1")
     direction = np.asarray(axis, dtype=np.float64)
+    if tube is None:
+        tube = FLAT_TUBE if is_block(task) else TUBE
     made: list[MotionAttempt] = []
     found: list[ManipulationPlan] = []
     for chosen, more, attempts in _rounds(task):
@@ -112,7 +119,7 @@ def plan_manipulation(
             break
         further = max(abs(angle), min(abs(angle) + more, LARGEST_TURN))
         path = ObjectPath(axis=direction, angle=math.copysign(further, angle), shift=np.zeros(3))
-        most = min(max_attempts, len(made) + attempts)
+        most = max_attempts if attempts is None else min(max_attempts, len(made) + attempts)
         for attempt in motion_attempts(chosen, path, tube=tube, seed=seed):
             if len(made) >= most or _enough(found):
                 break
@@ -167,27 +174,57 @@ def manipulation_task(
         fingers: Finger names; if None the hand's default set, of which one may be spared.
     """
     task = GraspTask.create(hand, object, mu=mu, fingers=fingers)
+    return replace(task, grip_force=max(LEAST_GRIP, _carrying(task, len(task.finger_names))))
+
+
+def _carrying(task: GraspTask, n: int) -> float:
+    """Least normal force (N) of each of n fingers with which all carry the weight by friction.
+
+    On a block one finger opposes all others, so it presses as much as they do together.
+    """
     weight = task.object.mass * float(np.linalg.norm(task.gravity))
-    grip = max(LEAST_GRIP, weight / (task.mu * len(task.finger_names)))
-    return replace(task, grip_force=grip)
+    return weight / (task.mu * (2 * (n - 1) if is_block(task) else n))
+
+
+def _with_fingers(task: GraspTask, names: Sequence[str]) -> GraspTask:
+    """The task for some of its fingers, which carry the weight alone."""
+    grip = max(task.grip_force, _carrying(task, len(names)))
+    return replace(task, finger_names=tuple(names), may_spare_fingers=False, grip_force=grip)
+
+
+def is_block(task: GraspTask) -> bool:
+    """Whether the object is a block, which opposed faces hold."""
+    return task.object.shape.kind == "box"
 
 
 LEAST_GRIP = 1.5
 """Smallest normal force (N) per finger: with less, contacts of three fingers were lost at times."""
 
 
-def _rounds(task: GraspTask) -> Iterator[tuple[GraspTask, float, int]]:
+def _rounds(task: GraspTask) -> Iterator[tuple[GraspTask, float, int | None]]:
     """What is tried in turn: a task, how much more than is asked for (rad), and how often."""
-    yield task, MORE, FIRST
-    n = len(task.finger_names)
-    if task.may_spare_fingers and n > task.fingers_needed:
-        # the thumb, which comes first, is spared last
-        for spared in reversed(task.finger_names):
-            others = tuple(name for name in task.finger_names if name != spared)
-            grip = task.grip_force * n / (n - 1)
-            yield replace(task, finger_names=others, grip_force=grip), MORE, THEN
-    while True:
-        yield task, LITTLE_MORE, FIRST
+    chosen = [task]
+    if task.may_spare_fingers and len(task.finger_names) > task.fingers_needed:
+        if is_block(task):
+            chosen = [_with_fingers(task, names) for names in _tripods(task)]
+        else:
+            # the thumb, which comes first, is spared last
+            for spared in reversed(task.finger_names):
+                names = [name for name in task.finger_names if name != spared]
+                chosen.append(_with_fingers(task, names))
+    for i, one in enumerate(chosen):
+        yield one, MORE, FIRST if i == 0 else THEN
+    yield chosen[0], LITTLE_MORE, None
+
+
+def _tripods(task: GraspTask) -> list[tuple[str, ...]]:
+    """The finger that opposes the others with each pair of neighbours among those.
+
+    Three go furthest on opposed faces: a fourth stays on its face and has to turn with it too.
+    """
+    opposer = task.finger_names[seeder_for(task).pinch.opposer]
+    others = [name for name in task.finger_names if name != opposer]
+    return [(opposer, *pair) for pair in pairwise(others)]
 
 
 def torque_reserve(motion: MotionPlan) -> float:
