@@ -41,7 +41,7 @@ class Tally:
         rolling: Sliding.
         tube: Knots outside the tube.
         holds: Of each hold, how many rows count.
-        loads: What bears too much: knot and number (k, 2), actuators of the fingers before contacts.
+        loads: What bears too much: knot and number (k, 2), actuators of fingers before contacts.
     """
 
     avoided: tuple[IntArray, ...]

@@ -61,7 +61,7 @@ class Pace:
     stand: float = 0.1
     approach: float = 0.8
     close: float = 0.4
-    close_wait: float = 0.5
+    close_wait: float = 1.0
     squeeze: float = 0.5
     verify: float = 0.2
     lift: float = 0.7
