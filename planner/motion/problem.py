@@ -185,9 +185,11 @@ class MotionProblem:
 OBSTACLE_DIM = 15
 """Numbers of an obstacle: rotation, translation and half extents (``surroundings``)."""
 
-JOINT_ROOM = 0.02
+JOINT_ROOM = 0.05
 """How far (rad or m) joints stay from the ends of their ranges: a servo whose command ends there
-could not press any more."""
+could not press any more, and an object that stands 3 mm beside its place bends joints by 0.03. As
+many starts hold as with 0.02: 3, 2 and 1 of 8 on blocks of 5, 6 and 7 cm, 93 degrees, Shadow-type
+hand."""
 
 
 def build_motion_problem(

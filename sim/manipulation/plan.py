@@ -35,6 +35,9 @@ MORE, FIRST, THEN = math.radians(8.0), 10, 8
 its place meets a joint's end before the plan does; attempts for it; and attempts with one finger
 less, for each, where fingers may be spared."""
 
+FLAT_MORE = math.radians(5.0)
+"""The same for blocks, of which hands turn the wide ones little further than that."""
+
 LITTLE_MORE = math.radians(2.0)
 """Turn (rad) beyond what is asked for where no other plan is found."""
 
@@ -212,8 +215,9 @@ def _rounds(task: GraspTask) -> Iterator[tuple[GraspTask, float, int | None]]:
             for spared in reversed(task.finger_names):
                 names = [name for name in task.finger_names if name != spared]
                 chosen.append(_with_fingers(task, names))
+    more = FLAT_MORE if is_block(task) else MORE
     for i, one in enumerate(chosen):
-        yield one, MORE, FIRST if i == 0 else THEN
+        yield one, more, FIRST if i == 0 else THEN
     yield chosen[0], LITTLE_MORE, None
 
 
