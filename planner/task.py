@@ -62,6 +62,11 @@ class Obstacle:
             raise TaskError(f"obstacle {self.name!r}: its pose holds NaN or infinity")
         object.__setattr__(self, "size", size)
 
+    def moved(self, by: FloatArray) -> Obstacle:
+        """The same obstacle elsewhere; ``by`` is how far (3,), m, world."""
+        pose = self.T_world_obstacle
+        return replace(self, T_world_obstacle=SE3(pose.rotation, pose.translation + by))
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GraspTask:
@@ -265,6 +270,19 @@ class GraspTask:
         """The fingers that take part."""
         return tuple(self.hand.fingers[name] for name in self.finger_names)
 
+    def lowest_point(self, T_world_object: SE3) -> float:
+        """Height z (m, world) of the object's lowest point at a pose."""
+        support = self.object.shape.support(-T_world_object.rotation[2])
+        return float(T_world_object.translation[2] - support)
+
+    @property
+    def carrying(self) -> tuple[Obstacle, ...]:
+        """The obstacles if the object stands on them and not on the table, else none."""
+        if self.table_height is None:
+            return ()
+        above = self.lowest_point(self.T_world_object) - self.table_height
+        return self.obstacles if above > FLOATING_TOL else ()
+
     def _check_wrist(self) -> None:
         index = self.hand.wrist_index
         if self.wrist_q.shape != index.shape:
@@ -274,9 +292,7 @@ class GraspTask:
         self.hand.checked_q(q, "wrist_q")
 
     def _check_object_above_table(self, height: float) -> None:
-        lowest = self.T_world_object.translation[2] - self.object.shape.support(
-            -self.T_world_object.rotation[2]
-        )
+        lowest = self.lowest_point(self.T_world_object)
         if lowest < height - OBJECT_TABLE_TOL:
             raise TaskError(
                 f"the object reaches down to z = {lowest:.4f} m, below the table's top at "

@@ -1,12 +1,15 @@
 """How a hand lets go after a motion: fingers opened where the motion ends, and a way out.
 
-The same as a way into a grasp, backwards, and planned by the same code: the object stands on a
-table as high as its lowest point is when the motion has ended.
+The same as a way into a grasp, backwards, and planned by the same code. When the motion has ended
+the table is as far below the object's lowest point as it was at first, and obstacles carry the
+object if they did.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+
+import numpy as np
 
 from planner.collision import CollisionWorld
 from planner.motion.plan import MotionPlan
@@ -22,10 +25,14 @@ def find_release(motion: MotionPlan) -> Approach | str:
     move together.
     """
     end, task = motion.knots[-1], motion.grasp.task
-    table = task.table_height
+    table, carrying = task.table_height, task.carrying
     if table is not None:
-        pose = end.T_world_object
-        support = task.object.shape.support(-pose.rotation[2])
-        table = float(pose.translation[2] - support)
-    there = replace(task, T_world_object=end.T_world_object, table_height=table, obstacles=())
+        first, last = task.T_world_object, end.T_world_object
+        risen = task.lowest_point(last) - task.lowest_point(first)
+        table += risen
+        gone = last.translation - first.translation
+        carrying = tuple(o.moved(np.array([*gone[:2], risen])) for o in carrying)
+    there = replace(
+        task, T_world_object=end.T_world_object, table_height=table, obstacles=carrying
+    )
     return find_approach(CollisionWorld(there), motion.T_world_base, end.q, end.contacts.normals)

@@ -28,6 +28,7 @@ from sim.bench.journal import run_with_journal
 from sim.bench.statistics import median_of
 from sim.bench.tables import number, table_of
 from sim.manipulation import Push, manipulate, manipulation_task, plan_manipulation
+from sim.manipulation.stand import on_stand
 from sim.physics import PhysicsOptions
 from sim.runner import Check, Runner, made_with
 
@@ -125,6 +126,7 @@ class Turn:
         number: Its number in its cell.
         height: Height of cylinder, block and ellipsoid, m.
         fingers: Fingers that take part; the hand's default set if None.
+        stand: Height of the stand that carries the object, m; 0 for none.
         seed: Of all that is drawn.
     """
 
@@ -134,6 +136,7 @@ class Turn:
     number: int
     height: float
     fingers: tuple[str, ...] | None
+    stand: float
     seed: int
 
 
@@ -150,10 +153,12 @@ def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
     task = plan.motion.grasp.task  # with the fingers that were chosen
     pose = task.T_world_object
     turned = pin.exp3(np.array([0.0, 0.0, there.heading])) @ pose.rotation
+    aside = np.array([*there.shift, 0.0])
     really = replace(
         task,
         object=replace(task.object, mass=there.mass),
-        T_world_object=SE3(turned, pose.translation + np.array([*there.shift, 0.0])),
+        T_world_object=SE3(turned, pose.translation + aside),
+        obstacles=tuple(o.moved(aside) for o in task.obstacles),  # its stand is off as well
     )
     begin = time.process_time()
     report = manipulate(
@@ -186,7 +191,8 @@ def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
 def _believed(turn: Turn, there: Conditions) -> GraspTask:
     """The task as the planner has it."""
     item = parse_object(there.spec, mass=MASS[1])
-    return manipulation_task(turn.hand, item, mu=BELIEVED_MU, fingers=turn.fingers)
+    task = manipulation_task(turn.hand, item, mu=BELIEVED_MU, fingers=turn.fingers)
+    return on_stand(task, turn.stand) if turn.stand else task
 
 
 def _row(turn: Turn, there: Conditions, **values: Any) -> dict[str, Any]:
@@ -215,6 +221,7 @@ def run_manipulate(
     *,
     height: float,
     fingers: tuple[str, ...] | None,
+    stand: float,
     seed: int,
     file: Path,
     runner: Runner,
@@ -227,6 +234,7 @@ def run_manipulate(
         n: Trials for each hand and kind.
         height: Height of cylinder, block and ellipsoid, m.
         fingers: Fingers that take part; each hand's default set if None.
+        stand: Height of the stand that carries the object, m; 0 for none.
         seed: Of all that is drawn.
         file: Of the rows; made if it is not there.
         runner: Who works on them.
@@ -252,6 +260,7 @@ def run_manipulate(
             number=k,
             height=height,
             fingers=fingers,
+            stand=stand,
             seed=seed,
         )
         for i, (hand, kind, k) in enumerate(cells)
@@ -264,6 +273,7 @@ def run_manipulate(
         "n": n,
         "height": height,
         "fingers": None if fingers is None else list(fingers),
+        "stand": stand,
         "seed": seed,
     }
     rows, whole = run_with_journal(

@@ -26,7 +26,7 @@ from planner.spatial import SE3, FloatArray
 from planner.synthesis.joint_objectives import driving
 from planner.synthesis.mesh_seeds import seeder_for
 from planner.synthesis.pregrasp import Approach
-from planner.task import GraspTask
+from planner.task import GraspTask, Obstacle
 
 __all__ = ["ManipulationPlan", "manipulation_task", "plan_manipulation", "torque_reserve"]
 
@@ -65,6 +65,7 @@ class ManipulationPlan:
             ``angle``.
         angle: Turn that is asked for, rad, with its sign.
         T_world_target: Where the object is to stand at last.
+        under_target: What is to carry it there, if anything carries it above the table at first.
         release: Fingers opened at the end, and the way out, where the motion ends.
         reserve: Share of its limit that the most loaded actuator has left at the worst knot, with
             the forces that bear the weight.
@@ -75,6 +76,7 @@ class ManipulationPlan:
     motion: MotionPlan
     angle: float
     T_world_target: SE3
+    under_target: tuple[Obstacle, ...]
     release: Approach
     reserve: float
     attempts: int
@@ -134,11 +136,13 @@ def plan_manipulation(
                 reason = f"cannot let go at the end: {release}"
                 made[-1] = replace(attempt, plan=None, reason=reason)
                 continue
+            target = _target(task, path.axis, angle, place)
             found.append(
                 ManipulationPlan(
                     motion=attempt.plan,
                     angle=angle,
-                    T_world_target=_target(task, path.axis, angle, place),
+                    T_world_target=target,
+                    under_target=_under_target(task, target),
                     release=release,
                     reserve=torque_reserve(attempt.plan),
                     attempts=0,
@@ -256,8 +260,21 @@ def _enough(found: list[ManipulationPlan]) -> bool:
 def _target(
     task: GraspTask, axis: FloatArray, angle: float, place: tuple[float, float] | None
 ) -> SE3:
-    """The object turned, at a place, with its lowest point on the table."""
+    """The object turned, at a place, with its lowest point as high as at first."""
     turned = pin.exp3(angle * axis) @ task.T_world_object.rotation
     x, y = task.T_world_object.translation[:2] if place is None else place
     height = task.object.shape.support(-turned[2])
-    return SE3(turned, np.array([x, y, (task.table_height or 0.0) + height]))
+    return SE3(turned, np.array([x, y, task.lowest_point(task.T_world_object) + height]))
+
+
+def _under_target(task: GraspTask, target: SE3) -> tuple[Obstacle, ...]:
+    """What carries the object at its target as at first, if that is another place."""
+    gone = target.translation - task.T_world_object.translation
+    if np.linalg.norm(gone[:2]) < SAME_PLACE:
+        return ()
+    by = np.array([*gone[:2], 0.0])
+    return tuple(replace(o.moved(by), name=f"{o.name} at the target") for o in task.carrying)
+
+
+SAME_PLACE = 1e-6
+"""Distance (m) between two places that is none."""

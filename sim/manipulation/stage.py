@@ -79,9 +79,9 @@ class Stage(Trial):
         """Build the scene and put hand and object at their start; see ``manipulate``."""
         grasp = plan.motion.grasp
         self.driver = MotionController(plan, rate=pace.turn_rate, sensing=sensing)
-        super().__init__(
-            replace(grasp, task=really or grasp.task), physics=physics, controller=self.driver
-        )
+        there = really or grasp.task
+        there = replace(there, obstacles=(*there.obstacles, *plan.under_target))
+        super().__init__(replace(grasp, task=there), physics=physics, controller=self.driver)
         self._push = push
         self.mover = BaseMover(self.scene.mount, grasp.T_world_base_start)
         self.carrier = self.mover
