@@ -38,6 +38,9 @@ less, for each, where fingers may be spared."""
 FLAT_MORE = math.radians(5.0)
 """The same for blocks, of which hands turn the wide ones little further than that."""
 
+FOR_THREE = ("box", "sphere", "ellipsoid", "mesh")
+"""Kinds of objects that three fingers turn."""
+
 LITTLE_MORE = math.radians(2.0)
 """Turn (rad) beyond what is asked for where no other plan is found."""
 
@@ -212,7 +215,7 @@ def _rounds(task: GraspTask) -> Iterator[tuple[GraspTask, float, int | None]]:
     """What is tried in turn: a task, how much more than is asked for (rad), and how often."""
     chosen = [task]
     if task.may_spare_fingers and len(task.finger_names) > task.fingers_needed:
-        if is_block(task):
+        if task.object.shape.kind in FOR_THREE:
             chosen = [_with_fingers(task, names) for names in _tripods(task)]
         else:
             # the thumb, which comes first, is spared last
@@ -228,7 +231,8 @@ def _rounds(task: GraspTask) -> Iterator[tuple[GraspTask, float, int | None]]:
 def _tripods(task: GraspTask) -> list[tuple[str, ...]]:
     """The finger that opposes the others with each pair of neighbours among those.
 
-    Three go furthest on opposed faces: a fourth stays on its face and has to turn with it too.
+    A fourth finger has to go all the way as well: on blocks it stays on its face and turns with it,
+    on balls no start of 6 holds with four fingers of the Shadow-type hand, and 4 with three.
     """
     opposer = task.finger_names[seeder_for(task).pinch.opposer]
     others = [name for name in task.finger_names if name != opposer]
