@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 from dataclasses import replace
@@ -36,7 +35,8 @@ from sim.manipulation import (
 )
 from sim.manipulation.checks import placed, tilt_between, undisturbed
 from sim.manipulation.modes import measured_modes, mode_table, planned_modes
-from sim.manipulation.plan import _rounds
+from sim.manipulation.plan import _rounds, _under_target
+from sim.manipulation.stand import on_stand
 from sim.physics import PhysicsOptions
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -355,14 +355,64 @@ def test_a_turn_beyond_one_stroke_is_refused(plan: ManipulationPlan) -> None:
 def test_fingers_are_spared_only_where_they_may_be() -> None:
     item = parse_object("cylinder:0.03x0.08", mass=0.3)
     task = manipulation_task("allegro_hand", item, mu=0.45)
-    tried = [t for t, _, _ in itertools.islice(_rounds(task), 7)]
-    assert [len(t.finger_names) for t in tried] == [4, 3, 3, 3, 3, 4, 4]
+    rounds = list(_rounds(task))
+    tried = [t for t, _, _ in rounds]
+    assert [len(t.finger_names) for t in tried] == [4, 3, 3, 3, 3, 4]
+    # the last one goes on without end, the others do not
+    assert [n is None for _, _, n in rounds] == [False] * 5 + [True]
     assert all("thumb" in t.finger_names for t in tried[:4])
     assert "thumb" not in tried[4].finger_names
     # three fingers carry the same weight as four
     assert tried[1].grip_force * 3 == pytest.approx(tried[0].grip_force * 4)
     named = manipulation_task("allegro_hand", item, mu=0.45, fingers=task.finger_names)
-    assert all(len(t.finger_names) == 4 for t, _, _ in itertools.islice(_rounds(named), 4))
+    assert all(len(t.finger_names) == 4 for t, _, _ in _rounds(named))
+
+
+def test_blocks_are_held_by_the_opposer_and_two_neighbours() -> None:
+    task = manipulation_task("allegro_hand", parse_object("box:0.06x0.06x0.08", mass=0.3), mu=0.45)
+    tried = [t for t, _, _ in _rounds(task)]
+    names = [set(t.finger_names) for t in tried]
+    assert names[:2] == [{"thumb", "index", "middle"}, {"thumb", "middle", "ring"}]
+    # the thumb presses twice as much as each of the others, and four such forces carry the weight
+    assert tried[0].grip_force == pytest.approx(0.3 * 9.81 / (0.45 * 4))
+
+
+# --- a stand -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("spec", "above"),
+    [
+        # a ball of 30 mm lies on the upper edges 18 mm beside its middle: sqrt(30^2 - 18^2) above
+        ("sphere:0.03", 0.024),
+        ("box:0.05x0.05x0.05", 0.025),
+        ("cylinder:0.025x0.06", 0.03),
+    ],
+)
+def test_an_object_lies_on_its_stand(spec: str, above: float) -> None:
+    task = on_stand(manipulation_task("allegro_hand", parse_object(spec), mu=0.45), 0.04)
+    assert task.T_world_object.translation[2] == pytest.approx(0.04 + above, abs=2e-5)
+    assert task.carrying == task.obstacles and len(task.obstacles) == 4
+    assert all(o.T_world_obstacle.translation[2] == pytest.approx(0.02) for o in task.obstacles)
+
+
+def test_a_stand_needs_a_table_and_a_height() -> None:
+    task = manipulation_task("allegro_hand", parse_object("sphere:0.03"), mu=0.45)
+    assert task.carrying == ()
+    with pytest.raises(TaskError, match="height is 0"):
+        on_stand(task, 0.0)
+    with pytest.raises(TaskError, match="no table"):
+        on_stand(replace(task, table_height=None), 0.04)
+
+
+def test_a_stand_goes_where_the_object_goes() -> None:
+    task = on_stand(manipulation_task("allegro_hand", parse_object("sphere:0.03"), mu=0.45), 0.04)
+    target = SE3(np.eye(3), task.T_world_object.translation + np.array([0.1, 0.05, 0.0]))
+    moved = _under_target(task, target)
+    for first, then in zip(task.obstacles, moved, strict=True):
+        gone = then.T_world_obstacle.translation - first.T_world_obstacle.translation
+        assert np.allclose(gone, [0.1, 0.05, 0.0]) and then.name != first.name
+    assert _under_target(task, task.T_world_object) == ()
 
 
 def test_a_task_without_a_table_is_refused(plan: ManipulationPlan) -> None:
@@ -440,6 +490,7 @@ def test_an_unknown_kind_is_refused_before_any_work(tmp_path: Any) -> None:
             1,
             height=0.08,
             fingers=None,
+            stand=0.0,
             seed=0,
             file=tmp_path / "rows.jsonl",
             runner=None,  # type: ignore[arg-type]

@@ -24,19 +24,21 @@ from planner.judge import plan_forces
 from planner.kinematics import HandState
 from planner.motion import MotionPlan, ObjectPath, motion_attempts, plan_motion
 from planner.motion.between import lead
-from planner.motion.ground import finger_sets
+from planner.motion.ground import finger_sets, on_opposed_faces, with_rolling_pads
 from planner.motion.holds import HOLD_SHARE, Hold, HoldRows
 from planner.motion.limits import what_limits
+from planner.motion.loads import MOST_LOAD, PER_LOAD, load_function, load_parameters
 from planner.motion.problem import JOINT_ROOM, MotionProblem, build_motion_problem
 from planner.motion.residuals import PULL, MotionResiduals
-from planner.motion.rolling import rolling_function, slips
+from planner.motion.rolling import pivoting_function, rolling_function, slips
 from planner.motion.rows import described
 from planner.motion.search import MOTION_OPTIONS
 from planner.motion.solve import MotionSolver
 from planner.motion.unknowns import SHARE, placement
 from planner.objects import parse_object
 from planner.quality import analyse, force_closure
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, skew
+from planner.synthesis.joint_objectives import driving
 from planner.synthesis.problem import Start
 from planner.synthesis.residuals import WEIGHTS
 from planner.synthesis.seeds import Seeder
@@ -261,6 +263,16 @@ def test_rolling_by_casadi_is_rolling_by_pinocchio(allegro: Hand) -> None:
     by_pinocchio = slips(allegro, fingers, (poses[0], poses[1]), postures, (outward[0], outward[1]))
     assert by_pinocchio.min() > 1e-4
     assert np.allclose(by_casadi, by_pinocchio, rtol=1e-3)
+    pivots = pivoting_function(allegro, fingers)(x0, x1, reference.ravel(order="F"))[0].full()
+    tips = [
+        [base.rotation @ HandState(allegro, q).joint_pose(f.pad.joint_id).rotation for f in fingers]
+        for base, q in zip(poses, postures, strict=True)
+    ]
+    for i in range(3):
+        normal = outward[0][i] + outward[1][i]
+        turn = pin.log3(tips[1][i] @ tips[0][i].T)
+        about = float(turn @ normal / np.linalg.norm(normal))
+        assert pivots[i, 0] == pytest.approx(about, abs=2e-3)
 
 
 @pytest.mark.parametrize("holds", [(), (Hold(lifted=0, knots=(-1, 0, 1)),)])
@@ -296,6 +308,72 @@ def test_derivatives_of_all_residuals_by_finite_differences(
         assert np.abs(slope - jacobian[:, i]).max() <= 2e-5 * scale, i
         compared += 1
     assert compared > 0.9 * len(z)
+
+
+def test_loads_are_those_of_forces_that_bear_the_weight(allegro: Hand) -> None:
+    task = GraspTask.create(allegro, "box:0.06x0.06x0.08", fingers=["thumb", "index", "middle"])
+    path = ObjectPath(axis=UP, angle=1.0, shift=np.zeros(3))
+    seeder = Seeder(task)
+    start = seeder.draw(np.random.default_rng(0))
+    assert isinstance(start, Start)
+    u = problem_of(allegro, 3).unknowns.grasp
+    places = np.linspace(0.0, 1.0, 3)
+    parameters = load_parameters(task, path, places, start.q)
+    assert np.allclose(parameters, parameters[0])  # about the vertical the weight stays where it is
+    inward = start.forces / np.linalg.norm(start.forces, axis=1, keepdims=True)
+    forces = np.array([2.0, 1.0, 1.0])[:, None] * inward
+    state = HandState(allegro, start.q)
+    pads = np.array([start.T_object_base.act(state.pad_center(f)) for f in task.fingers])
+    radii = np.array([f.pad.radius for f in task.fingers])[:, None]
+    points = pads + radii * inward  # where the pads would touch faces that they press on
+    turn = start.T_object_base.rotation
+    x = np.concatenate(
+        [np.zeros(3), start.T_object_base.translation, start.q, points.ravel(), forces.ravel()]
+    )
+    assert len(x) == u.size
+    out = load_function(allegro, task.fingers)(x, turn.ravel(order="F"), parameters[0])[0]
+    used = driving(allegro, task.fingers)
+    loads = MOST_LOAD - out.full().ravel()[: len(used)] / PER_LOAD
+    weight = task.object.mass * task.gravity
+    length = task.object.shape.bounding_radius
+    grasp = np.hstack([np.vstack([np.eye(3), skew(p) / length]) for p in points])
+    bearing = (np.linalg.pinv(grasp) @ np.concatenate([-weight, np.zeros(3)])).reshape(-1, 3)
+    carry = np.linalg.norm(weight) / (0.8 * task.mu * 3)
+    pressed = max(task.grip_force, carry) * forces + bearing
+    torque = np.zeros(allegro.nq)
+    for f, point, force in zip(task.fingers, points, pressed, strict=True):
+        at = start.T_object_base.actInv(point)
+        torque += state.point_jacobian(f.pad.joint_id, at)[:3].T @ (turn.T @ force)
+    by_hand = np.abs(torque[f_index(allegro, used)]) / 0.7  # every joint has one motor of 0.7 N m
+    assert np.allclose(loads, by_hand, rtol=1e-3, atol=1e-3)
+
+
+def f_index(hand: Hand, used: Any) -> Any:
+    """Joints that actuators drive, one each."""
+    return np.argmax(np.abs(hand.actuation.moment[used]), axis=1)
+
+
+def test_starts_on_a_box_oppose_one_face_to_its_opposite(allegro: Hand) -> None:
+    task = GraspTask.create(allegro, "box:0.06x0.06x0.08", fingers=["thumb", "index", "middle"])
+    seeder = Seeder(task)
+    for seed in range(8):
+        drawn = seeder.draw(np.random.default_rng(seed))
+        assert isinstance(drawn, Start)
+        start = on_opposed_faces(drawn, seeder)
+        codes = np.array([patch.code for patch in start.patches])
+        assert np.array_equal(codes[1], -codes[0]) and np.array_equal(codes[2], -codes[0])
+        assert np.allclose(start.forces[0] / np.linalg.norm(start.forces[0]), -codes[0])
+
+
+def test_pads_are_wide_for_faces_alone(allegro: Hand) -> None:
+    block = GraspTask.create(allegro, "box:0.06x0.06x0.08")
+    wide = with_rolling_pads(block)
+    assert wide.hand.rolls and wide.hand.digest != allegro.digest
+    pads = [(f.pad, allegro.fingers[n].pad) for n, f in wide.hand.fingers.items()]
+    assert all(new.half_angle > old.half_angle for new, old in pads)
+    assert wide.hand.rolling is wide.hand and with_rolling_pads(wide) is wide
+    round_one = GraspTask.create(allegro, "cylinder:0.03x0.08")
+    assert with_rolling_pads(round_one) is round_one
 
 
 def test_forces_of_a_hold_balance_where_each_contact_is_seen_by_the_hand() -> None:

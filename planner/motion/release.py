@@ -32,7 +32,5 @@ def find_release(motion: MotionPlan) -> Approach | str:
         table += risen
         gone = last.translation - first.translation
         carrying = tuple(o.moved(np.array([*gone[:2], risen])) for o in carrying)
-    there = replace(
-        task, T_world_object=end.T_world_object, table_height=table, obstacles=carrying
-    )
+    there = replace(task, T_world_object=end.T_world_object, table_height=table, obstacles=carrying)
     return find_approach(CollisionWorld(there), motion.T_world_base, end.q, end.contacts.normals)

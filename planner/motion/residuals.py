@@ -8,6 +8,7 @@ one.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -138,7 +139,9 @@ class MotionResiduals:
             n = one.n_terms
             terms.append((r[:n], rows[:n]))
             costs.append((r[n:], rows[n:]))
-        terms += [self._rolling(placed), self._tube(z)]
+        terms += [self._stepwise(self.problem.rolling, PER_METRE, placed), self._tube(z)]
+        if self.numbers.pivot:
+            costs.append(self._stepwise(self.problem.pivoting, self.numbers.pivot, placed))
         terms += [self._hold(h, z) for h in range(len(self.problem.holds))]
         terms.append(self._loads(placed))
         costs.append((self._bends @ z, self._bends))
@@ -159,13 +162,14 @@ class MotionResiduals:
         rows[:, at.start : at.start + TUBE] += carried[:, SHARED:]
         rows[:, at.start + TUBE : at.stop] += local[:, 6:]
 
-    def _rolling(
-        self, placed: list[tuple[FloatArray, FloatArray]]
+    def _stepwise(
+        self, function: Any, weight: float, placed: list[tuple[FloatArray, FloatArray]]
     ) -> tuple[FloatArray, FloatArray]:
+        """Rows of a function of every two neighbouring knots."""
         u = self.problem.unknowns
         x = np.array([x for x, _ in placed]).T
         reference = np.tile(self.numbers.reference.ravel(order="F")[:, None], u.n_knots - 1)
-        out, jacobian = self.problem.rolling(ca.DM(x[:, :-1]), ca.DM(x[:, 1:]), ca.DM(reference))
+        out, jacobian = function(ca.DM(x[:, :-1]), ca.DM(x[:, 1:]), ca.DM(reference))
         values, slopes = out.full(), jacobian.full()
         m, size = len(values), u.grasp.size
         rows = np.zeros((m * (u.n_knots - 1), u.size))
@@ -174,7 +178,7 @@ class MotionResiduals:
             local = slopes[:, 2 * size * k : 2 * size * (k + 1)]
             self._spread(mine, local[:, :size], placed[k][1], k)
             self._spread(mine, local[:, size:], placed[k + 1][1], k + 1)
-        return PER_METRE * values.T.ravel(), PER_METRE * rows
+        return weight * values.T.ravel(), weight * rows
 
     def _spare(self, placed: list[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
         """What is to spare at each knot (n_knots, k), and its Jacobian (k, n_knots size)."""

@@ -11,7 +11,9 @@ rotation vector v from one orientation of the tip to the next and n in the middl
     c' - c - r v x n = 0    along the tangents.
 
 The chord of a turn by v differs from its arc by |v|^2/24, so this is right to 1 % for 28 degrees
-between knots. A turn about the normal is free: the contact pivots.
+between knots. A turn about the normal, v . n, is free: the contact pivots. Contacts have torsional
+friction though, which a force of 10 N and a patch of 5 mm make 0.05 N m, as much as a hand can do
+about a small object; so pivoting has a cost.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ from planner.spatial import SE3, FloatArray
 from planner.symbolic import SymbolicHand
 from planner.synthesis.unknowns import Unknowns, mrp_matrix
 
-__all__ = ["rolling_function", "slips"]
+__all__ = ["pivoting_function", "rolling_function", "slips"]
 
 
 def rolling_function(hand: Hand, fingers: tuple[Finger, ...]) -> Any:
@@ -36,21 +38,34 @@ def rolling_function(hand: Hand, fingers: tuple[Finger, ...]) -> Any:
 
     Gives what each pad slides by (3 n,), m, object frame, and its Jacobian by both, (3 n, 2 size).
     """
+    return _between_knots(hand, fingers)[0]
+
+
+def pivoting_function(hand: Hand, fingers: tuple[Finger, ...]) -> Any:
+    """The same for what each tip turns by about its contact's normal, (n,), rad."""
+    return _between_knots(hand, fingers)[1]
+
+
+def _between_knots(hand: Hand, fingers: tuple[Finger, ...]) -> tuple[Any, Any]:
     unknowns = Unknowns(n_joints=hand.nq, n_contacts=len(fingers))
     first, second = (ca.SX.sym(name, unknowns.size) for name in ("x0", "x1"))
     r0 = ca.SX.sym("R0", 3, 3)
     before = _tips(hand, fingers, unknowns, r0, first)
     after = _tips(hand, fingers, unknowns, r0, second)
-    rows = []
+    rows, pivots = [], []
     for finger, (c0, r_0, p0), (c1, r_1, p1) in zip(fingers, before, after, strict=True):
         normal = c0 - p0 + c1 - p1
         normal = normal / ca.norm_2(normal)
-        gone = c1 - c0 - finger.pad.radius * ca.cross(_rotation_vector(r_1 @ r_0.T), normal)
+        turn = _rotation_vector(r_1 @ r_0.T)
+        gone = c1 - c0 - finger.pad.radius * ca.cross(turn, normal)
         rows.append(gone - normal * ca.dot(normal, gone))
-    out = ca.vertcat(*rows)
-    both = ca.vertcat(first, second)
-    jacobian = ca.densify(ca.jacobian(out, both))
-    return ca.Function("rolling", [first, second, ca.vec(r0)], [out, jacobian])
+        pivots.append(ca.dot(turn, normal))
+    inputs, both = [first, second, ca.vec(r0)], ca.vertcat(first, second)
+    rolled, pivoted = (
+        ca.Function(name, inputs, [ca.densify(out), ca.densify(ca.jacobian(out, both))])
+        for name, out in (("rolling", ca.vertcat(*rows)), ("pivoting", ca.vertcat(*pivots)))
+    )
+    return rolled, pivoted
 
 
 def _tips(

@@ -44,6 +44,9 @@ FingersOption = Annotated[
 ]
 SeedOption = Annotated[int, typer.Option(min=0, help="Same seed, same plan.")]
 MuOption = Annotated[float, typer.Option(help="Sliding friction that planning relies on (-).")]
+StandOption = Annotated[
+    float, typer.Option(min=0.0, help="Height of a stand that carries the object, m; 0 for none.")
+]
 MassOption = Annotated[float | None, typer.Option(help="Mass of the object, kg (default 0.1).")]
 DensityOption = Annotated[
     float | None, typer.Option(help="Density of the object, kg/m3, instead of its mass.")

@@ -19,6 +19,7 @@ from sim.cli.common import (
     ObjectArgument,
     SeedOption,
     SimMuOption,
+    StandOption,
     err,
     errors_for_people,
     make_folder,
@@ -53,6 +54,7 @@ def manipulate(
     mu: MuOption = 0.45,
     sim_mu: SimMuOption = 0.6,
     mass: MassOption = None,
+    stand: StandOption = 0.0,
     max_attempts: Annotated[int, typer.Option(min=1, help="Attempts before giving up.")] = 50,
     as_json: JsonOption = False,
 ) -> None:
@@ -68,6 +70,7 @@ def manipulate(
         mu=mu,
         sim_mu=sim_mu,
         mass=mass,
+        stand=stand,
         max_attempts=max_attempts,
         as_json=as_json,
     )
@@ -87,6 +90,7 @@ def demo(out_dir: OutOption = None, as_json: JsonOption = False) -> None:
         mu=0.45,
         sim_mu=0.6,
         mass=None,
+        stand=0.0,
         max_attempts=50,
         as_json=as_json,
     )
@@ -104,6 +108,7 @@ def _perform(
     mu: float,
     sim_mu: float,
     mass: float | None,
+    stand: float,
     max_attempts: int,
     as_json: bool,
 ) -> None:
@@ -112,6 +117,7 @@ def _perform(
     from planner.objects import parse_object
     from sim.manipulation import manipulate as execute
     from sim.manipulation import manipulation_task, plan_manipulation
+    from sim.manipulation.stand import on_stand
     from sim.physics import PhysicsOptions
 
     axis, degrees = _turn(rotate)
@@ -123,6 +129,8 @@ def _perform(
         mu=mu,
         fingers=None if fingers is None else names(fingers),
     )
+    if stand:
+        task = on_stand(task, stand)
     x, y = numbers("--place", place, 2)
     with err.status(f"planning: {task.hand.name}, {task.object.name} ..."):
         plan = plan_manipulation(
