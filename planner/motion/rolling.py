@@ -28,6 +28,7 @@ from planner.hand import Finger, Hand
 from planner.kinematics import HandState
 from planner.spatial import SE3, FloatArray
 from planner.symbolic import SymbolicHand
+from planner.synthesis.compiled import compiled
 from planner.synthesis.unknowns import Unknowns, mrp_matrix
 
 __all__ = ["pivoting_function", "rolling_function", "slips"]
@@ -62,7 +63,7 @@ def _between_knots(hand: Hand, fingers: tuple[Finger, ...]) -> tuple[Any, Any]:
         pivots.append(ca.dot(turn, normal))
     inputs, both = [first, second, ca.vec(r0)], ca.vertcat(first, second)
     rolled, pivoted = (
-        ca.Function(name, inputs, [ca.densify(out), ca.densify(ca.jacobian(out, both))])
+        compiled(ca.Function(name, inputs, [ca.densify(out), ca.densify(ca.jacobian(out, both))]))
         for name, out in (("rolling", ca.vertcat(*rows)), ("pivoting", ca.vertcat(*pivots)))
     )
     return rolled, pivoted
