@@ -152,6 +152,9 @@ class MotionSolver:
         run = _Run(self, start)
         run.fix(1.0)
         run.descend(REACHING)
+        if run.worst > WORTH_A_LOOK and run.residuals.numbers.pivot:
+            run.residuals.numbers = replace(run.residuals.numbers, pivot=0.0)
+            run.descend(HOLDING)
         yield run.candidate(())
         if run.worst <= WORTH_A_LOOK and self._rounds:
             for _ in range(self._rounds):

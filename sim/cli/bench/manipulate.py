@@ -19,6 +19,7 @@ from sim.cli.common import (
     FingersOption,
     JsonOption,
     SeedOption,
+    StandOption,
     check_folder,
     errors_for_people,
     names,
@@ -36,6 +37,7 @@ def manipulate(
         float, typer.Option(min=0.04, help="Height of cylinder, block and ellipsoid, m.")
     ] = 0.08,
     fingers: FingersOption = None,
+    stand: StandOption = 0.0,
     seed: SeedOption = 0,
     workers: WorkersOption = 1,
     samples: SamplesOption = Path("manipulate.jsonl"),
@@ -53,6 +55,7 @@ def manipulate(
             n,
             height=height,
             fingers=None if fingers is None else tuple(names(fingers)),
+            stand=stand,
             seed=seed,
             file=samples,
             runner=runner,
