@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.errors import NoGraspFoundError, TaskError
+from planner.gait import GaitPlan
 from planner.hand import Hand
 from planner.motion import MotionAttempt, MotionPlan, ObjectPath, motion_attempts
 from planner.motion.path import LARGEST_TURN
@@ -63,6 +64,8 @@ class ManipulationPlan:
             the forces that bear the weight.
         attempts: Attempts made.
         cpu_s: CPU time of planning without building, s.
+        gait: Strokes and the regrasps between them, where one stroke is not enough; ``motion`` is
+            the first of them.
     """
 
     motion: MotionPlan
@@ -72,6 +75,7 @@ class ManipulationPlan:
     reserve: float
     attempts: int
     cpu_s: float
+    gait: GaitPlan | None = None
 
 
 def plan_manipulation(

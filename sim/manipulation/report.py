@@ -30,6 +30,7 @@ class Check:
 
     Attributes:
         step: Which.
+        about: Which one of several: a stroke's number, or the finger that moves on; "" of one.
         begin: When it began, s.
         end: When it ended, s.
         reason: Why it failed, "" if it did not.
@@ -41,6 +42,7 @@ class Check:
     end: float
     reason: str
     numbers: dict[str, float]
+    about: str = ""
 
     @property
     def passed(self) -> bool:
@@ -51,7 +53,8 @@ class Check:
         """One line."""
         told = ", ".join(f"{name} {value:.3g}" for name, value in self.numbers.items())
         mark = "ok  " if self.passed else "FAIL"
-        line = f"{mark} {self.step:<13}{self.end - self.begin:5.2f} s  {told}"
+        name = f"{self.step} {self.about}".strip()
+        line = f"{mark} {name:<15}{self.end - self.begin:5.2f} s  {told}"
         return line if self.passed else f"{line}\n     {self.reason}"
 
 

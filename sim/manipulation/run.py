@@ -10,7 +10,7 @@ sent to planned poses up to the turn, and then to where the measured object gets
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import mujoco
@@ -27,16 +27,11 @@ from sim.manipulation.pace import STEPS, Bounds, Pace, Step
 from sim.manipulation.plan import ManipulationPlan
 from sim.manipulation.report import Check, ManipulationReport
 from sim.manipulation.stage import Push, Stage
+from sim.manipulation.turning import Part, Turning
 from sim.physics import PhysicsOptions
 from sim.picture import save_picture
 
 __all__ = ["ManipulationRun", "manipulate"]
-
-STILL_SPEED = np.deg2rad(3.0)
-"""Rate (rad/s) below which a turn that has reached its angle has ended."""
-
-CLOSE_TO = np.deg2rad(0.4)
-"""A turn this near (rad) to its end is made."""
 
 
 class ManipulationRun:
@@ -46,6 +41,7 @@ class ManipulationRun:
         plan: What is executed.
         stage: Where.
         checks: The phases that were run.
+        turning: The turn.
     """
 
     def __init__(
@@ -65,6 +61,7 @@ class ManipulationRun:
         self.stage = Stage(
             plan, really=really, physics=physics, sensing=sensing, pace=self._pace, push=push
         )
+        self.turning = Turning(plan, self.stage, self._pace, self._bounds)
         self.checks: list[Check] = []
         self._quality: dict[Step, QualityReport] = {}
 
@@ -79,24 +76,35 @@ class ManipulationRun:
         # divergence is told by the report; MuJoCo would also write a log file
         mujoco.set_mju_user_warning(lambda _: None)
         try:
-            for k, step in enumerate(STEPS, start=1):
+            for k, (step, about, perform) in enumerate(self._parts(), start=1):
                 begin = float(self.stage.data.time)
-                reason, numbers = self._phases[step]()
+                reason, numbers = perform()
                 end = float(self.stage.data.time)
                 self.checks.append(
-                    Check(step=step, begin=begin, end=end, reason=reason, numbers=numbers)
+                    Check(
+                        step=step, about=about, begin=begin, end=end, reason=reason, numbers=numbers
+                    )
                 )
                 if pictures is not None and not no_picture:
-                    file = pictures / f"{k:02d}-{step.replace(' ', '-')}.png"
+                    name = f"{step} {about}".strip().replace(" ", "-")
+                    file = pictures / f"{k:02d}-{name}.png"
                     made = save_picture(self.stage.scene.model, self.stage.data, file)
                     no_picture = made.reason
                     if made.path is not None:
-                        taken[step] = str(made.path)
+                        taken[f"{step} {about}".strip()] = str(made.path)
                 if reason:
                     break
         finally:
             mujoco.set_mju_user_warning(None)
         return self._told(taken, no_picture)
+
+    def _parts(self) -> Iterator[Part]:
+        """All phases in order; the turn may have several."""
+        for step in STEPS:
+            if step == "turn":
+                yield from self.turning.parts()
+            else:
+                yield step, "", self._phases[step]
 
     @property
     def _phases(self) -> dict[Step, Callable[[], Outcome]]:
@@ -107,7 +115,6 @@ class ManipulationRun:
             "squeeze": self._squeeze,
             "verify": lambda: self._verify("verify"),
             "lift": self._lift,
-            "turn": self._turn,
             "hold": self._hold,
             "verify again": lambda: self._verify("verify again"),
             "carry": self._carry,
@@ -169,7 +176,7 @@ class ManipulationRun:
         pace, stage = self._pace, self.stage
         stage.mover.go(_raised(self.plan.motion.T_world_base, pace.height), pace.lift)
         fault = stage.advance("lift", pace.lift)
-        numbers = self._in_hand()
+        numbers = self.turning.in_hand()
         first = float(stage.scene.task.T_world_object.translation[2])
         numbers["rise_mm"] = 1e3 * (float(stage.T_world_object.translation[2]) - first)
         short = 1e3 * pace.height - numbers["rise_mm"]
@@ -180,29 +187,13 @@ class ManipulationRun:
             )
         return fault, numbers
 
-    def _turn(self) -> Outcome:
-        pace, reference = self._pace, self.stage.driver.reference
-        self.stage.watch.mark(self.stage.data)
-        last = reference.left
-
-        def made(_: bool) -> bool:
-            nonlocal last
-            rate = (reference.left - last) / self.stage.scene.physics.timestep
-            last = reference.left
-            return bool(reference.left <= CLOSE_TO and abs(rate) < STILL_SPEED)
-
-        fastest = abs(reference.goal) / pace.turn_rate
-        fault = self.stage.advance("turn", fastest, wait=pace.turn_wait, until=made)
-        numbers = self._in_hand()
-        return fault or self._stalled(numbers), numbers
-
     def _hold(self) -> Outcome:
-        before = self._in_hand()
+        before = self.turning.in_hand()
         fault = self.stage.advance("hold", self._pace.hold)
-        numbers = self._in_hand()
+        numbers = self.turning.in_hand()
         numbers["drift_mm"] = abs(numbers["shift_mm"] - before["shift_mm"])
         numbers["drift_deg"] = abs(numbers["turn_deg"] - before["turn_deg"])
-        return fault or self._stalled(numbers), numbers
+        return fault or self.turning.stalled(numbers), numbers
 
     def _carry(self) -> Outcome:
         above = _raised(self.plan.T_world_target, self._pace.height)
@@ -242,38 +233,13 @@ class ManipulationRun:
         reason, numbers = placed(target, self.stage.T_world_object, self._bounds)
         return fault or reason, numbers
 
-    def _in_hand(self) -> dict[str, float]:
-        """How the object lies in the palm, against the mark."""
-        turn, tilt, shift = self.stage.watch.moved(self.stage.data)
-        fingers = set(hand_contacts(self.stage.scene, self.stage.data).fingers)
-        return {
-            "turn_deg": float(np.rad2deg(turn)),
-            "tilt_deg": float(np.rad2deg(tilt)),
-            "shift_mm": 1e3 * float(np.linalg.norm(shift)),
-            "fingers": float(len(fingers - {""})),
-        }
-
-    def _stalled(self, numbers: dict[str, float]) -> str:
-        """Why the turn is not what was asked for, "" if it is."""
-        asked = float(np.rad2deg(self.plan.angle))
-        turned, tilt = numbers["turn_deg"], numbers["tilt_deg"]
-        if abs(asked - turned) > self._bounds.angle_deg:
-            driver = self.stage.driver
-            limited = ", ".join(driver.limited_actuators())
-            why = driver.holding.gave_up
-            why = why or (f"{limited} had no more to give" if limited else "it did not follow")
-            return f"turned {turned:.1f} of {asked:.1f} degrees: {why}"
-        if tilt > self._bounds.tilt_deg:
-            return f"tilted by {tilt:.1f} degrees off the axis"
-        return ""
-
     def _told(self, pictures: dict[str, str], no_picture: str) -> ManipulationReport:
         track = self.stage.watch.track()
         points = planned_points(self.plan.motion, track.place, track.step)
         wanted = np.isfinite(points[..., 0])
         return ManipulationReport(
             checks=tuple(self.checks),
-            complete=len(self.checks) == len(STEPS) and all(c.passed for c in self.checks),
+            complete=self.checks[-1].step == STEPS[-1] and self.checks[-1].passed,
             fingers=self.plan.motion.grasp.task.finger_names,
             asked=self.plan.angle,
             track=track,

@@ -38,6 +38,7 @@ PHASE_OF: dict[Step, Phase] = {
     "release": "release",
     "open": "open",
     "retreat": "retreat",
+    "regrasp": "hold",
 }
 """What each phase is to a controller."""
 
