@@ -135,6 +135,7 @@ class ObjectImpedance:
         self._senses = Senses(sensing or Sensing())
         self._slips = SlipDetector(n)
         self._torques = HoldingTorques(plan)
+        self._first_mu = first_mu
         self._mu = np.full(n, first_mu)
         self._grip = 1.0
         self._contacts = plan.contacts.transformed(plan.T_world_base.inverse())
@@ -174,8 +175,16 @@ class ObjectImpedance:
         self._tell(finger, True)
 
     def keep(self) -> None:
-        """Keep fingertips and posture where they are now; at rest they then press on nothing."""
+        """Keep fingertips and posture where they are now; at rest they then press on nothing.
+
+        For when fingers are about to hold elsewhere: what slips taught about friction and grip is
+        forgotten.
+        """
         self._torques.latch()
+        if self._grip > 1.0:
+            self._grip = 1.0
+            self._mu[:] = self._first_mu
+            self._loop = self._make_loop()
 
     def step(self, observation: Observation) -> FloatArray:
         """Commands (nu,) for the hand's actuators."""
