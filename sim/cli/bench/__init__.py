@@ -1,0 +1,28 @@
+"""Commands that measure: ``bench grasps``, ``synthesis``, ``control``, and others."""
+
+from __future__ import annotations
+
+import typer
+
+from sim.cli.bench import control, grasps, manipulate, synthesis
+
+__all__ = ["register"]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the group ``bench``."""
+    bench = typer.Typer(
+        help="Measure: tables that repeat the project's figures.", no_args_is_help=True
+    )
+    for command in (
+        grasps.grasps,
+        synthesis.synthesis,
+        synthesis.objectives,
+        grasps.metrics,
+        synthesis.scaling,
+        control.forces,
+        control.control,
+        manipulate.manipulate,
+    ):
+        bench.command()(command)
+    app.add_typer(bench, name="bench")

@@ -1,0 +1,60 @@
+"""The command that measures turns in the hand: ``bench manipulate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sim.cli.bench.common import (
+    HandsArgument,
+    OutOption,
+    SamplesOption,
+    WorkersOption,
+    give,
+    measuring,
+)
+from sim.cli.common import (
+    FingersOption,
+    JsonOption,
+    SeedOption,
+    check_folder,
+    errors_for_people,
+    names,
+)
+
+
+@errors_for_people()
+def manipulate(
+    hands: HandsArgument,
+    objects: Annotated[
+        str, typer.Option(help="Comma separated: cylinder, block, sphere, ellipsoid.")
+    ] = "cylinder",
+    n: Annotated[int, typer.Option("-n", "--number", min=1, help="Trials per cell.")] = 50,
+    height: Annotated[
+        float, typer.Option(min=0.04, help="Height of cylinder, block and ellipsoid, m.")
+    ] = 0.08,
+    fingers: FingersOption = None,
+    seed: SeedOption = 0,
+    workers: WorkersOption = 1,
+    samples: SamplesOption = Path("manipulate.jsonl"),
+    output: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Pick, turn by 90 degrees in the hand, place: randomised trials, strict and loose rates."""
+    from sim.bench.manipulate import manipulate_table, run_manipulate
+
+    check_folder(samples)
+    with measuring(output, workers) as runner:
+        result = run_manipulate(
+            hands,
+            names(objects),
+            n,
+            height=height,
+            fingers=None if fingers is None else tuple(names(fingers)),
+            seed=seed,
+            file=samples,
+            runner=runner,
+        )
+    give(result, output, as_json, lambda console: console.print(manipulate_table(result)))

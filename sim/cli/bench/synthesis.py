@@ -1,0 +1,128 @@
+"""Commands that measure planning: ``bench synthesis``, ``objectives`` and ``scaling``."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from sim.cli.bench.common import (
+    PRIMITIVES,
+    HandsArgument,
+    ObjectsOption,
+    OutOption,
+    WorkersOption,
+    give,
+    measuring,
+)
+from sim.cli.common import (
+    AttemptsOption,
+    FingersOption,
+    JsonOption,
+    MuOption,
+    RoundsOption,
+    SeedOption,
+    errors_for_people,
+    names,
+)
+
+
+@errors_for_people()
+def synthesis(
+    hands: HandsArgument,
+    objects: ObjectsOption = PRIMITIVES,
+    n: Annotated[int, typer.Option("-n", "--number", min=1, help="Requests per cell.")] = 50,
+    seed: SeedOption = 0,
+    mu: MuOption = 0.5,
+    fingers: FingersOption = None,
+    floating: Annotated[bool, typer.Option("--floating/--table", help="Without a table.")] = False,
+    clearance: Annotated[
+        float, typer.Option(min=0, help="Least distance of what must not touch, m.")
+    ] = 0.0,
+    rounds: RoundsOption = None,
+    max_attempts: AttemptsOption = 100,
+    workers: WorkersOption = 1,
+    baseline: Annotated[
+        bool, typer.Option("--baseline", help="Compare with FRoGGeR's figures.")
+    ] = False,
+    output: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure planning: found per CPU second, CPU by stage, epsilon, diversity."""
+    from sim.bench.objects import bench_objects
+    from sim.bench.requests import Setting
+    from sim.bench.synthesis import run_synthesis
+    from sim.bench.tables import print_synthesis
+
+    setting = Setting(
+        mu=mu,
+        fingers=None if fingers is None else tuple(names(fingers)),
+        floating=floating,
+        clearance=clearance,
+        rounds=rounds,
+        max_attempts=max_attempts,
+        seed=seed,
+    )
+    with measuring(output, workers) as runner:
+        result = run_synthesis(
+            hands, bench_objects(names(objects)), n, setting, runner=runner, baseline=baseline
+        )
+    give(result, output, as_json, lambda console: print_synthesis(result, console))
+
+
+@errors_for_people()
+def objectives(
+    hands: HandsArgument,
+    objects: ObjectsOption = "cylinder,box,mug",
+    n: Annotated[int, typer.Option("-n", "--number", min=1, help="Requests per cell.")] = 15,
+    objectives: Annotated[
+        str,
+        typer.Option(
+            help="Objectives, comma separated; of several with weights: a:1+b:0.5; all stands for "
+            "none and each alone."
+        ),
+    ] = "all",
+    seed: SeedOption = 0,
+    max_attempts: AttemptsOption = 50,
+    workers: WorkersOption = 1,
+    output: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure what each objective of synthesis brings, and what it costs."""
+    from planner.synthesis import OBJECTIVES
+    from planner.synthesis.options import NO_OBJECTIVE
+    from sim.bench.objectives import objective_tables, run_objectives
+    from sim.bench.objects import bench_objects
+
+    every = [NO_OBJECTIVE, *OBJECTIVES]
+    asked = every if objectives == "all" else names(objectives)
+    with measuring(output, workers) as runner:
+        result = run_objectives(
+            hands,
+            bench_objects(names(objects)),
+            n,
+            objectives=[text.replace("+", ",") for text in asked],
+            seed=seed,
+            max_attempts=max_attempts,
+            runner=runner,
+        )
+    give(result, output, as_json, lambda console: console.print(*objective_tables(result)))
+
+
+@errors_for_people()
+def scaling(
+    hand: Annotated[str, typer.Option(help="Name or path of a hand.")] = "allegro_hand",
+    curves: Annotated[
+        str, typer.Option(help="Comma separated: grasps, workers, contacts, triangles.")
+    ] = "grasps,workers,contacts,triangles",
+    n: Annotated[int, typer.Option("-n", "--number", min=1, help="Requests per point.")] = 20,
+    most_grasps: Annotated[int, typer.Option(min=2, help="Where the curve of grasps ends.")] = 1000,
+    output: OutOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure how cost grows: with grasps, workers, contacts and triangles."""
+    from sim.bench.scaling import run_scaling, scaling_tables
+
+    with measuring(output, workers=1) as runner:
+        result = run_scaling(hand, names(curves), n, most_grasps=most_grasps, runner=runner)
+    give(result, output, as_json, lambda console: console.print(*scaling_tables(result)))
