@@ -422,7 +422,7 @@ def test_a_table_counts_over_all_trials() -> None:
         "place_heading_deg": -0.5,
     }
     rows = [{**base, **good}, {**base, "dropped": True}, {**base, "found": False}]
-    table = manipulate_table({"rows": rows})
+    table = manipulate_table({"angle_deg": 90.0, "rows": rows})
     cells = [next(iter(column.cells)) for column in table.columns]
     assert cells[2:7] == ["2/3", "1/3", "1/3", "1/3", "1/3"]
     assert cells[7:9] == ["1.50", "0.50"]

@@ -1,4 +1,4 @@
-"""``run_manipulate``: pick, turn by 90 degrees, place, under conditions that the planner ignores.
+"""``run_manipulate``: pick, turn, place, under conditions that the planner ignores.
 
 A trial draws what there is: size, mass, friction, where the object really stands, and a push while
 it is turned. The planner knows the size. Of mass and friction it knows the bounds, the largest mass
@@ -20,6 +20,7 @@ import pinocchio as pin
 from rich.table import Table
 
 from planner.errors import NotFoundError, PlannerError
+from planner.motion.path import LARGEST_TURN
 from planner.objects import parse_object
 from planner.plain import finite
 from planner.spatial import SE3
@@ -27,7 +28,7 @@ from planner.task import GraspTask
 from sim.bench.journal import run_with_journal
 from sim.bench.statistics import median_of
 from sim.bench.tables import number, table_of
-from sim.manipulation import Push, manipulate, manipulation_task, plan_manipulation
+from sim.manipulation import Push, manipulate, manipulation_task, plan_turning
 from sim.physics import PhysicsOptions
 from sim.runner import Check, Runner, made_with
 
@@ -61,7 +62,16 @@ PLACE = 0.15
 """Distance (m) from the object to where it is put, in any direction."""
 
 ANGLE = np.pi / 2
-"""Turn that is asked for, rad."""
+"""Turn that is asked for, rad, if nothing else is."""
+
+REGRASP_FRICTION = (0.7, 1.0)
+"""Sliding friction (-) where fingers move on between strokes; the planner knows the lower bound,
+and leaves a tenth of it itself while a finger is away."""
+
+REGRASP_MASS = 0.1
+"""Mass (kg) that such turns are planned for: with the largest there is and the least friction no
+four fingers of the Shadow-type hand bear the weight within the planner's margins. What there really
+is stays ``MASS``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +99,13 @@ class Conditions:
     place: tuple[float, float]
 
     @classmethod
-    def draw(cls, kind: Kind, height: float, rng: np.random.Generator) -> Conditions:
+    def draw(
+        cls,
+        kind: Kind,
+        height: float,
+        rng: np.random.Generator,
+        friction: tuple[float, float] = FRICTION,
+    ) -> Conditions:
         """Conditions of one trial; sizes to a tenth of a millimetre."""
         a, b = np.round(rng.uniform(*SIZE, size=2), 4).tolist()
         specs = {
@@ -98,7 +114,7 @@ class Conditions:
             "sphere": f"sphere:{a / 2:g}",
             "ellipsoid": f"ellipsoid:{a:g}x{b:g}x{height:g}",
         }
-        mass, mu = float(rng.uniform(*MASS)), float(rng.uniform(*FRICTION))
+        mass, mu = float(rng.uniform(*MASS)), float(rng.uniform(*friction))
         x, y = rng.uniform(-SHIFT, SHIFT, size=2).tolist()
         heading = float(rng.uniform(-HEADING, HEADING))
         side, way = rng.uniform(0.0, 2.0 * np.pi, size=2).tolist()
@@ -126,6 +142,7 @@ class Turn:
         height: Height of cylinder, block and ellipsoid, m.
         fingers: Fingers that take part; the hand's default set if None.
         seed: Of all that is drawn.
+        angle: Turn that is asked for, rad; beyond a half turn it is made by regrasps.
     """
 
     index: int
@@ -135,15 +152,27 @@ class Turn:
     height: float
     fingers: tuple[str, ...] | None
     seed: int
+    angle: float = ANGLE
+
+    @property
+    def regrasps(self) -> bool:
+        """Whether fingers are to move on."""
+        return abs(self.angle) > LARGEST_TURN
+
+    def draw(self) -> Conditions:
+        """What there really is."""
+        rng = np.random.default_rng([self.seed, KINDS.index(self.kind), self.number])
+        friction = REGRASP_FRICTION if self.regrasps else FRICTION
+        return Conditions.draw(self.kind, self.height, rng, friction)
 
 
 def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
     """Plan and execute one trial; its row, as plain data."""
-    rng = np.random.default_rng([turn.seed, KINDS.index(turn.kind), turn.number])
-    there = Conditions.draw(turn.kind, turn.height, rng)
+    there = turn.draw()
     task = _believed(turn, there)
     try:
-        plan = plan_manipulation(task, angle=ANGLE, place=there.place, seed=turn.seed + turn.number)
+        seed = turn.seed + turn.number
+        plan = plan_turning(task, angle=turn.angle, place=there.place, seed=seed)
     except PlannerError as error:
         return _row(turn, there, found=False, reason=str(error))
     check()
@@ -185,8 +214,9 @@ def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
 
 def _believed(turn: Turn, there: Conditions) -> GraspTask:
     """The task as the planner has it."""
-    item = parse_object(there.spec, mass=MASS[1])
-    return manipulation_task(turn.hand, item, mu=BELIEVED_MU, fingers=turn.fingers)
+    item = parse_object(there.spec, mass=REGRASP_MASS if turn.regrasps else MASS[1])
+    mu = REGRASP_FRICTION[0] if turn.regrasps else BELIEVED_MU
+    return manipulation_task(turn.hand, item, mu=mu, fingers=turn.fingers)
 
 
 def _row(turn: Turn, there: Conditions, **values: Any) -> dict[str, Any]:
@@ -204,8 +234,7 @@ def _row(turn: Turn, there: Conditions, **values: Any) -> dict[str, Any]:
 
 
 def _given_up(turn: Turn, reason: str) -> dict[str, Any]:
-    rng = np.random.default_rng([turn.seed, KINDS.index(turn.kind), turn.number])
-    return _row(turn, Conditions.draw(turn.kind, turn.height, rng), found=False, reason=reason)
+    return _row(turn, turn.draw(), found=False, reason=reason)
 
 
 def run_manipulate(
@@ -218,6 +247,7 @@ def run_manipulate(
     seed: int,
     file: Path,
     runner: Runner,
+    angle: float = ANGLE,
 ) -> dict[str, Any]:
     """Run the trials that the file does not have yet.
 
@@ -230,6 +260,7 @@ def run_manipulate(
         seed: Of all that is drawn.
         file: Of the rows; made if it is not there.
         runner: Who works on them.
+        angle: Turn that is asked for, rad.
 
     Returns:
         Plain data: all rows that the file has then, and what they were made with.
@@ -253,6 +284,7 @@ def run_manipulate(
             height=height,
             fingers=fingers,
             seed=seed,
+            angle=angle,
         )
         for i, (hand, kind, k) in enumerate(cells)
     ]
@@ -265,6 +297,7 @@ def run_manipulate(
         "height": height,
         "fingers": None if fingers is None else list(fingers),
         "seed": seed,
+        "angle_deg": math.degrees(angle),
     }
     rows, whole = run_with_journal(
         runner,
@@ -292,7 +325,7 @@ COLUMNS = (
     "loose",
     "complete",
     "drops",
-    "to 90 s",
+    "turned in s",
     "error deg",
     "tilt deg",
     "off path mm",
@@ -306,7 +339,8 @@ COLUMNS = (
 def manipulate_table(result: dict[str, Any]) -> Table:
     """Counts out of all trials, and medians, per hand and kind of object."""
     table = table_of(
-        "counts out of all trials; medians of those that turned: time to 90 degrees, |turn - 90|, "
+        f"turns by {result['angle_deg']:.0f} degrees: counts out of all trials; medians of those "
+        "that turned: time until then, how far the turn was off, "
         "largest tilt, largest distance off the path; fewest fingers in any; then of those placed",
         ("hand", "object"),
         COLUMNS,
@@ -315,11 +349,11 @@ def manipulate_table(result: dict[str, Any]) -> Table:
     for row in result["rows"]:
         cells.setdefault((row["hand"], row["kind"]), []).append(row)
     for (hand, kind), rows in cells.items():
-        table.add_row(hand, kind, *_cells(rows))
+        table.add_row(hand, kind, *_cells(rows, result["angle_deg"]))
     return table
 
 
-def _cells(rows: list[dict[str, Any]]) -> list[str]:
+def _cells(rows: list[dict[str, Any]], asked: float) -> list[str]:
     def count(name: str) -> str:
         return f"{sum(bool(row.get(name)) for row in rows)}/{len(rows)}"
 
@@ -332,7 +366,7 @@ def _cells(rows: list[dict[str, Any]]) -> list[str]:
     return [
         *(count(name) for name in ("found", "strict", "loose", "complete", "dropped")),
         number(median("time_to_angle_s", turned), 2),
-        number(median("turned_deg", turned, float(np.rad2deg(ANGLE))), 2),
+        number(median("turned_deg", turned, asked), 2),
         number(median("largest_tilt_deg", turned), 1),
         number(median("largest_off_path_mm", turned), 1),
         f"{min(least):.0f}" if least else "-",

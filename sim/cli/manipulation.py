@@ -54,9 +54,18 @@ def manipulate(
     sim_mu: SimMuOption = 0.6,
     mass: MassOption = None,
     max_attempts: Annotated[int, typer.Option(min=1, help="Attempts before giving up.")] = 50,
+    gait: Annotated[
+        bool,
+        typer.Option(
+            "--gait", help="Turn by strokes, the fingers moving on between them, in any case."
+        ),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Pick an object from a table, turn it in the hand, put it down; a check after every phase."""
+    """Pick an object from a table, turn it in the hand, put it down; a check after every phase.
+
+    Where one stroke is not enough, fingers move on one at a time while the others hold.
+    """
     _perform(
         hand,
         object,
@@ -69,6 +78,7 @@ def manipulate(
         sim_mu=sim_mu,
         mass=mass,
         max_attempts=max_attempts,
+        gait=gait,
         as_json=as_json,
     )
 
@@ -88,6 +98,7 @@ def demo(out_dir: OutOption = None, as_json: JsonOption = False) -> None:
         sim_mu=0.6,
         mass=None,
         max_attempts=50,
+        gait=False,
         as_json=as_json,
     )
 
@@ -105,13 +116,14 @@ def _perform(
     sim_mu: float,
     mass: float | None,
     max_attempts: int,
+    gait: bool,
     as_json: bool,
 ) -> None:
     """Plan, execute, tell."""
-    from planner.files import write_json, write_motion
+    from planner.files import write_gait, write_json, write_motion
     from planner.objects import parse_object
     from sim.manipulation import manipulate as execute
-    from sim.manipulation import manipulation_task, plan_manipulation
+    from sim.manipulation import manipulation_task, plan_turning
     from sim.physics import PhysicsOptions
 
     axis, degrees = _turn(rotate)
@@ -125,21 +137,25 @@ def _perform(
     )
     x, y = numbers("--place", place, 2)
     with err.status(f"planning: {task.hand.name}, {task.object.name} ..."):
-        plan = plan_manipulation(
+        plan = plan_turning(
             task,
             axis=axis,
             angle=math.radians(degrees),
             place=(x, y),
             seed=seed,
             max_attempts=max_attempts,
+            regrasp=gait,
         )
     if not as_json:
-        say(out, escape(str(plan.motion)))
+        say(out, escape(str(plan.gait or plan.motion)))
         say(out, f"planned in {plan.cpu_s:.2f} s of CPU, {plan.attempts} attempts\n")
     with err.status("executing ..."):
         report = execute(plan, physics=PhysicsOptions(mu=sim_mu), pictures=folder)
     if folder is not None:
-        write_motion(plan.motion, folder / "motion.json")
+        if plan.gait is None:
+            write_motion(plan.motion, folder / "motion.json")
+        else:
+            write_gait(plan.gait, folder / "gait.json")
         write_json(report.to_dict(), folder / "report.json")
     if as_json:
         print_json(report.to_dict())
@@ -147,7 +163,8 @@ def _perform(
         say(out, escape(str(report)))
         if folder is not None:
             note = report.picture_reason and f" (no pictures: {report.picture_reason})"
-            say(out, escape(f"written to {folder}: motion.json, report.json, pictures{note}"))
+            plan_file = "motion.json" if plan.gait is None else "gait.json"
+            say(out, escape(f"written to {folder}: {plan_file}, report.json, pictures{note}"))
     if not report.complete:
         raise typer.Exit(EXIT_NO)
 

@@ -27,7 +27,14 @@ from planner.synthesis.joint_objectives import driving
 from planner.synthesis.pregrasp import Approach
 from planner.task import GraspTask
 
-__all__ = ["ManipulationPlan", "manipulation_task", "plan_manipulation", "torque_reserve"]
+__all__ = [
+    "MAX_ATTEMPTS",
+    "ManipulationPlan",
+    "manipulation_task",
+    "object_at_target",
+    "plan_manipulation",
+    "torque_reserve",
+]
 
 MORE, FIRST, THEN = math.radians(8.0), 10, 8
 """Turn (rad) that is planned beyond what is asked for, since a grasp that is made a little beside
@@ -132,7 +139,7 @@ def plan_manipulation(
                 ManipulationPlan(
                     motion=attempt.plan,
                     angle=angle,
-                    T_world_target=_target(task, path.axis, angle, place),
+                    T_world_target=object_at_target(task, path.axis, angle, place),
                     release=release,
                     reserve=torque_reserve(attempt.plan),
                     attempts=0,
@@ -216,7 +223,7 @@ def _enough(found: list[ManipulationPlan]) -> bool:
     return len(found) >= CANDIDATES or any(p.reserve >= GOOD_RESERVE for p in found)
 
 
-def _target(
+def object_at_target(
     task: GraspTask, axis: FloatArray, angle: float, place: tuple[float, float] | None
 ) -> SE3:
     """The object turned, at a place, with its lowest point on the table."""

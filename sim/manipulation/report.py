@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,13 +13,16 @@ from planner.plain import finite
 from planner.quality import QualityReport
 from sim.controllers import Event
 from sim.manipulation.modes import mode_table
-from sim.manipulation.pace import IN_THE_AIR, Bounds, Step
+from sim.manipulation.pace import IN_THE_AIR, TURNING, Bounds, Step
 from sim.manipulation.samples import Track
 
 __all__ = ["Check", "ManipulationReport"]
 
 MODE_LETTERS = 60
 """Letters in which the contact modes of a turn are told, about."""
+
+AS_TOLD = ("finger leaves", "finger joins")
+"""Events that a regrasp brings about, one for each phase that is told anyway."""
 
 LETTERS = (("stick", "s"), ("roll", "r"), ("slip", "S"), ("break", "!"), ("off", "-"))
 """One for each mode."""
@@ -56,6 +60,20 @@ class Check:
         name = f"{self.step} {self.about}".strip()
         line = f"{mark} {name:<15}{self.end - self.begin:5.2f} s  {told}"
         return line if self.passed else f"{line}\n     {self.reason}"
+
+
+def told_events(events: Sequence[Event]) -> list[str]:
+    """One line for each kind and finger, in order of the first; what was told to do is left out."""
+    alike: dict[tuple[str, str], list[Event]] = {}
+    for event in events:
+        if event.kind not in AS_TOLD:
+            alike.setdefault((event.kind, event.finger), []).append(event)
+    lines = []
+    for (kind, finger), same in alike.items():
+        times = f" {len(same)} times up to {same[-1].time:.2f} s, first" if len(same) > 1 else ""
+        first = f"{same[0].time:.2f} s {kind} {finger}".rstrip()
+        lines.append(f"{first}{times}: {same[0].detail}")
+    return lines
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -134,7 +152,7 @@ class ManipulationReport:
     @property
     def time_to_angle(self) -> float:
         """Time from the beginning of the turn until the angle was reached, s; NaN if never."""
-        turning = self.track.during("turn", "hold")
+        turning = self.track.during(*TURNING)
         done = self.track.turn[turning] * np.sign(self.asked) >= abs(self.asked)
         if not done.any():
             return float("nan")
@@ -165,14 +183,14 @@ class ManipulationReport:
                 f"in the air: at least {self.least_fingers} fingers touched, "
                 f"{self.open_samples} samples without force closure",
             ]
-        lines += [f"controller: {e.time:.2f} s {e.kind} {e.finger} {e.detail}" for e in self.events]
+        lines += [f"controller: {line}" for line in told_events(self.events)]
         verdict = "complete" if self.complete else f"failed in {self.reason}"
         strictness = "strict" if self.strict else "loose" if self.loose else "not turned"
         return "\n".join([*lines, f"{verdict}; the turn: {strictness}"])
 
     def _modes(self) -> list[str]:
         """Contact modes of each finger while the object is turned, planned above measured."""
-        index = self.track.during("turn")
+        index = self.track.during("turn", "regrasp")
         index = index[:: max(1, len(index) // MODE_LETTERS)]
         lines = [f"contact modes during the turn ({', '.join(f'{v} {k}' for k, v in LETTERS)}):"]
         width = max(len(f) for f in self.fingers)
@@ -213,6 +231,7 @@ class ManipulationReport:
             "phases": [
                 {
                     "phase": c.step,
+                    "about": c.about,
                     "begin_s": c.begin,
                     "end_s": c.end,
                     "passed": c.passed,
@@ -230,5 +249,5 @@ class ManipulationReport:
         }
 
     def _largest(self, values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
-        turning = values[self.track.during("turn", "hold")]
+        turning = values[self.track.during(*TURNING)]
         return float(np.nanmax(turning)) if np.isfinite(turning).any() else float("nan")

@@ -235,7 +235,7 @@ class ManipulationRun:
 
     def _told(self, pictures: dict[str, str], no_picture: str) -> ManipulationReport:
         track = self.stage.watch.track()
-        points = planned_points(self.plan.motion, track.place, track.step)
+        points = planned_points(self.plan.motion, track.place, track.step, track.away)
         wanted = np.isfinite(points[..., 0])
         return ManipulationReport(
             checks=tuple(self.checks),

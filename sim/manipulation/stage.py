@@ -117,10 +117,12 @@ class Stage(Trial):
             if self._push is not None and step == "turn":
                 self._push_object(self._push, float(self.data.time) - begin)
             touching = self.step(PHASE_OF[step], min(1.0, k / steps))
-            fault = self.divergence() or self._dropped(step)
-            if fault or self.steps % self._sample_steps == 0:
-                place = self.driver.reference.place
-                self.watch.take(self.data, step, place, self.driver.holding.T_palm_wanted)
+            due = self.steps % self._sample_steps == 0
+            fault = self.divergence() or (self._dropped(step) if due else "")
+            if fault or due:
+                driver = self.driver
+                place, away = driver.reference.place, ~driver.holding.schedule.wanted
+                self.watch.take(self.data, step, place, driver.holding.T_palm_wanted, away)
             if fault or (k + 1 >= steps and (until is None or until(touching))):
                 break
         self.data.xfrc_applied[self.scene.object_body] = 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -35,6 +36,9 @@ def manipulate(
     height: Annotated[
         float, typer.Option(min=0.04, help="Height of cylinder, block and ellipsoid, m.")
     ] = 0.08,
+    rotate: Annotated[
+        float, typer.Option(help="Turn, degrees; beyond a half turn fingers move on.")
+    ] = 90.0,
     fingers: FingersOption = None,
     seed: SeedOption = 0,
     workers: WorkersOption = 1,
@@ -42,7 +46,7 @@ def manipulate(
     output: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Pick, turn by 90 degrees in the hand, place: randomised trials, strict and loose rates."""
+    """Pick, turn in the hand, place: randomised trials, strict and loose rates."""
     from sim.bench.manipulate import manipulate_table, run_manipulate
 
     check_folder(samples)
@@ -56,5 +60,6 @@ def manipulate(
             seed=seed,
             file=samples,
             runner=runner,
+            angle=math.radians(rotate),
         )
     give(result, output, as_json, lambda console: console.print(manipulate_table(result)))
