@@ -6,6 +6,7 @@ one at a time. Way in, way out and target are those of any ``ManipulationPlan``.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from planner.errors import NoGraspFoundError, PlannerError, TaskError
@@ -15,6 +16,7 @@ from planner.motion.release import find_release
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 from sim.manipulation.plan import (
+    LITTLE_MORE,
     MAX_ATTEMPTS,
     ManipulationPlan,
     object_at_target,
@@ -63,7 +65,7 @@ def plan_regrasping(
         gait = plan_gait(
             task,
             axis=axis,
-            angle=angle,
+            angle=math.copysign(abs(angle) + LITTLE_MORE, angle),
             seed=seed + again * SEEDS_APART,
             max_attempts=max_attempts,
         )

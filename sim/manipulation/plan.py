@@ -28,6 +28,7 @@ from planner.synthesis.pregrasp import Approach
 from planner.task import GraspTask
 
 __all__ = [
+    "LITTLE_MORE",
     "MAX_ATTEMPTS",
     "ManipulationPlan",
     "manipulation_task",
@@ -42,7 +43,8 @@ its place meets a joint's end before the plan does; attempts for it; and attempt
 less, for each, where fingers may be spared."""
 
 LITTLE_MORE = math.radians(2.0)
-"""Turn (rad) beyond what is asked for where no other plan is found."""
+"""Turn (rad) beyond what is asked for where no other plan is found, and of a turn by strokes, where
+what is left over is made up for by the last."""
 
 GOOD_RESERVE, CANDIDATES = 0.25, 3
 """A plan that leaves this share of every actuator is taken at once; otherwise the one that leaves
