@@ -39,6 +39,7 @@ class Check:
         end: When it ended, s.
         reason: Why it failed, "" if it did not.
         numbers: What was looked at, by name with unit.
+        then: What was tried after a failure, and what came of that; "" if nothing was.
     """
 
     step: Step
@@ -47,6 +48,7 @@ class Check:
     reason: str
     numbers: dict[str, float]
     about: str = ""
+    then: str = ""
 
     @property
     def passed(self) -> bool:
@@ -59,7 +61,9 @@ class Check:
         mark = "ok  " if self.passed else "FAIL"
         name = f"{self.step} {self.about}".strip()
         line = f"{mark} {name:<15}{self.end - self.begin:5.2f} s  {told}"
-        return line if self.passed else f"{line}\n     {self.reason}"
+        if self.reason:
+            line += f"\n     {self.reason}"
+        return f"{line}\n     then: {self.then}" if self.then else line
 
 
 def told_events(events: Sequence[Event]) -> list[str]:
@@ -82,7 +86,7 @@ class ManipulationReport:
 
     Attributes:
         checks: The phases that were run, in order; the last one failed if not all were run.
-        complete: Whether all phases passed.
+        complete: Whether it came to its end, with a retry or without.
         fingers: Fingers that take part.
         asked: Turn that was asked for, rad.
         track: All samples.
@@ -94,6 +98,8 @@ class ManipulationReport:
         events: What the controller noticed.
         pictures: Files of pictures, by phase.
         picture_reason: Why there are none, "" otherwise.
+        earlier: What was done before, where the object was put down and all was begun again; what
+            is told here is about the rest of the turn then.
     """
 
     checks: tuple[Check, ...]
@@ -109,12 +115,13 @@ class ManipulationReport:
     events: tuple[Event, ...]
     pictures: dict[str, str]
     picture_reason: str
+    earlier: ManipulationReport | None = None
 
     @property
     def reason(self) -> str:
         """Why it failed, "" if it did not."""
         failed = [c for c in self.checks if not c.passed]
-        return f"{failed[0].step}: {failed[0].reason}" if failed else ""
+        return f"{failed[-1].step}: {failed[-1].reason}" if failed and not self.complete else ""
 
     @property
     def dropped(self) -> bool:
@@ -141,7 +148,9 @@ class ManipulationReport:
 
     @property
     def loose(self) -> bool:
-        """Turned as far as asked for, and not dropped."""
+        """Turned as far as asked for, not put down half-way, and not dropped."""
+        if self.earlier is not None:
+            return False
         return self.turned * np.sign(self.asked) >= abs(self.asked) and not self.dropped
 
     @property
@@ -171,7 +180,8 @@ class ManipulationReport:
 
     def __str__(self) -> str:
         """Phase by phase, contact modes, and the verdict."""
-        lines = [str(check) for check in self.checks]
+        lines = [] if self.earlier is None else [str(self.earlier), "", "begun again:"]
+        lines += [str(check) for check in self.checks]
         if self.track.during("turn").size:
             lines += ["", *self._modes(), ""]
             numbers = self.numbers()
@@ -226,6 +236,7 @@ class ManipulationReport:
             "dropped": self.dropped,
             "reason": self.reason,
             "fingers": list(self.fingers),
+            "earlier": None if self.earlier is None else self.earlier.to_dict(),
             "asked_deg": float(np.rad2deg(self.asked)),
             "numbers": finite(self.numbers()),
             "phases": [
@@ -236,6 +247,7 @@ class ManipulationReport:
                     "end_s": c.end,
                     "passed": c.passed,
                     "reason": c.reason,
+                    "then": c.then,
                     "numbers": finite(c.numbers),
                 }
                 for c in self.checks

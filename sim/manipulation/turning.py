@@ -22,7 +22,7 @@ from typing import TypeAlias
 import numpy as np
 
 from planner.contacts import ContactSet
-from planner.gait import Relocation
+from planner.gait import Relocation, plan_back
 from planner.gait.order import CLOSURE_EDGES
 from planner.quality import force_closure
 from sim.contacts import hand_contacts, merge_per_finger
@@ -71,6 +71,7 @@ class Turning:
         self._plan, self._stage, self._pace, self._bounds = plan, stage, pace, bounds
         self._task = plan.motion.grasp.task
         self._grip = stage.driver.holding.grip
+        self._back: tuple[Relocation, ...] = ()
 
     def parts(self) -> Iterator[Part]:
         """Strokes and regrasps in turn; which ones depends on how far the earlier ones came."""
@@ -78,6 +79,10 @@ class Turning:
         gait = self._plan.gait
         if gait is None:
             yield "turn", "", self._whole
+            for move in self._back:
+                yield "regrasp", move.finger, partial(self._regrasp, move)
+            if self._back:
+                yield "turn", "again", self._rest
             return
         moves = [r for r in gait.relocations if r.cycle == 0]
         for cycle in range(gait.cycles + MORE_CYCLES):
@@ -86,6 +91,16 @@ class Turning:
                 return
             for move in moves:
                 yield "regrasp", move.finger, partial(self._regrasp, move)
+
+    def regrasps_on(self) -> str:
+        """Let ``parts`` go on with a regrasp after a turn that stalled; why it cannot, "" if so."""
+        if self._plan.gait is not None or self._back:
+            return "regrasps were made already"
+        found = plan_back(self._plan.motion, self._stage.driver.reference.place)
+        if isinstance(found, str):
+            return found
+        self._back = found
+        return ""
 
     @property
     def turned(self) -> float:
@@ -129,6 +144,10 @@ class Turning:
         fault = self._led()
         numbers = self.in_hand()
         return fault or self.stalled(numbers), numbers
+
+    def _rest(self) -> Outcome:
+        self._stage.driver.begin_stroke(self._plan.angle - self.turned)
+        return self._whole()
 
     def _stroke(self) -> Outcome:
         stage, before = self._stage, self.turned
