@@ -64,7 +64,8 @@ def manipulate(
 ) -> None:
     """Pick an object from a table, turn it in the hand, put it down; a check after every phase.
 
-    Where one stroke is not enough, fingers move on one at a time while the others hold.
+    Where one stroke is not enough, fingers move on one at a time while the others hold. A turn that
+    stalls is tried again, once.
     """
     _perform(
         hand,
@@ -150,7 +151,7 @@ def _perform(
         say(out, escape(str(plan.gait or plan.motion)))
         say(out, f"planned in {plan.cpu_s:.2f} s of CPU, {plan.attempts} attempts\n")
     with err.status("executing ..."):
-        report = execute(plan, physics=PhysicsOptions(mu=sim_mu), pictures=folder)
+        report = execute(plan, physics=PhysicsOptions(mu=sim_mu), pictures=folder, retry=True)
     if folder is not None:
         if plan.gait is None:
             write_motion(plan.motion, folder / "motion.json")

@@ -196,6 +196,8 @@ class ManipulationReport:
         lines += [f"controller: {line}" for line in told_events(self.events)]
         verdict = "complete" if self.complete else f"failed in {self.reason}"
         strictness = "strict" if self.strict else "loose" if self.loose else "not turned"
+        if self.earlier is not None:
+            strictness = "put down half-way"
         return "\n".join([*lines, f"{verdict}; the turn: {strictness}"])
 
     def _modes(self) -> list[str]:

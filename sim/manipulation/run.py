@@ -19,7 +19,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 
 from planner.errors import PlannerError
 from planner.gait import cut_motion
@@ -237,15 +236,14 @@ def manipulate(
     report = run.perform(pictures=pictures, retry=retry)
     if not (run.put_down and report.checks[-1].passed):
         return report
-    there = run.stage.T_world_object
     try:
-        rest = _rest_of(plan, report.track, there)
+        rest = _rest_of(plan, report.track, run.stage.T_world_object)
     except PlannerError as error:
         last = replace(report.checks[-1], then=f"no plan for the rest of the turn: {error}")
         return replace(report, checks=(*report.checks[:-1], last))
     again = ManipulationRun(
         rest,
-        really=replace(run.stage.scene.task, T_world_object=there),
+        really=replace(run.stage.scene.task, T_world_object=rest.motion.grasp.task.T_world_object),
         physics=physics,
         sensing=sensing,
         pace=pace,
@@ -266,7 +264,8 @@ def _rest_of(plan: ManipulationPlan, track: Track, T_world_object: SE3) -> Manip
     axis = motion.path.axis
     counted = float(track.turn[track.during(*TURNING)[-1]])  # whole turns too
     made = signed_twist(T_world_object.rotation @ first.rotation.T, axis, near=counted)
-    upright = SE3(pin.exp3(made * axis) @ first.rotation, T_world_object.translation)
+    x, y = T_world_object.translation[:2].tolist()
+    upright = object_at_target(task, axis, made, (x, y))
     rest = plan_turning(
         replace(task, T_world_object=upright),
         axis=axis,
