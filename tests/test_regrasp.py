@@ -41,7 +41,7 @@ QUICK = Pace(
     squeeze=0.2,
     verify=0.1,
     lift=0.3,
-    move=0.3,
+    finger_rate=6.0,
     hold=0.2,
     carry=0.4,
     lower=0.3,
@@ -112,8 +112,8 @@ def test_fingers_land_back_around_the_object(report: ManipulationReport) -> None
     split = int(np.flatnonzero(np.diff(turns) > 1)[0])
     before, after = track.points[turns[split]], track.points[turns[split + 1]]
     angle = np.arctan2(after[:, 1], after[:, 0]) - np.arctan2(before[:, 1], before[:, 0])
-    # in the stroke pads of 8 mm rolled on the cylinder of 30 mm: the contact kept R / (R + r) of the
-    # 21 degrees, and that is what the finger goes back; measured, not planned
+    # in the stroke pads of 8 mm rolled on the cylinder of 30 mm: the contact kept R / (R + r) of
+    # the 21 degrees, and that is what the finger goes back; measured, not planned
     went = np.rad2deg(np.angle(np.exp(1j * angle)))
     np.testing.assert_allclose(went, -21.0 * 30.0 / 38.0, atol=0.7)
     for check in report.checks:

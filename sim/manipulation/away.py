@@ -29,24 +29,34 @@ DEEPEST = 0.008
 """How far (m) it goes: more than object and hand are beside their places."""
 
 RATE_STEP = 1e-3
-"""Share of the way (-) over which its rate is taken."""
+"""Share of the time (-) over which a rate is taken."""
+
+PEAK = 1.875
+"""Largest rate of a minimum-jerk profile beside its mean (-)."""
+
+SHORTEST = 1e-3
+"""Change of joints (rad) that a piece of the way counts at least."""
+
+QUICKEST = 0.15
+"""Least time (s) for a way: what a servo of a finger follows."""
 
 
 class FingerAway:
     """Leads one finger; starts when first asked.
 
     Attributes:
-        share: How much of its way lies behind it, in [0, 1].
+        duration: Time for its way, s.
+        share: How much of that has passed, in [0, 1].
         actuators: (nu,), which are the finger's.
     """
 
-    def __init__(self, plan: GraspPlan, relocation: Relocation, duration: float) -> None:
+    def __init__(self, plan: GraspPlan, relocation: Relocation, rate: float) -> None:
         """Prepare the way.
 
         Args:
             plan: Whose hand it is.
             relocation: The way.
-            duration: Time for it, s.
+            rate: Largest rate of its joints, rad/s; they go evenly along the way.
         """
         task = plan.task
         hand, finger = task.hand, task.hand.fingers[relocation.finger]
@@ -54,8 +64,11 @@ class FingerAway:
         self._index = finger.q_index
         self.actuators: NDArray[np.bool_] = (hand.actuation.moment[:, self._index] != 0).any(axis=1)
         way = relocation.postures[:, self._index]
-        self._way = PchipInterpolator(np.linspace(0.0, 1.0, len(way)), way)
-        self._duration = duration
+        pieces = np.maximum(np.abs(np.diff(way, axis=0)).max(axis=1), SHORTEST)
+        gone = np.concatenate([[0.0], np.cumsum(pieces)])
+        self._way = PchipInterpolator(gone / gone[-1], way)
+        self._middle = float(gone[len(way) // 2] / gone[-1])
+        self.duration = max(QUICKEST, PEAK * float(gone[-1]) / rate)
         self._state = MovingHand(hand, relocation.postures[-1])
         self._stiffness, self._damping = motor_servo(hand, plan.q)
         landing = relocation.landing
@@ -69,6 +82,11 @@ class FingerAway:
         self._reach = 0.0
         self.share = 0.0
 
+    @property
+    def over(self) -> bool:
+        """Whether it is half-way at least: lifted, and near where it goes down."""
+        return float(smooth(np.asarray(self.share))) >= self._middle
+
     def command(self, observation: Observation) -> FloatArray:
         """Commands (nu,) of which the finger's count."""
         k = self._index
@@ -76,13 +94,13 @@ class FingerAway:
             self._bent, self._time = observation.q[k] - self._way(0.0), observation.time
         elapsed, self._time = observation.time - self._time, observation.time
         if self.share < 1.0:
-            self.share = min(1.0, self.share + elapsed / self._duration)
+            self.share = min(1.0, self.share + elapsed / self.duration)
         else:
             self._reach = min(DEEPEST, self._reach + LANDING_SPEED * elapsed)
         here, there = (self._at(s, self._bent) for s in (self.share, self.share + RATE_STEP))
         q, v = observation.q.copy(), np.zeros(self._hand.nq)
         q[k] = here + self._reach * self._inwards
-        v[k] = (there - here) / (RATE_STEP * self._duration)
+        v[k] = (there - here) / (RATE_STEP * self.duration)
         gravity = observation.T_world_base.rotation.T @ self._gravity
         torque = self._state.move(observation.q).gravity_torque(gravity)
         torque += self._hand.pin_model.damping * v

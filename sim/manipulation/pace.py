@@ -55,7 +55,7 @@ class Pace:
         turn_rate: Largest rate of the turn, rad/s.
         turn_wait: Longest wait for the turn beyond the time that the rate takes.
         lift_wait: Longest wait until a finger may be lifted.
-        move: A lifted finger's way to where it lands.
+        finger_rate: Largest rate of the joints of a finger on its way to where it lands, rad/s.
         land_wait: Longest wait for it to touch there.
         hold: Held still after the turn.
         carry: To above the target.
@@ -76,7 +76,7 @@ class Pace:
     turn_rate: float = 1.1
     turn_wait: float = 1.5
     lift_wait: float = 0.5
-    move: float = 0.5
+    finger_rate: float = 4.0
     land_wait: float = 0.5
     hold: float = 0.3
     carry: float = 0.8

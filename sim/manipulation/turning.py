@@ -54,10 +54,6 @@ MEASURED_MARGIN = 0.02
 """Least normalised min-weight (-) of the measured contacts that are to hold while a finger is away;
 planned is ``planner.gait.order.LIFT_MARGIN``."""
 
-FREE_BY = 0.4
-"""Share (-) of its way by which a lifted finger must be off the object, and from which on it may
-land: it is led up, over and down."""
-
 
 class Turning:
     """The parts of one turn.
@@ -240,12 +236,12 @@ class Turning:
     def _moved(self, move: Relocation, i: int) -> str:
         """Lead a finger along its way until it has landed; what ended it early, "" if nothing."""
         stage, holding = self._stage, self._stage.driver.holding
-        away = FingerAway(self._plan.motion.grasp, move, self._pace.move)
+        away = FingerAway(self._plan.motion.grasp, move, self._pace.finger_rate)
         stuck = False
 
         def landed(_: bool) -> bool:
             nonlocal stuck
-            if away.share < FREE_BY:
+            if not away.over:
                 return False
             if not holding.schedule.wanted[i]:
                 stuck = bool(holding.schedule.touching[i])
@@ -253,12 +249,8 @@ class Turning:
             return stuck or bool(holding.schedule.touching[i])
 
         stage.driver.away = away
-        fault = stage.advance(
-            "regrasp",
-            FREE_BY * self._pace.move,
-            wait=self._pace.move + self._pace.land_wait,
-            until=landed,
-        )
+        longest = away.duration + self._pace.land_wait
+        fault = stage.advance("regrasp", 0.0, wait=longest, until=landed)
         stage.driver.away = None
         if fault:
             return fault
