@@ -343,6 +343,28 @@ def test_a_turn_on_ice_fails_with_a_reason(plan: ManipulationPlan) -> None:
     assert told.reason
 
 
+def test_a_turn_that_stalls_is_put_down_and_made_anew(plan: ManipulationPlan) -> None:
+    # no time for the last degrees, and no patience
+    hasty, picky = replace(QUICK, turn_wait=0.02), Bounds(angle_deg=2.0)
+    told = manipulate(plan, pace=hasty, bounds=picky, retry=True)
+    first = told.earlier
+    assert first is not None and not first.complete
+    failed = next(c for c in first.checks if not c.passed)
+    assert failed.step == "turn" and "of 40.0 degrees: it did not follow" in failed.reason
+    assert "no regrasp (" in failed.then and failed.then.endswith("it is put down")
+    down = [c.step for c in first.checks if c.about == "half-way"]
+    assert down == ["lower", "release", "open", "retreat"]
+    assert first.checks[-1].passed
+    # only the rest is turned then, and the object ends where it was asked for at first
+    assert told.complete, str(told)
+    assert math.degrees(told.asked) == pytest.approx(40.0 - failed.numbers["turn_deg"], abs=0.5)
+    assert abs(told.checks[-1].numbers["heading_deg"]) < 3.0
+    assert told.checks[-1].numbers["off_mm"] < 3.0
+    # but it was not turned in one go
+    assert not told.loose and not told.strict
+    assert "begun again:" in str(told) and "put down half-way" in str(told)
+
+
 def test_a_turn_beyond_one_stroke_is_refused(plan: ManipulationPlan) -> None:
     with pytest.raises(TaskError, match="at most a half turn"):
         plan_manipulation(plan.motion.grasp.task, angle=math.radians(200.0))
