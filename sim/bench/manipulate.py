@@ -58,6 +58,10 @@ SHIFT, HEADING = 0.003, np.deg2rad(5.0)
 PUSH_FORCE, PUSH_TIME = 0.4, 0.3
 """The push, N and s: horizontal, from any side, at some time of the turn."""
 
+PUSH_UNTIL, REGRASP_RATE = 1.2, 0.15
+"""Latest begin of the push, s since the turn began; and a rate (rad/s) that turns by regrasps
+reach: by the angle over it they are not over yet."""
+
 PLACE = 0.15
 """Distance (m) from the object to where it is put, in any direction."""
 
@@ -105,6 +109,7 @@ class Conditions:
         height: float,
         rng: np.random.Generator,
         friction: tuple[float, float] = FRICTION,
+        push_until: float = PUSH_UNTIL,
     ) -> Conditions:
         """Conditions of one trial; sizes to a tenth of a millimetre."""
         a, b = np.round(rng.uniform(*SIZE, size=2), 4).tolist()
@@ -125,7 +130,7 @@ class Conditions:
             shift=(x, y),
             heading=heading,
             push=(PUSH_FORCE * math.cos(side), PUSH_FORCE * math.sin(side)),
-            push_after=float(rng.uniform(0.0, 1.2)),
+            push_after=float(rng.uniform(0.0, push_until)),
             place=(PLACE * math.cos(way), PLACE * math.sin(way)),
         )
 
@@ -162,8 +167,10 @@ class Turn:
     def draw(self) -> Conditions:
         """What there really is."""
         rng = np.random.default_rng([self.seed, KINDS.index(self.kind), self.number])
-        friction = REGRASP_FRICTION if self.regrasps else FRICTION
-        return Conditions.draw(self.kind, self.height, rng, friction)
+        if not self.regrasps:
+            return Conditions.draw(self.kind, self.height, rng)
+        until = abs(self.angle) / REGRASP_RATE
+        return Conditions.draw(self.kind, self.height, rng, REGRASP_FRICTION, until)
 
 
 def run_turn(turn: Turn, check: Check) -> dict[str, Any]:

@@ -81,9 +81,10 @@ class Turning:
                 yield "turn", "again", self._rest
             return
         moves = [r for r in gait.relocations if r.cycle == 0]
-        for cycle in range(gait.cycles + MORE_CYCLES):
-            yield "turn", f"stroke {cycle + 1}", self._stroke
-            if self._left <= CLOSE_TO:
+        most = gait.cycles + MORE_CYCLES
+        for cycle in range(1, most + 1):
+            yield "turn", f"stroke {cycle}", self._stroke
+            if self._left <= CLOSE_TO or cycle == most:
                 return
             for move in moves:
                 yield "regrasp", move.finger, partial(self._regrasp, move)
