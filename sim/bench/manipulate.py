@@ -58,9 +58,9 @@ SHIFT, HEADING = 0.003, np.deg2rad(5.0)
 PUSH_FORCE, PUSH_TIME = 0.4, 0.3
 """The push, N and s: horizontal, from any side, at some time of the turn."""
 
-PUSH_UNTIL, REGRASP_RATE = 1.2, 0.15
-"""Latest begin of the push, s since the turn began; and a rate (rad/s) that turns by regrasps
-reach: by the angle over it they are not over yet."""
+PUSH_UNTIL, REGRASP_RATE = 1.2, 0.2
+"""Latest begin of the push, s since the turn began; and a rate (rad/s) that no turn by
+regrasps reaches: at the angle over it they are not over yet."""
 
 PLACE = 0.15
 """Distance (m) from the object to where it is put, in any direction."""
