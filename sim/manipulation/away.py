@@ -45,6 +45,7 @@ class FingerAway:
     """Leads one finger; starts when first asked.
 
     Attributes:
+        finger: Its name.
         duration: Time for its way, s.
         share: How much of that has passed, in [0, 1].
         actuators: (nu,), which are the finger's.
@@ -60,6 +61,7 @@ class FingerAway:
         """
         task = plan.task
         hand, finger = task.hand, task.hand.fingers[relocation.finger]
+        self.finger = relocation.finger
         self._hand, self._gravity = hand, task.gravity
         self._index = finger.q_index
         self.actuators: NDArray[np.bool_] = (hand.actuation.moment[:, self._index] != 0).any(axis=1)

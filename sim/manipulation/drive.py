@@ -10,6 +10,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.errors import TaskError
 from planner.spatial import SE3, FloatArray
@@ -79,6 +80,13 @@ class MotionController:
         self.reference = MotionReference(motion, angle=angle, rate=self._rate)
         self.holding.reference = self.reference
         return self.reference
+
+    @property
+    def off(self) -> NDArray[np.bool_]:
+        """Which fingers (n,) are to be off the object: told to leave, or on their way."""
+        led = "" if self.away is None else self.away.finger
+        names = np.array(self.holding.plan.task.finger_names)
+        return np.asarray(~self.holding.schedule.wanted | (names == led))
 
     def step(self, observation: Observation) -> FloatArray:
         """Commands (nu,) for the hand's actuators."""

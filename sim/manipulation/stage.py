@@ -123,8 +123,13 @@ class Stage(Trial):
             fault = self.divergence() or (self._dropped(step) if due else "")
             if fault or due:
                 driver = self.driver
-                place, away = driver.reference.place, ~driver.holding.schedule.wanted
-                self.watch.take(self.data, step, place, driver.holding.T_palm_wanted, away)
+                self.watch.take(
+                    self.data,
+                    step,
+                    driver.reference.place,
+                    driver.holding.T_palm_wanted,
+                    driver.off,
+                )
             if fault or (k + 1 >= steps and (until is None or until(touching))):
                 break
         self.data.xfrc_applied[self.scene.object_body] = 0.0
