@@ -130,7 +130,10 @@ class CollisionWorld:
             surroundings_only: Whether only pairs of hand and surroundings matter.
         """
         self._place(T_world_base, q)
-        found = self._nearest(self._layout.outward if surroundings_only else self._all, clearance)
+        which = self._layout.outward if surroundings_only else self._all
+        if not self._is_any_below(which, clearance):
+            return None
+        found = self._nearest(which, clearance)
         return found if found.distance < clearance else None
 
     def nearest_on_arm(
@@ -187,6 +190,11 @@ class CollisionWorld:
         fingers = self._nearest(self._layout.between, between)
         return bool(fingers.distance >= between)
 
+    def fingers_near(self, q: FloatArray, limit: float) -> NearPairs:
+        """How links of different fingers lie that are nearer than a limit (m) at q (nq,); base."""
+        self._place(SE3.Identity(), q)
+        return self._near_pairs(*self._geometries.near(self._layout.between, limit))
+
     def near(
         self, T_world_base: SE3, q: FloatArray, limit: float, among: IntArray | None = None
     ) -> NearPairs:
@@ -209,6 +217,10 @@ class CollisionWorld:
             places, apart, more = self._mesh.near(layout.first[on_mesh], min(limit, MESH_LIMIT))
             numbers = np.concatenate([numbers, on_mesh[places]])
             distances, rows = np.concatenate([distances, apart]), np.vstack([rows, more])
+        return self._near_pairs(numbers, distances, rows)
+
+    def _near_pairs(self, numbers: IntArray, distances: FloatArray, rows: FloatArray) -> NearPairs:
+        layout = self._layout
         return NearPairs(
             numbers=numbers,
             outward=layout.outward[numbers],
@@ -264,6 +276,15 @@ class CollisionWorld:
             if found is not None:
                 k, distance = int(asked[bodies == found[0]][0]), found[1]
         return self._clearance(k, distance)
+
+    def _is_any_below(self, which: NDArray[np.bool_], limit: float) -> bool:
+        """Whether a pair among those told may be nearer than a limit (m), in one look at all."""
+        if self._geometries.any_below(which, limit):
+            return True
+        on_mesh = which & self._layout.on_mesh
+        if self._mesh is None or not on_mesh.any():
+            return False
+        return self._mesh.any_maybe_inside(self._layout.first[on_mesh])
 
     def _is_mesh_below(self, which: NDArray[np.bool_], limit: float) -> bool:
         """Whether a pair of the mesh, among those told, may be nearer than a limit (m)."""

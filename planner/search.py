@@ -18,6 +18,7 @@ from planner.errors import TaskError
 from planner.judge import judge_grasp
 from planner.plan import GraspPlan, SolveRecord
 from planner.stages import stage
+from planner.synthesis.clearance import bones_are_true
 from planner.synthesis.mesh_seeds import seeder_for
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problems import Problems, problems_for
@@ -137,6 +138,11 @@ class _Ground:
     seeder: Seeder
     world: CollisionWorld
 
+    @property
+    def judges_links(self) -> CollisionWorld | None:
+        """The true geometry where the fingers' bones are not it already."""
+        return None if bones_are_true(self.task.hand) else self.world
+
 
 @lru_cache(maxsize=8)
 def _ground(task: GraspTask, objectives: tuple[str, ...]) -> _Ground:
@@ -166,7 +172,9 @@ def _attempt(
         return start
     parameters = problems.grasp.parameters(task, start, seeder.posture, options)
     with stage("solve"):
-        candidate = descend_grasp(problems.grasp, task, start, parameters, options)
+        candidate = descend_grasp(
+            problems.grasp, task, start, parameters, options, ground.judges_links
+        )
     worst = max(candidate.violation, key=lambda name: candidate.violation[name] * WEIGHTS[name])
     violation = candidate.violation[worst]
     if not violation * WEIGHTS[worst] <= NEARLY:

@@ -292,13 +292,15 @@ def test_samples_are_on_the_surface_and_even() -> None:
 
 def test_dispersion_of_normals() -> None:
     mesh = box_mesh((0.1, 0.1, 0.1))
-    assert mesh.normal_dispersion(np.array([0.05, 0.0, 0.0]), 0.01) == pytest.approx(0, abs=1e-6)
+    assert mesh.normal_dispersion(np.array([[0.05, 0.0, 0.0]]), 0.01)[0] == pytest.approx(
+        0, abs=1e-6
+    )
     # right on the edge two faces have equal parts of the ball: arccos |(1, 1, 0) / 2|
-    on_edge = mesh.normal_dispersion(np.array([0.05, 0.05, 0.0]), 0.01)
+    on_edge = mesh.normal_dispersion(np.array([[0.05, 0.05, 0.0]]), 0.01)[0]
     assert on_edge == pytest.approx(np.pi / 4, abs=0.1)
     # on a ball of 40 mm, within 5 mm: normals about the axis by at most 7 degrees, and facets
     ball = of_trimesh(trimesh.creation.icosphere(4, 0.04))
-    assert 0.02 < ball.normal_dispersion(ball.vertices[7], 0.005) < np.radians(10)
+    assert 0.02 < ball.normal_dispersion(ball.vertices[[7]], 0.005)[0] < np.radians(10)
 
 
 # --- the field ------------------------------------------------------------------------------------

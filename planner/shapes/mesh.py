@@ -172,7 +172,7 @@ class Mesh(Shape):
         """Lower and upper corner (3,) of the bounding box, m."""
         return self.vertices.min(axis=0), self.vertices.max(axis=0)
 
-    @property
+    @cached_property
     def half_extents(self) -> FloatArray:
         """Largest |coordinate| along each axis, (3,), m: the box need not be even about the centre.
 
@@ -263,22 +263,23 @@ class Mesh(Shape):
         """Of the farthest vertex, m."""
         return float((self.hull_vertices @ direction).max())
 
-    def normal_dispersion(self, point: FloatArray, radius: float) -> float:
-        """How much the outward normals around a surface point differ (rad), weighted by area.
+    def normal_dispersion(self, points: FloatArray, radius: float) -> FloatArray:
+        """How much the outward normals around surface points differ (n,), rad, weighted by area.
 
         arccos |sum a n| / sum a over the triangles within a ball: 0 on a flat face, 45 degrees on a
         right-angled edge, small where a scan is merely rough.
 
         Args:
-            point: (3,), m, on the surface.
-            radius: Of the ball, m.
+            points: (n, 3), m, on the surface.
+            radius: Of the balls, m.
         """
-        near = self._surface.within(point, radius)
+        owner, near = self._surface.within(points, radius)
         areas = self._surface.areas[near]
-        if areas.sum() == 0.0:
-            return 0.0
-        mean = areas @ self._surface.normals[near] / areas.sum()
-        return float(np.arccos(np.clip(np.linalg.norm(mean), -1.0, 1.0)))
+        whole = np.bincount(owner, areas, len(points))
+        weighted = (areas[:, None] * self._surface.normals[near]).T
+        sums = np.array([np.bincount(owner, part, len(points)) for part in weighted])
+        share = np.linalg.norm(sums, axis=0) / np.where(whole > 0.0, whole, 1.0)
+        return np.where(whole > 0.0, np.arccos(np.clip(share, -1.0, 1.0)), 0.0)
 
     def surface_samples(self, n: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """Points (n, 3), m, uniform by area, and outward unit normals (n, 3) of their faces."""

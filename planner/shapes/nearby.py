@@ -11,6 +11,7 @@ distance computation using the angle weighted pseudonormal", 2005), exact for cl
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import Any
 
 import coal
@@ -115,13 +116,20 @@ class NearestTriangles:
             out[i] = result.b1
         return out
 
-    def within(self, point: FloatArray, radius: float) -> IntArray:
-        """Triangles (k,) that come within a distance (m) of a point (3,)."""
-        found = self._cover_tree.query_ball_point(point, radius + COVERED * self._step)
-        candidate = np.unique(self._cover_owner[found])
-        q, _ = nearest_on_triangles(np.tile(point, (len(candidate), 1)), self.corners[candidate])
-        near: IntArray = candidate[np.linalg.norm(q - point, axis=1) <= radius]
-        return near
+    def within(self, points: FloatArray, radius: float) -> tuple[IntArray, IntArray]:
+        """Triangles that come within a distance (m) of points (n, 3): numbers of both, (k,) each.
+
+        Sorted by point, then by triangle.
+        """
+        found = self._cover_tree.query_ball_point(points, radius + COVERED * self._step)
+        counts = [len(row) for row in found]
+        owner = np.repeat(np.arange(len(points)), counts)
+        covers = np.fromiter(chain.from_iterable(found), dtype=np.int64, count=sum(counts))
+        pairs = np.unique(owner * len(self.faces) + self._cover_owner[covers])
+        owner, candidate = np.divmod(pairs, len(self.faces))
+        q, _ = nearest_on_triangles(points[owner], self.corners[candidate])
+        near = ((q - points[owner]) ** 2).sum(axis=1) <= radius**2
+        return owner[near], candidate[near]
 
 
 def coal_tree(vertices: FloatArray, faces: IntArray) -> Any:

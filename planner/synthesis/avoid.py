@@ -37,10 +37,10 @@ from planner.synthesis.surfaces import Surface, box_clearance
 from planner.synthesis.terms import Formulation
 from planner.synthesis.unknowns import mrp_rates
 
-__all__ = ["TERMS", "Avoidance", "Violated"]
+__all__ = ["TERMS", "Avoidance", "Gaps", "Violated"]
 
-TERMS = ("object", "table", "obstacle", "fingers")
-"""Names of the terms, as in the NLP."""
+TERMS = ("object", "table", "obstacle", "fingers", "links")
+"""Names of the terms, as in the NLP; ``links`` are clearances of the true geometry (``keep``)."""
 
 FASTEST = 1.1
 """Largest slope (-) of a mesh's smooth distance; a little more than that of the true one."""
@@ -59,6 +59,21 @@ class Violated:
     values: FloatArray
     rows: FloatArray
     terms: IntArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gaps:
+    """What links of different fingers lack of their distance, linear in the joints from q on.
+
+    Attributes:
+        q: (nq,).
+        values: Distance less what is asked, at q, (k,), m.
+        rows: Their derivatives by the joints (k, nq).
+    """
+
+    q: FloatArray
+    values: FloatArray
+    rows: FloatArray
 
 
 class _Points:
@@ -143,11 +158,17 @@ class Avoidance:
         self._gaps = np.where(self._avoids, -np.inf, np.inf)
         if self._hand.arm is not None:
             self._root = values["root"][:9].reshape(3, 3, order="F")
+        self._kept: Gaps | None = None
+
+    def keep(self, gaps: Gaps | None) -> None:
+        """Clearances of the true geometry that count from now on, in place of those before."""
+        self._kept = gaps
 
     def __call__(self, x: FloatArray) -> Violated:
         """What is violated at x, for which the outputs have been computed."""
         self._rates = mrp_rates(x[:3])
         parts = [*self._object(), *self._table(), *self._obstacles(), *self._fingers()]
+        parts += self._links(x)
         if not parts:
             return Violated(values=_NONE, rows=np.zeros((0, len(x))), terms=_NONE.astype(np.int64))
         return Violated(
@@ -242,6 +263,18 @@ class Avoidance:
         rows = np.zeros((len(bad), self._formulation.unknowns.size))
         self._formulation.unknowns.q(rows.T)[:] = rates.T
         return [(3, rooms[bad], rows)]
+
+    def _links(self, x: FloatArray) -> list[_Part]:
+        kept = self._kept
+        if kept is None:
+            return []
+        values = kept.values + kept.rows @ (self._formulation.unknowns.q(x) - kept.q)
+        bad = np.flatnonzero(values < 0.0)
+        if not len(bad):
+            return []
+        rows = np.zeros((len(bad), self._formulation.unknowns.size))
+        self._formulation.unknowns.q(rows.T)[:] = kept.rows[bad].T
+        return [(4, values[bad], rows)]
 
 
 _Part = tuple[int, FloatArray, FloatArray]

@@ -33,6 +33,7 @@ __all__ = [
     "ClearanceTerms",
     "LinkBall",
     "LinkBone",
+    "bones_are_true",
     "closest_on_segments",
     "finger_bones",
     "hull_balls",
@@ -300,6 +301,13 @@ def finger_bones(hand: Hand) -> tuple[LinkBone, ...]:
             LinkBone(finger=name, joint_id=g.joint_id, inner=ends[0], outer=ends[1], radius=radius)
         )
     return tuple(out)
+
+
+@lru_cache(maxsize=8)
+def bones_are_true(hand: Hand) -> bool:
+    """Whether the bones of all fingers are their links' true surfaces: spheres and capsules."""
+    fingers = hand.finger_of_body
+    return all(g.kind in ("sphere", "capsule") for g in hand.geometries if g.body in fingers)
 
 
 def _bone(hand: Hand, geometry: LinkGeometry, finger: str) -> tuple[FloatArray, float]:

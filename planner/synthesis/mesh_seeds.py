@@ -13,7 +13,7 @@ import pinocchio as pin
 from planner.errors import TaskError
 from planner.kinematics import HandState
 from planner.shapes import Mesh
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, skew
 from planner.synthesis.clearance import link_balls
 from planner.synthesis.opposed import opposed_pairs
 from planner.synthesis.seeds import STEEPEST, Seeder, frame_of, opposition
@@ -102,12 +102,14 @@ class MeshSeeder(Seeder):
         axis *= rng.choice([-1.0, 1.0])
         center = task.T_world_object.act(self._pairs.centers[number])
         center = center + rng.normal(0, POSITION_NOISE, 3)
-        hand_frame = frame_of(now.axis, now.palm_side).T
-        places = []
-        for _ in range(TURNS):
-            rotation = frame_of(axis, self._side(axis, rng)) @ hand_frame
-            places.append(SE3(rotation, center - rotation @ now.center))
-        return places[int(np.argmax(self._merits(places, q)))], q
+        sides = np.array([self._side(axis, rng) for _ in range(TURNS)])
+        crosses = skew(axis) @ sides.T
+        # columns of a turn: axis, side, and their product
+        rotations = np.stack([np.tile(axis, (TURNS, 1)), sides, crosses.T], axis=2)
+        rotations = rotations @ frame_of(now.axis, now.palm_side).T
+        shifts = center - rotations @ now.center
+        best = int(np.argmax(self._merits(rotations, shifts, q)))
+        return SE3(rotations[best], shifts[best]), q
 
     def _opened(self, gap: float) -> FloatArray:
         """The posture, from pinch towards open, whose pads leave a gap (m)."""
@@ -123,18 +125,17 @@ class MeshSeeder(Seeder):
         turn = rng.normal(0, TURN_NOISE)
         return np.array(pin.exp3(axis * turn) @ (up / np.linalg.norm(up)))
 
-    def _merits(self, places: list[SE3], q: FloatArray) -> FloatArray:
-        """How well each base pose suits, (n,), m: room of the links less what pads are off."""
-        task = self.task
-        state = HandState(task.hand, q)
-        poses = state.pin_data.oMi
+    def _merits(self, rotations: FloatArray, shifts: FloatArray, q: FloatArray) -> FloatArray:
+        """How well base poses (n, 3, 3), (n, 3) suit, (n,), m: links' room less pads' gaps."""
+        task, n = self.task, len(rotations)
+        poses = HandState(task.hand, q).pin_data.oMi
         turns = np.array([pose.rotation for pose in poses])[self._joints]
-        local = np.einsum("bij,bj->bi", turns, self._centers)
+        local = (turns @ self._centers[:, :, None])[:, :, 0]
         local += np.array([pose.translation for pose in poses])[self._joints]
-        world = np.array([local @ T.rotation.T + T.translation for T in places])
+        world = local @ rotations.transpose(0, 2, 1) + shifts[:, None]
         T = task.T_world_object
         points = ((world - T.translation) @ T.rotation).reshape(-1, 3)
-        gaps = self._mesh.field().rough_value(points).reshape(len(places), -1) - self._radii
+        gaps = self._mesh.field().rough_value(points).reshape(n, -1) - self._radii
         room = np.where(self._touching, ROOM, gaps)
         if task.table_height is not None:
             room = np.minimum(room, world[:, :, 2] - task.table_height - self._radii)

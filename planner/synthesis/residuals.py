@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planner.spatial import FloatArray
 from planner.stages import stage
-from planner.synthesis.avoid import TERMS, Avoidance, Violated
+from planner.synthesis.avoid import TERMS, Avoidance, Gaps, Violated
 from planner.synthesis.compiled import compiled
 from planner.synthesis.nlp import THIRD, Field, FieldPoints
 from planner.synthesis.resistance import missing_resistance
@@ -34,6 +34,7 @@ WEIGHTS = {
     "table": PER_METRE,
     "obstacle": PER_METRE,
     "fingers": PER_METRE / 0.03,  # squared distances: two links are some 15 mm apart
+    "links": PER_METRE,
     "arm": PER_METRE,
     "coupling": 50.0,
     "balance": 20.0,
@@ -135,6 +136,10 @@ class Residuals:
     def set_objectives(self, values: FloatArray) -> None:
         """Parameters of the objectives' rows from now on; none switches them off."""
         self._p[self.formulation.places["objectives"]] = values if values.size else 0.0
+
+    def keep_apart(self, gaps: Gaps | None) -> None:
+        """Clearances of the true links that count from now on; None for none."""
+        self._avoidance.keep(gaps)
 
     def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Those that count at x: overwritten by the next call."""

@@ -77,7 +77,7 @@ def edge_faults(task: GraspTask, points: FloatArray) -> list[str]:
     shape = task.object.shape
     if not isinstance(shape, Mesh):
         return []
-    spreads = [shape.normal_dispersion(point, EDGE_RADIUS) for point in points]
+    spreads = shape.normal_dispersion(points, EDGE_RADIUS)
     return [
         f"{finger} is on an edge: normals differ by {np.rad2deg(angle):.0f} degrees within "
         f"{1e3 * EDGE_RADIUS:.0f} mm"
