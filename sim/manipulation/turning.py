@@ -3,7 +3,7 @@
 A regrasp moves one finger on while the others hold the object still:
 
     gate      the measured contacts of the others close with a margin, under the friction that is
-              believed; until they do the finger stays
+              believed, and the controller has not given up; until then the finger stays
     leave     its force goes over to the others; asked again before it is lifted
     move      the finger goes along its planned way; the force programme no longer knows it
     land      it goes on until it feels the object, and takes its share again
@@ -205,20 +205,22 @@ class Turning:
 
     def _gated(self, finger: str, numbers: dict[str, float]) -> str:
         """Wait until the others hold; why they do not, "" if they do."""
-        margin = self._margin(finger)
         end = self._stage.data.time + self._pace.lift_wait
-        while margin < MEASURED_MARGIN and self._stage.data.time < end:
+        while (why := self._refused(finger, numbers)) and self._stage.data.time < end:
             fault = self._stage.advance("regrasp", GATE_PERIOD)
             if fault:
                 return fault
-            margin = self._margin(finger)
-        numbers["margin"] = margin
+        return why and f"{finger} cannot be lifted: {why}"
+
+    def _refused(self, finger: str, numbers: dict[str, float]) -> str:
+        """Why a finger may not be lifted now, "" if it may."""
+        numbers["margin"] = margin = self._margin(finger)
         if margin < MEASURED_MARGIN:
             return (
-                f"{finger} cannot be lifted: the measured contacts of the others close with "
-                f"{margin:.3f} (at least {MEASURED_MARGIN})"
+                f"the measured contacts of the others close with {margin:.3f} (at least "
+                f"{MEASURED_MARGIN})"
             )
-        return ""
+        return self._stage.driver.holding.gave_up
 
     def _margin(self, without: str) -> float:
         """Normalised min-weight (-) of the measured contacts without one finger; -inf for none."""
