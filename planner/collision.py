@@ -67,6 +67,7 @@ class CollisionWorld:
         self.moving = MovingHand(hand, hand.q_lower)
         self._all = np.ones(len(layout.pairs), dtype=bool)
         self._queries: dict[tuple[int, int], DistancePair | MeshPair] = {}
+        self._allowed: dict[frozenset[str], NDArray[np.bool_]] = {}
         self._geometries = GeometryPairs(hand.pin_model, layout.model, layout.pairs, layout.n_hand)
         self._mesh: MeshPairs | None = None
         hull: GeometryPairs | None = None
@@ -97,9 +98,7 @@ class CollisionWorld:
             touching: Geometries of the hand whose distance from the object is left out.
         """
         self._place(T_world_base, q)
-        names = frozenset(touching)
-        which = np.array([not (b == OBJECT and a in names) for a, b in self._layout.named])
-        values = self._distances(which, count=count)
+        values = self._distances(~self._touching(frozenset(touching)), count=count)
         order = np.argsort(values, kind="stable")
         kept = order[: max(count, int((values < 0.0).sum()))]
         return [self._clearance(int(k), values[k]) for k in kept if values[k] < np.inf]
@@ -190,13 +189,14 @@ class CollisionWorld:
         fingers = self._nearest(self._layout.between, between)
         return bool(fingers.distance >= between)
 
-    def fingers_near(self, q: FloatArray, limit: float) -> NearPairs:
-        """How links of different fingers lie that are nearer than a limit (m) at q (nq,); base."""
-        self._place(SE3.Identity(), q)
-        return self._near_pairs(*self._geometries.near(self._layout.between, limit))
-
     def near(
-        self, T_world_base: SE3, q: FloatArray, limit: float, among: IntArray | None = None
+        self,
+        T_world_base: SE3,
+        q: FloatArray,
+        limit: float,
+        among: IntArray | None = None,
+        *,
+        touching: Collection[str] = (),
     ) -> NearPairs:
         """How hand and surroundings lie, and links of different fingers, that are near; base axes.
 
@@ -205,22 +205,20 @@ class CollisionWorld:
             q: Joints (nq,).
             limit: Pairs nearer than this (m) are looked at.
             among: Numbers of pairs that are looked at instead, but for those with a mesh.
+            touching: Geometries of the hand whose distance from the object is left out.
         """
         self._place(T_world_base, q)
         layout = self._layout
-        convex = (layout.outward | layout.between) & ~layout.on_mesh
+        wanted = (layout.outward | layout.between) & ~self._touching(frozenset(touching))
+        convex = wanted & ~layout.on_mesh
         numbers, distances, rows = (
             self._geometries.near(convex, limit) if among is None else self._geometries.at(among)
         )
         if self._mesh is not None:
-            on_mesh = np.flatnonzero(layout.on_mesh)
+            on_mesh = np.flatnonzero(wanted & layout.on_mesh)
             places, apart, more = self._mesh.near(layout.first[on_mesh], min(limit, MESH_LIMIT))
             numbers = np.concatenate([numbers, on_mesh[places]])
             distances, rows = np.concatenate([distances, apart]), np.vstack([rows, more])
-        return self._near_pairs(numbers, distances, rows)
-
-    def _near_pairs(self, numbers: IntArray, distances: FloatArray, rows: FloatArray) -> NearPairs:
-        layout = self._layout
         return NearPairs(
             numbers=numbers,
             outward=layout.outward[numbers],
@@ -231,6 +229,13 @@ class CollisionWorld:
             points_b=rows[:, 3:6],
             normals=rows[:, 6:],
         )
+
+    def _touching(self, names: frozenset[str]) -> NDArray[np.bool_]:
+        """Which pairs are of the object and a geometry that may touch it."""
+        if names not in self._allowed:
+            named = self._layout.named
+            self._allowed[names] = np.array([b == OBJECT and a in names for a, b in named])
+        return self._allowed[names]
 
     def proximity(self, T_world_base: SE3, q: FloatArray, first: str, second: str) -> Proximity:
         """Signed distance, nearest points and normal (world) of any two geometries by name.

@@ -192,5 +192,5 @@ def _attempt(
     q = np.clip(candidate.q, task.hand.q_lower, task.hand.q_upper)
     T_world_base = task.T_world_object * candidate.T_object_base
     with stage("settle"):
-        q = settle(task, T_world_base, q)
+        q = settle(task, T_world_base, q, ground.world)
     return judge_grasp(task, T_world_base, q, record=record, world=ground.world)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import coal
@@ -17,6 +18,7 @@ from planner.collision import CollisionWorld
 from planner.errors import TaskError
 from planner.files import read_plan, write_plan
 from planner.hand import Hand
+from planner.kinematics import HandState
 from planner.mesh_proximity import MeshPair
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
@@ -25,12 +27,15 @@ from planner.regions import Region, TouchRegion, parse_region
 from planner.search import plan_grasp
 from planner.shapes import Box, Mesh, Shape, Torus
 from planner.spatial import SE3, FloatArray
+from planner.synthesis.clearance import link_balls
 from planner.synthesis.filling import fill, span
 from planner.synthesis.mesh_seeds import MeshSeeder, seeder_for
 from planner.synthesis.opposed import FACING, opposed_pairs
 from planner.synthesis.options import SynthesisOptions
+from planner.synthesis.postures import measure_postures
 from planner.synthesis.problem import Start, build_problem
-from planner.synthesis.seeds import Seeder
+from planner.synthesis.resistance import least_resisted
+from planner.synthesis.seeds import Seeder, opposition
 from planner.synthesis.settle import SETTLED, settle
 from planner.synthesis.strengthen import descend_grasp
 from planner.synthesis.surfaces import STEEP
@@ -93,6 +98,53 @@ def test_starts_on_a_mesh_are_drawn_from_pairs(allegro: Hand) -> None:
     assert not isinstance(again, str)
     np.testing.assert_array_equal(start.q, again.q)
     np.testing.assert_allclose(task.object.shape.signed_distance(start.points), 0, atol=1e-9)
+
+
+def test_postures_leave_about_the_gap_that_is_asked_and_know_where_links_are(
+    allegro: Hand,
+) -> None:
+    task = GraspTask.create(allegro, "torus")
+    seeder = seeder_for(task)
+    balls = link_balls(allegro)
+    widest = float(seeder.gaps.max())
+    rng = np.random.default_rng(1)
+    drawn = [seeder.posture + rng.normal(0, 0.03, allegro.nq) for _ in range(40)]
+    opposed = partial(opposition, task)
+    postures = measure_postures(allegro, task.fingers, balls, drawn, opposed)
+    assert (np.diff(postures.gaps) >= 0.0).all()
+    for gap in np.linspace(postures.gaps[0], postures.gaps[-1], 5):
+        k = postures.draw(float(gap), rng)
+        assert abs(np.searchsorted(postures.gaps, gap) - k) <= 8
+        state = HandState(allegro, postures.q[k])
+        assert opposition(task, postures.q[k]).gap == pytest.approx(postures.gaps[k])
+        for i, ball in enumerate(balls):
+            at = state.joint_pose(ball.joint_id).act(ball.center)
+            np.testing.assert_allclose(postures.balls[k, i], at, atol=1e-12)
+        for i, finger in enumerate(task.fingers):
+            np.testing.assert_allclose(postures.pads[k, i], state.pad_center(finger), atol=1e-12)
+    assert postures.draw(widest + 1.0, rng) >= 32
+    assert postures.draw(-1.0, rng) < 8
+
+
+def test_starts_of_which_one_is_chosen_resist_more(
+    allegro: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Contacts under the pads of 40 starts, with and without a look at what they would resist."""
+    task = GraspTask.create(allegro, "superquadric")
+
+    def resisted() -> float:
+        values = []
+        for k in range(40):
+            start = seeder_for(task).draw(np.random.default_rng([8, k]))
+            assert isinstance(start, Start)
+            points, outward = task.object.shape.closest_point(start.points)
+            length = task.object.shape.bounding_radius
+            values.append(least_resisted(points[None], outward[None], mu=task.mu, length=length))
+        return float(np.median(values))
+
+    chosen = resisted()
+    monkeypatch.setattr("planner.synthesis.mesh_seeds.RESISTANCE_WORTH", 0.0)
+    assert chosen > resisted() + 0.02
 
 
 def test_an_object_that_is_too_wide_everywhere_is_refused(allegro: Hand) -> None:

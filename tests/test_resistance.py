@@ -7,8 +7,10 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from planner.contacts import ContactSet
+from planner.quality import epsilon_l1
 from planner.spatial import FloatArray
-from planner.synthesis.resistance import missing_resistance
+from planner.synthesis.resistance import SAMPLE, least_resisted, missing_resistance
 from planner.synthesis.wrenches import support
 
 MU, LENGTH = 0.7, 1.3
@@ -66,3 +68,17 @@ def test_only_what_is_missing_counts() -> None:
     assert values.shape == (1,)
     assert rows.shape == (1, 6)
     np.testing.assert_allclose(values, [MU - 0.9], atol=1e-6)
+
+
+@given(st.integers(0, 10_000))
+def test_the_least_over_a_sample_is_that_of_the_rows_and_no_less_than_epsilon(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(3, 4, 3))
+    outward = points / np.linalg.norm(points, axis=2, keepdims=True)
+    told = least_resisted(points, outward, mu=MU, length=LENGTH)
+    for value, at, n in zip(told, points, outward, strict=True):
+        flat = np.zeros((4, 3, 3))
+        rows = missing_resistance(SAMPLE, at, n, flat, mu=MU, length=LENGTH, aim=100.0)[0]
+        assert abs(value - rows.min() - 100.0) < 1e-5
+        contacts = ContactSet.from_arrays(at, -n, mu=MU)
+        assert max(value, 0.0) >= epsilon_l1(contacts, length=LENGTH) - 1e-9

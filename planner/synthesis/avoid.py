@@ -32,15 +32,16 @@ from planner.synthesis.clearance import (
     margin_of,
     meeting_bones,
 )
+from planner.synthesis.gaps import Gaps
 from planner.synthesis.nlp import Field
 from planner.synthesis.surfaces import Surface, box_clearance
 from planner.synthesis.terms import Formulation
 from planner.synthesis.unknowns import mrp_rates
 
-__all__ = ["TERMS", "Avoidance", "Gaps", "Violated"]
+__all__ = ["TERMS", "Avoidance", "Violated"]
 
 TERMS = ("object", "table", "obstacle", "fingers", "links")
-"""Names of the terms, as in the NLP; ``links`` are clearances of the true geometry (``keep``)."""
+"""Names of the terms, as in the NLP; ``links`` are those of ``planner.synthesis.gaps``."""
 
 FASTEST = 1.1
 """Largest slope (-) of a mesh's smooth distance; a little more than that of the true one."""
@@ -59,21 +60,6 @@ class Violated:
     values: FloatArray
     rows: FloatArray
     terms: IntArray
-
-
-@dataclass(frozen=True, kw_only=True)
-class Gaps:
-    """What links of different fingers lack of their distance, linear in the joints from q on.
-
-    Attributes:
-        q: (nq,).
-        values: Distance less what is asked, at q, (k,), m.
-        rows: Their derivatives by the joints (k, nq).
-    """
-
-    q: FloatArray
-    values: FloatArray
-    rows: FloatArray
 
 
 class _Points:
@@ -268,13 +254,16 @@ class Avoidance:
         kept = self._kept
         if kept is None:
             return []
-        values = kept.values + kept.rows @ (self._formulation.unknowns.q(x) - kept.q)
-        bad = np.flatnonzero(values < 0.0)
+        values = kept.values + kept.rows @ (x - kept.x)
+        bad = np.flatnonzero(values < -TIE)
         if not len(bad):
             return []
-        rows = np.zeros((len(bad), self._formulation.unknowns.size))
-        self._formulation.unknowns.q(rows.T)[:] = kept.rows[bad].T
-        return [(4, values[bad], rows)]
+        return [(4, values[bad], kept.rows[bad])]
+
+
+TIE = 1e-8
+"""What lacks less than this (m) lacks nothing: steps end on what is linear, give or take rounding,
+and rounding shall not say whether it counts."""
 
 
 _Part = tuple[int, FloatArray, FloatArray]

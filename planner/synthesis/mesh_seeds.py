@@ -1,28 +1,43 @@
 """Starts on a mesh: the hand's opposition axis through a pair of opposed surface points.
 
-The pair is drawn from ``planner.synthesis.opposed``, near the centre of mass by preference; the
-fingers are opened a little wider than it is. Of a few turns of the hand about the axis the one is
-taken at which pads are near the surface and the rest of the hand is not in it, nor in the table.
+Pairs are drawn from ``planner.synthesis.opposed``, near the centre of mass by preference; the
+fingers are opened a little wider than each is (``planner.synthesis.postures``). Of a few turns of
+the hand about each axis those are kept at which pads are near the surface and the rest of the hand
+is not in it, nor in the table; and of these the one is taken whose nearest surface points would
+resist most in the direction in which they resist least.
 """
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
-import pinocchio as pin
 
 from planner.errors import TaskError
-from planner.kinematics import HandState
 from planner.shapes import Mesh
-from planner.spatial import SE3, FloatArray, skew
+from planner.spatial import SE3, FloatArray
 from planner.synthesis.clearance import link_balls
 from planner.synthesis.opposed import opposed_pairs
-from planner.synthesis.seeds import STEEPEST, Seeder, frame_of, opposition
+from planner.synthesis.postures import Postures, measure_postures
+from planner.synthesis.resistance import least_resisted
+from planner.synthesis.seeds import STEEPEST, Seeder, opposition
 from planner.task import GraspTask
 
 __all__ = ["MeshSeeder", "seeder_for"]
 
-TURNS = 12
-"""Turns of the hand about the opposition axis that are looked at for one start."""
+POSTURES, NOISES = 128, (0.03, 0.1)
+"""Postures that starts are made of, and least and largest standard deviation of their joints, in
+shares of their range."""
+
+PLACES, TURNS = 12, 4
+"""Pairs that are looked at for one start, and turns of the hand about the axis of each."""
+
+LOOKED_AT = 16
+"""Of these places, with most room and nearest pads, so many are compared by what they resist."""
+
+RESISTANCE_WORTH = 0.3
+"""Room (m) that counts like one unit of resistance (normal forces sum to 1): a grasp that is
+stronger by 0.05 may start 15 mm worse."""
 
 TURN_NOISE = 0.8
 """Standard deviation (rad) of these turns about straight from above; any turn without a table."""
@@ -86,62 +101,82 @@ class MeshSeeder(Seeder):
         arm = task.hand.arm.geometries if task.hand.arm is not None else frozenset()
         self._balls = [b for b in link_balls(task.hand) if b.geometry not in arm]
         self._radii = np.array([b.radius for b in self._balls])
-        self._joints = np.array([b.joint_id for b in self._balls])
-        self._centers = np.array([b.center for b in self._balls])
         self._touching = np.array([b.is_pad and b.finger in task.finger_names for b in self._balls])
+        self._widest_stretch = float(self.stretches[np.argmax(self.gaps)])
+        self._postures = self._drawn_postures()
 
     def _place(self, rng: np.random.Generator) -> tuple[SE3, FloatArray]:
-        task = self.task
-        number = rng.choice(len(self._chance), p=self._chance)
-        width = float(self._pairs.widths[number])
-        q = self._with_noise(self._opened(width + rng.uniform(0.0, SPARE)), rng)
+        """Of some places the one where the hand has room, and its pads would resist most."""
+        task, postures, mesh = self.task, self._postures, self._mesh
+        numbers = rng.choice(len(self._chance), size=PLACES, p=self._chance)
+        gaps = self._pairs.widths[numbers] + rng.uniform(0.0, SPARE, PLACES)
+        which = np.array([postures.draw(float(gap), rng) for gap in gaps])
         if task.T_world_base is not None and task.hand.arm is None:
-            return task.T_world_base, q
-        now = opposition(task, q)
-        axis = task.T_world_object.rotation @ self._pairs.directions[number]
-        axis *= rng.choice([-1.0, 1.0])
-        center = task.T_world_object.act(self._pairs.centers[number])
-        center = center + rng.normal(0, POSITION_NOISE, 3)
-        sides = np.array([self._side(axis, rng) for _ in range(TURNS)])
-        crosses = skew(axis) @ sides.T
-        # columns of a turn: axis, side, and their product
-        rotations = np.stack([np.tile(axis, (TURNS, 1)), sides, crosses.T], axis=2)
-        rotations = rotations @ frame_of(now.axis, now.palm_side).T
-        shifts = center - rotations @ now.center
-        best = int(np.argmax(self._merits(rotations, shifts, q)))
-        return SE3(rotations[best], shifts[best]), q
+            return task.T_world_base, self._with_noise(postures.q[which[0]], rng)
+        axes = self._pairs.directions[numbers] * rng.choice([-1.0, 1.0], (PLACES, 1))
+        centers = self._pairs.centers[numbers] + rng.normal(0, POSITION_NOISE, (PLACES, 3))
+        axes, centers, which = (np.repeat(v, TURNS, axis=0) for v in (axes, centers, which))
+        turns = _frames(axes, self._sides(axes, rng)) @ postures.frames[which].transpose(0, 2, 1)
+        shifts = centers - (turns @ postures.centers[which][:, :, None])[:, :, 0]
+        merits = self._merits(turns, shifts, postures.balls[which])
+        best = np.argsort(-merits, kind="stable")[:LOOKED_AT]
+        pads = postures.pads[which[best]] @ turns[best].transpose(0, 2, 1) + shifts[best, None]
+        found = mesh.field().taylor(pads.reshape(-1, 3), 1)
+        outward = found[:, 1:4] / np.maximum(np.linalg.norm(found[:, 1:4], axis=1), TINY)[:, None]
+        resisted = least_resisted(
+            (pads.reshape(-1, 3) - found[:, :1] * outward).reshape(pads.shape),
+            outward.reshape(pads.shape),
+            mu=task.mu,
+            length=mesh.bounding_radius,
+        )
+        k = best[int(np.argmax(merits[best] + RESISTANCE_WORTH * resisted))]
+        return task.T_world_object * SE3(turns[k], shifts[k]), postures.q[which[k]]
 
-    def _opened(self, gap: float) -> FloatArray:
-        """The posture, from pinch towards open, whose pads leave a gap (m)."""
-        order = np.argsort(self.gaps)
-        return self._stretched(float(np.interp(gap, self.gaps[order], self.stretches[order])))
+    def _drawn_postures(self) -> Postures:
+        """Postures of the hand; the same for every seed."""
+        task, rng = self.task, np.random.default_rng(0)
+        span = task.hand.q_upper - task.hand.q_lower
+        drawn = []
+        for stretch in np.linspace(0.0, self._widest_stretch, POSTURES):
+            q = self._stretched(stretch) + rng.normal(0, rng.uniform(*NOISES), len(span)) * span
+            q = np.clip(q, task.hand.q_lower, task.hand.q_upper)
+            drawn.append(self._with_wrist(q))
+        opposed = partial(opposition, task)
+        return measure_postures(task.hand, task.fingers, self._balls, drawn, opposed)
 
-    def _side(self, axis: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """A direction across ``axis`` for the palm: from above, with much noise, over a table."""
-        up = rng.normal(size=3)
+    def _sides(self, axes: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Directions across axes (n, 3) for the palm: from above, with much noise, over a table."""
+        up = rng.normal(size=axes.shape)
         if self.task.table_height is not None:
-            up = np.array([0.0, 0.0, 1.0])
-        up = up - axis * (axis @ up)
-        turn = rng.normal(0, TURN_NOISE)
-        return np.array(pin.exp3(axis * turn) @ (up / np.linalg.norm(up)))
+            up = np.tile(self.task.T_world_object.rotation[2], (len(axes), 1))
+        up -= axes * np.einsum("ij,ij->i", axes, up)[:, None]
+        up /= np.linalg.norm(up, axis=1, keepdims=True)
+        turn = rng.normal(0, TURN_NOISE, (len(axes), 1))
+        return np.cos(turn) * up + np.sin(turn) * np.cross(axes, up)
 
-    def _merits(self, rotations: FloatArray, shifts: FloatArray, q: FloatArray) -> FloatArray:
-        """How well base poses (n, 3, 3), (n, 3) suit, (n,), m: links' room less pads' gaps."""
-        task, n = self.task, len(rotations)
-        poses = HandState(task.hand, q).pin_data.oMi
-        turns = np.array([pose.rotation for pose in poses])[self._joints]
-        local = (turns @ self._centers[:, :, None])[:, :, 0]
-        local += np.array([pose.translation for pose in poses])[self._joints]
-        world = local @ rotations.transpose(0, 2, 1) + shifts[:, None]
-        T = task.T_world_object
-        points = ((world - T.translation) @ T.rotation).reshape(-1, 3)
-        gaps = self._mesh.field().rough_value(points).reshape(n, -1) - self._radii
+    def _merits(self, turns: FloatArray, shifts: FloatArray, balls: FloatArray) -> FloatArray:
+        """How well bases at (n, 3, 3), (n, 3) in the object suit, (n,), m: room less pads' gaps."""
+        task = self.task
+        points = balls @ turns.transpose(0, 2, 1) + shifts[:, None]
+        gaps = self._mesh.field().rough_value(points.reshape(-1, 3)).reshape(points.shape[:2])
+        gaps -= self._radii
         room = np.where(self._touching, ROOM, gaps)
         if task.table_height is not None:
-            room = np.minimum(room, world[:, :, 2] - task.table_height - self._radii)
+            T = task.T_world_object
+            heights = points @ T.rotation[2] + T.translation[2] - task.table_height
+            room = np.minimum(room, heights - self._radii)
         off = np.abs(gaps[:, self._touching]).mean(axis=1)
         merit: FloatArray = np.minimum(room.min(axis=1), ROOM) - off
         return merit
+
+
+def _frames(axes: FloatArray, sides: FloatArray) -> FloatArray:
+    """Rotations (n, 3, 3): columns axis, side, and their product."""
+    return np.stack([axes, sides, np.cross(axes, sides)], axis=2)
+
+
+TINY = 1e-9
+"""A gradient shorter than this has no direction."""
 
 
 def seeder_for(task: GraspTask) -> Seeder:

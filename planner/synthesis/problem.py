@@ -217,11 +217,8 @@ class GraspProblem:
     ) -> Candidate:
         """What a solver found: unknowns x, violations, its words, and CPU time since ``begin``."""
         unknowns = self.formulation.unknowns
-        T_object_base = start.T_object_base
-        if self.hand.arm is None:
-            T_object_base = unknowns.pose(x, T_object_base)
         return Candidate(
-            T_object_base=T_object_base,
+            T_object_base=self.base_pose(start, x),
             q=unknowns.q(x),
             points=unknowns.points(x),
             forces=unknowns.forces(x),
@@ -230,6 +227,12 @@ class GraspProblem:
             iterations=iterations,
             cpu_s=time.process_time() - begin,
         )
+
+    def base_pose(self, start: Start, x: FloatArray) -> SE3:
+        """Pose of the hand's base in the object's frame at unknowns x; an arm's root stays."""
+        if self.hand.arm is not None:
+            return start.T_object_base
+        return self.formulation.unknowns.pose(x, start.T_object_base)
 
     def first(self, start: Start) -> FloatArray:
         """The unknowns at a start."""

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from planner.spatial import FloatArray
 from planner.stages import stage
-from planner.synthesis.avoid import TERMS, Avoidance, Gaps, Violated
+from planner.synthesis.avoid import TERMS, Avoidance, Violated
 from planner.synthesis.compiled import compiled
+from planner.synthesis.gaps import Gaps
 from planner.synthesis.nlp import THIRD, Field, FieldPoints
 from planner.synthesis.resistance import missing_resistance
 from planner.synthesis.terms import Formulation

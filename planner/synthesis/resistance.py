@@ -18,7 +18,7 @@ import numpy as np
 from planner.spatial import FloatArray
 from planner.synthesis.wrenches import TINY
 
-__all__ = ["missing_resistance"]
+__all__ = ["least_resisted", "missing_resistance"]
 
 
 def missing_resistance(
@@ -62,6 +62,37 @@ def missing_resistance(
     rows = np.zeros((len(short), *points.shape))
     rows[np.arange(len(short)), i] = slope
     return values[short], rows.reshape(len(short), points.size)
+
+
+def least_resisted(
+    points: FloatArray, outward: FloatArray, *, mu: float, length: float
+) -> FloatArray:
+    """Least resistance of sets of contacts over a sample of directions, (k,): epsilon or more.
+
+    Args:
+        points: (k, n, 3), m.
+        outward: Unit normals (k, n, 3).
+        mu: Friction (-).
+        length: Characteristic length, m.
+    """
+    flat, n = points.reshape(-1, 3), outward.reshape(-1, 3)
+    g = SAMPLE[:, :3] + SAMPLE[:, 3:] @ _turning(flat / length)  # (k n, m, 3)
+    pressed = -(g @ n[:, :, None])[:, :, 0]
+    across = np.einsum("nmi,nmi->nm", g, g) - pressed * pressed
+    resisted = pressed + mu * np.sqrt(np.maximum(across, 0.0))
+    least: FloatArray = resisted.reshape(*points.shape[:2], -1).max(axis=1).min(axis=1)
+    return least
+
+
+def _sample(count: int) -> FloatArray:
+    """Directions of wrench (count, 6), spread at random, always the same."""
+    found = np.random.default_rng(0).normal(size=(count, 6))
+    found /= np.linalg.norm(found, axis=1, keepdims=True)
+    return found
+
+
+SAMPLE = _sample(128)
+"""Directions in which starts are compared (128 of the 6-sphere: a ranking, not a measure)."""
 
 
 def _turning(p: FloatArray) -> FloatArray:

@@ -6,9 +6,9 @@ looked for (``planner.quality.weakest``), and a descent works on its resistance 
 cost; likewise on the other objectives (``planner.synthesis.objectives``). Where terms have suffered
 from that, a last descent without objectives mends them.
 
-Bars and hulls are wider than the bones that keep fingers apart. For hands with such links the true
-distances are looked at where a descent has come to, and those that are too small are kept from then
-on, linear in the joints: on ten scans with a hand of bars 1.3 attempts a grasp so 1.7.
+Bars and hulls are wider in places than the balls and bones that stand for them. For hands with such
+links the true distances are looked at where a descent has come to, and those that are too small are
+kept from then on (``planner.synthesis.gaps``): on ten scans with a hand of bars NNN.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from planner.quality.weakest import wrench_faces
 from planner.shapes import Mesh, Shape
 from planner.spatial import FloatArray
 from planner.stages import stage
-from planner.synthesis.avoid import Gaps
 from planner.synthesis.descent import MAX_ITERATIONS, SOLVED, Descent, descend
+from planner.synthesis.gaps import find_gaps
 from planner.synthesis.objectives import EPSILON, Moment, objective_parameters
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start
@@ -54,6 +54,9 @@ MEND_ITERATIONS = 30
 """Evaluations of the last descent, without objectives; most need six. With 12, an eighth of the
 grasps of mugs and brackets are lost that come back to the surface."""
 
+LOOKS = 3
+"""How often the true links are looked at in the end, and what is missing mended."""
+
 SMALLEST_RANGE = 1e-3
 """Least scale (rad or m) of a joint that can hardly move."""
 
@@ -79,23 +82,26 @@ def descend_grasp(
     rounds = options.rounds if options.weights else 0
     begin = time.process_time()
     problem.residuals.bind(parameters, problem.surface.field_of(task.object.shape))
-    run = _Run(problem, task, start, world, options.clear_fingers)
+    run = _Run(problem, task, start)
     run.descend(MAX_ITERATIONS)
     status = run.end.status
     if run.end.worst <= NEARLY:
         damping = None
-        for _ in range(rounds):
+        for k in range(rounds):
             with stage("weakest"):
                 run.aim(options)
-            run.look()
+            if k % 2 == 0:  # what was in view stays in view for two rounds
+                run.look(world, options)
             run.descend(ROUND_ITERATIONS, damping)
             damping = run.end.damping  # what the steps of one round tell holds for the next
         problem.residuals.set_directions(np.zeros((0, 6)))
         problem.residuals.set_objectives(np.zeros(0))
-        if run.look() or (rounds and run.end.worst > SOLVED):
+        missing = rounds > 0 and run.end.worst > SOLVED
+        for _ in range(LOOKS):
+            if not run.look(world, options) and not missing:
+                break
             run.descend(MEND_ITERATIONS)
-            if run.look():
-                run.descend(MEND_ITERATIONS)
+            missing = False
     violation = problem.residuals.violations()
     return problem.candidate(start, run.x, violation, status, run.iterations, begin)
 
@@ -103,16 +109,8 @@ def descend_grasp(
 class _Run:
     """Where a solution has come to, and within which bounds it may move on."""
 
-    def __init__(
-        self,
-        problem: GraspProblem,
-        task: GraspTask,
-        start: Start,
-        world: CollisionWorld | None,
-        apart: float,
-    ) -> None:
-        self._problem, self._task = problem, task
-        self._world, self._apart = world, apart
+    def __init__(self, problem: GraspProblem, task: GraspTask, start: Start) -> None:
+        self._problem, self._task, self._start = problem, task, start
         self._unknowns = problem.formulation.unknowns
         self._lower, self._upper = problem.bounds(start)
         n = len(problem.fingers)
@@ -142,14 +140,15 @@ class _Run:
         self.x = self.end.x
         self.iterations += self.end.iterations
 
-    def look(self) -> bool:
-        """See which links of different fingers are too near in truth, and keep those apart."""
-        if self._world is None:
+    def look(self, world: CollisionWorld | None, options: SynthesisOptions) -> bool:
+        """See what is too near in truth, and keep it apart from now on; whether anything is."""
+        if world is None:
             return False
         with stage("links"):
-            gaps = finger_gaps(self._world, self._unknowns.q(self.x), self._apart)
+            pose = self._problem.base_pose(self._start, self.x)
+            gaps = find_gaps(world, self._unknowns, self.x, pose, options)
         self._problem.residuals.keep_apart(gaps)
-        return gaps is not None
+        return gaps is not None and bool((gaps.values < 0.0).any())
 
     def aim(self, options: SynthesisOptions) -> None:
         """Tell the residuals where the objectives are to be worked on from here."""
@@ -173,17 +172,6 @@ class _Run:
             problem.residuals.set_objectives(
                 objective_parameters(problem.objectives, weights, moment)
             )
-
-
-def finger_gaps(world: CollisionWorld, q: FloatArray, apart: float) -> Gaps | None:
-    """What links of different fingers lack of a distance (m) at q (nq,); None if nothing."""
-    near = world.fingers_near(q, apart)
-    if not len(near.distances):
-        return None
-    state = world.moving.move(q)
-    rows = state.point_rates(near.joints[:, 1], near.points_b, near.normals)
-    rows -= state.point_rates(near.joints[:, 0], near.points_a, near.normals)
-    return Gaps(q=q.copy(), values=near.distances - apart, rows=rows)
 
 
 def _contacts(shape: Shape, points: FloatArray) -> tuple[FloatArray, FloatArray]:

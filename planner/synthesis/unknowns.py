@@ -96,10 +96,11 @@ def mrp_rates(s: FloatArray) -> FloatArray:
     a, b, c = s.tolist()  # written out: numpy's own takes ten times as long on three numbers
     n = a * a + b * b + c * c
     d, k = 1 - n, 4 / (1 + n) ** 2
-    return k * np.array(
+    rates: FloatArray = k * np.array(
         [
             [d + 2 * a * a, 2 * (a * b + c), 2 * (a * c - b)],
             [2 * (a * b - c), d + 2 * b * b, 2 * (b * c + a)],
             [2 * (a * c + b), 2 * (b * c - a), d + 2 * c * c],
         ]
     )
+    return rates
