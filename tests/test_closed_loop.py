@@ -200,6 +200,29 @@ def test_a_finger_leaves_and_comes_back(plan: GraspPlan) -> None:
         controller.leave("litle")
 
 
+def test_a_finger_with_tendons_that_leaves_asks_nothing_of_the_others(
+    shadow_plan: GraspPlan,
+) -> None:
+    # its own weight is not what its tendons can hold exactly; that is no reason to give up forces
+    controller = ObjectImpedance(shadow_plan)
+    fingers = [name for name in shadow_plan.task.finger_names if name != "thumb"]
+    held: list[FloatArray] = []
+
+    def on_hold(trial: Trial, since: float) -> None:
+        if since == 0.0:
+            controller.keep()
+            controller.leave(fingers[-1])
+        held.append(in_base(trial))
+
+    run(shadow_plan, controller, on_hold, timeline=replace(SHORT, hold=0.3))
+    lever = controller._loop.placed.lever.reshape(len(shadow_plan.task.finger_names), 3, -1)
+    asks = np.abs(lever).max(axis=(1, 2)) > 0.0
+    left = [name == fingers[-1] for name in shadow_plan.task.finger_names]
+    assert asks.tolist() == [not away for away in left]
+    assert "infeasible" not in kinds(controller)
+    assert np.linalg.norm(held[-1] - held[0]) < 2e-3
+
+
 def test_a_contact_that_is_lost_is_noticed_and_found_again(plan: GraspPlan) -> None:
     """The tip of a finger is torn off the object for 60 ms."""
     controller = ObjectImpedance(plan)

@@ -35,7 +35,7 @@ from sim.manipulation import (
 )
 from sim.manipulation.checks import placed, tilt_between, undisturbed
 from sim.manipulation.modes import measured_modes, mode_table, planned_modes
-from sim.manipulation.plan import _rounds, _under_target
+from sim.manipulation.plan import _rounds, standing_under
 from sim.manipulation.stand import on_stand
 from sim.physics import PhysicsOptions
 
@@ -347,6 +347,28 @@ def test_a_turn_on_ice_fails_with_a_reason(plan: ManipulationPlan) -> None:
     assert told.reason
 
 
+def test_a_turn_that_stalls_is_put_down_and_made_anew(plan: ManipulationPlan) -> None:
+    # no time for the last degrees, and no patience
+    hasty, picky = replace(QUICK, turn_wait=0.02), Bounds(angle_deg=2.0)
+    told = manipulate(plan, pace=hasty, bounds=picky, retry=True)
+    first = told.earlier
+    assert first is not None and not first.complete
+    failed = next(c for c in first.checks if not c.passed)
+    assert failed.step == "turn" and "of 40.0 degrees: it did not follow" in failed.reason
+    assert "no regrasp (" in failed.then and failed.then.endswith("it is put down")
+    down = [c.step for c in first.checks if c.about == "half-way"]
+    assert down == ["lower", "release", "open", "retreat"]
+    assert first.checks[-1].passed
+    # only the rest is turned then, and the object ends where it was asked for at first
+    assert told.complete, str(told)
+    assert math.degrees(told.asked) == pytest.approx(40.0 - failed.numbers["turn_deg"], abs=0.5)
+    assert abs(told.checks[-1].numbers["heading_deg"]) < 3.0
+    assert told.checks[-1].numbers["off_mm"] < 3.0
+    # but it was not turned in one go
+    assert not told.loose and not told.strict
+    assert "begun again:" in str(told) and "put down half-way" in str(told)
+
+
 def test_a_turn_beyond_one_stroke_is_refused(plan: ManipulationPlan) -> None:
     with pytest.raises(TaskError, match="at most a half turn"):
         plan_manipulation(plan.motion.grasp.task, angle=math.radians(200.0))
@@ -408,11 +430,11 @@ def test_a_stand_needs_a_table_and_a_height() -> None:
 def test_a_stand_goes_where_the_object_goes() -> None:
     task = on_stand(manipulation_task("allegro_hand", parse_object("sphere:0.03"), mu=0.45), 0.04)
     target = SE3(np.eye(3), task.T_world_object.translation + np.array([0.1, 0.05, 0.0]))
-    moved = _under_target(task, target)
+    moved = standing_under(task, target)
     for first, then in zip(task.obstacles, moved, strict=True):
         gone = then.T_world_obstacle.translation - first.T_world_obstacle.translation
         assert np.allclose(gone, [0.1, 0.05, 0.0]) and then.name != first.name
-    assert _under_target(task, task.T_world_object) == ()
+    assert standing_under(task, task.T_world_object) == ()
 
 
 def test_a_task_without_a_table_is_refused(plan: ManipulationPlan) -> None:
@@ -476,7 +498,7 @@ def test_a_table_counts_over_all_trials() -> None:
         "place_heading_deg": -0.5,
     }
     rows = [{**base, **good}, {**base, "dropped": True}, {**base, "found": False}]
-    table = manipulate_table({"rows": rows})
+    table = manipulate_table({"angle_deg": 90.0, "rows": rows})
     cells = [next(iter(column.cells)) for column in table.columns]
     assert cells[2:7] == ["2/3", "1/3", "1/3", "1/3", "1/3"]
     assert cells[7:9] == ["1.50", "0.50"]

@@ -1,5 +1,6 @@
 """Regrasping: an object is turned or moved further than one grasp allows, finger by finger."""
 
+from planner.gait.back import cut_motion, plan_back
 from planner.gait.order import Lift, NoOrder, Order, find_order
 from planner.gait.plan import GaitPlan, Relocation, Stroke
 from planner.gait.search import plan_gait
@@ -11,6 +12,8 @@ __all__ = [
     "Order",
     "Relocation",
     "Stroke",
+    "cut_motion",
     "find_order",
+    "plan_back",
     "plan_gait",
 ]

@@ -29,8 +29,8 @@ from planner.task import GraspTask
 __all__ = ["GaitJudge"]
 
 HOLDING_GRIP = 0.5
-"""Least normal force (N) of those that hold while a finger is away, where a grip asks for more: a
-finger between two others presses the object out of them, so it is to press lightly."""
+"""Least normal force (N) of those that hold while a finger is away, where the task's grip cannot be
+had: a finger between two others presses the object out of them, so it is to press lightly."""
 
 HOLDING_SHARE = 0.9
 """Share of the friction coefficient (-) that their forces may use. A grasp uses 0.8; while a finger
@@ -164,6 +164,7 @@ class _Move:
     """A lift that holds: its way, and the forces while the finger is away and after."""
 
     postures: FloatArray
+    grip: float
     during: ContactSet
     after: ContactSet
 
@@ -208,15 +209,18 @@ class _End:
         name = judge.lifted.finger_names[finger]
         q, landed = self.posture(moved), self.posture(moved | {finger})
         rest = holding(self.begin, self.end, moved, finger)
-        during = plan_forces(
-            judge.without[finger],
-            rest,
-            base,
-            q,
-            min_normal=min(HOLDING_GRIP, judge.lifted.grip_force),
-            friction_scale=HOLDING_SHARE,
-            edges=HOLDING_EDGES,
-        )
+        for grip in (judge.lifted.grip_force, min(HOLDING_GRIP, judge.lifted.grip_force)):
+            during = plan_forces(
+                judge.without[finger],
+                rest,
+                base,
+                q,
+                min_normal=grip,
+                friction_scale=HOLDING_SHARE,
+                edges=HOLDING_EDGES,
+            )
+            if during.found:
+                break
         if not during.found:
             return f"the others cannot bear the load: {during.reason}"
         whole = standing(self.begin, self.end, moved | {finger})
@@ -227,7 +231,7 @@ class _End:
         if isinstance(postures, str):
             return postures
         self._moves[finger, moved] = _Move(
-            postures=postures, during=during.contacts, after=after.contacts
+            postures=postures, grip=grip, during=during.contacts, after=after.contacts
         )
         return ""
 
@@ -247,6 +251,7 @@ class _End:
                     during=move.during,
                     after=move.after,
                     margin=lift.margin,
+                    grip=move.grip,
                 )
             )
             before = move.after

@@ -49,6 +49,7 @@ class Relocation:
         during: The contacts that hold, with the forces to which loads are shifted before the lift.
         after: All contacts once it has landed, with the forces that they have then.
         margin: Normalised min-weight (-) of the contacts that hold.
+        grip: Least normal force (N) that they are asked for.
     """
 
     cycle: int
@@ -59,6 +60,7 @@ class Relocation:
     during: ContactSet
     after: ContactSet
     margin: float
+    grip: float
 
     @property
     def landing(self) -> Contact:

@@ -168,7 +168,7 @@ def _pieces(
     counts: list[int] = []
     for turn in STROKES:
         pieces = max(abs(angle) / turn, float(np.linalg.norm(shift)) / STROKE_SHIFT)
-        count = max(1, int(np.ceil(pieces - ROUNDING)))
+        count = max(1, int(np.ceil(pieces - LONGER)))
         if count not in counts:
             counts.append(count)
     paths = [(ObjectPath(axis=axis, angle=angle / n, shift=shift / n), n) for n in counts]
@@ -179,8 +179,9 @@ def _pieces(
 SMALL = 1e-6
 """Length (-) below which a vector has no direction."""
 
-ROUNDING = 1e-9
-"""A path longer than a whole number of strokes by this (-) has that number."""
+LONGER = 0.1
+"""A path longer than a whole number of strokes by this (-) has that number, each a little longer:
+who needs a degree more than a full turn is not to pay for it with a whole cycle."""
 
 
 def _holds(task: GraspTask, path: ObjectPath) -> tuple[Hold, ...]:

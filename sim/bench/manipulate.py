@@ -1,4 +1,4 @@
-"""``run_manipulate``: pick, turn by 90 degrees, place, under conditions that the planner ignores.
+"""``run_manipulate``: pick, turn, place, under conditions that the planner ignores.
 
 A trial draws what there is: size, mass, friction, where the object really stands, and a push while
 it is turned. The planner knows the size. Of mass and friction it knows the bounds, the largest mass
@@ -20,6 +20,7 @@ import pinocchio as pin
 from rich.table import Table
 
 from planner.errors import NotFoundError, PlannerError
+from planner.motion.path import LARGEST_TURN
 from planner.objects import parse_object
 from planner.plain import finite
 from planner.spatial import SE3
@@ -27,7 +28,7 @@ from planner.task import GraspTask
 from sim.bench.journal import run_with_journal
 from sim.bench.statistics import median_of
 from sim.bench.tables import number, table_of
-from sim.manipulation import Push, manipulate, manipulation_task, plan_manipulation
+from sim.manipulation import Push, manipulate, manipulation_task, plan_turning
 from sim.manipulation.stand import on_stand
 from sim.physics import PhysicsOptions
 from sim.runner import Check, Runner, made_with
@@ -58,11 +59,24 @@ SHIFT, HEADING = 0.003, np.deg2rad(5.0)
 PUSH_FORCE, PUSH_TIME = 0.4, 0.3
 """The push, N and s: horizontal, from any side, at some time of the turn."""
 
+PUSH_UNTIL, REGRASP_RATE = 1.2, 0.2
+"""Latest begin of the push, s since the turn began; and a rate (rad/s) that no turn by
+regrasps reaches: at the angle over it they are not over yet."""
+
 PLACE = 0.15
 """Distance (m) from the object to where it is put, in any direction."""
 
 ANGLE = np.pi / 2
-"""Turn that is asked for, rad."""
+"""Turn that is asked for, rad, if nothing else is."""
+
+REGRASP_FRICTION = (0.7, 1.0)
+"""Sliding friction (-) where fingers move on between strokes; the planner knows the lower bound,
+and leaves a tenth of it itself while a finger is away."""
+
+REGRASP_MASS = 0.1
+"""Mass (kg) that such turns are planned for: with the largest there is and the least friction no
+four fingers of the Shadow-type hand bear the weight within the planner's margins. What there really
+is stays ``MASS``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +104,14 @@ class Conditions:
     place: tuple[float, float]
 
     @classmethod
-    def draw(cls, kind: Kind, height: float, rng: np.random.Generator) -> Conditions:
+    def draw(
+        cls,
+        kind: Kind,
+        height: float,
+        rng: np.random.Generator,
+        friction: tuple[float, float] = FRICTION,
+        push_until: float = PUSH_UNTIL,
+    ) -> Conditions:
         """Conditions of one trial; sizes to a tenth of a millimetre."""
         a, b = np.round(rng.uniform(*SIZE, size=2), 4).tolist()
         specs = {
@@ -99,7 +120,7 @@ class Conditions:
             "sphere": f"sphere:{a / 2:g}",
             "ellipsoid": f"ellipsoid:{a:g}x{b:g}x{height:g}",
         }
-        mass, mu = float(rng.uniform(*MASS)), float(rng.uniform(*FRICTION))
+        mass, mu = float(rng.uniform(*MASS)), float(rng.uniform(*friction))
         x, y = rng.uniform(-SHIFT, SHIFT, size=2).tolist()
         heading = float(rng.uniform(-HEADING, HEADING))
         side, way = rng.uniform(0.0, 2.0 * np.pi, size=2).tolist()
@@ -110,7 +131,7 @@ class Conditions:
             shift=(x, y),
             heading=heading,
             push=(PUSH_FORCE * math.cos(side), PUSH_FORCE * math.sin(side)),
-            push_after=float(rng.uniform(0.0, 1.2)),
+            push_after=float(rng.uniform(0.0, push_until)),
             place=(PLACE * math.cos(way), PLACE * math.sin(way)),
         )
 
@@ -128,6 +149,7 @@ class Turn:
         fingers: Fingers that take part; the hand's default set if None.
         stand: Height of the stand that carries the object, m; 0 for none.
         seed: Of all that is drawn.
+        angle: Turn that is asked for, rad; beyond a half turn it is made by regrasps.
     """
 
     index: int
@@ -138,15 +160,29 @@ class Turn:
     fingers: tuple[str, ...] | None
     stand: float
     seed: int
+    angle: float = ANGLE
+
+    @property
+    def regrasps(self) -> bool:
+        """Whether fingers are to move on."""
+        return abs(self.angle) > LARGEST_TURN
+
+    def draw(self) -> Conditions:
+        """What there really is."""
+        rng = np.random.default_rng([self.seed, KINDS.index(self.kind), self.number])
+        if not self.regrasps:
+            return Conditions.draw(self.kind, self.height, rng)
+        until = abs(self.angle) / REGRASP_RATE
+        return Conditions.draw(self.kind, self.height, rng, REGRASP_FRICTION, until)
 
 
 def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
     """Plan and execute one trial; its row, as plain data."""
-    rng = np.random.default_rng([turn.seed, KINDS.index(turn.kind), turn.number])
-    there = Conditions.draw(turn.kind, turn.height, rng)
+    there = turn.draw()
     task = _believed(turn, there)
     try:
-        plan = plan_manipulation(task, angle=ANGLE, place=there.place, seed=turn.seed + turn.number)
+        seed = turn.seed + turn.number
+        plan = plan_turning(task, angle=turn.angle, place=there.place, seed=seed)
     except PlannerError as error:
         return _row(turn, there, found=False, reason=str(error))
     check()
@@ -190,8 +226,9 @@ def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
 
 def _believed(turn: Turn, there: Conditions) -> GraspTask:
     """The task as the planner has it."""
-    item = parse_object(there.spec, mass=MASS[1])
-    task = manipulation_task(turn.hand, item, mu=BELIEVED_MU, fingers=turn.fingers)
+    item = parse_object(there.spec, mass=REGRASP_MASS if turn.regrasps else MASS[1])
+    mu = REGRASP_FRICTION[0] if turn.regrasps else BELIEVED_MU
+    task = manipulation_task(turn.hand, item, mu=mu, fingers=turn.fingers)
     return on_stand(task, turn.stand) if turn.stand else task
 
 
@@ -210,8 +247,7 @@ def _row(turn: Turn, there: Conditions, **values: Any) -> dict[str, Any]:
 
 
 def _given_up(turn: Turn, reason: str) -> dict[str, Any]:
-    rng = np.random.default_rng([turn.seed, KINDS.index(turn.kind), turn.number])
-    return _row(turn, Conditions.draw(turn.kind, turn.height, rng), found=False, reason=reason)
+    return _row(turn, turn.draw(), found=False, reason=reason)
 
 
 def run_manipulate(
@@ -225,6 +261,7 @@ def run_manipulate(
     seed: int,
     file: Path,
     runner: Runner,
+    angle: float = ANGLE,
 ) -> dict[str, Any]:
     """Run the trials that the file does not have yet.
 
@@ -238,6 +275,7 @@ def run_manipulate(
         seed: Of all that is drawn.
         file: Of the rows; made if it is not there.
         runner: Who works on them.
+        angle: Turn that is asked for, rad.
 
     Returns:
         Plain data: all rows that the file has then, and what they were made with.
@@ -262,6 +300,7 @@ def run_manipulate(
             fingers=fingers,
             stand=stand,
             seed=seed,
+            angle=angle,
         )
         for i, (hand, kind, k) in enumerate(cells)
     ]
@@ -275,6 +314,7 @@ def run_manipulate(
         "fingers": None if fingers is None else list(fingers),
         "stand": stand,
         "seed": seed,
+        "angle_deg": math.degrees(angle),
     }
     rows, whole = run_with_journal(
         runner,
@@ -302,7 +342,7 @@ COLUMNS = (
     "loose",
     "complete",
     "drops",
-    "to 90 s",
+    "turned in s",
     "error deg",
     "tilt deg",
     "off path mm",
@@ -316,7 +356,8 @@ COLUMNS = (
 def manipulate_table(result: dict[str, Any]) -> Table:
     """Counts out of all trials, and medians, per hand and kind of object."""
     table = table_of(
-        "counts out of all trials; medians of those that turned: time to 90 degrees, |turn - 90|, "
+        f"turns by {result['angle_deg']:.0f} degrees: counts out of all trials; medians of those "
+        "that turned: time until then, how far the turn was off, "
         "largest tilt, largest distance off the path; fewest fingers in any; then of those placed",
         ("hand", "object"),
         COLUMNS,
@@ -325,11 +366,11 @@ def manipulate_table(result: dict[str, Any]) -> Table:
     for row in result["rows"]:
         cells.setdefault((row["hand"], row["kind"]), []).append(row)
     for (hand, kind), rows in cells.items():
-        table.add_row(hand, kind, *_cells(rows))
+        table.add_row(hand, kind, *_cells(rows, result["angle_deg"]))
     return table
 
 
-def _cells(rows: list[dict[str, Any]]) -> list[str]:
+def _cells(rows: list[dict[str, Any]], asked: float) -> list[str]:
     def count(name: str) -> str:
         return f"{sum(bool(row.get(name)) for row in rows)}/{len(rows)}"
 
@@ -342,7 +383,7 @@ def _cells(rows: list[dict[str, Any]]) -> list[str]:
     return [
         *(count(name) for name in ("found", "strict", "loose", "complete", "dropped")),
         number(median("time_to_angle_s", turned), 2),
-        number(median("turned_deg", turned, float(np.rad2deg(ANGLE))), 2),
+        number(median("turned_deg", turned, asked), 2),
         number(median("largest_tilt_deg", turned), 1),
         number(median("largest_off_path_mm", turned), 1),
         f"{min(least):.0f}" if least else "-",

@@ -56,9 +56,19 @@ def manipulate(
     mass: MassOption = None,
     stand: StandOption = 0.0,
     max_attempts: Annotated[int, typer.Option(min=1, help="Attempts before giving up.")] = 50,
+    gait: Annotated[
+        bool,
+        typer.Option(
+            "--gait", help="Turn by strokes, the fingers moving on between them, in any case."
+        ),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Pick an object from a table, turn it in the hand, put it down; a check after every phase."""
+    """Pick an object from a table, turn it in the hand, put it down; a check after every phase.
+
+    Where one stroke is not enough, fingers move on one at a time while the others hold. A turn that
+    stalls is tried again, once.
+    """
     _perform(
         hand,
         object,
@@ -72,6 +82,7 @@ def manipulate(
         mass=mass,
         stand=stand,
         max_attempts=max_attempts,
+        gait=gait,
         as_json=as_json,
     )
 
@@ -92,6 +103,7 @@ def demo(out_dir: OutOption = None, as_json: JsonOption = False) -> None:
         mass=None,
         stand=0.0,
         max_attempts=50,
+        gait=False,
         as_json=as_json,
     )
 
@@ -110,13 +122,14 @@ def _perform(
     mass: float | None,
     stand: float,
     max_attempts: int,
+    gait: bool,
     as_json: bool,
 ) -> None:
     """Plan, execute, tell."""
-    from planner.files import write_json, write_motion
+    from planner.files import write_gait, write_json, write_motion
     from planner.objects import parse_object
     from sim.manipulation import manipulate as execute
-    from sim.manipulation import manipulation_task, plan_manipulation
+    from sim.manipulation import manipulation_task, plan_turning
     from sim.manipulation.stand import on_stand
     from sim.physics import PhysicsOptions
 
@@ -133,21 +146,25 @@ def _perform(
         task = on_stand(task, stand)
     x, y = numbers("--place", place, 2)
     with err.status(f"planning: {task.hand.name}, {task.object.name} ..."):
-        plan = plan_manipulation(
+        plan = plan_turning(
             task,
             axis=axis,
             angle=math.radians(degrees),
             place=(x, y),
             seed=seed,
             max_attempts=max_attempts,
+            regrasp=gait,
         )
     if not as_json:
-        say(out, escape(str(plan.motion)))
+        say(out, escape(str(plan.gait or plan.motion)))
         say(out, f"planned in {plan.cpu_s:.2f} s of CPU, {plan.attempts} attempts\n")
     with err.status("executing ..."):
-        report = execute(plan, physics=PhysicsOptions(mu=sim_mu), pictures=folder)
+        report = execute(plan, physics=PhysicsOptions(mu=sim_mu), pictures=folder, retry=True)
     if folder is not None:
-        write_motion(plan.motion, folder / "motion.json")
+        if plan.gait is None:
+            write_motion(plan.motion, folder / "motion.json")
+        else:
+            write_gait(plan.gait, folder / "gait.json")
         write_json(report.to_dict(), folder / "report.json")
     if as_json:
         print_json(report.to_dict())
@@ -155,7 +172,8 @@ def _perform(
         say(out, escape(str(report)))
         if folder is not None:
             note = report.picture_reason and f" (no pictures: {report.picture_reason})"
-            say(out, escape(f"written to {folder}: motion.json, report.json, pictures{note}"))
+            plan_file = "motion.json" if plan.gait is None else "gait.json"
+            say(out, escape(f"written to {folder}: {plan_file}, report.json, pictures{note}"))
     if not report.complete:
         raise typer.Exit(EXIT_NO)
 

@@ -86,6 +86,8 @@ class ObjectImpedance:
         T_palm_wanted: Where the object is to be kept, in the palm; None before the squeeze. May be
             set.
         reference: What leads object and fingers in the phase "turn"; None keeps them.
+        grip: Least normal force (N) of a finger that holds, at the end of the squeeze and before
+            any slip; the task's at first. May be set.
         forces: (n, 4), contact forces of the last step in the contact frames, N and N m.
         gave_up: Why it gave up, "" while it has not.
     """
@@ -126,6 +128,7 @@ class ObjectImpedance:
         self.schedule = ContactSchedule(np.zeros(n, dtype=bool))
         self.T_palm_wanted: SE3 | None = None
         self.reference: Reference | None = None
+        self.grip = task.grip_force
         self.forces = np.zeros((n, 4))
         self.gave_up = ""
         self._events: list[Event] = []
@@ -133,6 +136,7 @@ class ObjectImpedance:
         self._senses = Senses(sensing or Sensing())
         self._slips = SlipDetector(n)
         self._torques = HoldingTorques(plan)
+        self._first_mu = first_mu
         self._mu = np.full(n, first_mu)
         self._grip = 1.0
         self._contacts = plan.contacts.transformed(plan.T_world_base.inverse())
@@ -170,6 +174,18 @@ class ObjectImpedance:
             NotFoundError: No finger of that name takes part.
         """
         self._tell(finger, True)
+
+    def keep(self) -> None:
+        """Keep fingertips and posture where they are now; at rest they then press on nothing.
+
+        For when fingers are about to hold elsewhere: what slips taught about friction and grip is
+        forgotten.
+        """
+        self._torques.latch()
+        if self._grip > 1.0:
+            self._grip = 1.0
+            self._mu[:] = self._first_mu
+            self._loop = self._make_loop()
 
     def step(self, observation: Observation) -> FloatArray:
         """Commands (nu,) for the hand's actuators."""
@@ -259,15 +275,17 @@ class ObjectImpedance:
     ) -> FloatArray:
         """Find the contact forces for a wrench (6,); returns what they give less that (6,)."""
         share = np.where(self.schedule.holding, self.schedule.share, 0.0)
+        # what a finger without force needs of its actuators is no concern of the others
+        loaded = np.where((share > 0.0)[:, None, None], self._torques.jacobians, 0.0)
         step = self._loop.step(
             -wrench,
             positions=self._points,
             frames=self._frames,
             center=center,
-            jacobians=self._torques.jacobians,
+            jacobians=loaded,
             q=q,
             gravity_torque=self._torques.own_torque,
-            min_normal=scale * self._grip * self._given * self.plan.task.grip_force * share,
+            min_normal=scale * self._grip * self._given * self.grip * share,
             max_normal=MAX_NORMAL * share,
             previous=self.forces,
         )

@@ -136,7 +136,7 @@ class MotionReference:
         return Target(
             T_palm_object=wanted,
             twist=np.concatenate([shift, turn]) / VELOCITY_STEP,
-            tips=(here.tips + begin.aside) @ wanted.rotation.T + wanted.translation,
+            tips=begin.tips(here.tips, wanted),
             q=here.q + (1.0 - place) * begin.bent,
             v=(there.q - here.q) / VELOCITY_STEP,
         )
@@ -203,7 +203,8 @@ class _Begin:
     Attributes:
         rotation: (3, 3), of the object in the palm.
         bent: (nq,), joints less the planned ones, rad.
-        aside: (n, 3), pads less the planned ones, object's frame, m.
+        about: (3, 3), the object's rotation about the axis less the planned one, of any size: an
+            object that was regrasped is planned for as it stood before the first stroke.
     """
 
     def __init__(
@@ -212,17 +213,23 @@ class _Begin:
         pose = planned.T_palm_object
         self.rotation: FloatArray = actual.rotation.copy()
         self.bent: FloatArray = q - planned.q
-        self.aside: FloatArray = (tips - actual.translation) @ actual.rotation - planned.tips
-        turn = pin.log3(actual.rotation @ pose.rotation.T)
-        self._about = (turn @ axis) * axis
-        self._tilt = turn - self._about
+        turned = actual.rotation @ pose.rotation.T
+        self.about: FloatArray = pin.exp3(signed_twist(turned, axis) * axis)
+        self._tilt = pin.log3(turned @ self.about.T)
         self._shift = actual.translation - pose.translation
+        seen = self.about.T @ actual.rotation
+        self._aside: FloatArray = (tips - actual.translation) @ seen - planned.tips
 
     def led(self, planned: SE3, place: float) -> SE3:
         """The planned pose with what is left there of the difference."""
         left = 1.0 - place
-        turn = pin.exp3(self._about + left * self._tilt)
+        turn = pin.exp3(left * self._tilt) @ self.about
         return SE3(turn @ planned.rotation, planned.translation + left * self._shift)
+
+    def tips(self, planned: FloatArray, wanted: SE3) -> FloatArray:
+        """Planned pads (n, 3), object's frame, in the palm, as far beside them as at the start."""
+        seen = self.about.T @ wanted.rotation
+        return np.asarray((planned + self._aside) @ seen.T + wanted.translation)
 
 
 def _tips_in_object(motion: MotionPlan, knot: Knot) -> FloatArray:

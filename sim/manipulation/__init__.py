@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sim.manipulation.gaits import plan_regrasping, plan_turning
 from sim.manipulation.pace import IN_THE_AIR, STEPS, Bounds, Pace, Step
 from sim.manipulation.plan import ManipulationPlan, manipulation_task, plan_manipulation
 from sim.manipulation.report import Check, ManipulationReport
@@ -24,4 +25,6 @@ __all__ = [
     "manipulate",
     "manipulation_task",
     "plan_manipulation",
+    "plan_regrasping",
+    "plan_turning",
 ]

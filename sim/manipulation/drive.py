@@ -10,12 +10,14 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.errors import TaskError
 from planner.spatial import SE3, FloatArray
 from sim.controllers import Event, ObjectImpedance, Observation, Phase, Sensing
 from sim.controllers.follow import MotionReference
 from sim.controllers.opening import PostureServo
+from sim.manipulation.away import FingerAway
 from sim.manipulation.plan import ManipulationPlan
 from sim.mount import Mount
 from sim.timeline import Timeline
@@ -31,7 +33,8 @@ class MotionController:
 
     Attributes:
         holding: The closed loop that holds and turns.
-        reference: What leads it during the turn.
+        reference: What leads it during the turn, or during the stroke that it is in.
+        away: What leads a finger that is off the object; None while there is none.
     """
 
     def __init__(
@@ -54,10 +57,9 @@ class MotionController:
         """
         grasp = plan.motion.grasp
         self.holding = ObjectImpedance(grasp, sensing=sensing, mass=mass, mu=mu)
-        most = abs(plan.motion.path.angle)
-        angle = math.copysign(min(abs(plan.angle) + BEYOND, most), plan.angle)
-        self.reference = MotionReference(plan.motion, angle=angle, rate=rate)
-        self.holding.reference = self.reference
+        self.away: FingerAway | None = None
+        self._plan, self._rate = plan, rate
+        self.reference = self.begin_stroke(plan.angle)
         self._opening = PostureServo(grasp, plan.release.q)
 
     @property
@@ -65,12 +67,36 @@ class MotionController:
         """What was noticed, in order."""
         return self.holding.events
 
+    def begin_stroke(self, left: float) -> MotionReference:
+        """Lead the object along the planned motion again, from where it is.
+
+        Args:
+            left: Turn that is still to be made, rad, with its sign; as much of it is made as a
+                stroke has.
+        """
+        motion = self._plan.motion
+        most = min(abs(left) + BEYOND, abs(motion.path.angle))
+        angle = math.copysign(most, self._plan.angle)
+        self.reference = MotionReference(motion, angle=angle, rate=self._rate)
+        self.holding.reference = self.reference
+        return self.reference
+
+    @property
+    def off(self) -> NDArray[np.bool_]:
+        """Which fingers (n,) are to be off the object: told to leave, or on their way."""
+        led = "" if self.away is None else self.away.finger
+        names = np.array(self.holding.plan.task.finger_names)
+        return np.asarray(~self.holding.schedule.wanted | (names == led))
+
     def step(self, observation: Observation) -> FloatArray:
         """Commands (nu,) for the hand's actuators."""
         if observation.phase in ("open", "retreat"):
             share = observation.progress if observation.phase == "open" else 1.0
             return self._opening.command(observation, share)
-        return self.holding.step(observation)
+        ctrl = self.holding.step(observation)
+        if self.away is None:
+            return ctrl
+        return np.where(self.away.actuators, self.away.command(observation), ctrl)
 
     def limited_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last step wanted."""

@@ -80,20 +80,24 @@ def wandering(time: FloatArray, points: FloatArray) -> FloatArray:
     return np.asarray(moved / (time[after] - time[before])[:, None])
 
 
-def planned_points(motion: MotionPlan, place: FloatArray, step: tuple[Step, ...]) -> FloatArray:
+def planned_points(
+    motion: MotionPlan, place: FloatArray, step: tuple[Step, ...], away: NDArray[np.bool_]
+) -> FloatArray:
     """Planned contacts (m, n, 3) in the object's frame; NaN before the grip and after the release.
 
     Args:
         motion: The plan.
         place: (m,), where on its path the reference is, 0 to 1.
         step: m phases.
+        away: (m, n), which fingers are to be off the object.
     """
     points = np.array([k.contacts_in_object.positions for k in motion.knots])
     planned = interp1d([k.place for k in motion.knots], points, axis=0)(place)
     order = {name: k for k, name in enumerate(STEPS)}
+    order["regrasp"] = order["turn"]
     index = np.array([order[s] for s in step], dtype=int)
     off = (index < order["verify"]) | (index > order["lower"])
-    planned[off] = np.nan
+    planned[off[:, None] | away] = np.nan
     return np.asarray(planned)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.errors import TaskError
 
-__all__ = ["IN_THE_AIR", "STEPS", "Bounds", "Pace", "Step"]
+__all__ = ["IN_THE_AIR", "STEPS", "TURNING", "Bounds", "Pace", "Step"]
 
 Step: TypeAlias = Literal[
     "stand",
@@ -26,12 +26,17 @@ Step: TypeAlias = Literal[
     "release",
     "open",
     "retreat",
+    "regrasp",
 ]
 
-STEPS: tuple[Step, ...] = Step.__args__  # type: ignore[attr-defined]
-"""Phases of a manipulation in order."""
+STEPS: tuple[Step, ...] = Step.__args__[:-1]  # type: ignore[attr-defined]
+"""Phases of a manipulation in order. Where one stroke is not enough, "turn" comes several times,
+and between two of them "regrasp" once for every finger."""
 
-IN_THE_AIR: tuple[Step, ...] = ("lift", "turn", "hold", "verify again", "carry")
+TURNING: tuple[Step, ...] = ("turn", "regrasp", "hold")
+"""Phases of the turn."""
+
+IN_THE_AIR: tuple[Step, ...] = ("lift", *TURNING, "verify again", "carry")
 """Phases in which the hand alone carries the object, from the lift to the table."""
 
 
@@ -49,6 +54,9 @@ class Pace:
         lift: Upwards by ``height``.
         turn_rate: Largest rate of the turn, rad/s.
         turn_wait: Longest wait for the turn beyond the time that the rate takes.
+        lift_wait: Longest wait until a finger may be lifted.
+        finger_rate: Largest rate of the joints of a finger on its way to where it lands, rad/s.
+        land_wait: Longest wait for it to touch there.
         hold: Held still after the turn.
         carry: To above the target.
         lower: Down to the table.
@@ -67,6 +75,9 @@ class Pace:
     lift: float = 0.7
     turn_rate: float = 1.1
     turn_wait: float = 1.5
+    lift_wait: float = 0.5
+    finger_rate: float = 4.0
+    land_wait: float = 0.5
     hold: float = 0.3
     carry: float = 0.8
     lower: float = 0.6

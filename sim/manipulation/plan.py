@@ -17,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.errors import NoGraspFoundError, TaskError
+from planner.gait import GaitPlan
 from planner.hand import Hand
 from planner.motion import MotionAttempt, MotionPlan, ObjectPath, motion_attempts
 from planner.motion.path import LARGEST_TURN
@@ -28,7 +29,16 @@ from planner.synthesis.mesh_seeds import seeder_for
 from planner.synthesis.pregrasp import Approach
 from planner.task import GraspTask, Obstacle
 
-__all__ = ["ManipulationPlan", "manipulation_task", "plan_manipulation", "torque_reserve"]
+__all__ = [
+    "LITTLE_MORE",
+    "MAX_ATTEMPTS",
+    "ManipulationPlan",
+    "manipulation_task",
+    "object_at_target",
+    "plan_manipulation",
+    "standing_under",
+    "torque_reserve",
+]
 
 MORE, FIRST, THEN = math.radians(8.0), 10, 8
 """Turn (rad) that is planned beyond what is asked for, since a grasp that is made a little beside
@@ -42,7 +52,8 @@ FOR_THREE = ("box", "sphere", "ellipsoid", "mesh")
 """Kinds of objects that three fingers turn."""
 
 LITTLE_MORE = math.radians(2.0)
-"""Turn (rad) beyond what is asked for where no other plan is found."""
+"""Turn (rad) beyond what is asked for where no other plan is found, and of a turn by strokes, where
+what is left over is made up for by the last."""
 
 GOOD_RESERVE, CANDIDATES = 0.25, 3
 """A plan that leaves this share of every actuator is taken at once; otherwise the one that leaves
@@ -74,6 +85,8 @@ class ManipulationPlan:
             the forces that bear the weight.
         attempts: Attempts made.
         cpu_s: CPU time of planning without building, s.
+        gait: Strokes and the regrasps between them, where one stroke is not enough; ``motion`` is
+            the first of them.
     """
 
     motion: MotionPlan
@@ -84,6 +97,7 @@ class ManipulationPlan:
     reserve: float
     attempts: int
     cpu_s: float
+    gait: GaitPlan | None = None
 
 
 def plan_manipulation(
@@ -139,13 +153,13 @@ def plan_manipulation(
                 reason = f"cannot let go at the end: {release}"
                 made[-1] = replace(attempt, plan=None, reason=reason)
                 continue
-            target = _target(task, path.axis, angle, place)
+            target = object_at_target(task, path.axis, angle, place)
             found.append(
                 ManipulationPlan(
                     motion=attempt.plan,
                     angle=angle,
                     T_world_target=target,
-                    under_target=_under_target(task, target),
+                    under_target=standing_under(task, target),
                     release=release,
                     reserve=torque_reserve(attempt.plan),
                     attempts=0,
@@ -261,7 +275,7 @@ def _enough(found: list[ManipulationPlan]) -> bool:
     return len(found) >= CANDIDATES or any(p.reserve >= GOOD_RESERVE for p in found)
 
 
-def _target(
+def object_at_target(
     task: GraspTask, axis: FloatArray, angle: float, place: tuple[float, float] | None
 ) -> SE3:
     """The object turned, at a place, with its lowest point as high as at first."""
@@ -271,7 +285,7 @@ def _target(
     return SE3(turned, np.array([x, y, task.lowest_point(task.T_world_object) + height]))
 
 
-def _under_target(task: GraspTask, target: SE3) -> tuple[Obstacle, ...]:
+def standing_under(task: GraspTask, target: SE3) -> tuple[Obstacle, ...]:
     """What carries the object at its target as at first, if that is another place."""
     gone = target.translation - task.T_world_object.translation
     if np.linalg.norm(gone[:2]) < SAME_PLACE:

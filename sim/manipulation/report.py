@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,13 +13,16 @@ from planner.plain import finite
 from planner.quality import QualityReport
 from sim.controllers import Event
 from sim.manipulation.modes import mode_table
-from sim.manipulation.pace import IN_THE_AIR, Bounds, Step
+from sim.manipulation.pace import IN_THE_AIR, TURNING, Bounds, Step
 from sim.manipulation.samples import Track
 
 __all__ = ["Check", "ManipulationReport"]
 
 MODE_LETTERS = 60
 """Letters in which the contact modes of a turn are told, about."""
+
+AS_TOLD = ("finger leaves", "finger joins")
+"""Events that a regrasp brings about, one for each phase that is told anyway."""
 
 LETTERS = (("stick", "s"), ("roll", "r"), ("slip", "S"), ("break", "!"), ("off", "-"))
 """One for each mode."""
@@ -30,10 +34,12 @@ class Check:
 
     Attributes:
         step: Which.
+        about: Which one of several: a stroke's number, or the finger that moves on; "" of one.
         begin: When it began, s.
         end: When it ended, s.
         reason: Why it failed, "" if it did not.
         numbers: What was looked at, by name with unit.
+        then: What was tried after a failure, and what came of that; "" if nothing was.
     """
 
     step: Step
@@ -41,6 +47,8 @@ class Check:
     end: float
     reason: str
     numbers: dict[str, float]
+    about: str = ""
+    then: str = ""
 
     @property
     def passed(self) -> bool:
@@ -51,8 +59,25 @@ class Check:
         """One line."""
         told = ", ".join(f"{name} {value:.3g}" for name, value in self.numbers.items())
         mark = "ok  " if self.passed else "FAIL"
-        line = f"{mark} {self.step:<13}{self.end - self.begin:5.2f} s  {told}"
-        return line if self.passed else f"{line}\n     {self.reason}"
+        name = f"{self.step} {self.about}".strip()
+        line = f"{mark} {name:<15}{self.end - self.begin:5.2f} s  {told}"
+        if self.reason:
+            line += f"\n     {self.reason}"
+        return f"{line}\n     then: {self.then}" if self.then else line
+
+
+def told_events(events: Sequence[Event]) -> list[str]:
+    """One line for each kind and finger, in order of the first; what was told to do is left out."""
+    alike: dict[tuple[str, str], list[Event]] = {}
+    for event in events:
+        if event.kind not in AS_TOLD:
+            alike.setdefault((event.kind, event.finger), []).append(event)
+    lines = []
+    for (kind, finger), same in alike.items():
+        times = f" {len(same)} times up to {same[-1].time:.2f} s, first" if len(same) > 1 else ""
+        first = f"{same[0].time:.2f} s {kind} {finger}".rstrip()
+        lines.append(f"{first}{times}: {same[0].detail}")
+    return lines
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,7 +86,7 @@ class ManipulationReport:
 
     Attributes:
         checks: The phases that were run, in order; the last one failed if not all were run.
-        complete: Whether all phases passed.
+        complete: Whether it came to its end, with a retry or without.
         fingers: Fingers that take part.
         asked: Turn that was asked for, rad.
         track: All samples.
@@ -73,6 +98,8 @@ class ManipulationReport:
         events: What the controller noticed.
         pictures: Files of pictures, by phase.
         picture_reason: Why there are none, "" otherwise.
+        earlier: What was done before, where the object was put down and all was begun again; what
+            is told here is about the rest of the turn then.
     """
 
     checks: tuple[Check, ...]
@@ -88,12 +115,13 @@ class ManipulationReport:
     events: tuple[Event, ...]
     pictures: dict[str, str]
     picture_reason: str
+    earlier: ManipulationReport | None = None
 
     @property
     def reason(self) -> str:
         """Why it failed, "" if it did not."""
         failed = [c for c in self.checks if not c.passed]
-        return f"{failed[0].step}: {failed[0].reason}" if failed else ""
+        return f"{failed[-1].step}: {failed[-1].reason}" if failed and not self.complete else ""
 
     @property
     def dropped(self) -> bool:
@@ -120,7 +148,9 @@ class ManipulationReport:
 
     @property
     def loose(self) -> bool:
-        """Turned as far as asked for, and not dropped."""
+        """Turned as far as asked for, not put down half-way, and not dropped."""
+        if self.earlier is not None:
+            return False
         return self.turned * np.sign(self.asked) >= abs(self.asked) and not self.dropped
 
     @property
@@ -131,7 +161,7 @@ class ManipulationReport:
     @property
     def time_to_angle(self) -> float:
         """Time from the beginning of the turn until the angle was reached, s; NaN if never."""
-        turning = self.track.during("turn", "hold")
+        turning = self.track.during(*TURNING)
         done = self.track.turn[turning] * np.sign(self.asked) >= abs(self.asked)
         if not done.any():
             return float("nan")
@@ -150,7 +180,8 @@ class ManipulationReport:
 
     def __str__(self) -> str:
         """Phase by phase, contact modes, and the verdict."""
-        lines = [str(check) for check in self.checks]
+        lines = [] if self.earlier is None else [str(self.earlier), "", "begun again:"]
+        lines += [str(check) for check in self.checks]
         if self.track.during("turn").size:
             lines += ["", *self._modes(), ""]
             numbers = self.numbers()
@@ -162,14 +193,16 @@ class ManipulationReport:
                 f"in the air: at least {self.least_fingers} fingers touched, "
                 f"{self.open_samples} samples without force closure",
             ]
-        lines += [f"controller: {e.time:.2f} s {e.kind} {e.finger} {e.detail}" for e in self.events]
+        lines += [f"controller: {line}" for line in told_events(self.events)]
         verdict = "complete" if self.complete else f"failed in {self.reason}"
         strictness = "strict" if self.strict else "loose" if self.loose else "not turned"
+        if self.earlier is not None:
+            strictness = "put down half-way"
         return "\n".join([*lines, f"{verdict}; the turn: {strictness}"])
 
     def _modes(self) -> list[str]:
         """Contact modes of each finger while the object is turned, planned above measured."""
-        index = self.track.during("turn")
+        index = self.track.during("turn", "regrasp")
         index = index[:: max(1, len(index) // MODE_LETTERS)]
         lines = [f"contact modes during the turn ({', '.join(f'{v} {k}' for k, v in LETTERS)}):"]
         width = max(len(f) for f in self.fingers)
@@ -205,15 +238,18 @@ class ManipulationReport:
             "dropped": self.dropped,
             "reason": self.reason,
             "fingers": list(self.fingers),
+            "earlier": None if self.earlier is None else self.earlier.to_dict(),
             "asked_deg": float(np.rad2deg(self.asked)),
             "numbers": finite(self.numbers()),
             "phases": [
                 {
                     "phase": c.step,
+                    "about": c.about,
                     "begin_s": c.begin,
                     "end_s": c.end,
                     "passed": c.passed,
                     "reason": c.reason,
+                    "then": c.then,
                     "numbers": finite(c.numbers),
                 }
                 for c in self.checks
@@ -227,5 +263,5 @@ class ManipulationReport:
         }
 
     def _largest(self, values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
-        turning = values[self.track.during("turn", "hold")]
+        turning = values[self.track.during(*TURNING)]
         return float(np.nanmax(turning)) if np.isfinite(turning).any() else float("nan")

@@ -3,40 +3,49 @@
     stand, approach, close, squeeze, verify, lift, turn, hold, verify again, carry, lower, release,
     open, retreat
 
-It ends at the first phase that fails. What really is there may differ from what was planned for:
-friction, mass and the object's pose; the controller knows of it only what it measures. The base is
-sent to planned poses up to the turn, and then to where the measured object gets to its target.
+A turn by several strokes is "turn" several times, with "regrasp" once per finger between two of
+them. It ends at the first phase that fails, unless a retry is asked for: a turn that stalls then
+goes on after a regrasp if there is one from the present contacts; otherwise the object is put down
+where it is, and the rest of the turn is planned and made anew, once. What really is there may
+differ from what was planned for: friction, mass and the object's pose; the controller knows of it
+only what it measures.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from planner.quality import QualityReport, analyse
-from planner.spatial import SE3
+from planner.errors import PlannerError
+from planner.gait import cut_motion
+from planner.motion.release import find_release
+from planner.spatial import SE3, signed_twist
 from planner.task import GraspTask
-from sim.contacts import hand_contacts, merge_per_finger, normal_forces
 from sim.controllers import Sensing
-from sim.manipulation.checks import Outcome, off_target, placed, undisturbed
+from sim.manipulation.gaits import plan_turning
 from sim.manipulation.modes import measured_modes, planned_modes, planned_points
-from sim.manipulation.pace import STEPS, Bounds, Pace, Step
-from sim.manipulation.plan import ManipulationPlan
+from sim.manipulation.pace import STEPS, TURNING, Bounds, Pace, Step
+from sim.manipulation.phases import Phases
+from sim.manipulation.plan import ManipulationPlan, object_at_target
 from sim.manipulation.report import Check, ManipulationReport
+from sim.manipulation.samples import Track
 from sim.manipulation.stage import Push, Stage
+from sim.manipulation.turning import Part
 from sim.physics import PhysicsOptions
 from sim.picture import save_picture
 
 __all__ = ["ManipulationRun", "manipulate"]
 
-STILL_SPEED = np.deg2rad(3.0)
-"""Rate (rad/s) below which a turn that has reached its angle has ended."""
+DOWN: tuple[Step, ...] = ("lower", "release", "open", "retreat")
+"""Phases in which an object is put down."""
 
-CLOSE_TO = np.deg2rad(0.4)
-"""A turn this near (rad) to its end is made."""
+UPRIGHT = 0.99
+"""Least share (-) of the vertical in the axis of a turn after any part of which the object stands
+as it stood before."""
 
 
 class ManipulationRun:
@@ -46,6 +55,7 @@ class ManipulationRun:
         plan: What is executed.
         stage: Where.
         checks: The phases that were run.
+        put_down: Whether the object is put down half-way.
     """
 
     def __init__(
@@ -61,226 +71,126 @@ class ManipulationRun:
     ) -> None:
         """Build the scene and put hand and object at their start; see ``manipulate``."""
         self.plan = plan
-        self._pace, self._bounds = pace or Pace(), bounds or Bounds()
+        pace, self._bounds = pace or Pace(), bounds or Bounds()
         self.stage = Stage(
-            plan, really=really, physics=physics, sensing=sensing, pace=self._pace, push=push
+            plan, really=really, physics=physics, sensing=sensing, pace=pace, push=push
         )
+        self.put_down = False
+        self._goes_on = False
+        self._phases = Phases(plan, self.stage, pace, self._bounds)
         self.checks: list[Check] = []
-        self._quality: dict[Step, QualityReport] = {}
 
-    def perform(self, *, pictures: Path | None = None) -> ManipulationReport:
+    def perform(self, *, pictures: Path | None = None, retry: bool = False) -> ManipulationReport:
         """Run all phases, or up to the first that fails.
 
         Args:
             pictures: Folder for a picture at the end of each phase; it must exist.
+            retry: Whether a turn that stalls goes on after a regrasp, where there is one, and
+                whether an object that cannot be turned further is put down.
         """
         taken: dict[str, str] = {}
         no_picture = ""
         # divergence is told by the report; MuJoCo would also write a log file
         mujoco.set_mju_user_warning(lambda _: None)
         try:
-            for k, step in enumerate(STEPS, start=1):
+            for k, (step, about, perform) in enumerate(self._parts(), start=1):
                 begin = float(self.stage.data.time)
-                reason, numbers = self._phases[step]()
+                reason, numbers = perform()
                 end = float(self.stage.data.time)
+                then = self._after(step) if reason and retry else ""
+                goes_on = not reason or (retry and self._goes_on)
                 self.checks.append(
-                    Check(step=step, begin=begin, end=end, reason=reason, numbers=numbers)
+                    Check(
+                        step=step,
+                        about=about,
+                        begin=begin,
+                        end=end,
+                        reason=reason,
+                        numbers=numbers,
+                        then=then,
+                    )
                 )
                 if pictures is not None and not no_picture:
-                    file = pictures / f"{k:02d}-{step.replace(' ', '-')}.png"
+                    name = f"{step} {about}".strip().replace(" ", "-")
+                    file = pictures / f"{k:02d}-{name}.png"
                     made = save_picture(self.stage.scene.model, self.stage.data, file)
                     no_picture = made.reason
                     if made.path is not None:
-                        taken[step] = str(made.path)
-                if reason:
+                        taken[file.stem if about else step] = str(made.path)
+                if not goes_on:
                     break
         finally:
             mujoco.set_mju_user_warning(None)
         return self._told(taken, no_picture)
 
-    @property
-    def _phases(self) -> dict[Step, Callable[[], Outcome]]:
-        return {
-            "stand": self._stand,
-            "approach": self._approach,
-            "close": self._close,
-            "squeeze": self._squeeze,
-            "verify": lambda: self._verify("verify"),
-            "lift": self._lift,
-            "turn": self._turn,
-            "hold": self._hold,
-            "verify again": lambda: self._verify("verify again"),
-            "carry": self._carry,
-            "lower": self._lower,
-            "release": lambda: self._let_go("release", self._pace.release),
-            "open": lambda: self._let_go("open", self._pace.open),
-            "retreat": self._retreat,
-        }
+    def _parts(self) -> Iterator[Part]:
+        """All phases in order; the turn may have several."""
+        for step in STEPS:
+            if step != "turn":
+                yield step, "", self._phases.of(step)
+                continue
+            for part in self._phases.turning.parts():
+                yield part
+                if self.put_down:
+                    break
+            if self.put_down:
+                break
+        if self.put_down:
+            for step in DOWN:
+                yield step, "half-way", self._phases.of(step)
 
-    def _stand(self) -> Outcome:
-        fault = self.stage.advance("stand", self._pace.stand)
-        return self._standing(fault)
+    def _after(self, step: Step) -> str:
+        """What is done after a phase that failed: a regrasp, or putting down; or why nothing is.
 
-    def _approach(self) -> Outcome:
-        self.stage.mover.go(self.plan.motion.T_world_base, self._pace.approach)
-        fault = self.stage.advance("approach", self._pace.approach)
-        return self._standing(fault)
+        "" where nothing is to be done: the object was not to be turned yet, or is lost.
+        """
+        self._goes_on = False
+        if step not in TURNING or not self.stage.touched:
+            return ""
+        no_regrasp = "the turn is over"
+        if step == "turn":
+            no_regrasp = self._phases.turning.regrasps_on()
+        self._goes_on = not no_regrasp
+        if self._goes_on:
+            return "the fingers move on, and it is turned again"
+        why = self._put_down()
+        self._goes_on = not why
+        down = f"it cannot be put down either: {why}" if why else "it is put down"
+        return f"no regrasp ({no_regrasp}); {down}"
 
-    def _close(self) -> Outcome:
-        pace = self._pace
-        fault = self.stage.advance(
-            "close", pace.close, wait=pace.close_wait, until=lambda touching: touching
-        )
-        return self._standing(fault)
-
-    def _squeeze(self) -> Outcome:
-        fault = self.stage.advance("squeeze", self._pace.squeeze)
-        self.stage.watch.mark(self.stage.data)
-        reason, numbers = self._standing(fault)
-        task = self.plan.motion.grasp.task
-        forces = normal_forces(self.stage.scene, self.stage.data, task.finger_names)
-        each = list(zip(task.finger_names, forces.tolist(), strict=True))
-        numbers |= {f"{finger}_N": force for finger, force in each}
-        missing = [finger for finger, force in each if force == 0.0]
-        touching = len(each) - len(missing)
-        if not reason and touching < task.fingers_needed:
-            few = f"{touching} fingers touch, {task.fingers_needed} are needed"
-            reason = f"{few}; {', '.join(missing)} do not"
-        return reason, numbers
-
-    def _verify(self, step: Step) -> Outcome:
-        """Hold on, then analyse the measured contacts by the planner's own code."""
-        fault = self.stage.advance(step, self._pace.verify)
-        merged = merge_per_finger(hand_contacts(self.stage.scene, self.stage.data))
-        if fault or len(merged) == 0:
-            return fault or "nothing touches the object", {}
-        shape = self.plan.motion.grasp.task.object.shape
-        quality = analyse(merged, length=shape.bounding_radius)
-        self._quality[step] = quality
-        numbers = {
-            "contacts": float(len(merged)),
-            "min_weight": quality.closure.normalised_min_weight,
-            "epsilon": quality.epsilon,
-        }
-        reason = "" if quality.closure.closed else f"no force closure: {quality.closure.reason}"
-        return reason, numbers
-
-    def _lift(self) -> Outcome:
-        pace, stage = self._pace, self.stage
-        stage.mover.go(_raised(self.plan.motion.T_world_base, pace.height), pace.lift)
-        fault = stage.advance("lift", pace.lift)
-        numbers = self._in_hand()
-        first = float(stage.scene.task.T_world_object.translation[2])
-        numbers["rise_mm"] = 1e3 * (float(stage.T_world_object.translation[2]) - first)
-        short = 1e3 * pace.height - numbers["rise_mm"]
-        if not fault and max(numbers["shift_mm"], short) > self._bounds.slip_mm:
-            fault = (
-                f"the object moved {numbers['shift_mm']:.1f} mm in the hand and rose {short:.1f} "
-                "mm less than it"
-            )
-        return fault, numbers
-
-    def _turn(self) -> Outcome:
-        pace, reference = self._pace, self.stage.driver.reference
-        self.stage.watch.mark(self.stage.data)
-        last = reference.left
-
-        def made(_: bool) -> bool:
-            nonlocal last
-            rate = (reference.left - last) / self.stage.scene.physics.timestep
-            last = reference.left
-            return bool(reference.left <= CLOSE_TO and abs(rate) < STILL_SPEED)
-
-        fastest = abs(reference.goal) / pace.turn_rate
-        fault = self.stage.advance("turn", fastest, wait=pace.turn_wait, until=made)
-        numbers = self._in_hand()
-        return fault or self._stalled(numbers), numbers
-
-    def _hold(self) -> Outcome:
-        before = self._in_hand()
-        fault = self.stage.advance("hold", self._pace.hold)
-        numbers = self._in_hand()
-        numbers["drift_mm"] = abs(numbers["shift_mm"] - before["shift_mm"])
-        numbers["drift_deg"] = abs(numbers["turn_deg"] - before["turn_deg"])
-        return fault or self._stalled(numbers), numbers
-
-    def _carry(self) -> Outcome:
-        above = _raised(self.plan.T_world_target, self._pace.height)
-        self.stage.mover.go(self.stage.base_for(above), self._pace.carry)
-        fault = self.stage.advance("carry", self._pace.carry)
-        return fault, off_target(above, self.stage.T_world_object)
-
-    def _lower(self) -> Outcome:
-        target = self.plan.T_world_target
-        self.stage.mover.go(self.stage.base_for(target), self._pace.lower)
-        fault = self.stage.advance("lower", self._pace.lower)
-        return fault, off_target(target, self.stage.T_world_object)
-
-    def _let_go(self, step: Step, duration: float) -> Outcome:
-        fault = self.stage.advance(step, duration)
-        return self._standing_at_target(fault)
-
-    def _retreat(self) -> Outcome:
-        release, planned = self.plan.release, self.plan.motion.T_world_base
-        now = self.stage.T_world_base
-        way = release.T_world_base_start.translation - planned.translation
-        turn = now.rotation @ planned.rotation.T
-        out = SE3(now.rotation, now.translation + turn @ way)
-        self.stage.mover.go(out, self._pace.retreat)
-        fault = self.stage.advance("retreat", self._pace.retreat)
-        if not fault and self.stage.touched:
-            fault = "the hand still touches the object"
-        return self._standing_at_target(fault)
-
-    def _standing(self, fault: str) -> Outcome:
-        first = self.stage.scene.task.T_world_object
-        reason, numbers = undisturbed(first, self.stage.T_world_object, self._bounds)
-        return fault or reason, numbers
-
-    def _standing_at_target(self, fault: str) -> Outcome:
-        target = self.plan.T_world_target
-        reason, numbers = placed(target, self.stage.T_world_object, self._bounds)
-        return fault or reason, numbers
-
-    def _in_hand(self) -> dict[str, float]:
-        """How the object lies in the palm, against the mark."""
-        turn, tilt, shift = self.stage.watch.moved(self.stage.data)
-        fingers = set(hand_contacts(self.stage.scene, self.stage.data).fingers)
-        return {
-            "turn_deg": float(np.rad2deg(turn)),
-            "tilt_deg": float(np.rad2deg(tilt)),
-            "shift_mm": 1e3 * float(np.linalg.norm(shift)),
-            "fingers": float(len(fingers - {""})),
-        }
-
-    def _stalled(self, numbers: dict[str, float]) -> str:
-        """Why the turn is not what was asked for, "" if it is."""
-        asked = float(np.rad2deg(self.plan.angle))
-        turned, tilt = numbers["turn_deg"], numbers["tilt_deg"]
-        if abs(asked - turned) > self._bounds.angle_deg:
-            driver = self.stage.driver
-            limited = ", ".join(driver.limited_actuators())
-            why = driver.holding.gave_up
-            why = why or (f"{limited} had no more to give" if limited else "it did not follow")
-            return f"turned {turned:.1f} of {asked:.1f} degrees: {why}"
-        if tilt > self._bounds.tilt_deg:
-            return f"tilted by {tilt:.1f} degrees off the axis"
+    def _put_down(self) -> str:
+        """Let the phases put the object down where it is; why they cannot, "" if they can."""
+        plan, stage = self.plan, self.stage
+        axis = plan.motion.path.axis
+        if abs(axis[2]) < UPRIGHT:
+            return "it would not stand"
+        release = find_release(cut_motion(plan.motion, stage.driver.reference.place))
+        if isinstance(release, str):
+            return release
+        first, now = stage.scene.task.T_world_object, stage.T_world_object
+        turned = signed_twist(now.rotation @ first.rotation.T, axis)
+        x, y = now.translation[:2].tolist()
+        task = replace(plan.motion.grasp.task, T_world_object=first)
+        target = object_at_target(task, axis, turned, (x, y))
+        self._phases.plan = replace(plan, T_world_target=target, release=release)
+        self.put_down = True
         return ""
 
     def _told(self, pictures: dict[str, str], no_picture: str) -> ManipulationReport:
         track = self.stage.watch.track()
-        points = planned_points(self.plan.motion, track.place, track.step)
+        points = planned_points(self.plan.motion, track.place, track.step, track.away)
         wanted = np.isfinite(points[..., 0])
+        last = self.checks[-1]
         return ManipulationReport(
             checks=tuple(self.checks),
-            complete=len(self.checks) == len(STEPS) and all(c.passed for c in self.checks),
+            complete=last.step == STEPS[-1] and last.passed and not self.put_down,
             fingers=self.plan.motion.grasp.task.finger_names,
             asked=self.plan.angle,
             track=track,
             planned_modes=planned_modes(track.time, points),
             measured_modes=measured_modes(track.time, track.points, track.sliding, wanted),
-            before=self._quality.get("verify"),
-            after=self._quality.get("verify again"),
+            before=self._phases.quality.get("verify"),
+            after=self._phases.quality.get("verify again"),
             bounds=self._bounds,
             events=self.stage.driver.events,
             pictures=pictures,
@@ -298,6 +208,7 @@ def manipulate(
     bounds: Bounds | None = None,
     push: Push | None = None,
     pictures: Path | None = None,
+    retry: bool = False,
 ) -> ManipulationReport:
     """Execute a plan and judge it.
 
@@ -310,6 +221,8 @@ def manipulate(
         bounds: Where phases fail; defaults if None.
         push: A disturbance during the turn.
         pictures: Folder for a picture at the end of each phase; it must exist.
+        retry: Whether a turn that stalls is tried again, once; the push is not. The hand's way
+            from where it let go to where it begins anew is not simulated.
     """
     run = ManipulationRun(
         plan,
@@ -320,8 +233,44 @@ def manipulate(
         bounds=bounds,
         push=push,
     )
-    return run.perform(pictures=pictures)
+    report = run.perform(pictures=pictures, retry=retry)
+    if not (run.put_down and report.checks[-1].passed):
+        return report
+    try:
+        rest = _rest_of(plan, report.track, run.stage.T_world_object)
+    except PlannerError as error:
+        last = replace(report.checks[-1], then=f"no plan for the rest of the turn: {error}")
+        return replace(report, checks=(*report.checks[:-1], last))
+    again = ManipulationRun(
+        rest,
+        really=replace(run.stage.scene.task, T_world_object=rest.motion.grasp.task.T_world_object),
+        physics=physics,
+        sensing=sensing,
+        pace=pace,
+        bounds=bounds,
+    )
+    return replace(again.perform(), earlier=report)
 
 
-def _raised(pose: SE3, height: float) -> SE3:
-    return SE3(pose.rotation, pose.translation + np.array([0.0, 0.0, height]))
+def _rest_of(plan: ManipulationPlan, track: Track, T_world_object: SE3) -> ManipulationPlan:
+    """A plan for what is left of a turn, from where the object stands now.
+
+    Raises:
+        PlannerError: There is none.
+    """
+    motion = plan.motion
+    task = motion.grasp.task
+    first = task.T_world_object
+    axis = motion.path.axis
+    counted = float(track.turn[track.during(*TURNING)[-1]])  # whole turns too
+    made = signed_twist(T_world_object.rotation @ first.rotation.T, axis, near=counted)
+    x, y = T_world_object.translation[:2].tolist()
+    upright = object_at_target(task, axis, made, (x, y))
+    rest = plan_turning(
+        replace(task, T_world_object=upright),
+        axis=axis,
+        angle=plan.angle - made,
+        seed=motion.record.seed + 1,
+        regrasp=plan.gait is not None,
+    )
+    return replace(rest, T_world_target=plan.T_world_target)

@@ -42,6 +42,7 @@ class Track:
         shift: (m, 3), translation, m, palm axes.
         off_path: (m,), distance from where the reference has the object, m; NaN before the turn.
         place: (m,), where on the planned path the reference is, 0 to 1.
+        away: (m, n), which fingers are told to be off the object.
         height: (m,), height of the object's origin above its height at the start, m.
     """
 
@@ -58,6 +59,7 @@ class Track:
     shift: FloatArray
     off_path: FloatArray
     place: FloatArray
+    away: NDArray[np.bool_]
     height: FloatArray
 
     def __len__(self) -> int:
@@ -107,7 +109,14 @@ class Watch:
         tilt = float(np.linalg.norm(pin.log3(turned @ pin.exp3(-turn * self._axis))))
         return turn, tilt, now.translation - self._reference.translation
 
-    def take(self, data: Any, step: Step, place: float, wanted: SE3 | None) -> None:
+    def take(
+        self,
+        data: Any,
+        step: Step,
+        place: float,
+        wanted: SE3 | None,
+        away: NDArray[np.bool_],
+    ) -> None:
         """Take a sample.
 
         Args:
@@ -115,6 +124,7 @@ class Watch:
             step: Phase.
             place: Where on the path the reference is.
             wanted: T_palm_object that is wanted, None before it is held.
+            away: (n,), which fingers are told to be off the object.
         """
         scene = self._scene
         merged = merge_per_finger(hand_contacts(scene, data))
@@ -142,6 +152,7 @@ class Watch:
                 if wanted is None
                 else np.linalg.norm(now.translation - wanted.translation),
                 "place": place,
+                "away": away.copy(),
                 "height": pose.translation[2] - self._first_height,
             }
         )
@@ -152,10 +163,11 @@ class Watch:
         shapes: dict[str, tuple[int, ...]] = {
             "normal_force": (n,),
             "sliding": (n,),
+            "away": (n,),
             "points": (n, 3),
             "shift": (3,),
         }
-        kinds: dict[str, type] = {"touching": int, "closed": bool}
+        kinds: dict[str, type] = {"touching": int, "closed": bool, "away": bool}
         columns: dict[str, Any] = {
             f.name: np.array(
                 [row[f.name] for row in self._rows], dtype=kinds.get(f.name, float)

@@ -38,13 +38,14 @@ PHASE_OF: dict[Step, Phase] = {
     "release": "release",
     "open": "open",
     "retreat": "retreat",
+    "regrasp": "hold",
 }
 """What each phase is to a controller."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Push:
-    """A force on the object's centre of mass while it is turned.
+    """A force on the object's centre of mass while it is turned, once.
 
     Attributes:
         force: (3,), N, world.
@@ -83,6 +84,7 @@ class Stage(Trial):
         there = replace(there, obstacles=(*there.obstacles, *plan.under_target))
         super().__init__(replace(grasp, task=there), physics=physics, controller=self.driver)
         self._push = push
+        self._turn_began: float | None = None
         self.mover = BaseMover(self.scene.mount, grasp.T_world_base_start)
         self.carrier = self.mover
         self.watch = Watch(self.scene, self.driver.reference.axis)
@@ -110,16 +112,24 @@ class Stage(Trial):
         """
         dt = self.scene.physics.timestep
         steps, longest = max(1, round(duration / dt)), round((duration + wait) / dt)
-        begin = float(self.data.time)
+        if step == "turn" and self._turn_began is None:
+            self._turn_began = float(self.data.time)
         fault = ""
         for k in range(max(steps, longest)):
-            if self._push is not None and step == "turn":
-                self._push_object(self._push, float(self.data.time) - begin)
+            if self._push is not None and step in ("turn", "regrasp"):
+                self._push_object(self._push)
             touching = self.step(PHASE_OF[step], min(1.0, k / steps))
-            fault = self.divergence() or self._dropped(step)
-            if fault or self.steps % self._sample_steps == 0:
-                place = self.driver.reference.place
-                self.watch.take(self.data, step, place, self.driver.holding.T_palm_wanted)
+            due = self.steps % self._sample_steps == 0
+            fault = self.divergence() or (self._dropped(step) if due else "")
+            if fault or due:
+                driver = self.driver
+                self.watch.take(
+                    self.data,
+                    step,
+                    driver.reference.place,
+                    driver.holding.T_palm_wanted,
+                    driver.off,
+                )
             if fault or (k + 1 >= steps and (until is None or until(touching))):
                 break
         self.data.xfrc_applied[self.scene.object_body] = 0.0
@@ -145,8 +155,9 @@ class Stage(Trial):
         """Where the base must be for the object, as it lies in the hand now, to be at a pose."""
         return T_world_object * self.T_world_object.inverse() * self.T_world_base
 
-    def _push_object(self, push: Push, since: float) -> None:
-        """Push while it is time to; ``since`` is the time (s) since the turn began."""
+    def _push_object(self, push: Push) -> None:
+        """Push while it is time to."""
+        since = float(self.data.time) - (self._turn_began or 0.0)
         pushed = 0.0 <= since - push.after < push.duration
         force = push.force if pushed else np.zeros(3)
         self.data.xfrc_applied[self.scene.object_body, :3] = force

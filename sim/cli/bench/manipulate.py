@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -36,6 +37,9 @@ def manipulate(
     height: Annotated[
         float, typer.Option(min=0.04, help="Height of cylinder, block and ellipsoid, m.")
     ] = 0.08,
+    rotate: Annotated[
+        float, typer.Option(help="Turn, degrees; beyond a half turn fingers move on.")
+    ] = 90.0,
     fingers: FingersOption = None,
     stand: StandOption = 0.0,
     seed: SeedOption = 0,
@@ -44,7 +48,7 @@ def manipulate(
     output: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Pick, turn by 90 degrees in the hand, place: randomised trials, strict and loose rates."""
+    """Pick, turn in the hand, place: randomised trials, strict and loose rates."""
     from sim.bench.manipulate import manipulate_table, run_manipulate
 
     check_folder(samples)
@@ -59,5 +63,6 @@ def manipulate(
             seed=seed,
             file=samples,
             runner=runner,
+            angle=math.radians(rotate),
         )
     give(result, output, as_json, lambda console: console.print(manipulate_table(result)))
