@@ -17,7 +17,8 @@ from planner.motion.release import find_release
 from planner.objects import parse_object
 from planner.plain import finite
 from planner.spatial import SE3, FloatArray, signed_twist
-from sim.bench.manipulate import FRICTION, MASS, SIZE, Conditions, manipulate_table, run_manipulate
+from sim.bench.conditions import FRICTION, MASS, SIZE, Conditions
+from sim.bench.manipulate import manipulate_table, run_manipulate
 from sim.cli.manipulation import _turn
 from sim.controllers.follow import LEAD, RATE, MotionReference
 from sim.controllers.pads import CREEP, PadReading

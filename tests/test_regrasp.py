@@ -14,7 +14,8 @@ from planner.gait import GaitPlan, cut_motion, plan_back
 from planner.hand import Hand
 from planner.objects import parse_object
 from planner.spatial import SE3
-from sim.bench.manipulate import FRICTION, REGRASP_FRICTION, Turn
+from sim.bench.conditions import FRICTION, REGRASP_FRICTION
+from sim.bench.manipulate import Turn
 from sim.bench.star_hand import write_star_hand
 from sim.controllers import Event
 from sim.controllers.follow import MotionReference

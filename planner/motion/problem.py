@@ -192,8 +192,8 @@ class MotionProblem:
 
 BALLS, PER_PIVOT = ("sphere", "ellipsoid"), 5.0
 """Kinds of shapes on which contacts may be where a turn makes tips pivot, below or above the
-equator, and what pivoting costs there. Of 5 balls in an Allegro-type hand torsional friction
-holds up 3 with half of it, 1 with this; which leaves the actuators less."""
+equator, and what pivoting costs there: torsional friction holds balls up that are turned so. Chosen
+on a handful of balls in an Allegro-type hand; more leaves the actuators less."""
 
 OBSTACLE_DIM = 15
 """Numbers of an obstacle: rotation, translation and half extents (``surroundings``)."""
