@@ -136,8 +136,8 @@ EXPECTED: dict[str, tuple[str, ...]] = {
         "ring), closed: False",
         "object beside its place: no contact",
         "did not touch; 3 fingers are needed",
-        "too little friction: dropped before the lift: 4 of 4 fingers touch (thumb, index, middle, "
-        "ring), closed: False",
+        "too little friction: slipped before the lift: 4 of 4 fingers touch (thumb, index, middle, "
+        "ring), closed: True, cone used 100 %",
     ),
     "error_fingers_collide": (
         "as planned nearest by planning: ",

@@ -114,7 +114,8 @@ def test_a_plan_file_is_read_by_the_json_module_alone(plan: GraspPlan, tmp_path:
         total += c["force_tangent2_N"] * np.array(c["tangent2_world"])
     np.testing.assert_allclose(total, -0.123 * np.array(data["task"]["gravity_m_s2"]), atol=1e-6)
     units = ("_m", "_rad", "_N", "_N_m", "_kg", "_s", "_s2", "_wxyz", "_world", "_object")
-    without = {"mu", "version", "seed", "attempt", "attempts", "iterations", "wrist_free"}
+    without = {"mu", "version", "seed", "attempt", "attempts", "iterations"}
+    without |= {"wrist_free", "rolling"}  # flags
     for key, value in leaves({k: v for k, v in data.items() if k != "quality"}):
         if isinstance(value, (int, float)) and "smallest_clearances_m" not in key:
             name = next(k for k in reversed(key) if isinstance(k, str))
