@@ -528,3 +528,11 @@ def test_a_turn_that_cannot_be_read_is_refused(text: str) -> None:
 
 def test_a_turn_is_an_axis_and_degrees() -> None:
     assert _turn("y:-45") == ([0.0, 1.0, 0.0], -45.0)
+
+
+def test_fingers_that_cannot_close_on_the_object_alone_are_not_tried() -> None:
+    """Four fingers side by side open 21 mm: without its thumb the hand cannot hold 69 mm."""
+    task = manipulation_task("shadow_hand", parse_object("cylinder:0.0345x0.08"), mu=0.45)
+    sets = [one.finger_names for one, _, _ in _rounds(task)]
+    assert len(sets) > 2
+    assert all("thumb" in names for names in sets)

@@ -237,9 +237,19 @@ def _rounds(task: GraspTask) -> Iterator[tuple[GraspTask, float, int | None]]:
                 names = [name for name in task.finger_names if name != spared]
                 chosen.append(_with_fingers(task, names))
     more = FLAT_MORE if is_block(task) else MORE
-    for i, one in enumerate(chosen):
-        yield one, more, FIRST if i == 0 else THEN
+    yield chosen[0], more, FIRST
+    for one in filter(_closes, chosen[1:]):
+        yield one, more, THEN
     yield chosen[0], LITTLE_MORE, None
+
+
+def _closes(task: GraspTask) -> bool:
+    """Whether the fingers open wide enough for the object: without a thumb they may not."""
+    try:
+        seeder_for(task)
+    except TaskError:
+        return False
+    return True
 
 
 def _tripods(task: GraspTask) -> list[tuple[str, ...]]:
