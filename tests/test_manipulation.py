@@ -381,9 +381,11 @@ def test_fingers_are_spared_only_where_they_may_be() -> None:
     rounds = list(_rounds(task))
     tried = [t for t, _, _ in rounds]
     # the other three do not open 60 mm without the thumb
-    assert [len(t.finger_names) for t in tried] == [4, 3, 3, 3, 4]
+    # and then come all with pads as wide as the tips are round
+    assert [len(t.finger_names) for t in tried] == [4, 3, 3, 3, 4, 4]
+    assert [t.hand.rolls for t in tried] == [False] * 4 + [True, False]
     # the last one goes on without end, the others do not
-    assert [n is None for _, _, n in rounds] == [False] * 4 + [True]
+    assert [n is None for _, _, n in rounds] == [False] * 5 + [True]
     assert all("thumb" in t.finger_names for t in tried)
     # three fingers carry the same weight as four
     assert tried[1].grip_force * 3 == pytest.approx(tried[0].grip_force * 4)
@@ -396,6 +398,7 @@ def test_blocks_are_held_by_the_opposer_and_two_neighbours() -> None:
     tried = [t for t, _, _ in _rounds(task)]
     names = [set(t.finger_names) for t in tried]
     assert names[:2] == [{"thumb", "index", "middle"}, {"thumb", "middle", "ring"}]
+    assert not any(t.hand.rolls for t in tried), "faces are turned on rolling pads anyway"
     # the thumb presses twice as much as each of the others, and four such forces carry the weight
     assert tried[0].grip_force == pytest.approx(0.3 * 9.81 / (0.45 * 4))
 

@@ -20,6 +20,7 @@ from planner.errors import NoGraspFoundError, TaskError
 from planner.gait import GaitPlan
 from planner.hand import Hand
 from planner.motion import MotionAttempt, MotionPlan, ObjectPath, motion_attempts
+from planner.motion.ground import with_rolling_pads
 from planner.motion.path import LARGEST_TURN
 from planner.motion.release import find_release
 from planner.objects import GraspObject
@@ -240,6 +241,9 @@ def _rounds(task: GraspTask) -> Iterator[tuple[GraspTask, float, int | None]]:
     yield chosen[0], more, FIRST
     for one in filter(_closes, chosen[1:]):
         yield one, more, THEN
+    # a cylinder of 7 cm is too wide for the Shadow-type hand's pads, and not for its round tips
+    if not with_rolling_pads(chosen[0]).hand.rolls:
+        yield replace(chosen[0], hand=task.hand.rolling), more, FIRST
     yield chosen[0], LITTLE_MORE, None
 
 
