@@ -243,9 +243,9 @@ def test_a_hand_of_four_fingers_in_a_circle_finds_an_order(tmp_path: Path) -> No
     # three of four at right angles close with any friction, so some order always holds: on the
     # equator with a normalised min-weight of 0.6, of which half is left below it and rolled
     hand = Hand.load(write_star_hand(tmp_path, 4))
-    plan = plan_gait(GraspTask.create(hand, "sphere:0.03"), angle=math.radians(60), seed=1)
+    plan = plan_gait(GraspTask.create(hand, "sphere:0.03"), angle=math.radians(45), seed=1)
     assert sorted(plan.order) == sorted(hand.fingers)
-    assert min(r.margin for r in plan.relocations) > 0.25
+    assert min(r.margin for r in plan.relocations) > 0.3
 
 
 def test_a_round_object_is_rolled_about_a_level_axis(tmp_path: Path) -> None:
