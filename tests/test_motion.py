@@ -610,9 +610,11 @@ def test_leading_keeps_the_ends_and_lets_pads_roll(
     bases = [SE3.Interpolate(poses[0], poses[1], s) for s in np.linspace(0, 1, 4)]
     led = lead(task, bases, ends[0].q, ends[1].q)
     assert np.array_equal(led[0], ends[0].q) and np.array_equal(led[-1], ends[1].q)
-    monkeypatch.setattr("planner.motion.between.ROLLED", 0)
-    straight = lead(task, bases, ends[0].q, ends[1].q)
-    assert _slid(task, bases, led).max() < 0.6 * _slid(task, bases, straight).max()
+    slid = _slid(task, bases, led)
+    assert np.ptp(slid, axis=0).max() < 5e-5  # what the ends are apart by, in even parts
+    monkeypatch.setattr("planner.motion.between.MOST_LAPS", 1)
+    straight = _slid(task, bases, lead(task, bases, ends[0].q, ends[1].q))
+    assert slid.max() < 0.6 * straight.max() and np.ptp(straight, axis=0).max() > 2e-4
 
 
 def _slid(task: GraspTask, bases: list[SE3], postures: list[FloatArray]) -> FloatArray:
