@@ -591,8 +591,9 @@ def test_of_several_the_motion_with_the_largest_margin_is_taken(ninety: MotionPl
 
 def test_fingers_are_spared_only_by_plan_motion_and_where_it_may(shadow: Hand) -> None:
     task = GraspTask.create(shadow, "cylinder:0.03x0.08")
-    tripod, whole = finger_sets(task)
+    tripod, other, whole = finger_sets(task)
     assert tripod.finger_names == ("thumb", "index", "middle") and whole is task
+    assert other.finger_names == ("thumb", "middle", "ring")
     assert tripod.grip_force >= task.grip_force
     named = GraspTask.create(shadow, "cylinder:0.03x0.08", fingers=list(task.finger_names))
     assert finger_sets(named) == (named,)
