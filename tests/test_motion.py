@@ -365,13 +365,14 @@ def test_starts_on_a_box_oppose_one_face_to_its_opposite(allegro: Hand) -> None:
         assert np.allclose(start.forces[0] / np.linalg.norm(start.forces[0]), -codes[0])
 
 
-def test_pads_are_wide_for_faces_alone(allegro: Hand) -> None:
+def test_pads_are_wide_for_faces_and_balls_alone(allegro: Hand) -> None:
     block = GraspTask.create(allegro, "box:0.06x0.06x0.08")
     wide = with_rolling_pads(block)
     assert wide.hand.rolls and wide.hand.digest != allegro.digest
     pads = [(f.pad, allegro.fingers[n].pad) for n, f in wide.hand.fingers.items()]
     assert all(new.half_angle > old.half_angle for new, old in pads)
     assert wide.hand.rolling is wide.hand and with_rolling_pads(wide) is wide
+    assert with_rolling_pads(GraspTask.create(allegro, "sphere:0.03")).hand.rolls
     round_one = GraspTask.create(allegro, "cylinder:0.03x0.08")
     assert with_rolling_pads(round_one) is round_one
 
