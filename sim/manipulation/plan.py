@@ -22,6 +22,7 @@ from planner.hand import Hand
 from planner.motion import MotionAttempt, MotionPlan, ObjectPath, motion_attempts
 from planner.motion.ground import with_rolling_pads
 from planner.motion.path import LARGEST_TURN
+from planner.motion.problem import BALLS
 from planner.motion.release import find_release
 from planner.objects import GraspObject
 from planner.spatial import SE3, FloatArray
@@ -46,8 +47,13 @@ MORE, FIRST, THEN = math.radians(8.0), 10, 8
 its place meets a joint's end before the plan does; attempts for it; and attempts with one finger
 less, for each, where fingers may be spared."""
 
-FLAT_MORE = math.radians(5.0)
-"""The same for blocks, of which hands turn the wide ones little further than that."""
+LESS_MORE = math.radians(5.0)
+"""The same for objects ``WITH_TIPS``, of which hands turn the wide ones little further than that.
+"""
+
+WITH_TIPS = ("box", "sphere", "ellipsoid")
+"""Kinds of objects that take the tips along: on a face a tip has to turn with it, and on a ball a
+tip that does not do so pivots."""
 
 FOR_THREE = ("box", "sphere", "ellipsoid", "mesh")
 """Kinds of objects that three fingers turn."""
@@ -62,10 +68,15 @@ most of this many. What is left moves the fingers and answers to what was not pl
 slips, an object that stands beside its place. Of 21 Allegro trials the one that stalled had 0.01.
 """
 
-TUBE, FLAT_TUBE = 0.02, 0.03
-"""Default radii (m) of the tube: what is free gives some ten degrees more. For blocks: a finger of
-the Shadow-type hand has to go a third of the way around with its face, and no further than 40
-degrees to the side; with 20 mm it turns them by 89 degrees, with 30 by 97."""
+ROUND_RESERVE = 0.35
+"""The same for balls. Their plans are of two sorts: one finger opposes one other, with three times
+the force of the third, and leaves 0.1 to 0.3; or all three press alike, and leave 0.35 or more with
+the Allegro-type hand, 0.7 with the Shadow-type. Torsional friction grows with the force."""
+
+TUBE, WIDE_TUBE = 0.02, 0.03
+"""Default radii (m) of the tube: what is free gives some ten degrees more. For objects
+``WITH_TIPS``: a finger of the Shadow-type hand has to go a third of the way around with a face, and
+no further than 40 degrees to the side; with 20 mm it turns blocks by 89 degrees, with 30 by 97."""
 
 MAX_ATTEMPTS = 50
 """Attempts before giving up."""
@@ -120,7 +131,7 @@ def plan_manipulation(
         angle: Turn in the hand, rad, with its sign.
         place: Where the object is to stand, x and y in m, world; where it was if None.
         tube: Radius within which the object may leave its place while it is turned, m; if None
-            ``TUBE``, or ``FLAT_TUBE`` for blocks.
+            ``TUBE``, or ``WIDE_TUBE`` for blocks and balls.
         seed: Same seed, same plan.
         max_attempts: Budget in attempts.
 
@@ -134,7 +145,7 @@ def plan_manipulation(
         raise TaskError(f"max_attempts is {max_attempts}; give at least 1")
     direction = np.asarray(axis, dtype=np.float64)
     if tube is None:
-        tube = FLAT_TUBE if is_block(task) else TUBE
+        tube = WIDE_TUBE if _takes_tips(task) else TUBE
     made: list[MotionAttempt] = []
     found: list[ManipulationPlan] = []
     for chosen, more, attempts in _rounds(task):
@@ -222,6 +233,11 @@ def is_block(task: GraspTask) -> bool:
     return task.object.shape.kind == "box"
 
 
+def _takes_tips(task: GraspTask) -> bool:
+    """Whether the fingertips turn with the object, which asks more of the fingers."""
+    return task.object.shape.kind in WITH_TIPS
+
+
 LEAST_GRIP = 1.5
 """Smallest normal force (N) per finger: with less, contacts of three fingers were lost at times."""
 
@@ -237,7 +253,7 @@ def _rounds(task: GraspTask) -> Iterator[tuple[GraspTask, float, int | None]]:
             for spared in reversed(task.finger_names):
                 names = [name for name in task.finger_names if name != spared]
                 chosen.append(_with_fingers(task, names))
-    more = FLAT_MORE if is_block(task) else MORE
+    more = LESS_MORE if _takes_tips(task) else MORE
     yield chosen[0], more, FIRST
     for one in filter(_closes, chosen[1:]):
         yield one, more, THEN
@@ -286,7 +302,13 @@ NO_LIMIT = 1e-9
 
 def _enough(found: list[ManipulationPlan]) -> bool:
     """Whether it is time to take the best of what was found."""
-    return len(found) >= CANDIDATES or any(p.reserve >= GOOD_RESERVE for p in found)
+    return len(found) >= CANDIDATES or any(p.reserve >= _good(p) for p in found)
+
+
+def _good(plan: ManipulationPlan) -> float:
+    """Reserve with which no other plan is waited for."""
+    shape = plan.motion.grasp.task.object.shape
+    return ROUND_RESERVE if shape.kind in BALLS else GOOD_RESERVE
 
 
 def object_at_target(
