@@ -52,9 +52,9 @@ def with_rolling_pads(task: GraspTask) -> GraspTask:
     """The task with pads as wide as the tips are round, where its object has faces or is a ball.
 
     Of 8 starts for 94 degrees on blocks of 5, 6 and 7 cm, 60 mm high, tube 30 mm, 3, 3 and 2 hold
-    with thumb, index and middle of the Shadow-type hand; none with the pads of a grasp. Torsional friction of tips
-    that pivot turns balls of 55 to 70 mm with 0 to 3 mN m in an Allegro-type hand (9 plans), with
-    the pads of a grasp with up to 23 (4 plans).
+    with thumb, index and middle of the Shadow-type hand; none with the pads of a grasp.
+    Torsional friction of tips that pivot turns balls of 55 to 70 mm with 0 to 3 mN m in an
+    Allegro-type hand (9 plans), with the pads of a grasp with up to 23 (4 plans).
     """
     if task.object.shape.kind not in ROLLED or task.hand.rolls:
         return task
