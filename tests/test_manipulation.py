@@ -36,7 +36,7 @@ from sim.manipulation import (
 )
 from sim.manipulation.checks import placed, tilt_between, undisturbed
 from sim.manipulation.modes import measured_modes, mode_table, planned_modes
-from sim.manipulation.plan import _enough, _rounds, standing_under
+from sim.manipulation.plan import _enough, _merit, _rounds, _settled, standing_under
 from sim.manipulation.stand import on_stand
 from sim.physics import PhysicsOptions
 
@@ -418,9 +418,26 @@ def test_a_ball_that_two_fingers_pinch_is_not_taken_at_once(plan: ManipulationPl
     ball = parse_object("sphere:0.03", mass=0.1)
     grasp = plan.motion.grasp
     held = replace(grasp, task=replace(grasp.task, object=ball, table_height=None))
-    on_ball = replace(plan, motion=replace(plan.motion, grasp=held), reserve=0.3)
-    assert _enough([replace(plan, reserve=0.3)]) and not _enough([on_ball])
-    assert _enough([replace(on_ball, reserve=0.4)]) and _enough([on_ball] * 3)
+    margins = (0.3, 0.45)
+    pinched, even = (
+        replace(
+            plan,
+            motion=replace(
+                plan.motion,
+                grasp=held,
+                knots=tuple(
+                    replace(k, closure=replace(k.closure, normalised_min_weight=margin))
+                    for k in plan.motion.knots
+                ),
+            ),
+            reserve=0.3,
+        )
+        for margin in margins
+    )
+    assert _enough([replace(plan, reserve=0.3)]) and _settled([replace(plan, reserve=0.0)])
+    assert not _enough([pinched]) and not _settled([pinched]) and not _settled([])
+    assert _enough([pinched, even]) and _settled([pinched] * 3)
+    assert max(pinched, even, key=_merit) is even
 
 
 # --- a stand -----------------------------------------------------------------------------------
