@@ -22,6 +22,7 @@ from planner.motion.plan import MotionPlan, MotionRecord
 from planner.motion.problems import motion_problem_for
 from planner.motion.solve import WORTH_A_LOOK, MotionCandidate, MotionSolver
 from planner.plan import SolveRecord
+from planner.shapes import Box, Mesh
 from planner.synthesis.mesh_seeds import seeder_for
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Start
@@ -33,9 +34,9 @@ __all__ = ["Ground", "finger_sets", "on_opposed_faces", "rank", "with_rolling_pa
 LEAST_SHARE = 0.02
 """Share of a path (-) below which nothing of it is reached."""
 
-FLAT = ("box", "mesh")
-"""Kinds of shapes with faces: a tip on a face has to turn with it, all the way. On cylinders and
-balls it may stay and let the contact wander."""
+FLAT = (Box, Mesh)
+"""Shapes with faces: a tip on a face has to turn with it, all the way. On cylinders and balls it
+may stay and let the contact wander."""
 
 
 def with_rolling_pads(task: GraspTask) -> GraspTask:
@@ -44,7 +45,7 @@ def with_rolling_pads(task: GraspTask) -> GraspTask:
     Of 8 starts for 94 degrees on blocks of 5, 6 and 7 cm, 60 mm high, tube 30 mm, 3, 3 and 2 hold
     with thumb, index and middle of the Shadow-type hand; none with the pads of a grasp.
     """
-    if task.object.shape.kind not in FLAT or task.hand.rolls:
+    if not isinstance(task.object.shape, FLAT) or task.hand.rolls:
         return task
     return replace(task, hand=task.hand.rolling)
 
