@@ -24,6 +24,7 @@ from planner.motion.ground import with_rolling_pads
 from planner.motion.path import LARGEST_TURN
 from planner.motion.release import find_release
 from planner.objects import GraspObject
+from planner.shapes import Box, Ellipsoid, Mesh, Sphere
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.joint_objectives import driving
 from planner.synthesis.mesh_seeds import seeder_for
@@ -49,8 +50,8 @@ less, for each, where fingers may be spared."""
 FLAT_MORE = math.radians(5.0)
 """The same for blocks, of which hands turn the wide ones little further than that."""
 
-FOR_THREE = ("box", "sphere", "ellipsoid", "mesh")
-"""Kinds of objects that three fingers turn."""
+FOR_THREE = (Box, Sphere, Ellipsoid, Mesh)
+"""Shapes that three fingers turn."""
 
 LITTLE_MORE = math.radians(2.0)
 """Turn (rad) beyond what is asked for where no other plan is found, and of a turn by strokes, where
@@ -230,7 +231,7 @@ def _rounds(task: GraspTask) -> Iterator[tuple[GraspTask, float, int | None]]:
     """What is tried in turn: a task, how much more than is asked for (rad), and how often."""
     chosen = [task]
     if task.may_spare_fingers and len(task.finger_names) > task.fingers_needed:
-        if task.object.shape.kind in FOR_THREE:
+        if isinstance(task.object.shape, FOR_THREE):
             chosen = [_with_fingers(task, names) for names in _tripods(task)]
         else:
             # the thumb, which comes first, is spared last
