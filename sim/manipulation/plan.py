@@ -48,7 +48,7 @@ its place meets a joint's end before the plan does; attempts for it; and attempt
 less, for each, where fingers may be spared."""
 
 FLAT_MORE = math.radians(5.0)
-"""The same for blocks, of which hands turn the wide ones little further than that."""
+"""The same for blocks and meshes, of which hands turn the wide ones little further than that."""
 
 FOR_THREE = (Box, Sphere, Ellipsoid, Mesh)
 """Shapes that three fingers turn."""
@@ -64,9 +64,9 @@ slips, an object that stands beside its place. Of 21 Allegro trials the one that
 """
 
 TUBE, FLAT_TUBE = 0.02, 0.03
-"""Default radii (m) of the tube: what is free gives some ten degrees more. For blocks: a finger of
-the Shadow-type hand has to go a third of the way around with its face, and no further than 40
-degrees to the side; with 20 mm it turns them by 89 degrees, with 30 by 97."""
+"""Default radii (m) of the tube: what is free gives some ten degrees more. For blocks and meshes: a
+finger of the Shadow-type hand has to go a third of the way around with its face, and no further
+than 40 degrees to the side; with 20 mm it turns blocks by 89 degrees, with 30 by 97."""
 
 MAX_ATTEMPTS = 50
 """Attempts before giving up."""
@@ -121,7 +121,7 @@ def plan_manipulation(
         angle: Turn in the hand, rad, with its sign.
         place: Where the object is to stand, x and y in m, world; where it was if None.
         tube: Radius within which the object may leave its place while it is turned, m; if None
-            ``TUBE``, or ``FLAT_TUBE`` for blocks.
+            ``TUBE``, or ``FLAT_TUBE`` for blocks and meshes.
         seed: Same seed, same plan.
         max_attempts: Budget in attempts.
 
@@ -135,7 +135,7 @@ def plan_manipulation(
         raise TaskError(f"max_attempts is {max_attempts}; give at least 1")
     direction = np.asarray(axis, dtype=np.float64)
     if tube is None:
-        tube = FLAT_TUBE if is_block(task) else TUBE
+        tube = FLAT_TUBE if is_pinched(task) else TUBE
     made: list[MotionAttempt] = []
     found: list[ManipulationPlan] = []
     for chosen, more, attempts in _rounds(task):
@@ -209,7 +209,8 @@ def _carrying(task: GraspTask, n: int) -> float:
     On a block one finger opposes all others, so it presses as much as they do together.
     """
     weight = task.object.mass * float(np.linalg.norm(task.gravity))
-    return weight / (task.mu * (2 * (n - 1) if is_block(task) else n))
+    block = task.object.shape.kind == "box"
+    return weight / (task.mu * (2 * (n - 1) if block else n))
 
 
 def _with_fingers(task: GraspTask, names: Sequence[str]) -> GraspTask:
@@ -218,9 +219,9 @@ def _with_fingers(task: GraspTask, names: Sequence[str]) -> GraspTask:
     return replace(task, finger_names=tuple(names), may_spare_fingers=False, grip_force=grip)
 
 
-def is_block(task: GraspTask) -> bool:
-    """Whether the object is a block, which opposed faces hold."""
-    return task.object.shape.kind == "box"
+def is_pinched(task: GraspTask) -> bool:
+    """Whether the object is held on opposed sides: a block, or a mesh, which may have faces."""
+    return isinstance(task.object.shape, Box | Mesh)
 
 
 LEAST_GRIP = 1.5
@@ -238,7 +239,7 @@ def _rounds(task: GraspTask) -> Iterator[tuple[GraspTask, float, int | None]]:
             for spared in reversed(task.finger_names):
                 names = [name for name in task.finger_names if name != spared]
                 chosen.append(_with_fingers(task, names))
-    more = FLAT_MORE if is_block(task) else MORE
+    more = FLAT_MORE if is_pinched(task) else MORE
     yield chosen[0], more, FIRST
     for one in filter(_closes, chosen[1:]):
         yield one, more, THEN
