@@ -14,22 +14,21 @@ from functools import lru_cache
 import numpy as np
 
 from planner.errors import TaskError
-from planner.kinematics import HandState
 from planner.motion.check import MotionJudge
 from planner.motion.holds import Hold
 from planner.motion.path import ObjectPath
 from planner.motion.plan import MotionPlan, MotionRecord
 from planner.motion.problems import motion_problem_for
 from planner.motion.solve import WORTH_A_LOOK, MotionCandidate, MotionSolver
+from planner.motion.starts import on_opposed_sides
 from planner.plan import SolveRecord
 from planner.shapes import Box, Mesh
-from planner.synthesis.mesh_seeds import seeder_for
+from planner.synthesis.mesh_seeds import turning_seeder_for
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.problem import Start
 from planner.synthesis.seeds import TRIPOD, Seeder
 from planner.task import GraspTask
 
-__all__ = ["Ground", "finger_sets", "on_opposed_faces", "rank", "with_rolling_pads"]
+__all__ = ["Ground", "finger_sets", "rank", "with_rolling_pads"]
 
 LEAST_SHARE = 0.02
 """Share of a path (-) below which nothing of it is reached."""
@@ -59,8 +58,8 @@ def finger_sets(task: GraspTask) -> tuple[GraspTask, ...]:
     if not task.may_spare_fingers or len(task.fingers) <= TRIPOD:
         return (task,)
     try:
-        spared = task.with_fingers(seeder_for(task).tripod)
-        seeder_for(spared)
+        spared = task.with_fingers(turning_seeder_for(task).tripod)
+        turning_seeder_for(spared)
     except TaskError:  # a region is required of a spared finger, or three do not open as wide
         return (task,)
     return (spared, task)
@@ -116,7 +115,7 @@ class Ground:
             exact_end: Whether the object ends on its path.
             holds: What must hold while a finger is away.
         """
-        seeder = seeder_for(task)
+        seeder = turning_seeder_for(task)
         problem, build_s = motion_problem_for(task, n_knots, holds)
         solver = MotionSolver(
             problem,
@@ -139,8 +138,7 @@ class Ground:
         start = self.seeder.draw(rng)
         if isinstance(start, str):
             return start
-        if self.seeder.task.object.shape.kind == "box":
-            start = on_opposed_faces(start, self.seeder)
+        start = on_opposed_sides(start, self.seeder)
         best: MotionPlan | None = None
         reason = ""
         for candidate in self.solver.reach(start) if self.whole else self.solver.stretch(start):
@@ -190,29 +188,6 @@ class Ground:
                 build_s=self.build_s,
             ),
         )
-
-
-def on_opposed_faces(start: Start, seeder: Seeder) -> Start:
-    """A start on a box with the opposer on one face and all others on the opposite one.
-
-    Which is told by where the fingers are, not by where each pad faces: those that look to the side
-    would be given to a neighbouring face, where nothing opposes them. That was the case with two of
-    five starts of the Shadow-type hand.
-    """
-    task, opposer = seeder.task, seeder.pinch.opposer
-    state = HandState(task.hand, start.q)
-    pads = np.array([start.T_object_base.act(state.pad_center(f)) for f in task.fingers])
-    across = np.delete(pads, opposer, axis=0).mean(axis=0) - pads[opposer]
-    outward = np.sign(across) * (np.abs(across) == np.abs(across).max())
-    normals = np.tile(outward, (len(pads), 1))
-    normals[opposer] = -outward
-    patches = tuple(
-        seeder.surface.patch_at(task.object.shape, point, normal)
-        for point, normal in zip(pads, normals, strict=True)
-    )
-    points = [np.clip(p, c.lower, c.upper) for p, c in zip(pads, patches, strict=True)]
-    size = np.linalg.norm(start.forces, axis=1, keepdims=True)
-    return replace(start, points=np.array(points), forces=-normals * size, patches=patches)
 
 
 def rank(plan: MotionPlan, whole: bool) -> float:
