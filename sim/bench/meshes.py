@@ -7,6 +7,8 @@ can, as cylinders and blocks do: a hand from above needs room below its fingerti
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from planner.objects import OBJECT_NAMES, parse_object
@@ -31,14 +33,20 @@ def scaled_spec(spec: str, width: float) -> str:
     name = spec.strip().lower()
     if name not in OBJECT_NAMES or not issubclass(SIZED_SHAPES[name], Made):
         return spec
+    own, sizes = _default(name)
+    factor = width / own
+    scaled = (size if is_pure else round(factor * size, 5) for size, is_pure in sizes)
+    return f"{name}:{'x'.join(f'{size:g}' for size in scaled)}"
+
+
+@lru_cache
+def _default(name: str) -> tuple[float, tuple[tuple[float, bool], ...]]:
+    """Width (m) of a mesh of the project, and its sizes, with whether they are pure numbers."""
     shape = parse_object(name).shape
-    factor = width / float(_extents(shape, standing(shape).rotation)[:2].min())
-    pure = getattr(shape, "pure_numbers", ())
-    sizes = (
-        size if of in pure else round(factor * size, 5)
-        for of, size in zip(shape.size_names, shape.sizes, strict=True)
-    )
-    return f"{name}:{'x'.join(f'{size:g}' for size in sizes)}"
+    pure = shape.pure_numbers if isinstance(shape, Made) else ()
+    width = float(_extents(shape, standing(shape).rotation)[:2].min())
+    sizes = zip(shape.sizes, shape.size_names, strict=True)
+    return width, tuple((size, of in pure) for size, of in sizes)
 
 
 def standing(shape: Shape) -> SE3:
