@@ -19,9 +19,18 @@ contact is off edges; and what counts a slope that is missing there, in those of
 of a grasp none of 12 starts holds on a block of 6 cm and a hexagonal prism given as meshes, 92
 degrees, thumb, index and middle of the Shadow-type hand."""
 
+DISTANCE_ERROR = 0.0035
+"""How much (m) links keep away beyond what is asked for: balls inside a palm leave its corners out,
+which reach 0.7 mm into a tall bottle in four of five starts of the Allegro-type hand otherwise."""
+
 
 def turned_surface_of(shape: Shape) -> Surface:
     """The form of a shape in the programme of a motion."""
     if not isinstance(shape, Mesh):
         return surface_of(shape)
-    return mesh_surface(normal_error=NORMAL_ERROR, steep=STEEP, edge_worth=EDGE_WORTH)
+    return mesh_surface(
+        normal_error=NORMAL_ERROR,
+        distance_error=DISTANCE_ERROR,
+        steep=STEEP,
+        edge_worth=EDGE_WORTH,
+    )

@@ -77,7 +77,7 @@ class Surface(ABC):
     """Where the expressions need a distance field; None for those that are formulas."""
     normal_error: float = 0.0
     """How far (rad) ``outward_normal`` may be from the true one; pads keep that from their rim."""
-    distance_error: ClassVar[float] = 0.0
+    distance_error: float = 0.0
     """How far (m) ``clearance`` may be from the true one; links keep that much more away."""
 
     def field_of(self, shape: Any) -> Field | None:
@@ -311,8 +311,9 @@ class _CapsuleSurface(Surface):
         return _soft_norm(c[0], c[1], beyond) - size[0]
 
 
-NORMAL_ERROR = 0.1
-"""How far (rad) normals of the smooth distance may be from the true ones, near edges."""
+NORMAL_ERROR, DISTANCE_ERROR = 0.1, 0.0007
+"""How far normals (rad) and values (m) of the smooth distance may be from the true ones: near edges
+the ones, on the surface the others."""
 
 STEEP = 0.93
 """Slope (-) of the smooth distance from which on a contact is off edges. The slope is the length of
@@ -325,12 +326,13 @@ class _MeshSurface(Surface):
     """The zero level of a mesh's smooth distance field; one object per programme."""
 
     kind = "mesh"
-    distance_error = 0.0007
 
-    def __init__(self, normal_error: float, steep: float, edge_worth: float) -> None:
+    def __init__(
+        self, normal_error: float, distance_error: float, steep: float, edge_worth: float
+    ) -> None:
         """Begin to collect the points at which the programme needs the field."""
         self.field: FieldPoints = FieldPoints()
-        self.normal_error = normal_error
+        self.normal_error, self.distance_error = normal_error, distance_error
         self._steep, self._edge_worth = steep, edge_worth
 
     def field_of(self, shape: Mesh) -> Field:
@@ -385,16 +387,21 @@ _SURFACES: dict[str, Surface] = {
 
 
 def mesh_surface(
-    *, normal_error: float = NORMAL_ERROR, steep: float = STEEP, edge_worth: float = 1.0
+    *,
+    normal_error: float = NORMAL_ERROR,
+    distance_error: float = DISTANCE_ERROR,
+    steep: float = STEEP,
+    edge_worth: float = 1.0,
 ) -> Surface:
     """The NLP form of a mesh.
 
     Args:
         normal_error: How far (rad) normals may be from the true ones.
+        distance_error: How much (m) links keep away beyond what is asked for.
         steep: Slope (-) of the smooth distance from which on a contact is off edges.
         edge_worth: What a slope that is missing there counts.
     """
-    return _MeshSurface(normal_error, steep, edge_worth)
+    return _MeshSurface(normal_error, distance_error, steep, edge_worth)
 
 
 def surface_of(shape: Shape) -> Surface:
