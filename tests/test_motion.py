@@ -25,7 +25,7 @@ from planner.judge import plan_forces
 from planner.kinematics import HandState
 from planner.motion import MotionPlan, ObjectPath, motion_attempts, plan_motion
 from planner.motion.between import lead
-from planner.motion.ground import finger_sets, on_opposed_faces, with_rolling_pads
+from planner.motion.ground import finger_sets, with_rolling_pads
 from planner.motion.holds import HOLD_SHARE, Hold, HoldRows
 from planner.motion.limits import what_limits
 from planner.motion.loads import MOST_LOAD, PER_LOAD, load_function, load_parameters
@@ -35,6 +35,7 @@ from planner.motion.rolling import pivoting_function, rolling_function, slips
 from planner.motion.rows import described
 from planner.motion.search import MOTION_OPTIONS
 from planner.motion.solve import MotionSolver
+from planner.motion.starts import on_opposed_sides
 from planner.motion.unknowns import SHARE, placement
 from planner.objects import parse_object
 from planner.quality import analyse, force_closure
@@ -360,7 +361,7 @@ def test_starts_on_a_box_oppose_one_face_to_its_opposite(allegro: Hand) -> None:
     for seed in range(8):
         drawn = seeder.draw(np.random.default_rng(seed))
         assert isinstance(drawn, Start)
-        start = on_opposed_faces(drawn, seeder)
+        start = on_opposed_sides(drawn, seeder)
         codes = np.array([patch.code for patch in start.patches])
         assert np.array_equal(codes[1], -codes[0]) and np.array_equal(codes[2], -codes[0])
         assert np.allclose(start.forces[0] / np.linalg.norm(start.forces[0]), -codes[0])

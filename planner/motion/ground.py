@@ -16,36 +16,29 @@ from itertools import pairwise
 import numpy as np
 
 from planner.errors import TaskError
-from planner.kinematics import HandState
 from planner.motion.check import MotionJudge
 from planner.motion.holds import Hold
 from planner.motion.path import ObjectPath
 from planner.motion.plan import MotionPlan, MotionRecord
 from planner.motion.problems import motion_problem_for
 from planner.motion.solve import WORTH_A_LOOK, MotionCandidate, MotionSolver
+from planner.motion.starts import on_opposed_sides
 from planner.plan import SolveRecord
-from planner.synthesis.mesh_seeds import seeder_for
+from planner.shapes import Box, Ellipsoid, Mesh, Sphere
+from planner.synthesis.mesh_seeds import turning_seeder_for
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.problem import Start
 from planner.synthesis.seeds import TRIPOD, Seeder
 from planner.task import GraspTask
 
-__all__ = [
-    "Ground",
-    "finger_sets",
-    "on_opposed_faces",
-    "rank",
-    "tripods",
-    "with_rolling_pads",
-]
+__all__ = ["ROLLED", "Ground", "finger_sets", "rank", "tripods", "with_rolling_pads"]
 
 LEAST_SHARE = 0.02
 """Share of a path (-) below which nothing of it is reached."""
 
-ROLLED = ("box", "mesh", "sphere", "ellipsoid")
-"""Kinds of shapes for which contacts may be wherever a tip is round. A tip on a face has to turn
-with it, all the way; on a ball a tip that does not turn with it pivots, against torsional friction.
-On a cylinder it may stay and let the contact wander."""
+ROLLED = (Box, Ellipsoid, Mesh, Sphere)
+"""Shapes on which contacts may be wherever a tip is round. A tip on a face has to turn with it, all
+the way; on a ball a tip that does not turn with it pivots, against torsional friction. On a
+cylinder it may stay and let the contact wander."""
 
 
 def with_rolling_pads(task: GraspTask) -> GraspTask:
@@ -56,7 +49,7 @@ def with_rolling_pads(task: GraspTask) -> GraspTask:
     Torsional friction of tips that pivot turns balls of 55 to 70 mm with 0 to 3 mN m in an
     Allegro-type hand (9 plans), with the pads of a grasp with up to 23 (4 plans).
     """
-    if task.object.shape.kind not in ROLLED or task.hand.rolls:
+    if not isinstance(task.object.shape, ROLLED) or task.hand.rolls:
         return task
     return replace(task, hand=task.hand.rolling)
 
@@ -79,7 +72,7 @@ PAIRS = 2
 
 def tripods(task: GraspTask) -> list[tuple[str, ...]]:
     """The finger that opposes the others with each pair of neighbours among those."""
-    opposer = task.finger_names[seeder_for(task).pinch.opposer]
+    opposer = task.finger_names[turning_seeder_for(task).pinch.opposer]
     others = [name for name in task.finger_names if name != opposer]
     return [(opposer, *pair) for pair in pairwise(others)]
 
@@ -91,7 +84,7 @@ def _alone(task: GraspTask, names: tuple[str, ...]) -> GraspTask | None:
     """
     try:
         alone = task.with_fingers(names)
-        seeder_for(alone)
+        turning_seeder_for(alone)
     except TaskError:
         return None
     return alone
@@ -147,7 +140,7 @@ class Ground:
             exact_end: Whether the object ends on its path.
             holds: What must hold while a finger is away.
         """
-        seeder = seeder_for(task)
+        seeder = turning_seeder_for(task)
         problem, build_s = motion_problem_for(task, n_knots, holds)
         solver = MotionSolver(
             problem,
@@ -170,8 +163,7 @@ class Ground:
         start = self.seeder.draw(rng)
         if isinstance(start, str):
             return start
-        if self.seeder.task.object.shape.kind == "box":
-            start = on_opposed_faces(start, self.seeder)
+        start = on_opposed_sides(start, self.seeder)
         best: MotionPlan | None = None
         reason = ""
         for candidate in self.solver.reach(start) if self.whole else self.solver.stretch(start):
@@ -221,29 +213,6 @@ class Ground:
                 build_s=self.build_s,
             ),
         )
-
-
-def on_opposed_faces(start: Start, seeder: Seeder) -> Start:
-    """A start on a box with the opposer on one face and all others on the opposite one.
-
-    Which is told by where the fingers are, not by where each pad faces: those that look to the side
-    would be given to a neighbouring face, where nothing opposes them. That was the case with two of
-    five starts of the Shadow-type hand.
-    """
-    task, opposer = seeder.task, seeder.pinch.opposer
-    state = HandState(task.hand, start.q)
-    pads = np.array([start.T_object_base.act(state.pad_center(f)) for f in task.fingers])
-    across = np.delete(pads, opposer, axis=0).mean(axis=0) - pads[opposer]
-    outward = np.sign(across) * (np.abs(across) == np.abs(across).max())
-    normals = np.tile(outward, (len(pads), 1))
-    normals[opposer] = -outward
-    patches = tuple(
-        seeder.surface.patch_at(task.object.shape, point, normal)
-        for point, normal in zip(pads, normals, strict=True)
-    )
-    points = [np.clip(p, c.lower, c.upper) for p, c in zip(pads, patches, strict=True)]
-    size = np.linalg.norm(start.forces, axis=1, keepdims=True)
-    return replace(start, points=np.array(points), forces=-normals * size, patches=patches)
 
 
 def rank(plan: MotionPlan, whole: bool) -> float:

@@ -26,6 +26,7 @@ from planner.motion.holds import Hold, HoldRows
 from planner.motion.loads import load_function, load_parameters
 from planner.motion.path import ObjectPath
 from planner.motion.rolling import pivoting_function, rolling_function
+from planner.motion.surfaces import turned_surface_of
 from planner.motion.unknowns import MotionUnknowns, placement
 from planner.shapes import Shape
 from planner.spatial import FloatArray
@@ -34,7 +35,6 @@ from planner.synthesis.buffered import BufferedFunction
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import GraspProblem, Start
 from planner.synthesis.residuals import Residuals
-from planner.synthesis.surfaces import surface_of
 from planner.synthesis.surroundings import NO_TABLE
 from planner.synthesis.terms import formulate
 from planner.task import GraspTask
@@ -232,7 +232,7 @@ def build_motion_problem(
         holds: What must hold while a finger is away.
     """
     fingers = tuple(fingers)
-    surface = surface_of(kind_of)
+    surface = turned_surface_of(kind_of)
     formulation = formulate(hand, fingers, surface, n_obstacles, (), clearances=False)
     avoidance = Avoidance(formulation, surface)
     residuals = Residuals(formulation, surface.field, avoidance)

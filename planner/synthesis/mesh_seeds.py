@@ -23,7 +23,7 @@ from planner.synthesis.resistance import least_resisted
 from planner.synthesis.seeds import STEEPEST, Seeder, opposition
 from planner.task import GraspTask
 
-__all__ = ["MeshSeeder", "seeder_for"]
+__all__ = ["MeshSeeder", "TurningSeeder", "seeder_for", "turning_seeder_for"]
 
 POSTURES, NOISES = 128, (0.03, 0.1)
 """Postures that starts are made of, and least and largest standard deviation of their joints, in
@@ -59,7 +59,17 @@ ABOVE_TABLE = 0.004
 
 
 class MeshSeeder(Seeder):
-    """Draws starts for a task with a mesh."""
+    """Draws starts for a task with a mesh.
+
+    Attributes:
+        near_center: See ``NEAR_CENTER``.
+        turn_noise: See ``TURN_NOISE``.
+        steepest: Largest cosine between a pair's line and the vertical, for an object on a table.
+    """
+
+    near_center = NEAR_CENTER
+    turn_noise = TURN_NOISE
+    steepest = STEEPEST
 
     def _prepare(self) -> None:
         """Find the pairs that the hand can close on.
@@ -80,7 +90,7 @@ class MeshSeeder(Seeder):
             able &= task.object.touch.permits(pairs.centers + half)
             able &= task.object.touch.permits(pairs.centers - half)
         if task.table_height is not None:
-            level = np.abs(pairs.directions @ T.rotation[2]) < STEEPEST
+            level = np.abs(pairs.directions @ T.rotation[2]) < self.steepest
             height = pairs.centers @ T.rotation[2] + T.translation[2] - task.table_height
             pad = max(f.pad.radius for f in task.fingers)
             # a flat object has none that high: then any of them
@@ -95,7 +105,7 @@ class MeshSeeder(Seeder):
                 "enough, within reach and where it may be touched; try another pose, other fingers "
                 "or a larger hand"
             )
-        far = np.linalg.norm(pairs.centers, axis=1) / (NEAR_CENTER * mesh.bounding_radius)
+        far = np.linalg.norm(pairs.centers, axis=1) / (self.near_center * mesh.bounding_radius)
         weight = np.where(able, np.exp(-(far**2)), 0.0)
         self._pairs, self._chance = pairs, weight / weight.sum()
         arm = task.hand.arm.geometries if task.hand.arm is not None else frozenset()
@@ -151,7 +161,7 @@ class MeshSeeder(Seeder):
             up = np.tile(self.task.T_world_object.rotation[2], (len(axes), 1))
         up -= axes * np.einsum("ij,ij->i", axes, up)[:, None]
         up /= np.linalg.norm(up, axis=1, keepdims=True)
-        turn = rng.normal(0, TURN_NOISE, (len(axes), 1))
+        turn = rng.normal(0, self.turn_noise, (len(axes), 1))
         return np.cos(turn) * up + np.sin(turn) * np.cross(axes, up)
 
     def _merits(self, turns: FloatArray, shifts: FloatArray, balls: FloatArray) -> FloatArray:
@@ -175,6 +185,18 @@ def _frames(axes: FloatArray, sides: FloatArray) -> FloatArray:
     return np.stack([axes, sides, np.cross(axes, sides)], axis=2)
 
 
+class TurningSeeder(MeshSeeder):
+    """Draws starts from which a mesh is turned: level, near its centre, from above.
+
+    What is pinched beside the centre of mass hangs on one side of the fingers, and wanders on a
+    circle as it turns; what is pinched askew makes tips pivot.
+    """
+
+    near_center = 0.45
+    turn_noise = 0.6
+    steepest = 0.3
+
+
 TINY = 1e-9
 """A gradient shorter than this has no direction."""
 
@@ -182,3 +204,8 @@ TINY = 1e-9
 def seeder_for(task: GraspTask) -> Seeder:
     """The source of starts that suits the task's object."""
     return MeshSeeder(task) if isinstance(task.object.shape, Mesh) else Seeder(task)
+
+
+def turning_seeder_for(task: GraspTask) -> Seeder:
+    """The same for a motion of the object in the hand."""
+    return TurningSeeder(task) if isinstance(task.object.shape, Mesh) else Seeder(task)

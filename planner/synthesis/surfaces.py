@@ -28,7 +28,15 @@ from planner.shapes import Box, Capsule, Cylinder, Ellipsoid, Mesh, Shape, Spher
 from planner.spatial import FloatArray
 from planner.synthesis.nlp import Field, FieldPoints
 
-__all__ = ["CODE_DIM", "SIZE_DIM", "Patch", "Surface", "box_clearance", "surface_of"]
+__all__ = [
+    "CODE_DIM",
+    "SIZE_DIM",
+    "Patch",
+    "Surface",
+    "box_clearance",
+    "mesh_surface",
+    "surface_of",
+]
 
 SOFTNESS = 0.002
 """Length (m) over which the largest of several face distances is softened."""
@@ -67,9 +75,9 @@ class Surface(ABC):
     kind: ClassVar[str]
     field: FieldPoints | None = None
     """Where the expressions need a distance field; None for those that are formulas."""
-    normal_error: ClassVar[float] = 0.0
+    normal_error: float = 0.0
     """How far (rad) ``outward_normal`` may be from the true one; pads keep that from their rim."""
-    distance_error: ClassVar[float] = 0.0
+    distance_error: float = 0.0
     """How far (m) ``clearance`` may be from the true one; links keep that much more away."""
 
     def field_of(self, shape: Any) -> Field | None:
@@ -303,22 +311,35 @@ class _CapsuleSurface(Surface):
         return _soft_norm(c[0], c[1], beyond) - size[0]
 
 
+NORMAL_ERROR, DISTANCE_ERROR = 0.1, 0.0007
+"""How far normals (rad) and values (m) of the smooth distance may be from the true ones: near edges
+the ones, on the surface the others."""
+
+STEEP = 0.93
+"""Slope (-) of the smooth distance from which on a contact is off edges. The slope is the length of
+the mean of the normals within the smoothing's reach: 1 on flat and evenly round places, 0.75 on a
+right-angled edge. On seven meshes 99 % of the places that the verdict calls edges have less, and 60
+to 100 % of the others more."""
+
+
 class _MeshSurface(Surface):
     """The zero level of a mesh's smooth distance field; one object per programme."""
 
     kind = "mesh"
-    normal_error = 0.1
-    distance_error = 0.0007
 
-    def __init__(self) -> None:
+    def __init__(
+        self, normal_error: float, distance_error: float, steep: float, edge_worth: float
+    ) -> None:
         """Begin to collect the points at which the programme needs the field."""
         self.field: FieldPoints = FieldPoints()
+        self.normal_error, self.distance_error = normal_error, distance_error
+        self._steep, self._edge_worth = steep, edge_worth
 
     def field_of(self, shape: Mesh) -> Field:
         return shape.field()
 
     def size(self, shape: Mesh) -> FloatArray:
-        return np.array([_steepness(shape), 0.0, 0.0])
+        return np.array([_steepness(shape, self._steep), 0.0, 0.0])
 
     def patches(self, shape: Mesh) -> tuple[Patch, ...]:
         return (_everywhere("surface", 2 * shape.half_extents),)
@@ -335,28 +356,22 @@ class _MeshSurface(Surface):
 
     def flatness(self, size: Any, p: Any) -> Any:
         gradient = self.field.on_surface(p)[1]
-        return (ca.sumsqr(gradient) - size[0] ** 2) / (2 * size[0])
+        return self._edge_worth * (ca.sumsqr(gradient) - size[0] ** 2) / (2 * size[0])
 
     def clearance(self, size: Any, c: Any) -> Any:
         return self.field.value(c)
 
-
-STEEP = 0.93
-"""Slope (-) of the smooth distance from which on a contact is off edges. The slope is the length of
-the mean of the normals within the smoothing's reach: 1 on flat and evenly round places, 0.75 on a
-right-angled edge. On seven meshes 99 % of the places that the verdict calls edges have less, and 60
-to 100 % of the others more."""
 
 SAMPLES = 1000
 """Surface points from which the usual slope is estimated: on thin walls it is less everywhere."""
 
 
 @lru_cache(maxsize=16)
-def _steepness(mesh: Mesh) -> float:
+def _steepness(mesh: Mesh, steep: float) -> float:
     """Slope (-) of the smooth distance from which on a place of a mesh is no edge."""
     points, _ = mesh.surface_samples(SAMPLES, np.random.default_rng(0))
     slopes = np.linalg.norm(mesh.field().taylor(points, 1)[:, 1:4], axis=1)
-    return min(STEEP, float(np.median(slopes)))
+    return min(steep, float(np.median(slopes)))
 
 
 _SURFACES: dict[str, Surface] = {
@@ -371,6 +386,24 @@ _SURFACES: dict[str, Surface] = {
 }
 
 
+def mesh_surface(
+    *,
+    normal_error: float = NORMAL_ERROR,
+    distance_error: float = DISTANCE_ERROR,
+    steep: float = STEEP,
+    edge_worth: float = 1.0,
+) -> Surface:
+    """The NLP form of a mesh.
+
+    Args:
+        normal_error: How far (rad) normals may be from the true ones.
+        distance_error: How much (m) links keep away beyond what is asked for.
+        steep: Slope (-) of the smooth distance from which on a contact is off edges.
+        edge_worth: What a slope that is missing there counts.
+    """
+    return _MeshSurface(normal_error, distance_error, steep, edge_worth)
+
+
 def surface_of(shape: Shape) -> Surface:
     """The NLP form of a shape.
 
@@ -378,7 +411,7 @@ def surface_of(shape: Shape) -> Surface:
         ObjectError: Synthesis does not know this kind of shape.
     """
     if isinstance(shape, Mesh):
-        return _MeshSurface()
+        return mesh_surface()
     if shape.kind not in _SURFACES:
         raise ObjectError(f"cannot plan on a {shape.kind!r}; use one of {sorted(_SURFACES)}")
     return _SURFACES[shape.kind]

@@ -8,6 +8,8 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from sim.bench.meshes import scaled_spec
+
 __all__ = [
     "BELIEVED_MU",
     "FRICTION",
@@ -27,7 +29,8 @@ Kind: TypeAlias = Literal["cylinder", "block", "sphere", "ellipsoid"]
 KINDS: tuple[Kind, ...] = Kind.__args__  # type: ignore[attr-defined]
 
 SIZE = (0.05, 0.07)
-"""Diameter of cylinder and sphere, width of a block, widths of an ellipsoid, m."""
+"""Diameter of cylinder and sphere, width of a block and of a mesh that takes sizes, widths of an
+ellipsoid, m."""
 
 FRICTION = (0.5, 1.0)
 """Sliding friction in simulation (-)."""
@@ -88,13 +91,21 @@ class Conditions:
     @classmethod
     def draw(
         cls,
-        kind: Kind,
+        kind: str,
         height: float,
         rng: np.random.Generator,
         friction: tuple[float, float] = FRICTION,
         push_until: float = PUSH_UNTIL,
     ) -> Conditions:
-        """Conditions of one trial; sizes to a tenth of a millimetre."""
+        """Conditions of one trial; sizes to a tenth of a millimetre.
+
+        Args:
+            kind: One of ``KINDS``, or the specification of another object.
+            height: Of cylinder, block and ellipsoid, m.
+            rng: Draws.
+            friction: Range of the sliding friction (-).
+            push_until: Latest begin of the push, s.
+        """
         a, b = np.round(rng.uniform(*SIZE, size=2), 4).tolist()
         specs = {
             "cylinder": f"cylinder:{a / 2:g}x{height:g}",
@@ -107,7 +118,7 @@ class Conditions:
         heading = float(rng.uniform(-HEADING, HEADING))
         side, way = rng.uniform(0.0, 2.0 * np.pi, size=2).tolist()
         return cls(
-            spec=specs[kind],
+            spec=specs[kind] if kind in specs else scaled_spec(kind, a),
             mass=mass,
             mu=mu,
             shift=(x, y),

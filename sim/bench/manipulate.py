@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 import pinocchio as pin
@@ -21,7 +22,7 @@ from rich.table import Table
 
 from planner.errors import NotFoundError, PlannerError
 from planner.motion.path import LARGEST_TURN
-from planner.objects import parse_object
+from planner.objects import OBJECT_NAMES, parse_object
 from planner.plain import finite
 from planner.spatial import SE3
 from planner.task import GraspTask
@@ -34,9 +35,10 @@ from sim.bench.conditions import (
     REGRASP_MASS,
     REGRASP_RATE,
     Conditions,
-    Kind,
 )
 from sim.bench.journal import run_with_journal
+from sim.bench.meshes import standing
+from sim.bench.objects import BenchObject, bench_objects
 from sim.bench.statistics import median_of
 from sim.bench.tables import number, table_of
 from sim.manipulation import Push, manipulate, manipulation_task, plan_turning
@@ -59,24 +61,26 @@ class Turn:
     Attributes:
         index: Its number among all.
         hand: Name or path of the hand.
-        kind: Kind of object.
+        kind: Kind of object, or what another one is called.
         number: Its number in its cell.
         height: Height of cylinder, block and ellipsoid, m.
         fingers: Fingers that take part; the hand's default set if None.
         stand: Height of the stand that carries the object, m; 0 for none.
         seed: Of all that is drawn.
         angle: Turn that is asked for, rad; beyond a half turn it is made by regrasps.
+        spec: Specification of an object that is of no kind in ``KINDS``.
     """
 
     index: int
     hand: str
-    kind: Kind
+    kind: str
     number: int
     height: float
     fingers: tuple[str, ...] | None
     stand: float
     seed: int
     angle: float = ANGLE
+    spec: str = ""
 
     @property
     def regrasps(self) -> bool:
@@ -85,11 +89,13 @@ class Turn:
 
     def draw(self) -> Conditions:
         """What there really is."""
-        rng = np.random.default_rng([self.seed, KINDS.index(self.kind), self.number])
+        kinds: tuple[str, ...] = KINDS
+        of = crc32(self.kind.encode()) if self.spec else kinds.index(self.kind)
+        rng, drawn = np.random.default_rng([self.seed, of, self.number]), self.spec or self.kind
         if not self.regrasps:
-            return Conditions.draw(self.kind, self.height, rng)
+            return Conditions.draw(drawn, self.height, rng)
         until = abs(self.angle) / REGRASP_RATE
-        return Conditions.draw(self.kind, self.height, rng, REGRASP_FRICTION, until)
+        return Conditions.draw(drawn, self.height, rng, REGRASP_FRICTION, until)
 
 
 def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
@@ -145,7 +151,22 @@ def _believed(turn: Turn, there: Conditions) -> GraspTask:
     item = parse_object(there.spec, mass=REGRASP_MASS if turn.regrasps else MASS[1])
     mu = REGRASP_FRICTION[0] if turn.regrasps else BELIEVED_MU
     task = manipulation_task(turn.hand, item, mu=mu, fingers=turn.fingers)
+    if turn.spec:
+        task = replace(task, T_world_object=standing(item.shape))
     return on_stand(task, turn.stand) if turn.stand else task
+
+
+def _objects(given: str) -> list[BenchObject]:
+    """What is called so: a kind, or other objects, which are looked at once."""
+    if given in KINDS:
+        return [BenchObject(label=given, spec=given)]
+    found = bench_objects([given])
+    for item in found:
+        try:
+            parse_object(item.spec)
+        except NotFoundError as error:
+            raise NotFoundError("object", given, (*KINDS, *OBJECT_NAMES)) from error
+    return found
 
 
 def _row(turn: Turn, there: Conditions, **values: Any) -> dict[str, Any]:
@@ -183,7 +204,7 @@ def run_manipulate(
 
     Args:
         hands: Names or paths.
-        kinds: Kinds of objects out of ``KINDS``.
+        kinds: Kinds of objects out of ``KINDS``, and specifications, mesh files and folders.
         n: Trials for each hand and kind.
         height: Height of cylinder, block and ellipsoid, m.
         fingers: Fingers that take part; each hand's default set if None.
@@ -198,27 +219,27 @@ def run_manipulate(
 
     Raises:
         FileFormatError: The file is not one of these, or was begun with other arguments.
-        NotFoundError: A kind or a hand that does not exist.
+        NotFoundError: A kind, an object or a hand that does not exist.
+        ObjectError: A mesh that cannot be read, or sizes that are none.
     """
-    for kind in kinds:
-        if kind not in KINDS:
-            raise NotFoundError("kind of object", kind, KINDS)
+    objects = [item for kind in kinds for item in _objects(kind)]
     for hand in hands:
         GraspTask.create(hand, "cylinder", fingers=fingers)
-    cells = [(hand, kind, k) for hand in hands for kind in kinds for k in range(n)]
+    cells = [(hand, item, k) for hand in hands for item in objects for k in range(n)]
     jobs = [
         Turn(
             index=i,
             hand=hand,
-            kind=KINDS[KINDS.index(kind)],
+            kind=item.label,
             number=k,
             height=height,
             fingers=fingers,
             stand=stand,
             seed=seed,
             angle=angle,
+            spec="" if item.label in KINDS else item.spec,
         )
-        for i, (hand, kind, k) in enumerate(cells)
+        for i, (hand, item, k) in enumerate(cells)
     ]
     asked = {
         "format": f"{FORMAT}-rows",

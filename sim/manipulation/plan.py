@@ -10,7 +10,6 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ from planner.errors import NoGraspFoundError, TaskError
 from planner.gait import GaitPlan
 from planner.hand import Hand
 from planner.motion import MotionAttempt, MotionPlan, ObjectPath, motion_attempts
-from planner.motion.ground import with_rolling_pads
+from planner.motion.ground import ROLLED, tripods, with_rolling_pads
 from planner.motion.path import LARGEST_TURN
 from planner.motion.problem import BALLS
 from planner.motion.release import find_release
@@ -48,15 +47,8 @@ its place meets a joint's end before the plan does; attempts for it; and attempt
 less, for each, where fingers may be spared."""
 
 LESS_MORE = math.radians(5.0)
-"""The same for objects ``WITH_TIPS``, of which hands turn the wide ones little further than that.
-"""
-
-WITH_TIPS = ("box", "sphere", "ellipsoid")
-"""Kinds of objects that take the tips along: on a face a tip has to turn with it, and on a ball a
-tip that does not do so pivots."""
-
-FOR_THREE = ("box", "sphere", "ellipsoid", "mesh")
-"""Kinds of objects that three fingers turn."""
+"""The same for objects that take the tips along (``planner.motion.ground.ROLLED``): blocks, meshes
+and balls, of which hands turn the wide ones little further than that. Three fingers turn them."""
 
 LITTLE_MORE = math.radians(2.0)
 """Turn (rad) beyond what is asked for where no other plan is found, and of a turn by strokes, where
@@ -76,9 +68,10 @@ leave 0.44 to 0.73. In the Shadow-type hand 4 of 6 turns of the first sort fell 
 and none of a dozen of the second."""
 
 TUBE, WIDE_TUBE = 0.02, 0.03
-"""Default radii (m) of the tube: what is free gives some ten degrees more. For objects
-``WITH_TIPS``: a finger of the Shadow-type hand has to go a third of the way around with a face, and
-no further than 40 degrees to the side; with 20 mm it turns blocks by 89 degrees, with 30 by 97."""
+"""Default radii (m) of the tube: what is free gives some ten degrees more. For objects that take
+the tips along: a finger of the Shadow-type hand has to go a third of the way around with a face,
+and no further than 40 degrees to the side; with 20 mm it turns blocks by 89 degrees, with 30 by 97.
+"""
 
 MAX_ATTEMPTS = 50
 """Attempts before giving up."""
@@ -133,7 +126,7 @@ def plan_manipulation(
         angle: Turn in the hand, rad, with its sign.
         place: Where the object is to stand, x and y in m, world; where it was if None.
         tube: Radius within which the object may leave its place while it is turned, m; if None
-            ``TUBE``, or ``WIDE_TUBE`` for blocks and balls.
+            ``TUBE``, or ``WIDE_TUBE`` for blocks, meshes and balls.
         seed: Same seed, same plan.
         max_attempts: Budget in attempts.
 
@@ -223,7 +216,8 @@ def _carrying(task: GraspTask, n: int) -> float:
     On a block one finger opposes all others, so it presses as much as they do together.
     """
     weight = task.object.mass * float(np.linalg.norm(task.gravity))
-    return weight / (task.mu * (2 * (n - 1) if is_block(task) else n))
+    block = task.object.shape.kind == "box"
+    return weight / (task.mu * (2 * (n - 1) if block else n))
 
 
 def _with_fingers(task: GraspTask, names: Sequence[str]) -> GraspTask:
@@ -232,14 +226,9 @@ def _with_fingers(task: GraspTask, names: Sequence[str]) -> GraspTask:
     return replace(task, finger_names=tuple(names), may_spare_fingers=False, grip_force=grip)
 
 
-def is_block(task: GraspTask) -> bool:
-    """Whether the object is a block, which opposed faces hold."""
-    return task.object.shape.kind == "box"
-
-
 def _takes_tips(task: GraspTask) -> bool:
     """Whether the fingertips turn with the object, which asks more of the fingers."""
-    return task.object.shape.kind in WITH_TIPS
+    return isinstance(task.object.shape, ROLLED)
 
 
 def _is_ball(task: GraspTask) -> bool:
@@ -255,8 +244,10 @@ def _rounds(task: GraspTask) -> Iterator[tuple[GraspTask, float, int | None]]:
     """What is tried in turn: a task, how much more than is asked for (rad), and how often."""
     chosen = [task]
     if task.may_spare_fingers and len(task.finger_names) > task.fingers_needed:
-        if task.object.shape.kind in FOR_THREE:
-            chosen = [_with_fingers(task, names) for names in _tripods(task)]
+        if _takes_tips(task):
+            # a fourth finger has to go all the way as well: on blocks it stays on its face and
+            # turns with it, on balls no start of 6 holds with four fingers of the Shadow-type hand
+            chosen = [_with_fingers(task, names) for names in tripods(task)]
         else:
             # the thumb, which comes first, is spared last
             for spared in reversed(task.finger_names):
@@ -281,17 +272,6 @@ def _closes(task: GraspTask) -> bool:
     except TaskError:
         return False
     return True
-
-
-def _tripods(task: GraspTask) -> list[tuple[str, ...]]:
-    """The finger that opposes the others with each pair of neighbours among those.
-
-    A fourth finger has to go all the way as well: on blocks it stays on its face and turns with it,
-    on balls no start of 6 holds with four fingers of the Shadow-type hand, and 4 with three.
-    """
-    opposer = task.finger_names[seeder_for(task).pinch.opposer]
-    others = [name for name in task.finger_names if name != opposer]
-    return [(opposer, *pair) for pair in pairwise(others)]
 
 
 def torque_reserve(motion: MotionPlan) -> float:

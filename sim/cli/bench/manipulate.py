@@ -31,7 +31,11 @@ from sim.cli.common import (
 def manipulate(
     hands: HandsArgument,
     objects: Annotated[
-        str, typer.Option(help="Comma separated: cylinder, block, sphere, ellipsoid.")
+        str,
+        typer.Option(
+            help="Comma separated: cylinder, block, sphere, ellipsoid; superquadric or another "
+            "mesh by name, as wide as those; mesh files, folders of them or sizes, as they are."
+        ),
     ] = "cylinder",
     n: Annotated[int, typer.Option("-n", "--number", min=1, help="Trials per cell.")] = 50,
     height: Annotated[

@@ -1,0 +1,96 @@
+"""Meshes turned in the hand: where starts put contacts, which edges count, and that it is found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import box_mesh
+
+from planner.hand import Hand
+from planner.motion import ObjectPath, motion_attempts
+from planner.motion.ground import with_rolling_pads
+from planner.motion.starts import on_opposed_sides
+from planner.motion.surfaces import turned_surface_of
+from planner.objects import GraspObject
+from planner.shapes import Cylinder, Mesh, Superquadric
+from planner.synthesis.mesh_seeds import MeshSeeder, TurningSeeder, turning_seeder_for
+from planner.synthesis.problem import Start
+from planner.synthesis.surfaces import surface_of
+from planner.task import GraspTask
+
+THREE = ["thumb", "index", "middle"]
+
+
+@pytest.fixture(scope="module")
+def block() -> Mesh:
+    return box_mesh((0.06, 0.06, 0.08))
+
+
+@pytest.fixture(scope="module")
+def on_block(allegro: Hand, block: Mesh) -> GraspTask:
+    return GraspTask.create(allegro, GraspObject(name="block", shape=block), fingers=THREE)
+
+
+def test_starts_on_a_mesh_oppose_one_side_to_the_other(on_block: GraspTask, block: Mesh) -> None:
+    seeder = turning_seeder_for(on_block)
+    for seed in range(6):
+        drawn = seeder.draw(np.random.default_rng(seed))
+        assert isinstance(drawn, Start)
+        start = on_opposed_sides(drawn, seeder)
+        points, normals = block.closest_point(start.points)
+        assert np.allclose(points, start.points, atol=1e-9)
+        assert np.allclose(normals[1], -normals[0]) and np.allclose(normals[2], -normals[0])
+        pressed = start.forces / np.linalg.norm(start.forces, axis=1, keepdims=True)
+        assert np.allclose(pressed, -normals)
+        assert np.linalg.norm(start.forces, axis=1) == pytest.approx(
+            np.linalg.norm(drawn.forces, axis=1)
+        )
+        across = np.flatnonzero(np.abs(normals[0]) < 0.5)
+        room = np.array([0.03, 0.03, 0.04])[across] - np.abs(start.points[:, across])
+        assert room.min() > 0.002  # off edges
+
+
+def test_starts_on_what_has_no_faces_stay_as_they_are(allegro: Hand) -> None:
+    task = GraspTask.create(allegro, "cylinder:0.03x0.08", fingers=THREE)
+    seeder = turning_seeder_for(task)
+    drawn = seeder.draw(np.random.default_rng(0))
+    assert isinstance(drawn, Start)
+    assert on_opposed_sides(drawn, seeder) is drawn
+
+
+def test_starts_of_turns_are_more_level_than_those_of_grasps(on_block: GraspTask) -> None:
+    def steepest(seeder: MeshSeeder) -> float:
+        level = on_block.T_world_object.rotation[2]
+        return float(np.abs(seeder._pairs.directions[seeder._chance > 0.0] @ level).max())
+
+    assert steepest(TurningSeeder(on_block)) <= 0.3
+    assert TurningSeeder.steepest < MeshSeeder.steepest
+
+
+def test_a_contact_near_an_edge_lacks_slope_in_a_motion_alone(block: Mesh) -> None:
+    near = np.array([[0.03, 0.03 - 0.0085, 0.0]])  # 8.5 mm from the edge, on the face
+    slope = float(np.linalg.norm(block.field().taylor(near, 1)[0, 1:4]))
+    in_grasp = surface_of(block).size(block)[0]
+    in_motion = turned_surface_of(block).size(block)[0]
+    assert in_grasp < slope < in_motion
+    assert turned_surface_of(block).normal_error < surface_of(block).normal_error
+
+
+def test_primitives_are_the_same_in_grasps_and_motions() -> None:
+    shape = Cylinder(0.03, 0.08)
+    assert turned_surface_of(shape) is surface_of(shape)
+
+
+def test_meshes_with_sizes_of_their_own_have_rolling_pads_too(allegro: Hand) -> None:
+    assert with_rolling_pads(GraspTask.create(allegro, "superquadric", fingers=THREE)).hand.rolls
+
+
+def test_a_superquadric_is_turned_by_a_right_angle(allegro: Hand) -> None:
+    shape = Superquadric(0.06, 0.06, 0.09, 0.5, 0.5)
+    item = GraspObject(name="superquadric", shape=shape, mass=0.3)
+    task = GraspTask.create(allegro, item, mu=0.45, fingers=THREE)
+    path = ObjectPath(axis=np.array([0.0, 0.0, 1.0]), angle=np.pi / 2, shift=np.zeros(3))
+    attempts = motion_attempts(task, path, tube=0.03, seed=0)
+    found = [plan for plan in (next(attempts).plan for _ in range(3)) if plan is not None]
+    assert found
+    assert all(k.verification.ok and k.closure.closed for plan in found for k in plan.knots)
