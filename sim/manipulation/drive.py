@@ -81,6 +81,13 @@ class MotionController:
         self.holding.reference = self.reference
         return self.reference
 
+    def begin_back(self) -> MotionReference:
+        """Lead the object back to where the motion began, from where it is."""
+        place = self.reference.place
+        self.reference = MotionReference(self._plan.motion, rate=self._rate, back_from=place)
+        self.holding.reference = self.reference
+        return self.reference
+
     @property
     def off(self) -> NDArray[np.bool_]:
         """Which fingers (n,) are to be off the object: told to leave, or on their way."""

@@ -93,6 +93,8 @@ class Turning:
         """Let ``parts`` go on with a regrasp after a turn that stalled; why it cannot, "" if so."""
         if self._plan.gait is not None or self._back:
             return "regrasps were made already"
+        if self._plan.back or self._plan.shift.any():
+            return "it is to be moved, or turned back"
         found = plan_back(self._plan.motion, self._stage.driver.reference.place)
         if isinstance(found, str):
             return found
@@ -109,16 +111,32 @@ class Turning:
         """Turn that is still to be made, rad; negative beyond the goal."""
         return float(np.sign(self._plan.angle)) * (self._plan.angle - self.turned)
 
+    def back(self) -> Outcome:
+        """Make the motion backwards, to where it began."""
+        stage = self._stage
+        stage.driver.begin_back()
+        fault = self._led("back")
+        numbers = self.in_hand()
+        if not fault and numbers["tilt_deg"] > self._bounds.tilt_deg:
+            fault = f"tilted by {numbers['tilt_deg']:.1f} degrees off the axis"
+        if not fault and abs(numbers["turn_deg"]) > self._bounds.angle_deg:
+            fault = f"{numbers['turn_deg']:.1f} degrees are left of the turn: {self._obstacle()}"
+        return fault, numbers
+
     def in_hand(self) -> dict[str, float]:
         """How the object lies in the palm, against how it lay when the turn began."""
         turn, tilt, shift = self._stage.watch.moved(self._stage.data)
         fingers = set(hand_contacts(self._stage.scene, self._stage.data).fingers)
-        return {
+        numbers = {
             "turn_deg": float(np.rad2deg(turn)),
             "tilt_deg": float(np.rad2deg(tilt)),
             "shift_mm": 1e3 * float(np.linalg.norm(shift)),
             "fingers": float(len(fingers - {""})),
         }
+        if self._plan.shift.any():
+            asked = self._plan.motion.grasp.T_world_palm.rotation.T @ self._plan.shift
+            numbers["shift_off_mm"] = 1e3 * float(np.linalg.norm(shift - asked))
+        return numbers
 
     def stalled(self, numbers: dict[str, float]) -> str:
         """Why the turn is not what was asked for, "" if it is."""
@@ -128,6 +146,9 @@ class Turning:
             return f"turned {turned:.1f} of {asked:.1f} degrees: {self._obstacle()}"
         if tilt > self._bounds.tilt_deg:
             return f"tilted by {tilt:.1f} degrees off the axis"
+        off = numbers.get("shift_off_mm", 0.0)
+        if off > self._bounds.shift_mm:
+            return f"{off:.1f} mm from where it was to be moved: {self._obstacle()}"
         return ""
 
     def _obstacle(self) -> str:
@@ -163,19 +184,20 @@ class Turning:
             fault = f"tilted by {numbers['tilt_deg']:.1f} degrees off the axis"
         return fault, numbers
 
-    def _led(self) -> str:
+    def _led(self, step: Step = "turn") -> str:
         """Let the reference lead until its turn is made; what ended it early, "" if nothing."""
-        reference, step = self._stage.driver.reference, self._stage.scene.physics.timestep
+        reference, dt = self._stage.driver.reference, self._stage.scene.physics.timestep
         last = reference.left
 
         def made(_: bool) -> bool:
             nonlocal last
-            rate = (reference.left - last) / step
+            rate = (reference.left - last) / dt
             last = reference.left
-            return bool(reference.left <= CLOSE_TO and abs(rate) < STILL_SPEED)
+            there = reference.arrived if reference.goal == 0.0 else reference.left <= CLOSE_TO
+            return bool(there and abs(rate) < STILL_SPEED)
 
         fastest = abs(reference.goal) / self._pace.turn_rate
-        return self._stage.advance("turn", fastest, wait=self._pace.turn_wait, until=made)
+        return self._stage.advance(step, fastest, wait=self._pace.turn_wait, until=made)
 
     def _regrasp(self, move: Relocation) -> Outcome:
         """Move one finger on."""
