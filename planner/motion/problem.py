@@ -155,7 +155,7 @@ class MotionProblem:
             shift=to_object @ path.shift,
             tube=tube,
             loads=load_parameters(task, path, along, start.q),
-            pivot=PER_PIVOT if task.object.shape.kind in BALLS else 0.0,
+            pivot=PER_PIVOT if task.object.shape.kind in BALLS or _tilts(path) else 0.0,
         )
 
     def first(self, start: Start) -> FloatArray:
@@ -201,6 +201,18 @@ BALLS, PER_PIVOT = ("sphere", "ellipsoid"), 5.0
 """Kinds of shapes on which contacts may be where a turn makes tips pivot, below or above the
 equator, and what pivoting costs there: torsional friction holds balls up that are turned so. Chosen
 on a handful of balls in an Allegro-type hand; more leaves the actuators less."""
+
+
+def _tilts(path: ObjectPath) -> bool:
+    """Whether a path turns the object about anything but the vertical.
+
+    Fingers that come from above then stand on the axis of the turn as often as not, and pivot.
+    """
+    return path.angle != 0.0 and abs(path.axis[2]) < UPRIGHT
+
+
+UPRIGHT = 0.99
+"""Least share (-) of the vertical in an axis that counts as vertical."""
 
 OBSTACLE_DIM = 15
 """Numbers of an obstacle: rotation, translation and half extents (``surroundings``)."""
