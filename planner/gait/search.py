@@ -81,7 +81,7 @@ def plan_gait(
     """
     if max_attempts < 1:
         raise TaskError(f"max_attempts is {max_attempts}; give at least 1")
-    task = _with_all(task)
+    task = _with_all(replace(task, hand=task.hand.rolling))
     check_task(task, tube, seed)
     _check_fingers(task)
     shift = np.asarray(shift, dtype=np.float64)
