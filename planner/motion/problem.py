@@ -155,7 +155,7 @@ class MotionProblem:
             shift=to_object @ path.shift,
             tube=tube,
             loads=load_parameters(task, path, along, start.q),
-            pivot=PER_PIVOT if task.object.shape.kind in BALLS or _tilts(path) else 0.0,
+            pivot=PER_PIVOT if task.object.shape.kind in BALLS or not _level(path) else 0.0,
         )
 
     def first(self, start: Start) -> FloatArray:
@@ -203,12 +203,13 @@ equator, and what pivoting costs there: torsional friction holds balls up that a
 on a handful of balls in an Allegro-type hand; more leaves the actuators less."""
 
 
-def _tilts(path: ObjectPath) -> bool:
-    """Whether a path turns the object about anything but the vertical.
+def _level(path: ObjectPath) -> bool:
+    """Whether a path is a turn about the vertical, and nothing else.
 
-    Fingers that come from above then stand on the axis of the turn as often as not, and pivot.
+    On any other fingers that come from above stand on an axis about which they turn with the object
+    or against it as often as not, and pivot.
     """
-    return path.angle != 0.0 and abs(path.axis[2]) < UPRIGHT
+    return not path.shift.any() and abs(path.axis[2]) > UPRIGHT
 
 
 UPRIGHT = 0.99
