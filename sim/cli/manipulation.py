@@ -151,6 +151,13 @@ def _perform(
     if rotate is None:
         rotate = "z:0" if any(moved) else USUAL_TURN
     axis, degrees = _turn(rotate)
+    if sim_mu < mu:
+        say(
+            err,
+            f"[yellow]--sim-mu {sim_mu:g} is less friction than is believed, --mu {mu:g}: plan "
+            "and controller rely on what is not there, so expect slips and drops; give "
+            f"--sim-mu {mu:g} or more, or a smaller --mu[/yellow]",
+        )
     if folder is not None:
         make_folder(folder)
     task = manipulation_task(
@@ -162,13 +169,6 @@ def _perform(
     if stand:
         task = on_stand(task, stand)
     x, y = numbers("--place", place, 2)
-    if sim_mu < mu:
-        say(
-            err,
-            f"[yellow]--sim-mu {sim_mu:g} is less friction than is believed, --mu {mu:g}: plan "
-            "and controller rely on what is not there, so expect slips and drops; give "
-            f"--sim-mu {mu:g} or more, or a smaller --mu[/yellow]",
-        )
     with err.status(f"planning: {task.hand.name}, {task.object.name} ..."):
         plan = plan_turning(
             task,

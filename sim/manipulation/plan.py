@@ -35,6 +35,7 @@ __all__ = [
     "ManipulationPlan",
     "manipulation_task",
     "plan_manipulation",
+    "tilts",
     "torque_reserve",
 ]
 
@@ -196,12 +197,12 @@ def _tube(task: GraspTask, axis: FloatArray, shift: FloatArray) -> float:
     """Default radius (m) of the tube."""
     if shift.any():
         return SHIFT_TUBE
-    if _tilts(axis):
+    if tilts(axis):
         return TILT_TUBE
     return FLAT_TUBE if is_block(task) else TUBE
 
 
-def _tilts(axis: FloatArray) -> bool:
+def tilts(axis: FloatArray) -> bool:
     """Whether a turn about an axis (3,) tilts the object."""
     return bool(abs(axis[2]) < UPRIGHT * np.linalg.norm(axis))
 
@@ -211,7 +212,7 @@ def _pivots(motion: MotionPlan) -> str:
 
     Torsional friction, which the controller does not know of, would hold the object up.
     """
-    if not (motion.path.shift.any() or _tilts(motion.path.axis)):
+    if not (motion.path.shift.any() or tilts(motion.path.axis)):
         return ""
     pivoted = motion.pivoted
     worst = int(np.argmax(pivoted))
@@ -255,8 +256,16 @@ def manipulation_task(
         object: The object, with the largest mass that it may have.
         mu: Sliding friction (-), the least that there may be.
         fingers: Finger names; if None the hand's default set, of which one may be spared.
+
+    Raises:
+        TaskError: A hand on an arm.
     """
     task = GraspTask.create(hand, object, mu=mu, fingers=fingers)
+    if task.hand.arm is not None:
+        raise TaskError(
+            f"{task.hand.name} is carried by an arm; objects are turned in the hand by hands whose "
+            "base is free: give the hand without its arm ('opposable hands' lists what there is)"
+        )
     return replace(task, grip_force=max(LEAST_GRIP, _carrying(task, len(task.finger_names))))
 
 
