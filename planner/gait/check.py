@@ -40,6 +40,10 @@ SAME_POINT, SAME_NORMAL = 1e-5, 1e-3
 """How far contacts (m) and normals (-) of a later stroke may be from those of the first to count as
 the same: far below what is allowed of a touch."""
 
+SAMPLES, AROUND, SAME_SPACE = 500, 1.2, 1e-7
+"""Points whose distances from an object in two poses are compared, how far around it they lie, in
+its bounding radius, and the difference (m) that is none."""
+
 HOLDING_EDGES = 16
 """Sides of the pyramid of those forces, for the same reason: it gives away 2 % of the friction."""
 
@@ -100,6 +104,8 @@ class GaitJudge:
 
     def _faults(self, relocations: tuple[Relocation, ...], stroke: MotionPlan, cycle: int) -> str:
         """What is in the way of fingers that move on after a later stroke, "" for nothing."""
+        if self._where_it_was(stroke, cycle):
+            return ""
         for relocation in relocations:
             finger = self.lifted.hand.fingers[relocation.finger]
             pose = _displaced(relocation.T_world_object, stroke, cycle)
@@ -108,6 +114,19 @@ class GaitJudge:
             if why:
                 return why
         return ""
+
+    def _where_it_was(self, stroke: MotionPlan, cycle: int) -> bool:
+        """Whether the object fills the same space so many strokes later: then nothing differs."""
+        first = stroke.knots[-1].T_world_object
+        later = _displaced(first, stroke, cycle)
+        shape = self.lifted.object.shape
+        points = np.random.default_rng(0).uniform(-1.0, 1.0, size=(SAMPLES, 3))
+        points = first.translation + AROUND * shape.bounding_radius * points
+        seen = [
+            shape.signed_distance((points - pose.translation) @ pose.rotation)
+            for pose in (first, later)
+        ]
+        return bool(np.abs(seen[0] - seen[1]).max() < SAME_SPACE)
 
     def _stroke(self, stroke: MotionPlan, cycle: int) -> Stroke | str:
         """A later stroke, judged where the object is by then; or why it does not hold."""
