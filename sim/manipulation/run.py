@@ -8,7 +8,8 @@ them. An object that does not stand as it lies in the hand in the end, or that t
 go of there, is brought back in the hand ("back") before it is carried to its target.
 
 It ends at the first phase that fails, unless a retry is asked for: a turn that stalls then goes on
-after a regrasp if there is one from the present contacts; otherwise the object is put down where it
+after a regrasp if there is one from the present contacts, and where a lift is refused another
+finger moves on first if that holds; otherwise the object is put down where it
 is, and the rest of the turn is planned and made anew, once. What really is there may differ from
 what was planned for: friction, mass and the object's pose; the controller knows of it only what it
 measures.
@@ -150,12 +151,16 @@ class ManipulationRun:
         self._goes_on = False
         if step not in TURNING or not self.stage.touched:
             return ""
-        no_regrasp = "the turn is over"
+        no_regrasp, turning = "the turn is over", self._phases.turning
         if step == "turn":
-            no_regrasp = self._phases.turning.regrasps_on()
+            no_regrasp = turning.regrasps_on()
+        elif step == "regrasp":
+            no_regrasp = turning.another_order()
         self._goes_on = not no_regrasp
-        if self._goes_on:
+        if self._goes_on and step == "turn":
             return "the fingers move on, and it is turned again"
+        if self._goes_on:
+            return "the fingers move on in another order"
         why = self._put_down()
         self._goes_on = not why
         down = f"it cannot be put down either: {why}" if why else "it is put down"
