@@ -174,6 +174,25 @@ def test_the_way_back_begins_where_the_object_is_and_ends_where_it_was(
     np.testing.assert_allclose(target.q, motion.knots[0].q, atol=1e-6)
 
 
+def test_what_is_moved_is_moved_from_where_it_is(plan: ManipulationPlan) -> None:
+    motion = plan.motion
+    T_palm_world = motion.grasp.T_world_palm.inverse()
+    tips = np.zeros((len(motion.grasp.task.fingers), 3))
+    aside = np.array([0.002, -0.001, 0.0])
+    still = replace(motion, path=replace(motion.path, shift=np.zeros(3)))
+    for one, left in ((motion, aside), (still, np.zeros(3))):
+        reference = MotionReference(one)
+        begin = T_palm_world * one.knots[0].T_world_object
+        while not reference.arrived:
+            turn = pin.exp3(reference.place * motion.path.angle * reference.axis)
+            pose = SE3(turn @ begin.rotation, begin.translation + aside)
+            target = reference.advance(DT, pose, tips, motion.grasp.q, missed=0.0)
+        end = T_palm_world * one.knots[-1].T_world_object
+        np.testing.assert_allclose(
+            target.T_palm_object.translation, end.translation + left, atol=1e-6
+        )
+
+
 @pytest.mark.parametrize("place", [0.0, 1.5])
 def test_no_way_back_from_nowhere(plan: ManipulationPlan, place: float) -> None:
     with pytest.raises(TaskError, match=r"give a place in \(0, 1\]"):

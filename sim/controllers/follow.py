@@ -10,7 +10,7 @@ place on the planned path is y* over the planned angle. Cubic splines through th
 object's pose, the pad centres in the object's frame, in which they move by rolling only, and the
 joints: a velocity that jumps at a knot would be felt as a blow. Where the object lay otherwise than
 planned when the turn began, it is led onto the planned path bit by bit; only its turn about the
-axis stays its own. While the wanted forces cannot be had, the rate is lower.
+axis stays its own, and its place where it is to be moved, from where it is. While the wanted forces cannot be had, the rate is lower.
 
 The way back, from any place to the beginning, is the same backwards. A pure translation is led by
 time alone, which y* stands for then.
@@ -108,7 +108,7 @@ class MotionReference:
                 f"planned for {np.rad2deg(whole):.1f}; give at most that, or plan further"
             )
         self.axis: FloatArray = motion.grasp.T_world_palm.rotation.T @ path.axis
-        self._turns = abs(whole) > ROUNDING
+        self._turns, self._moves = abs(whole) > ROUNDING, bool(path.shift.any())
         self._sign = float(np.sign(whole))
         shift = float(np.linalg.norm(path.shift)) * (1.0 if back_from is None else back_from)
         self._length = abs(whole) if self._turns else shift
@@ -140,7 +140,9 @@ class MotionReference:
     ) -> Target:
         """Go on by one step; see ``Reference``."""
         if self._begin is None:
-            self._begin = _Begin(self.axis, self._path.at(0.0), T_palm_object, tips, q)
+            self._begin = _Begin(
+                self.axis, self._path.at(0.0), T_palm_object, tips, q, moves=self._moves
+            )
         else:
             turn = T_palm_object.rotation @ self._begin.rotation.T
             self.turned = signed_twist(turn, self.axis, near=self.turned)
@@ -236,7 +238,14 @@ class _Begin:
     """
 
     def __init__(
-        self, axis: FloatArray, planned: _Place, actual: SE3, tips: FloatArray, q: FloatArray
+        self,
+        axis: FloatArray,
+        planned: _Place,
+        actual: SE3,
+        tips: FloatArray,
+        q: FloatArray,
+        *,
+        moves: bool,
     ) -> None:
         pose = planned.T_palm_object
         self.rotation: FloatArray = actual.rotation.copy()
@@ -244,7 +253,7 @@ class _Begin:
         turned = actual.rotation @ pose.rotation.T
         self.about: FloatArray = pin.exp3(signed_twist(turned, axis) * axis)
         self._tilt = pin.log3(turned @ self.about.T)
-        self._shift = actual.translation - pose.translation
+        self._shift, self._moves = actual.translation - pose.translation, moves
         seen = self.about.T @ actual.rotation
         self._aside: FloatArray = (tips - actual.translation) @ seen - planned.tips
 
@@ -252,7 +261,8 @@ class _Begin:
         """The planned pose with what is left of the difference after a share of the way."""
         left = 1.0 - share
         turn = pin.exp3(left * self._tilt) @ self.about
-        return SE3(turn @ planned.rotation, planned.translation + left * self._shift)
+        aside = self._shift if self._moves else left * self._shift
+        return SE3(turn @ planned.rotation, planned.translation + aside)
 
     def tips(self, planned: FloatArray, wanted: SE3) -> FloatArray:
         """Planned pads (n, 3), object's frame, in the palm, as far beside them as at the start."""
