@@ -10,7 +10,8 @@ place on the planned path is y* over the planned angle. Cubic splines through th
 object's pose, the pad centres in the object's frame, in which they move by rolling only, and the
 joints: a velocity that jumps at a knot would be felt as a blow. Where the object lay otherwise than
 planned when the turn began, it is led onto the planned path bit by bit; only its turn about the
-axis stays its own, and its place where it is to be moved, from where it is. While the wanted forces cannot be had, the rate is lower.
+axis stays its own, and its place where it is to be moved, from where it is. While the wanted forces
+cannot be had, the rate is lower.
 
 The way back, from any place to the beginning, is the same backwards. A pure translation is led by
 time alone, which y* stands for then.
