@@ -25,7 +25,7 @@ from sim.manipulation import (
     plan_turning,
 )
 from sim.manipulation.ending import object_at_target, planned_ending, stands, way_back
-from sim.manipulation.plan import MOST_PIVOT
+from sim.manipulation.paths import MOST_PIVOT
 from sim.manipulation.stand import on_stand
 from sim.physics import PhysicsOptions
 

@@ -18,7 +18,8 @@ from sim.controllers import Event, ObjectImpedance, Observation, Phase, Sensing
 from sim.controllers.follow import MotionReference
 from sim.controllers.opening import PostureServo
 from sim.manipulation.away import FingerAway
-from sim.manipulation.plan import ManipulationPlan, tilts
+from sim.manipulation.paths import tilts
+from sim.manipulation.plan import ManipulationPlan
 from sim.mount import Mount
 from sim.timeline import Timeline
 

@@ -20,7 +20,6 @@ from planner.gait import GaitPlan
 from planner.hand import Hand
 from planner.motion import MotionAttempt, MotionPlan, ObjectPath, motion_attempts
 from planner.motion.ground import with_rolling_pads
-from planner.motion.path import LARGEST_TURN
 from planner.objects import GraspObject
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.joint_objectives import driving
@@ -28,6 +27,7 @@ from planner.synthesis.mesh_seeds import seeder_for
 from planner.synthesis.pregrasp import Approach
 from planner.task import GraspTask, Obstacle
 from sim.manipulation.ending import planned_ending, standing_under
+from sim.manipulation.paths import further, narrow_tube, pivots
 
 __all__ = [
     "LITTLE_MORE",
@@ -35,7 +35,6 @@ __all__ = [
     "ManipulationPlan",
     "manipulation_task",
     "plan_manipulation",
-    "tilts",
     "torque_reserve",
 ]
 
@@ -64,10 +63,6 @@ TUBE, FLAT_TUBE = 0.02, 0.03
 """Default radii (m) of the tube: what is free gives some ten degrees more. For blocks: a finger of
 the Shadow-type hand has to go a third of the way around with its face, and no further than 40
 degrees to the side; with 20 mm it turns them by 89 degrees, with 30 by 97."""
-
-TILT_TUBE, SHIFT_TUBE = 0.01, 0.0
-"""The same where the object is to be tilted, which is nearer to what hands can do, and where it is
-to be moved: it is to get where it was asked to."""
 
 MAX_ATTEMPTS = 50
 """Attempts before giving up."""
@@ -128,7 +123,7 @@ def plan_manipulation(
         shift: Translation in the hand (3,), m, world, evenly along the turn.
         place: Where the object is to stand, x and y in m, world; where it was if None.
         tube: Radius within which the object may leave its place while it is turned, m; if None
-            ``TUBE`` or ``FLAT_TUBE``, ``TILT_TUBE`` or ``SHIFT_TUBE``, as the motion is.
+            ``TUBE``, or ``FLAT_TUBE`` for blocks. Where it is tilted or moved, ``narrow_tube``.
         seed: Same seed, same plan.
         max_attempts: Budget in attempts.
 
@@ -143,13 +138,15 @@ def plan_manipulation(
     direction = np.asarray(axis, dtype=np.float64)
     moved = np.asarray(shift, dtype=np.float64)
     if tube is None:
-        tube = _tube(task, direction, moved)
+        tube = narrow_tube(direction, moved)
+    if tube is None:
+        tube = FLAT_TUBE if is_block(task) else TUBE
     made: list[MotionAttempt] = []
     found: list[ManipulationPlan] = []
     for chosen, more, attempts in _rounds(task):
         if len(made) >= max_attempts:
             break
-        path = _further(direction, angle, moved, more)
+        path = further(direction, angle, moved, more)
         most = max_attempts if attempts is None else min(max_attempts, len(made) + attempts)
         for attempt in motion_attempts(chosen, path, tube=tube, seed=seed):
             if len(made) >= most or _enough(found):
@@ -157,7 +154,7 @@ def plan_manipulation(
             made.append(attempt)
             if attempt.plan is None:
                 continue
-            pivoted = _pivots(attempt.plan)
+            pivoted = pivots(attempt.plan)
             if pivoted:
                 made[-1] = replace(attempt, plan=None, reason=pivoted)
                 continue
@@ -191,52 +188,6 @@ def plan_manipulation(
         "a smaller turn, a wider tube, other fingers or more attempts",
         tuple(made),
     )
-
-
-def _tube(task: GraspTask, axis: FloatArray, shift: FloatArray) -> float:
-    """Default radius (m) of the tube."""
-    if shift.any():
-        return SHIFT_TUBE
-    if tilts(axis):
-        return TILT_TUBE
-    return FLAT_TUBE if is_block(task) else TUBE
-
-
-def tilts(axis: FloatArray) -> bool:
-    """Whether a turn about an axis (3,) tilts the object."""
-    return bool(abs(axis[2]) < UPRIGHT * np.linalg.norm(axis))
-
-
-def _pivots(motion: MotionPlan) -> str:
-    """Which tip pivots too far on its contact when the object is tilted or moved, "" for none.
-
-    Torsional friction, which the controller does not know of, would hold the object up.
-    """
-    if not (motion.path.shift.any() or tilts(motion.path.axis)):
-        return ""
-    pivoted = motion.pivoted
-    worst = int(np.argmax(pivoted))
-    if pivoted[worst] <= MOST_PIVOT:
-        return ""
-    name = motion.grasp.task.finger_names[worst]
-    return f"{name} pivots on its contact by {np.rad2deg(pivoted[worst]):.0f} degrees"
-
-
-UPRIGHT = 0.99
-"""Least share (-) of the vertical in an axis that counts as vertical."""
-
-MOST_PIVOT = math.radians(12.0)
-"""Most (rad) that a tip may pivot while the object is tilted or moved. Of 15 tilts by 30 degrees
-with more, boxes, cylinders and balls in both hands, 5 were made, of 24 with less all."""
-
-
-def _further(axis: FloatArray, angle: float, shift: FloatArray, more: float) -> ObjectPath:
-    """The path with so much more of a turn (rad) than is asked for, and as much of the shift."""
-    if angle == 0.0:
-        return ObjectPath(axis=axis, angle=0.0, shift=shift)
-    turn = max(abs(angle), min(abs(angle) + more, LARGEST_TURN))
-    further = math.copysign(turn, angle)
-    return ObjectPath(axis=axis, angle=further, shift=further / angle * shift)
 
 
 def manipulation_task(
