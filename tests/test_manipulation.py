@@ -37,7 +37,8 @@ from sim.manipulation import (
 from sim.manipulation.checks import placed, tilt_between, undisturbed
 from sim.manipulation.ending import standing_under
 from sim.manipulation.modes import measured_modes, mode_table, planned_modes
-from sim.manipulation.plan import _enough, _merit, _rounds, _settled
+from sim.manipulation.plan import _enough, _merit, _settled
+from sim.manipulation.rounds import rounds
 from sim.manipulation.stand import on_stand
 from sim.physics import PhysicsOptions
 
@@ -379,24 +380,24 @@ def test_a_turn_beyond_one_stroke_is_refused(plan: ManipulationPlan) -> None:
 def test_fingers_are_spared_only_where_they_may_be() -> None:
     item = parse_object("cylinder:0.03x0.08", mass=0.3)
     task = manipulation_task("allegro_hand", item, mu=0.45)
-    rounds = list(_rounds(task))
-    tried = [t for t, _, _ in rounds]
+    tries = list(rounds(task))
+    tried = [t for t, _, _ in tries]
     # the other three do not open 60 mm without the thumb
     # and then come all with pads as wide as the tips are round
     assert [len(t.finger_names) for t in tried] == [4, 3, 3, 3, 4, 4]
     assert [t.hand.rolls for t in tried] == [False] * 4 + [True, False]
     # the last one goes on without end, the others do not
-    assert [n is None for _, _, n in rounds] == [False] * 5 + [True]
+    assert [n is None for _, _, n in tries] == [False] * 5 + [True]
     assert all("thumb" in t.finger_names for t in tried)
     # three fingers carry the same weight as four
     assert tried[1].grip_force * 3 == pytest.approx(tried[0].grip_force * 4)
     named = manipulation_task("allegro_hand", item, mu=0.45, fingers=task.finger_names)
-    assert all(len(t.finger_names) == 4 for t, _, _ in _rounds(named))
+    assert all(len(t.finger_names) == 4 for t, _, _ in rounds(named))
 
 
 def test_blocks_are_held_by_the_opposer_and_two_neighbours() -> None:
     task = manipulation_task("allegro_hand", parse_object("box:0.06x0.06x0.08", mass=0.3), mu=0.45)
-    tried = [t for t, _, _ in _rounds(task)]
+    tried = [t for t, _, _ in rounds(task)]
     names = [set(t.finger_names) for t in tried]
     assert names[:2] == [{"thumb", "index", "middle"}, {"thumb", "middle", "ring"}]
     assert not any(t.hand.rolls for t in tried), "faces are turned on rolling pads anyway"
@@ -406,13 +407,13 @@ def test_blocks_are_held_by_the_opposer_and_two_neighbours() -> None:
 
 def test_balls_are_turned_on_round_tips_by_three_fingers() -> None:
     task = manipulation_task("allegro_hand", parse_object("sphere:0.03", mass=0.3), mu=0.45)
-    rounds = list(_rounds(task))
-    assert {len(t.finger_names) for t, _, _ in rounds} == {3}
-    assert not any(t.hand.rolls for t, _, _ in rounds), "balls are turned on rolling pads anyway"
+    tries = list(rounds(task))
+    assert {len(t.finger_names) for t, _, _ in tries} == {3}
+    assert not any(t.hand.rolls for t, _, _ in tries), "balls are turned on rolling pads anyway"
     # three forces carry the weight
-    assert rounds[0][0].grip_force == pytest.approx(0.3 * 9.81 / (0.45 * 3))
+    assert tries[0][0].grip_force == pytest.approx(0.3 * 9.81 / (0.45 * 3))
     round_one = manipulation_task("allegro_hand", parse_object("cylinder:0.03x0.08"), mu=0.45)
-    assert rounds[0][1] < next(_rounds(round_one))[1], "tips that turn along come less far"
+    assert tries[0][1] < next(rounds(round_one))[1], "tips that turn along come less far"
 
 
 def test_a_ball_that_two_fingers_pinch_is_not_taken_at_once(plan: ManipulationPlan) -> None:
@@ -574,6 +575,6 @@ def test_a_turn_is_an_axis_and_degrees() -> None:
 def test_fingers_that_cannot_close_on_the_object_alone_are_not_tried() -> None:
     """Four fingers side by side open 21 mm: without its thumb the hand cannot hold 69 mm."""
     task = manipulation_task("shadow_hand", parse_object("cylinder:0.0345x0.08"), mu=0.45)
-    sets = [one.finger_names for one, _, _ in _rounds(task)]
+    sets = [one.finger_names for one, _, _ in rounds(task)]
     assert len(sets) > 2
     assert all("thumb" in names for names in sets)

@@ -18,12 +18,12 @@ from planner.spatial import FloatArray
 from planner.task import GraspTask
 from sim.manipulation.ending import planned_ending, standing_under, stands
 from sim.manipulation.plan import (
-    LITTLE_MORE,
     MAX_ATTEMPTS,
     ManipulationPlan,
     plan_manipulation,
     torque_reserve,
 )
+from sim.manipulation.rounds import LITTLE_MORE
 
 __all__ = ["plan_regrasping", "plan_turning"]
 

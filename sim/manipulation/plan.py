@@ -6,50 +6,29 @@ object is to stand at last.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 
 from planner.errors import NoGraspFoundError, TaskError
 from planner.gait import GaitPlan
-from planner.hand import Hand
 from planner.motion import MotionAttempt, MotionPlan, ObjectPath, motion_attempts
-from planner.motion.ground import ROLLED, tripods, with_rolling_pads
-from planner.motion.problem import BALLS
-from planner.objects import GraspObject
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.joint_objectives import driving
-from planner.synthesis.mesh_seeds import seeder_for
 from planner.synthesis.pregrasp import Approach
 from planner.task import GraspTask, Obstacle
 from sim.manipulation.ending import planned_ending, standing_under
 from sim.manipulation.paths import further, narrow_tube, pivots
+from sim.manipulation.rounds import is_ball, rounds, takes_tips
 
 __all__ = [
-    "LITTLE_MORE",
     "MAX_ATTEMPTS",
     "ManipulationPlan",
-    "manipulation_task",
     "plan_manipulation",
     "torque_reserve",
 ]
-
-MORE, FIRST, THEN = math.radians(8.0), 10, 8
-"""Turn (rad) that is planned beyond what is asked for, since a grasp that is made a little beside
-its place meets a joint's end before the plan does; attempts for it; and attempts with one finger
-less, for each, where fingers may be spared."""
-
-LESS_MORE = math.radians(5.0)
-"""The same for objects that take the tips along (``planner.motion.ground.ROLLED``): blocks, meshes
-and balls, of which hands turn the wide ones little further than that. Three fingers turn them."""
-
-LITTLE_MORE = math.radians(2.0)
-"""Turn (rad) beyond what is asked for where no other plan is found, and of a turn by strokes, where
-what is left over is made up for by the last."""
 
 GOOD_RESERVE, CANDIDATES = 0.25, 3
 """A plan that leaves this share of every actuator is taken at once; otherwise the one that leaves
@@ -147,10 +126,10 @@ def plan_manipulation(
     if tube is None:
         tube = narrow_tube(direction, moved)
     if tube is None:
-        tube = WIDE_TUBE if _takes_tips(task) else TUBE
+        tube = WIDE_TUBE if takes_tips(task) else TUBE
     made: list[MotionAttempt] = []
     found: list[ManipulationPlan] = []
-    for chosen, more, attempts in _rounds(task):
+    for chosen, more, attempts in rounds(task):
         if len(made) >= max_attempts:
             break
         path = further(direction, angle, moved, more)
@@ -199,100 +178,6 @@ def plan_manipulation(
     )
 
 
-def manipulation_task(
-    hand: Hand | str | Path,
-    object: GraspObject,
-    *,
-    mu: float,
-    fingers: Sequence[str] | None = None,
-) -> GraspTask:
-    """A task with a grip that friction carries the weight with, shared evenly.
-
-    A grasp that is only held has twice that by default; the thumb of a hand that turns has to
-    oppose all other fingers along the whole path, and its joints have no torque for that.
-
-    Args:
-        hand: A hand, its name, or the path of its description.
-        object: The object, with the largest mass that it may have.
-        mu: Sliding friction (-), the least that there may be.
-        fingers: Finger names; if None the hand's default set, of which one may be spared.
-
-    Raises:
-        TaskError: A hand on an arm.
-    """
-    task = GraspTask.create(hand, object, mu=mu, fingers=fingers)
-    if task.hand.arm is not None:
-        raise TaskError(
-            f"{task.hand.name} is carried by an arm; objects are turned in the hand by hands whose "
-            "base is free: give the hand without its arm ('opposable hands' lists what there is)"
-        )
-    return replace(task, grip_force=max(LEAST_GRIP, _carrying(task, len(task.finger_names))))
-
-
-def _carrying(task: GraspTask, n: int) -> float:
-    """Least normal force (N) of each of n fingers with which all carry the weight by friction.
-
-    On a block one finger opposes all others, so it presses as much as they do together.
-    """
-    weight = task.object.mass * float(np.linalg.norm(task.gravity))
-    block = task.object.shape.kind == "box"
-    return weight / (task.mu * (2 * (n - 1) if block else n))
-
-
-def _with_fingers(task: GraspTask, names: Sequence[str]) -> GraspTask:
-    """The task for some of its fingers, which carry the weight alone."""
-    grip = max(task.grip_force, _carrying(task, len(names)))
-    return replace(task, finger_names=tuple(names), may_spare_fingers=False, grip_force=grip)
-
-
-def _takes_tips(task: GraspTask) -> bool:
-    """Whether the fingertips turn with the object, which asks more of the fingers."""
-    return isinstance(task.object.shape, ROLLED)
-
-
-def _is_ball(task: GraspTask) -> bool:
-    """Whether the object is round in every direction."""
-    return task.object.shape.kind in BALLS
-
-
-LEAST_GRIP = 1.5
-"""Smallest normal force (N) per finger: with less, contacts of three fingers were lost at times."""
-
-
-def _rounds(task: GraspTask) -> Iterator[tuple[GraspTask, float, int | None]]:
-    """What is tried in turn: a task, how much more than is asked for (rad), and how often."""
-    chosen = [task]
-    if task.may_spare_fingers and len(task.finger_names) > task.fingers_needed:
-        if _takes_tips(task):
-            # a fourth finger has to go all the way as well: on blocks it stays on its face and
-            # turns with it, on balls no start of 6 holds with four fingers of the Shadow-type hand
-            chosen = [_with_fingers(task, names) for names in tripods(task)]
-        else:
-            # the thumb, which comes first, is spared last
-            for spared in reversed(task.finger_names):
-                names = [name for name in task.finger_names if name != spared]
-                chosen.append(_with_fingers(task, names))
-    more = LESS_MORE if _takes_tips(task) else MORE
-    yield chosen[0], more, FIRST
-    if _is_ball(task):
-        yield chosen[0], LITTLE_MORE, FIRST
-    for one in filter(_closes, chosen[1:]):
-        yield one, more, THEN
-    # a cylinder of 7 cm is too wide for the Shadow-type hand's pads, and not for its round tips
-    if not with_rolling_pads(chosen[0]).hand.rolls:
-        yield replace(chosen[0], hand=task.hand.rolling), more, FIRST
-    yield chosen[0], LITTLE_MORE, None
-
-
-def _closes(task: GraspTask) -> bool:
-    """Whether the fingers open wide enough for the object: without a thumb they may not."""
-    try:
-        seeder_for(task)
-    except TaskError:
-        return False
-    return True
-
-
 def torque_reserve(motion: MotionPlan) -> float:
     """Share of its limit that the most loaded actuator of the fingers has left at any knot."""
     task = motion.grasp.task
@@ -317,11 +202,11 @@ def _enough(found: list[ManipulationPlan]) -> bool:
 
 def _settled(found: list[ManipulationPlan]) -> bool:
     """Whether what was found makes another round needless: for a ball a good plan is worth one."""
-    return any(not _is_ball(p.motion.grasp.task) for p in found) or _enough(found)
+    return any(not is_ball(p.motion.grasp.task) for p in found) or _enough(found)
 
 
 def _merit(plan: ManipulationPlan) -> float:
     """How good a plan is (-), from 1 on good enough to be taken at once."""
-    if _is_ball(plan.motion.grasp.task):
+    if is_ball(plan.motion.grasp.task):
         return plan.motion.margin / GOOD_MARGIN
     return plan.reserve / GOOD_RESERVE
