@@ -197,10 +197,11 @@ class MotionProblem:
         return lower, upper
 
 
-BALLS, PER_PIVOT = ("sphere", "ellipsoid"), 5.0
+BALLS, PER_PIVOT = ("sphere", "ellipsoid"), 12.0
 """Kinds of shapes on which contacts may be where a turn makes tips pivot, below or above the
-equator, and what pivoting costs there: torsional friction holds balls up that are turned so. Chosen
-on a handful of balls in an Allegro-type hand; more leaves the actuators less."""
+equator, and what pivoting costs there: torsional friction holds balls up that are turned so. With
+pads as wide as the tips are round, it turns balls of 54 and 60 mm in the Shadow-type hand with 4 to
+12 mN m (6 plans), at 5 with 8 to 17 (7 plans); at 20 fewer starts hold."""
 
 
 def _level(path: ObjectPath) -> bool:
