@@ -36,7 +36,7 @@ from sim.manipulation import (
 )
 from sim.manipulation.checks import placed, tilt_between, undisturbed
 from sim.manipulation.modes import measured_modes, mode_table, planned_modes
-from sim.manipulation.plan import _rounds, standing_under
+from sim.manipulation.plan import _enough, _merit, _rounds, _settled, standing_under
 from sim.manipulation.stand import on_stand
 from sim.physics import PhysicsOptions
 
@@ -401,6 +401,43 @@ def test_blocks_are_held_by_the_opposer_and_two_neighbours() -> None:
     assert not any(t.hand.rolls for t in tried), "faces are turned on rolling pads anyway"
     # the thumb presses twice as much as each of the others, and four such forces carry the weight
     assert tried[0].grip_force == pytest.approx(0.3 * 9.81 / (0.45 * 4))
+
+
+def test_balls_are_turned_on_round_tips_by_three_fingers() -> None:
+    task = manipulation_task("allegro_hand", parse_object("sphere:0.03", mass=0.3), mu=0.45)
+    rounds = list(_rounds(task))
+    assert {len(t.finger_names) for t, _, _ in rounds} == {3}
+    assert not any(t.hand.rolls for t, _, _ in rounds), "balls are turned on rolling pads anyway"
+    # three forces carry the weight
+    assert rounds[0][0].grip_force == pytest.approx(0.3 * 9.81 / (0.45 * 3))
+    round_one = manipulation_task("allegro_hand", parse_object("cylinder:0.03x0.08"), mu=0.45)
+    assert rounds[0][1] < next(_rounds(round_one))[1], "tips that turn along come less far"
+
+
+def test_a_ball_that_two_fingers_pinch_is_not_taken_at_once(plan: ManipulationPlan) -> None:
+    ball = parse_object("sphere:0.03", mass=0.1)
+    grasp = plan.motion.grasp
+    held = replace(grasp, task=replace(grasp.task, object=ball, table_height=None))
+    margins = (0.3, 0.45)
+    pinched, even = (
+        replace(
+            plan,
+            motion=replace(
+                plan.motion,
+                grasp=held,
+                knots=tuple(
+                    replace(k, closure=replace(k.closure, normalised_min_weight=margin))
+                    for k in plan.motion.knots
+                ),
+            ),
+            reserve=0.3,
+        )
+        for margin in margins
+    )
+    assert _enough([replace(plan, reserve=0.3)]) and _settled([replace(plan, reserve=0.0)])
+    assert not _enough([pinched]) and not _settled([pinched]) and not _settled([])
+    assert _enough([pinched, even]) and _settled([pinched] * 3)
+    assert max(pinched, even, key=_merit) is even
 
 
 # --- a stand -----------------------------------------------------------------------------------

@@ -1,15 +1,17 @@
 """What all attempts at a motion share, for each set of fingers that may hold the object.
 
 Where the caller names no fingers, attempts take turns between the sets. Three fingers go further
-than four: of 10 starts at 90 degrees about the vertical, cylinders of 5, 6 and 7 cm, tube 20 mm,
-1, 4 and 0 hold with four fingers of the Shadow-type hand and 5, 7 and 6 with its thumb, index and
-middle; 7, 5 and 6 against 9, 9 and 10 on the Allegro-type hand. Four have a contact to spare.
+than four, which have a contact to spare. Of four starts on each of six cylinders of 5 to 7 cm with
+50 to 300 g and friction 0.5 to 1, 90 degrees about the vertical, these hold on the Allegro-type
+hand: 22 with thumb, index and middle, 13 with middle and ring (the two nearest to the thumb), 14
+with all four; on the Shadow-type hand 12, 13 and 10 of 16, and none with ring and little.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 
@@ -22,29 +24,38 @@ from planner.motion.problems import motion_problem_for
 from planner.motion.solve import WORTH_A_LOOK, MotionCandidate, MotionSolver
 from planner.motion.starts import on_opposed_sides
 from planner.plan import SolveRecord
-from planner.shapes import Box, Mesh
+from planner.shapes import Box, Ellipsoid, Mesh, Sphere
 from planner.synthesis.mesh_seeds import turning_seeder_for
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.seeds import TRIPOD, Seeder
 from planner.task import GraspTask
 
-__all__ = ["Ground", "finger_sets", "rank", "with_rolling_pads"]
+__all__ = [
+    "Ground",
+    "finger_sets",
+    "rank",
+    "tripods",
+    "with_rolling_pads",
+]
 
 LEAST_SHARE = 0.02
 """Share of a path (-) below which nothing of it is reached."""
 
-FLAT = (Box, Mesh)
-"""Shapes with faces: a tip on a face has to turn with it, all the way. On cylinders and balls it
-may stay and let the contact wander."""
+ROLLED = (Box, Mesh, Sphere, Ellipsoid)
+"""Shapes for which contacts may be wherever a tip is round. A tip on a face has to turn
+with it, all the way; on a ball a tip that does not turn with it pivots, against torsional friction.
+On a cylinder it may stay and let the contact wander."""
 
 
 def with_rolling_pads(task: GraspTask) -> GraspTask:
-    """The task with pads as wide as the tips are round, where its object has faces.
+    """The task with pads as wide as the tips are round, where its object has faces or is a ball.
 
     Of 8 starts for 94 degrees on blocks of 5, 6 and 7 cm, 60 mm high, tube 30 mm, 3, 3 and 2 hold
     with thumb, index and middle of the Shadow-type hand; none with the pads of a grasp.
+    Torsional friction of tips that pivot turns balls of 55 to 70 mm with 0 to 3 mN m in an
+    Allegro-type hand (9 plans), with the pads of a grasp with up to 23 (4 plans).
     """
-    if not isinstance(task.object.shape, FLAT) or task.hand.rolls:
+    if not isinstance(task.object.shape, ROLLED) or task.hand.rolls:
         return task
     return replace(task, hand=task.hand.rolling)
 
@@ -53,16 +64,36 @@ def with_rolling_pads(task: GraspTask) -> GraspTask:
 def finger_sets(task: GraspTask) -> tuple[GraspTask, ...]:
     """The task for each set of fingers that attempts take turns between.
 
-    The opposer with the two fingers nearest to it, then all; all alone where the caller chose.
+    The first ``PAIRS`` tripods that open wide enough, then all; all alone where the caller chose.
     """
     if not task.may_spare_fingers or len(task.fingers) <= TRIPOD:
         return (task,)
+    chosen = [tripod for names in tripods(task)[:PAIRS] if (tripod := _alone(task, names))]
+    return (*chosen, task)
+
+
+PAIRS = 2
+"""Tripods that take turns; little fingers come last and seldom turn anything."""
+
+
+def tripods(task: GraspTask) -> list[tuple[str, ...]]:
+    """The finger that opposes the others with each pair of neighbours among those."""
+    opposer = task.finger_names[turning_seeder_for(task).pinch.opposer]
+    others = [name for name in task.finger_names if name != opposer]
+    return [(opposer, *pair) for pair in pairwise(others)]
+
+
+def _alone(task: GraspTask, names: tuple[str, ...]) -> GraspTask | None:
+    """The task for these fingers, if they can do it.
+
+    A region may be required of a spared finger, and without a thumb some do not open wide enough.
+    """
     try:
-        spared = task.with_fingers(turning_seeder_for(task).tripod)
-        turning_seeder_for(spared)
-    except TaskError:  # a region is required of a spared finger, or three do not open as wide
-        return (task,)
-    return (spared, task)
+        alone = task.with_fingers(names)
+        turning_seeder_for(alone)
+    except TaskError:
+        return None
+    return alone
 
 
 @lru_cache(maxsize=8)

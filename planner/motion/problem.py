@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -28,10 +27,11 @@ from planner.motion.loads import load_function, load_parameters
 from planner.motion.path import ObjectPath
 from planner.motion.rolling import pivoting_function, rolling_function
 from planner.motion.surfaces import turned_surface_of
-from planner.motion.unknowns import MotionUnknowns
+from planner.motion.unknowns import MotionUnknowns, placement
 from planner.shapes import Shape
 from planner.spatial import FloatArray
 from planner.synthesis.avoid import Avoidance
+from planner.synthesis.buffered import BufferedFunction
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import GraspProblem, Start
 from planner.synthesis.residuals import Residuals
@@ -93,20 +93,27 @@ class MotionProblem:
         )
 
     @cached_property
-    def rolling(self) -> Any:
+    def rolling(self) -> BufferedFunction:
         """``rolling_function`` from every knot to the next, mapped."""
         one = rolling_function(self.grasp.hand, self.grasp.fingers)
-        return one.map(self.n_knots - 1)
+        return BufferedFunction(one.map(self.n_knots - 1))
 
     @cached_property
-    def pivoting(self) -> Any:
+    def pivoting(self) -> BufferedFunction:
         """``pivoting_function`` from every knot to the next, mapped."""
-        return pivoting_function(self.grasp.hand, self.grasp.fingers).map(self.n_knots - 1)
+        one = pivoting_function(self.grasp.hand, self.grasp.fingers)
+        return BufferedFunction(one.map(self.n_knots - 1))
 
     @cached_property
-    def loads(self) -> Any:
+    def loads(self) -> BufferedFunction:
         """``load_function`` at every knot, mapped."""
-        return load_function(self.grasp.hand, self.grasp.fingers).map(self.n_knots)
+        one = load_function(self.grasp.hand, self.grasp.fingers)
+        return BufferedFunction(one.map(self.n_knots))
+
+    @cached_property
+    def placement(self) -> BufferedFunction:
+        """``placement`` of every knot, mapped."""
+        return BufferedFunction(placement().map(self.n_knots))
 
     @cached_property
     def hold_rows(self) -> HoldRows:
@@ -190,10 +197,11 @@ class MotionProblem:
         return lower, upper
 
 
-BALLS, PER_PIVOT = ("sphere", "ellipsoid"), 5.0
+BALLS, PER_PIVOT = ("sphere", "ellipsoid"), 12.0
 """Kinds of shapes on which contacts may be where a turn makes tips pivot, below or above the
-equator, and what pivoting costs there: torsional friction holds balls up that are turned so. Chosen
-on a handful of balls in an Allegro-type hand; more leaves the actuators less."""
+equator, and what pivoting costs there: torsional friction holds balls up that are turned so. With
+pads as wide as the tips are round, it turns balls of 54 and 60 mm in the Shadow-type hand with 4 to
+12 mN m (6 plans), at 5 with 8 to 17 (7 plans); at 20 fewer starts hold."""
 
 OBSTACLE_DIM = 15
 """Numbers of an obstacle: rotation, translation and half extents (``surroundings``)."""

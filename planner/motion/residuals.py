@@ -8,15 +8,14 @@ one.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from planner.motion.problem import MotionNumbers, MotionProblem
-from planner.motion.unknowns import SHARE, SHARED, TUBE, placement
+from planner.motion.unknowns import SHARE, SHARED, TUBE
 from planner.spatial import FloatArray, IntArray
 from planner.stages import stage
+from planner.synthesis.buffered import BufferedFunction
 from planner.synthesis.nlp import Field
 
 __all__ = ["PER_METRE", "PULL", "MotionResiduals", "Tally"]
@@ -65,7 +64,6 @@ class MotionResiduals:
         """Bind a problem to numbers, and to the distance field of a mesh."""
         self.problem, self.numbers, self._field = problem, numbers, field
         self.n_terms = 0
-        self._placement = placement().map(problem.n_knots)
         self.pull = 0.0
         self._bends = self._steady()
 
@@ -81,21 +79,18 @@ class MotionResiduals:
         The derivative is by what all knots share and by the place in the tube.
         """
         u, n = self.problem.unknowns, self.numbers
-        y = np.vstack([np.tile(z[:SHARED], (u.n_knots, 1)).T, u.offsets(z).T])
-        at, slopes = self._placement(
-            ca.DM(y),
-            ca.DM(n.reference.ravel(order="F")),
-            ca.DM(n.axis),
+        shared = np.broadcast_to(z[:SHARED], (u.n_knots, SHARED))
+        bases, slopes = self.problem.placement(
+            np.hstack([shared, u.offsets(z)]),
+            n.reference.T.ravel(),
+            n.axis,
             n.angle,
-            ca.DM(n.shift),
-            ca.DM(n.places).T,
+            n.shift,
+            n.places[:, None],
         )
-        bases, rates, rests = at.full().T, slopes.full(), u.rests(z)
-        width = SHARED + TUBE
-        return [
-            (np.concatenate([bases[k], rests[k]]), rates[:, width * k : width * (k + 1)])
-            for k in range(u.n_knots)
-        ]
+        width, x = SHARED + TUBE, np.hstack([bases, u.rests(z)])
+        rates = slopes.copy()
+        return [(x[k], rates[width * k : width * (k + 1)].T) for k in range(u.n_knots)]
 
     def grasps(self, z: FloatArray) -> FloatArray:
         """Unknowns (n_knots, size) of every knot as a grasp."""
@@ -163,30 +158,27 @@ class MotionResiduals:
         rows[:, at.start + TUBE : at.stop] += local[:, 6:]
 
     def _stepwise(
-        self, function: Any, weight: float, placed: list[tuple[FloatArray, FloatArray]]
+        self, function: BufferedFunction, weight: float, placed: list[tuple[FloatArray, FloatArray]]
     ) -> tuple[FloatArray, FloatArray]:
         """Rows of a function of every two neighbouring knots."""
         u = self.problem.unknowns
-        x = np.array([x for x, _ in placed]).T
-        reference = np.tile(self.numbers.reference.ravel(order="F")[:, None], u.n_knots - 1)
-        out, jacobian = function(ca.DM(x[:, :-1]), ca.DM(x[:, 1:]), ca.DM(reference))
-        values, slopes = out.full(), jacobian.full()
-        m, size = len(values), u.grasp.size
+        x = np.array([x for x, _ in placed])
+        values, slopes = function(x[:-1], x[1:], self.numbers.reference.T.ravel())
+        m, size = values.shape[1], u.grasp.size
         rows = np.zeros((m * (u.n_knots - 1), u.size))
         for k in range(u.n_knots - 1):
             mine = rows[k * m : (k + 1) * m]
-            local = slopes[:, 2 * size * k : 2 * size * (k + 1)]
+            local = slopes[2 * size * k : 2 * size * (k + 1)].T
             self._spread(mine, local[:, :size], placed[k][1], k)
             self._spread(mine, local[:, size:], placed[k + 1][1], k + 1)
-        return weight * values.T.ravel(), weight * rows
+        return weight * values.ravel(), weight * rows
 
     def _spare(self, placed: list[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
-        """What is to spare at each knot (n_knots, k), and its Jacobian (k, n_knots size)."""
-        u, n = self.problem.unknowns, self.numbers
-        x = np.array([x for x, _ in placed]).T
-        reference = np.tile(n.reference.ravel(order="F")[:, None], u.n_knots)
-        spare, slopes = self.problem.loads(ca.DM(x), ca.DM(reference), ca.DM(n.loads.T))
-        return spare.full().T, slopes.full()
+        """What is to spare at each knot (n_knots, k), and its Jacobian (n_knots size, k)."""
+        n = self.numbers
+        x = np.array([x for x, _ in placed])
+        spare, slopes = self.problem.loads(x, n.reference.T.ravel(), n.loads)
+        return spare, slopes
 
     def _loads(self, placed: list[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
         """What bears more than it may, knot by knot."""
@@ -198,7 +190,7 @@ class MotionResiduals:
             over = np.flatnonzero(mine < 0.0)
             if len(over):
                 added = np.zeros((len(over), u.size))
-                local = slopes[over, size * k : size * (k + 1)]
+                local = slopes[size * k : size * (k + 1), over].T
                 self._spread(added, local, placed[k][1], k)
                 values.append(mine[over])
                 rows.append(added)

@@ -153,7 +153,7 @@ def plan_motion(
 
     Args:
         task: What is grasped, with what, where it stands at the start; the base is free. Where it
-            leaves the choice of fingers, attempts take turns between three and all of its fingers
+            leaves the choice of fingers, attempts take turns between tripods and all of its fingers
             (``finger_sets``), and the task of the plan says with which it is.
         axis: Axis of the turn through the object's centre of mass (3,), world.
         angle: Turn, rad, with its sign; None for as much as there is, counted positive about

@@ -7,7 +7,6 @@ violated, come from ``planner.synthesis.avoid``.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from planner.spatial import FloatArray
 from planner.stages import stage
 from planner.synthesis.avoid import TERMS, Avoidance, Violated
+from planner.synthesis.buffered import into_buffers
 from planner.synthesis.compiled import compiled
 from planner.synthesis.gaps import Gaps
 from planner.synthesis.nlp import THIRD, Field, FieldPoints
@@ -110,7 +110,7 @@ class Residuals:
         bending = ca.densify(_bending(formulation))
         self._outward, self._bending = np.zeros(normals.shape[::-1]), np.zeros(bending.shape[::-1])
         results = [residual, jacobian, normals, bending, *outputs.values()]
-        self._call = _into_buffers(
+        self._call = into_buffers(
             compiled(ca.Function("residuals", [x, p, tau], results)),
             [self._x, self._p, self._tau],
             [self._values, self._entries, self._outward, self._bending, *links.values()],
@@ -208,19 +208,3 @@ def _bending(formulation: Formulation) -> Any:
             for i in range(normals.shape[1])
         ]
     )
-
-
-def _into_buffers(
-    function: Any, arguments: list[FloatArray], results: list[FloatArray]
-) -> Callable[[], None]:
-    """A call that reads and writes these arrays."""
-    buffer, trigger = function.buffer()
-    for i, array in enumerate(arguments):
-        buffer.set_arg(i, array.data)
-    for i, array in enumerate(results):
-        buffer.set_res(i, array.data)
-
-    def call(_kept: Any = (function, buffer)) -> None:
-        trigger()
-
-    return call

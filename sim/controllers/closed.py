@@ -18,8 +18,9 @@ What it notices and what it does then:
                     less a margin
     infeasible      the forces that come nearest within all limits are given, and fingers that only
                     press on each other ease off: the wrench comes before the grip
-    gave up         fewer fingers than can hold the object, or infeasible, for ``PATIENCE``: nothing
-                    is learned or tightened any more, and the reason is kept, until it is over
+    gave up         fewer fingers than can hold the object, or infeasible, for too long
+                    (``sim.controllers.patience``): nothing is learned or tightened any more, and
+                    the reason is kept, until it is over
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ from sim.controllers.gains import ImpedanceGains, felt_inertia
 from sim.controllers.grasp import FIRST_SHARE, GraspController
 from sim.controllers.impedance import ImpedanceLaw
 from sim.controllers.pads import PadReading
+from sim.controllers.patience import Patience
 from sim.controllers.reference import Reference
 from sim.controllers.schedule import TOUCH_FORCE, ContactSchedule
 from sim.controllers.sensing import Senses, Sensing
@@ -60,20 +62,8 @@ GRIP_STEP, MAX_GRIP = 1.3, 3.0
 FRICTION_MARGIN, LEAST_MU = 0.85, 0.1
 """After a slip friction is believed to be this share of what was felt, and never less than this."""
 
-MISSED_TOL = 0.05
-"""A wrench counts as missed when more than this share of it, or this many N, is left over."""
-
 CARRYING: frozenset[Phase] = frozenset({"lift", "hold", "turn", "carry"})
 """Phases in which nothing but the hand holds the object: then loads and friction are learned."""
-
-LEAST_GIVEN, GIVING_TIME, TAKING_TIME = 0.3, 0.05, 0.5
-"""While a wrench is missed the least normal forces give way to this share of them, as fast as all
-of them would in the first time (s), and come back in the second: a finger that must press where
-its force cannot be balanced is itself what is in the way. Not after a slip: then it is friction
-that is wanting."""
-
-INFEASIBLE_TIME, PATIENCE = 0.006, 0.5
-"""How long (s) a wrench must be missed to be called infeasible, and to give up."""
 
 
 class ObjectImpedance:
@@ -89,7 +79,6 @@ class ObjectImpedance:
         grip: Least normal force (N) of a finger that holds, at the end of the squeeze and before
             any slip; the task's at first. May be set.
         forces: (n, 4), contact forces of the last step in the contact frames, N and N m.
-        gave_up: Why it gave up, "" while it has not.
     """
 
     def __init__(
@@ -130,7 +119,6 @@ class ObjectImpedance:
         self.reference: Reference | None = None
         self.grip = task.grip_force
         self.forces = np.zeros((n, 4))
-        self.gave_up = ""
         self._events: list[Event] = []
         self._opening = GraspController(plan)
         self._senses = Senses(sensing or Sensing())
@@ -144,14 +132,17 @@ class ObjectImpedance:
         self._frames = np.array(self._contacts.frames)
         self._loop = self._make_loop()
         self._time = 0.0
-        self._missed_for, self._few_for = 0.0, 0.0
-        self._missed_share = 0.0
-        self._given = 1.0
+        self._patience = Patience(task.fingers_needed)
 
     @property
     def events(self) -> tuple[Event, ...]:
         """What it noticed, in order."""
         return tuple(self._events)
+
+    @property
+    def gave_up(self) -> str:
+        """Why it gave up, "" while it has not."""
+        return self._patience.gave_up
 
     def limited_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last step wanted."""
@@ -234,7 +225,7 @@ class ObjectImpedance:
     ) -> FloatArray:
         """Take over where object and fingers should be now; returns the wanted twist (6,)."""
         target = reference.advance(
-            elapsed, in_palm, self._torques.tips_in_palm, q, missed=self._missed_share
+            elapsed, in_palm, self._torques.tips_in_palm, q, missed=self._patience.missed
         )
         self.T_palm_wanted = target.T_palm_object
         self._torques.aim(target.tips, target.q, target.v)
@@ -285,7 +276,7 @@ class ObjectImpedance:
             jacobians=loaded,
             q=q,
             gravity_torque=self._torques.own_torque,
-            min_normal=scale * self._grip * self._given * self.grip * share,
+            min_normal=scale * self._grip * self._patience.given * self.grip * share,
             max_normal=MAX_NORMAL * share,
             previous=self.forces,
         )
@@ -302,31 +293,12 @@ class ObjectImpedance:
         """Note when a wrench cannot be had, and give up when that lasts."""
         weight = self._loop.problem.row_scale[:6]
         short, asked = (math.sqrt(w @ w) for w in (weight * missed, weight * wrench))
-        self._missed_share = short / max(1.0, asked)
-        wanting = self._missed_share > MISSED_TOL
-        gives = wanting and self._grip == 1.0
-        rate = -1.0 / GIVING_TIME if gives else 1.0 / TAKING_TIME
-        self._given = min(1.0, max(LEAST_GIVEN, self._given + elapsed * rate))
-        before = self._missed_for
-        self._missed_for = before + elapsed if wanting else 0.0
-        detail = f"{short:.2f} N of {asked:.2f} N cannot be had"
-        if before < INFEASIBLE_TIME <= self._missed_for:
-            self._note("infeasible", None, f"{detail}; the nearest forces are given")
-        if before >= INFEASIBLE_TIME and self._missed_for == 0.0:
-            self._note("feasible again", None, f"after {before:.3f} s")
         holding = int(self.schedule.holding.sum())
-        few = holding < self.plan.task.fingers_needed
-        self._few_for = self._few_for + elapsed if few else 0.0
-        if self.gave_up and self._missed_for == 0.0 and not few:
-            self.gave_up = ""
-        if self.gave_up:
-            return
-        if self._few_for > PATIENCE:
-            self.gave_up = f"only {holding} fingers hold, for {PATIENCE} s"
-        elif self._missed_for > PATIENCE:
-            self.gave_up = f"{detail}, for {PATIENCE} s"
-        if self.gave_up:
-            self._note("gave up", None, self.gave_up)
+        gives = self._grip == 1.0  # after a slip it is friction that is wanting
+        for kind, detail in self._patience.update(
+            elapsed, short=short, asked=asked, holding=holding, gives=gives
+        ):
+            self._note(kind, None, detail)
 
     def _make_loop(self) -> ForceLoop:
         """The force programme under the friction that is believed now."""

@@ -22,6 +22,7 @@ from planner.hand import Hand
 from planner.motion import MotionAttempt, MotionPlan, ObjectPath, motion_attempts
 from planner.motion.ground import with_rolling_pads
 from planner.motion.path import LARGEST_TURN
+from planner.motion.problem import BALLS
 from planner.motion.release import find_release
 from planner.objects import GraspObject
 from planner.shapes import Box, Ellipsoid, Mesh, Sphere
@@ -47,8 +48,13 @@ MORE, FIRST, THEN = math.radians(8.0), 10, 8
 its place meets a joint's end before the plan does; attempts for it; and attempts with one finger
 less, for each, where fingers may be spared."""
 
-FLAT_MORE = math.radians(5.0)
-"""The same for blocks and meshes, of which hands turn the wide ones little further than that."""
+LESS_MORE = math.radians(5.0)
+"""The same for objects ``WITH_TIPS``, of which hands turn the wide ones little further than that.
+"""
+
+WITH_TIPS = (Box, Mesh, Sphere, Ellipsoid)
+"""Shapes that take the tips along: on a face a tip has to turn with it, and on a ball a
+tip that does not do so pivots."""
 
 FOR_THREE = (Box, Sphere, Ellipsoid, Mesh)
 """Shapes that three fingers turn."""
@@ -63,10 +69,17 @@ most of this many. What is left moves the fingers and answers to what was not pl
 slips, an object that stands beside its place. Of 21 Allegro trials the one that stalled had 0.01.
 """
 
-TUBE, FLAT_TUBE = 0.02, 0.03
-"""Default radii (m) of the tube: what is free gives some ten degrees more. For blocks and meshes: a
-finger of the Shadow-type hand has to go a third of the way around with its face, and no further
-than 40 degrees to the side; with 20 mm it turns blocks by 89 degrees, with 30 by 97."""
+GOOD_MARGIN = 0.4
+"""Margin of closure (-) with which a plan for a ball is taken at once; otherwise the one with most.
+Plans for balls are of two sorts. Either one finger opposes another with 12 to 20 N, which leaves a
+margin of 0.25 to 0.34 and much torsional friction; or all press alike, with less than 9 N, and
+leave 0.44 to 0.73. In the Shadow-type hand 4 of 6 turns of the first sort fell short of 90 degrees,
+and none of a dozen of the second."""
+
+TUBE, WIDE_TUBE = 0.02, 0.03
+"""Default radii (m) of the tube: what is free gives some ten degrees more. For objects
+``WITH_TIPS``: a finger of the Shadow-type hand has to go a third of the way around with a face, and
+no further than 40 degrees to the side; with 20 mm it turns blocks by 89 degrees, with 30 by 97."""
 
 MAX_ATTEMPTS = 50
 """Attempts before giving up."""
@@ -121,7 +134,7 @@ def plan_manipulation(
         angle: Turn in the hand, rad, with its sign.
         place: Where the object is to stand, x and y in m, world; where it was if None.
         tube: Radius within which the object may leave its place while it is turned, m; if None
-            ``TUBE``, or ``FLAT_TUBE`` for blocks and meshes.
+            ``TUBE``, or ``WIDE_TUBE`` for blocks, balls and meshes.
         seed: Same seed, same plan.
         max_attempts: Budget in attempts.
 
@@ -135,7 +148,7 @@ def plan_manipulation(
         raise TaskError(f"max_attempts is {max_attempts}; give at least 1")
     direction = np.asarray(axis, dtype=np.float64)
     if tube is None:
-        tube = FLAT_TUBE if is_pinched(task) else TUBE
+        tube = WIDE_TUBE if _takes_tips(task) else TUBE
     made: list[MotionAttempt] = []
     found: list[ManipulationPlan] = []
     for chosen, more, attempts in _rounds(task):
@@ -168,9 +181,11 @@ def plan_manipulation(
                     cpu_s=0.0,
                 )
             )
-        if found:
-            best = max(found, key=lambda plan: plan.reserve)
-            return replace(best, attempts=len(made), cpu_s=sum(a.cpu_s for a in made))
+        if _settled(found):
+            break
+    if found:
+        best = max(found, key=_merit)
+        return replace(best, attempts=len(made), cpu_s=sum(a.cpu_s for a in made))
     reasons = Counter(a.reason for a in made).most_common(3)
     why = "; ".join(f"{n} x {reason}" for reason, n in reasons)
     raise NoGraspFoundError(
@@ -219,9 +234,14 @@ def _with_fingers(task: GraspTask, names: Sequence[str]) -> GraspTask:
     return replace(task, finger_names=tuple(names), may_spare_fingers=False, grip_force=grip)
 
 
-def is_pinched(task: GraspTask) -> bool:
-    """Whether the object is held on opposed sides: a block, or a mesh, which may have faces."""
-    return isinstance(task.object.shape, Box | Mesh)
+def _takes_tips(task: GraspTask) -> bool:
+    """Whether the fingertips turn with the object, which asks more of the fingers."""
+    return isinstance(task.object.shape, WITH_TIPS)
+
+
+def _is_ball(task: GraspTask) -> bool:
+    """Whether the object is round in every direction."""
+    return task.object.shape.kind in BALLS
 
 
 LEAST_GRIP = 1.5
@@ -239,8 +259,10 @@ def _rounds(task: GraspTask) -> Iterator[tuple[GraspTask, float, int | None]]:
             for spared in reversed(task.finger_names):
                 names = [name for name in task.finger_names if name != spared]
                 chosen.append(_with_fingers(task, names))
-    more = FLAT_MORE if is_pinched(task) else MORE
+    more = LESS_MORE if _takes_tips(task) else MORE
     yield chosen[0], more, FIRST
+    if _is_ball(task) or isinstance(task.object.shape, Mesh):
+        yield chosen[0], LITTLE_MORE, FIRST
     for one in filter(_closes, chosen[1:]):
         yield one, more, THEN
     # a cylinder of 7 cm is too wide for the Shadow-type hand's pads, and not for its round tips
@@ -288,7 +310,19 @@ NO_LIMIT = 1e-9
 
 def _enough(found: list[ManipulationPlan]) -> bool:
     """Whether it is time to take the best of what was found."""
-    return len(found) >= CANDIDATES or any(p.reserve >= GOOD_RESERVE for p in found)
+    return len(found) >= CANDIDATES or any(_merit(p) >= 1.0 for p in found)
+
+
+def _settled(found: list[ManipulationPlan]) -> bool:
+    """Whether what was found makes another round needless: for a ball a good plan is worth one."""
+    return any(not _is_ball(p.motion.grasp.task) for p in found) or _enough(found)
+
+
+def _merit(plan: ManipulationPlan) -> float:
+    """How good a plan is (-), from 1 on good enough to be taken at once."""
+    if _is_ball(plan.motion.grasp.task):
+        return plan.motion.margin / GOOD_MARGIN
+    return plan.reserve / GOOD_RESERVE
 
 
 def object_at_target(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from sim.cli.bench import control, grasps, manipulate, synthesis
+from sim.cli.bench import control, grasps, manipulate, motion, synthesis
 
 __all__ = ["register"]
 
@@ -22,6 +22,7 @@ def register(app: typer.Typer) -> None:
         synthesis.scaling,
         control.forces,
         control.control,
+        motion.motion,
         manipulate.manipulate,
     ):
         bench.command()(command)
