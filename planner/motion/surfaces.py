@@ -16,7 +16,7 @@ __all__ = ["turned_surface_of"]
 NORMAL_ERROR, STEEP, EDGE_WORTH = 0.08, 0.97, 10.0
 """How far (rad) normals may be off at a contact; slope (-) of the smooth distance from which on a
 contact is off edges; and what counts a slope that is missing there, in those of a grasp. Thumb,
-index and middle of the Shadow-type hand, a block of 6 cm and a hexagonal prism given as meshes: with
+index and middle of the Shadow-type hand, a block of 6 cm and a hexagonal prism as meshes: with
 those of a grasp none of 6 and 6 starts held for 95 degrees, with these 4 and 1 of 5 for 92."""
 
 DISTANCE_ERROR = 0.0035
