@@ -255,6 +255,7 @@ ALLOWED = {
         "plan",
         "programme",
         "quality",
+        "shapes",
         "synthesis",
         "task",
     ),

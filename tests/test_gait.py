@@ -19,13 +19,15 @@ from planner.files import read_gait, write_gait, write_json
 from planner.files.gaits import gait_to_dict
 from planner.forces import gravity_wrench
 from planner.gait import GaitPlan, NoOrder, Order, Relocation, find_order, plan_gait
+from planner.gait.alike import same_space
 from planner.gait.check import HOLDING_SHARE, GaitJudge
 from planner.gait.order import LIFT_MARGIN, holding, standing
 from planner.hand import Hand
 from planner.kinematics import HandState
 from planner.motion import plan_motion
+from planner.objects import parse_object
 from planner.quality import force_closure
-from planner.spatial import FloatArray
+from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.bench.star_hand import write_star_hand
 
@@ -311,3 +313,16 @@ def test_a_damaged_gait_file_is_refused(
     write_json(data, tmp_path / "gait.json")
     with pytest.raises(FileFormatError, match=told):
         read_gait(tmp_path / "gait.json", hand=shadow)
+
+
+def test_what_fills_the_same_space_after_a_turn() -> None:
+    def same(spec: str, degrees: float, shift: float = 0.0) -> bool:
+        turn = SE3(pin.exp3(np.array([0.0, 0.0, math.radians(degrees)])), shift * UP)
+        return same_space(parse_object(spec).shape, SE3.Identity(), turn)
+
+    assert same("cylinder:0.03x0.08", 17.0)
+    assert not same("cylinder:0.03x0.08", 17.0, 1e-4)
+    assert same("box:0.05x0.05x0.08", 90.0)
+    assert not same("box:0.05x0.05x0.08", 60.0)
+    assert not same("box:0.05x0.06x0.08", 90.0)
+    assert same("box:0.05x0.06x0.08", 180.0)

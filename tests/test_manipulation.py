@@ -35,8 +35,9 @@ from sim.manipulation import (
     plan_manipulation,
 )
 from sim.manipulation.checks import placed, tilt_between, undisturbed
+from sim.manipulation.ending import standing_under
 from sim.manipulation.modes import measured_modes, mode_table, planned_modes
-from sim.manipulation.plan import _enough, _merit, _rounds, _settled, standing_under
+from sim.manipulation.plan import _enough, _merit, _rounds, _settled
 from sim.manipulation.stand import on_stand
 from sim.physics import PhysicsOptions
 

@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 from planner.errors import NoGraspFoundError, TaskError
-from planner.gait import GaitPlan, cut_motion, plan_back
+from planner.gait import GaitPlan, cut_motion, plan_back, plan_others
 from planner.hand import Hand
 from planner.objects import parse_object
 from planner.spatial import SE3
@@ -28,7 +28,7 @@ from sim.manipulation import (
     manipulation_task,
     plan_regrasping,
     plan_turning,
-    turning,
+    regrasping,
 )
 from sim.manipulation.report import told_events
 from sim.physics import PhysicsOptions
@@ -121,19 +121,54 @@ def test_fingers_land_back_around_the_object(report: ManipulationReport) -> None
     for check in report.checks:
         if check.step == "regrasp":
             assert check.numbers["landed_off_mm"] < 2.0
-            assert check.numbers["margin"] > turning.MEASURED_MARGIN
+            assert check.numbers["margin"] > regrasping.MEASURED_MARGIN
 
 
 def test_a_lift_is_refused_while_the_others_do_not_close(
     plan: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(turning, "MEASURED_MARGIN", 2.0)  # more than there can be
+    monkeypatch.setattr(regrasping, "MEASURED_MARGIN", 2.0)  # more than there can be
     told = manipulate(plan, pace=replace(QUICK, lift_wait=0.1))
     assert not told.complete
     assert not told.dropped
     assert told.checks[-1].step == "regrasp"
     assert "cannot be lifted: the measured contacts of the others close with" in told.reason
     assert told.least_fingers == 4
+
+
+def test_another_finger_goes_first_where_a_lift_is_refused(
+    plan: ManipulationPlan, gait: GaitPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = gait.order[0]
+    refused = regrasping.Regrasping._refused
+    asked: list[str] = []
+
+    def stubborn(self: regrasping.Regrasping, finger: str, numbers: dict[str, float]) -> str:
+        asked.append(finger)
+        seen = set(asked) == {first}
+        return "it is stuck" if seen else refused(self, finger, numbers)
+
+    monkeypatch.setattr(regrasping.Regrasping, "_refused", stubborn)
+    told = manipulate(plan, pace=replace(QUICK, lift_wait=0.1), retry=True)
+    tried = [c for c in told.checks if c.step == "regrasp"]
+    assert tried[0].about == first
+    assert tried[0].reason == f"{first} cannot be lifted: it is stuck"
+    assert tried[0].then == "the fingers move on in another order"
+    assert tried[1].about != first
+    assert sorted(c.about for c in tried[1:]) == sorted(gait.order)
+    assert told.complete, str(told)
+    assert told.strict
+
+
+def test_fingers_that_are_left_have_orders_of_their_own(gait: GaitPlan) -> None:
+    stroke, names = gait.motion, gait.order
+    found = plan_others(stroke, names[:1], names[1:2])
+    assert not isinstance(found, str)
+    assert sorted(r.finger for r in found) == sorted(names[1:])
+    assert found[0].finger != names[1]
+    told = plan_others(stroke, names[:1], names[1:])
+    assert isinstance(told, str)
+    assert "could not be lifted when it was tried" in told
 
 
 def test_a_reference_goes_on_from_an_object_that_was_turned(gait: GaitPlan) -> None:

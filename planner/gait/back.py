@@ -1,11 +1,13 @@
 """``plan_back``: fingers go back to where a motion began, wherever on its way the object is now.
 
 For a turn that does not go on: the fingers move on one at a time, the object held still, and the
-motion is made again from its beginning.
+motion is made again from its beginning. ``plan_others`` is for a lift that is refused while fingers
+move on: those that are left do it in another order.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +17,7 @@ from planner.gait.order import NoOrder
 from planner.gait.plan import Relocation
 from planner.motion import MotionPlan
 
-__all__ = ["cut_motion", "plan_back"]
+__all__ = ["cut_motion", "plan_back", "plan_others"]
 
 
 def cut_motion(motion: MotionPlan, place: float) -> MotionPlan:
@@ -43,4 +45,20 @@ def plan_back(motion: MotionPlan, place: float) -> tuple[Relocation, ...] | str:
     if len(task.fingers) - 1 < task.fingers_needed:
         return f"{len(task.fingers)} fingers are too few to lift one of them"
     found = GaitJudge(task).relocations(cut_motion(motion, place))
+    return str(found) if isinstance(found, NoOrder) else found
+
+
+def plan_others(
+    stroke: MotionPlan, moved: Collection[str], refused: Collection[str]
+) -> tuple[Relocation, ...] | str:
+    """Relocations of the fingers that are left after a stroke, others first; or why there are none.
+
+    Args:
+        stroke: The stroke.
+        moved: Names of the fingers that have moved on already.
+        refused: Names of those that cannot be lifted next.
+    """
+    task = stroke.grasp.task
+    numbers = [frozenset(map(task.finger_names.index, names)) for names in (moved, refused)]
+    found = GaitJudge(task).relocations(stroke, moved=numbers[0], refused=numbers[1])
     return str(found) if isinstance(found, NoOrder) else found

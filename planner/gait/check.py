@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.contacts import ContactSet
+from planner.gait.alike import same_space
 from planner.gait.order import NoOrder, Order, find_order, holding, standing
 from planner.gait.plan import GaitPlan, Relocation, Stroke
 from planner.gait.relocate import FingerPaths
@@ -82,11 +83,19 @@ class GaitJudge:
             phases.append(following)
         return GaitPlan(motion=stroke, cycles=cycles, phases=tuple(phases), record=stroke.record)
 
-    def relocations(self, stroke: MotionPlan) -> tuple[Relocation, ...] | NoOrder | str:
+    def relocations(
+        self,
+        stroke: MotionPlan,
+        *,
+        moved: frozenset[int] = frozenset(),
+        refused: frozenset[int] = frozenset(),
+    ) -> tuple[Relocation, ...] | NoOrder | str:
         """What moves on after a stroke, in an order that holds; or why there is none.
 
         Args:
             stroke: The stroke.
+            moved: Numbers of the fingers that have moved on already.
+            refused: Numbers of those that cannot be the next, as was found out where it is done.
 
         Returns:
             The relocations; or what stands against every order; or, where the object does not look
@@ -95,11 +104,20 @@ class GaitJudge:
         end = _End(self, stroke)
         if end.unlike:
             return end.unlike
-        found = find_order(end.begin, end.end, stroke.path.axis, refuse=end.refuse)
-        return end.build(found) if isinstance(found, Order) else found
+
+        def refuse(finger: int, before: frozenset[int]) -> str:
+            if before == moved and finger in refused:
+                return "it could not be lifted when it was tried"
+            return end.refuse(finger, before)
+
+        found = find_order(end.begin, end.end, stroke.path.axis, refuse=refuse, moved=moved)
+        return end.build(found, moved) if isinstance(found, Order) else found
 
     def _faults(self, relocations: tuple[Relocation, ...], stroke: MotionPlan, cycle: int) -> str:
         """What is in the way of fingers that move on after a later stroke, "" for nothing."""
+        first = stroke.knots[-1].T_world_object
+        if same_space(self.lifted.object.shape, first, _displaced(first, stroke, cycle)):
+            return ""  # nothing differs
         for relocation in relocations:
             finger = self.lifted.hand.fingers[relocation.finger]
             pose = _displaced(relocation.T_world_object, stroke, cycle)
@@ -235,10 +253,10 @@ class _End:
         )
         return ""
 
-    def build(self, order: Order) -> tuple[Relocation, ...]:
-        """The relocations of an order whose lifts have all been agreed to."""
+    def build(self, order: Order, moved: frozenset[int]) -> tuple[Relocation, ...]:
+        """The relocations of an order, after some, whose lifts have all been agreed to."""
         out: list[Relocation] = []
-        before = self.end
+        before = standing(self.begin, self.end, moved) if moved else self.end
         for lift in order.lifts:
             move = self._moves[lift.finger, lift.moved]
             out.append(

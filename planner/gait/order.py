@@ -97,9 +97,9 @@ class NoOrder:
 
     @property
     def stuck(self) -> tuple[int, ...]:
-        """Numbers of the fingers that can never be lifted."""
+        """Numbers of the fingers that can never be lifted, of those that are still to be."""
         able = {lift.finger for lift in self.lifts if not lift.refused}
-        return tuple(i for i in range(len(self.names)) if i not in able)
+        return tuple(sorted({lift.finger for lift in self.lifts} - able))
 
     @property
     def proven(self) -> bool:
@@ -156,6 +156,7 @@ def find_order(
     *,
     refuse: Callable[[int, frozenset[int]], str] = lambda finger, moved: "",
     margin: float = LIFT_MARGIN,
+    moved: frozenset[int] = frozenset(),
 ) -> Order | NoOrder:
     """The order of lifts with the largest least margin; or what stands against all of them.
 
@@ -166,6 +167,7 @@ def find_order(
         refuse: What else stands against lifting a finger after some have moved on, "" for nothing.
             Asked only for lifts that are of use.
         margin: Least normalised min-weight of the contacts that hold (-).
+        moved: Numbers of the fingers that have moved on already.
     """
     n = len(end)
     lifts: dict[tuple[int, frozenset[int]], Lift] = {}
@@ -179,7 +181,7 @@ def find_order(
 
     agreed: set[tuple[int, frozenset[int]]] = set()
     while True:
-        found = _widest(n, lift)
+        found = _widest(n, moved, lift)
         if found is None:
             return NoOrder(
                 names=end.fingers,
@@ -232,11 +234,16 @@ RANK = 6
 """Rank of the wrenches of a closed grasp."""
 
 
-def _widest(n: int, lift: Callable[[int, frozenset[int]], Lift]) -> tuple[Lift, ...] | None:
-    """The lifts of all n fingers, in an order whose least margin is largest; None if none holds."""
-    best: dict[frozenset[int], tuple[float, tuple[Lift, ...]]] = {frozenset(): (np.inf, ())}
-    layer = [frozenset[int]()]
-    for _ in range(n):
+def _widest(
+    n: int, first: frozenset[int], lift: Callable[[int, frozenset[int]], Lift]
+) -> tuple[Lift, ...] | None:
+    """The lifts of all n fingers but the first, in the order whose least margin is largest.
+
+    None if none holds.
+    """
+    best: dict[frozenset[int], tuple[float, tuple[Lift, ...]]] = {first: (np.inf, ())}
+    layer = [first]
+    for _ in range(n - len(first)):
         following: set[frozenset[int]] = set()
         for moved in layer:
             width, way = best[moved]

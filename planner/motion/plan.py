@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+import pinocchio as pin
 
 from planner.contacts import ContactSet
 from planner.forces import ForceSolution
+from planner.kinematics import HandState
 from planner.motion.limits import Limit
 from planner.motion.path import ObjectPath
 from planner.plan import GraspPlan
@@ -133,6 +136,24 @@ class MotionPlan:
     def slipped(self) -> FloatArray:
         """How far (n,), m, each pad slides over the whole path: 0 if it only rolls."""
         return np.asarray(np.sum([k.slips for k in self.knots], axis=0))
+
+    @property
+    def pivoted(self) -> FloatArray:
+        """By how much (n,), rad, each tip turns about its contact's normal over the whole path."""
+        task, out = self.grasp.task, []
+        for a, b in pairwise(self.knots):
+            before, after = (
+                (k.T_world_object.inverse() * self.T_world_base, HandState(task.hand, k.q))
+                for k in (a, b)
+            )
+            normals = a.contacts_in_object.normals + b.contacts_in_object.normals
+            for finger, normal in zip(task.fingers, normals, strict=True):
+                old, new = (
+                    base.rotation @ state.joint_pose(finger.pad.joint_id).rotation
+                    for base, state in (before, after)
+                )
+                out.append(abs(pin.log3(new @ old.T) @ normal) / np.linalg.norm(normal))
+        return np.asarray(np.reshape(out, (-1, len(task.fingers))).sum(axis=0))
 
     def at(self, place: float) -> tuple[SE3, FloatArray]:
         """Pose of the object and joints (nq,) at a place of the path, 0 to 1, between knots.

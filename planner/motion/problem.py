@@ -155,7 +155,7 @@ class MotionProblem:
             shift=to_object @ path.shift,
             tube=tube,
             loads=load_parameters(task, path, along, start.q),
-            pivot=PER_PIVOT if task.object.shape.kind in BALLS else 0.0,
+            pivot=PER_PIVOT if task.object.shape.kind in BALLS or not _level(path) else 0.0,
         )
 
     def first(self, start: Start) -> FloatArray:
@@ -202,6 +202,19 @@ BALLS, PER_PIVOT = ("sphere", "ellipsoid"), 12.0
 equator, and what pivoting costs there: torsional friction holds balls up that are turned so. With
 pads as wide as the tips are round, it turns balls of 54 and 60 mm in the Shadow-type hand with 4 to
 12 mN m (6 plans), at 5 with 8 to 17 (7 plans); at 20 fewer starts hold."""
+
+
+def _level(path: ObjectPath) -> bool:
+    """Whether a path is a turn about the vertical, and nothing else.
+
+    On any other fingers that come from above stand on an axis about which they turn with the object
+    or against it as often as not, and pivot.
+    """
+    return not path.shift.any() and abs(path.axis[2]) > UPRIGHT
+
+
+UPRIGHT = 0.99
+"""Least share (-) of the vertical in an axis that counts as vertical."""
 
 OBSTACLE_DIM = 15
 """Numbers of an obstacle: rotation, translation and half extents (``surroundings``)."""

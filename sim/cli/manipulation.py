@@ -34,8 +34,11 @@ OutOption = Annotated[
     Path | None, typer.Option("--out", help="Folder for motion, report and a picture per phase.")
 ]
 
-DEMO = {"hand": "allegro_hand", "object": "cylinder:0.03x0.08", "rotate": "z:90"}
+DEMO = {"hand": "allegro_hand", "object": "cylinder:0.03x0.08"}
 """What ``demo`` shows."""
+
+NO_SHIFT, USUAL_TURN = "0,0,0", "z:90"
+"""What is done if nothing is said: no translation, and this turn where there is no translation."""
 
 
 @errors_for_people()
@@ -43,8 +46,15 @@ def manipulate(
     hand: HandArgument,
     object: ObjectArgument,
     rotate: Annotated[
-        str, typer.Option(help="Turn in the hand: axis (x, y, z, world) and degrees.")
-    ] = DEMO["rotate"],
+        str | None,
+        typer.Option(
+            help="Turn in the hand: axis (x, y, z, world) and degrees; z:90 if neither this nor "
+            "--shift is given."
+        ),
+    ] = None,
+    shift: Annotated[
+        str, typer.Option(help="Translation in the hand, m, world: x,y,z; with the turn or alone.")
+    ] = NO_SHIFT,
     place: Annotated[
         str, typer.Option(help="Where the object is put, m: x,y; it stands at 0,0.")
     ] = "0.1,0.05",
@@ -67,12 +77,14 @@ def manipulate(
     """Pick an object from a table, turn it in the hand, put it down; a check after every phase.
 
     Where one stroke is not enough, fingers move on one at a time while the others hold. A turn that
-    stalls is tried again, once.
+    stalls is tried again, once. An object that does not stand as it was turned, or that the hand
+    could not let go of where it was moved to, is brought back in the hand before it is put down.
     """
     _perform(
         hand,
         object,
         rotate=rotate,
+        shift=shift,
         place=place,
         folder=out_dir,
         fingers=fingers,
@@ -93,7 +105,8 @@ def demo(out_dir: OutOption = None, as_json: JsonOption = False) -> None:
     _perform(
         DEMO["hand"],
         DEMO["object"],
-        rotate=DEMO["rotate"],
+        rotate=None,
+        shift=NO_SHIFT,
         place="0.1,0.05",
         folder=out_dir,
         fingers=None,
@@ -112,7 +125,8 @@ def _perform(
     hand: str,
     object: str,
     *,
-    rotate: str,
+    rotate: str | None,
+    shift: str,
     place: str,
     folder: Path | None,
     fingers: str | None,
@@ -133,7 +147,17 @@ def _perform(
     from sim.manipulation.stand import on_stand
     from sim.physics import PhysicsOptions
 
+    moved = numbers("--shift", shift, 3)
+    if rotate is None:
+        rotate = "z:0" if any(moved) else USUAL_TURN
     axis, degrees = _turn(rotate)
+    if sim_mu < mu:
+        say(
+            err,
+            f"[yellow]--sim-mu {sim_mu:g} is less friction than is believed, --mu {mu:g}: plan "
+            "and controller rely on what is not there, so expect slips and drops; give "
+            f"--sim-mu {mu:g} or more, or a smaller --mu[/yellow]",
+        )
     if folder is not None:
         make_folder(folder)
     task = manipulation_task(
@@ -150,6 +174,7 @@ def _perform(
             task,
             axis=axis,
             angle=math.radians(degrees),
+            shift=moved,
             place=(x, y),
             seed=seed,
             max_attempts=max_attempts,
@@ -157,7 +182,10 @@ def _perform(
         )
     if not as_json:
         say(out, escape(str(plan.gait or plan.motion)))
-        say(out, f"planned in {plan.cpu_s:.2f} s of CPU, {plan.attempts} attempts\n")
+        say(out, f"planned in {plan.cpu_s:.2f} s of CPU, {plan.attempts} attempts")
+        if plan.back:
+            say(out, escape(f"made backwards before it is put down: {plan.back}"))
+        say(out, "")
     with err.status("executing ..."):
         report = execute(plan, physics=PhysicsOptions(mu=sim_mu), pictures=folder, retry=True)
     if folder is not None:

@@ -10,7 +10,11 @@ place on the planned path is y* over the planned angle. Cubic splines through th
 object's pose, the pad centres in the object's frame, in which they move by rolling only, and the
 joints: a velocity that jumps at a knot would be felt as a blow. Where the object lay otherwise than
 planned when the turn began, it is led onto the planned path bit by bit; only its turn about the
-axis stays its own. While the wanted forces cannot be had, the rate is lower.
+axis stays its own, and its place where it is to be moved, from where it is. While the wanted forces
+cannot be had, the rate is lower.
+
+The way back, from any place to the beginning, is the same backwards. A pure translation is led by
+time alone, which y* stands for then.
 """
 
 from __future__ import annotations
@@ -68,7 +72,12 @@ class MotionReference:
     """
 
     def __init__(
-        self, motion: MotionPlan, *, angle: float | None = None, rate: float = RATE
+        self,
+        motion: MotionPlan,
+        *,
+        angle: float | None = None,
+        rate: float = RATE,
+        back_from: float | None = None,
     ) -> None:
         """Prepare the knots.
 
@@ -76,28 +85,38 @@ class MotionReference:
             motion: What was planned.
             angle: Turn that is asked for, rad; the planned one if None.
             rate: Largest rate of the turn, rad/s.
+            back_from: Place on the path, in (0, 1], from which the object is led back to the
+                beginning; None leads it from the beginning on.
 
         Raises:
-            TaskError: A rate that is not positive, or an angle that was not planned for.
+            TaskError: A rate that is not positive, an angle that was not planned for, or a way back
+                from nowhere or by another angle than the place tells.
         """
-        path = motion.path
-        self.goal = path.angle if angle is None else angle
+        if back_from is not None and (angle is not None or not 0.0 < back_from <= 1.0):
+            raise TaskError(
+                f"a way back from {back_from} of the path by the angle {angle}; give a place in "
+                "(0, 1], and no angle, which follows from it"
+            )
         if not (np.isfinite(rate) and rate > 0):
             raise TaskError(f"rate is {rate}; give a finite number > 0 in rad/s")
-        if self.goal * path.angle < 0 or abs(self.goal) > abs(path.angle) + ROUNDING:
+        path = motion.path
+        self._path = _Path(motion, back_from)
+        whole = path.angle if back_from is None else -back_from * path.angle
+        self.goal = whole if angle is None else angle
+        if self.goal * whole < 0 or abs(self.goal) > abs(whole) + ROUNDING:
             raise TaskError(
                 f"a turn by {np.rad2deg(self.goal):.1f} degrees is asked of a motion that was "
-                f"planned for {np.rad2deg(path.angle):.1f}; give at most that, or plan further"
+                f"planned for {np.rad2deg(whole):.1f}; give at most that, or plan further"
             )
         self.axis: FloatArray = motion.grasp.T_world_palm.rotation.T @ path.axis
-        self._path = _Path(motion)
-        self._turns = abs(path.angle) > ROUNDING
-        self._sign = float(np.sign(path.angle))
-        self._length = abs(path.angle) if self._turns else float(np.linalg.norm(path.shift))
+        self._turns, self._moves = abs(whole) > ROUNDING, bool(path.shift.any())
+        self._sign = float(np.sign(whole))
+        shift = float(np.linalg.norm(path.shift)) * (1.0 if back_from is None else back_from)
+        self._length = abs(whole) if self._turns else shift
         self._end = abs(self.goal) if self._turns else self._length
         self._fastest = rate if self._turns else SPEED
         self._acceleration = self._fastest / RAMP
-        self._gone, self._speed = 0.0, 0.0  # along the path, rad or m
+        self._gone, self._speed = 0.0, 0.0  # along the way, rad or m
         self._missed = 0.0
         self.turned = 0.0
         self._begin: _Begin | None = None
@@ -105,7 +124,7 @@ class MotionReference:
     @property
     def place(self) -> float:
         """Where on the planned path the reference is, 0 to 1."""
-        return min(1.0, self._gone / self._length)
+        return self._path.place(self._share)
 
     @property
     def arrived(self) -> bool:
@@ -122,24 +141,31 @@ class MotionReference:
     ) -> Target:
         """Go on by one step; see ``Reference``."""
         if self._begin is None:
-            self._begin = _Begin(self.axis, self._path.at(0.0), T_palm_object, tips, q)
+            self._begin = _Begin(
+                self.axis, self._path.at(0.0), T_palm_object, tips, q, moves=self._moves
+            )
         else:
             turn = T_palm_object.rotation @ self._begin.rotation.T
             self.turned = signed_twist(turn, self.axis, near=self.turned)
             self._go_on(elapsed, missed)
-        place, begin = self.place, self._begin
-        here = self._path.at(place)
-        there = self._path.at(min(1.0, place + self._speed * VELOCITY_STEP / self._length))
-        wanted = begin.led(here.T_palm_object, place)
+        share, begin = self._share, self._begin
+        here = self._path.at(share)
+        there = self._path.at(min(1.0, share + self._speed * VELOCITY_STEP / self._length))
+        wanted = begin.led(here.T_palm_object, share)
         turn = pin.log3(there.T_palm_object.rotation @ here.T_palm_object.rotation.T)
         shift = there.T_palm_object.translation - here.T_palm_object.translation
         return Target(
             T_palm_object=wanted,
             twist=np.concatenate([shift, turn]) / VELOCITY_STEP,
             tips=begin.tips(here.tips, wanted),
-            q=here.q + (1.0 - place) * begin.bent,
+            q=here.q + (1.0 - share) * begin.bent,
             v=(there.q - here.q) / VELOCITY_STEP,
         )
+
+    @property
+    def _share(self) -> float:
+        """How much of the way is gone, 0 to 1; a way back has ended where the path begins."""
+        return min(1.0, self._gone / self._length)
 
     def _go_on(self, elapsed: float, missed: float) -> None:
         """Let the reference move on as far as the object follows."""
@@ -168,9 +194,10 @@ class _Place:
 
 
 class _Path:
-    """A planned motion between its knots."""
+    """A planned motion between its knots, from its beginning or from a place back to it."""
 
-    def __init__(self, motion: MotionPlan) -> None:
+    def __init__(self, motion: MotionPlan, back_from: float | None) -> None:
+        self._back_from = back_from
         T_palm_world = motion.grasp.T_world_palm.inverse()
         poses = [T_palm_world * k.T_world_object for k in motion.knots]
         self._first: FloatArray = poses[0].rotation
@@ -188,8 +215,12 @@ class _Path:
         self._n = 3 * len(motion.grasp.task.fingers)
         self._spline = CubicSpline([k.place for k in motion.knots], rows)
 
-    def at(self, place: float) -> _Place:
-        row = self._spline(place)
+    def place(self, share: float) -> float:
+        """Where on the path a share of the way is."""
+        return share if self._back_from is None else self._back_from * (1.0 - share)
+
+    def at(self, share: float) -> _Place:
+        row = self._spline(self.place(share))
         return _Place(
             T_palm_object=SE3(pin.exp3(row[:3]) @ self._first, row[3:6]),
             tips=row[6 : 6 + self._n].reshape(-1, 3),
@@ -208,7 +239,14 @@ class _Begin:
     """
 
     def __init__(
-        self, axis: FloatArray, planned: _Place, actual: SE3, tips: FloatArray, q: FloatArray
+        self,
+        axis: FloatArray,
+        planned: _Place,
+        actual: SE3,
+        tips: FloatArray,
+        q: FloatArray,
+        *,
+        moves: bool,
     ) -> None:
         pose = planned.T_palm_object
         self.rotation: FloatArray = actual.rotation.copy()
@@ -216,15 +254,16 @@ class _Begin:
         turned = actual.rotation @ pose.rotation.T
         self.about: FloatArray = pin.exp3(signed_twist(turned, axis) * axis)
         self._tilt = pin.log3(turned @ self.about.T)
-        self._shift = actual.translation - pose.translation
+        self._shift, self._moves = actual.translation - pose.translation, moves
         seen = self.about.T @ actual.rotation
         self._aside: FloatArray = (tips - actual.translation) @ seen - planned.tips
 
-    def led(self, planned: SE3, place: float) -> SE3:
-        """The planned pose with what is left there of the difference."""
-        left = 1.0 - place
+    def led(self, planned: SE3, share: float) -> SE3:
+        """The planned pose with what is left of the difference after a share of the way."""
+        left = 1.0 - share
         turn = pin.exp3(left * self._tilt) @ self.about
-        return SE3(turn @ planned.rotation, planned.translation + left * self._shift)
+        aside = self._shift if self._moves else left * self._shift
+        return SE3(turn @ planned.rotation, planned.translation + aside)
 
     def tips(self, planned: FloatArray, wanted: SE3) -> FloatArray:
         """Planned pads (n, 3), object's frame, in the palm, as far beside them as at the start."""

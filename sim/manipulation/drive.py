@@ -18,14 +18,16 @@ from sim.controllers import Event, ObjectImpedance, Observation, Phase, Sensing
 from sim.controllers.follow import MotionReference
 from sim.controllers.opening import PostureServo
 from sim.manipulation.away import FingerAway
+from sim.manipulation.paths import tilts
 from sim.manipulation.plan import ManipulationPlan
 from sim.mount import Mount
 from sim.timeline import Timeline
 
 __all__ = ["BaseMover", "MotionController"]
 
-BEYOND = np.deg2rad(0.5)
-"""Turn (rad) beyond what is asked for, so that at least that is made whatever little comes back."""
+BEYOND, TILTED_BEYOND = np.deg2rad(0.5), np.deg2rad(1.0)
+"""Turn (rad) beyond what is asked for, so that at least that is made whatever little comes back;
+and about an axis that is not vertical, where the weight pulls some of it back."""
 
 
 class MotionController:
@@ -75,9 +77,17 @@ class MotionController:
                 stroke has.
         """
         motion = self._plan.motion
-        most = min(abs(left) + BEYOND, abs(motion.path.angle))
+        beyond = TILTED_BEYOND if tilts(motion.path.axis) else BEYOND
+        most = min(abs(left) + beyond, abs(motion.path.angle))
         angle = math.copysign(most, self._plan.angle)
         self.reference = MotionReference(motion, angle=angle, rate=self._rate)
+        self.holding.reference = self.reference
+        return self.reference
+
+    def begin_back(self) -> MotionReference:
+        """Lead the object back to where the motion began, from where it is."""
+        place = self.reference.place
+        self.reference = MotionReference(self._plan.motion, rate=self._rate, back_from=place)
         self.holding.reference = self.reference
         return self.reference
 

@@ -9,19 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from planner.errors import NoGraspFoundError, PlannerError, TaskError
 from planner.gait import plan_gait
 from planner.motion.path import LARGEST_TURN
-from planner.motion.release import find_release
 from planner.spatial import FloatArray
 from planner.task import GraspTask
+from sim.manipulation.ending import planned_ending, standing_under, stands
 from sim.manipulation.plan import (
     LITTLE_MORE,
     MAX_ATTEMPTS,
     ManipulationPlan,
-    object_at_target,
     plan_manipulation,
-    standing_under,
     torque_reserve,
 )
 
@@ -71,25 +71,24 @@ def plan_regrasping(
             max_attempts=max_attempts,
         )
         attempts, cpu_s = attempts + gait.record.attempts, cpu_s + gait.record.cpu_s
-        release = find_release(gait.motion)
-        if isinstance(release, str):
-            why = release
+        ending = planned_ending(gait.motion, angle, place)
+        if isinstance(ending, str) or ending.back:
+            why = ending if isinstance(ending, str) else ending.back
             continue
-        target = object_at_target(task, gait.motion.path.axis, angle, place)
         return ManipulationPlan(
             motion=gait.motion,
             angle=angle,
-            T_world_target=target,
-            under_target=standing_under(task, target),
-            release=release,
+            T_world_target=ending.T_world_target,
+            under_target=standing_under(task, ending.T_world_target),
+            release=ending.release,
             reserve=torque_reserve(gait.motion),
             attempts=attempts,
             cpu_s=cpu_s,
             gait=gait,
         )
     raise NoGraspFoundError(
-        f"{GAITS} gaits of {task.object.name} with {task.hand.name} end where the hand cannot let "
-        f"go: {why}. Try another seed, a higher object or other fingers",
+        f"{GAITS} gaits of {task.object.name} with {task.hand.name} end where the object cannot be "
+        f"put down: {why}. Try another seed, a higher object or other fingers",
         (),
     )
 
@@ -99,6 +98,7 @@ def plan_turning(
     *,
     axis: Sequence[float] | FloatArray = (0.0, 0.0, 1.0),
     angle: float,
+    shift: Sequence[float] | FloatArray = (0.0, 0.0, 0.0),
     place: tuple[float, float] | None = None,
     seed: int = 0,
     max_attempts: int = MAX_ATTEMPTS,
@@ -110,6 +110,7 @@ def plan_turning(
         task: As for ``plan_manipulation``.
         axis: As there.
         angle: As there, of any size.
+        shift: As there; with one there are no regrasps.
         place: As there.
         seed: As there.
         max_attempts: As there.
@@ -117,18 +118,34 @@ def plan_turning(
 
     Raises:
         NoGraspFoundError: There is neither; it tells both reasons.
-        TaskError: As there.
+        TaskError: As there; or a translation is asked for with regrasps.
     """
+    moved = bool(np.any(shift))
+    if moved and (regrasp or abs(angle) > LARGEST_TURN):
+        raise TaskError(
+            "a translation in the hand is made in one stroke, without regrasps; leave the "
+            "translation or the regrasps out, and turn by half a turn at most"
+        )
     if regrasp or abs(angle) > LARGEST_TURN:
         return plan_regrasping(
             task, axis=axis, angle=angle, place=place, seed=seed, max_attempts=max_attempts
         )
     try:
         return plan_manipulation(
-            task, axis=axis, angle=angle, place=place, seed=seed, max_attempts=max_attempts
+            task,
+            axis=axis,
+            angle=angle,
+            shift=shift,
+            place=place,
+            seed=seed,
+            max_attempts=max_attempts,
         )
     except NoGraspFoundError as error:
         one_stroke = error
+    direction = np.asarray(axis, dtype=np.float64)
+    direction /= np.linalg.norm(direction)
+    if moved or not stands(task, direction, angle):
+        raise one_stroke
     try:
         return plan_regrasping(
             task, axis=axis, angle=angle, place=place, seed=seed, max_attempts=max_attempts

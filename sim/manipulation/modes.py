@@ -94,7 +94,7 @@ def planned_points(
     points = np.array([k.contacts_in_object.positions for k in motion.knots])
     planned = interp1d([k.place for k in motion.knots], points, axis=0)(place)
     order = {name: k for k, name in enumerate(STEPS)}
-    order["regrasp"] = order["turn"]
+    order["regrasp"] = order["back"] = order["turn"]
     index = np.array([order[s] for s in step], dtype=int)
     off = (index < order["verify"]) | (index > order["lower"])
     planned[off[:, None] | away] = np.nan

@@ -27,16 +27,18 @@ Step: TypeAlias = Literal[
     "open",
     "retreat",
     "regrasp",
+    "back",
 ]
 
-STEPS: tuple[Step, ...] = Step.__args__[:-1]  # type: ignore[attr-defined]
+STEPS: tuple[Step, ...] = Step.__args__[:-2]  # type: ignore[attr-defined]
 """Phases of a manipulation in order. Where one stroke is not enough, "turn" comes several times,
-and between two of them "regrasp" once for every finger."""
+and between two of them "regrasp" once for every finger. Where the object cannot be put down as it
+lies in the hand in the end, "back" comes before "carry"."""
 
 TURNING: tuple[Step, ...] = ("turn", "regrasp", "hold")
 """Phases of the turn."""
 
-IN_THE_AIR: tuple[Step, ...] = ("lift", *TURNING, "verify again", "carry")
+IN_THE_AIR: tuple[Step, ...] = ("lift", *TURNING, "verify again", "back", "carry")
 """Phases in which the hand alone carries the object, from the lift to the table."""
 
 
@@ -104,6 +106,8 @@ class Bounds:
         angle_deg: How much of the turn may be missing, degrees; and how far the heading may be off
             at last.
         tilt_deg: Tilt off the axis of the turn, and of the object that was placed, degrees.
+        shift_mm: How far from where it was to be moved in the hand the object may be, mm; asked
+            only where it was to be moved.
         place_mm: How far from the target the object may stand at last, horizontally, mm.
         fingers: Fewest fingers that must touch for the strict verdict.
     """
@@ -112,5 +116,6 @@ class Bounds:
     slip_mm: float = 5.0
     angle_deg: float = 5.0
     tilt_deg: float = 15.0
+    shift_mm: float = 3.0
     place_mm: float = 10.0
     fingers: int = 3

@@ -49,6 +49,7 @@ class Phases:
             "lift": self._lift,
             "hold": self._hold,
             "verify again": lambda: self._verify("verify again"),
+            "back": self.turning.back,
             "carry": self._carry,
             "lower": self._lower,
             "release": lambda: self._let_go("release", self._pace.release),

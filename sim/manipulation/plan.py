@@ -9,21 +9,18 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 
 from planner.errors import NoGraspFoundError, TaskError
 from planner.gait import GaitPlan
 from planner.hand import Hand
 from planner.motion import MotionAttempt, MotionPlan, ObjectPath, motion_attempts
 from planner.motion.ground import with_rolling_pads
-from planner.motion.path import LARGEST_TURN
 from planner.motion.problem import BALLS
-from planner.motion.release import find_release
 from planner.objects import GraspObject
 from planner.shapes import Box, Ellipsoid, Mesh, Sphere
 from planner.spatial import SE3, FloatArray
@@ -31,15 +28,15 @@ from planner.synthesis.joint_objectives import driving
 from planner.synthesis.mesh_seeds import seeder_for
 from planner.synthesis.pregrasp import Approach
 from planner.task import GraspTask, Obstacle
+from sim.manipulation.ending import planned_ending, standing_under
+from sim.manipulation.paths import further, narrow_tube, pivots
 
 __all__ = [
     "LITTLE_MORE",
     "MAX_ATTEMPTS",
     "ManipulationPlan",
     "manipulation_task",
-    "object_at_target",
     "plan_manipulation",
-    "standing_under",
     "torque_reserve",
 ]
 
@@ -93,9 +90,11 @@ class ManipulationPlan:
         motion: The turn in the hand, with the grasp that it begins with; goes a little beyond
             ``angle``.
         angle: Turn that is asked for, rad, with its sign.
+        shift: Translation in the hand that is asked for with it (3,), m, world.
         T_world_target: Where the object is to stand at last.
         under_target: What is to carry it there, if anything carries it above the table at first.
         release: Fingers opened at the end, and the way out, where the motion ends.
+        back: Why the motion is made backwards before the object is put down, "" if it is not.
         reserve: Share of its limit that the most loaded actuator has left at the worst knot, with
             the forces that bear the weight.
         attempts: Attempts made.
@@ -112,6 +111,8 @@ class ManipulationPlan:
     reserve: float
     attempts: int
     cpu_s: float
+    shift: FloatArray = field(default_factory=lambda: np.zeros(3))
+    back: str = ""
     gait: GaitPlan | None = None
 
 
@@ -120,6 +121,7 @@ def plan_manipulation(
     *,
     axis: Sequence[float] | FloatArray = (0.0, 0.0, 1.0),
     angle: float,
+    shift: Sequence[float] | FloatArray = (0.0, 0.0, 0.0),
     place: tuple[float, float] | None = None,
     tube: float | None = None,
     seed: int = 0,
@@ -132,9 +134,11 @@ def plan_manipulation(
             tried with one less too, and the plan's task says with which.
         axis: Axis of the turn (3,), world.
         angle: Turn in the hand, rad, with its sign.
+        shift: Translation in the hand (3,), m, world, evenly along the turn.
         place: Where the object is to stand, x and y in m, world; where it was if None.
         tube: Radius within which the object may leave its place while it is turned, m; if None
-            ``TUBE``, or ``WIDE_TUBE`` for blocks, balls and meshes.
+            ``TUBE``, or ``WIDE_TUBE`` for blocks, balls and meshes. Where it is tilted or moved,
+            ``narrow_tube``.
         seed: Same seed, same plan.
         max_attempts: Budget in attempts.
 
@@ -147,6 +151,9 @@ def plan_manipulation(
     if max_attempts < 1:
         raise TaskError(f"max_attempts is {max_attempts}; give at least 1")
     direction = np.asarray(axis, dtype=np.float64)
+    moved = np.asarray(shift, dtype=np.float64)
+    if tube is None:
+        tube = narrow_tube(direction, moved)
     if tube is None:
         tube = WIDE_TUBE if _takes_tips(task) else TUBE
     made: list[MotionAttempt] = []
@@ -154,8 +161,7 @@ def plan_manipulation(
     for chosen, more, attempts in _rounds(task):
         if len(made) >= max_attempts:
             break
-        further = max(abs(angle), min(abs(angle) + more, LARGEST_TURN))
-        path = ObjectPath(axis=direction, angle=math.copysign(further, angle), shift=np.zeros(3))
+        path = further(direction, angle, moved, more)
         most = max_attempts if attempts is None else min(max_attempts, len(made) + attempts)
         for attempt in motion_attempts(chosen, path, tube=tube, seed=seed):
             if len(made) >= most or _enough(found):
@@ -163,19 +169,23 @@ def plan_manipulation(
             made.append(attempt)
             if attempt.plan is None:
                 continue
-            release = find_release(attempt.plan)
-            if isinstance(release, str):
-                reason = f"cannot let go at the end: {release}"
-                made[-1] = replace(attempt, plan=None, reason=reason)
+            pivoted = pivots(attempt.plan)
+            if pivoted:
+                made[-1] = replace(attempt, plan=None, reason=pivoted)
                 continue
-            target = object_at_target(task, path.axis, angle, place)
+            ending = planned_ending(attempt.plan, angle, place)
+            if isinstance(ending, str):
+                made[-1] = replace(attempt, plan=None, reason=ending)
+                continue
             found.append(
                 ManipulationPlan(
                     motion=attempt.plan,
                     angle=angle,
-                    T_world_target=target,
-                    under_target=standing_under(task, target),
-                    release=release,
+                    shift=moved,
+                    T_world_target=ending.T_world_target,
+                    under_target=standing_under(task, ending.T_world_target),
+                    release=ending.release,
+                    back=ending.back,
                     reserve=torque_reserve(attempt.plan),
                     attempts=0,
                     cpu_s=0.0,
@@ -188,8 +198,9 @@ def plan_manipulation(
         return replace(best, attempts=len(made), cpu_s=sum(a.cpu_s for a in made))
     reasons = Counter(a.reason for a in made).most_common(3)
     why = "; ".join(f"{n} x {reason}" for reason, n in reasons)
+    asked = ObjectPath(axis=direction, angle=angle, shift=moved)
     raise NoGraspFoundError(
-        f"no way to turn {task.object.name} by {np.rad2deg(angle):.1f} degrees with "
+        f"no way to turn or move {task.object.name} by {asked} with "
         f"{task.hand.name} ({', '.join(task.finger_names)}) in {len(made)} attempts: {why}. Try "
         "a smaller turn, a wider tube, other fingers or more attempts",
         tuple(made),
@@ -213,8 +224,16 @@ def manipulation_task(
         object: The object, with the largest mass that it may have.
         mu: Sliding friction (-), the least that there may be.
         fingers: Finger names; if None the hand's default set, of which one may be spared.
+
+    Raises:
+        TaskError: A hand on an arm.
     """
     task = GraspTask.create(hand, object, mu=mu, fingers=fingers)
+    if task.hand.arm is not None:
+        raise TaskError(
+            f"{task.hand.name} is carried by an arm; objects are turned in the hand by hands whose "
+            "base is free: give the hand without its arm ('opposable hands' lists what there is)"
+        )
     return replace(task, grip_force=max(LEAST_GRIP, _carrying(task, len(task.finger_names))))
 
 
@@ -323,26 +342,3 @@ def _merit(plan: ManipulationPlan) -> float:
     if _is_ball(plan.motion.grasp.task):
         return plan.motion.margin / GOOD_MARGIN
     return plan.reserve / GOOD_RESERVE
-
-
-def object_at_target(
-    task: GraspTask, axis: FloatArray, angle: float, place: tuple[float, float] | None
-) -> SE3:
-    """The object turned, at a place, with its lowest point as high as at first."""
-    turned = pin.exp3(angle * axis) @ task.T_world_object.rotation
-    x, y = task.T_world_object.translation[:2] if place is None else place
-    height = task.object.shape.support(-turned[2])
-    return SE3(turned, np.array([x, y, task.lowest_point(task.T_world_object) + height]))
-
-
-def standing_under(task: GraspTask, target: SE3) -> tuple[Obstacle, ...]:
-    """What carries the object at its target as at first, if that is another place."""
-    gone = target.translation - task.T_world_object.translation
-    if np.linalg.norm(gone[:2]) < SAME_PLACE:
-        return ()
-    by = np.array([*gone[:2], 0.0])
-    return tuple(replace(o.moved(by), name=f"{o.name} at the target") for o in task.carrying)
-
-
-SAME_PLACE = 1e-6
-"""Distance (m) between two places that is none."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planner.plain import finite
 from planner.quality import QualityReport
+from planner.spatial import FloatArray
 from sim.controllers import Event
 from sim.manipulation.modes import mode_table
 from sim.manipulation.pace import IN_THE_AIR, TURNING, Bounds, Step
@@ -89,6 +90,9 @@ class ManipulationReport:
         complete: Whether it came to its end, with a retry or without.
         fingers: Fingers that take part.
         asked: Turn that was asked for, rad.
+        asked_shift: Translation in the hand that was asked for with it (3,), m, world.
+        back: Why the motion was made backwards before the object was put down, "" if it was not.
+        R_world_palm: (3, 3), world from palm while the object was turned.
         track: All samples.
         planned_modes: (m, n), contact modes as planned, at every sample.
         measured_modes: (m, n), as measured.
@@ -106,6 +110,9 @@ class ManipulationReport:
     complete: bool
     fingers: tuple[str, ...]
     asked: float
+    asked_shift: FloatArray
+    back: str
+    R_world_palm: FloatArray
     track: Track
     planned_modes: NDArray[np.str_]
     measured_modes: NDArray[np.str_]
@@ -136,6 +143,14 @@ class ManipulationReport:
         return float(self.track.turn[held[-1]]) if len(held) else float("nan")
 
     @property
+    def shifted(self) -> FloatArray:
+        """Translation in the hand at the end of the hold (3,), m, world; NaN without one."""
+        held = self.track.during("hold")
+        if not len(held):
+            return np.full(3, np.nan)
+        return np.asarray(self.R_world_palm @ self.track.shift[held[-1]])
+
+    @property
     def least_fingers(self) -> int:
         """Fewest fingers that touched at any sample in the air; 0 if it was never in the air."""
         air = self.track.during(*IN_THE_AIR)
@@ -148,10 +163,11 @@ class ManipulationReport:
 
     @property
     def loose(self) -> bool:
-        """Turned as far as asked for, not put down half-way, and not dropped."""
+        """Turned as far and moved as asked for, not put down half-way, and not dropped."""
         if self.earlier is not None:
             return False
-        return self.turned * np.sign(self.asked) >= abs(self.asked) and not self.dropped
+        held = self.track.during("hold")
+        return bool(len(held)) and bool(self._reached()[held[-1]]) and not self.dropped
 
     @property
     def strict(self) -> bool:
@@ -160,9 +176,9 @@ class ManipulationReport:
 
     @property
     def time_to_angle(self) -> float:
-        """Time from the beginning of the turn until the angle was reached, s; NaN if never."""
+        """Time from the beginning of the turn until it was reached, s; NaN if never."""
         turning = self.track.during(*TURNING)
-        done = self.track.turn[turning] * np.sign(self.asked) >= abs(self.asked)
+        done = self._reached()[turning]
         if not done.any():
             return float("nan")
         times = self.track.time[turning]
@@ -190,6 +206,7 @@ class ManipulationReport:
                 f"reached after {numbers['time_to_angle_s']:.2f} s; tilt up to "
                 f"{numbers['largest_tilt_deg']:.2f} degrees off the planned attitude, centre up to "
                 f"{numbers['largest_off_path_mm']:.2f} mm off its path",
+                *self._moved(),
                 f"in the air: at least {self.least_fingers} fingers touched, "
                 f"{self.open_samples} samples without force closure",
             ]
@@ -199,6 +216,27 @@ class ManipulationReport:
         if self.earlier is not None:
             strictness = "put down half-way"
         return "\n".join([*lines, f"{verdict}; the turn: {strictness}"])
+
+    def _moved(self) -> list[str]:
+        """How far it was moved in the hand, if that was asked for; and why it was brought back."""
+        lines = []
+        if self.asked_shift.any():
+            now, asked = (
+                ", ".join(f"{v:.1f}" for v in 1e3 * shift + 0.0)
+                for shift in (self.shifted, self.asked_shift)
+            )
+            lines.append(f"moved by ({now}) of ({asked}) mm in the hand")
+        if self.back:
+            lines.append(f"made backwards before it was put down: {self.back}")
+        return lines
+
+    def _reached(self) -> NDArray[np.bool_]:
+        """At which samples (m,) the object was turned as far and moved as asked for."""
+        far = self.track.turn * np.sign(self.asked) >= abs(self.asked)
+        if not self.asked_shift.any():
+            return np.asarray(far)
+        off = np.linalg.norm(self.track.shift @ self.R_world_palm.T - self.asked_shift, axis=1)
+        return np.asarray(far & (1e3 * off <= self.bounds.shift_mm))
 
     def _modes(self) -> list[str]:
         """Contact modes of each finger while the object is turned, planned above measured."""
@@ -218,8 +256,10 @@ class ManipulationReport:
     def numbers(self) -> dict[str, float]:
         """The figures of a row in a table."""
         after = self.after
+        off = np.linalg.norm(self.shifted - self.asked_shift)
         return {
             "turned_deg": float(np.rad2deg(self.turned)),
+            "shift_off_mm": 1e3 * float(off),
             "time_to_angle_s": self.time_to_angle,
             "largest_tilt_deg": float(np.rad2deg(self.largest_tilt)),
             "largest_off_path_mm": 1e3 * self.largest_off_path,
@@ -240,6 +280,9 @@ class ManipulationReport:
             "fingers": list(self.fingers),
             "earlier": None if self.earlier is None else self.earlier.to_dict(),
             "asked_deg": float(np.rad2deg(self.asked)),
+            "asked_shift_mm": (1e3 * self.asked_shift).tolist(),
+            "shifted_mm": finite(1e3 * self.shifted),
+            "back": self.back,
             "numbers": finite(self.numbers()),
             "phases": [
                 {

@@ -4,11 +4,15 @@
     open, retreat
 
 A turn by several strokes is "turn" several times, with "regrasp" once per finger between two of
-them. It ends at the first phase that fails, unless a retry is asked for: a turn that stalls then
-goes on after a regrasp if there is one from the present contacts; otherwise the object is put down
-where it is, and the rest of the turn is planned and made anew, once. What really is there may
-differ from what was planned for: friction, mass and the object's pose; the controller knows of it
-only what it measures.
+them. An object that does not stand as it lies in the hand in the end, or that the hand cannot let
+go of there, is brought back in the hand ("back") before it is carried to its target.
+
+It ends at the first phase that fails, unless a retry is asked for: a turn that stalls then goes on
+after a regrasp if there is one from the present contacts, and where a lift is refused another
+finger moves on first if that holds; otherwise the object is put down where it
+is, and the rest of the turn is planned and made anew, once. What really is there may differ from
+what was planned for: friction, mass and the object's pose; the controller knows of it only what it
+measures.
 """
 
 from __future__ import annotations
@@ -26,11 +30,12 @@ from planner.motion.release import find_release
 from planner.spatial import SE3, signed_twist
 from planner.task import GraspTask
 from sim.controllers import Sensing
+from sim.manipulation.ending import object_at_target, stands, way_back
 from sim.manipulation.gaits import plan_turning
 from sim.manipulation.modes import measured_modes, planned_modes, planned_points
 from sim.manipulation.pace import STEPS, TURNING, Bounds, Pace, Step
 from sim.manipulation.phases import Phases
-from sim.manipulation.plan import ManipulationPlan, object_at_target
+from sim.manipulation.plan import ManipulationPlan
 from sim.manipulation.report import Check, ManipulationReport
 from sim.manipulation.samples import Track
 from sim.manipulation.stage import Push, Stage
@@ -42,10 +47,6 @@ __all__ = ["ManipulationRun", "manipulate"]
 
 DOWN: tuple[Step, ...] = ("lower", "release", "open", "retreat")
 """Phases in which an object is put down."""
-
-UPRIGHT = 0.99
-"""Least share (-) of the vertical in the axis of a turn after any part of which the object stands
-as it stood before."""
 
 
 class ManipulationRun:
@@ -126,6 +127,8 @@ class ManipulationRun:
     def _parts(self) -> Iterator[Part]:
         """All phases in order; the turn may have several."""
         for step in STEPS:
+            if step == "carry" and self.plan.back:
+                yield "back", "", self._phases.of("back")
             if step != "turn":
                 yield step, "", self._phases.of(step)
                 continue
@@ -136,7 +139,8 @@ class ManipulationRun:
             if self.put_down:
                 break
         if self.put_down:
-            for step in DOWN:
+            down: tuple[Step, ...] = ("back", *DOWN) if self._phases.plan.back else DOWN
+            for step in down:
                 yield step, "half-way", self._phases.of(step)
 
     def _after(self, step: Step) -> str:
@@ -147,12 +151,16 @@ class ManipulationRun:
         self._goes_on = False
         if step not in TURNING or not self.stage.touched:
             return ""
-        no_regrasp = "the turn is over"
+        no_regrasp, turning = "the turn is over", self._phases.turning
         if step == "turn":
-            no_regrasp = self._phases.turning.regrasps_on()
+            no_regrasp = turning.regrasps_on()
+        elif step == "regrasp":
+            no_regrasp = turning.another_order()
         self._goes_on = not no_regrasp
-        if self._goes_on:
+        if self._goes_on and step == "turn":
             return "the fingers move on, and it is turned again"
+        if self._goes_on:
+            return "the fingers move on in another order"
         why = self._put_down()
         self._goes_on = not why
         down = f"it cannot be put down either: {why}" if why else "it is put down"
@@ -162,17 +170,21 @@ class ManipulationRun:
         """Let the phases put the object down where it is; why they cannot, "" if they can."""
         plan, stage = self.plan, self.stage
         axis = plan.motion.path.axis
-        if abs(axis[2]) < UPRIGHT:
-            return "it would not stand"
-        release = find_release(cut_motion(plan.motion, stage.driver.reference.place))
-        if isinstance(release, str):
-            return release
         first, now = stage.scene.task.T_world_object, stage.T_world_object
         turned = signed_twist(now.rotation @ first.rotation.T, axis)
         x, y = now.translation[:2].tolist()
         task = replace(plan.motion.grasp.task, T_world_object=first)
-        target = object_at_target(task, axis, turned, (x, y))
-        self._phases.plan = replace(plan, T_world_target=target, release=release)
+        if plan.back or not stands(task, axis, turned):
+            if plan.gait is not None:
+                return "it would not stand"
+            ending = way_back(plan.motion, (x, y), plan.back or "half-way it does not stand")
+            release, target, back = ending.release, ending.T_world_target, ending.back
+        else:
+            found = find_release(cut_motion(plan.motion, stage.driver.reference.place))
+            if isinstance(found, str):
+                return found
+            release, target, back = found, object_at_target(task, axis, turned, (x, y)), ""
+        self._phases.plan = replace(plan, T_world_target=target, release=release, back=back)
         self.put_down = True
         return ""
 
@@ -186,6 +198,9 @@ class ManipulationRun:
             complete=last.step == STEPS[-1] and last.passed and not self.put_down,
             fingers=self.plan.motion.grasp.task.finger_names,
             asked=self.plan.angle,
+            asked_shift=self.plan.shift,
+            back=self._phases.plan.back,
+            R_world_palm=self.plan.motion.grasp.T_world_palm.rotation,
             track=track,
             planned_modes=planned_modes(track.time, points),
             measured_modes=measured_modes(track.time, track.points, track.sliding, wanted),
@@ -264,13 +279,17 @@ def _rest_of(plan: ManipulationPlan, track: Track, T_world_object: SE3) -> Manip
     axis = motion.path.axis
     counted = float(track.turn[track.during(*TURNING)[-1]])  # whole turns too
     made = signed_twist(T_world_object.rotation @ first.rotation.T, axis, near=counted)
+    if plan.back:  # it stands as at first
+        made = 0.0
     x, y = T_world_object.translation[:2].tolist()
     upright = object_at_target(task, axis, made, (x, y))
-    rest = plan_turning(
+    at_x, at_y = plan.T_world_target.translation[:2].tolist()
+    return plan_turning(
         replace(task, T_world_object=upright),
         axis=axis,
         angle=plan.angle - made,
+        shift=plan.shift,
+        place=(at_x, at_y),
         seed=motion.record.seed + 1,
         regrasp=plan.gait is not None,
     )
-    return replace(rest, T_world_target=plan.T_world_target)

@@ -39,6 +39,7 @@ PHASE_OF: dict[Step, Phase] = {
     "open": "open",
     "retreat": "retreat",
     "regrasp": "hold",
+    "back": "turn",
 }
 """What each phase is to a controller."""
 
