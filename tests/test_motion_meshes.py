@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import box_mesh
@@ -13,6 +15,7 @@ from planner.motion.starts import on_opposed_sides
 from planner.motion.surfaces import turned_surface_of
 from planner.objects import GraspObject
 from planner.shapes import Cylinder, Mesh, Superquadric
+from planner.spatial import SE3
 from planner.synthesis.mesh_seeds import MeshSeeder, TurningSeeder, turning_seeder_for
 from planner.synthesis.problem import Start
 from planner.synthesis.surfaces import surface_of
@@ -36,6 +39,10 @@ def test_starts_on_a_mesh_oppose_one_side_to_the_other(on_block: GraspTask, bloc
     for seed in range(6):
         drawn = seeder.draw(np.random.default_rng(seed))
         assert isinstance(drawn, Start)
+        # as if the hand were so far aside that some pads are nearest to a neighbouring side
+        level = np.cross(on_block.T_world_object.rotation[2], drawn.forces[0])
+        aside = SE3(np.eye(3), 0.035 * level / np.linalg.norm(level))
+        drawn = replace(drawn, T_object_base=aside * drawn.T_object_base)
         start = on_opposed_sides(drawn, seeder)
         points, normals = block.closest_point(start.points)
         assert np.allclose(points, start.points, atol=1e-9)
