@@ -6,6 +6,7 @@ stop between attempts.
 
 from __future__ import annotations
 
+import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -20,6 +21,8 @@ __all__ = ["Attempt", "nothing_found", "numbered"]
 PlanT = TypeVar("PlanT")
 """What a search is for."""
 
+_NUMBER = re.compile(r"(?<!\w)-?\d+(\.\d+)?(e-?\d+)?(?!\w)")
+
 COMMONEST = 3
 """Reasons that are told, the commonest first."""
 
@@ -29,7 +32,7 @@ class Attempt(Generic[PlanT]):
     """One attempt: a plan, or the reason why there is none.
 
     Attributes:
-        index: Its number, from 0.
+        index: Its number, from 0, among those of one task and path.
         plan: The plan if it was found.
         reason: Why not, "" if found.
         cpu_s: CPU time of this attempt, s.
@@ -68,18 +71,20 @@ def numbered(
 
 
 def nothing_found(what: str, made: Sequence[Attempt[PlanT]], remedy: str) -> NoGraspFoundError:
-    """The error of an exhausted budget, with the commonest reasons.
+    """The error of an exhausted budget, with the commonest reasons, each by its first example.
+
+    Reasons that differ in their numbers alone, or in what follows a semicolon, are one.
 
     Args:
         what: What was asked for, after "no".
         made: All attempts.
         remedy: What to try, a sentence without its full stop.
     """
-    counts = Counter(a.reason.split(":")[0] for a in made)
-    why = "; ".join(f"{n} x {reason}" for reason, n in counts.most_common(COMMONEST))
-    commonest = counts.most_common(1)[0][0]
-    example = next(a.reason for a in made if a.reason.startswith(commonest))
+    kinds = [_NUMBER.sub("#", a.reason.split(";")[0]) for a in made]
+    example = {kind: a.reason for kind, a in reversed(list(zip(kinds, made, strict=True)))}
+    common = Counter(kinds).most_common(COMMONEST)
+    whole = [f"{n} x {example[kind]}" for kind, n in common]
+    told = whole[:1] + [text.split(";")[0] for text in whole[1:]]
     return NoGraspFoundError(
-        f"no {what} in {len(made)} attempts: {why} (the first of these: {example}). {remedy}",
-        tuple(made),
+        f"no {what} in {len(made)} attempts: {'; '.join(told)}. {remedy}", tuple(made)
     )

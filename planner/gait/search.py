@@ -44,7 +44,7 @@ STROKE_SHIFT = 0.01
 """Translation (m) of a stroke: a third of what fingertips cover."""
 
 N_KNOTS = 3
-"""Knots of the solver in a stroke: 18 degrees apart at most."""
+"""Knots of the solver in a stroke: 18 degrees apart at most, 20 where one stroke does it all."""
 
 MAX_ATTEMPTS = 30
 """Attempts before giving up."""

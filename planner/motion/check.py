@@ -1,6 +1,6 @@
 """The verdict on a motion: every knot by the true geometry, Pinocchio and coal, like a grasp.
 
-The solver's knots are some twenty degrees apart. Between them the object goes on along its path,
+The solver's knots are up to 30 degrees apart. Between them the object goes on along its path,
 and the pads over its surface (``planner.motion.between``); these places count as knots too. The
 first is judged as a grasp on the table with its way in, all by the same checks: touch, penetration,
 couplings and limits, force closure with a margin, and forces that bear the weight.
@@ -40,7 +40,7 @@ CLOSURE_MARGIN = 0.05
 those of one that rests."""
 
 SUBKNOTS = 3
-"""Knots of a plan for every one of the solver: 8 degrees apart where those are 24."""
+"""Knots of a plan for every one of the solver: 10 degrees apart where those are 30."""
 
 SLIP_TOL = 5e-4
 """How far (m) a pad may slide from knot to knot, as far as a pad may be off the

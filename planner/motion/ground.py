@@ -1,10 +1,11 @@
 """What all attempts at a motion share, for each set of fingers that may hold the object.
 
 Where the caller names no fingers, attempts take turns between the sets. Three fingers go further
-than four, which have a contact to spare. Of four starts on each of six cylinders of 5 to 7 cm with
-50 to 300 g and friction 0.5 to 1, 90 degrees about the vertical, these hold on the Allegro-type
-hand: 22 with thumb, index and middle, 13 with middle and ring (the two nearest to the thumb), 14
-with all four; on the Shadow-type hand 12, 13 and 10 of 16, and none with ring and little.
+than four, though four have a contact to spare. Of four starts on each of six cylinders of 5 to 7 cm
+with 50 to 300 g and friction 0.5 to 1, 90 degrees about the vertical, these hold on the
+Allegro-type hand: 22 with thumb, index and middle, 13 with middle and ring (the two nearest to the
+thumb), 14 with all four; on the Shadow-type hand, of four starts on four of them, 12, 13 and 10,
+and none with ring and little.
 """
 
 from __future__ import annotations
@@ -58,7 +59,8 @@ def with_rolling_pads(task: GraspTask) -> GraspTask:
 def finger_sets(task: GraspTask) -> tuple[GraspTask, ...]:
     """The task for each set of fingers that attempts take turns between.
 
-    The first ``PAIRS`` tripods that open wide enough, then all; all alone where the caller chose.
+    Of the first ``PAIRS`` tripods those that open wide enough, then all; all alone where the caller
+    chose.
     """
     if not task.may_spare_fingers or len(task.fingers) <= TRIPOD:
         return (task,)

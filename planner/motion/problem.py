@@ -8,6 +8,7 @@ internal force, clearances, couplings, limits) hold there with the same margins.
     tube     how far the object leaves its path <= the tube's radius
     reach    the share of the path that is covered: at least what is asked, or as much as there is
     holds    where a finger is to move on, closure by the others (``planner.motion.holds``)
+    pivoting what a tip turns by on its contact: a cost, where that counts
     loads    what pressing takes of each actuator <= a share of its limit (``planner.motion.loads``)
 
 Table and obstacles count at the first knot alone: the object is lifted before it is moved.
@@ -155,11 +156,11 @@ class MotionProblem:
             shift=to_object @ path.shift,
             tube=tube,
             loads=load_parameters(task, path, along, start.q),
-            pivot=PER_PIVOT if self._pivots(task, path) else 0.0,
+            pivot=PER_PIVOT if self._pivoting_costs(task, path) else 0.0,
         )
 
-    def _pivots(self, task: GraspTask, path: ObjectPath) -> bool:
-        """Whether tips may pivot, at a cost.
+    def _pivoting_costs(self, task: GraspTask, path: ObjectPath) -> bool:
+        """Whether pivoting has a cost: on balls, and on paths that are no turn about the vertical.
 
         Not between regrasps: strokes are short, and what counts is closure by those that hold. With
         the cost the least margin of a lift was 0.25 to 0.34 on a ball in a hand of four fingers in
@@ -208,9 +209,10 @@ class MotionProblem:
 
 BALLS, PER_PIVOT = ("sphere", "ellipsoid"), 12.0
 """Kinds of shapes on which contacts may be where a turn makes tips pivot, below or above the
-equator, and what pivoting costs there: torsional friction holds balls up that are turned so. With
-pads as wide as the tips are round, it turns balls of 54 and 60 mm in the Shadow-type hand with 4 to
-12 mN m (6 plans), at 5 with 8 to 17 (7 plans); at 20 fewer starts hold."""
+equator, and the residual of a radian of it, there and where an object is tilted or moved: torsional
+friction holds up what is turned so. With pads as wide as the tips are round, it turns balls of 54
+and 60 mm in the Shadow-type hand with 4 to 12 mN m (6 plans), at 5 with 8 to 17 (7 plans); at 20
+fewer starts hold."""
 
 
 def _level(path: ObjectPath) -> bool:

@@ -10,10 +10,10 @@ rotation vector v from one orientation of the tip to the next and n in the middl
 
     c' - c - r v x n = 0    along the tangents.
 
-The chord of a turn by v differs from its arc by |v|^2/24, so this is right to 1 % for 28 degrees
+The chord of a turn by v differs from its arc by |v|^2/24, so this is right to 1 % for 30 degrees
 between knots. A turn about the normal, v . n, is free: the contact pivots. Contacts have torsional
 friction though, which a force of 10 N and a patch of 5 mm make 0.05 N m, as much as a hand can do
-about a small object; so pivoting has a cost.
+about a small object; so pivoting has a cost on balls, and where objects are tilted or moved.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Least squares keep no names. Rows stand in an order, knot by knot: clearances, equalities, then the
 inequalities that are violated. A clearance belongs to the fingers whose joints move it. An
 inequality that does not depend on forces is a pad's rim, one that depends on one finger's force
-alone is its cone, any other a stop.
+alone is its cone or its least pressure, any other a stop.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def _inequality(residuals: MotionResiduals, row: FloatArray, k: int) -> Row:
     if fingers:
         return _row("a stop that can only push", fingers, k, WEIGHTS["stop"], "-", False)
     name = residuals.problem.grasp.fingers[int(pressed[0])].name
-    what = f"force of {name} at the edge of its cone"
+    what = f"force of {name} at the edge of its cone, or at its least"
     return _row(what, [name], k, WEIGHTS["cone"], "-", False)
 
 

@@ -36,8 +36,8 @@ TUBE = 0.02
 7 cm from 4, 4 and 0 of 10 starts, with 20 mm from 5, 9 and 7 (thumb, index and middle)."""
 
 KNOT_TURN, KNOT_SHIFT = np.deg2rad(30.0), 0.015
-"""Most that the object turns (rad) or moves (m) between two knots of the solver. With 24 degrees as
-many starts hold (11 and 12 of 15 first ones, so 9 and 13), in a seventh more time."""
+"""Most that the object turns (rad) or moves (m) between two knots of the solver. With 24 degrees 11
+and 12 of the first 15 starts held in two cases, with 30 9 and 13, in a seventh less time."""
 
 STRETCH_KNOTS = 6
 """Knots where as much as there is is asked for: up to 144 degrees were found, 29 between two."""
@@ -244,7 +244,7 @@ def _nothing_found(
 ) -> NoGraspFoundError:
     return nothing_found(
         f"motion of {task.object.name} by {path} with {task.hand.name} "
-        f"({', '.join(task.finger_names)})",
+        f"({' or '.join(', '.join(one.finger_names) for one in finger_sets(task))})",
         made,
         "Try a shorter path, a wider tube, other fingers or more attempts; angle=None finds how "
         "far it goes and what limits it",

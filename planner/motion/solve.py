@@ -152,7 +152,7 @@ class MotionSolver:
         run = _Run(self, start)
         run.fix(1.0)
         run.descend(REACHING)
-        if run.worst > WORTH_A_LOOK and run.residuals.numbers.pivot:
+        if run.worst > WORTH_A_LOOK and run.residuals.numbers.pivot:  # a cost, not a term: drop it
             run.residuals.numbers = replace(run.residuals.numbers, pivot=0.0)
             run.descend(HOLDING)
         yield run.candidate(())

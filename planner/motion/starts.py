@@ -1,5 +1,7 @@
 """Starts of motions on objects with faces: the opposer on one side, all others opposite to it.
 
+``Seeder`` and ``TurningSeeder`` (``planner.synthesis``) draw starts; this puts contacts elsewhere.
+
 Which side a finger is on is told by where the fingers are, not by where each pad faces nor by what
 is nearest to it: a finger that looks to the side would be given to a neighbouring face, where
 nothing opposes it. That was the case with two of five starts of the Shadow-type hand on a block.

@@ -207,5 +207,5 @@ def seeder_for(task: GraspTask) -> Seeder:
 
 
 def turning_seeder_for(task: GraspTask) -> Seeder:
-    """The same for a motion of the object in the hand."""
+    """The source of starts from which the task's object is turned or moved in the hand."""
     return TurningSeeder(task) if isinstance(task.object.shape, Mesh) else Seeder(task)

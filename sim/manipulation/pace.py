@@ -102,13 +102,13 @@ class Bounds:
 
     Attributes:
         disturbed_mm: Movement of the object before it is held, mm.
-        slip_mm: Movement in the palm while it is held still, mm.
-        angle_deg: How much of the turn may be missing, degrees; and how far the heading may be off
-            at last.
-        tilt_deg: Tilt off the axis of the turn, and of the object that was placed, degrees.
+        slip_mm: Movement in the palm while it is lifted, mm.
+        angle_deg: How far off the turn may be for the run to go on, degrees; and how far heading
+            and tilt may be off at last. "Turned", loose or strict, asks for all of the angle.
+        tilt_deg: Tilt off the axis of the turn, and before the grip, degrees.
         shift_mm: How far from where it was to be moved in the hand the object may be, mm; asked
             only where it was to be moved.
-        place_mm: How far from the target the object may stand at last, horizontally, mm.
+        place_mm: How far from the target the object may stand at last, mm.
         fingers: Fewest fingers that must touch for the strict verdict.
     """
 

@@ -117,7 +117,7 @@ class Phases:
         if not fault and max(numbers["shift_mm"], short) > self._bounds.slip_mm:
             fault = (
                 f"the object moved {numbers['shift_mm']:.1f} mm in the hand and rose {short:.1f} "
-                "mm less than it"
+                "mm less than the hand"
             )
         return fault, numbers
 

@@ -6,13 +6,13 @@ object is to stand at last.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from planner.errors import NoGraspFoundError, TaskError
+from planner.attempts import nothing_found
+from planner.errors import TaskError
 from planner.gait import GaitPlan
 from planner.motion import MotionAttempt, MotionPlan, ObjectPath, motion_attempts
 from planner.spatial import SE3, FloatArray
@@ -128,10 +128,12 @@ def plan_manipulation(
     if tube is None:
         tube = WIDE_TUBE if takes_tips(task) else TUBE
     made: list[MotionAttempt] = []
+    tried: list[tuple[str, ...]] = []
     found: list[ManipulationPlan] = []
     for chosen, more, attempts in rounds(task):
         if len(made) >= max_attempts:
             break
+        tried.append(chosen.finger_names)
         path = further(direction, angle, moved, more)
         most = max_attempts if attempts is None else min(max_attempts, len(made) + attempts)
         for attempt in motion_attempts(chosen, path, tube=tube, seed=seed):
@@ -167,14 +169,12 @@ def plan_manipulation(
     if found:
         best = max(found, key=_merit)
         return replace(best, attempts=len(made), cpu_s=sum(a.cpu_s for a in made))
-    reasons = Counter(a.reason for a in made).most_common(3)
-    why = "; ".join(f"{n} x {reason}" for reason, n in reasons)
     asked = ObjectPath(axis=direction, angle=angle, shift=moved)
-    raise NoGraspFoundError(
-        f"no way to turn or move {task.object.name} by {asked} with "
-        f"{task.hand.name} ({', '.join(task.finger_names)}) in {len(made)} attempts: {why}. Try "
-        "a smaller turn, a wider tube, other fingers or more attempts",
-        tuple(made),
+    sets = " or ".join(", ".join(names) for names in dict.fromkeys(tried))
+    raise nothing_found(
+        f"way to turn or move {task.object.name} by {asked} with {task.hand.name} ({sets})",
+        made,
+        "Try a smaller turn, a wider tube, other fingers or more attempts",
     )
 
 
