@@ -18,7 +18,7 @@ from planner.hand import Hand
 from planner.motion.ground import ROLLED, tripods, with_rolling_pads
 from planner.motion.problem import BALLS
 from planner.objects import GraspObject
-from planner.synthesis.mesh_seeds import seeder_for
+from planner.synthesis.mesh_seeds import turning_seeder_for
 from planner.task import GraspTask
 
 __all__ = ["LITTLE_MORE", "is_ball", "manipulation_task", "rounds", "takes_tips"]
@@ -126,7 +126,7 @@ def rounds(task: GraspTask) -> Iterator[tuple[GraspTask, float, int | None]]:
 def _closes(task: GraspTask) -> bool:
     """Whether the fingers open wide enough for the object: without a thumb they may not."""
     try:
-        seeder_for(task)
+        turning_seeder_for(task)
     except TaskError:
         return False
     return True
