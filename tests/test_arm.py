@@ -303,7 +303,7 @@ def test_an_object_two_metres_away_is_refused_at_once(arm_hand: Hand) -> None:
 def test_an_object_just_out_of_reach_ends_in_reasons_that_say_so(arm_hand: Hand) -> None:
     far = SE3(np.eye(3), np.array([-1.05, 0.0, 0.0]))
     task = GraspTask.create(arm_hand, "sphere", T_world_base=far)
-    with pytest.raises(NoGraspFoundError, match=r"3 x out of reach .*nearest it comes .* \d+ mm"):
+    with pytest.raises(NoGraspFoundError, match=r"3 x out of reach: .*nearest it comes .* \d+ mm"):
         plan_grasp(task, max_attempts=3)
 
 
