@@ -13,7 +13,7 @@ from planner.motion import ObjectPath, motion_attempts
 from planner.motion.ground import with_rolling_pads
 from planner.motion.starts import on_opposed_sides
 from planner.motion.surfaces import turned_surface_of
-from planner.objects import GraspObject
+from planner.objects import GraspObject, parse_object
 from planner.shapes import Cylinder, Mesh, Superquadric
 from planner.spatial import SE3
 from planner.synthesis.mesh_seeds import MeshSeeder, TurningSeeder, turning_seeder_for
@@ -101,3 +101,10 @@ def test_a_superquadric_is_turned_by_a_right_angle(allegro: Hand) -> None:
     found = [plan for plan in (next(attempts).plan for _ in range(3)) if plan is not None]
     assert found
     assert all(k.verification.ok and k.closure.closed for plan in found for k in plan.knots)
+
+
+def test_a_surface_made_anew_keeps_its_numbers_and_forgets_its_points() -> None:
+    surface = turned_surface_of(parse_object("superquadric").shape)
+    again = surface.anew()
+    assert (again.normal_error, again.distance_error) == (0.08, 0.0035)
+    assert again is not surface and again.field is not surface.field

@@ -143,7 +143,7 @@ class GraspProblem:
     @cached_property
     def whole(self) -> tuple[Formulation, Surface]:
         """All as expressions, clearances too, and the surface that collected its field points."""
-        surface = type(self.surface)()
+        surface = self.surface.anew()
         formulation = formulate(self.hand, self.fingers, surface, self.n_obstacles, self.objectives)
         return formulation, surface
 

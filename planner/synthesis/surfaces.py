@@ -80,6 +80,10 @@ class Surface(ABC):
     distance_error: float = 0.0
     """How far (m) ``clearance`` may be from the true one; links keep that much more away."""
 
+    def anew(self) -> Surface:
+        """The same for another programme: it has collected no field points yet."""
+        return type(self)()
+
     def field_of(self, shape: Any) -> Field | None:
         """The distance field of a shape, where ``field`` is not None."""
         return None
@@ -334,6 +338,9 @@ class _MeshSurface(Surface):
         self.field: FieldPoints = FieldPoints()
         self.normal_error, self.distance_error = normal_error, distance_error
         self._steep, self._edge_worth = steep, edge_worth
+
+    def anew(self) -> Surface:
+        return _MeshSurface(self.normal_error, self.distance_error, self._steep, self._edge_worth)
 
     def field_of(self, shape: Mesh) -> Field:
         return shape.field()
