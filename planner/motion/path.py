@@ -14,13 +14,22 @@ import pinocchio as pin
 from planner.errors import TaskError
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["ObjectPath"]
+__all__ = ["LARGEST_TURN", "ObjectPath", "tilts"]
 
 SHORTEST = 1e-9
 """Length (-) below which an axis has no direction; turns (rad) and shifts (m) below it are none."""
 
 LARGEST_TURN = np.pi
 """Largest turn (rad) of one stroke: no fixed grasp of a hand goes further."""
+
+
+UPRIGHT = 0.99
+"""Least share (-) of the vertical in an axis that counts as vertical."""
+
+
+def tilts(axis: FloatArray) -> bool:
+    """Whether a turn about an axis (3,), world, tilts the object."""
+    return bool(abs(axis[2]) < UPRIGHT * np.linalg.norm(axis))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,7 +25,7 @@ import numpy as np
 from planner.hand import Finger, Hand
 from planner.motion.holds import Hold, HoldRows
 from planner.motion.loads import load_function, load_parameters
-from planner.motion.path import ObjectPath
+from planner.motion.path import ObjectPath, tilts
 from planner.motion.rolling import pivoting_function, rolling_function
 from planner.motion.surfaces import turned_surface_of
 from planner.motion.unknowns import MotionUnknowns, placement
@@ -221,11 +221,8 @@ def _level(path: ObjectPath) -> bool:
     On any other fingers that come from above stand on an axis about which they turn with the object
     or against it as often as not, and pivot.
     """
-    return not path.shift.any() and abs(path.axis[2]) > UPRIGHT
+    return not path.shift.any() and not tilts(path.axis)
 
-
-UPRIGHT = 0.99
-"""Least share (-) of the vertical in an axis that counts as vertical."""
 
 OBSTACLE_DIM = 15
 """Numbers of an obstacle: rotation, translation and half extents (``surroundings``)."""

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import TaskError
+from planner.motion.path import tilts
 from planner.spatial import SE3, FloatArray
 from sim.controllers import Event, ObjectImpedance, Observation, Phase, Sensing
 from sim.controllers.follow import MotionReference
 from sim.controllers.opening import PostureServo
 from sim.manipulation.away import FingerAway
-from sim.manipulation.paths import tilts
 from sim.manipulation.plan import ManipulationPlan
 from sim.mount import Mount
 from sim.timeline import Timeline

@@ -11,17 +11,14 @@ import math
 import numpy as np
 
 from planner.motion import MotionPlan, ObjectPath
-from planner.motion.path import LARGEST_TURN
+from planner.motion.path import LARGEST_TURN, tilts
 from planner.spatial import FloatArray
 
-__all__ = ["MOST_PIVOT", "further", "narrow_tube", "pivots", "tilts"]
+__all__ = ["MOST_PIVOT", "further", "narrow_tube", "pivots"]
 
 TILT_TUBE, SHIFT_TUBE = 0.01, 0.0
 """Default radii (m) of the tube where the object is to be tilted, and where it is to be moved: it
 is to get where it was asked to."""
-
-UPRIGHT = 0.99
-"""Least share (-) of the vertical in an axis that counts as vertical."""
 
 MOST_PIVOT = math.radians(12.0)
 """Most (rad) that a tip may pivot while the object is tilted or moved. Of 15 tilts by 30 degrees
@@ -54,11 +51,6 @@ def narrow_tube(axis: FloatArray, shift: FloatArray) -> float | None:
     if shift.any():
         return SHIFT_TUBE
     return TILT_TUBE if tilts(axis) else None
-
-
-def tilts(axis: FloatArray) -> bool:
-    """Whether a turn about an axis (3,), world, tilts the object."""
-    return bool(abs(axis[2]) < UPRIGHT * np.linalg.norm(axis))
 
 
 def pivots(motion: MotionPlan) -> str:
