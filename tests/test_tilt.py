@@ -11,6 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from planner.errors import TaskError
+from planner.motion.path import tilts
 from planner.objects import parse_object
 from planner.spatial import SE3
 from planner.task import GraspTask
@@ -241,3 +242,8 @@ def test_the_command_warns_of_less_friction_and_refuses_arms() -> None:
     assert "give the hand without its arm" in done.output
     done = CliRunner().invoke(app, asked[:3])
     assert "less friction" not in done.output
+
+
+def test_turns_about_the_vertical_tilt_nothing() -> None:
+    assert not tilts(np.array([0.0, 0.0, -2.0]))
+    assert tilts(np.array([0.0, 3.0, 0.0])) and tilts(np.array([0.0, 0.2, 1.0]))
