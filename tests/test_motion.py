@@ -294,8 +294,11 @@ def test_derivatives_of_all_residuals_by_finite_differences(
     z = problem.first(start)
     z += 0.01 * rng.normal(size=len(z))
     z[SHARE] = 0.4
-    value, jacobian = residuals(z)
-    value, jacobian, tally = value.copy(), jacobian.copy(), residuals.tally(z)
+    value, blocks = residuals(z)
+    value, jacobian, tally = value.copy(), blocks.dense(), residuals.tally(z)
+    normal, slope = blocks.normal_equations()
+    assert np.allclose(normal, jacobian.T @ jacobian, rtol=1e-12, atol=1e-9)
+    assert np.allclose(slope, jacobian.T @ value, rtol=1e-12, atol=1e-9)
     assert tally.tube and tally.rolling and any(len(a) for a in tally.avoided)
     assert len(tally.holds) == len(holds) and all(count >= 7 for count in tally.holds)
     step = 1e-6
@@ -437,7 +440,7 @@ def test_rows_are_told_in_their_order_with_their_units(allegro: Hand) -> None:
     z = problem.first(start) + 0.01 * np.random.default_rng(2).normal(size=problem.unknowns.size)
     z[SHARE] = 0.3
     r, jacobian = residuals(z)
-    rows = described(residuals, z, jacobian)
+    rows = described(residuals, z, jacobian.dense())
     assert len(rows) == residuals.n_terms
     for value, row in zip(r, rows, strict=False):
         assert row.equality or value < 0

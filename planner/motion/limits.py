@@ -75,7 +75,8 @@ def what_limits(
         lower: Least z.
         upper: Largest z.
     """
-    r, jacobian = residuals(z)
+    r, blocks = residuals(z)
+    jacobian = blocks.dense()
     missing = residuals.pull * (1.0 - z[SHARE])
     if missing <= 0.0:
         return ()
@@ -146,7 +147,7 @@ def _terms(
 def worst_term(residuals: MotionResiduals, z: FloatArray) -> str:
     """The term with the largest weighted residual at z, in words."""
     r, jacobian = residuals(z)
-    rows = described(residuals, z, jacobian)
+    rows = described(residuals, z, jacobian.dense())
     k = int(np.abs(r[: len(rows)]).argmax())
     step, unit = WORDS[rows[k].unit]
     place = 100 * residuals.numbers.places[rows[k].knot]

@@ -76,17 +76,15 @@ class MotionProblem:
 
     Attributes:
         grasp: The problem of a single knot.
-        avoidance: Its clearances.
         n_knots: Number of knots.
         holds: What must hold while a finger is away.
     """
 
     grasp: GraspProblem
-    avoidance: Avoidance
     n_knots: int
     holds: tuple[Hold, ...] = ()
 
-    @property
+    @cached_property
     def unknowns(self) -> MotionUnknowns:
         """Layout of the unknowns."""
         return MotionUnknowns(
@@ -255,7 +253,6 @@ def build_motion_problem(
     fingers = tuple(fingers)
     surface = turned_surface_of(kind_of)
     formulation = formulate(hand, fingers, surface, n_obstacles, (), clearances=False)
-    avoidance = Avoidance(formulation, surface)
-    residuals = Residuals(formulation, surface.field, avoidance)
+    residuals = Residuals(formulation, surface.field, Avoidance(formulation, surface))
     grasp = GraspProblem(hand, fingers, surface, n_obstacles, residuals, ())
-    return MotionProblem(grasp, avoidance, n_knots, holds)
+    return MotionProblem(grasp, n_knots, holds)

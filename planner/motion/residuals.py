@@ -7,10 +7,11 @@ one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from planner.motion.jacobian import Block, MotionJacobian
 from planner.motion.problem import MotionNumbers, MotionProblem
 from planner.motion.unknowns import SHARE, SHARED, TUBE
 from planner.spatial import FloatArray, IntArray
@@ -58,13 +59,17 @@ class MotionResiduals:
     Attributes:
         n_terms: After a call: how many of the first rows belong to terms.
         pull: Residual per unit of the path's share that is missing; 0 for none.
+        grasped: Of every knot the residuals of its grasp.
     """
 
     def __init__(self, problem: MotionProblem, numbers: MotionNumbers, field: Field | None) -> None:
         """Bind a problem to numbers, and to the distance field of a mesh."""
-        self.problem, self.numbers, self._field = problem, numbers, field
+        self.problem, self.numbers = problem, numbers
         self.n_terms = 0
         self.pull = 0.0
+        self.grasped = tuple(problem.grasp.residuals.twin() for _ in numbers.knots)
+        for one, p in zip(self.grasped, numbers.knots, strict=True):
+            one.bind(p, field)
         self._bends = self._steady()
 
     @property
@@ -98,12 +103,10 @@ class MotionResiduals:
 
     def tally(self, z: FloatArray) -> Tally:
         """What the rows at z are about."""
-        one = self.problem.grasp.residuals
         avoided, counted = [], []
-        for k, (x, _) in enumerate(self.knots(z)):
-            one.bind(self.numbers.knots[k], self._field)
+        for one, (x, _) in zip(self.grasped, self.knots(z), strict=True):
             one(x)
-            violated = self.problem.avoidance(x).terms
+            violated = one.avoided
             avoided.append(violated)
             counted.append(one.n_terms - len(violated))
         u = self.problem.unknowns
@@ -111,67 +114,64 @@ class MotionResiduals:
             avoided=tuple(avoided),
             terms=tuple(counted),
             rolling=3 * u.grasp.n_contacts * (u.n_knots - 1),
-            tube=len(self._tube(z)[0]),
-            holds=tuple(len(self._hold(h, z)[0]) for h in range(u.n_holds)),
+            tube=sum(len(block.values) for block in self._tube(z)),
+            holds=tuple(len(self._hold(h, z).values) for h in range(u.n_holds)),
             loads=np.argwhere(self._spare(self.knots(z))[0] < 0.0),
         )
 
-    def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def __call__(self, x: FloatArray) -> tuple[FloatArray, MotionJacobian]:
         """Those that count at the unknowns x."""
         with stage("residuals"):
             return self._evaluate(x)
 
-    def _evaluate(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        u, one = self.problem.unknowns, self.problem.grasp.residuals
-        terms: list[tuple[FloatArray, FloatArray]] = []
-        costs: list[tuple[FloatArray, FloatArray]] = []
+    def _evaluate(self, z: FloatArray) -> tuple[FloatArray, MotionJacobian]:
+        u = self.problem.unknowns
+        terms: list[Block] = []
+        costs: list[Block] = []
         placed = self.knots(z)
-        for k, (x, slope) in enumerate(placed):
-            one.bind(self.numbers.knots[k], self._field)
+        for k, (one, (x, slope)) in enumerate(zip(self.grasped, placed, strict=True)):
             r, local = one(x)
-            rows = np.zeros((len(r), u.size))
-            self._spread(rows, local, slope, k)
-            n = one.n_terms
-            terms.append((r[:n], rows[:n]))
-            costs.append((r[n:], rows[n:]))
-        terms += [self._stepwise(self.problem.rolling, PER_METRE, placed), self._tube(z)]
+            rows = Block(values=r, rows=_carried(local, slope), at=u.columns(k))
+            terms.append(rows.head(one.n_terms))
+            costs.append(rows.tail(one.n_terms))
+        terms += self._stepwise(self.problem.rolling, PER_METRE, placed)
+        terms += self._tube(z)
         if self.numbers.pivot:
-            costs.append(self._stepwise(self.problem.pivoting, self.numbers.pivot, placed))
+            costs += self._stepwise(self.problem.pivoting, self.numbers.pivot, placed)
         terms += [self._hold(h, z) for h in range(len(self.problem.holds))]
-        terms.append(self._loads(placed))
-        costs.append((self._bends @ z, self._bends))
+        terms += self._loads(placed)
+        costs += [
+            replace(block, values=block.rows[:, SHARED:] @ z[block.at]) for block in self._bends
+        ]
         if self.pull:
-            row = np.zeros((1, u.size))
+            row = np.zeros((1, SHARED))
             row[0, SHARE] = -self.pull
             # a term: as long as much of the path is missing, a descent goes on
-            terms.append((np.array([self.pull * (1.0 - z[SHARE])]), row))
-        self.n_terms = sum(len(r) for r, _ in terms)
-        parts = terms + costs
-        return np.concatenate([r for r, _ in parts]), np.vstack([rows for _, rows in parts])
-
-    def _spread(self, rows: FloatArray, local: FloatArray, slope: FloatArray, k: int) -> None:
-        """Add derivatives (m, size) by one knot's grasp unknowns to rows (m, n)."""
-        carried = local[:, :6] @ slope
-        at = self.problem.unknowns.columns(k)
-        rows[:, :SHARED] += carried[:, :SHARED]
-        rows[:, at.start : at.start + TUBE] += carried[:, SHARED:]
-        rows[:, at.start + TUBE : at.stop] += local[:, 6:]
+            missing = np.array([self.pull * (1.0 - z[SHARE])])
+            terms.append(Block(values=missing, rows=row, at=slice(SHARED, SHARED)))
+        self.n_terms = sum(len(block.values) for block in terms)
+        blocks = terms + costs
+        return np.concatenate([b.values for b in blocks]), MotionJacobian(blocks, u.size)
 
     def _stepwise(
         self, function: BufferedFunction, weight: float, placed: list[tuple[FloatArray, FloatArray]]
-    ) -> tuple[FloatArray, FloatArray]:
+    ) -> list[Block]:
         """Rows of a function of every two neighbouring knots."""
         u = self.problem.unknowns
         x = np.array([x for x, _ in placed])
         values, slopes = function(x[:-1], x[1:], self.numbers.reference.T.ravel())
-        m, size = values.shape[1], u.grasp.size
-        rows = np.zeros((m * (u.n_knots - 1), u.size))
-        for k in range(u.n_knots - 1):
-            mine = rows[k * m : (k + 1) * m]
+        values, slopes = weight * values, weight * slopes
+        size = u.grasp.size
+        out = []
+        for k, mine in enumerate(values):
             local = slopes[2 * size * k : 2 * size * (k + 1)].T
-            self._spread(mine, local[:, :size], placed[k][1], k)
-            self._spread(mine, local[:, size:], placed[k + 1][1], k + 1)
-        return weight * values.ravel(), weight * rows
+            before = _carried(local[:, :size], placed[k][1])
+            after = _carried(local[:, size:], placed[k + 1][1])
+            both = before[:, :SHARED] + after[:, :SHARED]
+            rows = np.hstack([both, before[:, SHARED:], after[:, SHARED:]])
+            at = slice(u.columns(k).start, u.columns(k + 1).stop)
+            out.append(Block(values=mine, rows=rows, at=at))
+        return out
 
     def _spare(self, placed: list[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
         """What is to spare at each knot (n_knots, k), and its Jacobian (n_knots size, k)."""
@@ -180,23 +180,21 @@ class MotionResiduals:
         spare, slopes = self.problem.loads(x, n.reference.T.ravel(), n.loads)
         return spare, slopes
 
-    def _loads(self, placed: list[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+    def _loads(self, placed: list[tuple[FloatArray, FloatArray]]) -> list[Block]:
         """What bears more than it may, knot by knot."""
         u = self.problem.unknowns
         spare, slopes = self._spare(placed)
         size = u.grasp.size
-        values, rows = [np.zeros(0)], [np.zeros((0, u.size))]
+        out = []
         for k, mine in enumerate(spare):
             over = np.flatnonzero(mine < 0.0)
             if len(over):
-                added = np.zeros((len(over), u.size))
                 local = slopes[size * k : size * (k + 1), over].T
-                self._spread(added, local, placed[k][1], k)
-                values.append(mine[over])
-                rows.append(added)
-        return np.concatenate(values), np.vstack(rows)
+                rows = _carried(local, placed[k][1])
+                out.append(Block(values=mine[over], rows=rows, at=u.columns(k)))
+        return out
 
-    def _hold(self, h: int, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _hold(self, h: int, z: FloatArray) -> Block:
         """What hold h asks for."""
         problem, n = self.problem, self.numbers
         u, hold = problem.unknowns, problem.holds[h]
@@ -225,30 +223,47 @@ class MotionResiduals:
         own = 6 * len(others)
         rows[:, np.concatenate([columns, mine])] = slopes[:, :own]
         rows[:, SHARE] += slopes[:, own:] @ n.places[knots]
-        return values, rows
+        return Block(values=values, rows=rows, at=slice(SHARED, u.size))
 
-    def _steady(self) -> FloatArray:
+    def _steady(self) -> list[Block]:
         """Rows by which joints are asked to go evenly: their second differences over the knots."""
         u, hand = self.problem.unknowns, self.problem.grasp.hand
         span = np.maximum(hand.q_upper - hand.q_lower, SMALLEST_RANGE)
-        rows = np.zeros((max(u.n_knots - 2, 0), u.grasp.n_joints, u.size))
         joints = np.arange(u.grasp.n_joints)
-        for k in range(1, u.n_knots - 1):
-            for neighbour, weight in ((k - 1, 1.0), (k, -2.0), (k + 1, 1.0)):
-                at = u.columns(neighbour).start + TUBE + joints
-                rows[k - 1, joints, at] = weight * STEADY / span
-        return rows.reshape(-1, u.size)
+        rows = np.zeros((len(joints), SHARED + 3 * u.own))
+        for step, weight in enumerate((1.0, -2.0, 1.0)):
+            rows[joints, SHARED + step * u.own + TUBE + joints] = weight * STEADY / span
+        return [
+            Block(
+                values=np.zeros(len(joints)),
+                rows=rows,
+                at=slice(u.columns(k - 1).start, u.columns(k + 1).stop),
+            )
+            for k in range(1, u.n_knots - 1)
+        ]
 
-    def _tube(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _tube(self, z: FloatArray) -> list[Block]:
+        """Knots that are further from the path than the tube is wide."""
         u = self.problem.unknowns
         offsets = u.offsets(z)
         far = np.linalg.norm(offsets, axis=1)
-        out = np.flatnonzero(far > max(self.numbers.tube, LEAST_TUBE))
-        rows = np.zeros((len(out), u.size))
-        for row, k in zip(rows, out, strict=True):
-            at = u.columns(int(k)).start
-            row[at : at + TUBE] = -offsets[k] / far[k]
-        return PER_METRE * (self.numbers.tube - far[out]), PER_METRE * rows
+        out = []
+        for k in np.flatnonzero(far > max(self.numbers.tube, LEAST_TUBE)).tolist():
+            rows = np.zeros((1, SHARED + u.own))
+            rows[0, SHARED : SHARED + TUBE] = -PER_METRE * offsets[k] / far[k]
+            beyond = np.array([PER_METRE * (self.numbers.tube - far[k])])
+            out.append(Block(values=beyond, rows=rows, at=u.columns(k)))
+        return out
+
+
+def _carried(local: FloatArray, slope: FloatArray) -> FloatArray:
+    """Derivatives (m, size) by one knot's grasp unknowns, by what is shared and the knot's own.
+
+    Args:
+        local: By the grasp's unknowns, of which the first 6 place the base.
+        slope: Of those (6, 10), by what is shared and by the place in the tube.
+    """
+    return np.hstack([local[:, :6] @ slope, local[:, 6:]])
 
 
 STEADY = 1.0

@@ -52,6 +52,11 @@ REACHING = 80
 HOLDING = 40
 """Evaluations of a descent that makes good what pulling or strengthening cost the terms."""
 
+STALLED, PATIENCE = 0.01, 5
+"""Steps in a row (number) that gain less than this share of the sum of squares end a descent. Of 64
+starts on cylinders of 5 to 7 cm, 98 degrees, 27 hold with these and with a tenth of the share and 3
+steps, which take a fifth more time; with 3 steps 22 hold, with 2 % and 5 steps 22."""
+
 DIRECTIONS = 12
 """Directions of wrench that a round works on at each knot."""
 
@@ -221,6 +226,8 @@ class _Run:
             upper=self.upper,
             scale=self._solver._scale,
             max_iterations=budget,
+            stalled=STALLED,
+            patience=PATIENCE,
         )
         self.z, self.worst = end.x.copy(), end.worst
         self._iterations += end.iterations
@@ -229,21 +236,18 @@ class _Run:
         """Work on the directions of wrench in which each knot resists least."""
         task, problem = self._solver.task, self._solver.problem
         shape, u = task.object.shape, problem.unknowns
-        places = problem.grasp.formulation.places
-        place, aim = places["directions"], places["aim"]
-        for k, x in enumerate(self.residuals.grasps(self.z)):
+        grasps = self.residuals.grasps(self.z)
+        for one, x in zip(self.residuals.grasped, grasps, strict=True):
             points, outward = shape.closest_point(u.grasp.points(x))
             found = weakest_directions(points, -outward, task.mu, shape.bounding_radius, DIRECTIONS)
             found = found / np.sqrt(u.n_knots)  # all knots together count like one grasp
-            self.residuals.numbers.knots[k, aim] = RESISTANCE_AIM
-            self.residuals.numbers.knots[k, place] = 0.0
-            self.residuals.numbers.knots[k, place.start : place.start + found.size] = found.ravel()
+            one.set_directions(found, RESISTANCE_AIM)
         self.descend(budget)
 
     def weaken(self) -> None:
         """Leave closure to the terms again."""
-        place = self._solver.problem.grasp.formulation.places["directions"]
-        self.residuals.numbers.knots[:, place] = 0.0
+        for one in self.residuals.grasped:
+            one.set_directions(np.zeros((0, 6)))
 
     def candidate(self, limits: tuple[Limit, ...]) -> MotionCandidate:
         """Where it is now."""

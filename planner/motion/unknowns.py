@@ -18,7 +18,7 @@ and s_k, t_k, q, points and forces of one knot are the unknowns of a grasp
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
@@ -53,7 +53,7 @@ class MotionUnknowns:
     n_knots: int
     n_holds: int = 0
 
-    @property
+    @cached_property
     def own(self) -> int:
         """Unknowns of one knot alone: place in the tube, joints, points and forces."""
         return TUBE + self.grasp.size - 6

@@ -16,9 +16,9 @@ from typing import Protocol
 import numpy as np
 from scipy.linalg.lapack import dposv
 
-from planner.spatial import FloatArray
+from planner.spatial import FloatArray, IntArray
 
-__all__ = ["Descent", "Residuals", "descend"]
+__all__ = ["Descent", "Residuals", "Rows", "descend"]
 
 MAX_ITERATIONS = 40
 """Evaluations of the residuals in one descent."""
@@ -58,6 +58,13 @@ class Descent:
     damping: float | None
 
 
+class Rows(Protocol):
+    """A Jacobian (m, n) that is kept in another way than as an array."""
+
+    def normal_equations(self) -> tuple[FloatArray, FloatArray]:
+        """J'J (n, n) and J'r (n,) with the residuals r (m,) that it came with."""
+
+
 class Residuals(Protocol):
     """What is descended.
 
@@ -67,7 +74,7 @@ class Residuals(Protocol):
 
     n_terms: int
 
-    def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray | Rows]:
         """The residuals r (m,) that count at x and their Jacobian (m, n).
 
         Those that count on one side of zero are left out on the other. Both arrays may be
@@ -85,6 +92,8 @@ def descend(
     max_iterations: int = MAX_ITERATIONS,
     damping: float | None = None,
     slow: float = SLOW,
+    stalled: float = STALLED,
+    patience: int = PATIENCE,
 ) -> Descent:
     """Descend from x. The last call of the residuals is at the x that is returned.
 
@@ -98,12 +107,14 @@ def descend(
         damping: Of the first step; None for ``FIRST_DAMPING``.
         slow: Share of the sum of squares below which a step's gain ends it when solved; infinite to
             end with the first step that solves the terms, whatever the cost.
+        stalled: Share of the sum of squares below which a step brings nothing.
+        patience: So many of those in a row end it.
     """
     free = np.flatnonzero(upper > lower)
     scale, lower, upper = scale[free], lower[free], upper[free]
     x, last = x.copy(), x[free]
 
-    def look(at: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    def look(at: FloatArray) -> tuple[FloatArray, FloatArray | Rows, float]:
         x[free] = at
         r, jacobian = residuals(x)
         return r, jacobian, float(np.abs(r[: residuals.n_terms]).max(initial=0.0))
@@ -115,8 +126,7 @@ def descend(
         if total <= NOTHING:
             status = "solved"
             break
-        rows = jacobian[:, free] * scale
-        slope, normal = r @ rows, rows.T @ rows
+        normal, slope = _normal_equations(r, jacobian, free, scale)
         if damping is None:
             damping = FIRST_DAMPING * float(normal.diagonal().max())
         least, most = (lower - last) / scale, (upper - last) / scale
@@ -139,15 +149,29 @@ def descend(
         share = (total - total_to) / total
         last, r, total, worst = to, r_to, total_to, worst_to
         damping, growth = damping * max(1 / 3, 1 - (2 * min(gain, 1.0) - 1) ** 3), 2.0
-        idle = idle + 1 if share < STALLED else 0
+        idle = idle + 1 if share < stalled else 0
         if worst < SOLVED and share < slow:
             status = "solved"
             break
-        if idle >= PATIENCE:
+        if idle >= patience:
             status = "stalled"
             break
     look(last)
     return Descent(x=x, worst=worst, status=status, iterations=iterations, damping=damping)
+
+
+def _normal_equations(
+    r: FloatArray, jacobian: FloatArray | Rows, free: IntArray, scale: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """J'J (k, k) and J'r (k,) of the free unknowns, in units of their scale (k,)."""
+    if isinstance(jacobian, np.ndarray):
+        rows = jacobian[:, free] * scale
+        return rows.T @ rows, r @ rows
+    normal, slope = jacobian.normal_equations()
+    normal = normal[free][:, free]
+    normal *= scale
+    normal *= scale[:, None]
+    return normal, slope[free] * scale
 
 
 MOST_GROWTH = 2.0**10

@@ -7,13 +7,14 @@ violated, come from ``planner.synthesis.avoid``.
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.spatial import FloatArray
+from planner.spatial import FloatArray, IntArray
 from planner.stages import stage
 from planner.synthesis.avoid import TERMS, Avoidance, Violated
 from planner.synthesis.buffered import into_buffers
@@ -98,26 +99,37 @@ class Residuals:
         self._both: NDArray[np.bool_] = np.array(
             both + [True] * formulation.cost_rows.numel() + [False] * sided.numel()
         )
-        self._x, self._p, self._tau = (np.zeros(v.numel()) for v in (x, p, tau))
-        self._values = np.zeros(residual.numel())
-        self._jacobian = np.zeros((residual.numel(), x.numel()))
         row, column = (np.array(v) for v in jacobian.sparsity().get_triplet())
-        self._entries, self._at = np.zeros(len(row)), row * x.numel() + column
+        self._at, self._width = row * x.numel() + column, x.numel()
         outputs = {name: ca.densify(v) for name, v in avoidance.outputs.items()}
-        links = {name: np.zeros(v.shape[::-1]) for name, v in outputs.items()}
-        avoidance.receive(links)
-        normals = ca.densify(formulation.normals)
-        bending = ca.densify(_bending(formulation))
-        self._outward, self._bending = np.zeros(normals.shape[::-1]), np.zeros(bending.shape[::-1])
+        normals, bending = ca.densify(formulation.normals), ca.densify(_bending(formulation))
         results = [residual, jacobian, normals, bending, *outputs.values()]
-        self._call = into_buffers(
-            compiled(ca.Function("residuals", [x, p, tau], results)),
-            [self._x, self._p, self._tau],
-            [self._values, self._entries, self._outward, self._bending, *links.values()],
-        )
+        self._links = tuple(outputs)
+        self._function = compiled(ca.Function("residuals", [x, p, tau], results))
+        self._make_room()
         self._weights = np.array([WEIGHTS[name] for name in TERMS])
         self._field: Field | None = None
         self._violated: Violated
+
+    def _make_room(self) -> None:
+        """Arrays for arguments and results."""
+        f = self._function
+        self._x, self._p, self._tau = (np.zeros(f.numel_in(i)) for i in range(3))
+        self._values, self._entries = np.zeros(f.numel_out(0)), np.zeros(f.nnz_out(1))
+        self._jacobian = np.zeros((len(self._values), self._width))
+        # matrices are transposed: CasADi stores columns
+        rest = [np.zeros(f.size_out(i)[::-1]) for i in range(2, f.n_out())]
+        self._outward, self._bending, *links = rest
+        self._avoidance.receive(dict(zip(self._links, links, strict=True)))
+        arguments = [self._x, self._p, self._tau]
+        self._call = into_buffers(f, arguments, [self._values, self._entries, *rest])
+
+    def twin(self) -> Residuals:
+        """The same expressions with parameters and results of their own."""
+        other = copy(self)
+        other._avoidance = copy(self._avoidance)
+        other._make_room()
+        return other
 
     def bind(self, p: FloatArray, field: Field | None) -> None:
         """Parameters, and the distance field of a mesh, for the calls that follow."""
@@ -186,6 +198,11 @@ class Residuals:
         rows = np.zeros((len(values), len(x)))
         rows[:, unknowns.point_columns] = QUALITY_SHARE * slopes
         return QUALITY_SHARE * values, rows
+
+    @property
+    def avoided(self) -> IntArray:
+        """Which clearances were violated at the last x: numbers of their terms (k,)."""
+        return self._violated.terms
 
     def violations(self) -> dict[str, float]:
         """Largest violation of each term at the last x, in its unit."""

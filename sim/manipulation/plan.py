@@ -30,7 +30,7 @@ __all__ = [
     "torque_reserve",
 ]
 
-GOOD_RESERVE, CANDIDATES = 0.25, 3
+GOOD_RESERVE, CANDIDATES = 0.1, 3
 """A plan that leaves this share of every actuator is taken at once; otherwise the one that leaves
 most of this many. What is left moves the fingers and answers to what was not planned for: pushes,
 slips, an object that stands beside its place. Of 21 Allegro trials the one that stalled had 0.01.
