@@ -29,6 +29,7 @@ from sim.cli.common import (
     print_json,
     say,
 )
+from sim.cli.movement import NO_SHIFT, RotateOption, ShiftOption, movement
 
 OutOption = Annotated[
     Path | None, typer.Option("--out", help="Folder for motion, report and a picture per phase.")
@@ -37,24 +38,13 @@ OutOption = Annotated[
 DEMO = {"hand": "allegro_hand", "object": "cylinder:0.03x0.08"}
 """What ``demo`` shows."""
 
-NO_SHIFT, USUAL_TURN = "0,0,0", "z:90"
-"""What is done if nothing is said: no translation, and this turn where there is no translation."""
-
 
 @errors_for_people()
 def manipulate(
     hand: HandArgument,
     object: ObjectArgument,
-    rotate: Annotated[
-        str | None,
-        typer.Option(
-            help="Turn in the hand: axis (x, y, z, world) and degrees; z:90 if neither this nor "
-            "--shift is given."
-        ),
-    ] = None,
-    shift: Annotated[
-        str, typer.Option(help="Translation in the hand, m, world: x,y,z; with the turn or alone.")
-    ] = NO_SHIFT,
+    rotate: RotateOption = None,
+    shift: ShiftOption = NO_SHIFT,
     place: Annotated[
         str, typer.Option(help="Where the object is put, m: x,y; it stands at 0,0.")
     ] = "0.1,0.05",
@@ -147,10 +137,7 @@ def _perform(
     from sim.manipulation.stand import on_stand
     from sim.physics import PhysicsOptions
 
-    moved = numbers("--shift", shift, 3)
-    if rotate is None:
-        rotate = "z:0" if any(moved) else USUAL_TURN
-    axis, degrees = _turn(rotate)
+    axis, degrees, moved = movement(rotate, shift)
     if sim_mu < mu:
         say(
             err,
@@ -204,23 +191,6 @@ def _perform(
             say(out, escape(f"written to {folder}: {plan_file}, report.json, pictures{note}"))
     if not report.complete:
         raise typer.Exit(EXIT_NO)
-
-
-def _turn(text: str) -> tuple[list[float], float]:
-    """Axis and degrees of a turn.
-
-    Raises:
-        TaskError: Something else.
-    """
-    from planner.errors import TaskError
-
-    axis, _, degrees = text.partition(":")
-    if axis not in AXES:
-        raise TaskError(f"--rotate {text!r} names no axis; give x, y or z and degrees: z:90")
-    return AXES[axis], numbers("--rotate", degrees, 1)[0]
-
-
-AXES = {"x": [1.0, 0.0, 0.0], "y": [0.0, 1.0, 0.0], "z": [0.0, 0.0, 1.0]}
 
 
 def register(app: typer.Typer) -> None:
