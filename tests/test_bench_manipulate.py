@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,8 @@ from sim.bench.conditions import FRICTION, MASS, PUSH_UNTIL, SIZE, Conditions
 from sim.bench.manipulate import Turn, run_manipulate
 from sim.bench.turn_table import manipulate_table
 from sim.cli import app
-from sim.manipulation import ManipulationReport, manipulate
+from sim.cli.bench.common import TABLE_WIDTH
+from sim.manipulation import ManipulationPlan, ManipulationReport, manipulate
 from sim.runner import Runner
 
 RUN = CliRunner()
@@ -153,10 +155,12 @@ def test_what_is_there_does_not_depend_on_where_it_is_turned() -> None:
 def test_a_block_is_tilted_and_moved_as_it_was_asked(
     measure: Measure, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    plans: list[ManipulationPlan] = []
     reports: list[ManipulationReport] = []
 
-    def heard(*given: Any, **arguments: Any) -> ManipulationReport:
-        reports.append(manipulate(*given, **arguments))
+    def heard(plan: ManipulationPlan, **arguments: Any) -> ManipulationReport:
+        plans.append(plan)
+        reports.append(manipulate(plan, **arguments))
         return reports[-1]
 
     monkeypatch.setattr("sim.bench.manipulate.manipulate", heard)
@@ -164,7 +168,8 @@ def test_a_block_is_tilted_and_moved_as_it_was_asked(
     result = measure(**asked)
     (row,), (report,) = result["rows"], reports
     assert row["strict"] and row["complete"], row["reason"]
-    assert 20.0 <= row["turned_deg"] < 23.0  # about y
+    assert tuple(plans[0].motion.path.axis) == Y
+    assert 20.0 <= row["turned_deg"] < 23.0
     assert row["shift_off_mm"] <= report.bounds.shift_mm
     # the verdicts are those of the report about all that was asked for: more was not made
     assert report.asked == asked["angle"]
@@ -238,6 +243,15 @@ def test_a_table_of_a_translation_says_how_far_it_was_off() -> None:
     cells = _cells(result)
     assert (cells["shift off mm"], cells["error deg"]) == ("0.25", "0.10")
     assert str(manipulate_table(result).title).startswith("translations by (0, 0, 15) mm: counts")
+
+
+def test_names_are_left_where_the_table_is_widest() -> None:
+    row = {**ROW, "hand": "shadow_hand_torque", "kind": "superquadric", "time_to_angle_s": 40.25}
+    table = manipulate_table({"angle_deg": 180.0, "shift": [0.01, 0.0, 0.0], "rows": [row]})
+    text = StringIO()
+    Console(width=TABLE_WIDTH, file=text).print(table)
+    assert "shadow_hand_torque" in text.getvalue()
+    assert "superquadric" in text.getvalue()
 
 
 # --- what is refused ---------------------------------------------------------------------------

@@ -10,6 +10,8 @@ import typer
 
 from sim.cli.bench.common import (
     HandsArgument,
+    HeightOption,
+    NumberOption,
     OutOption,
     SamplesOption,
     WorkersOption,
@@ -38,10 +40,8 @@ def manipulate(
             "mesh by name, as wide as those; mesh files, folders of them or sizes, as they are."
         ),
     ] = "cylinder",
-    n: Annotated[int, typer.Option("-n", "--number", min=1, help="Trials per cell.")] = 50,
-    height: Annotated[
-        float, typer.Option(min=0.04, help="Height of cylinder, block and ellipsoid, m.")
-    ] = 0.08,
+    n: NumberOption = 50,
+    height: HeightOption = 0.08,
     rotate: RotateOption = None,
     shift: ShiftOption = NO_SHIFT,
     fingers: FingersOption = None,
