@@ -15,7 +15,6 @@ from sim.cli.common import (
     HandArgument,
     JsonOption,
     MassOption,
-    MuOption,
     ObjectArgument,
     SeedOption,
     SimMuOption,
@@ -38,6 +37,12 @@ OutOption = Annotated[
 DEMO = {"hand": "allegro_hand", "object": "cylinder:0.03x0.08"}
 """What ``demo`` shows."""
 
+MU, SIM_MU, MAX_ATTEMPTS = 0.45, 0.6, 50
+"""Friction (-) that is believed, as in ``bench manipulate``: a tenth below the least that there is
+there, 0.5, which planning alone believes. Friction in simulation (-). Attempts, more than planning
+a motion alone makes (30): here motions are refused too at whose end the object cannot be put down,
+and of those that are left the best of a few is taken."""
+
 
 @errors_for_people()
 def manipulate(
@@ -51,11 +56,24 @@ def manipulate(
     out_dir: OutOption = None,
     fingers: FingersOption = None,
     seed: SeedOption = 0,
-    mu: MuOption = 0.45,
-    sim_mu: SimMuOption = 0.6,
+    mu: Annotated[
+        float,
+        typer.Option(
+            help="Sliding friction that planning relies on (-); 0.45 is a tenth below the least "
+            "that bench manipulate draws, whose figures hold for it. Planning alone takes 0.5."
+        ),
+    ] = MU,
+    sim_mu: SimMuOption = SIM_MU,
     mass: MassOption = None,
     stand: StandOption = 0.0,
-    max_attempts: Annotated[int, typer.Option(min=1, help="Attempts before giving up.")] = 50,
+    max_attempts: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            help="Attempts before giving up; more than the 30 of plan-motion, since motions are "
+            "refused too at whose end the object cannot be put down.",
+        ),
+    ] = MAX_ATTEMPTS,
     gait: Annotated[
         bool,
         typer.Option(
@@ -101,11 +119,11 @@ def demo(out_dir: OutOption = None, as_json: JsonOption = False) -> None:
         folder=out_dir,
         fingers=None,
         seed=0,
-        mu=0.45,
-        sim_mu=0.6,
+        mu=MU,
+        sim_mu=SIM_MU,
         mass=None,
         stand=0.0,
-        max_attempts=50,
+        max_attempts=MAX_ATTEMPTS,
         gait=False,
         as_json=as_json,
     )
