@@ -12,14 +12,11 @@ import pinocchio as pin
 import pytest
 
 from planner.collision import CollisionWorld
-from planner.errors import NotFoundError, TaskError
+from planner.errors import TaskError
 from planner.motion.release import find_release
 from planner.objects import parse_object
 from planner.plain import finite
 from planner.spatial import SE3, FloatArray, signed_twist
-from sim.bench.conditions import FRICTION, MASS, SIZE, Conditions
-from sim.bench.manipulate import manipulate_table, run_manipulate
-from sim.cli.manipulation import _turn
 from sim.controllers.follow import LEAD, RATE, MotionReference
 from sim.controllers.pads import CREEP, PadReading
 from sim.controllers.slip import SLIP_SPEED, SlipDetector
@@ -503,73 +500,6 @@ def test_checks_on_paper() -> None:
     reason, numbers = placed(first, turned, Bounds())
     assert "-7.0 degrees off its heading" in reason
     assert numbers["heading_deg"] == pytest.approx(-7.0)
-
-
-# --- the benchmark and the commands ------------------------------------------------------------
-
-
-def test_conditions_keep_their_ranges_and_their_seed() -> None:
-    drawn = [Conditions.draw("cylinder", 0.08, np.random.default_rng([1, k])) for k in range(200)]
-    again = Conditions.draw("cylinder", 0.08, np.random.default_rng([1, 7]))
-    assert again == drawn[7]
-    sizes = [2 * float(c.spec.split(":")[1].split("x")[0]) for c in drawn]
-    for values, (low, high) in (
-        (sizes, SIZE),
-        ([c.mass for c in drawn], MASS),
-        ([c.mu for c in drawn], FRICTION),
-        ([math.degrees(c.heading) for c in drawn], (-5.0, 5.0)),
-        ([1e3 * c.shift[0] for c in drawn], (-3.0, 3.0)),
-    ):
-        assert low - 1e-9 <= min(values) < low + 0.1 * (high - low)
-        assert high - 0.1 * (high - low) < max(values) <= high + 1e-9
-    assert all(math.hypot(*c.push) == pytest.approx(0.4) for c in drawn)
-
-
-def test_a_table_counts_over_all_trials() -> None:
-    base: dict[str, Any] = {"hand": "h", "kind": "cylinder", "found": True, "planning_cpu_s": 1.0}
-    good = {
-        "strict": True,
-        "loose": True,
-        "complete": True,
-        "dropped": False,
-        "time_to_angle_s": 1.5,
-        "turned_deg": 90.5,
-        "largest_tilt_deg": 1.0,
-        "largest_off_path_mm": 0.5,
-        "least_fingers": 4.0,
-        "place_off_mm": 1.0,
-        "place_heading_deg": -0.5,
-    }
-    rows = [{**base, **good}, {**base, "dropped": True}, {**base, "found": False}]
-    table = manipulate_table({"angle_deg": 90.0, "rows": rows})
-    cells = [next(iter(column.cells)) for column in table.columns]
-    assert cells[2:7] == ["2/3", "1/3", "1/3", "1/3", "1/3"]
-    assert cells[7:9] == ["1.50", "0.50"]
-
-
-def test_an_unknown_kind_is_refused_before_any_work(tmp_path: Any) -> None:
-    with pytest.raises(NotFoundError, match="cone"):
-        run_manipulate(
-            ["allegro_hand"],
-            ["cone"],
-            1,
-            height=0.08,
-            fingers=None,
-            stand=0.0,
-            seed=0,
-            file=tmp_path / "rows.jsonl",
-            runner=None,  # type: ignore[arg-type]
-        )
-
-
-@pytest.mark.parametrize("text", ["q:90", "z", "z:", "z:a", "z:1,2"])
-def test_a_turn_that_cannot_be_read_is_refused(text: str) -> None:
-    with pytest.raises(TaskError, match="--rotate"):
-        _turn(text)
-
-
-def test_a_turn_is_an_axis_and_degrees() -> None:
-    assert _turn("y:-45") == ([0.0, 1.0, 0.0], -45.0)
 
 
 def test_fingers_that_cannot_close_on_the_object_alone_are_not_tried() -> None:

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
+import planner.gait.search
+import planner.motion.search
+import sim.manipulation.plan
 from planner.files import read_motion
+from planner.task import DEFAULT_MU
+from sim.bench.conditions import BELIEVED_MU
 from sim.cli import app
+from sim.cli.manipulation import manipulate
+from sim.cli.motion import plan_gait, plan_motion
 
 RUN = CliRunner()
 THREE = ["plan-motion", "allegro_hand", "cylinder:0.03x0.1", "--fingers", "thumb,index,middle"]
@@ -77,3 +86,19 @@ def test_a_gait_of_one_stroke_is_written(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     assert "1 stroke of 20.0 degrees" in done.output
     assert json.loads(path.read_text())["format"] == "opposable-gait"
+
+
+@pytest.mark.parametrize(
+    ("command", "mu", "attempts"),
+    [
+        (plan_motion, DEFAULT_MU, planner.motion.search.MAX_ATTEMPTS),
+        (plan_gait, DEFAULT_MU, planner.gait.search.MAX_ATTEMPTS),
+        (manipulate, BELIEVED_MU, sim.manipulation.plan.MAX_ATTEMPTS),
+    ],
+)
+def test_commands_believe_and_spend_what_the_library_does(
+    command: Callable[..., None], mu: float, attempts: int
+) -> None:
+    defaults = inspect.signature(command).parameters
+    assert defaults["mu"].default == pytest.approx(mu)
+    assert defaults["max_attempts"].default == attempts

@@ -81,6 +81,9 @@ def write_gait(plan: GaitPlan, path: Path | str) -> None:
 def read_gait(path: Path | str, *, hand: Hand | None = None) -> GaitPlan:
     """Read a gait file and check it.
 
+    The plan is as ``plan_gait`` gave it: print it, or go through its ``phases``, strokes and moves
+    of one finger, with a controller of your own.
+
     Args:
         path: The file.
         hand: The hand to use; the one that the file names if None.

@@ -135,6 +135,9 @@ def write_motion(plan: MotionPlan, path: Path | str) -> None:
 def read_motion(path: Path | str, *, hand: Hand | None = None) -> MotionPlan:
     """Read a motion file and check it.
 
+    The plan is as ``plan_motion`` gave it: print it, go through its ``knots``, or have a controller
+    of your own follow it (``sim.controllers.MotionReference``).
+
     Args:
         path: The file.
         hand: The hand to use; the one that the file names if None.

@@ -16,6 +16,7 @@ __all__ = [
     "KINDS",
     "MASS",
     "PUSH_TIME",
+    "PUSH_UNTIL",
     "REGRASP_FRICTION",
     "REGRASP_MASS",
     "REGRASP_RATE",

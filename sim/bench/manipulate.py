@@ -1,9 +1,9 @@
 """``run_manipulate``: pick, turn, place, under conditions that the planner ignores.
 
 A trial draws what there is: size, mass, friction, where the object really stands, and a push while
-it is turned. The planner knows the size. Of mass and friction it knows the bounds, the largest mass
-and the least friction less a margin, of the pose where the object ought to stand; the controller
-measures the pose once it holds the object.
+it is turned or moved. The planner knows the size. Of mass and friction it knows the bounds, the
+largest mass and the least friction less a margin, of the pose where the object ought to stand; the
+controller measures the pose once it holds the object.
 """
 
 from __future__ import annotations
@@ -11,47 +11,54 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 from zlib import crc32
 
 import numpy as np
 import pinocchio as pin
-from rich.table import Table
 
 from planner.errors import NotFoundError, PlannerError
-from planner.motion.path import LARGEST_TURN
+from planner.motion.path import LARGEST_TURN, ObjectPath
 from planner.objects import OBJECT_NAMES, parse_object
-from planner.plain import finite
 from planner.spatial import SE3
 from planner.task import GraspTask
+from sim.bench.cases import not_found, row_of, run_cases
 from sim.bench.conditions import (
     BELIEVED_MU,
     KINDS,
     MASS,
     PUSH_TIME,
+    PUSH_UNTIL,
     REGRASP_FRICTION,
     REGRASP_MASS,
     REGRASP_RATE,
     Conditions,
 )
-from sim.bench.journal import run_with_journal
+from sim.bench.journal import Row
 from sim.bench.meshes import standing
 from sim.bench.objects import BenchObject, bench_objects
-from sim.bench.statistics import median_of
-from sim.bench.tables import number, table_of
+from sim.controllers.follow import RATE, SPEED
 from sim.manipulation import Push, manipulate, manipulation_task, plan_turning
 from sim.manipulation.stand import on_stand
 from sim.physics import PhysicsOptions
-from sim.runner import Check, Runner, made_with
+from sim.runner import Check, Runner
 
-__all__ = ["Turn", "manipulate_table", "run_manipulate", "run_turn"]
+__all__ = ["Turn", "run_manipulate", "run_turn"]
 
 FORMAT = "opposable-bench-manipulate"
 
 ANGLE = np.pi / 2
 """Turn that is asked for, rad, if nothing else is."""
+
+Vector: TypeAlias = tuple[float, float, float]
+
+VERTICAL: Vector = (0.0, 0.0, 1.0)
+"""Axis of turns if no other is asked for, world."""
+
+NO_SHIFT: Vector = (0.0, 0.0, 0.0)
+"""No translation, m."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +74,9 @@ class Turn:
         fingers: Fingers that take part; the hand's default set if None.
         stand: Height of the stand that carries the object, m; 0 for none.
         seed: Of all that is drawn.
-        angle: Turn that is asked for, rad; beyond a half turn it is made by regrasps.
+        axis: Axis of the turn that is asked for (3,), world.
+        angle: The turn, rad; beyond a half turn it is made by regrasps.
+        shift: Translation in the hand that is asked for with it (3,), m, world.
         spec: Specification of an object that is of no kind in ``KINDS``.
     """
 
@@ -79,7 +88,9 @@ class Turn:
     fingers: tuple[str, ...] | None
     stand: float
     seed: int
+    axis: Vector = VERTICAL
     angle: float = ANGLE
+    shift: Vector = NO_SHIFT
     spec: str = ""
 
     @property
@@ -92,10 +103,14 @@ class Turn:
         kinds: tuple[str, ...] = KINDS
         of = crc32(self.kind.encode()) if self.spec else kinds.index(self.kind)
         rng, drawn = np.random.default_rng([self.seed, of, self.number]), self.spec or self.kind
-        if not self.regrasps:
+        if self.regrasps:
+            until = abs(self.angle) / REGRASP_RATE
+            return Conditions.draw(drawn, self.height, rng, REGRASP_FRICTION, until)
+        if self.axis == VERTICAL and not any(self.shift):
             return Conditions.draw(drawn, self.height, rng)
-        until = abs(self.angle) / REGRASP_RATE
-        return Conditions.draw(drawn, self.height, rng, REGRASP_FRICTION, until)
+        # tilts and translations may be over long before PUSH_UNTIL
+        moving = abs(self.angle) / RATE if self.angle else float(np.linalg.norm(self.shift)) / SPEED
+        return Conditions.draw(drawn, self.height, rng, push_until=min(PUSH_UNTIL, moving))
 
 
 def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
@@ -104,9 +119,16 @@ def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
     task = _believed(turn, there)
     try:
         seed = turn.seed + turn.number
-        plan = plan_turning(task, angle=turn.angle, place=there.place, seed=seed)
+        plan = plan_turning(
+            task,
+            axis=turn.axis,
+            angle=turn.angle,
+            shift=turn.shift,
+            place=there.place,
+            seed=seed,
+        )
     except PlannerError as error:
-        return _row(turn, there, found=False, reason=str(error))
+        return not_found(turn, str(error))
     check()
     task = plan.motion.grasp.task  # with the fingers that were chosen
     pose = task.T_world_object
@@ -127,9 +149,8 @@ def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
     )
     check()
     last = report.checks[-1].numbers
-    return _row(
+    return row_of(
         turn,
-        there,
         found=True,
         attempts=plan.attempts,
         planning_cpu_s=plan.cpu_s,
@@ -169,24 +190,6 @@ def _objects(given: str) -> list[BenchObject]:
     return found
 
 
-def _row(turn: Turn, there: Conditions, **values: Any) -> dict[str, Any]:
-    row: dict[str, Any] = finite(
-        {
-            "index": turn.index,
-            "hand": turn.hand,
-            "kind": turn.kind,
-            "number": turn.number,
-            "conditions": asdict(there),
-            **values,
-        }
-    )
-    return row
-
-
-def _given_up(turn: Turn, reason: str) -> dict[str, Any]:
-    return _row(turn, turn.draw(), found=False, reason=reason)
-
-
 def run_manipulate(
     hands: Sequence[str],
     kinds: Sequence[str],
@@ -198,7 +201,9 @@ def run_manipulate(
     seed: int,
     file: Path,
     runner: Runner,
+    axis: Vector = VERTICAL,
     angle: float = ANGLE,
+    shift: Vector = NO_SHIFT,
 ) -> dict[str, Any]:
     """Run the trials that the file does not have yet.
 
@@ -212,7 +217,9 @@ def run_manipulate(
         seed: Of all that is drawn.
         file: Of the rows; made if it is not there.
         runner: Who works on them.
+        axis: Axis of the turn (3,), world.
         angle: Turn that is asked for, rad.
+        shift: Translation in the hand that is asked for with it (3,), m, world.
 
     Returns:
         Plain data: all rows that the file has then, and what they were made with.
@@ -221,7 +228,10 @@ def run_manipulate(
         FileFormatError: The file is not one of these, or was begun with other arguments.
         NotFoundError: A kind, an object or a hand that does not exist.
         ObjectError: A mesh that cannot be read, or sizes that are none.
+        TaskError: Neither a turn nor a translation, or a translation with more than half a turn.
     """
+    if any(shift) or not abs(angle) > LARGEST_TURN:
+        ObjectPath(axis=np.array(axis), angle=angle, shift=np.array(shift))  # tells what is wrong
     objects = [item for kind in kinds for item in _objects(kind)]
     for hand in hands:
         GraspTask.create(hand, "cylinder", fingers=fingers)
@@ -236,14 +246,14 @@ def run_manipulate(
             fingers=fingers,
             stand=stand,
             seed=seed,
+            axis=axis,
             angle=angle,
+            shift=shift,
             spec="" if item.label in KINDS else item.spec,
         )
         for i, (hand, item, k) in enumerate(cells)
     ]
-    asked = {
-        "format": f"{FORMAT}-rows",
-        "version": 1,
+    asked: Row = {
         "hands": list(hands),
         "kinds": list(kinds),
         "n": n,
@@ -253,78 +263,11 @@ def run_manipulate(
         "seed": seed,
         "angle_deg": math.degrees(angle),
     }
-    rows, whole = run_with_journal(
-        runner,
-        run_turn,
-        jobs,
-        file=file,
-        asked=asked,
-        title="pick, turn, place",
-        given_up=_given_up,
+    # left out where none is asked for, so that files go on that were begun before there were any
+    if axis != VERTICAL:
+        asked["axis"] = list(axis)
+    if any(shift):
+        asked["shift"] = list(shift)
+    return run_cases(
+        runner, run_turn, jobs, kind=FORMAT, asked=asked, file=file, title="pick, turn, place"
     )
-    return {
-        "format": FORMAT,
-        "version": 1,
-        **made_with(),
-        **{k: v for k, v in asked.items() if k not in ("format", "version")},
-        "workers": runner.workers,
-        "interrupted": not whole,
-        "rows": sorted(rows, key=lambda row: int(row["index"])),
-    }
-
-
-COLUMNS = (
-    "planned",
-    "strict",
-    "loose",
-    "complete",
-    "drops",
-    "turned in s",
-    "error deg",
-    "tilt deg",
-    "off path mm",
-    "fingers",
-    "placed mm",
-    "placed deg",
-    "planning s",
-)
-
-
-def manipulate_table(result: dict[str, Any]) -> Table:
-    """Counts out of all trials, and medians, per hand and kind of object."""
-    table = table_of(
-        f"turns by {result['angle_deg']:.0f} degrees: counts out of all trials; medians of those "
-        "that turned: time until then, how far the turn was off, "
-        "largest tilt, largest distance off the path; fewest fingers in any; then of those placed",
-        ("hand", "object"),
-        COLUMNS,
-    )
-    cells: dict[tuple[str, str], list[dict[str, Any]]] = {}
-    for row in result["rows"]:
-        cells.setdefault((row["hand"], row["kind"]), []).append(row)
-    for (hand, kind), rows in cells.items():
-        table.add_row(hand, kind, *_cells(rows, result["angle_deg"]))
-    return table
-
-
-def _cells(rows: list[dict[str, Any]], asked: float) -> list[str]:
-    def count(name: str) -> str:
-        return f"{sum(bool(row.get(name)) for row in rows)}/{len(rows)}"
-
-    def median(name: str, members: list[dict[str, Any]], less: float = 0.0) -> float | None:
-        return median_of(abs(m[name] - less) for m in members if m.get(name) is not None)
-
-    turned = [row for row in rows if row.get("loose")]
-    found = [row for row in rows if row["found"]]
-    least = [row["least_fingers"] for row in turned]
-    return [
-        *(count(name) for name in ("found", "strict", "loose", "complete", "dropped")),
-        number(median("time_to_angle_s", turned), 2),
-        number(median("turned_deg", turned, asked), 2),
-        number(median("largest_tilt_deg", turned), 1),
-        number(median("largest_off_path_mm", turned), 1),
-        f"{min(least):.0f}" if least else "-",
-        number(median("place_off_mm", rows), 1),
-        number(median("place_heading_deg", rows), 1),
-        number(median("planning_cpu_s", found), 2),
-    ]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +20,12 @@ from planner.errors import NoGraspFoundError, NotFoundError, PlannerError
 from planner.motion import plan_motion
 from planner.motion.search import MAX_ATTEMPTS
 from planner.objects import parse_object
-from planner.plain import finite
 from planner.task import GraspTask
+from sim.bench.cases import by_cell, row_of, run_cases
 from sim.bench.conditions import KINDS, Conditions, Kind
-from sim.bench.journal import run_with_journal
 from sim.bench.statistics import median_of
 from sim.bench.tables import number, table_of
-from sim.runner import Check, Runner, made_with
+from sim.runner import Check, Runner
 
 __all__ = ["MANY", "MotionCase", "motion_table", "run_case", "run_motion"]
 
@@ -78,8 +77,8 @@ def run_case(case: MotionCase, check: Check) -> dict[str, Any]:
         seed = case.seed + case.number + OTHER_SEED
         many = _planned(task, case, seed=seed, max_attempts=MANY)
     except PlannerError as error:
-        return _row(case, found=False, exists=False, reason=str(error))
-    return _row(case, exists=own["found"] or many["found"], **own)
+        return row_of(case, found=False, exists=False, reason=str(error))
+    return row_of(case, exists=own["found"] or many["found"], **own)
 
 
 def _planned(task: GraspTask, case: MotionCase, *, seed: int, max_attempts: int) -> dict[str, Any]:
@@ -102,24 +101,6 @@ def _planned(task: GraspTask, case: MotionCase, *, seed: int, max_attempts: int)
         "fingers": list(plan.grasp.task.finger_names),
         "margin": plan.margin,
     }
-
-
-def _row(case: MotionCase, **values: Any) -> dict[str, Any]:
-    row: dict[str, Any] = finite(
-        {
-            "index": case.index,
-            "hand": case.hand,
-            "kind": case.kind,
-            "number": case.number,
-            "conditions": asdict(case.draw()),
-            **values,
-        }
-    )
-    return row
-
-
-def _given_up(case: MotionCase, reason: str) -> dict[str, Any]:
-    return _row(case, found=False, exists=False, reason=reason)
 
 
 def run_motion(
@@ -171,8 +152,6 @@ def run_motion(
         for i, (hand, kind, k) in enumerate(cells)
     ]
     asked = {
-        "format": f"{FORMAT}-rows",
-        "version": 1,
         "hands": list(hands),
         "kinds": list(kinds),
         "n": n,
@@ -180,18 +159,7 @@ def run_motion(
         "seed": seed,
         "angle_deg": math.degrees(angle),
     }
-    rows, whole = run_with_journal(
-        runner, run_case, jobs, file=file, asked=asked, title="turns", given_up=_given_up
-    )
-    return {
-        "format": FORMAT,
-        "version": 1,
-        **made_with(),
-        **{k: v for k, v in asked.items() if k not in ("format", "version")},
-        "workers": runner.workers,
-        "interrupted": not whole,
-        "rows": sorted(rows, key=lambda row: int(row["index"])),
-    }
+    return run_cases(runner, run_case, jobs, kind=FORMAT, asked=asked, file=file, title="turns")
 
 
 COLUMNS = ("found", "of those there are", "CPU s", "90 % CPU s", "attempts", "margin")
@@ -206,12 +174,9 @@ def motion_table(result: dict[str, Any]) -> Table:
         ("hand", "object"),
         COLUMNS,
     )
-    cells: dict[tuple[str, str], list[dict[str, Any]]] = {}
-    for row in result["rows"]:
-        cells.setdefault((row["hand"], row["kind"]), []).append(row)
-    for (hand, kind), rows in cells.items():
+    for (hand, kind), rows in by_cell(result["rows"]).items():
         found = [row for row in rows if row["found"]]
-        there = sum(row["exists"] for row in rows)
+        there = sum(bool(row.get("exists")) for row in rows)
         spent = [row["cpu_s"] for row in rows if "cpu_s" in row]
         table.add_row(
             hand,

@@ -125,7 +125,7 @@ def numbers(option: str, text: str, count: int) -> list[float]:
     """
     from planner.errors import TaskError
 
-    wanted = f"give {COUNTS[count]} with commas between them"
+    wanted = "give one" if count == 1 else f"give {COUNTS[count]} with commas between them"
     try:
         values = [float(v) for v in text.split(",")]
     except ValueError as error:

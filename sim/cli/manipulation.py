@@ -15,7 +15,6 @@ from sim.cli.common import (
     HandArgument,
     JsonOption,
     MassOption,
-    MuOption,
     ObjectArgument,
     SeedOption,
     SimMuOption,
@@ -29,6 +28,7 @@ from sim.cli.common import (
     print_json,
     say,
 )
+from sim.cli.movement import NO_SHIFT, RotateOption, ShiftOption, movement
 
 OutOption = Annotated[
     Path | None, typer.Option("--out", help="Folder for motion, report and a picture per phase.")
@@ -37,35 +37,43 @@ OutOption = Annotated[
 DEMO = {"hand": "allegro_hand", "object": "cylinder:0.03x0.08"}
 """What ``demo`` shows."""
 
-NO_SHIFT, USUAL_TURN = "0,0,0", "z:90"
-"""What is done if nothing is said: no translation, and this turn where there is no translation."""
+MU, SIM_MU, MAX_ATTEMPTS = 0.45, 0.6, 50
+"""Friction (-) that is believed, as in ``bench manipulate``: a tenth below the least that there is
+there, 0.5, which planning alone believes. Friction in simulation (-). Attempts, more than planning
+a motion alone makes (30): here motions are refused too at whose end the object cannot be put down,
+and of those that are left the best of a few is taken."""
 
 
 @errors_for_people()
 def manipulate(
     hand: HandArgument,
     object: ObjectArgument,
-    rotate: Annotated[
-        str | None,
-        typer.Option(
-            help="Turn in the hand: axis (x, y, z, world) and degrees; z:90 if neither this nor "
-            "--shift is given."
-        ),
-    ] = None,
-    shift: Annotated[
-        str, typer.Option(help="Translation in the hand, m, world: x,y,z; with the turn or alone.")
-    ] = NO_SHIFT,
+    rotate: RotateOption = None,
+    shift: ShiftOption = NO_SHIFT,
     place: Annotated[
         str, typer.Option(help="Where the object is put, m: x,y; it stands at 0,0.")
     ] = "0.1,0.05",
     out_dir: OutOption = None,
     fingers: FingersOption = None,
     seed: SeedOption = 0,
-    mu: MuOption = 0.45,
-    sim_mu: SimMuOption = 0.6,
+    mu: Annotated[
+        float,
+        typer.Option(
+            help="Sliding friction that planning relies on (-); 0.45 is a tenth below the least "
+            "that bench manipulate draws, whose figures hold for it. Planning alone takes 0.5."
+        ),
+    ] = MU,
+    sim_mu: SimMuOption = SIM_MU,
     mass: MassOption = None,
     stand: StandOption = 0.0,
-    max_attempts: Annotated[int, typer.Option(min=1, help="Attempts before giving up.")] = 50,
+    max_attempts: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            help="Attempts before giving up; more than the 30 of plan-motion, since motions are "
+            "refused too at whose end the object cannot be put down.",
+        ),
+    ] = MAX_ATTEMPTS,
     gait: Annotated[
         bool,
         typer.Option(
@@ -111,11 +119,11 @@ def demo(out_dir: OutOption = None, as_json: JsonOption = False) -> None:
         folder=out_dir,
         fingers=None,
         seed=0,
-        mu=0.45,
-        sim_mu=0.6,
+        mu=MU,
+        sim_mu=SIM_MU,
         mass=None,
         stand=0.0,
-        max_attempts=50,
+        max_attempts=MAX_ATTEMPTS,
         gait=False,
         as_json=as_json,
     )
@@ -147,10 +155,7 @@ def _perform(
     from sim.manipulation.stand import on_stand
     from sim.physics import PhysicsOptions
 
-    moved = numbers("--shift", shift, 3)
-    if rotate is None:
-        rotate = "z:0" if any(moved) else USUAL_TURN
-    axis, degrees = _turn(rotate)
+    axis, degrees, moved = movement(rotate, shift)
     if sim_mu < mu:
         say(
             err,
@@ -204,23 +209,6 @@ def _perform(
             say(out, escape(f"written to {folder}: {plan_file}, report.json, pictures{note}"))
     if not report.complete:
         raise typer.Exit(EXIT_NO)
-
-
-def _turn(text: str) -> tuple[list[float], float]:
-    """Axis and degrees of a turn.
-
-    Raises:
-        TaskError: Something else.
-    """
-    from planner.errors import TaskError
-
-    axis, _, degrees = text.partition(":")
-    if axis not in AXES:
-        raise TaskError(f"--rotate {text!r} names no axis; give x, y or z and degrees: z:90")
-    return AXES[axis], numbers("--rotate", degrees, 1)[0]
-
-
-AXES = {"x": [1.0, 0.0, 0.0], "y": [0.0, 1.0, 0.0], "z": [0.0, 0.0, 1.0]}
 
 
 def register(app: typer.Typer) -> None:

@@ -30,37 +30,31 @@ class Track:
         time: (m,), s.
         step: m phases.
         touching: (m,), how many fingers of the hand touch the object, the palm not counted.
-        normal_force: (m, n), N.
         points: (m, n, 3), merged contacts in the object's frame, m; NaN without contact.
         sliding: (m, n), speed of the object over the pad beyond what spinning explains, m/s; NaN
             without contact.
         closed: (m,), force closure of the measured contacts, merged per finger, with their own
             friction.
-        epsilon: (m,), L1 epsilon of these contacts (-); NaN without closure.
         turn: (m,), signed twist about the axis of the turn, rad.
         tilt: (m,), rotation beside that, rad.
         shift: (m, 3), translation, m, palm axes.
         off_path: (m,), distance from where the reference has the object, m; NaN before the turn.
         place: (m,), where on the planned path the reference is, 0 to 1.
         away: (m, n), which fingers are told to be off the object.
-        height: (m,), height of the object's origin above its height at the start, m.
     """
 
     time: FloatArray
     step: tuple[Step, ...]
     touching: IntArray
-    normal_force: FloatArray
     points: FloatArray
     sliding: FloatArray
     closed: NDArray[np.bool_]
-    epsilon: FloatArray
     turn: FloatArray
     tilt: FloatArray
     shift: FloatArray
     off_path: FloatArray
     place: FloatArray
     away: NDArray[np.bool_]
-    height: FloatArray
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -85,7 +79,6 @@ class Watch:
         self._fingers = scene.task.finger_names
         self._length = scene.task.object.shape.bounding_radius
         self._reference: SE3 | None = None
-        self._first_height = float(scene.task.T_world_object.translation[2])
         self._turn = 0.0
         self._rows: list[dict[str, Any]] = []
 
@@ -128,7 +121,7 @@ class Watch:
         """
         scene = self._scene
         merged = merge_per_finger(hand_contacts(scene, data))
-        closed, epsilon = closure_and_epsilon(merged, length=self._length)
+        closed, _ = closure_and_epsilon(merged, length=self._length)
         if not closed:  # of four edges; the true cone may still be closed
             closed = force_closure(merged).closed
         pads = read_pads(scene, data, self._fingers)
@@ -140,11 +133,9 @@ class Watch:
                 "time": float(data.time),
                 "step": step,
                 "touching": len(set(merged.fingers) - {""}),
-                "normal_force": pads.normal_force,
                 "points": (pads.position - pose.translation) @ pose.rotation,
                 "sliding": np.linalg.norm(pads.sliding, axis=1) - pads.creep_speed,
                 "closed": closed,
-                "epsilon": epsilon,
                 "turn": self._turn,
                 "tilt": tilt,
                 "shift": shift,
@@ -153,7 +144,6 @@ class Watch:
                 else np.linalg.norm(now.translation - wanted.translation),
                 "place": place,
                 "away": away.copy(),
-                "height": pose.translation[2] - self._first_height,
             }
         )
 
@@ -161,7 +151,6 @@ class Watch:
         """All samples so far."""
         n = len(self._fingers)
         shapes: dict[str, tuple[int, ...]] = {
-            "normal_force": (n,),
             "sliding": (n,),
             "away": (n,),
             "points": (n, 3),

@@ -1,4 +1,4 @@
-"""The command that measures turns in the hand: ``bench manipulate``."""
+"""The command that measures turns and translations in the hand: ``bench manipulate``."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import typer
 
 from sim.cli.bench.common import (
     HandsArgument,
+    HeightOption,
+    NumberOption,
     OutOption,
     SamplesOption,
     WorkersOption,
@@ -25,6 +27,7 @@ from sim.cli.common import (
     errors_for_people,
     names,
 )
+from sim.cli.movement import NO_SHIFT, RotateOption, ShiftOption, movement
 
 
 @errors_for_people()
@@ -37,13 +40,10 @@ def manipulate(
             "mesh by name, as wide as those; mesh files, folders of them or sizes, as they are."
         ),
     ] = "cylinder",
-    n: Annotated[int, typer.Option("-n", "--number", min=1, help="Trials per cell.")] = 50,
-    height: Annotated[
-        float, typer.Option(min=0.04, help="Height of cylinder, block and ellipsoid, m.")
-    ] = 0.08,
-    rotate: Annotated[
-        float, typer.Option(help="Turn, degrees; beyond a half turn fingers move on.")
-    ] = 90.0,
+    n: NumberOption = 50,
+    height: HeightOption = 0.08,
+    rotate: RotateOption = None,
+    shift: ShiftOption = NO_SHIFT,
     fingers: FingersOption = None,
     stand: StandOption = 0.0,
     seed: SeedOption = 0,
@@ -52,9 +52,11 @@ def manipulate(
     output: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Pick, turn in the hand, place: randomised trials, strict and loose rates."""
-    from sim.bench.manipulate import manipulate_table, run_manipulate
+    """Pick, turn or move in the hand, place: randomised trials, strict and loose rates."""
+    from sim.bench.manipulate import run_manipulate
+    from sim.bench.turn_table import manipulate_table
 
+    axis, degrees, moved = movement(rotate, shift)
     check_folder(samples)
     with measuring(output, workers) as runner:
         result = run_manipulate(
@@ -67,6 +69,8 @@ def manipulate(
             seed=seed,
             file=samples,
             runner=runner,
-            angle=math.radians(rotate),
+            axis=axis,
+            angle=math.radians(degrees),
+            shift=moved,
         )
     give(result, output, as_json, lambda console: console.print(manipulate_table(result)))

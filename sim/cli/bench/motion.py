@@ -10,6 +10,8 @@ import typer
 
 from sim.cli.bench.common import (
     HandsArgument,
+    HeightOption,
+    NumberOption,
     OutOption,
     SamplesOption,
     WorkersOption,
@@ -25,10 +27,8 @@ def motion(
     objects: Annotated[
         str, typer.Option(help="Comma separated: cylinder, block, sphere, ellipsoid.")
     ] = "cylinder,block",
-    n: Annotated[int, typer.Option("-n", "--number", min=1, help="Cases per cell.")] = 20,
-    height: Annotated[
-        float, typer.Option(min=0.04, help="Height of cylinder, block and ellipsoid, m.")
-    ] = 0.08,
+    n: NumberOption = 20,
+    height: HeightOption = 0.08,
     rotate: Annotated[
         float, typer.Option(min=-170.0, max=170.0, help="Turn about the vertical, degrees.")
     ] = 90.0,

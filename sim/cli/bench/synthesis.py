@@ -9,6 +9,7 @@ import typer
 from sim.cli.bench.common import (
     PRIMITIVES,
     HandsArgument,
+    NumberOption,
     ObjectsOption,
     OutOption,
     WorkersOption,
@@ -31,7 +32,7 @@ from sim.cli.common import (
 def synthesis(
     hands: HandsArgument,
     objects: ObjectsOption = PRIMITIVES,
-    n: Annotated[int, typer.Option("-n", "--number", min=1, help="Requests per cell.")] = 50,
+    n: NumberOption = 50,
     seed: SeedOption = 0,
     mu: MuOption = 0.5,
     fingers: FingersOption = None,
@@ -74,7 +75,7 @@ def synthesis(
 def objectives(
     hands: HandsArgument,
     objects: ObjectsOption = "cylinder,box,mug",
-    n: Annotated[int, typer.Option("-n", "--number", min=1, help="Requests per cell.")] = 15,
+    n: NumberOption = 15,
     objectives: Annotated[
         str,
         typer.Option(
