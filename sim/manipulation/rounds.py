@@ -21,7 +21,7 @@ from planner.objects import GraspObject
 from planner.synthesis.mesh_seeds import turning_seeder_for
 from planner.task import GraspTask
 
-__all__ = ["LITTLE_MORE", "is_ball", "manipulation_task", "rounds", "takes_tips"]
+__all__ = ["LITTLE_MORE", "is_ball", "manipulation_task", "rounds"]
 
 MORE, FIRST, FIRST_TIPS, THEN = math.radians(8.0), 3, 6, 8
 """Turn (rad) that is planned beyond what is asked for, since a grasp that is made a little beside
@@ -86,7 +86,7 @@ def _with_fingers(task: GraspTask, names: Sequence[str]) -> GraspTask:
     return replace(task, finger_names=tuple(names), may_spare_fingers=False, grip_force=grip)
 
 
-def takes_tips(task: GraspTask) -> bool:
+def _takes_tips(task: GraspTask) -> bool:
     """Whether the fingertips turn with the object, which asks more of the fingers."""
     return isinstance(task.object.shape, ROLLED)
 
@@ -104,7 +104,7 @@ def rounds(task: GraspTask) -> Iterator[tuple[GraspTask, float, int | None]]:
     """What is tried in turn: a task, how much more than is asked for (rad), and how often."""
     chosen = [task]
     if task.may_spare_fingers and len(task.finger_names) > task.fingers_needed:
-        if takes_tips(task):
+        if _takes_tips(task):
             # a fourth finger has to go all the way as well: on blocks it stays on its face and
             # turns with it, on balls no start of 6 holds with four fingers of the Shadow-type hand
             chosen = [_with_fingers(task, names) for names in tripods(task)]
@@ -113,7 +113,7 @@ def rounds(task: GraspTask) -> Iterator[tuple[GraspTask, float, int | None]]:
             for spared in reversed(task.finger_names):
                 names = [name for name in task.finger_names if name != spared]
                 chosen.append(_with_fingers(task, names))
-    more, first = (LESS_MORE, FIRST_TIPS) if takes_tips(task) else (MORE, FIRST)
+    more, first = (LESS_MORE, FIRST_TIPS) if _takes_tips(task) else (MORE, FIRST)
     yield chosen[0], more, first
     if is_ball(task):
         yield chosen[0], LITTLE_MORE, first
