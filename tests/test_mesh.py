@@ -65,7 +65,7 @@ def quick_fit(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     calls: list[object] = []
     ball = example_field()
 
-    def fit(surface: object) -> DistanceField:
+    def fit(surface: object, thickness: float) -> DistanceField:
         calls.append(surface)
         return ball
 
@@ -303,6 +303,21 @@ def test_dispersion_of_normals() -> None:
     assert 0.02 < ball.normal_dispersion(ball.vertices[[7]], 0.005)[0] < np.radians(10)
 
 
+def test_the_far_side_of_a_wall_is_no_edge() -> None:
+    plate = of_trimesh(trimesh.creation.box((0.05, 0.05, 0.003)).subdivide_to_size(0.002))
+    middle, rim = np.array([[0.0, 0.0, 0.0015]]), np.array([[0.025, 0.0, 0.0015]])
+    up = np.array([[0.0, 0.0, 1.0]])
+    assert plate.normal_dispersion(middle, 0.004)[0] > 1.0  # both sides, one against the other
+    assert plate.normal_dispersion(middle, 0.004, facing=up)[0] == pytest.approx(0, abs=1e-6)
+    assert plate.normal_dispersion(rim, 0.004, facing=up)[0] > 0.5
+
+
+def test_the_thickness_of_a_plate() -> None:
+    # 2 V / A of 50 x 50 x 3 mm
+    paper = 2 * 7.5e-6 / (2 * 25e-4 + 4 * 1.5e-4)
+    assert box_mesh((0.05, 0.05, 0.003)).thickness == pytest.approx(paper)
+
+
 # --- the field ------------------------------------------------------------------------------------
 
 
@@ -320,6 +335,18 @@ def test_the_field_of_a_mesh_is_its_distance(name: str) -> None:
         points *= reach / np.linalg.norm(points, axis=1, keepdims=True)
         distance = mesh.signed_distance(points)
         assert np.abs(field.value(points) - distance).max() < tolerance
+
+
+def test_the_field_is_as_steep_on_thin_walls() -> None:
+    mug = example("mug")
+    points, normals = mug.surface_samples(2000, np.random.default_rng(5))
+    height = np.abs(points[:, 2] - points[:, 2].mean())
+    on_side = (np.abs(normals[:, 2]) < 0.1) & (height < 0.02)
+    slopes = mug.field().taylor(points[on_side], 1)[:, 1:4]
+    steep = np.linalg.norm(slopes, axis=1)
+    assert on_side.sum() > 500 and np.quantile(steep, 0.1) > 0.9
+    off = np.arccos(np.einsum("nd,nd->n", slopes, normals[on_side]) / steep)
+    assert np.rad2deg(np.quantile(off, 0.9)) < 3.0
 
 
 @pytest.mark.parametrize("name", ["mug", "lbracket", "hollow"])

@@ -82,5 +82,5 @@ def _pressing(start: Start, normals: FloatArray) -> FloatArray:
 def _off_edges(mesh: Mesh) -> tuple[FloatArray, FloatArray]:
     """Points (m, 3) spread over a mesh but not on its edges, and outward normals (m, 3)."""
     points, normals = mesh.surface_samples(SAMPLES, np.random.default_rng(0))
-    flat = mesh.normal_dispersion(points, EDGE_RADIUS) <= EDGE_SPREAD
+    flat = mesh.normal_dispersion(points, EDGE_RADIUS, facing=normals) <= EDGE_SPREAD
     return points[flat], normals[flat]

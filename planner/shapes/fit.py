@@ -35,6 +35,11 @@ counts, since contacts are corrected on the true surface."""
 CELLS = 64**3
 """Largest count of nodes of the finest grid."""
 
+ACROSS, MOST_CELLS = 4.0, 128**3
+"""Cells of the finest grid that a wall is thick at least, where so many nodes are enough: on a wall
+of 3 mm and a grid of 1.6 mm the smooth distance has a slope of 0.72, and its normals are off by up
+to 4 degrees, back and forth along the wall. Fingers that should roll there found no way."""
+
 MIDDLE_RATIO = 4
 """How many times the finest spacing the second grid has; a power of two."""
 
@@ -92,6 +97,7 @@ def fit_field(
     on_grid: GridDistance | None = None,
     bracket: Bracket | None = None,
     smoothing: float = 0.0,
+    wall: float = np.inf,
 ) -> DistanceField:
     """A field for a solid whose origin is inside its bounding box.
 
@@ -103,11 +109,14 @@ def fit_field(
         bracket: What bounds the error at the nodes of the finest grid, called last. ``distance`` if
             None, which is exact then.
         smoothing: Standard deviation of the Gaussian, m, if that is more than ``SMOOTHING`` cells.
+        wall: Thickness of the walls, m.
     """
     margin = MARGIN
     for _ in range(SETTLING):
         extent = upper - lower + 2 * margin
-        spacing = max(FINEST, float(np.cbrt(np.prod(extent) / CELLS)))
+        volume = float(np.prod(extent))
+        spacing = max(FINEST, np.cbrt(volume / CELLS))
+        spacing = float(min(spacing, max(wall / ACROSS, np.cbrt(volume / MOST_CELLS))))
         margin = max(MARGIN, TAPER * spacing)
     far_radius = float(np.mean(np.abs([lower, upper])))
     first, shape = _grid(lower - margin, upper + margin, spacing)

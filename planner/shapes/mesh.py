@@ -47,6 +47,9 @@ class MeshSource:
     done: tuple[str, ...] = ()
 
 
+OPPOSITE = -0.5
+"""Cosine between normals below which one looks the other way: 120 degrees."""
+
 PLANE_DIGITS = 9
 """Digits to which planes of the hull are told apart: a nanometre."""
 
@@ -192,6 +195,11 @@ class Mesh(Shape):
         volume: float = getattr(self, "_volume")  # noqa: B009
         return volume
 
+    @property
+    def thickness(self) -> float:
+        """Twice the volume by the area, m: on an object of thin walls, how thick they are."""
+        return 2 * self.volume / float(self._surface.areas.sum())
+
     def inertia(self, mass: float) -> FloatArray:
         """By the divergence theorem, exact for the polyhedron; (3, 3), kg m2."""
         second: FloatArray = getattr(self, "_second")  # noqa: B009
@@ -263,7 +271,9 @@ class Mesh(Shape):
         """Of the farthest vertex, m."""
         return float((self.hull_vertices @ direction).max())
 
-    def normal_dispersion(self, points: FloatArray, radius: float) -> FloatArray:
+    def normal_dispersion(
+        self, points: FloatArray, radius: float, *, facing: FloatArray | None = None
+    ) -> FloatArray:
         """How much the outward normals around surface points differ (n,), rad, weighted by area.
 
         arccos |sum a n| / sum a over the triangles within a ball: 0 on a flat face, 45 degrees on a
@@ -272,8 +282,13 @@ class Mesh(Shape):
         Args:
             points: (n, 3), m, on the surface.
             radius: Of the balls, m.
+            facing: Outward normals (n, 3) at the points. What looks the other way, by 120 degrees
+                or more, is then the far side of a wall and does not count.
         """
         owner, near = self._surface.within(points, radius)
+        if facing is not None:
+            same = np.einsum("kd,kd->k", self._surface.normals[near], facing[owner]) > OPPOSITE
+            owner, near = owner[same], near[same]
         areas = self._surface.areas[near]
         whole = np.bincount(owner, areas, len(points))
         weighted = (areas[:, None] * self._surface.normals[near]).T
@@ -304,7 +319,7 @@ class Mesh(Shape):
                 return DistanceField.from_arrays(stored)
             except (KeyError, ValueError, IndexError):
                 pass  # of another form: made anew
-        field = fit_mesh_field(self._surface)
+        field = fit_mesh_field(self._surface, self.thickness)
         write_arrays("field", key, field.to_arrays())
         return field
 

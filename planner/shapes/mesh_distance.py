@@ -20,7 +20,7 @@ from planner.spatial import FloatArray, IntArray
 
 __all__ = ["FIELD_VERSION", "fit_mesh_field"]
 
-FIELD_VERSION = "v3"
+FIELD_VERSION = "v4"
 """Part of the key of fields on disk: to be changed whenever a fitted field would change."""
 
 APART = 0.55
@@ -39,13 +39,15 @@ FAR_POINTS = 4_000
 measured to: some 4 mm apart, which leaves 0.1 mm at 25 mm."""
 
 
-def fit_mesh_field(surface: NearestTriangles) -> DistanceField:
-    """The field of a sound mesh whose centre of mass is at the origin."""
+def fit_mesh_field(surface: NearestTriangles, thickness: float) -> DistanceField:
+    """The field of a sound mesh whose centre of mass is at the origin.
+
+    Args:
+        surface: Its triangles.
+        thickness: Of its walls, m, if it has thin ones: ``Mesh.thickness``.
+    """
     distance = _MeshDistance(surface)
     corners = surface.corners.reshape(-1, 3)
-    a, b, c = surface.corners[:, 0], surface.corners[:, 1], surface.corners[:, 2]
-    volume = float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6
-    thickness = 2 * volume / float(surface.areas.sum())
     return fit_field(
         distance.far_away,
         corners.min(axis=0),
@@ -53,6 +55,7 @@ def fit_mesh_field(surface: NearestTriangles) -> DistanceField:
         on_grid=distance.on_grid,
         bracket=distance.bracket,
         smoothing=min(SMOOTHED_SHARE * thickness, SMOOTHED_MOST),
+        wall=thickness,
     )
 
 

@@ -332,21 +332,34 @@ class _MeshSurface(Surface):
     kind = "mesh"
 
     def __init__(
-        self, normal_error: float, distance_error: float, steep: float, edge_worth: float
+        self,
+        normal_error: float,
+        distance_error: float,
+        steep: float,
+        steep_on_walls: float,
+        edge_worth: float,
     ) -> None:
         """Begin to collect the points at which the programme needs the field."""
         self.field: FieldPoints = FieldPoints()
         self.normal_error, self.distance_error = normal_error, distance_error
-        self._steep, self._edge_worth = steep, edge_worth
+        self._steep, self._steep_on_walls = steep, steep_on_walls
+        self._edge_worth = edge_worth
 
     def anew(self) -> Surface:
-        return _MeshSurface(self.normal_error, self.distance_error, self._steep, self._edge_worth)
+        return _MeshSurface(
+            self.normal_error,
+            self.distance_error,
+            self._steep,
+            self._steep_on_walls,
+            self._edge_worth,
+        )
 
     def field_of(self, shape: Mesh) -> Field:
         return shape.field()
 
     def size(self, shape: Mesh) -> FloatArray:
-        return np.array([_steepness(shape, self._steep), 0.0, 0.0])
+        steep = self._steep_on_walls if shape.thickness < WALL else self._steep
+        return np.array([_steepness(shape, steep), 0.0, 0.0])
 
     def patches(self, shape: Mesh) -> tuple[Patch, ...]:
         return (_everywhere("surface", 2 * shape.half_extents),)
@@ -368,6 +381,9 @@ class _MeshSurface(Surface):
     def clearance(self, size: Any, c: Any) -> Any:
         return self.field.value(c)
 
+
+WALL = 0.006
+"""Thickness (m) below which a mesh is one of thin walls."""
 
 SAMPLES = 1000
 """Surface points from which the usual slope is estimated: on thin walls it is less everywhere."""
@@ -398,6 +414,7 @@ def mesh_surface(
     normal_error: float = NORMAL_ERROR,
     distance_error: float = DISTANCE_ERROR,
     steep: float = STEEP,
+    steep_on_walls: float = STEEP,
     edge_worth: float = 1.0,
 ) -> Surface:
     """The NLP form of a mesh.
@@ -406,9 +423,10 @@ def mesh_surface(
         normal_error: How far (rad) normals may be from the true ones.
         distance_error: How much (m) links keep away beyond what is asked for.
         steep: Slope (-) of the smooth distance from which on a contact is off edges.
+        steep_on_walls: The same on an object of thin walls, where the slope varies.
         edge_worth: What a slope that is missing there counts.
     """
-    return _MeshSurface(normal_error, distance_error, steep, edge_worth)
+    return _MeshSurface(normal_error, distance_error, steep, steep_on_walls, edge_worth)
 
 
 def surface_of(shape: Shape) -> Surface:
