@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -111,6 +111,38 @@ def test_what_cannot_be_solved_ends_early_and_says_so() -> None:
     assert end.status in {"stalled", "no step descends"}
     assert end.worst > 0.5
     assert end.iterations < 60
+
+
+def test_small_gains_are_worth_as_many_steps_as_asked() -> None:
+    """1 / (1 + x) falls for ever, by less and less."""
+
+    def slow(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return np.array([1.0, 1 / (1 + x[0])]), np.array([[0.0], [-1 / (1 + x[0]) ** 2]])
+
+    long, short, patient = (
+        run(slow, [0.0], stalled=stalled, patience=patience)
+        for stalled, patience in ((1e-6, 3), (0.05, 3), (0.05, 8))
+    )
+    assert {long.status, short.status, patient.status} == {"stalled"}
+    assert short.iterations + 5 == patient.iterations < long.iterations
+    assert short.x[0] < patient.x[0] < long.x[0]
+
+
+def test_numbers_of_one_twin_are_not_those_of_another(allegro: Hand) -> None:
+    task = GraspTask.create(allegro, "cylinder", fingers=["thumb", "index", "middle"])
+    problem, seeder = problems_for(task).grasp, seeder_for(task)
+    start = seeder.draw(np.random.default_rng(1))
+    assert isinstance(start, Start)
+    wide = replace(SynthesisOptions(), clear_object=0.02)
+    x = problem.first(start)
+    first, second = problem.residuals.twin(), problem.residuals.twin()
+    first.bind(problem.parameters(task, start, seeder.posture, SynthesisOptions()), None)
+    second.bind(problem.parameters(task, start, seeder.posture, wide), None)
+    alone, slopes = (a.copy() for a in first(x))
+    beside = second(x)[0]
+    assert len(beside) > len(alone), "more is too near"
+    again = first(x)
+    assert np.array_equal(again[0], alone) and np.array_equal(again[1], slopes)
 
 
 def test_an_unknown_without_room_stays_and_the_others_do_without_it() -> None:

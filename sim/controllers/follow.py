@@ -5,7 +5,9 @@ the measured turn y, the signed twist of the object in the palm since the turn b
 
     dy*/dt <= rate clip(2 (1 - (y* - y) / LEAD), 0, 1),    y* ends at the angle asked for
 
-so it is the measured turn that counts: what rolling adds or loses is seen and made up for. The
+so it is the measured turn that counts: what rolling adds or loses is seen and made up for. An
+object that stays short of its goal, as after a push that made it slip, is led on slowly along what
+was planned beyond the goal. The
 place on the planned path is y* over the planned angle. Cubic splines through the knots give the
 object's pose, the pad centres in the object's frame, in which they move by rolling only, and the
 joints: a velocity that jumps at a knot would be felt as a blow. Where the object lay otherwise than
@@ -57,6 +59,10 @@ has at full rate."""
 
 VELOCITY_STEP = 0.002
 """Time (s) over which the wanted velocity is taken from the path: a control step."""
+
+FURTHER, SHORT = 0.1, np.deg2rad(0.3)
+"""Share (-) of the full rate with which the reference goes on beyond its goal, and by how much
+(rad) the measured turn is short of it then: less than what a turn that is made may lack."""
 
 ROUNDING = 1e-9
 """A turn (rad) or a length (m) that differs by less is the same."""
@@ -169,13 +175,15 @@ class MotionReference:
 
     def _go_on(self, elapsed: float, missed: float) -> None:
         """Let the reference move on as far as the object follows."""
-        left = self._end - self._gone
+        left, fastest = max(0.0, self._end - self._gone), self._fastest
+        if self._turns and left <= ROUNDING and self.left > SHORT:
+            left, fastest = self._length - self._gone, FURTHER * fastest
         self._missed += min(1.0, elapsed / MISSED_TIME) * (missed - self._missed)
         able = max(LEAST_ABLE, 1.0 - self._missed / STOPPING)
         speed = min(
-            able * self._fastest,
+            able * fastest,
             self._speed + self._acceleration * elapsed,
-            float(np.sqrt(2.0 * self._acceleration * left)) + CREEP * self._fastest,
+            float(np.sqrt(2.0 * self._acceleration * left)) + CREEP * fastest,
         )
         if self._turns:
             ahead = self._gone - self._sign * self.turned

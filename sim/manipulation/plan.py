@@ -30,20 +30,23 @@ __all__ = [
     "torque_reserve",
 ]
 
-GOOD_RESERVE, CANDIDATES = 0.1, 3
-"""A plan that leaves so much of every actuator, and the margin below, is taken at once, otherwise
-the best of so many. What is left moves the fingers and answers to what was not planned for: pushes,
-slips, an object that stands beside its place. Of 21 Allegro trials the one that stalled had 0.01.
-"""
+CANDIDATES = 3
+"""Plans of which the best is taken, unless one is good enough to be taken at once. Where all that
+is tried by turns gives fewer, the best of those is."""
 
-GOOD_MARGIN, GOOD_ON_BALLS = 0.15, 0.4
-"""Margin of closure (-) with which a plan is taken at once; otherwise the best of so many. Of 22
-turns of cylinders in the Shadow-type hand two failed, whose plans had 0.06 and 0.09; those that
-were looked at beside them had 0.17 and more.
-Plans for balls are of two sorts. Either one finger opposes another with 12 to 20 N, which leaves a
-margin of 0.25 to 0.34 and much torsional friction; or all press alike, with less than 9 N, and
-leave 0.44 to 0.73. In the Shadow-type hand 4 of 6 turns of the first sort fell short of 90 degrees,
-and none of a dozen of the second."""
+GOOD_RESERVE, GOOD_MARGIN = 0.1, 0.15
+"""Share of its limit that every actuator keeps, and margin of closure (-), with which a plan is
+good enough. What is kept moves the fingers and answers to what was not planned for: pushes, slips,
+an object that stands beside its place. Of 21 turns by the Allegro-type hand the one that stalled
+kept 0.01; of 22 turns of cylinders by the Shadow-type hand the two that failed had margins of 0.06
+and 0.09, those looked at beside them 0.17 and more."""
+
+GOOD_ON_BALLS = 0.4
+"""Margin of closure (-) that is asked of a plan for a ball, and nothing else. Those plans are of
+two sorts. Either one finger opposes another with 12 to 20 N, which leaves a margin of 0.25 to 0.34
+and much torsional friction; or all press alike, with less than 9 N, and leave 0.44 to 0.73. In the
+Shadow-type hand 4 of 6 turns of the first sort fell short of 90 degrees, and none of a dozen of the
+second."""
 
 TUBE = 0.03
 """Default radius (m) of the tube: what is free gives some ten degrees more. A finger of the
@@ -131,7 +134,7 @@ def plan_manipulation(
     tried: list[tuple[str, ...]] = []
     found: list[ManipulationPlan] = []
     for chosen, more, attempts in rounds(task):
-        if len(made) >= max_attempts:
+        if len(made) >= max_attempts or _enough(found) or (attempts is None and found):
             break
         tried.append(chosen.finger_names)
         path = further(direction, angle, moved, more)
@@ -164,8 +167,6 @@ def plan_manipulation(
                     cpu_s=0.0,
                 )
             )
-        if _settled(found):
-            break
     if found:
         best = max(found, key=_merit)
         return replace(best, attempts=len(made), cpu_s=sum(a.cpu_s for a in made))
@@ -198,11 +199,6 @@ NO_LIMIT = 1e-9
 def _enough(found: list[ManipulationPlan]) -> bool:
     """Whether it is time to take the best of what was found."""
     return len(found) >= CANDIDATES or any(_merit(p) >= 1.0 for p in found)
-
-
-def _settled(found: list[ManipulationPlan]) -> bool:
-    """Whether what was found makes another round needless: for a ball a good plan is worth one."""
-    return any(not is_ball(p.motion.grasp.task) for p in found) or _enough(found)
 
 
 def _merit(plan: ManipulationPlan) -> float:
