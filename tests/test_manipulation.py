@@ -191,7 +191,7 @@ def test_a_reference_goes_beyond_its_goal_for_an_object_that_stays_behind(
     behind, most = math.radians(2.0), plan.motion.path.angle
     reference = MotionReference(plan.motion, angle=plan.angle)
     places = led(plan, reference, lambda _, r: max(0.0, r.place * most - behind))
-    a_step = 0.1 * 1.1 * DT
+    a_step = 0.3 * 1.1 * DT
     beyond = behind - math.radians(0.3)
     assert places[-1] * most == pytest.approx(plan.angle + beyond, abs=1.1 * a_step)
     # an object that is stuck is led to the end of what was planned and there it ends

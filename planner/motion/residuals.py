@@ -63,7 +63,10 @@ class MotionResiduals:
     """
 
     def __init__(self, problem: MotionProblem, numbers: MotionNumbers, field: Field | None) -> None:
-        """Bind a problem to numbers, and to the distance field of a mesh."""
+        """Bind a problem to numbers, and to the distance field of a mesh.
+
+        What belongs to single knots is taken over here; later changes of it are not seen.
+        """
         self.problem, self.numbers = problem, numbers
         self.n_terms = 0
         self.pull = 0.0

@@ -59,7 +59,7 @@ def described(residuals: MotionResiduals, z: FloatArray, jacobian: FloatArray) -
     Args:
         residuals: The residuals.
         z: Unknowns.
-        jacobian: What they gave there (m, n).
+        jacobian: What they gave there, dense (m, n).
     """
     problem, tally = residuals.problem, residuals.tally(z)
     u, fingers = problem.unknowns, problem.grasp.fingers

@@ -29,16 +29,16 @@ RIM_STEP = 1e-5
 """Largest step (m) of the value at the rim of the coarsest level; measured, see the tests."""
 
 FINEST = 0.0015
-"""Smallest spacing of the finest grid, m: finer costs memory and preparation, not accuracy that
-counts, since contacts are corrected on the true surface."""
+"""Smallest spacing of the finest grid, m, but for thin walls: finer costs memory and preparation,
+not accuracy that counts, since contacts are corrected on the true surface."""
 
 CELLS = 64**3
-"""Largest count of nodes of the finest grid."""
+"""Largest count of nodes of the finest grid, but for thin walls."""
 
 ACROSS, MOST_CELLS = 4.0, 128**3
-"""Cells of the finest grid that a wall is thick at least, where so many nodes are enough: on a wall
-of 3 mm and a grid of 1.6 mm the smooth distance has a slope of 0.72, and its normals are off by up
-to 4 degrees, back and forth along the wall. Fingers that should roll there found no way."""
+"""Cells of the finest grid that a wall should be thick, and the most nodes that are spent on it. On
+a wall of 3 mm and a grid of 1.6 mm the smooth distance has a slope of 0.72, and its normals are off
+by up to 4 degrees, back and forth along the wall. Fingers that should roll there found no way."""
 
 MIDDLE_RATIO = 4
 """How many times the finest spacing the second grid has; a power of two."""

@@ -383,7 +383,7 @@ class _MeshSurface(Surface):
 
 
 WALL = 0.006
-"""Thickness (m) below which a mesh is one of thin walls."""
+"""Thickness (m) below which a mesh is one of thin walls, or a small solid: a cube of 18 mm."""
 
 SAMPLES = 1000
 """Surface points from which the usual slope is estimated: on thin walls it is less everywhere."""
@@ -414,7 +414,7 @@ def mesh_surface(
     normal_error: float = NORMAL_ERROR,
     distance_error: float = DISTANCE_ERROR,
     steep: float = STEEP,
-    steep_on_walls: float = STEEP,
+    steep_on_walls: float | None = None,
     edge_worth: float = 1.0,
 ) -> Surface:
     """The NLP form of a mesh.
@@ -423,10 +423,12 @@ def mesh_surface(
         normal_error: How far (rad) normals may be from the true ones.
         distance_error: How much (m) links keep away beyond what is asked for.
         steep: Slope (-) of the smooth distance from which on a contact is off edges.
-        steep_on_walls: The same on an object of thin walls, where the slope varies.
+        steep_on_walls: The same on an object of thin walls, where the slope varies; ``steep`` if
+            None.
         edge_worth: What a slope that is missing there counts.
     """
-    return _MeshSurface(normal_error, distance_error, steep, steep_on_walls, edge_worth)
+    on_walls = steep if steep_on_walls is None else steep_on_walls
+    return _MeshSurface(normal_error, distance_error, steep, on_walls, edge_worth)
 
 
 def surface_of(shape: Shape) -> Surface:

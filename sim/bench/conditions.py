@@ -49,7 +49,8 @@ PUSH_FORCE, PUSH_TIME = 0.4, 0.3
 """The push, N and s: horizontal, from any side, at some time of the turn."""
 
 PUSH_UNTIL, REGRASP_RATE = 1.2, 0.2
-"""Latest begin of the push, s since the turn began; and a rate (rad/s) that no turn by
+"""Latest begin of the push, s since the turn began, unless the object is moved for a shorter time
+(``sim.bench.manipulate.Turn.draw``); and a rate (rad/s) that no turn by
 regrasps reaches: at the angle over it they are not over yet."""
 
 PLACE = 0.15

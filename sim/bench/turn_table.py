@@ -37,8 +37,8 @@ def manipulate_table(result: dict[str, Any]) -> Table:
     moves = "shift" in result
     table = table_of(
         f"{_movement(result)}: counts out of all trials; medians of those that are loose: time "
-        "until then, how far the turn was off, largest tilt off the planned attitude, largest "
-        "distance off the path; fewest fingers in any; then of those placed"
+        "until they had turned, how far the turn was off, largest tilt off the planned attitude, "
+        "largest distance off the path; fewest fingers in any; then of those placed"
         + ("; last, how far the translation was off, of the loose ones" if moves else ""),
         ("hand", "object"),
         (*COLUMNS, SHIFT_COLUMN) if moves else COLUMNS,
@@ -53,7 +53,7 @@ def _movement(result: dict[str, Any]) -> str:
     """What was asked for, in words; a turn about the vertical names no axis."""
     parts = []
     if result["angle_deg"]:
-        turn = f"turns by {result['angle_deg']:.0f} degrees"
+        turn = f"turns by {result['angle_deg']:g} degrees"
         if "axis" in result:
             turn += f" about ({', '.join(f'{v:g}' for v in result['axis'])})"
         parts.append(turn)

@@ -60,7 +60,7 @@ has at full rate."""
 VELOCITY_STEP = 0.002
 """Time (s) over which the wanted velocity is taken from the path: a control step."""
 
-FURTHER, SHORT = 0.1, np.deg2rad(0.3)
+FURTHER, SHORT = 0.3, np.deg2rad(0.3)
 """Share (-) of the full rate with which the reference goes on beyond its goal, and by how much
 (rad) the measured turn is short of it then: less than what a turn that is made may lack."""
 

@@ -76,7 +76,7 @@ class Pace:
     verify: float = 0.2
     lift: float = 0.7
     turn_rate: float = 1.1
-    turn_wait: float = 1.5
+    turn_wait: float = 2.5
     lift_wait: float = 0.5
     finger_rate: float = 4.0
     land_wait: float = 0.5

@@ -23,21 +23,18 @@ from planner.task import GraspTask
 
 __all__ = ["LITTLE_MORE", "is_ball", "manipulation_task", "rounds"]
 
-MORE, FIRST, FIRST_TIPS, THEN = math.radians(8.0), 3, 6, 8
+MORE, LESS_MORE, LITTLE_MORE = (math.radians(degrees) for degrees in (8.0, 5.0, 2.0))
 """Turn (rad) that is planned beyond what is asked for, since a grasp that is made a little beside
-its place meets a joint's end before the plan does; attempts for it, and on objects that take the
-tips along, of which a third of the starts hold; and attempts with one finger less, for each, where
-fingers may be spared. Of 28 cylinders in two hands 16 found a plan with all fingers among three
-attempts, 11 with one finger less (those of 60 mm and more in the Shadow-type hand, for which three
-more with four fingers changed nothing), and one with all fingers later."""
+its place meets a joint's end before the plan does, and an object that lags is led on there. Less of
+it for objects that take the tips along (``planner.motion.ground.ROLLED``), of which hands turn the
+wide ones little further; little where no other plan is found, and of a turn by strokes, where the
+last makes up for what is left over."""
 
-LESS_MORE = math.radians(5.0)
-"""The same for objects that take the tips along (``planner.motion.ground.ROLLED``): blocks, meshes
-and balls, of which hands turn the wide ones little further than that. Three fingers turn them."""
-
-LITTLE_MORE = math.radians(2.0)
-"""Turn (rad) beyond what is asked for where no other plan is found, and of a turn by strokes, where
-what is left over is made up for by the last."""
+FIRST, FIRST_TIPS, THEN = 3, 6, 8
+"""Attempts of the first round, the same for objects that take the tips along, of which a third of
+the starts hold, and those of each round after it. Of 28 cylinders in two hands 16 found a plan
+with all fingers among three attempts, 11 with one finger less (those of 60 mm and more in the
+Shadow-type hand, for which three more with four fingers changed nothing), one with all later."""
 
 
 def manipulation_task(
@@ -56,7 +53,7 @@ def manipulation_task(
         hand: A hand, its name, or the path of its description.
         object: The object, with the largest mass that it may have.
         mu: Sliding friction (-), the least that there may be.
-        fingers: Finger names; if None the hand's default set, of which one may be spared.
+        fingers: Finger names; if None the hand's default set, of which ``rounds`` may spare some.
 
     Raises:
         TaskError: A hand on an arm.
@@ -101,7 +98,20 @@ LEAST_GRIP = 1.5
 
 
 def rounds(task: GraspTask) -> Iterator[tuple[GraspTask, float, int | None]]:
-    """What is tried in turn: a task, how much more than is asked for (rad), and how often."""
+    """What is tried in turn: a task, how much more than is asked for (rad), and how often.
+
+    Each row ends the search if it brings a good plan, or with those before it enough of them:
+
+        cylinder     all fingers                          + 8 degrees     3 attempts
+                     one less, for each; thumb last       + 8             8
+                     all, pads as wide as tips are round  + 8             3
+        block, mesh  thumb and the first two neighbours   + 5             6
+                     each other pair of neighbours        + 5             8
+        ball         the same, and after its first row    + 2             6
+        any          the first fingers                    + 2             until one is found
+
+    Fingers that the caller names are not spared.
+    """
     chosen = [task]
     if task.may_spare_fingers and len(task.finger_names) > task.fingers_needed:
         if _takes_tips(task):
@@ -119,7 +129,7 @@ def rounds(task: GraspTask) -> Iterator[tuple[GraspTask, float, int | None]]:
         yield chosen[0], LITTLE_MORE, first
     for one in filter(_closes, chosen[1:]):
         yield one, more, THEN
-    # a cylinder of 7 cm is too wide for the Shadow-type hand's pads, and not for its round tips
+    # contacts are nearer to the rims of pads on cylinders that are wide for a hand
     if not with_rolling_pads(chosen[0]).hand.rolls:
         yield replace(chosen[0], hand=task.hand.rolling), more, first
     yield chosen[0], LITTLE_MORE, None
