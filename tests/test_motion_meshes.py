@@ -11,7 +11,10 @@ from conftest import box_mesh
 from planner.hand import Hand
 from planner.motion import ObjectPath, motion_attempts
 from planner.motion.ground import with_rolling_pads
-from planner.motion.starts import on_opposed_sides
+from planner.motion.problem import build_motion_problem
+from planner.motion.residuals import MotionResiduals
+from planner.motion.search import MOTION_OPTIONS
+from planner.motion.starts import _off_edges, on_opposed_sides
 from planner.motion.surfaces import turned_surface_of
 from planner.objects import GraspObject, parse_object
 from planner.shapes import Cylinder, Mesh, Superquadric
@@ -81,6 +84,42 @@ def test_a_contact_near_an_edge_lacks_slope_in_a_motion_alone(block: Mesh) -> No
     in_motion = turned_surface_of(block).size(block)[0]
     assert in_grasp < slope < in_motion
     assert turned_surface_of(block).normal_error < surface_of(block).normal_error
+
+
+def test_thin_walls_are_steep_enough_and_no_edges() -> None:
+    mug = parse_object("mug").shape
+    assert isinstance(mug, Mesh)
+    surface = turned_surface_of(mug)
+    assert surface.size(mug)[0] == surface.anew().size(mug)[0] == 0.87
+    assert surface_of(mug).size(mug)[0] > 0.9
+    points, normals = _off_edges(mug)
+    outside = np.einsum("nd,nd->n", points[:, :2], normals[:, :2]) > 0.9 * 0.04
+    height = points[outside, 2] - points[:, 2].min()
+    # starts find the outer wall, which is 4 mm thick, all the way up but not at its ends
+    assert len(height) > 200
+    assert height.min() < 0.02 and 0.06 < height.max() < 0.0895
+
+
+def test_what_was_looked_up_once_is_looked_up_again_when_it_comes_near(
+    allegro: Hand, on_block: GraspTask, block: Mesh
+) -> None:
+    """From place to place the same rows count as for residuals that have seen nothing before."""
+    problem = build_motion_problem(allegro, on_block.fingers, block, 3)
+    seeder = turning_seeder_for(on_block)
+    start = seeder.draw(np.random.default_rng(0))
+    assert isinstance(start, Start)
+    path = ObjectPath(axis=np.array([0.0, 0.0, 1.0]), angle=1.0, shift=np.zeros(3))
+    numbers = problem.numbers(on_block, path, start, seeder.posture, MOTION_OPTIONS, 0.02)
+    seen = MotionResiduals(problem, numbers, block.field())
+    rng, first = np.random.default_rng(3), problem.first(start)
+    counted = set()
+    for step in (0.0, 0.3, 0.02, 0.1, 0.01, 0.2):
+        z = first + step * rng.normal(size=len(first))
+        fresh = MotionResiduals(problem, numbers, block.field())
+        values, expected = seen(z)[0].copy(), fresh(z)[0]
+        np.testing.assert_allclose(values, expected, atol=1e-12)
+        counted.add(sum(len(a) for a in seen.tally(z).avoided))
+    assert len(counted) > 3, "more and fewer links are too near"
 
 
 def test_primitives_are_the_same_in_grasps_and_motions() -> None:
