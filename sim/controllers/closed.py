@@ -65,6 +65,9 @@ FRICTION_MARGIN, LEAST_MU = 0.85, 0.1
 CARRYING: frozenset[Phase] = frozenset({"lift", "hold", "turn", "carry"})
 """Phases in which nothing but the hand holds the object: then loads and friction are learned."""
 
+LED: frozenset[Phase] = frozenset({"turn", "hold"})
+"""Phases in which a reference leads: what creeps back after a turn is led on again."""
+
 
 class ObjectImpedance:
     """Closed-loop execution of a plan.
@@ -75,7 +78,7 @@ class ObjectImpedance:
         schedule: Which fingers hold, from the squeeze on.
         T_palm_wanted: Where the object is to be kept, in the palm; None before the squeeze. May be
             set.
-        reference: What leads object and fingers in the phase "turn"; None keeps them.
+        reference: What leads object and fingers in the phases ``LED``; None keeps them.
         grip: Least normal force (N) of a finger that holds, at the end of the squeeze and before
             any slip; the task's at first. May be set.
         forces: (n, 4), contact forces of the last step in the contact frames, N and N m.
@@ -195,7 +198,7 @@ class ObjectImpedance:
             self.schedule = ContactSchedule(pads.normal_force > TOUCH_FORCE)
             self._torques.latch()
         wanted_twist = np.zeros(6)
-        if observation.phase == "turn" and self.reference is not None:
+        if observation.phase in LED and self.reference is not None:
             wanted_twist = self._lead(self.reference, elapsed, in_palm, observation.q)
         self._feel(elapsed, pads, T_base_world)
         carries = observation.phase in CARRYING
