@@ -11,13 +11,16 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
+from conftest import of_trimesh
 
-from planner.collision import CollisionWorld
+from planner.collision import CollisionWorld, shape_pair
 from planner.errors import TaskError
 from planner.motion import MotionAttempt
 from planner.motion.release import find_release
-from planner.objects import parse_object
+from planner.objects import GraspObject, parse_object
 from planner.plain import finite
+from planner.shapes import Box
 from planner.spatial import SE3, FloatArray, signed_twist
 from planner.task import GraspTask
 from sim.controllers.follow import LEAD, RATE, MotionReference
@@ -502,6 +505,27 @@ def test_an_object_lies_on_its_stand(spec: str, above: float) -> None:
     assert task.T_world_object.translation[2] == pytest.approx(0.04 + above, abs=2e-5)
     assert task.carrying == task.obstacles and len(task.obstacles) == 4
     assert all(o.T_world_obstacle.translation[2] == pytest.approx(0.02) for o in task.obstacles)
+
+
+def test_a_rough_object_lies_on_its_highest_bump() -> None:
+    """A block whose lower side has one bump of 1 mm, above a wall: it lies 1 mm higher."""
+    block = trimesh.creation.box((0.06, 0.06, 0.06)).subdivide_to_size(0.0041)
+    lower = np.flatnonzero(block.vertices[:, 2] < -0.0299)
+    above_wall = np.array([0.0194, 0.0087, -0.03])  # walls are 18 to 22 mm from the middle
+    bump = lower[np.argmin(np.linalg.norm(block.vertices[lower] - above_wall, axis=1))]
+    vertices = block.vertices.copy()
+    vertices[bump] += [0.0, 0.0, -0.001]
+    assert 0.0185 < vertices[bump, 0] < 0.0215
+    shape = of_trimesh(trimesh.Trimesh(vertices, block.faces))
+    item = GraspObject(name="rough", shape=shape, mass=0.1)
+    upright = SE3(np.eye(3), np.array([0.0, 0.0, shape.support(np.array([0.0, 0.0, -1.0]))]))
+    task = manipulation_task("allegro_hand", item, mu=0.45)
+    task = on_stand(replace(task, T_world_object=upright), 0.04)
+    lowest = task.lowest_point(task.T_world_object)
+    assert lowest == pytest.approx(0.04, abs=1e-5)
+    wall = next(o for o in task.obstacles if o.name == "stand +x")
+    gap = shape_pair(Box(tuple(wall.size.tolist())).coal_geometry(), shape)
+    assert gap.distance(wall.T_world_obstacle, task.T_world_object) >= 0.0
 
 
 def test_a_stand_needs_a_table_and_a_height() -> None:

@@ -12,7 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from planner.collision import shape_pair
 from planner.errors import TaskError
+from planner.shapes import Box
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
 
@@ -27,9 +29,6 @@ WALL = 0.004
 
 APART = 1e-6
 """Distance (m) from the walls at which the object lies on them; it must not be in them."""
-
-SPACING = 0.001
-"""Distance (m) between the points of a wall that are looked at."""
 
 HALVINGS = 20
 """Halvings of the height at which it may lie: a few centimetres to less than a micrometre."""
@@ -77,21 +76,17 @@ def _walls(inner: float, height: float, foot: FloatArray) -> list[Obstacle]:
 
 
 def _lowered(task: GraspTask, walls: Sequence[Obstacle], height: float) -> SE3:
-    """The object as low between the walls as their upper sides let it."""
+    """The object as low between the walls as they let it."""
     shape, pose = task.object.shape, task.T_world_object
-    points = np.vstack([_upper_side(wall) for wall in walls]) - pose.translation
-    low, high = 0.0, height
+    pairs = [shape_pair(Box(tuple(w.size.tolist())).coal_geometry(), shape) for w in walls]
+
+    def lifted(by: float) -> SE3:
+        return SE3(pose.rotation, pose.translation + np.array([0.0, 0.0, by]))
+
+    low, high = 0.0, height + 2 * APART
     for _ in range(HALVINGS):
         middle = (low + high) / 2
-        there = (points - np.array([0.0, 0.0, middle])) @ pose.rotation
-        free = float(shape.signed_distance(there).min()) > APART
-        low, high = (low, middle) if free else (middle, high)
-    return SE3(pose.rotation, pose.translation + np.array([0.0, 0.0, high + APART]))
-
-
-def _upper_side(wall: Obstacle) -> FloatArray:
-    """Points (n, 3) all over the upper side of a wall, world."""
-    half = wall.size / 2
-    x, y = (np.linspace(-h, h, 2 + int(2 * h / SPACING)) for h in half[:2])
-    grid = np.stack(np.meshgrid(x, y, half[2:], indexing="ij"), axis=-1).reshape(-1, 3)
-    return np.asarray(grid + wall.T_world_obstacle.translation)
+        there = lifted(middle)
+        apart = (p.distance(w.T_world_obstacle, there) for p, w in zip(pairs, walls, strict=True))
+        low, high = (low, middle) if min(apart) > APART else (middle, high)
+    return lifted(high)
