@@ -134,13 +134,15 @@ def test_numbers_of_one_twin_are_not_those_of_another(allegro: Hand) -> None:
     start = seeder.draw(np.random.default_rng(1))
     assert isinstance(start, Start)
     wide = replace(SynthesisOptions(), clear_object=0.02)
+    icy = replace(task, mu=0.1)
     x = problem.first(start)
+    problem.formulation.unknowns.forces(x)[:, 2] += 0.3  # in the cones of one, not of the other
     first, second = problem.residuals.twin(), problem.residuals.twin()
     first.bind(problem.parameters(task, start, seeder.posture, SynthesisOptions()), None)
-    second.bind(problem.parameters(task, start, seeder.posture, wide), None)
     alone, slopes = (a.copy() for a in first(x))
+    second.bind(problem.parameters(icy, start, seeder.posture, wide), None)
     beside = second(x)[0]
-    assert len(beside) > len(alone), "more is too near"
+    assert len(beside) > len(alone), "more is too near, and slips"
     again = first(x)
     assert np.array_equal(again[0], alone) and np.array_equal(again[1], slopes)
 

@@ -25,6 +25,7 @@ from planner.spatial import SE3, FloatArray, signed_twist
 from planner.task import GraspTask
 from sim.controllers.follow import LEAD, RATE, MotionReference
 from sim.controllers.pads import CREEP, PadReading
+from sim.controllers.reference import Target
 from sim.controllers.slip import SLIP_SPEED, SlipDetector
 from sim.controllers.torques import HoldingTorques
 from sim.manipulation import (
@@ -49,6 +50,9 @@ UP = np.array([0.0, 0.0, 1.0])
 DT = 0.002
 ANGLE = math.radians(40.0)
 
+HELD = ("turn", "hold", "verify again")
+"""Phases in which the object is turned, or held as it is turned."""
+
 QUICK = Pace(
     approach=0.4,
     close=0.3,
@@ -72,7 +76,13 @@ def plan() -> ManipulationPlan:
 
 
 @pytest.fixture(scope="module")
-def report(plan: ManipulationPlan) -> ManipulationReport:
+def lead_times() -> list[float]:
+    """Times (s) for which the reference of ``report`` led, a control step each."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def report(plan: ManipulationPlan, lead_times: list[float]) -> ManipulationReport:
     """What comes of it where the object is lighter, and stands beside its place."""
     task = plan.motion.grasp.task
     pose = task.T_world_object
@@ -81,7 +91,15 @@ def report(plan: ManipulationPlan) -> ManipulationReport:
         object=replace(task.object, mass=0.1),
         T_world_object=SE3(pin.exp3(0.05 * UP), pose.translation + np.array([0.001, -0.002, 0.0])),
     )
-    return manipulate(plan, really=really, physics=PhysicsOptions(mu=0.6), pace=QUICK)
+    advance = MotionReference.advance
+
+    def noted(reference: MotionReference, elapsed: float, *args: Any, **options: Any) -> Target:
+        lead_times.append(elapsed)
+        return advance(reference, elapsed, *args, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(MotionReference, "advance", noted)
+        return manipulate(plan, really=really, physics=PhysicsOptions(mu=0.6), pace=QUICK)
 
 
 # --- signed twist ------------------------------------------------------------------------------
@@ -202,6 +220,13 @@ def test_a_reference_goes_beyond_its_goal_for_an_object_that_stays_behind(
     places = led(plan, stuck, lambda _, r: min(plan.angle - behind, r.place * most))
     assert plan.angle < places[-1] * most <= most + 1e-12
     assert max(places) * most - (plan.angle - behind) <= LEAD + 1e-9
+
+
+def test_a_reference_leads_while_the_object_is_turned_and_held(
+    report: ManipulationReport, lead_times: list[float]
+) -> None:
+    led_for = sum(c.end - c.begin for c in report.checks if c.step in HELD)
+    assert sum(lead_times) == pytest.approx(led_for, abs=2 * DT)
 
 
 def test_a_reference_goes_no_faster_than_it_may(plan: ManipulationPlan) -> None:
