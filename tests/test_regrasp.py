@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -19,6 +20,7 @@ from sim.bench.manipulate import Turn
 from sim.bench.star_hand import write_star_hand
 from sim.controllers import Event
 from sim.controllers.follow import MotionReference
+from sim.controllers.reference import Target
 from sim.manipulation import (
     ManipulationPlan,
     ManipulationReport,
@@ -68,11 +70,34 @@ def gait(plan: ManipulationPlan) -> GaitPlan:
 
 
 @pytest.fixture(scope="module")
-def report(plan: ManipulationPlan) -> ManipulationReport:
+def lead_times() -> list[float]:
+    """Times (s) for which the references of ``report`` led, a control step each."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def report(plan: ManipulationPlan, lead_times: list[float]) -> ManipulationReport:
     """What comes of it with an object of twice the mass."""
     task = plan.motion.grasp.task
     really = replace(task, object=replace(task.object, mass=0.2))
-    return manipulate(plan, really=really, physics=PhysicsOptions(mu=0.7), pace=QUICK)
+    advance = MotionReference.advance
+
+    def noted(reference: MotionReference, elapsed: float, *args: Any, **options: Any) -> Target:
+        lead_times.append(elapsed)
+        return advance(reference, elapsed, *args, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(MotionReference, "advance", noted)
+        return manipulate(plan, really=really, physics=PhysicsOptions(mu=0.7), pace=QUICK)
+
+
+def test_nothing_leads_while_fingers_move_on(
+    report: ManipulationReport, lead_times: list[float]
+) -> None:
+    steps = ("turn", "hold", "verify again")
+    led_for = sum(c.end - c.begin for c in report.checks if c.step in steps)
+    assert sum(lead_times) == pytest.approx(led_for, abs=0.01)
+    assert any(c.step == "regrasp" and c.end - c.begin > 0.1 for c in report.checks)
 
 
 def test_a_turn_by_strokes_is_planned_a_little_further(gait: GaitPlan) -> None:

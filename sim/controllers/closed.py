@@ -173,8 +173,9 @@ class ObjectImpedance:
         """Keep fingertips and posture where they are now; at rest they then press on nothing.
 
         For when fingers are about to hold elsewhere: what slips taught about friction and grip is
-        forgotten.
+        forgotten, and nothing leads any more.
         """
+        self.reference = None
         self._torques.latch()
         if self._grip > 1.0:
             self._grip = 1.0
