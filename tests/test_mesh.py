@@ -312,10 +312,13 @@ def test_the_far_side_of_a_wall_is_no_edge() -> None:
     assert plate.normal_dispersion(rim, 0.004, facing=up)[0] > 0.5
 
 
-def test_the_thickness_of_a_plate() -> None:
+def test_the_thickness_of_walls() -> None:
     # 2 V / A of 50 x 50 x 3 mm
     paper = 2 * 7.5e-6 / (2 * 25e-4 + 4 * 1.5e-4)
-    assert box_mesh((0.05, 0.05, 0.003)).thickness == pytest.approx(paper)
+    assert box_mesh((0.05, 0.05, 0.003)).wall_thickness == pytest.approx(paper)
+    # an L-bracket's own size of that name is another one
+    bracket = LBracket()
+    assert bracket.wall_thickness < 0.9 * bracket.thickness
 
 
 # --- the field ------------------------------------------------------------------------------------

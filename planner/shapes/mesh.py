@@ -196,7 +196,7 @@ class Mesh(Shape):
         return volume
 
     @property
-    def thickness(self) -> float:
+    def wall_thickness(self) -> float:
         """Twice the volume by the area, m: on an object of thin walls, how thick they are."""
         return 2 * self.volume / float(self._surface.areas.sum())
 
@@ -319,7 +319,7 @@ class Mesh(Shape):
                 return DistanceField.from_arrays(stored)
             except (KeyError, ValueError, IndexError):
                 pass  # of another form: made anew
-        field = fit_mesh_field(self._surface, self.thickness)
+        field = fit_mesh_field(self._surface, self.wall_thickness)
         write_arrays("field", key, field.to_arrays())
         return field
 

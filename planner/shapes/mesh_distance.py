@@ -20,7 +20,7 @@ from planner.spatial import FloatArray, IntArray
 
 __all__ = ["FIELD_VERSION", "fit_mesh_field"]
 
-FIELD_VERSION = "v4"
+FIELD_VERSION = "v5"
 """Part of the key of fields on disk: to be changed whenever a fitted field would change."""
 
 APART = 0.55
@@ -44,7 +44,7 @@ def fit_mesh_field(surface: NearestTriangles, thickness: float) -> DistanceField
 
     Args:
         surface: Its triangles.
-        thickness: Of its walls, m, if it has thin ones: ``Mesh.thickness``.
+        thickness: Of its walls, m, if it has thin ones: ``Mesh.wall_thickness``.
     """
     distance = _MeshDistance(surface)
     corners = surface.corners.reshape(-1, 3)

@@ -358,7 +358,7 @@ class _MeshSurface(Surface):
         return shape.field()
 
     def size(self, shape: Mesh) -> FloatArray:
-        steep = self._steep_on_walls if shape.thickness < WALL else self._steep
+        steep = self._steep_on_walls if shape.wall_thickness < WALL else self._steep
         return np.array([_steepness(shape, steep), 0.0, 0.0])
 
     def patches(self, shape: Mesh) -> tuple[Patch, ...]:
