@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,8 @@ from planner.catalog import models_dir
 from planner.hand import Hand
 from planner.shapes import Mesh
 from planner.spatial import FloatArray
+from sim.controllers.follow import MotionReference
+from sim.controllers.reference import Target
 
 RIGHT_HANDS = ("allegro_hand", "shadow_hand")
 
@@ -63,3 +67,17 @@ def edit_hand(tmp_path: Path) -> Callable[..., Path]:
         return tmp_path / "hand.toml"
 
     return edit
+
+
+@contextmanager
+def noting_leads(times: list[float]) -> Iterator[None]:
+    """Note how long (s) references lead, step by step, in all that is executed meanwhile."""
+    advance = MotionReference.advance
+
+    def noted(reference: MotionReference, elapsed: float, *args: Any, **options: Any) -> Target:
+        times.append(elapsed)
+        return advance(reference, elapsed, *args, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(MotionReference, "advance", noted)
+        yield

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
-from conftest import of_trimesh
+from conftest import noting_leads, of_trimesh
 
 from planner.collision import CollisionWorld, shape_pair
 from planner.errors import TaskError
@@ -25,7 +25,6 @@ from planner.spatial import SE3, FloatArray, signed_twist
 from planner.task import GraspTask
 from sim.controllers.follow import LEAD, RATE, MotionReference
 from sim.controllers.pads import CREEP, PadReading
-from sim.controllers.reference import Target
 from sim.controllers.slip import SLIP_SPEED, SlipDetector
 from sim.controllers.torques import HoldingTorques
 from sim.manipulation import (
@@ -91,14 +90,7 @@ def report(plan: ManipulationPlan, lead_times: list[float]) -> ManipulationRepor
         object=replace(task.object, mass=0.1),
         T_world_object=SE3(pin.exp3(0.05 * UP), pose.translation + np.array([0.001, -0.002, 0.0])),
     )
-    advance = MotionReference.advance
-
-    def noted(reference: MotionReference, elapsed: float, *args: Any, **options: Any) -> Target:
-        lead_times.append(elapsed)
-        return advance(reference, elapsed, *args, **options)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(MotionReference, "advance", noted)
+    with noting_leads(lead_times):
         return manipulate(plan, really=really, physics=PhysicsOptions(mu=0.6), pace=QUICK)
 
 

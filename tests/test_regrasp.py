@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from conftest import noting_leads
 
 from planner.errors import NoGraspFoundError, TaskError
 from planner.gait import GaitPlan, cut_motion, plan_back, plan_others
@@ -20,7 +20,6 @@ from sim.bench.manipulate import Turn
 from sim.bench.star_hand import write_star_hand
 from sim.controllers import Event
 from sim.controllers.follow import MotionReference
-from sim.controllers.reference import Target
 from sim.manipulation import (
     ManipulationPlan,
     ManipulationReport,
@@ -80,14 +79,7 @@ def report(plan: ManipulationPlan, lead_times: list[float]) -> ManipulationRepor
     """What comes of it with an object of twice the mass."""
     task = plan.motion.grasp.task
     really = replace(task, object=replace(task.object, mass=0.2))
-    advance = MotionReference.advance
-
-    def noted(reference: MotionReference, elapsed: float, *args: Any, **options: Any) -> Target:
-        lead_times.append(elapsed)
-        return advance(reference, elapsed, *args, **options)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(MotionReference, "advance", noted)
+    with noting_leads(lead_times):
         return manipulate(plan, really=really, physics=PhysicsOptions(mu=0.7), pace=QUICK)
 
 

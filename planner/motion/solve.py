@@ -27,7 +27,7 @@ from planner.motion.residuals import PULL, MotionResiduals
 from planner.motion.unknowns import SHARE
 from planner.quality.weakest import weakest_directions
 from planner.spatial import FloatArray
-from planner.synthesis.descent import descend
+from planner.synthesis.descent import PATIENCE, STALLED, descend
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Start
 from planner.synthesis.strengthen import (
@@ -52,15 +52,11 @@ REACHING = 80
 HOLDING = 40
 """Evaluations of a descent that makes good what pulling or strengthening cost the terms."""
 
-STALLED, PATIENCE = 0.01, 5
-"""Steps in a row (number) that gain less than this share of the sum of squares end a descent that
-asks for all of a path, without holds. Of 64 starts on cylinders of 5 to 7 cm, 98 degrees, 27 hold
-with these and with a tenth of the share and 3 steps, which take a fifth more time; with 3 steps 22
-hold, with 2 % and 5 steps 22."""
-
-SMALL_GAIN, SMALL_GAINS = 1e-3, 3
-"""The same of other descents. What pulls at a path has to come to rest: its multipliers tell what
-limits it."""
+SMALL_GAIN, SMALL_GAINS = 0.01, 5
+"""``STALLED`` and ``PATIENCE`` of a descent that asks for all of a path, without holds; others have
+those of grasps, since what pulls at a path has to come to rest: its multipliers tell what limits
+it. Of 64 starts on cylinders of 5 to 7 cm, 98 degrees, 27 hold with either, at a fifth more time
+with those of grasps; 22 with 3 steps, and 22 with 2 % and 5 steps."""
 
 DIRECTIONS = 12
 """Directions of wrench that a round works on at each knot."""
@@ -233,8 +229,8 @@ class _Run:
             upper=self.upper,
             scale=self._solver._scale,
             max_iterations=budget,
-            stalled=STALLED if self.in_haste else SMALL_GAIN,
-            patience=PATIENCE if self.in_haste else SMALL_GAINS,
+            stalled=SMALL_GAIN if self.in_haste else STALLED,
+            patience=SMALL_GAINS if self.in_haste else PATIENCE,
         )
         self.z, self.worst = end.x.copy(), end.worst
         self._iterations += end.iterations

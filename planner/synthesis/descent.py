@@ -18,7 +18,7 @@ from scipy.linalg.lapack import dposv
 
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["Descent", "Residuals", "Rows", "descend"]
+__all__ = ["PATIENCE", "STALLED", "Descent", "Residuals", "Rows", "descend"]
 
 MAX_ITERATIONS = 40
 """Evaluations of the residuals in one descent."""
