@@ -5,24 +5,32 @@ A script needs little more than this::
     from planner import GraspTask, plan_grasp
 
     plan = plan_grasp(GraspTask.create("shadow_hand", "box"), seed=0)
+
+What is public here is loaded when it is first used: contacts, quality and forces work without
+loading MuJoCo, Pinocchio, coal or CasADi.
 """
 
-from planner.batch import GraspSet, plan_grasps
-from planner.contacts import Contact, ContactSet
-from planner.errors import NoGraspFoundError, PlannerError
-from planner.files import read_plan, write_plan
-from planner.forces import distribute_forces
-from planner.gait import GaitPlan, plan_gait
-from planner.hand import Hand
-from planner.kinematics import HandState
-from planner.motion import MotionPlan, plan_motion
-from planner.objects import GraspObject, parse_object
-from planner.plan import GraspPlan
-from planner.quality import analyse, force_closure
-from planner.search import attempts, plan_grasp
-from planner.spatial import SE3
-from planner.symbolic import SymbolicHand
-from planner.task import GraspTask, Obstacle
+from typing import TYPE_CHECKING
+
+from planner.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from planner.batch import GraspSet, plan_grasps
+    from planner.contacts import Contact, ContactSet
+    from planner.errors import NoGraspFoundError, PlannerError
+    from planner.files import read_plan, write_plan
+    from planner.forces import distribute_forces
+    from planner.gait import GaitPlan, plan_gait
+    from planner.hand import Hand
+    from planner.kinematics import HandState
+    from planner.motion import MotionPlan, plan_motion
+    from planner.objects import GraspObject, parse_object
+    from planner.plan import GraspPlan
+    from planner.quality import analyse, force_closure
+    from planner.search import attempts, plan_grasp
+    from planner.spatial import SE3
+    from planner.symbolic import SymbolicHand
+    from planner.task import GraspTask, Obstacle
 
 __all__ = [
     "SE3",
@@ -52,3 +60,35 @@ __all__ = [
     "read_plan",
     "write_plan",
 ]
+
+_HOMES = {
+    "Contact": "planner.contacts",
+    "ContactSet": "planner.contacts",
+    "GaitPlan": "planner.gait",
+    "GraspObject": "planner.objects",
+    "GraspPlan": "planner.plan",
+    "GraspSet": "planner.batch",
+    "GraspTask": "planner.task",
+    "Hand": "planner.hand",
+    "HandState": "planner.kinematics",
+    "MotionPlan": "planner.motion",
+    "NoGraspFoundError": "planner.errors",
+    "Obstacle": "planner.task",
+    "PlannerError": "planner.errors",
+    "SE3": "planner.spatial",
+    "SymbolicHand": "planner.symbolic",
+    "analyse": "planner.quality",
+    "attempts": "planner.search",
+    "distribute_forces": "planner.forces",
+    "force_closure": "planner.quality",
+    "parse_object": "planner.objects",
+    "plan_gait": "planner.gait",
+    "plan_grasp": "planner.search",
+    "plan_grasps": "planner.batch",
+    "plan_motion": "planner.motion",
+    "read_plan": "planner.files",
+    "write_plan": "planner.files",
+}
+"""Public name -> the module that defines it."""
+
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)

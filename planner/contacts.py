@@ -20,13 +20,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.errors import ContactError
-from planner.spatial import SE3, FloatArray, contact_frames, skew
+from planner.spatial import FloatArray, contact_frames, skew
+
+if TYPE_CHECKING:
+    from planner.spatial import SE3
 
 __all__ = ["CONTACT_DIM", "MIN_EDGES", "Contact", "ContactModel", "ContactSet"]
 

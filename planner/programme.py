@@ -18,7 +18,6 @@ from functools import lru_cache
 from importlib.util import find_spec
 from typing import Any, Literal, Protocol
 
-import casadi as ca
 import numpy as np
 from scipy.optimize import linprog
 
@@ -74,6 +73,8 @@ class _CasadiProgramme:
 
     def __init__(self, solver: Literal["daqp", "highs"], n: int, m: int) -> None:
         """Make it for n unknowns and m rows; HiGHS for H = 0."""
+        import casadi as ca  # loaded when the first programme is solved, not with the contacts
+
         quadratic = solver == "daqp"
         shapes = {"a": ca.Sparsity.dense(m, n)}
         if quadratic:

@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from planner.attempts import Attempt, nothing_found, numbered
+from planner.attempt import Attempt, nothing_found, numbered
 from planner.collision import CollisionWorld
 from planner.errors import TaskError
 from planner.judge import judge_grasp

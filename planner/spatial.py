@@ -12,10 +12,10 @@ Conventions used throughout the package:
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from planner.errors import ContactError
@@ -37,7 +37,17 @@ IntArray: TypeAlias = NDArray[np.int64]
 if TYPE_CHECKING:
     SE3: TypeAlias = Any  # Pinocchio ships no types
 else:
-    SE3 = pin.SE3
+
+    def __getattr__(name: str) -> Any:
+        """``SE3`` is Pinocchio's, which is loaded when the first pose is asked for."""
+        if name != "SE3":
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return _pinocchio().SE3
+
+
+def _pinocchio() -> Any:
+    """Pinocchio, loaded at the first call: contacts on bare arrays work without it."""
+    return import_module("pinocchio")
 
 
 def skew(v: FloatArray) -> FloatArray:
@@ -92,19 +102,20 @@ def contact_frames(normals: FloatArray) -> FloatArray:
 def pose_from_wxyz(position: FloatArray, quat_wxyz: FloatArray) -> SE3:
     """Pose from a position (3,) in m and a quaternion w, x, y, z (4,), normalised here."""
     w, x, y, z = np.asarray(quat_wxyz, dtype=np.float64) / np.linalg.norm(quat_wxyz)
-    return SE3(pin.Quaternion(w, x, y, z).toRotationMatrix(), np.asarray(position, dtype=float))
+    pin = _pinocchio()
+    return pin.SE3(pin.Quaternion(w, x, y, z).toRotationMatrix(), np.asarray(position, dtype=float))
 
 
 def pose_to_wxyz(pose: SE3) -> tuple[FloatArray, FloatArray]:
     """Position (3,) in m and unit quaternion w, x, y, z (4,) with w >= 0 of a pose."""
-    quat = pin.Quaternion(pose.rotation)
+    quat = _pinocchio().Quaternion(pose.rotation)
     wxyz = np.array([quat.w, quat.x, quat.y, quat.z])
     return np.array(pose.translation), wxyz if wxyz[0] >= 0 else -wxyz
 
 
 def rotation_angle(rotation: FloatArray) -> float:
     """Angle in rad, in [0, pi], by which a rotation matrix (3, 3) turns."""
-    return float(np.linalg.norm(pin.log3(np.asarray(rotation, dtype=np.float64))))
+    return float(np.linalg.norm(_pinocchio().log3(np.asarray(rotation, dtype=np.float64))))
 
 
 def signed_twist(rotation: FloatArray, axis: FloatArray, *, near: float = 0.0) -> float:
@@ -122,6 +133,6 @@ def signed_twist(rotation: FloatArray, axis: FloatArray, *, near: float = 0.0) -
     Returns:
         rad; within pi of ``near``. A swing by 180 degrees leaves it undetermined.
     """
-    quat = pin.Quaternion(np.asarray(rotation, dtype=np.float64))
+    quat = _pinocchio().Quaternion(np.asarray(rotation, dtype=np.float64))
     turn = 2.0 * float(np.arctan2(axis @ np.array([quat.x, quat.y, quat.z]), quat.w))
     return turn + 2.0 * np.pi * round((near - turn) / (2.0 * np.pi))

@@ -1,1 +1,71 @@
-"""Opposable's simulation: MuJoCo scenes, controllers, trials, reports and the command."""
+"""Opposable's simulation: MuJoCo scenes, controllers, trials, protocols, manipulation, reports.
+
+A script needs little more than this::
+
+    from sim import simulate
+
+    print(simulate(plan).success)
+
+What is public here is loaded when it is first used. The check of models against each other has its
+own package, ``sim.crosscheck``.
+"""
+
+from typing import TYPE_CHECKING
+
+from planner.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from sim.contacts import contacts_from_mujoco
+    from sim.controllers import Controller, GraspController, ObjectImpedance, Observation, Sensing
+    from sim.manipulation import ManipulationPlan, ManipulationReport, manipulate, plan_manipulation
+    from sim.physics import PhysicsOptions
+    from sim.protocols import ProtocolReport, run_protocol
+    from sim.report import TrialReport
+    from sim.scene import Scene
+    from sim.timeline import Timeline
+    from sim.trial import Trial, simulate
+
+__all__ = [
+    "Controller",
+    "GraspController",
+    "ManipulationPlan",
+    "ManipulationReport",
+    "ObjectImpedance",
+    "Observation",
+    "PhysicsOptions",
+    "ProtocolReport",
+    "Scene",
+    "Sensing",
+    "Timeline",
+    "Trial",
+    "TrialReport",
+    "contacts_from_mujoco",
+    "manipulate",
+    "plan_manipulation",
+    "run_protocol",
+    "simulate",
+]
+
+_HOMES = {
+    "Controller": "sim.controllers",
+    "GraspController": "sim.controllers",
+    "ManipulationPlan": "sim.manipulation",
+    "ManipulationReport": "sim.manipulation",
+    "ObjectImpedance": "sim.controllers",
+    "Observation": "sim.controllers",
+    "PhysicsOptions": "sim.physics",
+    "ProtocolReport": "sim.protocols",
+    "Scene": "sim.scene",
+    "Sensing": "sim.controllers",
+    "Timeline": "sim.timeline",
+    "Trial": "sim.trial",
+    "TrialReport": "sim.report",
+    "contacts_from_mujoco": "sim.contacts",
+    "manipulate": "sim.manipulation",
+    "plan_manipulation": "sim.manipulation",
+    "run_protocol": "sim.protocols",
+    "simulate": "sim.trial",
+}
+"""Public name -> the module that defines it."""
+
+__getattr__, __dir__ = lazy_names(__name__, _HOMES)

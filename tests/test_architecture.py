@@ -227,7 +227,7 @@ ALLOWED = {
     "planner.motion": (
         "errors",
         "spatial",
-        "attempts",
+        "attempt",
         "collision",
         "contacts",
         "forces",
@@ -245,7 +245,7 @@ ALLOWED = {
     "planner.gait": (
         "errors",
         "spatial",
-        "attempts",
+        "attempt",
         "collision",
         "contacts",
         "hand",

@@ -16,7 +16,7 @@ from functools import cache
 
 import numpy as np
 
-from planner.attempts import Attempt, nothing_found, numbered
+from planner.attempt import Attempt, nothing_found, numbered
 from planner.errors import NoGraspFoundError, TaskError
 from planner.gait.check import GaitJudge
 from planner.gait.order import NO_ORDER

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from planner.attempts import nothing_found
+from planner.attempt import nothing_found
 from planner.errors import TaskError
 from planner.gait import GaitPlan
 from planner.motion import MotionAttempt, MotionPlan, ObjectPath, motion_attempts

@@ -1,0 +1,80 @@
+"""What a user imports: every public name resolves, and light parts stay light."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+ENGINES = ("casadi", "coal", "mujoco", "pinocchio")
+LOAD_CPU_S = 1.0
+"""CPU (s) of importing bare contacts; 0.13 on the machine of the README, NumPy itself 0.1."""
+
+
+@pytest.mark.parametrize("package", ["planner", "sim"])
+def test_every_public_name_resolves_and_no_submodule_has_it(package: str) -> None:
+    module = import_module(package)
+    assert module.__all__
+    assert set(module.__all__) == set(module._HOMES)
+    assert set(module.__all__) <= set(dir(module))
+    for name in module.__all__:
+        assert getattr(module, name).__name__ == name
+        assert find_spec(f"{package}.{name}") is None, f"{package}.{name} is a module too"
+
+
+@pytest.mark.parametrize("package", ["planner", "sim"])
+def test_a_name_that_is_not_public_is_an_attribute_error(package: str) -> None:
+    with pytest.raises(AttributeError, match="no attribute 'graspe'"):
+        _ = import_module(package).graspe
+
+
+@pytest.mark.parametrize("package", ["planner", "sim"])
+def test_type_information_ships(package: str) -> None:
+    origin = import_module(package).__file__
+    assert origin is not None
+    assert (Path(origin).parent / "py.typed").is_file()
+
+
+def loaded_by(code: str) -> tuple[set[str], float]:
+    """Engines that a fresh interpreter has loaded after some code, and its CPU (s)."""
+    lines = [
+        "import sys, time",
+        code,
+        "print(*sys.modules)",
+        "print(time.process_time())",
+    ]
+    run = subprocess.run(
+        [sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=True
+    )
+    modules, seconds = run.stdout.splitlines()[-2:]
+    return set(modules.split()) & set(ENGINES), float(seconds)
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "from planner.contacts import ContactSet",
+        "from planner import ContactSet",
+        "import planner.quality",
+        "import planner.forces",
+        "import planner, sim",
+    ],
+)
+def test_contacts_quality_and_forces_load_without_an_engine(code: str) -> None:
+    engines, _ = loaded_by(code)
+    assert engines == set()
+
+
+def test_contacts_on_bare_arrays_need_no_engine_and_load_quickly() -> None:
+    code = """
+from planner import ContactSet
+contacts = ContactSet.from_arrays([[0, 0, 0.1], [0, 0, -0.1]], [[0, 0, -1], [0, 0, 1]], mu=0.5)
+assert len(contacts) == 2
+"""
+    engines, seconds = loaded_by(code)
+    assert engines == set()
+    assert seconds < LOAD_CPU_S
