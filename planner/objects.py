@@ -25,30 +25,13 @@ from planner.shapes import SIZED_SHAPES, Mesh, Shape
 from planner.shapes.mesh_io import MESH_SUFFIXES
 from planner.spatial import SE3
 
-__all__ = ["DEFAULT_MASS", "OBJECT_NAMES", "GraspObject", "parse_object"]
+__all__ = ["DEFAULT_MASS", "GraspObject", "object_names", "parse_object"]
 
 DEFAULT_MASS = 0.1
 """Mass (kg) of an object for which neither mass nor density is given."""
 
 HEAVIEST = 100.0
 """Largest mass (kg) that is believed: more is too heavy to lift, or was given in grams."""
-
-_DEFAULT_SIZES: dict[str, tuple[float, ...]] = {
-    "sphere": (0.035,),
-    "box": (0.05, 0.05, 0.08),
-    "cylinder": (0.03, 0.10),
-    "capsule": (0.03, 0.12),
-    "ellipsoid": (0.09, 0.07, 0.06),
-    "mug": (0.04, 0.09),
-    "lbracket": (0.09, 0.08, 0.045, 0.025),
-    "torus": (0.035, 0.015),
-    "hammer": (0.20, 0.09, 0.02),
-    "superquadric": (0.06, 0.06, 0.09, 0.5, 0.5),
-    "knot": (0.04, 0.007),
-}
-
-OBJECT_NAMES = tuple(_DEFAULT_SIZES)
-"""Names that ``parse_object`` knows."""
 
 _MESH_FILE = re.compile(
     rf"(.*(?:{'|'.join(re.escape(s) for s in MESH_SUFFIXES)}))(?:\*(.*))?", re.I
@@ -93,6 +76,11 @@ class GraspObject:
             ObjectError: The shape has no stable pose of that number.
         """
         return self.shape.resting_pose(table_height, index)
+
+
+def object_names() -> tuple[str, ...]:
+    """Names that ``parse_object`` knows."""
+    return tuple(SIZED_SHAPES)
 
 
 def parse_object(
@@ -143,14 +131,15 @@ def _parse_shape(spec: str, repair: bool) -> tuple[str, Shape, float]:
         return model[2], body.shape, body.mass if body.mass > 0 else DEFAULT_MASS
     kind, colon, numbers = spec.lower().partition(":")
     kind = kind.strip()
-    if kind not in _DEFAULT_SIZES:
+    if kind not in SIZED_SHAPES:
         hint = (
             "Sizes follow a colon, in metres: box:0.05x0.05x0.08. A mesh is the path of an OBJ, "
             "STL or PLY file: mug.stl, or mug.stl*0.001 if in millimetres."
         )
-        raise NotFoundError("object", kind, OBJECT_NAMES, hint)
-    sizes = _parse_sizes(spec, numbers, SIZED_SHAPES[kind]) if colon else _DEFAULT_SIZES[kind]
-    return kind, SIZED_SHAPES[kind].from_sizes(sizes), DEFAULT_MASS
+        raise NotFoundError("object", kind, object_names(), hint)
+    shape = SIZED_SHAPES[kind]
+    sizes = _parse_sizes(spec, numbers, shape) if colon else shape.default_sizes
+    return kind, shape.from_sizes(sizes), DEFAULT_MASS
 
 
 def _scale(spec: str, text: str | None) -> float:

@@ -49,7 +49,9 @@ class Twin:
         spec = mujoco.MjSpec()
         mount = spec.worldbody.add_body(name="mount", mocap=True)
         mount.add_frame().attach_body(task.hand.new_spec().worldbody.first_body(), "hand_", "")
-        kind, size = task.object.shape.mujoco_geom()
+        geom = task.object.shape.mujoco_geom()
+        assert geom is not None
+        kind, size = geom
         fixed: list[tuple[str, SE3, str, tuple[float, ...]]] = [
             (OBJECT, task.T_world_object, kind, size)
         ]

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from planner.batch import GraspFeatures, diversity, thin
 from planner.batch.cells import N_CELLS, cell_of
 from planner.batch.diversity import FINEST, SURFACE_POINTS, TOUCHED, posture_entropy
-from planner.batch.surface import surface_points, surface_triangles
 from planner.batch.thinning import (
     CONTACT_TOL,
     JOINT_TOL,
@@ -28,6 +27,7 @@ from planner.hand import Hand
 from planner.objects import parse_object
 from planner.search import plan_grasp
 from planner.shapes import Box, Sphere
+from planner.shapes.triangulation import surface_points, surface_triangles
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 

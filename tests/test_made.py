@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.errors import ObjectError
-from planner.objects import OBJECT_NAMES, parse_object
+from planner.objects import object_names, parse_object
 from planner.shapes import (
     SIZED_SHAPES,
     Hammer,
@@ -157,7 +157,7 @@ def test_plain_data_says_which_numbers_are_lengths() -> None:
 
 def test_every_name_has_defaults_that_can_be_grasped() -> None:
     for name in ("mug", "lbracket", "torus", "hammer", "superquadric", "knot"):
-        assert name in OBJECT_NAMES
+        assert name in object_names()
         shape = parse_object(name).shape
         assert shape.sizes == SIZED_SHAPES[name]().sizes
         assert 0.02 < shape.bounding_radius < 0.14

@@ -188,7 +188,9 @@ def test_distance_is_that_of_mujoco(a: Shape, b: Shape) -> None:
     """Apart to 1e-8; overlapping, where MuJoCo is exact, which it is not for box and capsule."""
     spec = mujoco.MjSpec()
     for shape in (a, b):
-        kind, size = shape.mujoco_geom()
+        geom = shape.mujoco_geom()
+        assert geom is not None
+        kind, size = geom
         body = spec.worldbody.add_body(mocap=True)
         body.add_geom(
             type=getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}"),

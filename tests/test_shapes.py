@@ -250,7 +250,9 @@ def test_support_half_extents_and_bounding_ball_by_brute_force(shape: Shape) -> 
 @settings(max_examples=60, deadline=None)
 @given(shape=SHAPE, density=st.floats(100, 5000))
 def test_volume_and_inertia_are_those_of_mujoco(shape: Shape, density: float) -> None:
-    kind, size = shape.mujoco_geom()
+    geom = shape.mujoco_geom()
+    assert geom is not None
+    kind, size = geom
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><worldbody><body><freejoint/><geom type="{kind}" density="{density!r}"'
         f' size="{" ".join(map(repr, size))}"/></body></worldbody></mujoco>'

@@ -17,13 +17,13 @@ import pytest
 from planner.contacts import ContactSet
 from planner.hand import Hand
 from planner.kinematics import HandState
+from planner.shapes.surface import EDGE_MARGIN
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.clearance import LinkBall, hull_balls, link_balls
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start
 from planner.synthesis.problems import problems_for
 from planner.synthesis.seeds import Seeder
-from planner.synthesis.surfaces import EDGE_MARGIN
 from planner.synthesis.terms import LEVER, PRESS_MIN
 from planner.task import GraspTask, Obstacle
 

@@ -31,7 +31,6 @@ from typing import Any
 import numpy as np
 
 from planner.batch.dataset import GraspSet
-from planner.batch.surface import surface_triangles
 from planner.contacts import ContactSet
 from planner.errors import FileFormatError, TaskError
 from planner.files import write_json
@@ -40,6 +39,7 @@ from planner.judge import plan_forces
 from planner.shapes import Shape
 from planner.shapes.mesh import Mesh
 from planner.shapes.pieces import convex_pieces
+from planner.shapes.triangulation import surface_triangles
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz, pose_to_wxyz
 from planner.task import GraspTask
 

@@ -23,9 +23,9 @@ from scipy.special import digamma
 
 from planner.batch.cells import N_CELLS, cell_of
 from planner.batch.features import GraspFeatures
-from planner.batch.surface import surface_points
 from planner.batch.thinning import thin
 from planner.shapes import Shape
+from planner.shapes.triangulation import surface_points
 from planner.spatial import FloatArray
 
 __all__ = ["Diversity", "diversity", "posture_entropy"]

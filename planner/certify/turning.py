@@ -20,13 +20,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.shapes import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
+from planner.shapes import Shape
 from planner.spatial import FloatArray
 
 __all__ = ["largest_turn"]
-
-ALIGNED = 1e-9
-"""Components of a normal below this (-) are none."""
 
 
 def largest_turn(
@@ -41,37 +38,12 @@ def largest_turn(
         radii: Distances rho (n,) from the surface at first, m.
         moved: Largest way e (n,) of each point, m; nothing (pi / 2) is known from the radius on.
     """
-    curvature, gap = _known(shape, points, normals)
+    curvature, gap = shape.curvature_and_edges(points, normals)
+    gap = np.maximum(gap, 0.0)
     any_shape = _arcsin(moved / radii)
     over = _arcsin(moved / np.hypot(gap, radii)) - np.arctan2(gap, radii)
     this_shape = _arcsin(moved / (radii + curvature)) + np.maximum(over, 0.0)
     return np.where(moved < radii, np.minimum(any_shape, this_shape), np.pi / 2)
-
-
-def _known(shape: Shape, points: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Radius of curvature (n,) and distance to the nearest edge (n,), m, each may be infinite.
-
-    0 and infinite where nothing is known, such as at an edge.
-    """
-    n = len(points)
-    curvature, gap = np.zeros(n), np.full(n, np.inf)
-    if isinstance(shape, Sphere | Capsule):
-        curvature += shape.sizes[0]
-    elif isinstance(shape, Ellipsoid):
-        curvature += shape.half_extents.min() ** 2 / shape.half_extents.max()
-    elif isinstance(shape, Box):
-        face = np.abs(normals) > 1.0 - ALIGNED
-        gaps = np.where(face, np.inf, shape.half_extents - np.abs(points)).min(axis=1)
-        flat = face.any(axis=1)
-        curvature[flat], gap[flat] = np.inf, gaps[flat]
-    elif isinstance(shape, Cylinder):
-        radius, height = shape.sizes
-        cap = np.abs(normals[:, 2]) > 1.0 - ALIGNED
-        side = np.abs(normals[:, 2]) < ALIGNED
-        curvature[cap], curvature[side] = np.inf, radius
-        gap[cap] = radius - np.linalg.norm(points[cap, :2], axis=1)
-        gap[side] = 0.5 * height - np.abs(points[side, 2])
-    return curvature, np.maximum(gap, 0.0)
 
 
 def _arcsin(sine: FloatArray) -> FloatArray:

@@ -25,21 +25,15 @@ from planner.motion.problems import motion_problem_for
 from planner.motion.solve import WORTH_A_LOOK, MotionCandidate, MotionSolver
 from planner.motion.starts import on_opposed_sides
 from planner.plan import SolveRecord
-from planner.shapes import Box, Ellipsoid, Mesh, Sphere
 from planner.synthesis.mesh_seeds import turning_seeder_for
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.seeds import TRIPOD, Seeder
 from planner.task import GraspTask
 
-__all__ = ["ROLLED", "Ground", "finger_sets", "rank", "tripods", "with_rolling_pads"]
+__all__ = ["Ground", "finger_sets", "rank", "tripods", "with_rolling_pads"]
 
 LEAST_SHARE = 0.02
 """Share of a path (-) below which nothing of it is reached."""
-
-ROLLED = (Box, Ellipsoid, Mesh, Sphere)
-"""Shapes on which contacts may be wherever a tip is round. A tip on a face has to turn with it, all
-the way; on a ball a tip that does not turn with it pivots, against torsional friction. On a
-cylinder it may stay and let the contact wander."""
 
 
 def with_rolling_pads(task: GraspTask) -> GraspTask:
@@ -50,7 +44,7 @@ def with_rolling_pads(task: GraspTask) -> GraspTask:
     Torsional friction of tips that pivot turns balls of 55 to 70 mm with 0 to 3 mN m in an
     Allegro-type hand (9 plans), with the pads of a grasp with up to 23 (4 plans).
     """
-    if not isinstance(task.object.shape, ROLLED) or task.hand.rolls:
+    if not task.object.shape.turns_tips or task.hand.rolls:
         return task
     return replace(task, hand=task.hand.rolling)
 

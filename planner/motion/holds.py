@@ -19,9 +19,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.shapes.surface import CODE_DIM, SIZE_DIM, Surface
 from planner.spatial import FloatArray
 from planner.synthesis.residuals import WEIGHTS
-from planner.synthesis.surfaces import CODE_DIM, SIZE_DIM, Surface
 from planner.synthesis.terms import PRESS_MIN
 from planner.synthesis.unknowns import mrp_matrix
 

@@ -164,7 +164,7 @@ class MotionProblem:
         the cost the least margin of a lift was 0.25 to 0.34 on a ball in a hand of four fingers in
         a circle (four seeds, strokes of 23 degrees), without it 0.33 to 0.58.
         """
-        return not self.holds and (task.object.shape.kind in BALLS or not _level(path))
+        return not self.holds and (task.object.shape.ball_like or not _level(path))
 
     def first(self, start: Start) -> FloatArray:
         """The unknowns where all knots are the start: none of the path is covered."""
@@ -205,12 +205,11 @@ class MotionProblem:
         return lower, upper
 
 
-BALLS, PER_PIVOT = ("sphere", "ellipsoid"), 12.0
-"""Kinds of shapes on which contacts may be where a turn makes tips pivot, below or above the
-equator, and the residual of a radian of it, there and where an object is tilted or moved: torsional
-friction holds up what is turned so. With pads as wide as the tips are round, it turns balls of 54
-and 60 mm in the Shadow-type hand with 4 to 12 mN m (6 plans), at 5 with 8 to 17 (7 plans); at 20
-fewer starts hold."""
+PER_PIVOT = 12.0
+"""Residual of a radian by which a tip pivots, on balls (``Shape.ball_like``) and where an object is
+tilted or moved: torsional friction holds up what is turned so. With pads as wide as the tips are
+round, it turns balls of 54 and 60 mm in the Shadow-type hand with 4 to 12 mN m (6 plans), at 5 with
+8 to 17 (7 plans); at 20 fewer starts hold."""
 
 
 def _level(path: ObjectPath) -> bool:

@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from planner.kinematics import HandState
-from planner.shapes import Box, Mesh
+from planner.shapes import Mesh
 from planner.spatial import FloatArray
 from planner.synthesis.problem import Start
 from planner.synthesis.seeds import Seeder
@@ -35,22 +35,24 @@ EDGE_RADIUS, EDGE_SPREAD = 0.004, float(np.deg2rad(20.0))
 def on_opposed_sides(start: Start, seeder: Seeder) -> Start:
     """The start with contacts on opposed sides, where the object has faces; else as it is."""
     task, opposer = seeder.task, seeder.pinch.opposer
-    if not isinstance(task.object.shape, Box | Mesh):
+    shape = task.object.shape
+    if shape.flat_sides is None and not isinstance(shape, Mesh):
         return start
     state = HandState(task.hand, start.q)
     pads = np.array([start.T_object_base.act(state.pad_center(f)) for f in task.fingers])
     across = np.delete(pads, opposer, axis=0).mean(axis=0) - pads[opposer]
-    if isinstance(task.object.shape, Mesh):
-        return _on_mesh(start, task.object.shape, pads, across, opposer)
+    if isinstance(shape, Mesh):
+        return _on_mesh(start, shape, pads, across, opposer)
     return _on_faces(start, seeder, pads, across)
 
 
 def _on_faces(start: Start, seeder: Seeder, pads: FloatArray, across: FloatArray) -> Start:
-    """On the two faces of a box that are met first along a line (3,) across it."""
+    """On the flat sides that face a line (3,) across the object the most, in either direction."""
     shape, opposer = seeder.task.object.shape, seeder.pinch.opposer
-    outward = np.sign(across) * (np.abs(across) == np.abs(across).max())
-    normals = np.tile(outward, (len(pads), 1))
-    normals[opposer] = -outward
+    sides = shape.flat_sides
+    assert sides is not None
+    normals = np.tile(sides[np.argmax(sides @ across)], (len(pads), 1))
+    normals[opposer] = sides[np.argmin(sides @ across)]
     patches = tuple(
         seeder.surface.patch_at(shape, point, normal)
         for point, normal in zip(pads, normals, strict=True)

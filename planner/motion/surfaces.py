@@ -9,7 +9,8 @@ few degrees, and pads that may touch nearly up to their rim, where a turn begins
 from __future__ import annotations
 
 from planner.shapes import Mesh, Shape
-from planner.synthesis.surfaces import Surface, mesh_surface, surface_of
+from planner.shapes.surface import Surface
+from planner.synthesis.surfaces import mesh_surface, surface_of
 
 __all__ = ["turned_surface_of"]
 

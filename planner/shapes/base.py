@@ -11,12 +11,24 @@ import numpy as np
 
 from planner.errors import ObjectError
 from planner.shapes.stable import StablePose
+from planner.shapes.surface import Surface
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["LARGEST", "SMALLEST", "Shape", "checked_extents", "checked_length", "checked_points"]
+__all__ = [
+    "ALIGNED",
+    "LARGEST",
+    "SMALLEST",
+    "Shape",
+    "checked_extents",
+    "checked_length",
+    "checked_points",
+]
 
 LARGEST = 2.0
 """Largest size (m) that is believed: more is too large to grasp, or was given in millimetres."""
+
+ALIGNED = 1e-9
+"""Components of a normal below this (-) are none: the normal is that of a flat face, or across."""
 
 SMALLEST = 1e-4
 """Smallest size (m) that is believed: thinner than a sheet of paper is no solid to grasp."""
@@ -28,13 +40,26 @@ class Shape(ABC):
     Lengths are in m, points and directions in the shape's frame. Symmetry axes are along z. The
     primitives are convex; a mesh need not be.
 
+    A new primitive is one file: a subclass with its ``surface``, and ``register_shape``.
+
     Attributes:
         kind: Name of the kind, for example "box".
         size_names: What the numbers of a specification are, in its order.
+        pure_numbers: Those of ``size_names`` that are numbers, not lengths.
+        default_sizes: The numbers of a specification that is the name alone.
+        turns_tips: Whether a fingertip has to turn with the object all the way when it is turned
+            in the hand: on a face, or on a ball, where a tip that does not turn with it pivots,
+            against torsional friction. On a side that is round about z the contact may wander.
+        ball_like: Whether it is round in every direction: contacts below or above the equator make
+            tips pivot when the object is turned.
     """
 
     kind: ClassVar[str]
     size_names: ClassVar[tuple[str, ...]]
+    pure_numbers: ClassVar[tuple[str, ...]] = ()
+    default_sizes: ClassVar[tuple[float, ...]]
+    turns_tips: ClassVar[bool] = True
+    ball_like: ClassVar[bool] = False
 
     @classmethod
     def from_sizes(cls, sizes: Sequence[float]) -> Self:
@@ -84,9 +109,45 @@ class Shape(ABC):
     def coal_geometry(self) -> Any:
         """The same solid in coal. Keep a reference: coal's functors hold none."""
 
-    @abstractmethod
-    def mujoco_geom(self) -> tuple[str, tuple[float, ...]]:
-        """MuJoCo's geom type and size: half lengths and radii, m; plain data, one to three."""
+    def mujoco_geom(self) -> tuple[str, tuple[float, ...]] | None:
+        """MuJoCo's geom type and size: half lengths and radii, m; plain data, one to three.
+
+        None where MuJoCo has no such geom: there a convex shape is the hull of its surface.
+        """
+        return None
+
+    def surface(self) -> Surface:
+        """Its smooth patches in the synthesis problem; the same object for all of its kind.
+
+        Raises:
+            ObjectError: Synthesis cannot plan contacts on this kind of shape.
+        """
+        raise ObjectError(
+            f"cannot plan on a {self.kind!r}: it has no contact patches; override Shape.surface, "
+            "or give the object as a mesh"
+        )
+
+    @property
+    def flat_sides(self) -> FloatArray | None:
+        """Outward normals (m, 3) of the faces where all sides are flat; None where one is round.
+
+        Opposed contacts need opposed faces there.
+        """
+        return None
+
+    def curvature_and_edges(
+        self, points: FloatArray, normals: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Least radius of curvature (n,) and distance to the nearest edge (n,), m, at points.
+
+        Both may be infinite. 0 and infinite where nothing is known, as here.
+
+        Args:
+            points: Surface points (n, 3), m.
+            normals: Outward unit normals (n, 3) there.
+        """
+        n = len(points)
+        return np.zeros(n), np.full(n, np.inf)
 
     @abstractmethod
     def closest_point(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -10,9 +10,10 @@ from typing import Any, ClassVar, Self
 import coal
 import numpy as np
 
-from planner.shapes.base import Shape, checked_extents, checked_points
+from planner.shapes.base import ALIGNED, Shape, checked_extents, checked_points
 from planner.shapes.nearest import nearest_of_faces, sign
 from planner.shapes.stable import StablePose, stable_poses
+from planner.shapes.surface import CODE_DIM, Patch, Surface, box_clearance, edge_margin
 from planner.spatial import FloatArray
 
 __all__ = ["Box"]
@@ -28,6 +29,7 @@ class Box(Shape):
 
     kind: ClassVar[str] = "box"
     size_names: ClassVar[tuple[str, ...]] = ("x", "y", "z")
+    default_sizes: ClassVar[tuple[float, ...]] = (0.05, 0.05, 0.08)
     size: tuple[float, float, float]
 
     def __post_init__(self) -> None:
@@ -98,3 +100,59 @@ class Box(Shape):
     def support(self, direction: FloatArray) -> float:
         """Sum of |direction_i| half_i, m."""
         return float(np.abs(direction) @ self.half_extents)
+
+    @property
+    def flat_sides(self) -> FloatArray | None:
+        """+x, +y, +z, -x, -y, -z, (6, 3)."""
+        return np.vstack([np.eye(3), -np.eye(3)])
+
+    def curvature_and_edges(
+        self, points: FloatArray, normals: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Flat on a face; the edge is the nearest one of that face."""
+        curvature, gap = super().curvature_and_edges(points, normals)
+        face = np.abs(normals) > 1.0 - ALIGNED
+        gaps = np.where(face, np.inf, self.half_extents - np.abs(points)).min(axis=1)
+        flat = face.any(axis=1)
+        curvature[flat], gap[flat] = np.inf, gaps[flat]
+        return curvature, gap
+
+    def surface(self) -> Surface:
+        """See ``Shape``."""
+        return _SURFACE
+
+
+class _BoxSurface(Surface):
+    kind = "box"
+
+    def size(self, shape: Box) -> FloatArray:
+        return np.array(shape.half_extents)
+
+    def patches(self, shape: Box) -> tuple[Patch, ...]:
+        half = shape.half_extents
+        out = []
+        for axis in range(3):
+            for side in (1.0, -1.0):
+                code = np.zeros(CODE_DIM)
+                code[axis] = side
+                reach = half - np.array([edge_margin(h) for h in half])
+                lower, upper = -reach, reach.copy()
+                lower[axis] = upper[axis] = side * half[axis]
+                name = ("+" if side > 0 else "-") + "xyz"[axis]
+                out.append(Patch(name=name, code=code, lower=lower, upper=upper))
+        return tuple(out)
+
+    def patch_at(self, shape: Box, point: FloatArray, normal: FloatArray) -> Patch:
+        return max(self.patches(shape), key=lambda patch: float(patch.code @ normal))
+
+    def outward_normal(self, size: Any, code: Any, p: Any) -> Any:
+        return code
+
+    def surface_error(self, size: Any, code: Any, p: Any) -> Any:
+        return None
+
+    def clearance(self, size: Any, c: Any) -> Any:
+        return box_clearance(size, c)
+
+
+_SURFACE = _BoxSurface()

@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import casadi as ca
 import coal
 import numpy as np
 
 from planner.errors import ObjectError
 from planner.shapes.base import Shape, checked_length, checked_points
 from planner.shapes.nearest import unit
+from planner.shapes.surface import Patch, Surface, soft_norm
 from planner.spatial import FloatArray
 
 __all__ = ["Capsule"]
@@ -27,6 +29,8 @@ class Capsule(Shape):
 
     kind: ClassVar[str] = "capsule"
     size_names: ClassVar[tuple[str, ...]] = ("radius", "height")
+    default_sizes: ClassVar[tuple[float, ...]] = (0.03, 0.12)
+    turns_tips: ClassVar[bool] = False
     radius: float
     height: float
 
@@ -103,3 +107,64 @@ class Capsule(Shape):
     def resting_rotation(self) -> FloatArray:
         """Lying, its axis along the world's x."""
         return np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+
+    def curvature_and_edges(
+        self, points: FloatArray, normals: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Its radius everywhere, and no edge."""
+        return np.full(len(points), self.radius), np.full(len(points), np.inf)
+
+    def surface(self) -> Surface:
+        """See ``Shape``."""
+        return _SURFACE
+
+
+class _CapsuleSurface(Surface):
+    """Code: [1 on the side, 0 on an end cap; sign of the cap; unused]."""
+
+    kind = "capsule"
+
+    def size(self, shape: Capsule) -> FloatArray:
+        return np.array([shape.radius, shape.height / 2 - shape.radius, 0.0])
+
+    def patches(self, shape: Capsule) -> tuple[Patch, ...]:
+        radius, core = shape.radius, shape.height / 2 - shape.radius
+        wide = 2 * radius
+        side = np.array([wide, wide, core])
+        out = [Patch(name="side", code=np.array([1.0, 0.0, 0.0]), lower=-side, upper=side)]
+        for sign in (1.0, -1.0):
+            ends = sorted((sign * core, sign * (core + wide)))
+            out.append(
+                Patch(
+                    name="+z" if sign > 0 else "-z",
+                    code=np.array([0.0, sign, 0.0]),
+                    lower=np.array([-wide, -wide, ends[0]]),
+                    upper=np.array([wide, wide, ends[1]]),
+                )
+            )
+        return tuple(out)
+
+    def patch_at(self, shape: Capsule, point: FloatArray, normal: FloatArray) -> Patch:
+        side, top, bottom = self.patches(shape)
+        core = shape.height / 2 - shape.radius
+        if abs(point[2]) <= core:
+            return side
+        return top if point[2] > 0 else bottom
+
+    def _arm(self, size: Any, code: Any, p: Any) -> Any:
+        """From the nearest point of the core to p."""
+        return ca.vertcat(p[0], p[1], (1 - code[0]) * (p[2] - code[1] * size[1]))
+
+    def outward_normal(self, size: Any, code: Any, p: Any) -> Any:
+        return self._arm(size, code, p) / size[0]
+
+    def surface_error(self, size: Any, code: Any, p: Any) -> Any:
+        arm = self._arm(size, code, p)
+        return (ca.dot(arm, arm) - size[0] ** 2) / (2 * size[0])
+
+    def clearance(self, size: Any, c: Any) -> Any:
+        beyond = ca.fmax(soft_norm(c[2]) - size[1], 0)
+        return soft_norm(c[0], c[1], beyond) - size[0]
+
+
+_SURFACE = _CapsuleSurface()

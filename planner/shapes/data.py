@@ -14,27 +14,10 @@ import numpy as np
 
 from planner.errors import NotFoundError, ObjectError
 from planner.shapes.base import Shape
-from planner.shapes.box import Box
-from planner.shapes.capsule import Capsule
-from planner.shapes.cylinder import Cylinder
-from planner.shapes.ellipsoid import Ellipsoid
-from planner.shapes.made import Hammer, Knot, LBracket, Made, Mug, Superquadric, Torus
 from planner.shapes.mesh import Mesh
-from planner.shapes.sphere import Sphere
+from planner.shapes.registry import SHAPES
 
-__all__ = ["SHAPES", "SIZED_SHAPES", "shape_from_dict", "shape_to_dict"]
-
-SIZED_SHAPES: dict[str, type[Shape]] = {
-    s.kind: s
-    for s in (
-        *(Sphere, Box, Cylinder, Capsule, Ellipsoid),
-        *(Mug, LBracket, Torus, Hammer, Superquadric, Knot),
-    )
-}
-"""Every kind of shape that is told by its sizes."""
-
-SHAPES: dict[str, type[Shape]] = SIZED_SHAPES | {Mesh.kind: Mesh}
-"""Every kind of shape by its name."""
+__all__ = ["shape_from_dict", "shape_to_dict"]
 
 _FILE_KEYS = {"path", "scale", "repair", "sha256"}
 _TRIANGLE_KEYS = {"vertices_m", "faces"}
@@ -77,9 +60,8 @@ def shape_from_dict(data: object) -> Shape:
 
 def _keys(shape: Any) -> dict[str, str]:
     """Keys of the plain data and the attributes they stand for."""
-    pure = shape.pure_numbers if issubclass(shape, Made) else ()
     names = [field.name for field in fields(shape)]
-    return {name if name in pure else f"{name}_m": name for name in names}
+    return {name if name in shape.pure_numbers else f"{name}_m": name for name in names}
 
 
 def _mesh_to_dict(mesh: Mesh) -> dict[str, Any]:

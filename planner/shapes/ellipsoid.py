@@ -15,11 +15,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
+import casadi as ca
 import coal
 import numpy as np
 
 from planner.shapes.base import Shape, checked_extents, checked_points
 from planner.shapes.nearest import sign, unit
+from planner.shapes.surface import Patch, Surface, soft_norm, whole_surface
 from planner.spatial import FloatArray
 
 __all__ = ["Ellipsoid"]
@@ -45,6 +47,8 @@ class Ellipsoid(Shape):
 
     kind: ClassVar[str] = "ellipsoid"
     size_names: ClassVar[tuple[str, ...]] = ("x", "y", "z")
+    default_sizes: ClassVar[tuple[float, ...]] = (0.09, 0.07, 0.06)
+    ball_like: ClassVar[bool] = True
     size: tuple[float, float, float]
 
     def __post_init__(self) -> None:
@@ -111,6 +115,17 @@ class Ellipsoid(Shape):
         rotation[1] = np.cross(rotation[2], rotation[0])
         return rotation
 
+    def curvature_and_edges(
+        self, points: FloatArray, normals: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """c^2 / a for its shortest and longest half axes everywhere, and no edge."""
+        least = self.half_extents.min() ** 2 / self.half_extents.max()
+        return np.full(len(points), least), np.full(len(points), np.inf)
+
+    def surface(self) -> Surface:
+        """See ``Shape``."""
+        return _SURFACE
+
 
 def _on_unit_ball(p: FloatArray, a: FloatArray) -> FloatArray:
     """Nearest surface points divided by the semi-axes, (n, 3), for points in the first octant.
@@ -144,3 +159,32 @@ def _ratio(above: FloatArray | float, below: FloatArray) -> FloatArray:
     """Division with 0 where the denominator is 0."""
     safe = np.where(below > 0, below, 1.0)
     return np.where(below > 0, above / safe, 0.0)
+
+
+class _EllipsoidSurface(Surface):
+    kind = "ellipsoid"
+
+    def size(self, shape: Ellipsoid) -> FloatArray:
+        return np.array(shape.half_extents)
+
+    def patches(self, shape: Ellipsoid) -> tuple[Patch, ...]:
+        return (whole_surface("ellipsoid", 2 * shape.half_extents),)
+
+    def patch_at(self, shape: Ellipsoid, point: FloatArray, normal: FloatArray) -> Patch:
+        return self.patches(shape)[0]
+
+    def outward_normal(self, size: Any, code: Any, p: Any) -> Any:
+        gradient = p / size**2
+        return gradient / soft_norm(gradient[0], gradient[1], gradient[2])
+
+    def surface_error(self, size: Any, code: Any, p: Any) -> Any:
+        gradient = p / size**2
+        return (ca.dot(p, gradient) - 1) / (2 * soft_norm(gradient[0], gradient[1], gradient[2]))
+
+    def clearance(self, size: Any, c: Any) -> Any:
+        a, b = c / size, c / size**2
+        k0, k1 = soft_norm(a[0], a[1], a[2]), soft_norm(b[0], b[1], b[2])
+        return k0 * (k0 - 1) / k1
+
+
+_SURFACE = _EllipsoidSurface()

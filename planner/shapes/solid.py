@@ -9,6 +9,7 @@ import numpy as np
 from planner.shapes.base import Shape
 from planner.shapes.mesh import Mesh
 from planner.shapes.pieces import convex_pieces
+from planner.shapes.triangulation import surface_triangles
 from planner.spatial import SE3, FloatArray, IntArray
 
 __all__ = ["MESH", "SolidGeom", "solid_deviation", "solid_geoms"]
@@ -45,10 +46,14 @@ def solid_geoms(shape: Shape) -> tuple[SolidGeom, ...]:
             SolidGeom(kind=MESH, size=(), T_object_geom=here, vertices=v, faces=f)
             for v, f in zip(pieces.vertices, pieces.faces, strict=True)
         )
-    kind, size = shape.mujoco_geom()
+    geom = shape.mujoco_geom()
+    if geom is None:
+        vertices, faces = surface_triangles(shape)
+        return (SolidGeom(kind=MESH, size=(), T_object_geom=here, vertices=vertices, faces=faces),)
+    kind, size = geom
     return (SolidGeom(kind=kind, size=size, T_object_geom=here),)
 
 
 def solid_deviation(shape: Shape) -> float:
-    """How far (m) those geoms reach out of the true shape at most; 0 for a primitive."""
+    """How far (m) those geoms reach out of the true shape at most; 0 for others."""
     return convex_pieces(shape).deviation if isinstance(shape, Mesh) else 0.0

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import casadi as ca
 import coal
 import numpy as np
 
 from planner.shapes.base import Shape, checked_length, checked_points
 from planner.shapes.nearest import unit
+from planner.shapes.surface import Patch, Surface, soft_norm, whole_surface
 from planner.spatial import FloatArray
 
 __all__ = ["Sphere"]
@@ -25,6 +27,8 @@ class Sphere(Shape):
 
     kind: ClassVar[str] = "sphere"
     size_names: ClassVar[tuple[str, ...]] = ("radius",)
+    default_sizes: ClassVar[tuple[float, ...]] = (0.035,)
+    ball_like: ClassVar[bool] = True
     radius: float
 
     def __post_init__(self) -> None:
@@ -71,3 +75,38 @@ class Sphere(Shape):
     def support(self, direction: FloatArray) -> float:
         """The radius, m."""
         return self.radius
+
+    def curvature_and_edges(
+        self, points: FloatArray, normals: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Its radius everywhere, and no edge."""
+        return np.full(len(points), self.radius), np.full(len(points), np.inf)
+
+    def surface(self) -> Surface:
+        """See ``Shape``."""
+        return _SURFACE
+
+
+class _SphereSurface(Surface):
+    kind = "sphere"
+
+    def size(self, shape: Sphere) -> FloatArray:
+        return np.array([shape.radius, 0.0, 0.0])
+
+    def patches(self, shape: Sphere) -> tuple[Patch, ...]:
+        return (whole_surface("sphere", 2 * shape.half_extents),)
+
+    def patch_at(self, shape: Sphere, point: FloatArray, normal: FloatArray) -> Patch:
+        return self.patches(shape)[0]
+
+    def outward_normal(self, size: Any, code: Any, p: Any) -> Any:
+        return p / size[0]
+
+    def surface_error(self, size: Any, code: Any, p: Any) -> Any:
+        return (ca.dot(p, p) - size[0] ** 2) / (2 * size[0])
+
+    def clearance(self, size: Any, c: Any) -> Any:
+        return soft_norm(c[0], c[1], c[2]) - size[0]
+
+
+_SURFACE = _SphereSurface()

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.hand import Hand
+from planner.shapes.surface import Surface, box_clearance
 from planner.spatial import FloatArray, IntArray
 from planner.synthesis.clearance import (
     LinkBall,
@@ -34,7 +35,6 @@ from planner.synthesis.clearance import (
 )
 from planner.synthesis.gaps import Gaps
 from planner.synthesis.nlp import Field
-from planner.synthesis.surfaces import Surface, box_clearance
 from planner.synthesis.terms import Formulation
 from planner.synthesis.unknowns import mrp_rates
 

@@ -23,10 +23,10 @@ from scipy.spatial import ConvexHull
 from planner.bridge import LinkGeometry
 from planner.hand import Hand
 from planner.kinematics import HandState
+from planner.shapes.surface import Surface, box_clearance
 from planner.spatial import FloatArray
 from planner.symbolic import SymbolicHand
 from planner.synthesis.filling import fill, span
-from planner.synthesis.surfaces import Surface, box_clearance
 from planner.synthesis.touch import ROUND, pad_geometry
 
 __all__ = [

@@ -54,12 +54,13 @@ import numpy as np
 from planner.hand import Finger, Hand
 from planner.kinematics import HandState
 from planner.shapes import Shape
+from planner.shapes.surface import Patch, Surface
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.avoid import Avoidance
 from planner.synthesis.nlp import Nlp
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.residuals import Residuals
-from planner.synthesis.surfaces import Patch, Surface, surface_of
+from planner.synthesis.surfaces import surface_of
 from planner.synthesis.surroundings import obstacles_in_object, table_in_object
 from planner.synthesis.terms import Formulation, Term, formulate
 from planner.task import GraspTask

@@ -17,9 +17,10 @@ import pinocchio as pin
 from planner.errors import TaskError
 from planner.ik import reach
 from planner.kinematics import HandState
+from planner.shapes.surface import Patch, Surface
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.problem import Start
-from planner.synthesis.surfaces import Patch, Surface, surface_of
+from planner.synthesis.surfaces import surface_of
 from planner.task import GraspTask
 
 __all__ = ["Opposition", "Seeder", "frame_of", "opposition"]
@@ -151,7 +152,7 @@ class Seeder:
         state = HandState(task.hand, q)
         pads = np.array([T_object_base.act(state.pad_center(f)) for f in task.fingers])
         points, normals = task.object.shape.closest_point(pads)
-        if task.object.shape.kind == "box":
+        if task.object.shape.flat_sides is not None:
             # the nearest faces are often neighbours; those that the pads face are opposed
             normals = -np.array([T_object_base.rotation @ state.pad_axis(f) for f in task.fingers])
         patches = tuple(
@@ -296,13 +297,13 @@ class Seeder:
     def _directions(self) -> list[FloatArray]:
         """Directions in the object's frame across which the hand could close.
 
-        A dozen directions around the horizontal; for boxes only face normals, because opposed
-        contacts need opposed faces.
+        A dozen directions around the horizontal; for shapes of flat sides only their normals,
+        because opposed contacts need opposed faces.
         """
-        shape = self.task.object.shape
+        sides = self.task.object.shape.flat_sides
         to_object = self.task.T_world_object.rotation.T
-        if shape.kind == "box":
-            candidates = list(np.vstack([np.eye(3), -np.eye(3)]))
+        if sides is not None:
+            candidates = list(sides)
         else:
             turns = np.linspace(0, 2 * np.pi, 12, endpoint=False)
             candidates = [to_object @ np.array([np.cos(a), np.sin(a), 0.0]) for a in turns]
@@ -333,7 +334,7 @@ class Seeder:
         return self._with_wrist(np.clip(q + noise, hand.q_lower, hand.q_upper))
 
     def _noisy(self, direction: FloatArray, rng: np.random.Generator) -> FloatArray:
-        if self.task.object.shape.kind == "box":
+        if self.task.object.shape.flat_sides is not None:
             return direction
         return np.array(pin.exp3(rng.normal(0, AXIS_NOISE, 3)) @ direction)
 

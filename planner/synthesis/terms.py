@@ -10,12 +10,12 @@ import casadi as ca
 import numpy as np
 
 from planner.hand import Finger, Hand
+from planner.shapes.surface import CODE_DIM, SIZE_DIM, Surface
 from planner.spatial import FloatArray
 from planner.symbolic import SymbolicHand
 from planner.synthesis.clearance import ClearanceTerms
 from planner.synthesis.objectives import GraspSymbols, objective_rows
 from planner.synthesis.options import OPTION_NAMES
-from planner.synthesis.surfaces import CODE_DIM, SIZE_DIM, Surface
 from planner.synthesis.surroundings import Surroundings
 from planner.synthesis.unknowns import Unknowns, mrp_matrix
 from planner.synthesis.wrenches import contact_torque

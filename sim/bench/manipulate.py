@@ -21,7 +21,7 @@ import pinocchio as pin
 
 from planner.errors import NotFoundError, PlannerError
 from planner.motion.path import LARGEST_TURN, ObjectPath
-from planner.objects import OBJECT_NAMES, parse_object
+from planner.objects import object_names, parse_object
 from planner.spatial import SE3
 from planner.task import GraspTask
 from sim.bench.cases import not_found, row_of, run_cases
@@ -186,7 +186,7 @@ def _objects(given: str) -> list[BenchObject]:
         try:
             parse_object(item.spec)
         except NotFoundError as error:
-            raise NotFoundError("object", given, (*KINDS, *OBJECT_NAMES)) from error
+            raise NotFoundError("object", given, (*KINDS, *object_names())) from error
     return found
 
 

@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from planner.objects import OBJECT_NAMES, parse_object
+from planner.objects import object_names, parse_object
 from planner.shapes import SIZED_SHAPES, Mesh, Shape
 from planner.shapes.made.base import Made
 from planner.spatial import SE3, FloatArray
@@ -31,7 +31,7 @@ def scaled_spec(spec: str, width: float) -> str:
     Width is the narrower side of its bounding box as it stands.
     """
     name = spec.strip().lower()
-    if name not in OBJECT_NAMES or not issubclass(SIZED_SHAPES[name], Made):
+    if name not in object_names() or not issubclass(SIZED_SHAPES[name], Made):
         return spec
     own, sizes = _default(name)
     factor = width / own
@@ -43,10 +43,9 @@ def scaled_spec(spec: str, width: float) -> str:
 def _default(name: str) -> tuple[float, tuple[tuple[float, bool], ...]]:
     """Width (m) of a mesh of the project, and its sizes, with whether they are pure numbers."""
     shape = parse_object(name).shape
-    pure = shape.pure_numbers if isinstance(shape, Made) else ()
     width = float(_extents(shape, standing(shape).rotation)[:2].min())
     sizes = zip(shape.sizes, shape.size_names, strict=True)
-    return width, tuple((size, of in pure) for size, of in sizes)
+    return width, tuple((size, of in shape.pure_numbers) for size, of in sizes)
 
 
 def standing(shape: Shape) -> SE3:

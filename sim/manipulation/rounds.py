@@ -15,8 +15,7 @@ import numpy as np
 
 from planner.errors import TaskError
 from planner.hand import Hand
-from planner.motion.ground import ROLLED, tripods, with_rolling_pads
-from planner.motion.problem import BALLS
+from planner.motion.ground import tripods, with_rolling_pads
 from planner.objects import GraspObject
 from planner.synthesis.mesh_seeds import turning_seeder_for
 from planner.task import GraspTask
@@ -26,7 +25,7 @@ __all__ = ["LITTLE_MORE", "is_ball", "manipulation_task", "rounds"]
 MORE, LESS_MORE, LITTLE_MORE = (math.radians(degrees) for degrees in (8.0, 5.0, 2.0))
 """Turn (rad) that is planned beyond what is asked for, since a grasp that is made a little beside
 its place meets a joint's end before the plan does, and an object that lags is led on there. Less of
-it for objects that take the tips along (``planner.motion.ground.ROLLED``), of which hands turn the
+it for objects that take the tips along (``Shape.turns_tips``), of which hands turn the
 wide ones little further; little where no other plan is found, and of a turn by strokes, where the
 last makes up for what is left over."""
 
@@ -73,7 +72,7 @@ def _carrying(task: GraspTask, n: int) -> float:
     On a block one finger opposes all others, so it presses as much as they do together.
     """
     weight = task.object.mass * float(np.linalg.norm(task.gravity))
-    block = task.object.shape.kind == "box"
+    block = task.object.shape.flat_sides is not None
     return weight / (task.mu * (2 * (n - 1) if block else n))
 
 
@@ -85,12 +84,12 @@ def _with_fingers(task: GraspTask, names: Sequence[str]) -> GraspTask:
 
 def _takes_tips(task: GraspTask) -> bool:
     """Whether the fingertips turn with the object, which asks more of the fingers."""
-    return isinstance(task.object.shape, ROLLED)
+    return task.object.shape.turns_tips
 
 
 def is_ball(task: GraspTask) -> bool:
     """Whether the object is round in every direction."""
-    return task.object.shape.kind in BALLS
+    return task.object.shape.ball_like
 
 
 LEAST_GRIP = 1.5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 from planner.shapes.base import Shape, checked_length
 from planner.shapes.mesh import Mesh
@@ -18,11 +18,7 @@ class Made(Mesh):
 
     A subclass is a frozen dataclass whose fields are its sizes, in the order of ``size_names``.
 
-    Attributes:
-        pure_numbers: Those of ``size_names`` that are numbers, not lengths.
     """
-
-    pure_numbers: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
         """Check the sizes and make the triangles."""

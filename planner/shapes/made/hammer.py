@@ -45,6 +45,7 @@ class Hammer(Made):
 
     kind: ClassVar[str] = "hammer"
     size_names: ClassVar[tuple[str, ...]] = ("length", "head", "radius")
+    default_sizes: ClassVar[tuple[float, ...]] = (0.2, 0.09, 0.02)
     length: float = 0.20
     head: float = 0.09
     radius: float = 0.02

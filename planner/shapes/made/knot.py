@@ -37,6 +37,7 @@ class Knot(Made):
 
     kind: ClassVar[str] = "knot"
     size_names: ClassVar[tuple[str, ...]] = ("radius", "tube")
+    default_sizes: ClassVar[tuple[float, ...]] = (0.04, 0.007)
     radius: float = 0.04
     tube: float = 0.007
 

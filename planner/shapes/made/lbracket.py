@@ -28,6 +28,7 @@ class LBracket(Made):
 
     kind: ClassVar[str] = "lbracket"
     size_names: ClassVar[tuple[str, ...]] = ("length", "height", "width", "thickness")
+    default_sizes: ClassVar[tuple[float, ...]] = (0.09, 0.08, 0.045, 0.025)
     length: float = 0.09
     height: float = 0.08
     width: float = 0.045

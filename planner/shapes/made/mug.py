@@ -50,6 +50,7 @@ class Mug(Made):
 
     kind: ClassVar[str] = "mug"
     size_names: ClassVar[tuple[str, ...]] = ("radius", "height")
+    default_sizes: ClassVar[tuple[float, ...]] = (0.04, 0.09)
     radius: float = 0.04
     height: float = 0.09
 

@@ -40,6 +40,7 @@ class Superquadric(Made):
 
     kind: ClassVar[str] = "superquadric"
     size_names: ClassVar[tuple[str, ...]] = ("x", "y", "z", "e1", "e2")
+    default_sizes: ClassVar[tuple[float, ...]] = (0.06, 0.06, 0.09, 0.5, 0.5)
     pure_numbers: ClassVar[tuple[str, ...]] = ("e1", "e2")
     x: float = 0.06
     y: float = 0.06

@@ -29,6 +29,7 @@ class Torus(Made):
 
     kind: ClassVar[str] = "torus"
     size_names: ClassVar[tuple[str, ...]] = ("ring", "tube")
+    default_sizes: ClassVar[tuple[float, ...]] = (0.035, 0.015)
     ring: float = 0.035
     tube: float = 0.015
 

@@ -8,8 +8,9 @@ import numpy as np
 import trimesh
 
 from planner.errors import ObjectError
-from planner.shapes import Mesh, Shape
+from planner.shapes.base import Shape
 from planner.shapes.hulls import hull_of
+from planner.shapes.mesh import Mesh
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["surface_points", "surface_triangles"]
