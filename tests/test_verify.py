@@ -16,6 +16,7 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.pregrasp import Approach, approach_fault
+from planner.synthesis.settle import SETTLED
 from planner.synthesis.verify import TOUCH_TOL, Verification, contacts_at, verify
 from planner.task import GraspTask, Obstacle
 
@@ -57,8 +58,8 @@ def test_a_plan_has_no_faults_and_its_residuals_are_small(
     for plan in (allegro_plan, shadow_plan):
         found = judged(plan)
         assert found.ok and found.faults == ()
-        # the solver holds touch to 1e-5 m, fifty times better than what counts as touching
-        assert np.abs(found.pad_gaps).max() < 1e-5
+        # what the last step promises, a twenty-fifth of what counts as touching
+        assert np.abs(found.pad_gaps).max() <= SETTLED
         assert found.coupling_error < 1e-6 and found.limit_error == 0
         assert [c.distance for c in found.closest] == sorted(c.distance for c in found.closest)
         assert found.closest[0].distance >= 0
@@ -183,7 +184,9 @@ def test_contacts_lie_on_the_true_surface_with_normals_into_the_object(
         center = (plan.task.T_world_object.inverse() * plan.T_world_base).act(
             HandState(plan.task.hand, plan.q).pad_center(finger)
         )
-        np.testing.assert_allclose(position, center + finger.pad.radius * normal, atol=1e-5)
+        np.testing.assert_allclose(
+            position, center + finger.pad.radius * normal, rtol=0, atol=SETTLED
+        )
 
 
 def test_too_little_friction_is_no_closure(allegro: Hand) -> None:
