@@ -9,6 +9,8 @@ geometry and solid share no point. It is thus an upper bound of the penetration 
 translation in any direction): never too shallow but for ``TOLERANCE``. And no point of either is
 farther inside the other than that. Directions are tried as in a descent: first normals of the
 surface nearby, then the normal at which the geometry left the mesh, until the way gets no shorter.
+In a concave corner, one way out leads into the next surface; the least translation across the
+planes of both is tried then.
 ``tests/test_depths.py`` measures how much longer it is than the least translation of all.
 
 Along one direction, the end of the way is found from outside. A step towards the mesh by no more
@@ -20,6 +22,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
 
 from planner.spatial import FloatArray
 
@@ -56,9 +61,9 @@ class Moved:
     """How geometry and mesh lie after a translation of the geometry.
 
     Attributes:
-        distance: Signed distance, m; not above 0 where they share a point.
-        normal: Unit vector (3,) out of the mesh where they are nearest, if they are apart.
-        on_mesh: The mesh's nearest point (3,), m, likewise.
+        distance: Signed distance, m, right if they are apart; not above 0 where they share a point.
+        normal: Unit vector (3,) out of the mesh, where they are nearest or of a place they share.
+        on_mesh: The mesh's point (3,) there, m.
     """
 
     distance: float
@@ -145,10 +150,14 @@ def _turned(
 
 
 def _exit(moved: Callable[[FloatArray], Moved], start: Start) -> Exit:
-    """The way out along one direction."""
-    along, inside = start.along, 0.0
-    way = min(max(start.likely, TOLERANCE), start.certain)
+    """The way out along one direction, or beside it where something is in the way."""
+    along, way, inside = start.along, min(max(start.likely, TOLERANCE), start.certain), 0.0
     at = moved(way * along)
+    if at.distance <= 0.0:
+        pushed = _pushed(moved, way * along, at)
+        if pushed is not None:
+            at, way = pushed[1], float(np.linalg.norm(pushed[0]))
+            along = pushed[0] / way
     while at.distance <= 0.0 and way < start.certain:
         inside, way = way, min(max(GROWTH * way, SHORTEST), start.certain)
         at = moved(way * along)
@@ -167,3 +176,55 @@ def _exit(moved: Callable[[FloatArray], Moved], start: Start) -> Exit:
         way, at = nearer, there
     apart = max(at.distance, 0.0)  # the last bit of the way touches nothing
     return Exit(way=way - apart, along=along, normal=at.normal, on_mesh=at.on_mesh)
+
+
+def _pushed(
+    moved: Callable[[FloatArray], Moved], way: FloatArray, at: Moved
+) -> tuple[FloatArray, Moved] | None:
+    """A translation out of a concave corner: the least one across all planes met so far.
+
+    Args:
+        moved: How they lie after a translation.
+        way: A translation (3,), m, that led out of one surface and into another.
+        at: How they lie there.
+
+    Returns:
+        The translation and how they lie after it, apart; None if none was found.
+    """
+    length = float(np.linalg.norm(way))
+    normals, rooms = [way / length], [length]
+    for _ in range(PUSHES):
+        normals.append(at.normal)
+        rooms.append(float(at.normal @ way) + max(-at.distance, LEAST_PUSH * length))
+        across = _least_across(np.array(normals), np.array(rooms))
+        if across is None:
+            return None
+        way, at = across, moved(across)
+        if at.distance > 0.0:
+            return way, at
+    return None
+
+
+PUSHES = 6
+"""Planes that a translation is pushed across before it is given up; one or two are usual."""
+
+LEAST_PUSH = 0.02
+"""Least depth that is believed of triangles, by the way so far: they are said to be too shallow."""
+
+
+def _least_across(normals: FloatArray, rooms: FloatArray) -> FloatArray | None:
+    """The shortest v (3,) with normals (k, 3) @ v >= rooms (k,), by Lawson and Hanson's LDP."""
+    unit = float(np.abs(rooms).max())
+    rows = np.vstack([normals.T, rooms / unit])
+    weights, _ = nnls(rows, LDP_GOAL)
+    rest = rows @ weights - LDP_GOAL
+    if not np.isfinite(rest).all() or rest[3] > -OPPOSED:
+        return None
+    v: FloatArray = -rest[:3] / rest[3] * unit
+    return v
+
+
+LDP_GOAL: FloatArray = np.array([0.0, 0.0, 0.0, 1.0])
+
+OPPOSED = 1e-6
+"""Residual (-) of the programme below which the planes leave no common side."""

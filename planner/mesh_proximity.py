@@ -151,7 +151,8 @@ class MeshPair:
                 inner = (middle + way)[None]
                 if maybe_within(mesh, inner)[0]:
                     within = float(mesh.signed_distance(inner)[0])
-                    distance = within if within < 0.0 else distance
+                    if within < 0.0:
+                        distance, normal = within, -normal
             return Moved(distance=distance, normal=normal, on_mesh=on_mesh)
 
         def start_of(along: FloatArray) -> Start:
