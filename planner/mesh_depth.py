@@ -141,7 +141,7 @@ def _turned(
             break
         known = start_of(best.normal)
         # the plane that they touch last is as far away as this: all there is if both are convex
-        likely = best.way * slope + TOLERANCE / 2
+        likely = best.way * slope
         found = _exit(moved, Start(along=known.along, likely=likely, certain=known.certain))
         if found.way > best.way - GAIN:
             break
@@ -151,7 +151,9 @@ def _turned(
 
 def _exit(moved: Callable[[FloatArray], Moved], start: Start) -> Exit:
     """The way out along one direction, or beside it where something is in the way."""
-    along, way, inside = start.along, min(max(start.likely, TOLERANCE), start.certain), 0.0
+    along, inside = start.along, 0.0
+    # a little farther, lest what they leave is what they cross by a rounding error
+    way = min(max(start.likely, 0.0) + TOLERANCE / 2, start.certain)
     at = moved(way * along)
     if at.distance <= 0.0:
         pushed = _pushed(moved, way * along, at)
@@ -195,7 +197,8 @@ def _pushed(
     normals, rooms = [way / length], [length]
     for _ in range(PUSHES):
         normals.append(at.normal)
-        rooms.append(float(at.normal @ way) + max(-at.distance, LEAST_PUSH * length))
+        depth = max(-at.distance, LEAST_PUSH * length) + TOLERANCE / 2
+        rooms.append(float(at.normal @ way) + depth)
         across = _least_across(np.array(normals), np.array(rooms))
         if across is None:
             return None

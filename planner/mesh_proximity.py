@@ -3,8 +3,8 @@
 coal measures to the triangles and knows no inside: a body wholly inside a mesh is apart from every
 triangle. Two bodies whose surfaces do not meet are apart, or one contains the other; a point of the
 convex body tells which. Where surfaces cross, or the body is inside, its depth is the length of the
-way out (``planner.mesh_depth``). A ball's depth is exact: the signed distance of its centre less
-its radius.
+way out (``planner.mesh_depth``). Of a ball that is the signed distance of its centre less its
+radius, exactly, except where it is in two surfaces at a time.
 """
 
 from __future__ import annotations
@@ -121,22 +121,28 @@ class MeshPair:
         if limit < np.inf:
             result.min_distance = limit + reach
         found = self._compute(pose, pose_mesh, self._request, result)
-        if self._radius is not None:
-            if maybe_inside:
-                return float(self.mesh.signed_distance(inner)[0]) - reach
-            # at the limit it is the limit, and not a rounding error less
-            return float(found) - reach if found < limit + reach else limit
-        inside = maybe_inside and float(self.mesh.signed_distance(inner)[0]) < 0.0
-        if found > CROSSING and not inside:
-            return float(found)
+        # at the limit it is the limit, and not a rounding error less
+        distance = float(found) - reach if found < limit + reach else limit
+        if maybe_inside:
+            within = float(self.mesh.signed_distance(inner)[0])
+            if self._radius is not None:
+                distance = within - reach
+            elif within < 0.0:
+                distance = min(distance, within)
+        if distance > CROSSING:
+            return distance
         # out of the triangle that coal calls deepest, or from inside of all to the nearest
-        outward = pose_mesh.getRotation().T @ (result.normal if found > CROSSING else -result.normal)
-        self._exit = self._leave(pose_mesh.inverseTimes(pose), outward)
-        return -self._exit.way
+        guess = pose_mesh.getRotation().T @ np.array(result.normal)
+        way_out = self._leave(pose_mesh.inverseTimes(pose), guess if found > CROSSING else -guess)
+        if self._radius is not None and way_out.way <= TOLERANCE - distance:
+            return distance  # exact; more only where it is in two surfaces at a time
+        self._exit = way_out
+        return -way_out.way
 
     def _leave(self, pose: Any, guess: FloatArray) -> Exit:
         """The way out of the mesh from a pose in its frame; a guess (3,) of its direction."""
         mesh, result = self.mesh, self._result
+        reach = 0.0 if self._radius is None else self._radius
         rotation, begin = pose.getRotation(), pose.getTranslation()
         middle = begin + rotation @ self.inner
         surface, outward = mesh.closest_point(middle[None])
@@ -147,12 +153,14 @@ class MeshPair:
             result.clear()
             distance = float(self._compute(at, identity, self._request, result))
             on_mesh, normal = np.array(result.getNearestPoint2()), -np.array(result.normal)
-            if distance > 0.0:
+            outside = distance > 0.0
+            distance -= reach
+            if outside:
                 inner = (middle + way)[None]
                 if maybe_within(mesh, inner)[0]:
                     within = float(mesh.signed_distance(inner)[0])
                     if within < 0.0:
-                        distance, normal = within, -normal
+                        distance, normal = within - reach, -normal
             return Moved(distance=distance, normal=normal, on_mesh=on_mesh)
 
         def start_of(along: FloatArray) -> Start:
@@ -197,7 +205,7 @@ class MeshPair:
             pose_mesh: ``T_world_mesh``.
         """
         distance = self.distance(pose, pose_mesh)
-        if self._radius is not None:
+        if self._radius is not None and self._exit is None:
             return self._from_sphere(distance, pose, pose_mesh, self._radius)
         row = self.last_points(distance, pose_mesh)
         return Proximity(distance=distance, point_a=row[:3], point_b=row[3:6], normal=row[6:])

@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from planner.bridge.geometry import coal_geometry
@@ -192,7 +193,34 @@ def somehow(rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     return along / np.linalg.norm(along), Rotation.random(random_state=rng).as_matrix()
 
 
+def edges_of(points: FloatArray) -> FloatArray:
+    """Edges (k, 3) of the convex hull of points."""
+    hull = ConvexHull(points)
+    triangles = points[hull.simplices]
+    return np.concatenate([triangles[:, k] - triangles[:, k - 1] for k in range(3)])
+
+
+def edge_axes(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Directions (n, 3) across an edge of each of two polyhedra: axes that may part them."""
+    if len(first) * len(second) > MOST_AXES:  # round, or nearly: a fine sphere of directions does
+        return np.zeros((0, 3))
+    axes = np.cross(first[:, None], second[None]).reshape(-1, 3)
+    length = np.linalg.norm(axes, axis=1)
+    axes = axes[length > 1e-12] / length[length > 1e-12, None]
+    return np.concatenate([axes, -axes])
+
+
+MOST_AXES = 20_000
+"""Pairs of edges up to which all are tried."""
+
 LINKS, CONVEX = links(), convex_objects()
+NO_EDGES: FloatArray = np.zeros((0, 3))
+EDGES = dict.fromkeys([*LINKS, *CONVEX], NO_EDGES) | {
+    "hull": edges_of(points_of_hull(1, 0.009)),
+    "mesh": edges_of(np.array(LINKS["mesh"][0].points())),
+    "box": np.eye(3),  # of both kinds: axes of the frame
+    "mesh-box": np.eye(3),
+}
 STARTS = np.concatenate([np.eye(3), -np.eye(3), sphere_of(2500)])
 
 
@@ -203,7 +231,8 @@ def test_depths_in_convex_objects_are_the_least_translation(link: str, kind: str
     pair, rng = shape_pair(geometry, shape), np.random.default_rng([len(link), len(kind)])
     for depth in DEPTHS:
         pose = pose_at(depth, surface, support, *somehow(rng))
-        true, _ = least(overlap(surface, placed(support, pose)), STARTS)
+        axes = np.concatenate([STARTS, edge_axes(EDGES[kind], EDGES[link] @ pose.rotation.T)])
+        true, _ = least(overlap(surface, placed(support, pose)), axes)
         assert 0.0 < true <= 1.001 * depth
         told = -pair.distance(pose, SE3.Identity())
         assert told >= true - ACCURATE
@@ -236,9 +265,12 @@ def ways_out(boxes: list[Support], link: Support, normals: FloatArray) -> Suppor
     return way
 
 
-def check_in_boxes(pair: Any, pose: SE3, boxes: list[Support], link: Support) -> float:
+def check_in_boxes(
+    pair: Any, pose: SE3, boxes: list[Support], link: Support, edges: FloatArray
+) -> float:
     """Hold the depth of a link in a union of boxes against bounds of the least translation."""
-    parted = [least(overlap(box, placed(link, pose)), STARTS) for box in boxes]
+    axes = np.concatenate([STARTS, edge_axes(np.eye(3), edges @ pose.rotation.T)])
+    parted = [least(overlap(box, placed(link, pose)), axes) for box in boxes]
     normals = np.concatenate([np.eye(3), -np.eye(3), [n for _, n in parted], sphere_of(800)])
     way, _ = least(ways_out(boxes, placed(link, pose), normals), normals)
     told = -float(pair.distance(pose, SE3.Identity()))
@@ -260,7 +292,7 @@ def test_depths_in_the_plates_of_a_concave_mesh_are_the_least_translation(link: 
         plate, out = OUT_OF_PLATES[number % len(OUT_OF_PLATES)]
         along = np.array(out) / np.linalg.norm(out)
         pose = pose_at(depth, boxes[plate], support, along, somehow(rng)[1])
-        assert check_in_boxes(pair, pose, boxes, support) <= (1 + LONG) * depth + ACCURATE
+        assert check_in_boxes(pair, pose, boxes, support, EDGES[link]) <= (1 + LONG) * depth + ACCURATE
 
 
 @pytest.mark.parametrize("link", LINKS)
@@ -276,7 +308,7 @@ def test_depths_in_the_corner_of_a_concave_mesh_are_those_of_both_plates(link: s
         z = boxes[0](up)[0] + turned(-up)[0] - depth
         x = boxes[1](across)[0] + turned(-across)[0] - share * depth
         pose = SE3(turn, np.array([x, 0.0, z]))
-        told = check_in_boxes(pair, pose, boxes, support)
+        told = check_in_boxes(pair, pose, boxes, support, EDGES[link])
         assert told == pytest.approx(np.hypot(depth, share * depth), rel=LONG, abs=ACCURATE)
 
 
