@@ -148,7 +148,7 @@ class MeshPairs:
             if distance < limit:
                 places.append(place)
                 distances.append(distance)
-                rows.append(self._pairs[i].last_points(distance))
+                rows.append(self._pairs[i].last_points(distance, self._T_mesh))
         return np.array(places, dtype=int), np.array(distances), np.array(rows).reshape(-1, 9)
 
     def _queries(self, which: IntArray) -> Iterator[tuple[int, Callable[[float], float]]]:

@@ -2,8 +2,9 @@
 
 coal measures to the triangles and knows no inside: a body wholly inside a mesh is apart from every
 triangle. Two bodies whose surfaces do not meet are apart, or one contains the other; a point of the
-convex body tells which. Where surfaces cross, coal's depth is that of single triangles: right to
-1e-5 m down to a tenth of a millimetre, too small deeper. Its sign is right throughout.
+convex body tells which. Where surfaces cross, or the body is inside, its depth is the length of the
+way out (``planner.mesh_depth``). Of a ball that is the signed distance of its centre less its
+radius, exactly, except where it is in two surfaces at a time.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import coal
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.mesh_depth import TOLERANCE, Exit, Moved, Start, shortest_exit
 from planner.proximity import Proximity
 from planner.spatial import SE3, FloatArray
 
@@ -45,9 +47,21 @@ class ClosedMesh(Protocol):
         """Surface points and normals, (n, 3) each, of points (n, 3)."""
         ...
 
+    def support(self, direction: FloatArray) -> float:
+        """Largest coordinate (m) of the solid along a unit direction (3,)."""
+        ...
+
     def field(self) -> Any:
         """The smooth distance."""
         ...
+
+
+CROSSING = 1e-6
+"""Distance (m) up to which coal's word that two surfaces are apart is not believed: its accuracy.
+It gives 0 for some that cross."""
+
+UNIT = 1e-3
+"""How far (-) the length of coal's normals may be from 1."""
 
 
 class MeshPair:
@@ -68,6 +82,7 @@ class MeshPair:
         self._measured = geometry if self._radius is None else coal.Sphere(0.0)
         self._compute = coal.ComputeDistance(self._measured, self._triangles)
         self._request, self._result = coal.DistanceRequest(), coal.DistanceResult()
+        self._exit: Exit | None = None
         self.inner = np.array(geometry.computeCOM())
 
     def distance(self, pose: SE3, pose_mesh: SE3) -> float:
@@ -101,28 +116,81 @@ class MeshPair:
             maybe_inside: Whether that point may be inside the mesh, see ``maybe_within``.
         """
         reach = 0.0 if self._radius is None else self._radius
-        result = self._result
+        result, self._exit = self._result, None
         result.clear()
         if limit < np.inf:
             result.min_distance = limit + reach
         found = self._compute(pose, pose_mesh, self._request, result)
-        if self._radius is not None:
-            if maybe_inside:
-                return float(self.mesh.signed_distance(inner)[0]) - reach
-            # at the limit it is the limit, and not a rounding error less
-            return float(found) - reach if found < limit + reach else limit
-        if found > 0.0 and maybe_inside:
-            depth = float(self.mesh.signed_distance(inner)[0])
-            if depth < 0.0:
-                return depth
-        return float(found)
+        # at the limit it is the limit, and not a rounding error less
+        distance = float(found) - reach if found < limit + reach else limit
+        if maybe_inside:
+            within = float(self.mesh.signed_distance(inner)[0])
+            if self._radius is not None:
+                distance = within - reach
+            elif within < 0.0:
+                distance = min(distance, within)
+        if distance > CROSSING:
+            return distance
+        # out of the triangle that coal calls deepest, or from inside of all to the nearest
+        guess = pose_mesh.getRotation().T @ np.array(result.normal)
+        way_out = self._leave(pose_mesh.inverseTimes(pose), guess if found > CROSSING else -guess)
+        if self._radius is not None and way_out.way <= TOLERANCE - distance:
+            return distance  # exact; more only where it is in two surfaces at a time
+        self._exit = way_out
+        return -way_out.way
 
-    def last_points(self, distance: float) -> FloatArray:
+    def _leave(self, pose: Any, guess: FloatArray) -> Exit:
+        """The way out of the mesh from a pose in its frame; a guess (3,) of its direction."""
+        mesh, result = self.mesh, self._result
+        reach = 0.0 if self._radius is None else self._radius
+        rotation, begin = pose.getRotation(), pose.getTranslation()
+        middle = begin + rotation @ self.inner
+        surface, outward = mesh.closest_point(middle[None])
+        identity, at = coal.Transform3s.Identity(), coal.Transform3s(pose)
+
+        def moved(way: FloatArray) -> Moved:
+            at.setTranslation(begin + way)
+            result.clear()
+            distance = float(self._compute(at, identity, self._request, result))
+            on_mesh, normal = np.array(result.getNearestPoint2()), -np.array(result.normal)
+            outside = distance > 0.0
+            distance -= reach
+            if outside:
+                inner = (middle + way)[None]
+                if maybe_within(mesh, inner)[0]:
+                    within = float(mesh.signed_distance(inner)[0])
+                    if within < 0.0:
+                        distance, normal = within - reach, -normal
+            return Moved(distance=distance, normal=normal, on_mesh=on_mesh)
+
+        def start_of(along: FloatArray) -> Start:
+            beyond = coal.Halfspace(along, float(along @ surface[0]))
+            result.clear()
+            likely = -coal.distance(
+                self.geometry, coal.Transform3s(pose), beyond, identity, self._request, result
+            )
+            certain = likely + mesh.support(along) - float(along @ surface[0]) + TOLERANCE
+            return Start(along=along, likely=likely, certain=certain)
+
+        starts = [outward[0]]
+        if abs(float(np.linalg.norm(guess)) - 1.0) < UNIT:  # coal has none where it failed
+            starts.append(guess)
+        return shortest_exit(moved, starts, start_of)
+
+    def last_points(self, distance: float, pose_mesh: SE3) -> FloatArray:
         """Nearest points (3,) + (3,) and normal (3,) of the last query, which gave a distance (m).
 
-        Those of the nearest triangle; of a body that is in the mesh, the way out of it.
+        Of a geometry that is in the mesh, the points that part last on its way out.
+
+        Args:
+            distance: m.
+            pose_mesh: ``T_world_mesh`` of that query.
         """
         result = self._result
+        if self._exit is not None:
+            on_mesh = pose_mesh.act(self._exit.on_mesh)
+            normal = -(pose_mesh.rotation @ self._exit.along)
+            return np.concatenate([on_mesh - distance * normal, on_mesh, normal])
         point, on_mesh = np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
         if self._radius is None:
             return np.concatenate([point, on_mesh, result.normal])
@@ -130,22 +198,17 @@ class MeshPair:
         return np.concatenate([point + self._radius * normal, on_mesh, normal])
 
     def query(self, pose: SE3, pose_mesh: SE3) -> Proximity:
-        """Distance, nearest points and normal; points of single triangles where surfaces cross.
+        """Distance, nearest points and normal.
 
         Args:
             pose: ``T_world_geometry``.
             pose_mesh: ``T_world_mesh``.
         """
         distance = self.distance(pose, pose_mesh)
-        if self._radius is not None:
+        if self._radius is not None and self._exit is None:
             return self._from_sphere(distance, pose, pose_mesh, self._radius)
-        point = np.array(self._result.getNearestPoint1())
-        return Proximity(
-            distance=distance,
-            point_a=point,
-            point_b=np.array(self._result.getNearestPoint2()),
-            normal=np.array(self._result.normal),
-        )
+        row = self.last_points(distance, pose_mesh)
+        return Proximity(distance=distance, point_a=row[:3], point_b=row[3:6], normal=row[6:])
 
     def _from_sphere(self, distance: float, pose: SE3, pose_mesh: SE3, radius: float) -> Proximity:
         surface, outward = self.mesh.closest_point(pose_mesh.actInv(pose.translation)[None])

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import coal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
@@ -35,14 +34,11 @@ LONGEST_STEP = 0.02
 
 def hull_pairs(hand: Hand, mesh: Mesh) -> GeometryPairs:
     """Every geometry of a hand, in order, and the convex hull of a mesh."""
-    points = coal.StdVec_Vec3s()
-    points.extend(list(mesh.hull_vertices))
     model = pin.GeometryModel()
     for g in hand.geometries:
         body = pin.GeometryObject(g.name, g.joint_id, g.T_joint_geometry, g.geometry)
         model.addGeometryObject(body)
-    hull = coal.Convex.convexHull(points, True, "Qt")
-    model.addGeometryObject(pin.GeometryObject("hull", 0, SE3.Identity(), hull))
+    model.addGeometryObject(pin.GeometryObject("hull", 0, SE3.Identity(), mesh.coal_hull))
     n = len(hand.geometries)
     return GeometryPairs(hand.pin_model, model, [(i, n) for i in range(n)], n)
 

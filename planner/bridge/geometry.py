@@ -13,6 +13,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from planner.bridge.pinocchio_model import body_name
 from planner.errors import ModelError
+from planner.shapes.convex import convex_geometry
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 
 __all__ = ["LinkGeometry", "coal_geometry", "hand_geometries"]
@@ -121,9 +122,7 @@ def _convex_hull(vertices: FloatArray, name: str) -> Any:
             f"the mesh of geom {name!r} is flat, so that it has no convex hull; give it a "
             f"thickness, or write drop_collision = [{name!r}] under [repair]"
         ) from error
-    points = coal.StdVec_Vec3s()
-    points.extend(list(np.asarray(vertices[hull.vertices], dtype=np.float64)))
-    return coal.Convex.convexHull(points, True, "Qt")  # triangulated, as coal asks for
+    return convex_geometry(np.asarray(vertices[hull.vertices], dtype=np.float64))
 
 
 def allowed_pairs(model: Any, extra: Iterable[tuple[str, str]]) -> frozenset[frozenset[str]]:

@@ -17,6 +17,7 @@ from scipy.spatial import ConvexHull
 from planner.errors import ObjectError
 from planner.shapes.base import Shape, checked_points
 from planner.shapes.cache import read_arrays, write_arrays
+from planner.shapes.convex import convex_geometry
 from planner.shapes.field import DistanceField
 from planner.shapes.mesh_distance import FIELD_VERSION, fit_mesh_field
 from planner.shapes.mesh_io import check_solid, read_mesh
@@ -237,6 +238,11 @@ class Mesh(Shape):
     @cached_property
     def _coal_tree(self) -> Any:
         return coal_tree(self.vertices, self.faces)
+
+    @cached_property
+    def coal_hull(self) -> Any:
+        """The convex hull as a ``coal.Convex``: to a micrometre, see ``planner.shapes.convex``."""
+        return convex_geometry(self.hull_vertices)
 
     def mujoco_geom(self) -> tuple[str, tuple[float, ...]]:
         """None fits: see ``planner.shapes.solid``."""
