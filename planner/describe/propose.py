@@ -7,7 +7,7 @@ pads, what drives them, and last the postures, which are looked for on the hand 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from planner.describe.drive import (
     Drive,
     PadContact,
     joint_defaults,
+    joint_stops,
     missing_servos,
     stops_and_springs,
 )
@@ -44,11 +45,10 @@ from planner.describe.repairs import (
     without_overlaps,
 )
 from planner.describe.tree import Branch, HandTree, finger_names, read_tree
-from planner.description import (
-    HandDescription,
-)
+from planner.description import CouplingDescription, HandDescription
 from planner.errors import HandError
 from planner.hand import Hand
+from planner.spatial import FloatArray
 
 __all__ = ["located", "propose"]
 
@@ -222,20 +222,19 @@ class _Proposer:
         )
         index = {j.name: k for k, j in enumerate(structure.joints)}
         held = [a.row for a in structure.actuators] + [c.row for c in equalities]
-        for coupling in stops.couplings:
-            row = np.zeros(len(structure.joints))
-            for joint, coefficient in coupling.joints.items():
-                row[index[joint]] = coefficient
-            held.append(row)
+        held += [_row(coupling, index) for coupling in stops.couplings]
+        ends = joint_stops(structure, held, skeleton.q_lower, skeleton.q_upper, contacts)
+        held += [_row(coupling, index) for coupling in ends.couplings]
         in_fingers = [j for branch, _, _ in fingers for j in branch.joints]
         order = [*tree.wrist, *in_fingers]
         order += [j for j in range(len(structure.joints)) if j not in order]
         inertia = joint_inertia(model, skeleton.neutral)
         servos = missing_servos(structure, held, order, inertia)
         defaults, why = joint_defaults(structure, servos.actuators, inertia)
-        self.notes.reasons.extend([*stops.reasons, *servos.reasons, *why])
-        self.notes.questions.extend([*stops.questions, *servos.questions])
-        drive = Drive(couplings=stops.couplings, actuators=servos.actuators)
+        self.notes.reasons.extend([*stops.reasons, *ends.reasons, *servos.reasons, *why])
+        self.notes.questions.extend([*stops.questions, *ends.questions, *servos.questions])
+        couplings = (*stops.couplings, *ends.couplings)
+        drive = Drive(couplings=couplings, actuators=servos.actuators)
         return drive, defaults
 
     def _postures(self, description: HandDescription) -> HandDescription:
@@ -260,6 +259,14 @@ class _Proposer:
                     "which the pads look at each other"
                 )
         return description.model_copy(update={"postures": postures})
+
+
+def _row(coupling: CouplingDescription, index: Mapping[str, int]) -> FloatArray:
+    """Coefficients (nv,) of a described coupling."""
+    row = np.zeros(len(index))
+    for joint, coefficient in coupling.joints.items():
+        row[index[joint]] = coefficient
+    return row
 
 
 def _told(part: PosturePart) -> str:
