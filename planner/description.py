@@ -170,17 +170,19 @@ class RepairDescription(StrictData):
 
 
 class JointDefaults(StrictData):
-    """Passive properties that replace what the model says, for every joint of the hand.
+    """Passive properties that replace or complete what the model says, for every joint of the hand.
 
     Attributes:
         damping: N m s/rad (N s/m); the model's own if not given.
         frictionloss: N m (N); the same.
         armature: kg m^2 (kg); the same.
+        least_armature: kg m^2 (kg); joints whose own armature is less get this one.
     """
 
     damping: NotNegative | None = None
     frictionloss: NotNegative | None = None
     armature: NotNegative | None = None
+    least_armature: NotNegative | None = None
 
 
 class ActuatorDescription(StrictData):

@@ -140,6 +140,8 @@ def repair_spec(spec: Any, description: HandDescription, what: str) -> None:
             joint.frictionloss = defaults.frictionloss
         if defaults.armature is not None:
             joint.armature = defaults.armature
+        if defaults.least_armature is not None:
+            joint.armature = max(joint.armature, defaults.least_armature)
 
 
 def add_described_parts(spec: Any, description: HandDescription, what: str) -> None:

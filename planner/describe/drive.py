@@ -45,8 +45,8 @@ seconds."""
 STICKIEST_JOINT = 0.3
 """Share of a servo's force that dry friction may eat (-)."""
 
-USUAL_ARMATURE = {"hinge": 2e-4, "slide": 1e-2}
-"""Inertia (kg m2, kg) of a small geared motor seen from the joint."""
+USUAL_ARMATURE = 2e-4
+"""Inertia (kg m2) of a small geared motor seen from the joint."""
 
 LEAST_TRAVEL = 0.05
 """A coupling that leaves every joint that it ties less than this share of its range is wrong."""
@@ -251,10 +251,11 @@ def missing_servos(
         structure: The hand.
         held: Rows (nv,) of actuators and couplings.
         joints: Every joint, in the order in which servos are preferred.
-        inertia: (nv,), what each joint has to move, kg m2 (kg).
+        inertia: (nv,), what each joint moves in the model, its rotor included, kg m2 (kg).
     """
     rows = list(held)
-    groups: dict[tuple[float, float, float], list[str]] = {}
+    inertia = inertia + _missing_armature(structure)
+    groups: dict[tuple[float, float], list[str]] = {}
     reasons, questions = [], []
     unsaid, unbelieved = [], []
     for j in joints:
@@ -271,16 +272,21 @@ def missing_servos(
             unbelieved.append(part.name)
             effort = USUAL_EFFORT[part.kind]
         kp = _two_digits(effort / SERVO_TRAVEL[part.kind])
-        groups.setdefault((kp, effort, 0.0), []).append(part.name)
+        groups.setdefault((kp, effort), []).append(part.name)
     index = {j.name: k for k, j in enumerate(structure.joints)}
     actuators = []
-    for (kp, effort, _), names in groups.items():
-        heaviest = max(inertia[index[n]] for n in names)
+    for (kp, effort), names in groups.items():
+        critical = [2 * np.sqrt(kp * inertia[index[n]]) for n in names]
+        own = [structure.joints[index[n]].damping for n in names]
+        # a joint's own damping does its part; one that is too large is replaced (joint_defaults)
+        missing = [
+            c - d if d <= SLOWEST_JOINT * kp else c / 2 for c, d in zip(critical, own, strict=True)
+        ]
         actuators.append(
             ActuatorDescription(
                 joints=tuple(names),
                 kp=kp,
-                damping=_two_digits(2 * np.sqrt(kp * heaviest)),
+                damping=_two_digits(max(*missing, 0.0)),
                 force_limit=effort,
             )
         )
@@ -291,7 +297,8 @@ def missing_servos(
                 value=f"position servos for {sum(len(a.joints) for a in actuators)} joints",
                 why="neither an actuator nor a coupling of the model holds them; kp brings the "
                 f"whole force at {SERVO_TRAVEL['hinge']} rad ({1e3 * SERVO_TRAVEL['slide']:g} mm), "
-                "damping is critical for the inertia that the heaviest of them moves",
+                "damping makes that of the joint critical for the inertia that the heaviest of "
+                "them moves, rotor and all",
             )
         )
     if unbelieved:
@@ -311,7 +318,15 @@ def missing_servos(
 def joint_defaults(
     structure: ModelStructure, added: Sequence[ActuatorDescription], inertia: FloatArray
 ) -> tuple[JointDefaults, tuple[Reason, ...]]:
-    """Damping, friction and armature that replace those with which no servo could work."""
+    """Damping and friction with which servos work, and rotors for joints that have none.
+
+    Args:
+        structure: The hand.
+        added: Proposed servos.
+        inertia: (nv,), what each joint moves in the model, its rotor included, kg m2 (kg).
+    """
+    if added:
+        inertia = inertia + _missing_armature(structure)
     n = len(structure.joints)
     index = {j.name: k for k, j in enumerate(structure.joints)}
     kp, force = np.full(n, np.nan), np.full(n, np.inf)
@@ -351,17 +366,24 @@ def joint_defaults(
                 f"servo gives {force[worst]:g} at most: it would hardly move",
             )
         )
-    if added:
-        values["armature"] = USUAL_ARMATURE["hinge"]
+    if added and _missing_armature(structure).any():
+        values["least_armature"] = USUAL_ARMATURE
+        kept = [j.name for j in structure.joints if j.armature >= USUAL_ARMATURE]
         reasons.append(
             Reason(
-                key="joint_defaults.armature",
-                value=f"{USUAL_ARMATURE['hinge']:g} kg m2",
+                key="joint_defaults.least_armature",
+                value=f"{USUAL_ARMATURE:g} kg m2",
                 why="the proposed servos have rotors, which the model does not know; light links "
-                "would swing at rates that a time step of 2 ms does not resolve",
+                "would swing at rates that a time step of 2 ms does not resolve"
+                + (f"; {_listed(kept)} keep the armature that the model gives" if kept else ""),
             )
         )
     return JointDefaults(**values), tuple(reasons)
+
+
+def _missing_armature(structure: ModelStructure) -> FloatArray:
+    """What each joint's rotor (nv,) lacks of a usual one, kg m2 (kg)."""
+    return np.maximum(USUAL_ARMATURE - np.array([j.armature for j in structure.joints]), 0.0)
 
 
 def _is_driven(structure: ModelStructure, tendon: TendonPart) -> bool:
