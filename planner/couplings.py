@@ -182,20 +182,23 @@ def check_held(
     rows = rows / np.where(size > 0, size, 1.0)
     loose = np.eye(len(joint_names)) - np.linalg.pinv(rows) @ rows  # projector on the rest
     free = [j for j, part in zip(joint_names, loose, strict=True) if abs(part).max() > LOOSE_TOL]
-    together = [
-        (name, [j for j, arm in zip(joint_names, row, strict=True) if arm and j in free])
+    together = {
+        name: joints
         for name, row in zip(actuators, moment, strict=False)
-    ]
-    for name, joints in together:
-        if len(joints) > 1:
-            raise HandError(
-                f"{what}: actuator {name!r} drives the joints {joints} together and holds their "
-                "sum alone; what holds the rest is to be described. If a contact runs one of them "
-                f"to an end of its range, add [[couplings]] with joints = {{ {joints[0]} = 1.0 }}, "
-                'value = the lower end and kind = "stop" (for an upper end, both with a minus); '
-                f"if a gear ties them, joints = {{ {joints[0]} = 1.0, {joints[1]} = -1.0 }} and "
-                'kind = "equality". opposable describe proposes the stops'
-            )
+        if len(joints := [j for j, arm in zip(joint_names, row, strict=True) if arm and j in free])
+        > 1
+    }
+    if together:
+        first, second, *_ = next(iter(together.values()))
+        listed = ", ".join(f"{name!r} drives {joints}" for name, joints in together.items())
+        raise HandError(
+            f"{what}: actuators that drive several joints hold their sum alone ({listed}); what "
+            "holds the rest is to be described. If a contact runs one of them to an end of its "
+            f"range, add [[couplings]] with joints = {{ {first} = 1.0 }}, value = the lower end "
+            'and kind = "stop" (for an upper end, both with a minus); if a gear ties them, joints '
+            f'= {{ {first} = 1.0, {second} = -1.0 }} and kind = "equality". opposable describe '
+            "proposes the stops"
+        )
     if free:
         raise HandError(
             f"{what}: no actuator and no coupling holds the joints {free}; add an [[actuators]] "

@@ -35,6 +35,7 @@ from planner.describe.drive import (
     stops_and_springs,
 )
 from planner.describe.fingertips import Fingertip, Skeleton
+from planner.describe.overlaps import frequent_overlaps
 from planner.describe.pads import PadFit
 from planner.describe.postures import OPEN_RADII, PINCH_RADII, PosturePart, PostureSolver
 from planner.describe.proposal import Notes, Proposal
@@ -120,7 +121,9 @@ class _Proposer:
         description = self._anatomy(description)
         description = without_overlaps(self.spec, description, self.notes)
         description = self._postures(description)
-        Hand.from_spec(self.spec, description)  # what is proposed loads, or says why not
+        hand = Hand.from_spec(self.spec, description)  # what is proposed loads, or says why not
+        for overlap in frequent_overlaps(hand):
+            self.notes.ask(f"{overlap.told}; {overlap.remedy}")
         return Proposal(
             description=description,
             reasons=tuple(self.notes.reasons),
