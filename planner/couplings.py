@@ -13,9 +13,16 @@ import numpy as np
 from scipy.optimize import linprog
 
 from planner.errors import HandError
+from planner.programme import programme
 from planner.spatial import FloatArray
 
-__all__ = ["Coupling", "check_couplings", "check_held", "independent_couplings"]
+__all__ = [
+    "Coupling",
+    "check_couplings",
+    "check_held",
+    "independent_couplings",
+    "nearest_on_couplings",
+]
 
 RANK_TOL = 1e-8
 """A coupling whose row, by unit length, leaves less than this outside the rows before it repeats
@@ -117,8 +124,46 @@ def check_couplings(
             )
 
 
+def nearest_on_couplings(
+    q: FloatArray, couplings: Sequence[Coupling], lower: FloatArray, upper: FloatArray
+) -> FloatArray | None:
+    """The joints nearest to q that keep every coupling and every range; None if none do.
+
+    Distances are in shares of the joints' ranges.
+
+    Args:
+        q: Joints (nq,).
+        couplings: Independent couplings.
+        lower: Joint limits (nq,), finite.
+        upper: Joint limits (nq,), finite.
+    """
+    span = np.maximum(upper - lower, LEAST_SPAN)
+    matrix = np.array([c.row for c in couplings]).reshape(-1, len(q)) * span
+    size = np.maximum(np.linalg.norm(matrix, axis=1), LEAST_SPAN)
+    value = np.array([c.value for c in couplings]) / size
+    matrix = matrix / size[:, None]
+    found = programme("daqp", len(q), len(couplings)).solve(
+        h=np.eye(len(q)),
+        g=-q / span,
+        a=matrix,
+        lba=value,
+        uba=value,
+        lbx=lower / span,
+        ubx=upper / span,
+    )
+    return None if found is None else np.clip(found * span, lower, upper)
+
+
+LEAST_SPAN = 1e-9
+"""Range (rad, m) of a joint that has none, to divide by."""
+
+
 def check_held(
-    joint_names: Sequence[str], moment: FloatArray, couplings: Sequence[Coupling], what: str
+    joint_names: Sequence[str],
+    moment: FloatArray,
+    couplings: Sequence[Coupling],
+    what: str,
+    actuators: Sequence[str] = (),
 ) -> None:
     """See that actuators and couplings together hold every joint.
 
@@ -127,6 +172,7 @@ def check_held(
         moment: R (nu, nq) of the actuators.
         couplings: The couplings.
         what: Whose they are, for messages.
+        actuators: nu names, for messages.
 
     Raises:
         HandError: Joints that can move while no actuator and no coupling notices.
@@ -136,6 +182,23 @@ def check_held(
     rows = rows / np.where(size > 0, size, 1.0)
     loose = np.eye(len(joint_names)) - np.linalg.pinv(rows) @ rows  # projector on the rest
     free = [j for j, part in zip(joint_names, loose, strict=True) if abs(part).max() > LOOSE_TOL]
+    together = {
+        name: joints
+        for name, row in zip(actuators, moment, strict=False)
+        if len(joints := [j for j, arm in zip(joint_names, row, strict=True) if arm and j in free])
+        > 1
+    }
+    if together:
+        first, second, *_ = next(iter(together.values()))
+        listed = ", ".join(f"{name!r} drives {joints}" for name, joints in together.items())
+        raise HandError(
+            f"{what}: actuators that drive several joints hold their sum alone ({listed}); what "
+            "holds the rest is to be described. If a contact runs one of them to an end of its "
+            f"range, add [[couplings]] with joints = {{ {first} = 1.0 }}, value = the lower end "
+            'and kind = "stop" (for an upper end, both with a minus); if a gear ties them, joints '
+            f'= {{ {first} = 1.0, {second} = -1.0 }} and kind = "equality". opposable describe '
+            "proposes the stops"
+        )
     if free:
         raise HandError(
             f"{what}: no actuator and no coupling holds the joints {free}; add an [[actuators]] "

@@ -25,8 +25,14 @@ __all__ = [
 ]
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 
+
+LEAST_COEFFICIENT, MOST_COEFFICIENT = 1e-6, 1e6
+"""Size of a joint's coefficient in a coupling (-) below which it ties nothing, and above which it
+drowns the others in rounding."""
 
 _TO_THE_BIT = object()
 """Validation context of a description that was checked before: nothing is changed."""
@@ -130,6 +136,18 @@ class CouplingDescription(StrictData):
     value: Finite = 0.0
     kind: Literal["stop", "equality"]
 
+    @field_validator("joints")
+    @classmethod
+    def _act_on_each_joint(cls, v: dict[str, float]) -> dict[str, float]:
+        wrong = [j for j, c in v.items() if not LEAST_COEFFICIENT <= abs(c) <= MOST_COEFFICIENT]
+        if wrong:
+            raise ValueError(
+                f"the coefficients of {wrong} are {[v[j] for j in wrong]}, and their sizes must be "
+                f"from {LEAST_COEFFICIENT:g} to {MOST_COEFFICIENT:g}; leave out a joint that the "
+                "coupling does not tie"
+            )
+        return v
+
 
 class RepairDescription(StrictData):
     """What is wrong in a model file and is put right when it is loaded.
@@ -152,17 +170,19 @@ class RepairDescription(StrictData):
 
 
 class JointDefaults(StrictData):
-    """Passive properties that replace what the model says, for every joint of the hand.
+    """Passive properties that replace or complete what the model says, for every joint of the hand.
 
     Attributes:
         damping: N m s/rad (N s/m); the model's own if not given.
         frictionloss: N m (N); the same.
         armature: kg m^2 (kg); the same.
+        least_armature: kg m^2 (kg); joints whose own armature is less get this one.
     """
 
-    damping: float | None = Field(default=None, ge=0)
-    frictionloss: float | None = Field(default=None, ge=0)
-    armature: float | None = Field(default=None, ge=0)
+    damping: NotNegative | None = None
+    frictionloss: NotNegative | None = None
+    armature: NotNegative | None = None
+    least_armature: NotNegative | None = None
 
 
 class ActuatorDescription(StrictData):
@@ -181,9 +201,9 @@ class ActuatorDescription(StrictData):
 
     joints: tuple[str, ...] = ()
     tendon: str = ""
-    kp: float = Field(gt=0)
-    damping: float = Field(default=0.0, ge=0)
-    force_limit: float = Field(gt=0)
+    kp: Positive
+    damping: NotNegative = 0.0
+    force_limit: Positive
 
     @model_validator(mode="after")
     def _drives_something(self) -> Self:

@@ -25,6 +25,7 @@ from planner.bridge import (
 )
 from planner.bridge.geometry import allowed_pairs
 from planner.bridge.load import model_bytes, model_files
+from planner.bridge.numbers import check_numbers
 from planner.catalog import find_hand, hand_reference
 from planner.couplings import Coupling, check_held
 from planner.described import DescribedHand, MirrorAxis, read_description, reflection_signs
@@ -147,6 +148,7 @@ class Hand(HandModel):
             raise HandError(
                 f"{model} has no joint below {description.base_body!r}; name another base_body"
             )
+        check_numbers(mj_model, model)
         if digest is None:
             content = description.model_dump_json().encode() + model_bytes(mj_model)
             digest = hashlib.sha256(content).hexdigest()
@@ -205,7 +207,8 @@ class Hand(HandModel):
             couplings=resolver.couplings(),
             arm=arm,
         )
-        check_held(hand.joint_names, hand.actuation.moment, hand.couplings, where)
+        drive = hand.actuation
+        check_held(hand.joint_names, drive.moment, hand.couplings, where, drive.names)
         return hand
 
     def _on_arm(self, mount: Mount, reference: str) -> Hand:
@@ -213,6 +216,7 @@ class Hand(HandModel):
         where = str(mount.path)
         spec, root = mount.attach(self.new_spec())
         mj_model = compile_spec(spec, where)
+        check_numbers(mj_model, where)
         if mj_model.nq != mj_model.njnt:
             raise HandError(f"{mount.arm_path} has free or ball joints; use hinges and slides")
         described = mount.description

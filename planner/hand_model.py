@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from planner.actuation import Actuation
 from planner.bridge import LinkGeometry
-from planner.couplings import Coupling
+from planner.couplings import Coupling, nearest_on_couplings
 from planner.description import HandDescription
 from planner.errors import HandError, NotFoundError, TaskError
 from planner.fingers import Finger
@@ -34,7 +34,7 @@ POSTURE_TOL = 1e-9
 """How far (rad or m) a described posture may leave the joint range before it is an error."""
 
 COUPLING_TOL = 1e-6
-"""How far (rad) a posture may violate a coupling before it is an error."""
+"""How far (rad) a posture may violate a coupling by rounding; beyond, it is moved onto it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -178,11 +178,33 @@ class HandModel:
     def posture(self, name: str) -> FloatArray:
         """A described posture as q (nq,); joints that it does not name are at 0 or their limit.
 
-        The arm that carries a hand is at its ready posture.
+        Where it violates couplings by more than rounding, it is the nearest posture that keeps
+        them: who ties two joints need not write all postures anew. ``check_hand`` says by how much
+        and what to write. The arm that carries a hand is at its ready posture.
 
         Raises:
             NotFoundError: No such posture, or it names a joint that does not exist.
-            HandError: It leaves a joint's range, or violates a coupling.
+            HandError: It leaves a joint's range, or nothing near it keeps the couplings.
+        """
+        q = self.described_posture(name)
+        matrix, value = self.coupling_matrix
+        if (np.abs(matrix @ q - value) <= COUPLING_TOL).all():
+            return q
+        kept = nearest_on_couplings(q, self.couplings, self.q_lower, self.q_upper)
+        if kept is None:
+            names = [c.name for c in self.couplings]
+            raise HandError(
+                f"posture {name!r} of {self.name}: no joints within their ranges keep the "
+                f"couplings {names}; correct the couplings or the ranges"
+            )
+        return kept
+
+    def described_posture(self, name: str) -> FloatArray:
+        """A posture as q (nq,) to the letter of the description, whatever the couplings say.
+
+        Raises:
+            NotFoundError: No such posture, or it names a joint that does not exist.
+            HandError: It leaves a joint's range.
         """
         postures = self.description.postures
         if name not in postures:
@@ -192,15 +214,7 @@ class HandModel:
             q[self.arm.index] = self.arm.ready
         for joint, angle in postures[name].items():
             q[self.joint_index(joint)] = angle
-        q = self.checked_q(q, f"posture {name!r}")
-        matrix, value = self.coupling_matrix
-        for coupling, error in zip(self.couplings, matrix @ q - value, strict=True):
-            if abs(error) > COUPLING_TOL:
-                raise HandError(
-                    f"posture {name!r} of {self.name} violates the coupling {coupling.name!r} by "
-                    f"{error:.4f}; correct its joints"
-                )
-        return q
+        return self.checked_q(q, f"posture {name!r}")
 
     def checked_q(self, q: Any, what: str = "q") -> FloatArray:
         """Joints q as a float array (nq,) after checking its shape, finiteness and joint limits.

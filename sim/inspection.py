@@ -192,7 +192,7 @@ def print_check(report: CheckReport, console: Console) -> None:
             f"{1e3 * p.radius:.2f}",
             f"{p.half_angle_deg:.0f}",
             f"{1e3 * p.stands_out:.2f}",
-            f"{p.presses:.1f}",
+            "-" if p.presses is None else f"{p.presses:.1f}",
         )
     console.print(pads)
     spaces = Table(title="where the tips get to, base frame, mm")

@@ -131,7 +131,7 @@ ALLOWED = {
     "planner.objects": ("errors", "spatial", "bridge", "regions", "shapes"),
     "planner.catalog": ("errors",),
     "planner.schema": (),
-    "planner.couplings": ("errors", "spatial"),
+    "planner.couplings": ("errors", "spatial", "programme"),
     "planner.description": ("schema",),
     "planner.described": ("errors", "schema", "spatial", "bridge", "catalog", "description"),
     "planner.bridge": ("errors", "spatial", "actuation", "couplings", "description", "shapes"),

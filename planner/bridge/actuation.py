@@ -33,9 +33,10 @@ def actuation_from_mujoco(model: Any) -> Actuation:
     """Moment matrix, affine laws, ranges, stops and springs of a model of hinges and slides.
 
     Raises:
-        ModelError: An actuator drives neither a joint nor a fixed tendon, or follows a law that is
-            not affine in ctrl, length and velocity; a force limit or a spring is of a kind that is
-            not read; or an equality is not linear.
+        ModelError: An actuator drives neither a joint nor a fixed tendon, follows a law that is
+            not affine in ctrl, length and velocity, or runs away from where it is sent; a force
+            limit or a spring is of a kind that is not read; a tendon or an equality acts on no
+            joint; or an equality is not linear.
     """
     moment = np.zeros((model.nu, model.nv))
     gain, bias = np.zeros(model.nu), np.zeros((model.nu, 3))
@@ -63,6 +64,7 @@ def actuation_from_mujoco(model: Any) -> Actuation:
         gain[i] = model.actuator_gainprm[i, 0]
         if law[1] == _BIAS_AFFINE:
             bias[i] = model.actuator_biasprm[i, :3]
+            _check_restoring(name, bias[i])
     stops, values, names = _stops(model)
     stiffness, spring_torque = _springs(model)
     return Actuation(
@@ -80,6 +82,20 @@ def actuation_from_mujoco(model: Any) -> Actuation:
         stiffness=stiffness,
         spring_torque=spring_torque,
     )
+
+
+def _check_restoring(name: str, bias: FloatArray) -> None:
+    """See that an actuator's force does not grow with its own length or velocity.
+
+    Raises:
+        ModelError: It does: a servo of negative kp or kv runs away from where it is sent.
+    """
+    for slope, gain in ((float(bias[1]), "kp"), (float(bias[2]), "kv")):
+        if slope > 0.0:
+            raise ModelError(
+                f"actuator {name!r} has {gain} = {-slope:g} (biasprm {bias.tolist()}): it drives "
+                f"its joint away from where it is sent; give a {gain} of at least 0"
+            )
 
 
 def _ranges(ranges: FloatArray, limited: ArrayLike) -> FloatArray:
@@ -143,6 +159,11 @@ def _stops(model: Any) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
 
     def add(name: str, row: FloatArray, value: float) -> None:
         size = float(np.abs(row).max(initial=0.0))
+        if size == 0.0:
+            raise ModelError(
+                f"{name.rpartition(' ')[0]} acts on no joint: all its coefficients are 0; give "
+                "coefficients, or leave it out"
+            )
         rows.append(row / size)
         values.append(value / size)
         names.append(name)

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import os
 import re
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from planner.errors import ModelError
+from planner.errors import ModelError, NotFoundError
 
 __all__ = [
     "compile_balanced",
@@ -38,6 +39,15 @@ IMPOSSIBLE_INERTIA = "A + B >= C"
 """
 
 _ROS_SCHEME = re.compile(r"package:/{1,2}")  # MuJoCo drops one of the two slashes of a URL
+_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+_JOINT = re.compile(r"<joint\s(?=[^>]*\btype\s*=)[^>]*?\bname\s*=\s*[\"']([^\"']*)[\"']")
+_MIMIC = re.compile(
+    r"<joint\s[^>]*?\bname\s*=\s*[\"']([^\"']*)[\"'](?:(?!</joint>).)*?"
+    r"<mimic\s[^>]*?\bjoint\s*=\s*[\"']([^\"']*)[\"']",
+    re.DOTALL,
+)
+"""The joint that follows, and the one that it follows."""
+
 _INCLUDE = re.compile(r"<(?:include|model)\s[^>]*file\s*=\s*[\"']([^\"']+)[\"']")
 
 
@@ -45,7 +55,9 @@ def load_spec(path: Path) -> Any:
     """Read an MJCF or URDF file into a fresh ``mujoco.MjSpec``.
 
     Raises:
-        ModelError: The file is missing, MuJoCo cannot read it, or it holds no body.
+        ModelError: The file is missing, MuJoCo cannot read it, it holds no body, or a URDF has
+            two joints of one name or one that mimics itself.
+        NotFoundError: A joint of a URDF mimics one that does not exist.
     """
     if not path.is_file():
         raise ModelError(f"there is no model file {path}; give the path of an MJCF or URDF file")
@@ -57,7 +69,9 @@ def load_spec(path: Path) -> Any:
     if len(spec.bodies) < 2:  # the world is one
         raise ModelError(f"{path} holds no body; {_what_to_load_instead(path)}")
     spec.compiler.fusestatic = False  # a palm without joint must not vanish in the world
-    if "<robot" in path.read_text(encoding="utf-8", errors="replace"):
+    text = path.read_text(encoding="utf-8", errors="replace")
+    if "<robot" in text:
+        _check_joints(text, path)
         for mimic in spec.equalities:  # a URDF has no word for how soft a gear is
             mimic.solref, mimic.solimp = RIGID_SOLREF, RIGID_SOLIMP
     for mesh in spec.meshes:
@@ -65,6 +79,40 @@ def load_spec(path: Path) -> Any:
         if found:
             mesh.file = str(_ros_file(mesh.file[found.end() :], path))
     return spec
+
+
+def _check_joints(urdf: str, path: Path) -> None:
+    """See that a URDF says which joint is meant, where MuJoCo would go on in silence.
+
+    MuJoCo takes the name from the second of two joints of one name, and drops a ``<mimic>`` of a
+    joint that is not there, so that its own joint moves by itself.
+
+    Raises:
+        ModelError: Two joints share a name, or one mimics itself.
+        NotFoundError: A ``<mimic>`` names a joint that does not exist.
+    """
+    urdf = _COMMENT.sub("", urdf)
+    joints = _JOINT.findall(urdf)
+    for name, count in Counter(joints).items():
+        if count > 1:
+            raise ModelError(
+                f"{path} has {count} joints called {name!r} (repeated name); give each its own, "
+                "and correct what refers to it"
+            )
+    for follower, followed in _MIMIC.findall(urdf):
+        if follower == followed:
+            raise ModelError(
+                f"{path}: joint {follower!r} mimics itself; name the joint that it follows, or "
+                "take its <mimic> away"
+            )
+        if followed not in joints:
+            raise NotFoundError(
+                f"joint of {path} that {follower!r} can mimic",
+                followed,
+                joints,
+                f"Correct the <mimic> of {follower!r} in the file: as it stands, MuJoCo lets that "
+                "joint move by itself.",
+            )
 
 
 def compile_spec(spec: Any, what: str) -> Any:

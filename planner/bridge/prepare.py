@@ -15,6 +15,7 @@ import numpy as np
 
 from planner.bridge.load import RIGID_SOLIMP, RIGID_SOLREF, compile_spec
 from planner.bridge.moments import tendon_row
+from planner.bridge.numbers import check_repeated_names
 from planner.description import ActuatorDescription, HandDescription
 from planner.errors import HandError, NotFoundError
 
@@ -66,7 +67,9 @@ def isolate_base(spec: Any, base_body: str, what: str) -> None:
 
     Raises:
         NotFoundError: There is no such body.
+        ModelError: Two parts of a kind share a name.
     """
+    check_repeated_names(spec, what)
     base = _need(spec.bodies, "body", base_body, what)
     for part in (*spec.keys, *spec.sensors, *spec.cameras, *spec.lights, *spec.skins):
         spec.delete(part)
@@ -137,6 +140,8 @@ def repair_spec(spec: Any, description: HandDescription, what: str) -> None:
             joint.frictionloss = defaults.frictionloss
         if defaults.armature is not None:
             joint.armature = defaults.armature
+        if defaults.least_armature is not None:
+            joint.armature = max(joint.armature, defaults.least_armature)
 
 
 def add_described_parts(spec: Any, description: HandDescription, what: str) -> None:

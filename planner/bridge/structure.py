@@ -64,6 +64,7 @@ class JointPart:
         limits: Lower and upper end of its range, rad or m; None if it has none.
         damping: N m s/rad (N s/m).
         frictionloss: N m (N).
+        armature: Inertia of its rotor seen from the joint, kg m^2 (kg).
         effort: Largest torque the model lets actuators put on it, N m (N); infinite if not said.
     """
 
@@ -73,6 +74,7 @@ class JointPart:
     limits: tuple[float, float] | None
     damping: float
     frictionloss: float
+    armature: float
     effort: float
 
 
@@ -207,6 +209,7 @@ def _joint(model: Any, j: int) -> JointPart:
         limits=(low, high) if limited else None,
         damping=float(model.dof_damping[first]),
         frictionloss=float(model.dof_frictionloss[first]),
+        armature=float(model.dof_armature[first]),
         effort=effort,
     )
 

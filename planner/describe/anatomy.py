@@ -34,6 +34,9 @@ GRIPPER = -0.85
 """Cosine between the opposer's closing axis and that of the others below which the fingers close
 against each other and not against the palm."""
 
+GRIPPER_FINGERS = 2
+"""Fingers of a gripper: too few for a grasp with point contacts."""
+
 MOST_FINGERS = 4
 """Fingers that take part in a grasp unless the task says otherwise: the opposer and three more."""
 
@@ -199,6 +202,12 @@ def default_fingers(
     if len(names) > MOST_FINGERS:
         why += f"; of those the {MOST_FINGERS - 1} nearest to it"
     notes.because("default_fingers", ", ".join(chosen), why)
+    if len(chosen) == GRIPPER_FINGERS:
+        notes.ask(
+            f"this is a gripper of two fingers, {' and '.join(chosen)}: point contacts of two "
+            "fingers close no grasp, so opposable run refuses it; plan from Python with "
+            'contact_model="soft"'
+        )
     return chosen
 
 

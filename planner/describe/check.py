@@ -11,6 +11,7 @@ from planner.bridge.measure import body_positions, geom_distance, touching_geoms
 from planner.bridge.pinocchio_model import body_name
 from planner.describe.gaps import TOUCHING
 from planner.describe.grip import check_pads, check_postures
+from planner.describe.overlaps import check_overlaps
 from planner.describe.report import CheckReport, Finding, JointRow, TouchRow, WorkspaceRow
 from planner.hand import Hand
 from planner.kinematics import HandState
@@ -21,6 +22,9 @@ __all__ = ["check_hand"]
 
 SAMPLES = 500
 """Random configurations from which a finger's workspace is told."""
+
+STANDARD_GRAVITY = 9.81
+"""m/s^2."""
 
 KINEMATICS_TOL = 1e-10
 """Difference (m) between Pinocchio and MuJoCo that is rounding."""
@@ -41,6 +45,9 @@ def check_hand(hand: Hand, *, seed: int = 0) -> CheckReport:
     fingers = hand.choose_fingers()
     postures = check_postures(hand, fingers, findings)
     joints = _joints(hand, findings)
+    _check_weight(hand, findings)
+    if all(f.level != "error" for f in findings):
+        check_overlaps(hand, findings)
     return CheckReport(
         hand=hand.name,
         joints=joints,
@@ -95,6 +102,39 @@ def _joints(hand: Hand, findings: list[Finding]) -> tuple[JointRow, ...]:
             )
         )
     return tuple(out)
+
+
+def _check_weight(hand: Hand, findings: list[Finding]) -> None:
+    """Note actuators that cannot bear the hand's own links in the pinch posture, however turned.
+
+    An actuator counts with its largest force anywhere in its range: at the end of a range a stop
+    helps.
+    """
+    if "pinch" not in hand.description.postures:
+        return
+    q, drive = hand.posture("pinch"), hand.actuation
+    by_ctrl = np.abs(drive.gain) * (drive.ctrl_range[:, 1] - drive.ctrl_range[:, 0])
+    most = np.minimum(np.abs(drive.force_range).max(axis=1), by_ctrl)
+    model = hand.pin_model.copy()
+    needed = np.zeros(len(most))
+    for direction in np.vstack([np.eye(3), -np.eye(3)]):
+        model.gravity.linear = STANDARD_GRAVITY * direction
+        torque = pin.computeGeneralizedGravity(model, model.createData(), q)
+        force, _ = drive.split_torque(q, np.asarray(torque) + drive.passive_torque(q))
+        needed = np.maximum(needed, np.abs(force))
+    weak = np.flatnonzero(needed > most)
+    if weak.size:
+        worst = int(weak[np.argmax(needed[weak] / most[weak])])
+        findings.append(
+            Finding(
+                level="warning",
+                what=f"{_listed([drive.names[i] for i in weak])} cannot bear the weight of the "
+                f"links: in the pinch posture {drive.names[worst]} needs {needed[worst]:.3g} N m "
+                f"(N) and makes {most[worst]:.3g} at most",
+                what_to_do="correct the masses of the links, or give the actuators more force or "
+                "wider control ranges",
+            )
+        )
 
 
 def _couplings(hand: Hand) -> tuple[str, ...]:

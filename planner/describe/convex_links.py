@@ -27,6 +27,10 @@ class ConvexLink:
         kind: "sphere", "capsule", "cylinder", "box", "ellipsoid" or "mesh".
         center: (3,), m: its origin.
         rotation: (3, 3): its axes.
+        vertices: (n, 3), of a mesh's hull, m, in its own axes, as all that follows.
+        facets: (m, 4), outward unit normals and offsets of the hull's facets.
+        points: (k, 3), the points that ``triangles`` counts.
+        triangles: (m, 3), corners of the facets.
     """
 
     def __init__(self, geometry: LinkGeometry) -> None:
@@ -37,10 +41,13 @@ class ConvexLink:
         self.size = geometry.size
         self.vertices = np.zeros((0, 3))
         self.facets = np.zeros((0, 4))
+        self.points = np.zeros((0, 3))
+        self.triangles = np.zeros((0, 3), dtype=np.int64)
         if self.kind == "mesh":
             hull = ConvexHull(np.array(geometry.geometry.points()))
             self.vertices = hull.points[hull.vertices]
             self.facets = hull.equations
+            self.points, self.triangles = hull.points, hull.simplices
 
     def support_points(self, directions: FloatArray) -> FloatArray:
         """The furthest point of the body along each unit direction: (n, 3) -> (n, 3), m."""

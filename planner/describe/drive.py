@@ -23,6 +23,7 @@ __all__ = [
     "PadContact",
     "impossible_couplings",
     "joint_defaults",
+    "joint_stops",
     "missing_servos",
     "stops_and_springs",
 ]
@@ -44,17 +45,18 @@ seconds."""
 STICKIEST_JOINT = 0.3
 """Share of a servo's force that dry friction may eat (-)."""
 
-USUAL_ARMATURE = {"hinge": 2e-4, "slide": 1e-2}
-"""Inertia (kg m2, kg) of a small geared motor seen from the joint."""
+USUAL_ARMATURE = 2e-4
+"""Inertia (kg m2) of a small geared motor seen from the joint."""
 
 LEAST_TRAVEL = 0.05
 """A coupling that leaves every joint that it ties less than this share of its range is wrong."""
 
+AGREED = 0.8
+"""Share of contacts that run a joint to one end of its range, less the share that run it to the
+other, below which the stop is asked about: nine of ten agree."""
+
 NARROW = 0.25
 """A tendon whose limits are nearer together than this share of what the joints allow ties them."""
-
-SAMPLES = 64
-"""Configurations at which is seen which side of a tendon's limits resists a contact."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,6 +174,71 @@ def stops_and_springs(
     return Drive(couplings=tuple(out), reasons=tuple(reasons))
 
 
+def joint_stops(
+    structure: ModelStructure,
+    held: Sequence[FloatArray],
+    lower: FloatArray,
+    upper: FloatArray,
+    contacts: Sequence[PadContact],
+) -> Drive:
+    """Stops for joints that one actuator drives together: it holds their sum and nothing else.
+
+    The rest is left to contact. A contact that presses on the pad runs one of the joints to an end
+    of its range, and there the other ones are driven alone. Of the ends that the contacts run to,
+    the one nearest to zero is taken, so that the finger is as stretched as it can be.
+
+    Args:
+        structure: The hand.
+        held: Rows (nv,) of actuators and couplings.
+        lower: Joint limits (nv,).
+        upper: Joint limits (nv,).
+        contacts: What contacts ask of the joints.
+    """
+    names = [j.name for j in structure.joints]
+    rows, out = list(held), []
+    reasons, questions = [], []
+    for actuator in structure.actuators:
+        together = [int(k) for k in np.flatnonzero(actuator.row)]
+        listed = " and ".join(names[k] for k in together)
+        while len(together) > 1:
+            ends = []
+            for k in together:
+                unit = np.eye(len(names))[k]
+                if _in_span(unit, rows):
+                    continue
+                balance = _balance(unit, rows, contacts)
+                at_lower = balance >= 0 if balance else abs(lower[k]) <= abs(upper[k])
+                end = lower[k] if at_lower else upper[k]
+                ends.append((abs(end), k, 1.0 if at_lower else -1.0, float(end), balance))
+            if not ends:
+                break
+            _, k, sign, end, balance = min(ends)
+            rows.append(np.eye(len(names))[k])
+            name = f"{names[k]}_stop"
+            out.append(
+                CouplingDescription(
+                    name=name, joints={names[k]: sign}, value=_tidy(sign * end), kind="stop"
+                )
+            )
+            reasons.append(
+                Reason(
+                    key=f"couplings.{name}",
+                    value=f"{'lower' if sign > 0 else 'upper'} end of the range of {names[k]}",
+                    why=f"actuator {actuator.name} drives {listed} together and holds their sum "
+                    f"alone: a contact that presses on the pad runs {names[k]} to this end of its "
+                    "range. No motor and no tie is added; if a gear of your hand ties the joints, "
+                    'describe it instead with kind = "equality"',
+                )
+            )
+            if abs(balance) < AGREED:
+                questions.append(
+                    f"{listed} share the actuator {actuator.name}, and contacts on the pad run "
+                    f"{names[k]} to either end of its range, as the finger stands: the stop at "
+                    f"{end:.3g} holds in {50 * (1 + abs(balance)):.0f} % of the configurations"
+                )
+    return Drive(couplings=tuple(out), reasons=tuple(reasons), questions=tuple(questions))
+
+
 def missing_servos(
     structure: ModelStructure,
     held: Sequence[FloatArray],
@@ -184,10 +251,11 @@ def missing_servos(
         structure: The hand.
         held: Rows (nv,) of actuators and couplings.
         joints: Every joint, in the order in which servos are preferred.
-        inertia: (nv,), what each joint has to move, kg m2 (kg).
+        inertia: (nv,), what each joint moves in the model, its rotor included, kg m2 (kg).
     """
     rows = list(held)
-    groups: dict[tuple[float, float, float], list[str]] = {}
+    inertia = inertia + _missing_armature(structure)
+    groups: dict[tuple[float, float], list[str]] = {}
     reasons, questions = [], []
     unsaid, unbelieved = [], []
     for j in joints:
@@ -204,16 +272,21 @@ def missing_servos(
             unbelieved.append(part.name)
             effort = USUAL_EFFORT[part.kind]
         kp = _two_digits(effort / SERVO_TRAVEL[part.kind])
-        groups.setdefault((kp, effort, 0.0), []).append(part.name)
+        groups.setdefault((kp, effort), []).append(part.name)
     index = {j.name: k for k, j in enumerate(structure.joints)}
     actuators = []
-    for (kp, effort, _), names in groups.items():
-        heaviest = max(inertia[index[n]] for n in names)
+    for (kp, effort), names in groups.items():
+        critical = [2 * np.sqrt(kp * inertia[index[n]]) for n in names]
+        own = [structure.joints[index[n]].damping for n in names]
+        # a joint's own damping does its part; one that is too large is replaced (joint_defaults)
+        missing = [
+            c - d if d <= SLOWEST_JOINT * kp else c / 2 for c, d in zip(critical, own, strict=True)
+        ]
         actuators.append(
             ActuatorDescription(
                 joints=tuple(names),
                 kp=kp,
-                damping=_two_digits(2 * np.sqrt(kp * heaviest)),
+                damping=_two_digits(max(*missing, 0.0)),
                 force_limit=effort,
             )
         )
@@ -224,7 +297,8 @@ def missing_servos(
                 value=f"position servos for {sum(len(a.joints) for a in actuators)} joints",
                 why="neither an actuator nor a coupling of the model holds them; kp brings the "
                 f"whole force at {SERVO_TRAVEL['hinge']} rad ({1e3 * SERVO_TRAVEL['slide']:g} mm), "
-                "damping is critical for the inertia that the heaviest of them moves",
+                "damping makes that of the joint critical for the inertia that the heaviest of "
+                "them moves, rotor and all",
             )
         )
     if unbelieved:
@@ -244,7 +318,15 @@ def missing_servos(
 def joint_defaults(
     structure: ModelStructure, added: Sequence[ActuatorDescription], inertia: FloatArray
 ) -> tuple[JointDefaults, tuple[Reason, ...]]:
-    """Damping, friction and armature that replace those with which no servo could work."""
+    """Damping and friction with which servos work, and rotors for joints that have none.
+
+    Args:
+        structure: The hand.
+        added: Proposed servos.
+        inertia: (nv,), what each joint moves in the model, its rotor included, kg m2 (kg).
+    """
+    if added:
+        inertia = inertia + _missing_armature(structure)
     n = len(structure.joints)
     index = {j.name: k for k, j in enumerate(structure.joints)}
     kp, force = np.full(n, np.nan), np.full(n, np.inf)
@@ -284,17 +366,24 @@ def joint_defaults(
                 f"servo gives {force[worst]:g} at most: it would hardly move",
             )
         )
-    if added:
-        values["armature"] = USUAL_ARMATURE["hinge"]
+    if added and _missing_armature(structure).any():
+        values["least_armature"] = USUAL_ARMATURE
+        kept = [j.name for j in structure.joints if j.armature >= USUAL_ARMATURE]
         reasons.append(
             Reason(
-                key="joint_defaults.armature",
-                value=f"{USUAL_ARMATURE['hinge']:g} kg m2",
+                key="joint_defaults.least_armature",
+                value=f"{USUAL_ARMATURE:g} kg m2",
                 why="the proposed servos have rotors, which the model does not know; light links "
-                "would swing at rates that a time step of 2 ms does not resolve",
+                "would swing at rates that a time step of 2 ms does not resolve"
+                + (f"; {_listed(kept)} keep the armature that the model gives" if kept else ""),
             )
         )
     return JointDefaults(**values), tuple(reasons)
+
+
+def _missing_armature(structure: ModelStructure) -> FloatArray:
+    """What each joint's rotor (nv,) lacks of a usual one, kg m2 (kg)."""
+    return np.maximum(USUAL_ARMATURE - np.array([j.armature for j in structure.joints]), 0.0)
 
 
 def _is_driven(structure: ModelStructure, tendon: TendonPart) -> bool:
@@ -305,18 +394,24 @@ def _is_driven(structure: ModelStructure, tendon: TendonPart) -> bool:
 def _resisting_side(
     row: FloatArray, held: Sequence[FloatArray], contacts: Sequence[PadContact]
 ) -> float:
-    """+1 if the contacts need a push towards larger row @ q, -1 if towards smaller.
+    """+1 if the contacts need a push towards larger row @ q, -1 if towards smaller."""
+    return 1.0 if _balance(row, held, contacts) >= 0 else -1.0
+
+
+def _balance(row: FloatArray, held: Sequence[FloatArray], contacts: Sequence[PadContact]) -> float:
+    """Share of the contacts that need a push towards larger row @ q, less that of the others.
 
     What nothing holds decides: the wanted torque and the row are looked at outside the span of the
-    rows that hold; along the row itself where everything is held.
+    rows that hold; along the row itself where everything is held. Contacts that ask nothing of the
+    row do not count; 0 if none does.
     """
     basis = np.array(held).reshape(-1, len(row))
     free = np.eye(len(row)) - np.linalg.pinv(basis) @ basis if len(basis) else np.eye(len(row))
     part = free @ row
     if np.linalg.norm(part) < 1e-6 * np.linalg.norm(row):
         part = row
-    votes = [np.sign(part @ c.torque) for c in contacts]
-    return 1.0 if sum(votes) >= 0 else -1.0
+    votes = [float(np.sign(part @ c.torque)) for c in contacts if (c.torque * row).any()]
+    return sum(votes) / len(votes) if votes else 0.0
 
 
 def _in_span(row: FloatArray, rows: Sequence[FloatArray]) -> bool:

@@ -10,6 +10,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from planner.bridge import LinkGeometry
 from planner.hand import Hand
 from planner.proximity import DistancePair
 from planner.spatial import SE3, FloatArray
@@ -38,6 +39,11 @@ class HandGaps:
             if a.joint_id != b.joint_id and frozenset((a.name, b.name)) not in hand.allowed_pairs
         ]
         self._handles: dict[tuple[float, float], list[DistancePair]] = {}
+
+    @property
+    def pairs(self) -> tuple[tuple[LinkGeometry, LinkGeometry], ...]:
+        """The geometries (n_pairs) whose distances ``between_parts`` gives."""
+        return tuple((self._geometries[i], self._geometries[j]) for i, j, _ in self._pairs)
 
     def between_parts(self, placements: Any) -> FloatArray:
         """Signed distance (n_pairs,), m; beyond ``near`` a lower bound.

@@ -27,6 +27,9 @@ LEAST_GAP, LEAST_OPENING = 0.01, 0.03
 """Free width (m) between the pads below which pinch does not hold anything, and open is not wide
 enough for what people grasp."""
 
+MOVED = 1e-4
+"""Change of a joint (rad, m) above which a posture counts as moved onto the couplings."""
+
 ROUND_TOL = 2e-3
 """How far (m) a pad's geom may stand out before its sphere within the cone without a word."""
 
@@ -34,6 +37,7 @@ ROUND_TOL = 2e-3
 def check_pads(hand: Hand, findings: list[Finding]) -> tuple[PadRow, ...]:
     """Every pad against its geom, and whether its finger can press; what is wrong is noted."""
     solids = {g.name: ConvexLink(g) for g in hand.geometries}
+    taking_part = {f.name for f in hand.choose_fingers()}
     joint = {g.name: g.joint_id for g in hand.geometries}
     presses = _presses(hand)
     out = []
@@ -54,7 +58,7 @@ def check_pads(hand: Hand, findings: list[Finding]) -> tuple[PadRow, ...]:
             depth_error=solid.depth(pad.center) - pad.radius,
             stands_out=float((solid.support(directions) - sphere).max()),
             hidden=max(beside - own, 0.0),
-            presses=presses.get(finger.name, np.nan),
+            presses=presses.get(finger.name),
         )
         out.append(row)
         if row.hidden > TOUCHING + 1e-4:
@@ -76,7 +80,17 @@ def check_pads(hand: Hand, findings: list[Finding]) -> tuple[PadRow, ...]:
                     what_to_do="make half_angle_deg smaller, or give the tip a sphere or capsule",
                 )
             )
-        if row.presses < LEAST_PRESS:
+        if row.presses is None:
+            if finger.name in taking_part and presses:
+                findings.append(
+                    Finding(
+                        level="error",
+                        what=f"it cannot be told how hard {finger.name} presses",
+                        what_to_do="pads of the pinch posture must lie apart, and every actuator "
+                        "needs finite forces",
+                    )
+                )
+        elif row.presses < LEAST_PRESS:
             findings.append(
                 Finding(
                     level="error" if row.presses <= 0 else "warning",
@@ -90,7 +104,10 @@ def check_pads(hand: Hand, findings: list[Finding]) -> tuple[PadRow, ...]:
 
 
 def _presses(hand: Hand) -> dict[str, float]:
-    """Force with which each default finger can press towards the others in the pinch posture."""
+    """Force with which each default finger can press towards the others in the pinch posture.
+
+    Empty without that posture; a finger whose force is not a number is left out.
+    """
     if "pinch" not in hand.description.postures:
         return {}
     q = hand.posture("pinch")
@@ -98,7 +115,9 @@ def _presses(hand: Hand) -> dict[str, float]:
     out = {}
     for finger, look in zip(hand.choose_fingers(), _looks(hand, state), strict=True):
         jacobian = state.point_jacobian(finger.pad.joint_id, state.pad_center(finger))
-        out[finger.name] = _largest_press(hand, q, np.asarray(jacobian[:3].T @ look))
+        torque = np.asarray(jacobian[:3].T @ look)
+        if np.isfinite(torque).all() and (np.abs(torque) > 0).any():
+            out[finger.name] = _largest_press(hand, q, torque)
     return out
 
 
@@ -162,16 +181,19 @@ def check_postures(
     if len(fingers) == 2:
         findings.append(
             Finding(
-                level="warning",
-                what="two fingers take part, whose contacts are no force closure without torsion",
-                what_to_do="name a third one in default_fingers, or plan with the soft-finger "
-                'contact model (contact_model="soft")',
+                level="error",
+                what="two fingers take part: a gripper, whose point contacts cannot close a grasp, "
+                "so that opposable run refuses it",
+                what_to_do="name a third finger in default_fingers if the hand has one; a gripper "
+                "is planned from Python alone, with soft contacts: GraspTask.create(hand, object, "
+                'contact_model="soft", mu_torsion=...)',
             )
         )
     out = []
     solver = PostureSolver(hand, fingers)
     for name in hand.description.postures:
         q = hand.posture(name)
+        _check_moved(hand, name, q, findings)
         state = HandState(hand, q)
         centers = np.array([state.pad_center(f) for f in fingers])
         opposer = _opposer(fingers, state)
@@ -191,6 +213,22 @@ def check_postures(
         )
     _judge_postures({r.name: r for r in out}, findings)
     return tuple(out)
+
+
+def _check_moved(hand: Hand, name: str, q: FloatArray, findings: list[Finding]) -> None:
+    """Note a posture that was moved onto the couplings, by how much, and what to write instead."""
+    moved = np.abs(q - hand.described_posture(name))
+    changed = np.flatnonzero(moved > MOVED)
+    if changed.size:
+        lines = ", ".join(f"{hand.joint_names[k]} = {q[k]:.6g}" for k in changed)
+        findings.append(
+            Finding(
+                level="note",
+                what=f"posture {name!r} violates couplings and is taken as the nearest one that "
+                f"keeps them, up to {moved.max():.3f} rad (m) away",
+                what_to_do=f"nothing; or write under [postures.{name}]: {lines}",
+            )
+        )
 
 
 def _judge_postures(rows: dict[str, PostureRow], findings: list[Finding]) -> None:

@@ -46,6 +46,15 @@ SMALLEST_RADIUS = 1e-3
 STEEPEST_FACE = np.deg2rad(40.0)
 """Angle (rad) between closing direction and a flat face up to which the face is the pad."""
 
+FLATTEST = np.deg2rad(8.0)
+"""Angle (rad) between facets of a hull that count as one face."""
+
+TANGENT_TOL = 2e-4
+"""How far (m) a ball may reach out of a face that is slightly curved; pads may by 0.5 mm."""
+
+BISECTIONS = 30
+"""Halvings of a radius: to a billionth of the body's thickness."""
+
 FACE_SHARE = 0.5
 """Where on a flat face the pad is: this share of the way from its middle to its end at the tip."""
 
@@ -90,7 +99,15 @@ def fit_pad(tip: Fingertip, solids: Sequence[ConvexLink]) -> PadFit | None:
     fits = [fit for solid in solids if (fit := _fit_geom(tip, solid, solids)) is not None]
     round_fits = [fit for fit in fits if fit.error <= FIT_TOL]
     if not round_fits:
-        return _fit_face(tip, solids) or min(fits, key=lambda fit: fit.error, default=None)
+        edge = min(fits, key=lambda fit: fit.error, default=None)
+        face = _fit_face(tip, solids)
+        if face is None:
+            hulls = [_fit_hull_face(tip, solid) for solid in solids if solid.kind == "mesh"]
+            face = max((f for f in hulls if f), key=lambda fit: fit.radius, default=None)
+            # the ball in a rounded edge is a pad only where no face has room for a larger one
+            if face is not None and edge is not None and face.radius <= edge.radius:
+                face = None
+        return face or edge
     widest = max(fit.half_angle for fit in round_fits)
     good = [fit for fit in round_fits if fit.half_angle > widest - NEARLY_AS_WIDE]
     return min(good, key=lambda fit: fit.error)
@@ -141,6 +158,62 @@ def _fit_face(tip: Fingertip, solids: Sequence[ConvexLink]) -> PadFit | None:
             if reach[s.name] > reach[solid.name] + 1e-5 and s.depth(s.center) < SHEET
         ),
     )
+
+
+def _fit_hull_face(tip: Fingertip, solid: ConvexLink) -> PadFit | None:
+    """A pad on the largest flat face of a hull that faces the closing side; None if none does.
+
+    The ball is the largest one that touches the face from inside at a point half-way from the
+    face's middle to its end at the tip.
+    """
+    corners = solid.points[solid.triangles]  # (n, 3, 3)
+    spans = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(spans, axis=1) / 2
+    normals = solid.facets[:, :3] @ solid.rotation.T
+    facing = normals @ tip.flexion >= np.cos(STEEPEST_FACE)
+    if not facing.any():
+        return None
+    together = normals[facing] @ normals.T >= np.cos(FLATTEST)  # (n_facing, n)
+    face = together[int(np.argmax(together @ area))]
+    weight = area[face]
+    normal = weight @ normals[face]
+    normal /= np.linalg.norm(normal)
+    middles = corners[face].mean(axis=1) @ solid.rotation.T + solid.center
+    point = weight @ middles / weight.sum()
+    along = tip.bone - normal * (normal @ tip.bone)
+    reach = corners[face].reshape(-1, 3) @ solid.rotation.T + solid.center - point
+    length = float(np.linalg.norm(along))
+    if length > FLATTEST:
+        along /= length
+        point = point + FACE_SHARE * max(float((reach @ along).max()), 0.0) * along
+    # a flat face is met at the support plane, which the facets' mean lies a little below
+    point = point + normal * (float(solid.support(normal[None])[0]) - normal @ point)
+    radius = _tangent_ball(solid, point, normal)
+    if radius < SMALLEST_RADIUS:
+        return None
+    center = point - radius * normal
+    directions = cone_directions(normal, NARROWEST)
+    return PadFit(
+        geom=solid.name,
+        center=center,
+        radius=solid.depth(center),
+        axis=normal,
+        half_angle=float(NARROWEST),
+        tilt=float(np.arccos(np.clip(normal @ tip.flexion, -1, 1))),
+        error=float((solid.support(directions) - directions @ center).max()) - radius,
+        exact=False,
+        flat=True,
+    )
+
+
+def _tangent_ball(solid: ConvexLink, point: FloatArray, normal: FloatArray) -> float:
+    """Radius (m) of the largest ball inside a body that touches it at a point with a normal."""
+    low, high = 0.0, float(np.ptp(solid.support(np.stack([normal, -normal])) * [1.0, -1.0])) / 2
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        inside = solid.depth(point - middle * normal) >= middle - TANGENT_TOL
+        low, high = (middle, high) if inside else (low, middle)
+    return low
 
 
 def _fit_geom(tip: Fingertip, solid: ConvexLink, solids: Sequence[ConvexLink]) -> PadFit | None:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.optimize import least_squares
 
+from planner.couplings import nearest_on_couplings
 from planner.describe.gaps import TOUCHING, HandGaps
 from planner.hand import Finger, Hand
 from planner.kinematics import HandState
@@ -76,6 +77,9 @@ REST_SHARE = 0.35
 
 MOST_BENT = 0.55
 """Resting place (rad) that no joint exceeds, however far it bends."""
+
+RANGE_TOL = 1e-9
+"""How far (rad or m) a follower may leave its range by rounding alone."""
 
 GOOD_DISTANCE, GOOD_OPPOSITION, GOOD_FACING = 0.004, np.deg2rad(35.0), np.deg2rad(10.0)
 """A posture is good if pads miss the ball by at most this (m), the opposer looks against the others
@@ -168,12 +172,19 @@ class PostureSolver:
         return q
 
     def rounded(self, q: FloatArray) -> FloatArray:
-        """A posture with free joints rounded to 1e-3 and the others as the couplings want."""
+        """A posture with free joints rounded to 1e-3 and the others as the couplings want.
+
+        Where rounding puts a follower out of its range, the nearest posture that keeps ranges and
+        couplings takes its place, unrounded.
+        """
         low, high = self.hand.q_lower, self.hand.q_upper
         free = np.clip(np.round(q, 3), np.ceil(low * 1e3) / 1e3, np.floor(high * 1e3) / 1e3)
         exact = np.clip(q, low, high)
         free = np.where((free >= low) & (free <= high), free, exact)
         out = self.complete(free[self._free])
+        if (np.maximum(low - out, out - high) > RANGE_TOL).any():
+            kept = nearest_on_couplings(out, self.hand.couplings, low, high)
+            out = np.clip(out, low, high) if kept is None else kept
         return np.where(np.isin(np.arange(len(q)), self._dependent), out, np.clip(out, low, high))
 
     def _from_handle(self, point: FloatArray, radius: float) -> FloatArray:

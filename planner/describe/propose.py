@@ -7,7 +7,7 @@ pads, what drives them, and last the postures, which are looked for on the hand 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,10 +30,12 @@ from planner.describe.drive import (
     Drive,
     PadContact,
     joint_defaults,
+    joint_stops,
     missing_servos,
     stops_and_springs,
 )
 from planner.describe.fingertips import Fingertip, Skeleton
+from planner.describe.overlaps import frequent_overlaps
 from planner.describe.pads import PadFit
 from planner.describe.postures import OPEN_RADII, PINCH_RADII, PosturePart, PostureSolver
 from planner.describe.proposal import Notes, Proposal
@@ -44,11 +46,10 @@ from planner.describe.repairs import (
     without_overlaps,
 )
 from planner.describe.tree import Branch, HandTree, finger_names, read_tree
-from planner.description import (
-    HandDescription,
-)
+from planner.description import CouplingDescription, HandDescription
 from planner.errors import HandError
 from planner.hand import Hand
+from planner.spatial import FloatArray
 
 __all__ = ["located", "propose"]
 
@@ -120,7 +121,9 @@ class _Proposer:
         description = self._anatomy(description)
         description = without_overlaps(self.spec, description, self.notes)
         description = self._postures(description)
-        Hand.from_spec(self.spec, description)  # what is proposed loads, or says why not
+        hand = Hand.from_spec(self.spec, description)  # what is proposed loads, or says why not
+        for overlap in frequent_overlaps(hand):
+            self.notes.ask(f"{overlap.told}; {overlap.remedy}")
         return Proposal(
             description=description,
             reasons=tuple(self.notes.reasons),
@@ -222,20 +225,19 @@ class _Proposer:
         )
         index = {j.name: k for k, j in enumerate(structure.joints)}
         held = [a.row for a in structure.actuators] + [c.row for c in equalities]
-        for coupling in stops.couplings:
-            row = np.zeros(len(structure.joints))
-            for joint, coefficient in coupling.joints.items():
-                row[index[joint]] = coefficient
-            held.append(row)
+        held += [_row(coupling, index) for coupling in stops.couplings]
+        ends = joint_stops(structure, held, skeleton.q_lower, skeleton.q_upper, contacts)
+        held += [_row(coupling, index) for coupling in ends.couplings]
         in_fingers = [j for branch, _, _ in fingers for j in branch.joints]
         order = [*tree.wrist, *in_fingers]
         order += [j for j in range(len(structure.joints)) if j not in order]
         inertia = joint_inertia(model, skeleton.neutral)
         servos = missing_servos(structure, held, order, inertia)
         defaults, why = joint_defaults(structure, servos.actuators, inertia)
-        self.notes.reasons.extend([*stops.reasons, *servos.reasons, *why])
-        self.notes.questions.extend([*stops.questions, *servos.questions])
-        drive = Drive(couplings=stops.couplings, actuators=servos.actuators)
+        self.notes.reasons.extend([*stops.reasons, *ends.reasons, *servos.reasons, *why])
+        self.notes.questions.extend([*stops.questions, *ends.questions, *servos.questions])
+        couplings = (*stops.couplings, *ends.couplings)
+        drive = Drive(couplings=couplings, actuators=servos.actuators)
         return drive, defaults
 
     def _postures(self, description: HandDescription) -> HandDescription:
@@ -260,6 +262,14 @@ class _Proposer:
                     "which the pads look at each other"
                 )
         return description.model_copy(update={"postures": postures})
+
+
+def _row(coupling: CouplingDescription, index: Mapping[str, int]) -> FloatArray:
+    """Coefficients (nv,) of a described coupling."""
+    row = np.zeros(len(index))
+    for joint, coefficient in coupling.joints.items():
+        row[index[joint]] = coefficient
+    return row
 
 
 def _told(part: PosturePart) -> str:

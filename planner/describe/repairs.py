@@ -9,6 +9,7 @@ import numpy as np
 
 from planner.bridge import compile_spec, couplings_from_mujoco
 from planner.bridge.load import compile_balanced
+from planner.bridge.numbers import check_numbers
 from planner.bridge.pinocchio_model import pinocchio_from_mujoco
 from planner.bridge.prepare import name_parts, prepare_spec
 from planner.bridge.structure import structure_of
@@ -122,10 +123,17 @@ def without_overlaps(spec: Any, description: HandDescription, notes: Notes) -> H
 
 
 def prepared_model(spec: Any, description: HandDescription, what: str) -> Any:
-    """The compiled hand alone, repaired and named as a description asks."""
+    """The compiled hand alone, repaired and named as a description asks.
+
+    Raises:
+        NotFoundError: The base, or a part to be repaired, is not there.
+        ModelError: MuJoCo refuses the hand, or a number in it is none of a hand's.
+    """
     spec = spec.copy()
     prepare_spec(spec, description, what)
-    return compile_spec(spec, what)
+    model = compile_spec(spec, what)
+    check_numbers(model, what)
+    return model
 
 
 def _overlapping(hand: Hand) -> tuple[tuple[str, str], ...]:

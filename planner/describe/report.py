@@ -80,7 +80,8 @@ class PadRow:
         depth_error: Depth of its centre in the geom less its radius, m.
         stands_out: How far the geom stands out before the sphere within the cone, m.
         hidden: How far another geom of the link stands out before both along the axis, m.
-        presses: Force along the pad's look that the actuators make in the pinch posture, N.
+        presses: Force along the pad's look that the actuators make in the pinch posture, N; None
+            for a finger that takes no part in it.
     """
 
     finger: str
@@ -91,7 +92,7 @@ class PadRow:
     depth_error: float
     stands_out: float
     hidden: float
-    presses: float
+    presses: float | None
 
 
 @dataclass(frozen=True, kw_only=True)

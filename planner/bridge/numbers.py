@@ -1,0 +1,188 @@
+"""``check_numbers``: every number of a compiled hand is finite and of a size that a hand can have.
+
+MuJoCo compiles ``inf``, ``nan`` and links of 1e11 kg without a word. What is measured on such a
+model afterwards is NaN, or no least squares ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from planner.errors import ModelError
+
+__all__ = ["check_numbers", "check_repeated_names"]
+
+MOST_LENGTH = 10.0
+"""Size or offset (m) above which a part is none of a hand, nor of the arm that carries it: files in
+millimetres are above."""
+
+MOST_MASS = 1e3
+"""Mass (kg) of a body above which it is a filler: links of the largest arms weigh some 300 kg."""
+
+MOST_INERTIA = 1e3
+"""Moment of inertia (kg m^2) and rotor inertia above which the same holds."""
+
+MOST_DAMPING = 1e5
+"""Damping (N m s/rad, N s/m) and dry friction (N m, N) above which no joint moves."""
+
+MOST_RANGE = 1e3
+"""End of a joint's range (rad, m) above which it is no range."""
+
+MOST_COEFFICIENT = 1e6
+"""Coefficient of a joint in a tendon or an equality (-, m/rad) above which it is a filler."""
+
+MOST_GAIN = 1e9
+"""Gain (N m/rad, N/m) of an actuator above which no time step resolves it."""
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    """What is looked at: arrays of ``mujoco.MjModel`` by the kind of part that they belong to."""
+
+    kind: str
+    field: str
+    what: str
+    most: float
+    unit: str
+    remedy: str = "give finite numbers in SI units"
+
+
+_MILLIMETRES = "give finite numbers in metres (a scale of 0.001 where the file is in millimetres)"
+
+_QUANTITIES = (
+    _Quantity("body", "body_pos", "position", MOST_LENGTH, "m", _MILLIMETRES),
+    _Quantity("body", "body_quat", "orientation", 1.0 + 1e-6, "-"),
+    _Quantity("body", "body_mass", "mass", MOST_MASS, "kg", "give the link its own mass"),
+    _Quantity("body", "body_ipos", "centre of mass", MOST_LENGTH, "m", _MILLIMETRES),
+    _Quantity("body", "body_inertia", "inertia", MOST_INERTIA, "kg m^2"),
+    _Quantity("body", "body_iquat", "inertia's axes", 1.0 + 1e-6, "-"),
+    _Quantity("geom", "geom_size", "size", MOST_LENGTH, "m", _MILLIMETRES),
+    _Quantity("geom", "geom_pos", "position", MOST_LENGTH, "m", _MILLIMETRES),
+    _Quantity("geom", "geom_quat", "orientation", 1.0 + 1e-6, "-"),
+    _Quantity("site", "site_pos", "position", MOST_LENGTH, "m", _MILLIMETRES),
+    _Quantity("joint", "jnt_axis", "axis", 1.0 + 1e-6, "-", "give a direction with a length"),
+    _Quantity("joint", "jnt_pos", "position", MOST_LENGTH, "m", _MILLIMETRES),
+    _Quantity("joint", "jnt_range", "range", MOST_RANGE, "rad or m"),
+    _Quantity("joint", "jnt_stiffness", "stiffness", MOST_GAIN, "N m/rad"),
+    _Quantity("joint", "qpos0", "reference", MOST_RANGE, "rad or m"),
+    _Quantity("joint", "qpos_spring", "spring's rest", MOST_RANGE, "rad or m"),
+    _Quantity("joint", "dof_armature", "armature", MOST_INERTIA, "kg m^2"),
+    _Quantity("joint", "dof_damping", "damping", MOST_DAMPING, "N m s/rad"),
+    _Quantity("joint", "dof_frictionloss", "frictionloss", MOST_DAMPING, "N m"),
+    _Quantity("tendon", "tendon_range", "range", MOST_GAIN, "m"),
+    _Quantity("tendon", "tendon_stiffness", "stiffness", MOST_GAIN, "N/m"),
+    _Quantity("actuator", "actuator_gear", "gear", MOST_GAIN, "-"),
+    _Quantity("actuator", "actuator_gainprm", "gain", MOST_GAIN, "N m/rad"),
+    _Quantity("actuator", "actuator_biasprm", "bias", MOST_GAIN, "N m/rad"),
+)
+
+
+def check_numbers(model: Any, what: str) -> None:
+    """See that a compiled ``mujoco.MjModel`` of hinges and slides holds numbers of a hand.
+
+    Args:
+        model: The hand, or the hand on its arm, alone.
+        what: What it is called in messages.
+
+    Raises:
+        ModelError: A number is NaN, infinite, or larger than any hand's; the message names the
+            part, what is wrong with it and what is allowed.
+    """
+    for quantity in _QUANTITIES:
+        values = np.asarray(getattr(model, quantity.field), dtype=np.float64)
+        if not len(values):
+            continue
+        rows = values.reshape(len(values), -1)
+        wrong = ~(np.abs(rows) <= quantity.most)  # NaN too
+        if not wrong.any():
+            continue
+        part = int(np.argmax(wrong.any(axis=1)))
+        name = getattr(model, quantity.kind)(part).name if quantity.kind != "joint" else ""
+        if quantity.kind == "joint":
+            name = model.joint(_joint_of(model, quantity.field, part)).name
+        worst = rows[part][wrong[part]][0]
+        raise ModelError(
+            f"{what}: the {quantity.what} of {quantity.kind} {name!r} holds {worst:g}; allowed are "
+            f"numbers up to {quantity.most:g} {quantity.unit}: {quantity.remedy}"
+        )
+    _check_coefficients(model, what)
+    used = model.mesh_vert[: model.nmeshvert]
+    if not (np.abs(used) <= MOST_LENGTH).all():
+        starts = np.asarray(model.mesh_vertadr)
+        row = int(np.argmax(~(np.abs(used) <= MOST_LENGTH).all(axis=1)))
+        mesh = model.mesh(int(np.searchsorted(starts, row, side="right")) - 1).name
+        raise ModelError(
+            f"{what}: mesh {mesh!r} has a vertex at {np.round(used[row], 3).tolist()} m; allowed "
+            f"are numbers up to {MOST_LENGTH:g} m: {_MILLIMETRES}"
+        )
+
+
+def _check_coefficients(model: Any, what: str) -> None:
+    """See that tendons and equalities of joints are made of finite coefficients."""
+    parts = [
+        (f"tendon {model.tendon(t).name!r}", model.wrap_prm[start : start + count])
+        for t, (start, count) in enumerate(zip(model.tendon_adr, model.tendon_num, strict=True))
+    ]
+    parts += [
+        (f"equality {model.equality(i).name!r}", model.eq_data[i, :POLYNOMIAL])
+        for i in range(model.neq)
+    ]
+    for name, values in parts:
+        wrong = ~(np.abs(values) <= MOST_COEFFICIENT)
+        if wrong.any():
+            raise ModelError(
+                f"{what}: {name} has the coefficient {values[wrong][0]:g}; allowed are numbers up "
+                f"to {MOST_COEFFICIENT:g}: correct coef, polycoef or, in a URDF, the multiplier "
+                "and offset of <mimic>"
+            )
+    for i, (low, high) in enumerate(model.actuator_forcerange):
+        if np.isnan([low, high, *model.actuator_ctrlrange[i]]).any():
+            raise ModelError(
+                f"{what}: actuator {model.actuator(i).name!r} has NaN in its forcerange or "
+                "ctrlrange; give two numbers, the smaller one first"
+            )
+
+
+POLYNOMIAL = 5
+"""Numbers of an equality's data that are the coefficients of its polynomial."""
+
+
+def check_repeated_names(spec: Any, what: str) -> None:
+    """See that no two parts of a kind in a ``mujoco.MjSpec`` share a name.
+
+    A URDF may repeat one until MuJoCo compiles it; taking such a file apart fails without saying
+    where.
+
+    Raises:
+        ModelError: Two bodies, joints, geoms, sites, tendons or actuators share a name.
+    """
+    kinds = {
+        "body": spec.bodies,
+        "joint": spec.joints,
+        "geom": spec.geoms,
+        "site": spec.sites,
+        "tendon": spec.tendons,
+        "actuator": spec.actuators,
+        "equality": spec.equalities,
+    }
+    for kind, parts in kinds.items():
+        seen: set[str] = set()
+        for part in parts:
+            if part.name and part.name in seen:
+                raise ModelError(
+                    f"{what}: two parts of kind {kind} are called {part.name!r} (repeated name); "
+                    "rename one, and what refers to it"
+                )
+            seen.add(part.name)
+
+
+def _joint_of(model: Any, field: str, row: int) -> int:
+    """Number of the joint that row ``row`` of an array belongs to."""
+    if field.startswith("dof_"):
+        return int(model.dof_jntid[row])
+    if field.startswith("qpos"):
+        return int(np.searchsorted(np.asarray(model.jnt_qposadr), row, side="right")) - 1
+    return row

@@ -1,0 +1,117 @@
+"""Parts of a hand that overlap in many of the postures that grasps start from.
+
+A start lies between the postures ``open`` and ``pinch``, or a little beyond, with every joint moved
+at random. Where two links overlap in a large share of such postures, that share of the attempts is
+lost before it begins, and nothing else says why.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from planner.couplings import nearest_on_couplings
+from planner.describe.gaps import TOUCHING, HandGaps
+from planner.describe.report import Finding
+from planner.hand import Hand
+
+__all__ = ["Overlap", "check_overlaps", "frequent_overlaps"]
+
+POSTURES = 200
+"""Postures that are looked at: a share of 20 % is told to 3 %."""
+
+BEYOND = 0.25
+"""Share of the way from open to pinch by which postures go beyond either end."""
+
+SPREAD = 0.1
+"""Standard deviation of each joint about that way, in shares of its range."""
+
+OFTEN = 0.2
+"""Share of the postures from which on an overlap of a link with one that carries it is told: every
+fifth attempt."""
+
+HALF = 0.5
+"""The same for links of two fingers, which a descent moves apart: with joints at random, neighbours
+of the shipped and the known foreign hands overlap in up to 28 %. From here on most attempts are
+lost."""
+
+ALWAYS = 0.9
+"""Share from which on an overlap is one by construction."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Overlap:
+    """Two bodies that overlap: their names, two of their geoms, and the share of the postures."""
+
+    bodies: tuple[str, str]
+    geoms: tuple[str, str]
+    share: float
+
+    @property
+    def told(self) -> str:
+        """What is wrong, in words."""
+        return (
+            f"{self.geoms[0]} and {self.geoms[1]} overlap in {100 * self.share:.0f} % of the "
+            f"postures between open and pinch: so many attempts "
+            + ("are lost" if self.share < HALF else "are lost, and hardly any grasp is found")
+        )
+
+    @property
+    def remedy(self) -> str:
+        """What to do about it."""
+        line = f'exclude = [["{self.bodies[0]}", "{self.bodies[1]}"]] under [repair]'
+        if self.share >= ALWAYS:
+            return f"they overlap by construction: write {line}"
+        return (
+            f"if they are drawn too thick and pass each other on the real hand, write {line}; if "
+            "they do collide, narrow the joints' ranges, or choose postures open and pinch in "
+            "which they are further apart"
+        )
+
+
+def frequent_overlaps(hand: Hand, *, seed: int = 0) -> tuple[Overlap, ...]:
+    """Pairs of bodies that overlap in many postures between open and pinch, most frequent first.
+
+    Args:
+        hand: The hand, with both postures.
+        seed: Of the random joints.
+    """
+    rng = np.random.default_rng(seed)
+    wide, narrow = hand.posture("open"), hand.posture("pinch")
+    low, high = hand.q_lower, hand.q_upper
+    moving = np.unique(np.concatenate([f.q_index for f in hand.fingers.values()]))
+    gaps = HandGaps(hand, 0.0)
+    data = hand.pin_model.createData()
+    count = np.zeros(len(gaps.pairs), dtype=int)
+    for _ in range(POSTURES):
+        q = wide + rng.uniform(-BEYOND, 1 + BEYOND) * (narrow - wide)
+        q[moving] += SPREAD * (high - low)[moving] * rng.standard_normal(len(moving))
+        q = np.clip(q, low, high)
+        if hand.couplings:
+            kept = nearest_on_couplings(q, hand.couplings, low, high)
+            q = q if kept is None else kept
+        pin.forwardKinematics(hand.pin_model, data, q)
+        count += gaps.between_parts(data.oMi) < TOUCHING
+    found: dict[tuple[str, str], Overlap] = {}
+    for (a, b), times in zip(gaps.pairs, count, strict=True):
+        share = times / POSTURES
+        bodies = (a.body, b.body)
+        carried = hand.pin_model.supports[b.joint_id], hand.pin_model.supports[a.joint_id]
+        in_line = a.joint_id in list(carried[0]) or b.joint_id in list(carried[1])
+        if share >= (OFTEN if in_line else HALF) and (
+            bodies not in found or share > found[bodies].share
+        ):
+            found[bodies] = Overlap(bodies=bodies, geoms=(a.name, b.name), share=float(share))
+    return tuple(sorted(found.values(), key=lambda o: -o.share))
+
+
+def check_overlaps(hand: Hand, findings: list[Finding]) -> None:
+    """Note pairs that overlap often in the postures that grasps start from."""
+    if not {"open", "pinch"} <= set(hand.description.postures):
+        return  # the missing ones are an error already
+    findings.extend(
+        Finding(level="warning", what=overlap.told, what_to_do=overlap.remedy)
+        for overlap in frequent_overlaps(hand)
+    )
