@@ -186,7 +186,7 @@ def run_grasps(
         "objects": [item.spec for item in objects],
         "seeds": seeds,
         "mu_simulation": physics.mu,
-        "physics": physics.to_dict(),
+        "physics": {k: v for k, v in physics.to_dict().items() if k not in ("name", "mu")},
     }
     outcomes, whole = run_with_journal(
         runner,
