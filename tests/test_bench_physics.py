@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 
 from planner.errors import NotFoundError
+from sim.bench import manipulate
 from sim.bench.objects import bench_objects
 from sim.bench.physics import (
     PARTS,
@@ -107,3 +108,30 @@ def test_tables_count_and_files_go_on(tmp_path: Path) -> None:
         wide.print(*physics_tables({"rows": made}))
     cells = told.get().splitlines()[-2].split()
     assert cells == ["x", "1", "2.000", "1.000", "0.500", "2.00", "1", "0"]
+
+
+def test_turns_are_made_under_the_physics_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[dict[str, Any]] = []
+    jobs: list[manipulate.Turn] = []
+
+    def keep(
+        runner: Runner, work: object, turns: list[manipulate.Turn], **given: Any
+    ) -> dict[str, Any]:
+        del runner, work
+        jobs.extend(turns)
+        asked.append(given["asked"])
+        return {}
+
+    monkeypatch.setattr(manipulate, "run_cases", keep)
+    runner = Runner(console=Console(quiet=True), check=lambda: None, workers=1)
+    given: dict[str, Any] = {"height": 0.08, "fingers": None, "stand": 0.0, "seed": 0}
+    given |= {"file": tmp_path / "rows.jsonl", "runner": runner}
+    manipulate.run_manipulate(["allegro_hand"], ["cylinder"], 1, **given)
+    soft = PRESETS["mujoco-default"]
+    manipulate.run_manipulate(["allegro_hand"], ["cylinder"], 1, **given, physics=soft)
+    assert [job.physics for job in jobs] == [PhysicsOptions(), soft]
+    assert "physics" not in asked[0]  # files go on that were begun before there was a choice
+    assert asked[1]["physics"]["name"] == "mujoco-default"
+    assert "mu" not in asked[1]["physics"]  # it is drawn
