@@ -1,9 +1,19 @@
-"""How MuJoCo computes: solver, integrator, friction and contact stiffness, each with its reason."""
+"""How MuJoCo computes: solver, integrator, cone, friction and contact stiffness, with reasons.
+
+Named sets of these numbers are in ``sim.presets``; a file holds one too::
+
+    PhysicsOptions.named("mujoco-default")
+    physics_for("my_scene.toml")
+
+What the numbers do to a held object is derived in ``sim.creep``.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from types import MappingProxyType
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -11,7 +21,10 @@ import numpy as np
 from planner.errors import TaskError
 from planner.spatial import FloatArray
 
-__all__ = ["CONTACT_SOLIMP", "CONTACT_SOLREF", "MU_ROLLING", "PhysicsOptions"]
+__all__ = ["CONTACT_SOLIMP", "CONTACT_SOLREF", "MU_ROLLING", "OURS", "PhysicsOptions"]
+
+OURS = "ours"
+"""Name of the defaults."""
 
 CONTACT_SOLREF = (0.005, 1.0)
 """Time constant (s) and damping ratio (-) of contacts: 2.5 time steps, about as stiff as the step
@@ -26,62 +39,189 @@ MU_ROLLING = 0.001
 at a push of 3 % of its weight. It resembles felt more than glass, and lets an object stand still
 until the fingers have closed."""
 
+Cone = Literal["elliptic", "pyramidal"]
+Integrator = Literal["euler", "implicit", "implicitfast"]
+
+CONES: Mapping[str, int] = MappingProxyType(
+    {
+        "elliptic": int(mujoco.mjtCone.mjCONE_ELLIPTIC),
+        "pyramidal": int(mujoco.mjtCone.mjCONE_PYRAMIDAL),
+    }
+)
+INTEGRATORS: Mapping[str, int] = MappingProxyType(
+    {
+        "euler": int(mujoco.mjtIntegrator.mjINT_EULER),
+        "implicit": int(mujoco.mjtIntegrator.mjINT_IMPLICIT),
+        "implicitfast": int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST),
+    }
+)
+"""By MuJoCo's names. Runge-Kutta is left out: it ignores the servos' damping, and MuJoCo advises
+against it where there are contacts."""
+
+CONDIMS = (3, 4, 6)
+"""Dimensions of a contact that a grasp can live with: sliding; and torsion; and rolling. 1 has no
+friction."""
+
+SAFE_STEPS = 2.0
+"""Least time constant of a contact in time steps; MuJoCo silently raises what is shorter."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PhysicsOptions:
     """How MuJoCo computes. The defaults state their reason; a report repeats what was used.
 
-    The constraint Jacobian is always dense and the cone always elliptic: mujoco 4.0.0 factorises
-    sparse Hessians wrongly, and pyramidal cones creep some twenty times faster.
+    Solref, solimp, condim and friction are those of every contact of the object. The constraint
+    Jacobian is always dense: mujoco 4.0.0 factorises sparse Hessians wrongly.
 
     Attributes:
+        name: What the set of numbers is called in reports.
         timestep: s. Twice as short as DexGraspBench's 4 ms; the servo loop runs at the same rate.
+        integrator: "implicitfast" takes the servos' damping implicitly; "euler" only the joints'.
+        cone: "elliptic" is Coulomb's; "pyramidal" has four or six facets, and creeps faster.
+        condim: Dimensions of contacts between object and hand: 3 slides, 4 also twists, 6 also
+            rolls.
         mu: Sliding friction between hand, object, table and obstacles (-). 0.6 where planning
             relies on 0.5 is the margin that a plan has.
         mu_torsion: Torsional friction (m): MuJoCo's default, a contact patch of some millimetres.
+        mu_rolling: Rolling friction (m), where contacts have 6 dimensions: those of table and
+            obstacles always have.
         impratio: Ratio of frictional to normal impedance (-): 10 makes friction hold instead of
             creep, and is what the peers use.
         noslip_iterations: Extra iterations that take the rest of the creep out of friction. A ball
             held by four fingers creeps 100 um/s with 0, 22 with 2, 6 with 5 or 10; the time is the
             same.
         iterations: Limit of solver iterations per step.
+        solref: Time constant (s) and damping ratio (-) of contacts.
+        solimp: Impedance of contacts: at touch (-), at depth (-), the depth (m), midpoint (-),
+            power (-).
     """
 
+    name: str = OURS
     timestep: float = 0.002
+    integrator: Integrator = "implicitfast"
+    cone: Cone = "elliptic"
+    condim: int = 4
     mu: float = 0.6
     mu_torsion: float = 0.005
+    mu_rolling: float = MU_ROLLING
     impratio: float = 10.0
     noslip_iterations: int = 10
     iterations: int = 100
+    solref: tuple[float, float] = CONTACT_SOLREF
+    solimp: tuple[float, float, float, float, float] = CONTACT_SOLIMP
 
     def __post_init__(self) -> None:
         """Check every number."""
         for name in ("timestep", "impratio"):
+            _number(name, getattr(self, name), "a finite number > 0", above=0.0)
+        for name in ("mu", "mu_torsion", "mu_rolling"):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise TaskError(f"{name} is {value}; give a finite number > 0")
-        for name in ("mu", "mu_torsion"):
+            _number(f"{name} in simulation", value, "a finite number >= 0", least=0.0)
+        for name, lowest in (("noslip_iterations", 0), ("iterations", 1)):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
-                raise TaskError(f"{name} in simulation is {value}; give a finite number >= 0")
-        if self.noslip_iterations < 0 or self.iterations < 1:
-            raise TaskError("noslip_iterations must be >= 0 and iterations >= 1")
+            if isinstance(value, bool) or not isinstance(value, int) or value < lowest:
+                raise TaskError(f"{name} is {value!r}; give {name} >= {lowest}, a whole number")
+        for name, allowed in (("integrator", INTEGRATORS), ("cone", CONES), ("condim", CONDIMS)):
+            value = getattr(self, name)
+            if isinstance(value, bool | list | dict) or value not in allowed:
+                known = ", ".join(str(a) for a in allowed)
+                raise TaskError(f"{name} is {value!r}; give one of {known}")
+        if not isinstance(self.name, str) or not self.name:
+            raise TaskError(f"name is {self.name!r}; give a text for reports")
+        object.__setattr__(self, "solref", _numbers("solref", self.solref, 2))
+        object.__setattr__(self, "solimp", _numbers("solimp", self.solimp, 5))
+        _number("the time constant, solref[0],", self.solref[0], "seconds > 0", above=0.0)
+        _number("the damping ratio, solref[1],", self.solref[1], "a number > 0", above=0.0)
+        low, high, width, middle, power = self.solimp
+        if not (0 < low < 1 and 0 < high < 1 and width > 0 and 0 < middle < 1 and power >= 1):
+            raise TaskError(
+                f"solimp is {list(self.solimp)}; give impedances in (0, 1) at touch and at depth, "
+                "the depth in m > 0, a midpoint in (0, 1), and a power >= 1"
+            )
+
+    @classmethod
+    def named(cls, name: str) -> PhysicsOptions:
+        """A preset of ``sim.presets``.
+
+        Raises:
+            NotFoundError: There is none of that name.
+        """
+        from sim.presets import named_physics
+
+        return named_physics(name)
 
     @property
     def friction(self) -> tuple[float, float, float]:
         """Sliding, torsional and rolling friction as MuJoCo writes them: -, m, m."""
-        return (self.mu, self.mu_torsion, MU_ROLLING)
+        return (self.mu, self.mu_torsion, self.mu_rolling)
+
+    @property
+    def time_constant(self) -> float:
+        """Time constant (s) of contacts that MuJoCo uses: never below two time steps."""
+        return max(self.solref[0], SAFE_STEPS * self.timestep)
+
+    @property
+    def label(self) -> str:
+        """Its name; of a preset that was changed with what differs: "ours with mu 0.8"."""
+        from sim.presets import PRESETS
+
+        preset = PRESETS.get(self.name, self)
+        changed = [
+            f"{name} {_listed(value) if isinstance(value, tuple) else value}"
+            for name, value in asdict(self).items()
+            if value != getattr(preset, name)
+        ]
+        return f"{self.name} with {', '.join(changed)}" if changed else self.name
+
+    def to_dict(self) -> dict[str, Any]:
+        """Label (as "name") and all numbers as plain data, by the names of the fields."""
+        data = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+        return {**data, "name": self.label}
+
+    def __str__(self) -> str:
+        """One line with every number that decides whether a grasp holds."""
+        return (
+            f"{self.label} ({self.timestep:g} s, {self.integrator}, {self.cone} cones, condim "
+            f"{self.condim}, impratio {self.impratio:g}, noslip {self.noslip_iterations}, friction "
+            f"{self.mu:g} and {self.mu_torsion:g} m, solref {_listed(self.solref)}, solimp "
+            f"{_listed(self.solimp[:3])})"
+        )
 
     def apply(self, spec: Any, gravity: FloatArray) -> None:
         """Write the options into a ``mujoco.MjSpec``, with gravity (3,) in m/s2."""
         option = spec.option
         option.timestep = self.timestep
         option.gravity = gravity
-        option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        option.integrator = mujoco.mjtIntegrator(INTEGRATORS[self.integrator])
         option.solver = mujoco.mjtSolver.mjSOL_NEWTON
         option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
-        option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        option.cone = mujoco.mjtCone(CONES[self.cone])
         option.impratio = self.impratio
         option.noslip_iterations = self.noslip_iterations
         option.iterations = self.iterations
         option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+
+
+FIELDS = tuple(field.name for field in fields(PhysicsOptions))
+"""Names that a file may set."""
+
+
+def _number(
+    name: str, value: Any, wanted: str, *, above: float = -np.inf, least: float = -np.inf
+) -> None:
+    good = isinstance(value, int | float) and not isinstance(value, bool)
+    if not (good and np.isfinite(value) and value > above and value >= least):
+        raise TaskError(f"{name} is {value!r}; give {wanted}")
+
+
+def _numbers(name: str, value: Any, count: int) -> tuple[float, ...]:
+    wanted = f"{count} finite numbers"
+    if not isinstance(value, list | tuple) or len(value) != count:
+        raise TaskError(f"{name} is {value!r}; give {wanted}")
+    for number in value:
+        _number(f"a number of {name}", number, wanted)
+    return tuple(float(number) for number in value)
+
+
+def _listed(values: tuple[float, ...]) -> str:
+    return " ".join(f"{v:g}" for v in values)

@@ -65,7 +65,11 @@ class TrialReport:
             merged per finger, with the plan's friction and contact model; None without contacts.
             The closure in ``samples`` has the simulation's own friction.
         thresholds: Where success ends.
-        physics: Options of the simulation, as plain data.
+        physics: Name and numbers of ``PhysicsOptions``, as plain data.
+        least_creep_mm_s: Speed at which the object sinks through the fingers under this physics
+            without noslip iterations, however firm the grip (``sim.creep``).
+        remedies: Of an object that was lost: what to write into a scene so that this creep is
+            small, each enough by itself; empty if it is small.
         timeline: Durations of the phases, as plain data.
         simulated_s: Simulated time.
         wall_s: Time it took.
@@ -89,7 +93,9 @@ class TrialReport:
     quality_planned: QualityReport
     quality_measured: QualityReport | None
     thresholds: Thresholds
-    physics: dict[str, float]
+    physics: dict[str, Any]
+    least_creep_mm_s: float
+    remedies: tuple[str, ...]
     timeline: dict[str, float]
     simulated_s: float
     wall_s: float
@@ -151,6 +157,8 @@ class TrialReport:
             ),
             thresholds=asdict(self.thresholds),
             physics=self.physics,
+            least_creep_mm_s=finite(self.least_creep_mm_s),
+            remedies=list(self.remedies),
             timeline=self.timeline,
             simulated_s=self.simulated_s,
             wall_s=self.wall_s,
@@ -251,7 +259,9 @@ class ReportFile(StrictData):
     quality_planned: dict[str, Any]
     quality_measured: dict[str, Any] | None
     thresholds: dict[str, float]
-    physics: dict[str, float]
+    physics: dict[str, float | str | list[float]]
+    least_creep_mm_s: float | None = None
+    remedies: list[str] = Field(default_factory=list)
     timeline: dict[str, float]
     simulated_s: float
     wall_s: float

@@ -4,9 +4,9 @@ The hand hangs on a mount of six driven joints (``sim.mount``). A hand on an arm
 arm's root stands fixed, and its own servos carry the hand (``sim.carrier``).
 
 Friction is explicit. MuJoCo mixes the friction of two geoms by their maximum unless one has the
-higher priority; here the object decides against the hand (condim 4: sliding and torsion), and
-table and obstacles decide against the object (condim 6: with rolling too, so that a ball stays
-where it is put).
+higher priority; here the object decides against the hand (condim 4 unless the physics says
+otherwise: sliding and torsion), and table and obstacles decide against the object (condim 6: with
+rolling too, so that a ball stays where it is put). So do the other numbers of a contact.
 
 A mesh collides as convex pieces that cover it (``planner.shapes.pieces``) and is shown as it is.
 """
@@ -30,7 +30,7 @@ from planner.shapes.solid import solid_deviation, solid_geoms
 from planner.spatial import SE3, FloatArray, IntArray, pose_to_wxyz
 from planner.task import GraspTask
 from sim.mount import MOUNT, Mount, add_mount, tuned_mount
-from sim.physics import CONTACT_SOLIMP, CONTACT_SOLREF, PhysicsOptions
+from sim.physics import CONTACT_SOLREF, PhysicsOptions
 from sim.picture import add_scenery
 
 __all__ = ["HAND_PREFIX", "OBJECT", "TABLE", "PhysicsOptions", "Scene", "build_scene"]
@@ -206,7 +206,7 @@ def _add_object(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
     body.fullinertia = [*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]]
     for k, part in enumerate(solid_geoms(item.shape)):
         name = OBJECT if k == 0 else f"{OBJECT}/{k}"
-        geom = body.add_geom(name=name, condim=4, priority=1, rgba=OBJECT_COLOR)
+        geom = body.add_geom(name=name, condim=physics.condim, priority=1, rgba=OBJECT_COLOR)
         geom.pos, geom.quat = pose_to_wxyz(part.T_object_geom)
         if part.vertices is not None and part.faces is not None:
             _add_mesh(spec, name, part.vertices, part.faces)
@@ -261,8 +261,8 @@ def _solid(geom: Any, kind: str, size: tuple[float, ...], physics: PhysicsOption
     if size:
         geom.size = [*size, *(0.0,) * (3 - len(size))]
     geom.friction = physics.friction
-    geom.solref = CONTACT_SOLREF
-    geom.solimp = CONTACT_SOLIMP
+    geom.solref = physics.solref
+    geom.solimp = physics.solimp
 
 
 def _indexed(task: GraspTask, physics: PhysicsOptions, T_world_base: SE3, model: Any) -> Scene:

@@ -66,6 +66,17 @@ def print_report(report: TrialReport, console: Console) -> None:
         f"{report.wall_s:.1f} s)",
         highlight=False,
     )
+    physics = report.physics
+    console.print(
+        f"physics: {physics['name']}; friction gives way by {report.least_creep_mm_s:.2g} mm/s "
+        f"however firm the grip, before {physics['noslip_iterations']} noslip iterations",
+        highlight=False,
+        markup=False,
+    )
+    if report.remedies:
+        console.print("each of these keeps the object from creeping:", highlight=False)
+    for remedy in report.remedies:
+        console.print(f"  {remedy}", highlight=False, markup=False, soft_wrap=True)
     for event in report.events:
         who = f" {event.finger}" if event.finger else ""
         console.print(

@@ -36,6 +36,7 @@ from sim.controllers import (
     ReportsLimits,
 )
 from sim.controllers.schedule import TOUCH_FORCE
+from sim.creep import CREEP_BUDGET, least_creep, remedies
 from sim.pads import read_pads
 from sim.picture import save_picture
 from sim.recorder import Recorder
@@ -314,7 +315,9 @@ class Trial:
             quality_planned=plan.quality,
             quality_measured=analyse(measured, length=length) if ended_holding else None,
             thresholds=self.thresholds,
-            physics={k: float(v) for k, v in asdict(self.scene.physics).items()},
+            physics=self.scene.physics.to_dict(),
+            least_creep_mm_s=1e3 * least_creep(self.scene, task.finger_names),
+            remedies=self._remedies(verdict),
             timeline={k: float(v) for k, v in asdict(self.timeline).items()},
             simulated_s=float(self.data.time),
             wall_s=time.perf_counter() - begin,
@@ -324,6 +327,16 @@ class Trial:
             controller=type(self.controller).__name__,
             events=self.controller.events if isinstance(self.controller, ReportsEvents) else (),
         )
+
+    def _remedies(self, verdict: Verdict) -> tuple[str, ...]:
+        """What would keep friction from giving way, if that can be why the object was lost."""
+        if verdict.reason not in ("slipped", "dropped"):
+            return ()
+        names = self.plan.task.finger_names
+        changes = remedies(
+            self.scene.physics, lambda p: least_creep(self.scene, names, p), CREEP_BUDGET
+        )
+        return tuple(change.what for change in changes)
 
 
 _BAD_NUMBERS = {

@@ -533,7 +533,8 @@ def test_defaults_are_those_of_the_library() -> None:
     }
     assert defaults["mu"] == DEFAULT_MU
     assert defaults["max_attempts"] == DEFAULT_MAX_ATTEMPTS
-    assert defaults["sim_mu"] == PhysicsOptions().mu
+    assert defaults["sim_mu"] is None  # that of the physics
+    assert PhysicsOptions.named(defaults["physics"]) == PhysicsOptions()
 
 
 def test_names_are_those_between_the_commas() -> None:

@@ -22,8 +22,8 @@ from sim.bench.journal import run_with_journal
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, task_for
 from sim.bench.tables import table_of
+from sim.physics import PhysicsOptions
 from sim.runner import Check, Runner, made_with
-from sim.scene import PhysicsOptions
 from sim.trial import simulate
 
 __all__ = ["Outcome", "Seed", "grasps_table", "plan_and_execute", "run_grasps"]
@@ -41,7 +41,7 @@ class Seed:
         spec: The object.
         label: What it is called.
         seed: Seed of planning.
-        mu: Sliding friction in simulation (-).
+        physics: How MuJoCo computes.
     """
 
     index: int
@@ -49,7 +49,7 @@ class Seed:
     spec: str
     label: str
     seed: int
-    mu: float
+    physics: PhysicsOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +113,7 @@ def plan_and_execute(seed: Seed, check: Check) -> dict[str, Any]:
             build_s=build_s,
             reason=str(error),
         )
-    report = simulate(plan, physics=PhysicsOptions(mu=seed.mu))
+    report = simulate(plan, physics=seed.physics)
     check()
     slip_mm, slip_deg = report.largest_slip
     return _outcome(
@@ -152,7 +152,7 @@ def run_grasps(
     objects: Sequence[BenchObject],
     seeds: int,
     *,
-    mu: float,
+    physics: PhysicsOptions,
     file: Path,
     runner: Runner,
 ) -> dict[str, Any]:
@@ -162,7 +162,7 @@ def run_grasps(
         hands: Names or paths.
         objects: The objects.
         seeds: Seeds for each hand and object, from 0.
-        mu: Sliding friction in simulation (-).
+        physics: How MuJoCo computes.
         file: Of the outcomes; made if it is not there.
         runner: Who works on them.
 
@@ -176,7 +176,7 @@ def run_grasps(
     check_tasks(hands, objects)
     cells = [(hand, item, seed) for hand in hands for item in objects for seed in range(seeds)]
     jobs = [
-        Seed(index=k, hand=hand, spec=item.spec, label=item.label, seed=seed, mu=mu)
+        Seed(index=k, hand=hand, spec=item.spec, label=item.label, seed=seed, physics=physics)
         for k, (hand, item, seed) in enumerate(cells)
     ]
     asked = {
@@ -185,7 +185,8 @@ def run_grasps(
         "hands": list(hands),
         "objects": [item.spec for item in objects],
         "seeds": seeds,
-        "mu_simulation": mu,
+        "mu_simulation": physics.mu,
+        "physics": {k: v for k, v in physics.to_dict().items() if k not in ("name", "mu")},
     }
     outcomes, whole = run_with_journal(
         runner,
@@ -200,7 +201,8 @@ def run_grasps(
         "format": FORMAT,
         "version": 2,
         **made_with(),
-        "mu_simulation": mu,
+        "mu_simulation": physics.mu,
+        "physics": physics.to_dict(),
         "workers": runner.workers,
         "interrupted": not whole,
         "outcomes": sorted(outcomes, key=lambda o: (o["hand"], o["object"], o["seed"])),

@@ -61,6 +61,10 @@ NO_SHIFT: Vector = (0.0, 0.0, 0.0)
 """No translation, m."""
 
 
+OURS = PhysicsOptions()
+"""How MuJoCo computes if nothing else is asked for."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Turn:
     """One trial, as it is sent to a worker.
@@ -78,6 +82,7 @@ class Turn:
         angle: The turn, rad; beyond a half turn it is made by regrasps.
         shift: Translation in the hand that is asked for with it (3,), m, world.
         spec: Specification of an object that is of no kind in ``KINDS``.
+        physics: How MuJoCo computes; friction is drawn.
     """
 
     index: int
@@ -92,6 +97,7 @@ class Turn:
     angle: float = ANGLE
     shift: Vector = NO_SHIFT
     spec: str = ""
+    physics: PhysicsOptions = OURS
 
     @property
     def regrasps(self) -> bool:
@@ -144,7 +150,7 @@ def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
     report = manipulate(
         plan,
         really=really,
-        physics=PhysicsOptions(mu=there.mu),
+        physics=replace(turn.physics, mu=there.mu),
         push=Push(force=np.array([*there.push, 0.0]), after=there.push_after, duration=PUSH_TIME),
     )
     check()
@@ -204,6 +210,7 @@ def run_manipulate(
     axis: Vector = VERTICAL,
     angle: float = ANGLE,
     shift: Vector = NO_SHIFT,
+    physics: PhysicsOptions = OURS,
 ) -> dict[str, Any]:
     """Run the trials that the file does not have yet.
 
@@ -220,6 +227,7 @@ def run_manipulate(
         axis: Axis of the turn (3,), world.
         angle: Turn that is asked for, rad.
         shift: Translation in the hand that is asked for with it (3,), m, world.
+        physics: How MuJoCo computes; friction is drawn.
 
     Returns:
         Plain data: all rows that the file has then, and what they were made with.
@@ -250,6 +258,7 @@ def run_manipulate(
             angle=angle,
             shift=shift,
             spec="" if item.label in KINDS else item.spec,
+            physics=physics,
         )
         for i, (hand, item, k) in enumerate(cells)
     ]
@@ -268,6 +277,8 @@ def run_manipulate(
         asked["axis"] = list(axis)
     if any(shift):
         asked["shift"] = list(shift)
+    if physics != OURS:
+        asked["physics"] = {k: v for k, v in physics.to_dict().items() if k != "mu"}
     return run_cases(
         runner, run_turn, jobs, kind=FORMAT, asked=asked, file=file, title="pick, turn, place"
     )

@@ -94,7 +94,18 @@ ControllerOption = Annotated[
     str,
     typer.Option(help="open: the planned forces; closed: a loop that keeps the object in place."),
 ]
-SimMuOption = Annotated[float, typer.Option(help="Sliding friction in simulation (-).")]
+SimMuOption = Annotated[
+    float | None,
+    typer.Option(help="Sliding friction in simulation (-); that of --physics if not given."),
+]
+PhysicsOption = Annotated[
+    str,
+    typer.Option(
+        help="How MuJoCo computes: ours, mujoco-default, menagerie, dexgraspbench, or a TOML or "
+        "JSON file with fields of PhysicsOptions.",
+        metavar="NAME|FILE",
+    ),
+]
 PlanArgument = Annotated[Path, typer.Argument(help="A plan file.", metavar="PLAN")]
 
 
@@ -139,6 +150,20 @@ def numbers(option: str, text: str, count: int) -> list[float]:
 
 COUNTS = ("none", "one", "two", "three", "four", "five", "six")
 """Counts in words."""
+
+
+def physics_of(text: str, sim_mu: float | None = None) -> Any:
+    """Physics as ``--physics`` and ``--sim-mu`` give it.
+
+    Raises:
+        NotFoundError: There is no such preset.
+        FileFormatError: A file that cannot be read.
+        TaskError: A field that there is not, or a value out of range.
+    """
+    from sim.presets import physics_for
+
+    found = physics_for(text)
+    return found if sim_mu is None else replace(found, mu=sim_mu)
 
 
 def options_of(objective: str, task_wrench: list[str] | None, rounds: int | None) -> Any:

@@ -21,6 +21,7 @@ from sim.cli.common import (
     MuOption,
     ObjectArgument,
     ObjectiveOption,
+    PhysicsOption,
     PlanArgument,
     PoseOption,
     RepairOption,
@@ -39,6 +40,7 @@ from sim.cli.common import (
     names,
     options_of,
     out,
+    physics_of,
     print_json,
     say,
 )
@@ -124,18 +126,17 @@ LONGEST_NAME = 60
 """Characters of an object in a folder's name."""
 
 
-def _simulate(plan: Any, *, make: Any, mu: float, view: bool, picture: Path | None) -> Any:
+def _simulate(plan: Any, *, make: Any, physics: Any, view: bool, picture: Path | None) -> Any:
     """Execute with a progress bar on stderr."""
     from rich.progress import Progress
 
-    from sim.scene import PhysicsOptions
     from sim.trial import simulate
 
     with Progress(console=err, transient=True, disable=not err.is_terminal) as progress:
         bar = progress.add_task("simulating", total=1.0)
         return simulate(
             plan,
-            physics=PhysicsOptions(mu=mu),
+            physics=physics,
             controller=make(plan),
             progress=lambda share: progress.update(bar, completed=share),
             view=view,
@@ -153,7 +154,8 @@ def run(
     fingers: FingersOption = None,
     seed: SeedOption = 0,
     mu: MuOption = 0.5,
-    sim_mu: SimMuOption = 0.6,
+    sim_mu: SimMuOption = None,
+    physics: PhysicsOption = "ours",
     controller: ControllerOption = "open",
     mass: MassOption = None,
     density: DensityOption = None,
@@ -176,6 +178,7 @@ def run(
     from sim.viewing import check_display
 
     make_controller = named_controller(controller)
+    computed = physics_of(physics, sim_mu)
     if out_dir is not None:
         make_folder(out_dir)
     if view:
@@ -207,7 +210,7 @@ def run(
     if not as_json:
         print_plan(plan, out)
     report = _simulate(
-        plan, make=make_controller, mu=sim_mu, view=view, picture=folder / "held.png"
+        plan, make=make_controller, physics=computed, view=view, picture=folder / "held.png"
     )
     write_json(report.to_dict(), folder / "report.json")
     if as_json:
@@ -278,7 +281,8 @@ def simulate(
         Path | None, typer.Option("--out", "-o", help="Write the trial report here.")
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Write a picture (PNG) here.")] = None,
-    sim_mu: SimMuOption = 0.6,
+    sim_mu: SimMuOption = None,
+    physics: PhysicsOption = "ours",
     controller: ControllerOption = "open",
     view: ViewOption = False,
     as_json: JsonOption = False,
@@ -289,10 +293,11 @@ def simulate(
     from sim.summary import print_report
 
     make_controller = named_controller(controller)
+    computed = physics_of(physics, sim_mu)
     check_folder(report_file)
     check_folder(picture)
     report = _simulate(
-        read_plan(plan_file), make=make_controller, mu=sim_mu, view=view, picture=picture
+        read_plan(plan_file), make=make_controller, physics=computed, view=view, picture=picture
     )
     if report_file is not None:
         write_json(report.to_dict(), report_file)

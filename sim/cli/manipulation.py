@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.markup import escape
@@ -16,6 +16,7 @@ from sim.cli.common import (
     JsonOption,
     MassOption,
     ObjectArgument,
+    PhysicsOption,
     SeedOption,
     SimMuOption,
     StandOption,
@@ -25,6 +26,7 @@ from sim.cli.common import (
     names,
     numbers,
     out,
+    physics_of,
     print_json,
     say,
 )
@@ -37,9 +39,9 @@ OutOption = Annotated[
 DEMO = {"hand": "allegro_hand", "object": "cylinder:0.03x0.08"}
 """What ``demo`` shows."""
 
-MU, SIM_MU, MAX_ATTEMPTS = 0.45, 0.6, 50
+MU, MAX_ATTEMPTS = 0.45, 50
 """Friction (-) that is believed, as in ``bench manipulate``: a tenth below the least that there is
-there, 0.5, which planning alone believes. Friction in simulation (-). Attempts, more than planning
+there, 0.5, which planning alone believes. Attempts, more than planning
 a motion alone makes (30): here motions are refused too at whose end the object cannot be put down,
 and of those that are left the best of a few is taken."""
 
@@ -63,7 +65,8 @@ def manipulate(
             "that bench manipulate draws, whose figures hold for it. Planning alone takes 0.5."
         ),
     ] = MU,
-    sim_mu: SimMuOption = SIM_MU,
+    sim_mu: SimMuOption = None,
+    physics: PhysicsOption = "ours",
     mass: MassOption = None,
     stand: StandOption = 0.0,
     max_attempts: Annotated[
@@ -98,7 +101,7 @@ def manipulate(
         fingers=fingers,
         seed=seed,
         mu=mu,
-        sim_mu=sim_mu,
+        physics=physics_of(physics, sim_mu),
         mass=mass,
         stand=stand,
         max_attempts=max_attempts,
@@ -108,7 +111,9 @@ def manipulate(
 
 
 @errors_for_people()
-def demo(out_dir: OutOption = None, as_json: JsonOption = False) -> None:
+def demo(
+    out_dir: OutOption = None, physics: PhysicsOption = "ours", as_json: JsonOption = False
+) -> None:
     """The whole of it: an Allegro-type hand picks a cylinder, turns it by 90 degrees, places it."""
     _perform(
         DEMO["hand"],
@@ -120,7 +125,7 @@ def demo(out_dir: OutOption = None, as_json: JsonOption = False) -> None:
         fingers=None,
         seed=0,
         mu=MU,
-        sim_mu=SIM_MU,
+        physics=physics_of(physics),
         mass=None,
         stand=0.0,
         max_attempts=MAX_ATTEMPTS,
@@ -140,7 +145,7 @@ def _perform(
     fingers: str | None,
     seed: int,
     mu: float,
-    sim_mu: float,
+    physics: Any,
     mass: float | None,
     stand: float,
     max_attempts: int,
@@ -153,13 +158,12 @@ def _perform(
     from sim.manipulation import manipulate as execute
     from sim.manipulation import manipulation_task, plan_turning
     from sim.manipulation.stand import on_stand
-    from sim.physics import PhysicsOptions
 
     axis, degrees, moved = movement(rotate, shift)
-    if sim_mu < mu:
+    if physics.mu < mu:
         say(
             err,
-            f"[yellow]--sim-mu {sim_mu:g} is less friction than is believed, --mu {mu:g}: plan "
+            f"[yellow]--sim-mu {physics.mu:g} is less friction than is believed, --mu {mu:g}: plan "
             "and controller rely on what is not there, so expect slips and drops; give "
             f"--sim-mu {mu:g} or more, or a smaller --mu[/yellow]",
         )
@@ -192,7 +196,7 @@ def _perform(
             say(out, escape(f"made backwards before it is put down: {plan.back}"))
         say(out, "")
     with err.status("executing ..."):
-        report = execute(plan, physics=PhysicsOptions(mu=sim_mu), pictures=folder, retry=True)
+        report = execute(plan, physics=physics, pictures=folder, retry=True)
     if folder is not None:
         if plan.gait is None:
             write_motion(plan.motion, folder / "motion.json")

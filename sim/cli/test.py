@@ -14,12 +14,14 @@ from sim.cli.common import (
     EXIT_NO,
     ControllerOption,
     JsonOption,
+    PhysicsOption,
     SeedOption,
     err,
     errors_for_people,
     heeding_ctrl_c,
     make_folder,
     out,
+    physics_of,
     print_json,
     say,
 )
@@ -37,6 +39,7 @@ def test(
         str, typer.Option(help="What to do to the grasp: fc, forces, shake, robust, or all.")
     ] = "all",
     controller: ControllerOption = "open",
+    physics: PhysicsOption = "ours",
     only: Annotated[
         list[str] | None, typer.Option(help='Only trials of this name: "force +z"; repeatable.')
     ] = None,
@@ -50,7 +53,8 @@ def test(
     """Test plans in MuJoCo by named protocols: fc, forces, shake, robust.
 
     Ends with 0 if every grasp held in every trial without a growing load and bore the first load at
-    rest in every direction. Of all protocols, those that a hand cannot take are skipped.
+    rest in every direction. Of all protocols, those that a hand cannot take are skipped. The
+    protocol fc has the physics of its original, whatever --physics says.
     """
     from planner.errors import TaskError
     from planner.files import read_plan, write_json
@@ -67,6 +71,7 @@ def test(
     )
 
     named_controller(controller)  # bad input ends here
+    computed = physics_of(physics)
     asked = PROTOCOLS if protocol == "all" else [protocol]
     trials = trials_of(asked, only or (), Settings(), seed)
     loaded = [(path, read_plan(path)) for path in plans]
@@ -85,6 +90,7 @@ def test(
                     plan,
                     name,
                     controller=controller,
+                    physics=computed,
                     seed=seed,
                     workers=workers,
                     only=some,
@@ -122,9 +128,9 @@ def _show(report: Any, table: Any) -> None:
     p, s = report.physics, report.summary()
     say(
         out,
-        f"physics: {p['timestep_s']:g} s, {p['integrator']}, {p['solver']}, {p['cone']} cones, "
-        f"impratio {p['impratio']:g}, noslip {p['noslip_iterations']}, friction {p['friction']:g} "
-        f"and {p['torsional_friction_m']:g} m",
+        f"physics: {p['name']} ({p['timestep_s']:g} s, {p['integrator']}, {p['solver']}, "
+        f"{p['cone']} cones, impratio {p['impratio']:g}, noslip {p['noslip_iterations']}, "
+        f"friction {p['friction']:g} and {p['torsional_friction_m']:g} m)",
     )
     if s["of"]:
         say(out, f"held in {s['held']} of {s['of']}")

@@ -100,6 +100,7 @@ class ManipulationReport:
         after: After the turn.
         bounds: Where phases fail.
         events: What the controller noticed.
+        physics: Name and numbers of ``PhysicsOptions``, as plain data.
         pictures: Files of pictures, by phase.
         picture_reason: Why there are none, "" otherwise.
         earlier: What was done before, where the object was put down and all was begun again; what
@@ -120,6 +121,7 @@ class ManipulationReport:
     after: QualityReport | None
     bounds: Bounds
     events: tuple[Event, ...]
+    physics: dict[str, Any]
     pictures: dict[str, str]
     picture_reason: str
     earlier: ManipulationReport | None = None
@@ -278,6 +280,7 @@ class ManipulationReport:
             "dropped": self.dropped,
             "reason": self.reason,
             "fingers": list(self.fingers),
+            "physics": self.physics,
             "earlier": None if self.earlier is None else self.earlier.to_dict(),
             "asked_deg": float(np.rad2deg(self.asked)),
             "asked_shift_mm": (1e3 * self.asked_shift).tolist(),

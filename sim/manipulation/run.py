@@ -208,6 +208,7 @@ class ManipulationRun:
             after=self._phases.quality.get("verify again"),
             bounds=self._bounds,
             events=self.stage.driver.events,
+            physics=self.stage.scene.physics.to_dict(),
             pictures=pictures,
             picture_reason=no_picture,
         )

@@ -22,7 +22,7 @@ from planner.files import plan_from_dict, plan_to_dict
 from planner.hand import Hand
 from planner.plan import GraspPlan
 from sim.controllers import named_controller
-from sim.physics import CONTACT_SOLIMP, CONTACT_SOLREF, PhysicsOptions
+from sim.physics import PhysicsOptions
 from sim.protocols.cases import Case, Conditions, MakeController
 from sim.protocols.catalog import cases_of, trials_of, unsuitable
 from sim.protocols.fc import fc_physics
@@ -141,6 +141,7 @@ def physics_of(plan: GraspPlan, physics: PhysicsOptions) -> dict[str, Any]:
     scene = build_scene(plan.task, T_world_base=plan.T_world_base, q=plan.q, physics=physics)
     option = scene.model.opt
     return {
+        "name": physics.label,
         "timestep_s": float(option.timestep),
         "integrator": _name(mujoco.mjtIntegrator, option.integrator),
         "solver": _name(mujoco.mjtSolver, option.solver),
@@ -151,9 +152,10 @@ def physics_of(plan: GraspPlan, physics: PhysicsOptions) -> dict[str, Any]:
         "iterations": int(option.iterations),
         "friction": physics.mu,
         "torsional_friction_m": physics.mu_torsion,
-        "condim": 4,
-        "solref": list(CONTACT_SOLREF),
-        "solimp": list(CONTACT_SOLIMP),
+        "rolling_friction_m": physics.mu_rolling,
+        "condim": physics.condim,
+        "solref": [physics.time_constant, physics.solref[1]],
+        "solimp": list(physics.solimp),
         "mujoco": mujoco.__version__,
         **{k: v for k, v in made_with().items() if k != "load_average"},
     }

@@ -19,11 +19,13 @@ from sim.cli.bench.common import (
 )
 from sim.cli.common import (
     JsonOption,
+    PhysicsOption,
     SeedOption,
     SimMuOption,
     check_folder,
     errors_for_people,
     names,
+    physics_of,
 )
 
 
@@ -34,7 +36,8 @@ def grasps(
     ),
     objects: ObjectsOption = PRIMITIVES,
     seeds: Annotated[int, typer.Option(min=1, help="Seeds per cell, from 0.")] = 10,
-    sim_mu: SimMuOption = 0.6,
+    sim_mu: SimMuOption = None,
+    physics: PhysicsOption = "ours",
     workers: WorkersOption = 1,
     samples: SamplesOption = Path("grasps.jsonl"),
     output: OutOption = None,
@@ -44,13 +47,14 @@ def grasps(
     from sim.bench.grasps import grasps_table, run_grasps
     from sim.bench.objects import bench_objects
 
+    computed = physics_of(physics, sim_mu)
     check_folder(samples)
     with measuring(output, workers) as runner:
         result = run_grasps(
             names(hands),
             bench_objects(names(objects)),
             seeds,
-            mu=sim_mu,
+            physics=computed,
             file=samples,
             runner=runner,
         )

@@ -21,11 +21,13 @@ from sim.cli.bench.common import (
 from sim.cli.common import (
     FingersOption,
     JsonOption,
+    PhysicsOption,
     SeedOption,
     StandOption,
     check_folder,
     errors_for_people,
     names,
+    physics_of,
 )
 from sim.cli.movement import NO_SHIFT, RotateOption, ShiftOption, movement
 
@@ -46,17 +48,22 @@ def manipulate(
     shift: ShiftOption = NO_SHIFT,
     fingers: FingersOption = None,
     stand: StandOption = 0.0,
+    physics: PhysicsOption = "ours",
     seed: SeedOption = 0,
     workers: WorkersOption = 1,
     samples: SamplesOption = Path("manipulate.jsonl"),
     output: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Pick, turn or move in the hand, place: randomised trials, strict and loose rates."""
+    """Pick, turn or move in the hand, place: randomised trials, strict and loose rates.
+
+    Friction is drawn, whatever --physics says.
+    """
     from sim.bench.manipulate import run_manipulate
     from sim.bench.turn_table import manipulate_table
 
     axis, degrees, moved = movement(rotate, shift)
+    computed = physics_of(physics)
     check_folder(samples)
     with measuring(output, workers) as runner:
         result = run_manipulate(
@@ -72,5 +79,6 @@ def manipulate(
             axis=axis,
             angle=math.radians(degrees),
             shift=moved,
+            physics=computed,
         )
     give(result, output, as_json, lambda console: console.print(manipulate_table(result)))

@@ -1,0 +1,137 @@
+"""``bench physics``: what is asked, what rows say of grip, noslip and the formula, and tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from planner.errors import NotFoundError
+from sim.bench import manipulate
+from sim.bench.objects import bench_objects
+from sim.bench.physics import (
+    PARTS,
+    VARIANTS,
+    PhysicsJob,
+    physics_jobs,
+    physics_row,
+    run_physics,
+)
+from sim.bench.physics_tables import physics_tables
+from sim.physics import PhysicsOptions
+from sim.presets import PRESETS
+from sim.runner import Runner
+
+BOX = bench_objects(["box"])
+
+
+def row_of(part: str, case: str, hand: str = "allegro_hand", spec: str = "box") -> dict[str, Any]:
+    job = PhysicsJob(index=0, part=part, hand=hand, spec=spec, label=spec, case=case)
+    return physics_row(job, lambda: None)
+
+
+def test_jobs_have_numbers_that_do_not_depend_on_the_parts_asked_for() -> None:
+    every = {j.index: (j.part, j.case) for j in physics_jobs(["a", "b"], BOX, list(PARTS))}
+    some = {j.index: (j.part, j.case) for j in physics_jobs(["a", "b"], BOX, ["creep"])}
+    assert len(every) == 2 * sum(len(cases) for _, cases in PARTS.values())
+    assert some == {k: v for k, v in every.items() if v[0] == "creep"}
+    assert PARTS["holds"][1] == tuple(PRESETS)
+    with pytest.raises(NotFoundError, match="no part is called 'hold'"):
+        physics_jobs(["a"], BOX, ["hold"])
+
+
+def test_variants_change_what_they_say() -> None:
+    soft = PRESETS["mujoco-default"]
+    for name, variant in VARIANTS.items():
+        assert (variant.grip != 1.0) == ("grip" in name)
+        assert isinstance(variant.physics, PhysicsOptions)
+    assert VARIANTS["mujoco-default"].physics == soft
+    assert VARIANTS["noslip 10"].physics.label == "mujoco-default with noslip_iterations 10"
+    assert VARIANTS["condim 4"].physics.label == "mujoco-default with condim 4"
+
+
+@pytest.mark.parametrize("case", ["mujoco-default", "elliptic", "solref 0.005"])
+def test_creep_of_a_held_box_is_that_of_the_formula(case: str) -> None:
+    row = row_of("creep", case)
+    assert row["error"] == ""
+    assert row["predicted_mm_s"] >= row["least_mm_s"] > 1.0
+    assert row["creep_mm_s"] == pytest.approx(row["predicted_mm_s"], rel=0.15)
+
+
+def test_noslip_ends_creep_and_more_grip_does_not() -> None:
+    soft = row_of("creep", "mujoco-default")["creep_mm_s"]
+    assert row_of("creep", "noslip 10")["creep_mm_s"] < 0.01 * soft
+    assert row_of("creep", "elliptic, impratio 10")["creep_mm_s"] < 0.15 * soft
+    firm = row_of("creep", "grip x 1.5")
+    assert firm["error"] == "lost" or firm["creep_mm_s"] > 0.8 * soft
+
+
+def test_a_grip_beyond_the_motors_is_told() -> None:
+    row = row_of("creep", "grip x 2")
+    assert row["error"] == "the hand cannot press so hard"
+
+
+def test_a_grasp_is_lost_by_the_defaults_and_held_by_a_remedy() -> None:
+    lost = row_of("holds", "mujoco-default")
+    assert (lost["held"], lost["reason"]) == (False, "slipped")
+    held = row_of("remedies", "the object's contacts")
+    assert held["held"]
+    assert 'priority="1"' in held["what"]
+    assert held["physics"].startswith("mujoco-default with solref")
+
+
+def test_objects_that_cannot_be_planned_are_a_row() -> None:
+    row = row_of("holds", "ours", spec="sphere:5")
+    assert row["error"]
+    assert "held" not in row
+
+
+def test_tables_count_and_files_go_on(tmp_path: Path) -> None:
+    file = tmp_path / "rows.jsonl"
+    runner = Runner(console=Console(quiet=True), check=lambda: None, workers=1)
+    once = run_physics(["allegro_hand"], BOX, ["remedies"], file=file, runner=runner)
+    size = file.stat().st_size
+    again = run_physics(["allegro_hand"], BOX, ["remedies"], file=file, runner=runner)
+    assert file.stat().st_size == size
+    assert once["rows"] == again["rows"]
+    assert once["physics"]["mujoco-default"]["impratio"] == 1.0
+    assert [table.row_count for table in physics_tables(once)] == [3, 1]
+    made = [
+        {"part": "creep", "case": "x", "error": "", "creep_mm_s": 2.0, "predicted_mm_s": 1.0}
+        | {"least_mm_s": 0.5, "hand": "h", "object": "o"},
+        {"part": "creep", "case": "x", "error": "lost", "hand": "h", "object": "p"},
+    ]
+    wide = Console(width=200)
+    with wide.capture() as told:
+        wide.print(*physics_tables({"rows": made}))
+    cells = told.get().splitlines()[-2].split()
+    assert cells == ["x", "1", "2.000", "1.000", "0.500", "2.00", "1", "0"]
+
+
+def test_turns_are_made_under_the_physics_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[dict[str, Any]] = []
+    jobs: list[manipulate.Turn] = []
+
+    def keep(
+        runner: Runner, work: object, turns: list[manipulate.Turn], **given: Any
+    ) -> dict[str, Any]:
+        del runner, work
+        jobs.extend(turns)
+        asked.append(given["asked"])
+        return {}
+
+    monkeypatch.setattr(manipulate, "run_cases", keep)
+    runner = Runner(console=Console(quiet=True), check=lambda: None, workers=1)
+    given: dict[str, Any] = {"height": 0.08, "fingers": None, "stand": 0.0, "seed": 0}
+    given |= {"file": tmp_path / "rows.jsonl", "runner": runner}
+    manipulate.run_manipulate(["allegro_hand"], ["cylinder"], 1, **given)
+    soft = PRESETS["mujoco-default"]
+    manipulate.run_manipulate(["allegro_hand"], ["cylinder"], 1, **given, physics=soft)
+    assert [job.physics for job in jobs] == [PhysicsOptions(), soft]
+    assert "physics" not in asked[0]  # files go on that were begun before there was a choice
+    assert asked[1]["physics"]["name"] == "mujoco-default"
+    assert "mu" not in asked[1]["physics"]  # it is drawn
