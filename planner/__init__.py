@@ -23,6 +23,7 @@ from planner.search import attempts, plan_grasp
 from planner.spatial import SE3
 from planner.symbolic import SymbolicHand
 from planner.task import GraspTask, Obstacle
+from planner.version import __version__
 
 __all__ = [
     "SE3",
@@ -40,6 +41,7 @@ __all__ = [
     "Obstacle",
     "PlannerError",
     "SymbolicHand",
+    "__version__",
     "analyse",
     "attempts",
     "distribute_forces",

@@ -14,7 +14,6 @@ that is loaded serves both, and the process dies. There SciPy's own HiGHS is ask
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from importlib.util import find_spec
 from typing import Any, Literal, Protocol
 
@@ -23,6 +22,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from planner.spatial import FloatArray
+from planner.threads import BUILDING, kept_by_thread
 
 __all__ = ["Programme", "ScipyProgramme", "programme"]
 
@@ -43,7 +43,7 @@ INFEASIBLE = 2
 """SciPy's status of a programme in which nothing is allowed."""
 
 KEPT = 64
-"""Solvers that are kept, one for every size."""
+"""Solvers that a thread keeps, one for every size."""
 
 FEASIBLE_TOL = 1e-8
 """Largest violation of a row or a bound, by the larger of the largest unknown and 1, of what counts
@@ -78,9 +78,10 @@ class _CasadiProgramme:
         shapes = {"a": ca.Sparsity.dense(m, n)}
         if quadratic:
             shapes["h"] = ca.Sparsity.dense(n, n)
-        self._solve = ca.conic(
-            "programme", solver, shapes, {"error_on_fail": False, **_OPTIONS[solver]}
-        )
+        with BUILDING:
+            self._solve = ca.conic(
+                "programme", solver, shapes, {"error_on_fail": False, **_OPTIONS[solver]}
+            )
         made: Any = self._solve.buffer()  # kept: the solver works in it
         self._buffer, self._run = made
         self._in = {
@@ -170,9 +171,13 @@ def _is_allowed(x: FloatArray, values: dict[str, FloatArray]) -> bool:
     return True
 
 
-@lru_cache(maxsize=KEPT)
+@kept_by_thread(KEPT)
 def programme(solver: Literal["daqp", "highs"], n: int, m: int) -> Programme:
-    """The solver for a size; the last few are kept."""
+    """The solver for a size, of which every thread keeps its last few.
+
+    Its answer holds until the thread asks for another of that size: ask for the solver where it is
+    used, and read its prices at once.
+    """
     if solver == "highs" and find_spec("highspy") is not None:
         return ScipyProgramme()
     return _CasadiProgramme(solver, n, m)

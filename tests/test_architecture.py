@@ -121,7 +121,9 @@ ALLOWED = {
     "planner.spatial": ("errors",),
     "planner.contacts": ("errors", "spatial"),
     "planner.actuation": ("errors", "spatial"),
-    "planner.programme": ("spatial",),
+    "planner.threads": (),
+    "planner.version": (),
+    "planner.programme": ("spatial", "threads"),
     "planner.paths": ("spatial",),
     "planner.plain": (),
     "planner.quality": ("errors", "spatial", "contacts", "plain", "programme"),
@@ -241,6 +243,7 @@ ALLOWED = {
         "symbolic",
         "synthesis",
         "task",
+        "threads",
     ),
     "planner.gait": (
         "errors",
@@ -276,6 +279,8 @@ ALLOWED = {
         "shapes",
         "synthesis",
         "task",
+        "threads",
+        "version",
     ),
 }
 

@@ -115,10 +115,6 @@ def batch_jobs(
                 )
 
 
-_ONE_AT_A_TIME = threading.Lock()
-"""Threads take turns: tasks of one kind of shape share NLPs, which hold one field at a time."""
-
-
 def plan_row(job: Job) -> dict[str, Any]:
     """Plan one request; a row of ``planner.batch.rows`` whether or not a grasp was found.
 
@@ -127,7 +123,7 @@ def plan_row(job: Job) -> dict[str, Any]:
     """
     made: list[Attempt[GraspPlan]] = []
     end_with(job.parent)
-    with _ONE_AT_A_TIME, _undisturbed(job.parent) as check:
+    with _undisturbed(job.parent) as check:
 
         def note(attempt: Attempt[GraspPlan]) -> None:
             made.append(attempt)

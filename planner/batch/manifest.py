@@ -5,7 +5,6 @@ A batch goes on only under the manifest it began with, so that one folder never 
 
 from __future__ import annotations
 
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,7 +14,7 @@ from planner.errors import FileFormatError
 from planner.files import TaskData, read_json
 from planner.schema import StrictData, faults_of
 
-__all__ = ["MANIFEST", "Manifest", "ManifestObject", "read_manifest", "written_by"]
+__all__ = ["MANIFEST", "Manifest", "ManifestObject", "read_manifest"]
 
 MANIFEST = "manifest.json"
 """Name of the file."""
@@ -77,11 +76,6 @@ class Manifest(StrictData):
                 + (f"; and {more} more" if more > 0 else "")
                 + ". Ask for the same to go on with it, or name another folder"
             )
-
-
-def written_by() -> str:
-    """This version, as files name it."""
-    return f"opposable {version('opposable')}"
 
 
 def read_manifest(folder: Path) -> Manifest:

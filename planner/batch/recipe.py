@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from functools import lru_cache
 
 from pydantic import ValidationError
 
@@ -18,6 +17,7 @@ from planner.hand import Hand
 from planner.schema import faults_of
 from planner.shapes import Mesh, Shape, shape_to_dict
 from planner.task import GraspTask
+from planner.threads import made_once
 
 __all__ = ["label_of", "recipe_of", "shape_key", "task_of"]
 
@@ -31,7 +31,7 @@ def recipe_of(task: GraspTask) -> str:
     return task_data(task).model_dump_json()
 
 
-@lru_cache(maxsize=64)
+@made_once(64)
 def task_of(recipe: str) -> GraspTask:
     """The task that ``recipe_of`` wrote; made once per process.
 
@@ -52,7 +52,7 @@ def task_of(recipe: str) -> GraspTask:
     return task_from_data(data, hand)
 
 
-@lru_cache(maxsize=8)
+@made_once(8)
 def _hand(name: str) -> Hand:
     """One hand for all tasks with it, so that they share its NLPs."""
     return Hand.load(name)

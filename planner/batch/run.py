@@ -13,7 +13,7 @@ from weakref import finalize
 
 from planner.batch.dataset import GraspSet
 from planner.batch.jobs import BatchObject, batch_jobs
-from planner.batch.manifest import Manifest, ManifestObject, written_by
+from planner.batch.manifest import Manifest, ManifestObject
 from planner.batch.pool import check_backend, planned_rows
 from planner.batch.recipe import label_of, recipe_of, task_of
 from planner.batch.rows import grasp_schema
@@ -25,6 +25,7 @@ from planner.objects import GraspObject
 from planner.search import DEFAULT_MAX_ATTEMPTS
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
+from planner.version import written_by
 
 __all__ = ["BatchProgress", "plan_grasps"]
 

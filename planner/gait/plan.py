@@ -8,7 +8,7 @@ import numpy as np
 
 from planner.contacts import Contact, ContactSet
 from planner.motion import Knot, MotionPlan, MotionRecord
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, freeze
 
 __all__ = ["GaitPlan", "Relocation", "Stroke"]
 
@@ -61,6 +61,10 @@ class Relocation:
     after: ContactSet
     margin: float
     grip: float
+
+    def __post_init__(self) -> None:
+        """Keep copies that nobody changes."""
+        freeze(self, poses=("T_world_object",), arrays=("postures",))
 
     @property
     def landing(self) -> Contact:

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.errors import TaskError
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, freeze
 
 __all__ = ["LARGEST_TURN", "ObjectPath", "tilts"]
 
@@ -69,6 +69,7 @@ class ObjectPath:
         object.__setattr__(self, "axis", axis / length)
         object.__setattr__(self, "shift", shift)
         object.__setattr__(self, "angle", float(self.angle))
+        freeze(self, arrays=("axis", "shift"))
 
     def cut(self, share: float) -> ObjectPath:
         """The first part of the path."""

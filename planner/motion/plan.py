@@ -15,7 +15,7 @@ from planner.motion.limits import Limit
 from planner.motion.path import ObjectPath
 from planner.plan import GraspPlan
 from planner.quality import ClosureResult
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, freeze
 from planner.synthesis.verify import Verification
 
 __all__ = ["Knot", "MotionPlan", "MotionRecord"]
@@ -48,6 +48,10 @@ class Knot:
     off_path: float
     slips: FloatArray
     between: float
+
+    def __post_init__(self) -> None:
+        """Keep copies that nobody changes."""
+        freeze(self, poses=("T_world_object",), arrays=("q", "slips"))
 
     @property
     def contacts_in_object(self) -> ContactSet:

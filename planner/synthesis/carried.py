@@ -20,7 +20,7 @@ from planner.collision import CollisionWorld, bounding_radius
 from planner.hand import Hand
 from planner.ik import LARGEST_TURN, palm_pose, straight_path
 from planner.kinematics import HandState, joint_axes
-from planner.spatial import SE3, FloatArray, rotation_angle
+from planner.spatial import SE3, FloatArray, freeze, rotation_angle
 from planner.task import GraspTask
 
 __all__ = [
@@ -61,6 +61,10 @@ class ArmPath:
 
     approach: FloatArray
     lift: FloatArray
+
+    def __post_init__(self) -> None:
+        """Keep copies that nobody changes."""
+        freeze(self, arrays=("approach", "lift"))
 
 
 def retreats(
