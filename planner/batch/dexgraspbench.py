@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 
 from planner.batch.dataset import GraspSet
+from planner.batch.recipe import with_fingers_of
 from planner.batch.surface import surface_triangles
 from planner.contacts import ContactSet
 from planner.errors import FileFormatError, TaskError
@@ -125,7 +126,7 @@ def squeeze_posture(task: GraspTask, row: Mapping[str, Any]) -> FloatArray:
     Raises:
         FileFormatError: No forces press this grasp within the torque limits.
     """
-    floating = replace(task, gravity=np.zeros(3))
+    floating = replace(with_fingers_of(task, row), gravity=np.zeros(3))
     q = np.array(row["q_rad"])
     contacts = ContactSet.from_arrays(
         row["contact_positions_object_m"],
