@@ -70,9 +70,10 @@ def test_a_batch_is_planned_summed_up_exported_and_picked_from(tmp_path: Path) -
 def test_a_batch_without_a_grasp_says_so(tmp_path: Path) -> None:
     words = ("batch", "allegro_hand", "sphere:0.2", "-n", "1", "--workers", "1")
     assert opposable(*words, "--out", tmp_path / "set")[0] == 4
-    code, _, err = opposable(*words, "--out", tmp_path / "no" / "such")
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    code, _, err = opposable(*words, "--out", tmp_path / "file" / "set")
     assert code == 3
-    assert "there is no folder" in err
+    assert "cannot write to" in err
 
 
 def test_the_bar_shows_rate_and_estimated_end() -> None:
@@ -87,10 +88,14 @@ def test_the_bar_shows_rate_and_estimated_end() -> None:
 
 
 def test_a_batch_takes_what_a_plan_takes(tmp_path: Path) -> None:
-    holed = trimesh.creation.box((0.04, 0.05, 0.08))
-    holed.update_faces(np.arange(len(holed.faces)) > 0)
-    holed.export(tmp_path / "holed.stl")
-    words: tuple[str | Path, ...] = ("allegro_hand", tmp_path / "holed.stl")
+    box = trimesh.creation.box((0.04, 0.05, 0.08))
+    faces = box.faces.copy()
+    faces[0] = faces[0][::-1]  # a triangle that is seen from the wrong side
+    trimesh.Trimesh(box.vertices, faces, process=False).export(tmp_path / "turned.stl")
+    words: tuple[str | Path, ...] = ("allegro_hand", tmp_path / "turned.stl")
+    code, _, err = opposable("batch", *words, "-n", "1", "--out", tmp_path / "unmended")
+    assert code == 3
+    assert not (tmp_path / "unmended").exists()
     asked = ("--repair", "--pose", "1", "--mass", "0.2", "--avoid", "z<-0.03", "--touch", "z>-0.03")
     folder = tmp_path / "not" / "yet" / "there"  # parents are made
     code, _, err = opposable(
@@ -105,10 +110,11 @@ def test_a_batch_takes_what_a_plan_takes(tmp_path: Path) -> None:
     assert code == 0, err
     plan, row = read_plan(tmp_path / "plan.json"), grasps[0]
     assert row["q_rad"] == plan.q.tolist()
-    task = grasps.task("holed")
+    task = grasps.task("turned")
     assert task.object.mass == plan.task.object.mass == 0.2
     assert task.object.touch == plan.task.object.touch
-    assert (task.T_world_object.homogeneous == plan.task.T_world_object.homogeneous).all()
+    poses = (T.homogeneous for T in (task.T_world_object, plan.task.T_world_object))
+    np.testing.assert_allclose(*poses, rtol=0, atol=1e-15)  # a plan file holds quaternions
     assert grasps.manifest.max_cpu_s == 60.0
 
 

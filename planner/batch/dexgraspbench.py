@@ -126,7 +126,8 @@ def squeeze_posture(task: GraspTask, row: Mapping[str, Any]) -> FloatArray:
     Raises:
         FileFormatError: No forces press this grasp within the torque limits.
     """
-    floating = replace(with_fingers_of(task, row), gravity=np.zeros(3))
+    task = with_fingers_of(task, row)
+    floating = replace(task, gravity=np.zeros(3))
     q = np.array(row["q_rad"])
     contacts = ContactSet.from_arrays(
         row["contact_positions_object_m"],

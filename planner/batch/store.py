@@ -270,11 +270,11 @@ def _locked(folder: Path) -> int:
         folder.mkdir(parents=True, exist_ok=True)
         there = {p.name for p in folder.iterdir()}
         if MANIFEST not in there:
+            _refuse_rows(folder)
             if not all(name in BEGUN or name.startswith(MANIFEST) for name in there):
                 raise FileFormatError(
                     f"{folder} holds files but no batch; name a new or an empty folder"
                 )
-            _refuse_rows(folder)
         lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT)
     except OSError as error:
         raise FileFormatError(f"cannot write to {folder}: {error.strerror}") from error
