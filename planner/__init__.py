@@ -13,6 +13,7 @@ loading MuJoCo, Pinocchio, coal or CasADi.
 from typing import TYPE_CHECKING
 
 from planner.lazy import lazy_names
+from planner.version import __version__
 
 if TYPE_CHECKING:
     from planner.batch import GraspSet, plan_grasps
@@ -48,6 +49,7 @@ __all__ = [
     "Obstacle",
     "PlannerError",
     "SymbolicHand",
+    "__version__",
     "analyse",
     "attempts",
     "distribute_forces",

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from planner.contacts import ContactSet
+from planner.fixed import freeze
 from planner.forces import ForceSolution
 from planner.kinematics import HandState
 from planner.paths import along, smooth
@@ -68,6 +69,8 @@ class JointTrajectory:
 class GraspPlan:
     """A grasp that passed every check of ``planner.synthesis.verify`` and the force QP.
 
+    Like its task it never changes: poses and arrays are read-only copies.
+
     Attributes:
         task: What was asked.
         T_world_base: Pose of the hand's base at the grasp.
@@ -93,6 +96,10 @@ class GraspPlan:
     verification: Verification
     record: SolveRecord
     arm: ArmPath | None = None
+
+    def __post_init__(self) -> None:
+        """Keep copies that nobody changes: what is proven of them is proven once."""
+        freeze(self, poses=("T_world_base", "T_world_base_start"), arrays=("q", "q_pregrasp"))
 
     def __repr__(self) -> str:
         """One line; the attributes hold the rest."""

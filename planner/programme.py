@@ -1,48 +1,43 @@
-"""Small dense linear and quadratic programmes, by the hundred: solvers that CasADi brings.
+"""Small dense linear and quadratic programmes, by the hundred.
 
     min  x'H x / 2 + g'x    s.t.  low <= A x <= high,  lower <= x <= upper
 
 DAQP (Arnström, Bemporad, Axehill, "A dual active-set solver for embedded quadratic programming
-using recursive LDL' updates", 2022) solves the quadratic ones of this project to rounding in 20 to
-300 us, HiGHS the linear ones in 0.2 to 1 ms. CasADi's call by arguments would add 0.25 ms of
-converting; through its buffers it adds 10 us. What is said to be solved is checked to be allowed.
+using recursive LDL' updates", 2022), which CasADi brings, solves the quadratic ones of this project
+to rounding in 20 to 300 us. CasADi's call by arguments would add 0.25 ms of converting; through its
+buffers it adds 10 us. What is said to be solved is checked to be allowed.
 
-Where the package highspy is installed its library bears the name of CasADi's: of the two the first
-that is loaded serves both, and the process dies. There SciPy's own HiGHS is asked, in 3 ms.
+SciPy's HiGHS solves the linear ones, in 3 ms. CasADi's HiGHS takes 0.2 to 1 ms, but its library
+bears the name of that of the package highspy, which qpsolvers loads where it is installed: of the
+two the first that is loaded serves both, and the process dies. What else is installed must change
+neither answers nor speed, so CasADi's is not used at all. Its CLP and CBC give wrong answers where
+rows have one limit, and print; its qpOASES gives up on one programme in fifteen of certificates.
 """
 
 from __future__ import annotations
 
 import math
-from functools import lru_cache
-from importlib.util import find_spec
 from typing import Any, Literal, Protocol
 
 import numpy as np
 from scipy.optimize import linprog
 
 from planner.spatial import FloatArray
+from planner.threads import BUILDING, kept_by_thread
 
 __all__ = ["Programme", "ScipyProgramme", "programme"]
 
-_OPTIONS: dict[str, dict[str, Any]] = {
-    "daqp": {"daqp": {"primal_tol": 1e-10}},
-    "highs": {
-        "highs": {
-            "output_flag": False,
-            "presolve": "off",
-            "primal_feasibility_tolerance": 1e-10,
-            "dual_feasibility_tolerance": 1e-10,
-        }
-    },
-}
-"""HiGHS at its tightest; presolve costs more time than it saves at these sizes."""
+_DAQP: dict[str, Any] = {"daqp": {"primal_tol": 1e-10}}
+"""DAQP's options."""
+
+_HIGHS = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+"""HiGHS at its tightest."""
 
 INFEASIBLE = 2
 """SciPy's status of a programme in which nothing is allowed."""
 
 KEPT = 64
-"""Solvers that are kept, one for every size."""
+"""Solvers that a thread keeps, one for every size."""
 
 FEASIBLE_TOL = 1e-8
 """Largest violation of a row or a bound, by the larger of the largest unknown and 1, of what counts
@@ -68,20 +63,16 @@ class Programme(Protocol):
         """
 
 
-class _CasadiProgramme:
-    """Through CasADi's buffers."""
+class _DaqpProgramme:
+    """DAQP through CasADi's buffers."""
 
-    def __init__(self, solver: Literal["daqp", "highs"], n: int, m: int) -> None:
-        """Make it for n unknowns and m rows; HiGHS for H = 0."""
+    def __init__(self, n: int, m: int) -> None:
+        """Make it for n unknowns and m rows."""
         import casadi as ca  # loaded when the first programme is solved, not with the contacts
 
-        quadratic = solver == "daqp"
-        shapes = {"a": ca.Sparsity.dense(m, n)}
-        if quadratic:
-            shapes["h"] = ca.Sparsity.dense(n, n)
-        self._solve = ca.conic(
-            "programme", solver, shapes, {"error_on_fail": False, **_OPTIONS[solver]}
-        )
+        with BUILDING:
+            shapes = {"a": ca.Sparsity.dense(m, n), "h": ca.Sparsity.dense(n, n)}
+            self._solve = ca.conic("programme", "daqp", shapes, {"error_on_fail": False, **_DAQP})
         made: Any = self._solve.buffer()  # kept: the solver works in it
         self._buffer, self._run = made
         self._in = {
@@ -114,7 +105,7 @@ class _CasadiProgramme:
 
 
 class ScipyProgramme:
-    """The linear ones by SciPy.
+    """HiGHS through SciPy.
 
     Attributes:
         infeasible: After a failure: whether the solver says that nothing is allowed.
@@ -140,7 +131,7 @@ class ScipyProgramme:
             b_ub=np.concatenate([high[up], -low[down]]),
             bounds=np.column_stack([values["lbx"], values["ubx"]]),
             method="highs-ds",
-            options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
+            options=_HIGHS,
         )
         self.infeasible = found.status == INFEASIBLE
         if found.status != 0 or not _is_allowed(found.x, values):
@@ -171,9 +162,11 @@ def _is_allowed(x: FloatArray, values: dict[str, FloatArray]) -> bool:
     return True
 
 
-@lru_cache(maxsize=KEPT)
+@kept_by_thread(KEPT)
 def programme(solver: Literal["daqp", "highs"], n: int, m: int) -> Programme:
-    """The solver for a size; the last few are kept."""
-    if solver == "highs" and find_spec("highspy") is not None:
-        return ScipyProgramme()
-    return _CasadiProgramme(solver, n, m)
+    """The solver for a size, of which every thread keeps its last few.
+
+    Its answer holds until the thread asks for another of that size: ask for the solver where it is
+    used, and read its prices at once.
+    """
+    return ScipyProgramme() if solver == "highs" else _DaqpProgramme(n, m)

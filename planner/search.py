@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from planner.synthesis.seeds import Seeder
 from planner.synthesis.settle import settle
 from planner.synthesis.strengthen import NEARLY, descend_grasp
 from planner.task import GraspTask
+from planner.threads import kept_by_thread, made_once
 
 __all__ = [
     "Attempt",
@@ -50,6 +50,9 @@ def attempts(
     options: SynthesisOptions | None = None,
 ) -> Iterator[Attempt[GraspPlan]]:
     """Endless independent attempts at a task; attempt i depends on ``seed`` and i alone.
+
+    Any number of them may go on at once, in one thread or in several, also at one task; a single
+    iterator is for one thread at a time.
 
     Raises:
         TaskError: The object cannot be grasped by this hand, found out before solving.
@@ -79,7 +82,7 @@ def attempts(
     return numbered(
         lambda index: _attempt(ground(index), np.random.default_rng([seed, index]), options),
         record,
-        prepare=ground,
+        prepare=lambda index: ground(index).world,
     )
 
 
@@ -93,6 +96,10 @@ def plan_grasp(
     progress: Callable[[Attempt[GraspPlan]], None] | None = None,
 ) -> GraspPlan:
     """The first grasp that holds on the true geometry.
+
+    May be called from any number of threads, and from ``progress``; each call gives what it gives
+    alone. Threads share the hand, the objects and the tasks, none of which ever changes. They take
+    turns in Python: for speed use processes (``planner.batch``).
 
     Args:
         task: What to grasp, with what, where.
@@ -131,12 +138,16 @@ def plan_grasp(
 
 @dataclass(frozen=True)
 class _Ground:
-    """What all attempts at a task share."""
+    """What all attempts at a task share, in whatever thread they are made."""
 
     task: GraspTask
     problems: Problems
     seeder: Seeder
-    world: CollisionWorld
+
+    @property
+    def world(self) -> CollisionWorld:
+        """The true geometry, this thread's own."""
+        return _world(self.task)
 
     @property
     def judges_links(self) -> CollisionWorld | None:
@@ -144,14 +155,21 @@ class _Ground:
         return None if bones_are_true(self.task.hand) else self.world
 
 
-@lru_cache(maxsize=8)
+@kept_by_thread(8)
+def _world(task: GraspTask) -> CollisionWorld:
+    """The true geometry of a task, of which every thread keeps its last few."""
+    return CollisionWorld(task)
+
+
+@made_once(8)
 def _ground(task: GraspTask, objectives: tuple[str, ...]) -> _Ground:
-    """Seeder, programmes and geometry of a task, made once for all who ask with the same one."""
+    """Seeder and programmes of a task, made once for all who ask with the same one."""
     seeder = seeder_for(task)
-    return _Ground(task, problems_for(task, objectives), seeder, CollisionWorld(task))
+    _world(task)  # refuses what stands in something else, before the programmes are built
+    return _Ground(task, problems_for(task, objectives), seeder)
 
 
-@lru_cache(maxsize=8)
+@made_once(8)
 def _spared_ground(task: GraspTask, objectives: tuple[str, ...]) -> _Ground:
     """The same with three fingers alone; with all where three cannot do what is asked."""
     whole = _ground(task, objectives)

@@ -16,7 +16,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planner.errors import ContactError
 
@@ -25,6 +25,7 @@ __all__ = [
     "FloatArray",
     "IntArray",
     "contact_frames",
+    "fixed_array",
     "pose_from_wxyz",
     "pose_to_wxyz",
     "rotation_angle",
@@ -48,6 +49,13 @@ else:
 def _pinocchio() -> Any:
     """Pinocchio, loaded at the first call: contacts on bare arrays work without it."""
     return import_module("pinocchio")
+
+
+def fixed_array(values: ArrayLike) -> FloatArray:
+    """A read-only copy of numbers, of any shape."""
+    array: FloatArray = np.array(values, dtype=np.float64)
+    array.flags.writeable = False
+    return array
 
 
 def skew(v: FloatArray) -> FloatArray:

@@ -15,9 +15,10 @@ import numpy as np
 
 from planner.contacts import CONTACT_DIM, ContactModel
 from planner.errors import TaskError
+from planner.fixed import fixed_pose, is_pose
 from planner.hand import Finger, Hand
 from planner.objects import GraspObject, parse_object
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, fixed_array
 
 __all__ = ["DEFAULT_MU", "GRAVITY", "GraspTask", "Obstacle"]
 
@@ -54,13 +55,14 @@ class Obstacle:
     T_world_obstacle: SE3
 
     def __post_init__(self) -> None:
-        """Check size and pose."""
-        size = np.array(self.size, dtype=np.float64)
+        """Check size and pose, and keep copies that nobody changes."""
+        what = f"obstacle {self.name!r}"
+        size = _numbers(f"{what}: size", self.size, "three lengths > 0 in m")
         if size.shape != (3,) or not np.isfinite(size).all() or (size <= 0).any():
-            raise TaskError(f"obstacle {self.name!r}: size {self.size} must be three lengths > 0 m")
-        if not np.isfinite(self.T_world_obstacle.homogeneous).all():
-            raise TaskError(f"obstacle {self.name!r}: its pose holds NaN or infinity")
+            raise TaskError(f"{what}: size {self.size} must be three lengths > 0 m")
         object.__setattr__(self, "size", size)
+        pose = _checked_pose(f"{what}: its pose", self.T_world_obstacle)
+        object.__setattr__(self, "T_world_obstacle", pose)
 
     def moved(self, by: FloatArray) -> Obstacle:
         """The same obstacle elsewhere; ``by`` is how far (3,), m, world."""
@@ -71,6 +73,9 @@ class Obstacle:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GraspTask:
     """One grasp to be planned; make one with ``GraspTask.create``.
+
+    A task never changes: it holds copies of the poses and arrays that it is given, and they are
+    read-only. ``dataclasses.replace`` makes another task. Threads may share one.
 
     Attributes:
         hand: The hand.
@@ -164,8 +169,9 @@ class GraspTask:
             spot[2] = 0.0 if table_height is None else table_height
             T_world_base = SE3(np.eye(3), spot) * hand.arm.T_spot_base
         chosen = hand.choose_fingers(fingers)
+        pull = _numbers("gravity", gravity, "three finite numbers in m/s2")
         if grip_force is None:
-            grip_force = _default_grip(item.mass, gravity, mu, len(chosen))
+            grip_force = _default_grip(item.mass, pull, mu, len(chosen))
         n_wrist = len(hand.wrist_index)
         return cls(
             hand=hand,
@@ -173,7 +179,7 @@ class GraspTask:
             T_world_object=T_world_object,
             table_height=table_height,
             obstacles=tuple(obstacles),
-            gravity=np.asarray(gravity, dtype=np.float64),
+            gravity=pull,
             mu=mu,
             mu_torsion=mu_torsion,
             contact_model=contact_model,
@@ -182,7 +188,9 @@ class GraspTask:
             grip_force=grip_force,
             T_world_base=T_world_base,
             wrist_free=wrist_free,
-            wrist_q=np.zeros(n_wrist) if wrist_q is None else np.array(wrist_q, dtype=float),
+            wrist_q=_numbers(
+                "wrist_q", np.zeros(n_wrist) if wrist_q is None else wrist_q, JOINTS_WANTED
+            ),
         )
 
     def with_fingers(self, names: Sequence[str]) -> GraspTask:
@@ -207,24 +215,29 @@ class GraspTask:
         )
 
     def __post_init__(self) -> None:
-        """Check every number and whether the fingers can close a grasp at all."""
+        """Check every number and whether the fingers can close a grasp at all.
+
+        Poses and arrays are copied, and the copies are read-only: a task never changes, so that
+        what is prepared for it may be kept for as long as it is there.
+        """
         for name in ("mu", "mu_torsion", "grip_force"):
             value = getattr(self, name)
             _check_number(name, value)
             if not np.isfinite(value) or value < 0:
                 raise TaskError(f"{name} is {value}; give a finite number >= 0")
-        gravity = np.array(self.gravity, dtype=np.float64)
+        gravity = _numbers("gravity", self.gravity, "three finite numbers in m/s2")
         if gravity.shape != (3,) or not np.isfinite(gravity).all():
             raise TaskError(f"gravity is {self.gravity}; give three finite numbers in m/s2")
         object.__setattr__(self, "gravity", gravity)
         if self.table_height is not None and not np.isfinite(self.table_height):
             raise TaskError(f"table_height is {self.table_height}; give metres, or None for none")
         for name in ("T_world_object", "T_world_base"):
-            pose = getattr(self, name)
-            if pose is not None and not hasattr(pose, "homogeneous"):
-                raise TaskError(f"{name} is a {type(pose).__name__}; give a pinocchio.SE3")
-            if pose is not None and not np.isfinite(pose.homogeneous).all():
-                raise TaskError(f"{name} holds NaN or infinity")
+            if name != "T_world_base" or self.T_world_base is not None:
+                object.__setattr__(self, name, _checked_pose(name, getattr(self, name)))
+        object.__setattr__(self, "finger_names", tuple(self.finger_names))
+        object.__setattr__(self, "obstacles", tuple(self.obstacles))
+        wrist_q = _numbers("wrist_q", self.wrist_q, JOINTS_WANTED)
+        object.__setattr__(self, "wrist_q", wrist_q)
         for finger in self.object.touch.required if self.object.touch is not None else ():
             if finger not in self.finger_names:
                 raise TaskError(
@@ -306,18 +319,36 @@ class GraspTask:
             )
 
 
-def _default_grip(
-    mass: float, gravity: Sequence[float] | FloatArray, mu: float, n_fingers: int
-) -> float:
+def _default_grip(mass: float, gravity: FloatArray, mu: float, n_fingers: int) -> float:
     """Normal force per finger (N) that carries the weight with a reserve."""
     share = mass * float(np.linalg.norm(gravity)) / (max(mu, LEAST_MU) * n_fingers)
     return float(max(MIN_GRIP, GRIP_SAFETY * share))
+
+
+def _numbers(name: str, values: object, wanted: str) -> FloatArray:
+    """Numbers as a read-only copy."""
+    try:
+        return fixed_array(values)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        raise TaskError(f"{name} is {values!r}; give {wanted}") from None
+
+
+def _checked_pose(name: str, pose: SE3) -> SE3:
+    """A pose as a copy that nobody changes."""
+    if not is_pose(pose):
+        raise TaskError(f"{name} is a {type(pose).__name__}; give a pinocchio.SE3")
+    if not np.isfinite(pose.homogeneous).all():
+        raise TaskError(f"{name} holds NaN or infinity; give finite numbers")
+    return fixed_pose(pose)
 
 
 def _check_number(name: str, value: object) -> None:
     if isinstance(value, bool) or not isinstance(value, Real):
         raise TaskError(f"{name} is {value!r}; give a number")
 
+
+JOINTS_WANTED = "the wrist's joints in rad"
+"""What ``wrist_q`` is to be, in messages."""
 
 LEAST_MU = 1e-3
 """Friction (-) below which the default grip does not grow any more."""

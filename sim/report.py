@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,6 +12,7 @@ from planner.plain import finite
 from planner.quality import QualityReport
 from planner.schema import StrictData
 from planner.spatial import FloatArray
+from planner.version import written_by
 from sim.controllers.events import Event, EventKind
 from sim.verdict import Reason, Samples, Thresholds, Verdict, largest
 
@@ -126,7 +126,7 @@ class TrialReport:
         """Plain data that follows ``ReportFile``; what is not a finite number becomes None."""
         s = self.samples
         return ReportFile(
-            written_by=f"opposable {version('opposable')}",
+            written_by=written_by(),
             success=self.success,
             reason=self.reason,
             detail=self.verdict.detail,

@@ -11,7 +11,6 @@ import signal
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import version
 from typing import Any, TypeAlias, TypeVar
 
 from rich.console import Console
@@ -26,6 +25,7 @@ from rich.progress import (
 
 from planner.batch.jobs import end_with
 from planner.batch.pool import finished
+from planner.version import written_by
 
 __all__ = ["Check", "Runner", "made_with"]
 
@@ -43,7 +43,7 @@ def made_with() -> dict[str, Any]:
     machine was quiet.
     """
     return {
-        "written_by": f"opposable {version('opposable')}",
+        "written_by": written_by(),
         "machine": f"{platform.machine()}, Python {platform.python_version()}",
         "cores": os.cpu_count(),
         "load_average": round(os.getloadavg()[0], 2),

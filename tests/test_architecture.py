@@ -121,7 +121,9 @@ ALLOWED = {
     "planner.spatial": ("errors",),
     "planner.contacts": ("errors", "spatial"),
     "planner.actuation": ("errors", "spatial"),
-    "planner.programme": ("spatial",),
+    "planner.threads": (),
+    "planner.version": (),
+    "planner.programme": ("spatial", "threads"),
     "planner.paths": ("spatial",),
     "planner.plain": (),
     "planner.quality": ("errors", "spatial", "contacts", "plain", "programme"),
@@ -242,6 +244,7 @@ ALLOWED = {
         "symbolic",
         "synthesis",
         "task",
+        "threads",
     ),
     "planner.gait": (
         "errors",
@@ -277,6 +280,8 @@ ALLOWED = {
         "shapes",
         "synthesis",
         "task",
+        "threads",
+        "version",
     ),
 }
 

@@ -12,16 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.batch.dataset import GraspSet
-from planner.batch.manifest import Manifest, ManifestObject, written_by
-from planner.batch.recipe import recipe_of
+from planner.batch.manifest import Manifest, ManifestObject
+from planner.batch.recipe import Recipe
 from planner.batch.rows import failed_row, grasp_schema
 from planner.batch.store import Store, shard_file
 from planner.errors import FileFormatError, NotFoundError, TaskError
-from planner.files import TaskData
 from planner.hand import Hand
 from planner.plan import GraspPlan
 from planner.search import Attempt
 from planner.task import GraspTask
+from planner.version import written_by
 
 pytest.importorskip("pyarrow")
 
@@ -41,10 +41,7 @@ class Kit:
 @pytest.fixture(scope="module")
 def kit(allegro: Hand) -> Kit:
     objects = [
-        ManifestObject(
-            label=name,
-            task=TaskData.model_validate_json(recipe_of(GraspTask.create(allegro, name))),
-        )
+        ManifestObject(label=name, **dict(Recipe.of(GraspTask.create(allegro, name))))
         for name in ("sphere", "box")
     ]
     manifest = Manifest(
@@ -68,6 +65,11 @@ def row(index: int) -> dict[str, Any]:
     ]
     label = ("sphere", "box")[index // 5]
     return failed_row(index, label, index % 5, 1000 + index, made[-1].reason, made)
+
+
+def line(kit: Kit, index: int) -> str:
+    """The row of a request as the journal has it."""
+    return json.dumps({"manifest_sha256": kit.manifest.digest, **row(index)}) + "\n"
 
 
 def numbers(grasps: GraspSet) -> list[int]:
@@ -129,9 +131,7 @@ def test_a_kill_between_shard_and_journal_repeats_nothing(kit: Kit, tmp_path: Pa
         kept = (tmp_path / "journal.jsonl").read_text(encoding="utf-8")
         store.add(row(3))
     # the file of the shard is there, and its rows are still in the journal
-    (tmp_path / "journal.jsonl").write_text(
-        kept + json.dumps(row(3)) + "\n" + json.dumps(row(4)) + "\n", encoding="utf-8"
-    )
+    (tmp_path / "journal.jsonl").write_text(kept + line(kit, 3) + line(kit, 4), encoding="utf-8")
     assert numbers(GraspSet(tmp_path)) == [0, 1, 2, 3, 4]
     with kit.store(tmp_path) as store:
         assert len(store) == 5
@@ -142,7 +142,7 @@ def test_a_kill_before_the_shard_leaves_a_full_journal(kit: Kit, tmp_path: Path)
         for i in range(4):
             store.add(row(i))
     shard_file(tmp_path, "grasps", 0).unlink()
-    lines = "".join(json.dumps(row(i)) + "\n" for i in range(4))
+    lines = "".join(line(kit, i) for i in range(4))
     (tmp_path / "journal.jsonl").write_text(lines, encoding="utf-8")
     with kit.store(tmp_path):
         assert shard_file(tmp_path, "grasps", 0).exists()
@@ -208,6 +208,87 @@ def test_another_batch_is_refused_and_told_apart(kit: Kit, tmp_path: Path) -> No
         kit.store(tmp_path, written_by="opposable 0.0.1")
     with kit.store(tmp_path):  # none of these keeps the folder locked
         pass
+
+
+@pytest.mark.parametrize("n_rows", [1, 5, 10])
+def test_grasps_without_a_manifest_are_not_adopted(kit: Kit, tmp_path: Path, n_rows: int) -> None:
+    with kit.store(tmp_path) as store:
+        for i in range(n_rows):
+            store.add(row(i))
+    kept = (tmp_path / "manifest.json").read_bytes()
+    (tmp_path / "manifest.json").unlink()
+    with pytest.raises(FileFormatError, match=r"no manifest.json.*bring that file back"):
+        kit.store(tmp_path, seed=99)
+    assert not (tmp_path / "manifest.json").exists()
+    (tmp_path / "manifest.json").write_bytes(kept)
+    with kit.store(tmp_path) as store:
+        assert len(store) == n_rows
+
+
+def test_a_batch_that_was_killed_before_its_manifest_begins_again(kit: Kit, tmp_path: Path) -> None:
+    with kit.store(tmp_path):
+        pass
+    (tmp_path / "manifest.json").rename(tmp_path / "manifest.json.part")
+    with kit.store(tmp_path, seed=99) as store:
+        assert len(store) == 0
+
+
+@pytest.mark.parametrize("n_rows", [1, 4])
+def test_rows_of_another_manifest_are_refused(kit: Kit, tmp_path: Path, n_rows: int) -> None:
+    with kit.store(tmp_path / "old") as store:  # one row in the journal, four in a shard
+        for i in range(n_rows):
+            store.add(row(i))
+    with kit.store(tmp_path / "other", seed=99):
+        pass
+    (tmp_path / "other" / "manifest.json").replace(tmp_path / "old" / "manifest.json")
+    with pytest.raises(FileFormatError, match=r"planned for another manifest.json"):
+        kit.store(tmp_path / "old", seed=99)
+    with pytest.raises(FileFormatError, match=r"planned for another manifest.json"):
+        GraspSet(tmp_path / "old")
+
+
+def test_a_batch_of_the_first_version_is_read_but_not_gone_on_with(
+    kit: Kit, tmp_path: Path
+) -> None:
+    with kit.store(tmp_path) as store:
+        for i in range(5):
+            store.add(row(i))
+    data = json.loads((tmp_path / "manifest.json").read_text(encoding="utf-8"))
+    for item in data["objects"]:
+        del item["may_spare_fingers"], item["rotations"]
+    del data["max_cpu_s"]
+    data["version"] = 1
+    shard_file(tmp_path, "grasps", 0).unlink()
+    lines = "".join(json.dumps(row(i)) + "\n" for i in range(5))
+    (tmp_path / "journal.jsonl").write_text(lines, encoding="utf-8")
+    (tmp_path / "manifest.json").write_text(json.dumps(data), encoding="utf-8")
+    assert numbers(GraspSet(tmp_path)) == list(range(5))
+    with pytest.raises(FileFormatError, match="version is 1 there and 2 here"):
+        kit.store(tmp_path)
+
+
+@pytest.mark.parametrize("damage", ["truncated", "foreign", "empty", "scrambled"])
+def test_damage_of_a_file_is_an_error_that_says_what_to_do(
+    kit: Kit, tmp_path: Path, damage: str
+) -> None:
+    with kit.store(tmp_path) as store:
+        for i in range(10):
+            store.add(row(i))
+    path = shard_file(tmp_path, "grasps", 0)
+    whole = path.read_bytes()
+    changed = {
+        "truncated": whole[:-20],
+        "foreign": b"PAR1 is not enough",
+        "empty": b"",
+        "scrambled": whole[:4] + bytes(255 - b for b in whole[4:600]) + whole[600:],
+    }
+    path.write_bytes(changed[damage])
+    grasps = GraspSet(tmp_path)
+    if damage == "scrambled":  # its end, which says what is where, is as it was
+        with pytest.raises(FileFormatError, match=r"damaged .*delete it"):
+            list(grasps)
+    else:
+        assert numbers(grasps) == list(range(4, 10))
 
 
 def test_a_folder_with_other_files_is_refused(kit: Kit, tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ import mujoco
 import numpy as np
 import pytest
 
+import planner
 from planner.files import PlanFile, read_plan
 from planner.hand import Hand
 from sim.cli import main
@@ -545,3 +546,9 @@ def test_json_on_stdout_knows_no_nan(capsys: pytest.CaptureFixture[str]) -> None
     print_json({"dual": float("nan"), "cells": [{"bound": np.inf}]})
     told = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert told == {"dual": None, "cells": [{"bound": None}]}
+
+
+def test_the_command_says_its_version() -> None:
+    done = opposable("--version")
+    assert done.code == 0
+    assert done.out == f"opposable {planner.__version__}\n"

@@ -292,7 +292,9 @@ def test_depths_in_the_plates_of_a_concave_mesh_are_the_least_translation(link: 
         plate, out = OUT_OF_PLATES[number % len(OUT_OF_PLATES)]
         along = np.array(out) / np.linalg.norm(out)
         pose = pose_at(depth, boxes[plate], support, along, somehow(rng)[1])
-        assert check_in_boxes(pair, pose, boxes, support, EDGES[link]) <= (1 + LONG) * depth + ACCURATE
+        assert (
+            check_in_boxes(pair, pose, boxes, support, EDGES[link]) <= (1 + LONG) * depth + ACCURATE
+        )
 
 
 @pytest.mark.parametrize("link", LINKS)

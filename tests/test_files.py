@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -11,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+import planner
 from planner.errors import ContactError, FileFormatError, PlannerError
 from planner.files import (
     PLAN_VERSION,
@@ -29,6 +31,7 @@ from planner.spatial import SE3
 from planner.task import GraspTask, Obstacle
 
 Json: TypeAlias = Any
+ROOT = Path(__file__).resolve().parent.parent
 
 
 @pytest.fixture(scope="module")
@@ -243,3 +246,18 @@ def test_contacts_all_at_the_centre_need_a_length(tmp_path: Path) -> None:
     (tmp_path / "c.json").write_text(json.dumps({"contacts": [one, one]}), encoding="utf-8")
     with pytest.raises(FileFormatError, match="every contact is at the centre of mass; give len"):
         read_contacts(tmp_path / "c.json")
+
+
+def test_files_are_written_from_a_checkout_that_is_not_installed(
+    monkeypatch: pytest.MonkeyPatch, plan: GraspPlan, tmp_path: Path
+) -> None:
+    def missing(name: str) -> str:
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(metadata, "version", missing)
+    write_plan(plan, tmp_path / "plan.json")
+    data = json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))
+    assert data["written_by"] == f"opposable {planner.__version__}"
+    sources = [*ROOT.glob("planner/**/*.py"), *ROOT.glob("sim/**/*.py")]
+    asking = [p for p in sources if "version('opposable')" in p.read_text(encoding="utf-8")]
+    assert not asking

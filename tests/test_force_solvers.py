@@ -135,7 +135,7 @@ def test_answers_called_solved_are_within_the_tolerance_asked_for(
 ) -> None:
     contacts = around()
     loop = ForceLoop(contacts, solver=solver, tolerance=tolerance, min_normal=0.1, max_normal=5.0)
-    solved = 0
+    solved = answered = 0
     for wrench in turning_wrenches(1.0, 0.03, 60):
         step = loop.step(wrench)
         forces = contacts.with_forces(step.forces)
@@ -145,9 +145,18 @@ def test_answers_called_solved_are_within_the_tolerance_asked_for(
             missed = (forces.wrench() + wrench) / [1, 1, 1, *3 * [loop.problem.length]]
             assert np.abs(missed).max() <= 1.01 * tolerance * size
             assert forces.friction_utilisation().max() <= 1 + 20 * tolerance
+            if np.isnan(loop.solver.x).any():
+                continue  # the solver gave up; the loop found forces by least violation
+            answered += 1
             dual = loop.qp.dual_residual(loop.solver.x, loop.solver.duals)
             assert dual <= LOOSE_DUAL * tolerance
     assert solved >= 58
+    assert answered >= solved - GIVEN_UP.get(solver, 0)
+
+
+GIVEN_UP = {"highs": 2}
+"""Of these 60 strictly convex programmes HiGHS 1.15.1 calls one unbounded and fails on another,
+with any of its options and tolerances; the solution is unique, and all other solvers find it."""
 
 
 def test_every_refusal_is_proven_by_a_linear_programme() -> None:

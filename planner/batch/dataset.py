@@ -13,7 +13,7 @@ import numpy as np
 from planner.batch.diversity import Diversity, diversity
 from planner.batch.features import GraspFeatures
 from planner.batch.manifest import read_manifest
-from planner.batch.recipe import task_of
+from planner.batch.recipe import task_of, with_fingers_of
 from planner.batch.rows import arrow, attempt_rows, attempt_schema, grasp_schema
 from planner.batch.store import ATTEMPTS, GRASPS, shard_file, waiting_rows, whole_shards
 from planner.batch.thinning import thin
@@ -87,7 +87,7 @@ class GraspSet:
         """
         for item in self.manifest.objects:
             if item.label == label:
-                return task_of(item.task.model_dump_json())
+                return task_of(item.recipe)
         raise NotFoundError("object of the batch", label, self.labels)
 
     def tables(self, columns: Sequence[str] | None = None) -> Iterator[Any]:
@@ -138,7 +138,7 @@ class GraspSet:
         where = f"grasp {row['k']} of {row['object']!r}"
         if not row["found"]:
             raise FileFormatError(f"{where} was not found: {row['reason']}; take another row")
-        task = self.task(row["object"])
+        task = with_fingers_of(self.task(row["object"]), row)
         start = _pose(row, "start")
         arm = None
         if row["arm_approach_q_rad"] is not None:
@@ -218,8 +218,14 @@ class GraspSet:
         pa = arrow()
         if shard not in self._waiting:
             path = shard_file(self.folder, table, shard)
-            # one file, not a folder of them: no columns out of the path
-            return pa.parquet.ParquetFile(path).read(columns=columns)
+            try:
+                # one file, not a folder of them: no columns out of the path
+                return pa.parquet.ParquetFile(path).read(columns=columns)
+            except (pa.ArrowException, OSError) as error:
+                raise FileFormatError(
+                    f"{path} is damaged ({str(error).splitlines()[0]}); delete it, and the same "
+                    "batch plans its rows again"
+                ) from error
         rows, schema = self._waiting[shard], self._schema()
         if table == ATTEMPTS:
             rows, schema = [a for row in rows for a in attempt_rows(row)], attempt_schema()

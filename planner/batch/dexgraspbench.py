@@ -31,6 +31,7 @@ from typing import Any
 import numpy as np
 
 from planner.batch.dataset import GraspSet
+from planner.batch.recipe import with_fingers_of
 from planner.contacts import ContactSet
 from planner.errors import FileFormatError, TaskError
 from planner.files import write_json
@@ -125,6 +126,7 @@ def squeeze_posture(task: GraspTask, row: Mapping[str, Any]) -> FloatArray:
     Raises:
         FileFormatError: No forces press this grasp within the torque limits.
     """
+    task = with_fingers_of(task, row)
     floating = replace(task, gravity=np.zeros(3))
     q = np.array(row["q_rad"])
     contacts = ContactSet.from_arrays(

@@ -109,6 +109,7 @@ def _entropy(counts: NDArray[np.int_]) -> float:
 
 def _touched(contacts: FloatArray, shape: Shape) -> float:
     """Share of the surface within reach of a contact."""
+    contacts = contacts[~np.isnan(contacts).any(axis=1)]
     if len(contacts) == 0:
         return 0.0
     points = surface_points(shape, SURFACE_POINTS)

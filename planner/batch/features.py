@@ -26,13 +26,13 @@ DRAWS_PER_START = 50
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GraspFeatures:
-    """n grasps of one object by one hand with the same c fingers.
+    """n grasps of one object by one hand with c fingers, of which some may be spared.
 
     Attributes:
         positions: Hand's base (n, 3), m.
         rotations: Hand's base (n, 3, 3).
         approach: Direction that the palm faces (n, 3), unit.
-        contacts: (n, c, 3), m, finger by finger.
+        contacts: (n, c, 3), m, finger by finger; NaN of those that do not touch.
         q: Joints of these fingers (n, d), rad (m for slides).
     """
 
@@ -68,7 +68,11 @@ class GraspFeatures:
     @classmethod
     def of_rows(cls, task: GraspTask, rows: Sequence[Mapping[str, Any]]) -> GraspFeatures:
         """Of rows of a dataset, all found, all of the task's object."""
-        index, n, c = _finger_joints(task), len(rows), len(task.fingers)
+        index, n = _finger_joints(task), len(rows)
+        contacts = np.full((n, len(task.fingers), 3), np.nan)
+        for places, row in zip(contacts, rows, strict=True):
+            names = row.get("fingers") or task.finger_names
+            places[[task.finger_names.index(f) for f in names]] = row["contact_positions_object_m"]
         rotations = [
             pose_from_wxyz(np.zeros(3), np.array(row["base_quaternion_object_wxyz"])).rotation
             for row in rows
@@ -77,7 +81,7 @@ class GraspFeatures:
             positions=_stack([row["base_position_object_m"] for row in rows], (n, 3)),
             rotations=_stack(rotations, (n, 3, 3)),
             approach=_stack([row["approach_object"] for row in rows], (n, 3)),
-            contacts=_stack([row["contact_positions_object_m"] for row in rows], (n, c, 3)),
+            contacts=contacts,
             q=_stack([np.array(row["q_rad"])[index] for row in rows], (n, len(index))),
         )
 

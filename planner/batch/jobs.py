@@ -61,6 +61,7 @@ class Job:
         max_attempts: Attempts before giving up.
         options: Margins and weights of the NLP.
         parent: Process that started the batch.
+        max_cpu_s: CPU seconds before giving up; None for no limit.
     """
 
     index: int
@@ -70,6 +71,7 @@ class Job:
     max_attempts: int
     options: SynthesisOptions | None
     parent: int
+    max_cpu_s: float | None = None
 
 
 def grasp_seed(seed: int, key: str, k: int) -> int:
@@ -89,6 +91,7 @@ def batch_jobs(
     wanted: Callable[[int], bool],
     max_attempts: int,
     options: SynthesisOptions | None,
+    max_cpu_s: float | None = None,
 ) -> Iterator[Job]:
     """The requests of a batch that are still wanted, object by object, one at a time.
 
@@ -99,6 +102,7 @@ def batch_jobs(
         wanted: Whether a request's number is still to be planned.
         max_attempts: Attempts before giving up.
         options: Margins and weights of the NLP.
+        max_cpu_s: CPU seconds before giving up; None for no limit.
     """
     for number, item in enumerate(objects):
         for k in range(n):
@@ -110,13 +114,10 @@ def batch_jobs(
                     k=k,
                     seed=grasp_seed(seed, item.key, k),
                     max_attempts=max_attempts,
+                    max_cpu_s=max_cpu_s,
                     options=options,
                     parent=os.getpid(),
                 )
-
-
-_ONE_AT_A_TIME = threading.Lock()
-"""Threads take turns: tasks of one kind of shape share NLPs, which hold one field at a time."""
 
 
 def plan_row(job: Job) -> dict[str, Any]:
@@ -127,7 +128,7 @@ def plan_row(job: Job) -> dict[str, Any]:
     """
     made: list[Attempt[GraspPlan]] = []
     end_with(job.parent)
-    with _ONE_AT_A_TIME, _undisturbed(job.parent) as check:
+    with _undisturbed(job.parent) as check:
 
         def note(attempt: Attempt[GraspPlan]) -> None:
             made.append(attempt)
@@ -139,6 +140,7 @@ def plan_row(job: Job) -> dict[str, Any]:
                 task,
                 seed=job.seed,
                 max_attempts=job.max_attempts,
+                max_cpu_s=job.max_cpu_s,
                 options=job.options,
                 progress=note,
             )

@@ -5,17 +5,18 @@ A batch goes on only under the manifest it began with, so that one folder never 
 
 from __future__ import annotations
 
-from importlib.metadata import version
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import ValidationError
 
+from planner.batch.recipe import Recipe
 from planner.errors import FileFormatError
-from planner.files import TaskData, read_json
+from planner.files import read_json
 from planner.schema import StrictData, faults_of
 
-__all__ = ["MANIFEST", "Manifest", "ManifestObject", "read_manifest", "written_by"]
+__all__ = ["MANIFEST", "Manifest", "ManifestObject", "read_manifest"]
 
 MANIFEST = "manifest.json"
 """Name of the file."""
@@ -27,27 +28,41 @@ MOST_DIFFERENCES = 4
 """Differences between two manifests that a message tells."""
 
 
-class ManifestObject(StrictData):
+class ManifestObject(Recipe):
     """One object: what it is called, and its task."""
 
     label: str
-    task: TaskData
+
+    @property
+    def recipe(self) -> str:
+        """The task as ``planner.batch.recipe`` has it."""
+        return Recipe(**{k: getattr(self, k) for k in Recipe.model_fields}).model_dump_json()
 
 
 class Manifest(StrictData):
-    """What a batch was asked for."""
+    """What a batch was asked for.
+
+    Version 1, of which rows do not say whose they are nor with which fingers they grasp, is read,
+    but not gone on with.
+    """
 
     format: Literal["opposable-grasps"] = "opposable-grasps"
-    version: Literal[1] = 1
+    version: Literal[1, 2] = 2
     written_by: str
     hand: str
     joint_names: list[str]
     n: int
     seed: int
     max_attempts: int
+    max_cpu_s: float | None = None
     options: dict[str, Any]
     shard_rows: int = SHARD_ROWS
     objects: list[ManifestObject]
+
+    @property
+    def digest(self) -> str | None:
+        """What rows name their manifest by, SHA-256 in hexadecimal; None for version 1."""
+        return None if self.version == 1 else sha256(self.model_dump_json().encode()).hexdigest()
 
     @property
     def total(self) -> int:
@@ -77,11 +92,6 @@ class Manifest(StrictData):
                 + (f"; and {more} more" if more > 0 else "")
                 + ". Ask for the same to go on with it, or name another folder"
             )
-
-
-def written_by() -> str:
-    """This version, as files name it."""
-    return f"opposable {version('opposable')}"
 
 
 def read_manifest(folder: Path) -> Manifest:

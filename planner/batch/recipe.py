@@ -1,37 +1,98 @@
 """A grasp task as text that another process can make the task from again.
 
 Hands and NLPs cannot be sent between processes, and need not be: a worker makes each task once from
-its text and keeps it. The text is also what a stored batch remembers of its tasks.
+its text and keeps it. The text is also what a stored batch remembers of its tasks. It gives the
+same task to the last bit, so that a request is planned as ``plan_grasp`` plans it.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from functools import lru_cache
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
-from pydantic import ValidationError
+import numpy as np
+from pydantic import Field, ValidationError
 
 from planner.errors import FileFormatError
 from planner.files import TaskData, task_data, task_from_data
+from planner.files.data import Finite, PoseData
 from planner.hand import Hand
-from planner.schema import faults_of
+from planner.schema import StrictData, faults_of
 from planner.shapes import Mesh, Shape, shape_to_dict
+from planner.spatial import SE3
 from planner.task import GraspTask
+from planner.threads import made_once
 
-__all__ = ["label_of", "recipe_of", "shape_key", "task_of"]
+__all__ = ["Recipe", "label_of", "recipe_of", "shape_key", "task_of", "with_fingers_of"]
+
+
+class Recipe(StrictData):
+    """A task as it is searched for: what a plan file says of it, and what the search needs beside.
+
+    Attributes:
+        task: As in plan files.
+        may_spare_fingers: Whether the search may go on with fewer fingers.
+        rotations: Rotation matrices, row by row, of poses that quaternions give to rounding alone.
+    """
+
+    task: TaskData
+    may_spare_fingers: bool = False
+    rotations: dict[str, list[Finite]] = Field(default_factory=dict)
+
+    @classmethod
+    def of(cls, task: GraspTask) -> Recipe:
+        """Of a task.
+
+        Raises:
+            TaskError: The hand was made in Python, so that no text can name it.
+        """
+        return cls(
+            task=task_data(task),
+            may_spare_fingers=task.may_spare_fingers,
+            rotations={
+                name: pose.rotation.ravel().tolist()
+                for name, pose in _poses(task).items()
+                if (PoseData.of(pose).pose().rotation != pose.rotation).any()
+            },
+        )
+
+    def made(self, hand: Hand) -> GraspTask:
+        """The task, for its hand."""
+        task = task_from_data(self.task, hand)
+        exact: dict[str, Any] = {
+            name: SE3(np.array(self.rotations[name]).reshape(3, 3), pose.translation)
+            if name in self.rotations
+            else pose
+            for name, pose in _poses(task).items()
+        }
+        obstacles = tuple(
+            replace(o, T_world_obstacle=exact.pop(f"obstacle {k}"))
+            for k, o in enumerate(task.obstacles)
+        )
+        return replace(task, obstacles=obstacles, may_spare_fingers=self.may_spare_fingers, **exact)
+
+
+def _poses(task: GraspTask) -> dict[str, SE3]:
+    """The poses of a task by their attribute, or by the name of their obstacle."""
+    poses = {"T_world_object": task.T_world_object}
+    if task.T_world_base is not None:
+        poses["T_world_base"] = task.T_world_base
+    return poses | {f"obstacle {k}": o.T_world_obstacle for k, o in enumerate(task.obstacles)}
 
 
 def recipe_of(task: GraspTask) -> str:
-    """A task as JSON that follows ``planner.files.TaskData``; equal tasks give equal text.
+    """A task as JSON that follows ``Recipe``; equal tasks give equal text.
 
     Raises:
         TaskError: The hand was made in Python, so that no text can name it.
     """
-    return task_data(task).model_dump_json()
+    return Recipe.of(task).model_dump_json()
 
 
-@lru_cache(maxsize=64)
+@made_once(64)
 def task_of(recipe: str) -> GraspTask:
     """The task that ``recipe_of`` wrote; made once per process.
 
@@ -40,19 +101,39 @@ def task_of(recipe: str) -> GraspTask:
         PlannerError: Hand or object cannot be loaded.
     """
     try:
-        data = TaskData.model_validate_json(recipe)
+        data = Recipe.model_validate_json(recipe)
     except ValidationError as error:
         raise FileFormatError(f"the task of a batch is damaged: {faults_of(error)}") from error
-    hand = _hand(data.hand.description_path or data.hand.name)
-    if hand.digest != data.hand.sha256:
+    given = data.task.hand
+    hand = _hand(given.description_path or given.name)
+    hand = hand.rolling if given.rolling else hand
+    if hand.digest != given.sha256:
         raise FileFormatError(
-            f"the batch was planned for a different {data.hand.name!r} than {hand.reference}: its "
+            f"the batch was planned for a different {given.name!r} than {hand.reference}: its "
             "files have changed since; start a new batch, or bring the old files back"
         )
-    return task_from_data(data, hand)
+    return data.made(hand)
 
 
-@lru_cache(maxsize=8)
+def with_fingers_of(task: GraspTask, row: Mapping[str, Any]) -> GraspTask:
+    """The task of a row with a grasp: for the fingers of that grasp.
+
+    Args:
+        task: The task of the row's object.
+        row: A row of a dataset.
+    """
+    names = row.get("fingers")  # rows of the first version have all that the task names
+    if names is None or tuple(names) == task.finger_names:
+        return task
+    return _with_fingers(task, tuple(names))
+
+
+@made_once(64)
+def _with_fingers(task: GraspTask, names: tuple[str, ...]) -> GraspTask:
+    return task.with_fingers(names)
+
+
+@made_once(8)
 def _hand(name: str) -> Hand:
     """One hand for all tasks with it, so that they share its NLPs."""
     return Hand.load(name)

@@ -13,18 +13,18 @@ from weakref import finalize
 
 from planner.batch.dataset import GraspSet
 from planner.batch.jobs import BatchObject, batch_jobs
-from planner.batch.manifest import Manifest, ManifestObject, written_by
+from planner.batch.manifest import Manifest, ManifestObject
 from planner.batch.pool import check_backend, planned_rows
-from planner.batch.recipe import label_of, recipe_of, task_of
+from planner.batch.recipe import Recipe, label_of, recipe_of, task_of
 from planner.batch.rows import grasp_schema
 from planner.batch.store import Store
 from planner.errors import TaskError
-from planner.files import TaskData
 from planner.hand import Hand
 from planner.objects import GraspObject
 from planner.search import DEFAULT_MAX_ATTEMPTS
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
+from planner.version import written_by
 
 __all__ = ["BatchProgress", "plan_grasps"]
 
@@ -64,6 +64,7 @@ def plan_grasps(
     out: Path | str | None = None,
     options: SynthesisOptions | None = None,
     max_attempts: int = DEFAULT_MAX_ATTEMPTS,
+    max_cpu_s: float | None = None,
     progress: Callable[[BatchProgress], None] | None = None,
 ) -> GraspSet:
     """Plan n grasps of each object; grasp k of an object depends on seed, its shape and k alone.
@@ -71,7 +72,8 @@ def plan_grasps(
     Args:
         hand: The hand, its name, or the path of its description.
         objects: Objects, specifications such as "box:0.05x0.05x0.08", or whole tasks with this
-            hand, for other friction, fingers or surroundings.
+            hand, for other friction, fingers or surroundings. A request is searched for as
+            ``plan_grasp`` does: its row's seed gives the same plan there.
         n: Grasps per object.
         seed: Same seed, same grasps, whatever the workers.
         workers: Processes (or what the backend has); -1 for one per core, 1 for this process.
@@ -80,6 +82,8 @@ def plan_grasps(
             lives as long as the result.
         options: Margins and weights of the NLP.
         max_attempts: Attempts per grasp before it counts as not found.
+        max_cpu_s: CPU seconds per grasp before it counts as not found, looked at between attempts;
+            which grasps are found then depends on the machine. None for no limit.
         progress: Called at the beginning and after every grasp.
 
     Returns:
@@ -93,6 +97,8 @@ def plan_grasps(
     for name, value, least in (("n", n, 1), ("seed", seed, 0), ("max_attempts", max_attempts, 1)):
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
             raise TaskError(f"{name} is {value!r}; give an integer >= {least}")
+    if max_cpu_s is not None and not max_cpu_s > 0:
+        raise TaskError(f"max_cpu_s is {max_cpu_s}; give seconds > 0, or None for no limit")
     if isinstance(workers, bool) or not isinstance(workers, int) or workers == 0:
         raise TaskError(f"workers is {workers!r}; give their number, or -1 for one per core")
     items = [BatchObject.of(label, task) for label, task in tasks.items()]
@@ -105,17 +111,19 @@ def plan_grasps(
         n=n,
         seed=seed,
         max_attempts=max_attempts,
+        max_cpu_s=max_cpu_s,
         options=(options or SynthesisOptions()).to_dict(),
         objects=[
-            ManifestObject(label=i.label, task=TaskData.model_validate_json(i.recipe))
-            for i in items
+            ManifestObject(label=label, **dict(Recipe.of(task))) for label, task in tasks.items()
         ],
     )
     check_backend(backend, workers)
     folder = Path(mkdtemp(prefix="opposable-")) if out is None else Path(out)
     try:
         with Store(folder, manifest, schema) as store:
-            jobs = batch_jobs(items, n, seed, lambda i: not store.has(i), max_attempts, options)
+            jobs = batch_jobs(
+                items, n, seed, lambda i: not store.has(i), max_attempts, options, max_cpu_s
+            )
             _fill(store, planned_rows(jobs, workers, backend), progress)
         grasps = GraspSet(folder)
     except BaseException:

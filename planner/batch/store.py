@@ -3,7 +3,8 @@
 A row is safe once ``add`` returns: it is a line of the journal. When all rows of a shard are there
 they become a Parquet file, which appears whole or not at all, and leave the journal. Shards divide
 the requests by their number, so the files of a finished batch do not depend on who finished when.
-What is in memory are the rows of unfinished shards.
+Rows and files name the manifest that they were planned for, by its digest, so that no row is ever
+taken for that of another batch. What is in memory are the rows of unfinished shards.
 
     manifest.json             what was asked for
     grasps/part-000000.parquet    one row per requested grasp, sorted by object and k
@@ -32,6 +33,9 @@ GRASPS, ATTEMPTS = "grasps", "attempts"
 
 JOURNAL, LOCK, PARTIAL = "journal.jsonl", "lock", "partial.tmp"
 
+OWNER = "manifest_sha256"
+"""What the digest of a row's manifest is called, in the journal and in the files' metadata."""
+
 
 def shard_file(folder: Path, table: str, shard: int) -> Path:
     """The Parquet file of a shard."""
@@ -39,23 +43,58 @@ def shard_file(folder: Path, table: str, shard: int) -> Path:
 
 
 def whole_shards(folder: Path, manifest: Manifest) -> set[int]:
-    """Shards that are there with all their rows; a damaged file counts as absent."""
-    pa = arrow()
+    """Shards that are there with all their rows; a damaged file counts as absent.
+
+    Raises:
+        FileFormatError: A file belongs to another batch.
+    """
+    arrow()  # says what to install before anything is looked at
     whole = set()
     for shard in range(manifest.n_shards):
-        path = shard_file(folder, GRASPS, shard)
-        if path.exists() and shard_file(folder, ATTEMPTS, shard).exists():
-            try:
-                rows = pa.parquet.read_metadata(path).num_rows
-            except pa.ArrowInvalid:
-                continue
-            if rows == manifest.rows_in(shard):
-                whole.add(shard)
+        grasps, attempts = (shard_file(folder, table, shard) for table in (GRASPS, ATTEMPTS))
+        rows = _rows_of(grasps, manifest)
+        if rows == manifest.rows_in(shard) and _rows_of(attempts, manifest) is not None:
+            whole.add(shard)
     return whole
 
 
+def _rows_of(path: Path, manifest: Manifest) -> int | None:
+    """Rows of a Parquet file; None where it is missing or damaged.
+
+    Raises:
+        FileFormatError: It belongs to another batch.
+    """
+    if not path.exists():
+        return None
+    pa = arrow()
+    try:
+        found = pa.parquet.read_metadata(path)
+    except (pa.ArrowException, OSError):
+        return None
+    owner = (found.metadata or {}).get(OWNER.encode())
+    _refuse_strangers(path, None if owner is None else owner.decode(), manifest)
+    return int(found.num_rows)
+
+
+def _refuse_strangers(path: Path, owner: str | None, manifest: Manifest) -> None:
+    """Check that a row or file was planned for a manifest.
+
+    Raises:
+        FileFormatError: It was planned for another one.
+    """
+    if owner != manifest.digest:
+        raise FileFormatError(
+            f"{path} was planned for another {MANIFEST} than the one in its folder, which was "
+            "changed or exchanged since; bring the old one back, or begin in a new folder"
+        )
+
+
 def waiting_rows(folder: Path, manifest: Manifest) -> dict[int, dict[str, Any]]:
-    """Rows of the journal by their number; half a line, from the moment of a kill, is left out."""
+    """Rows of the journal by their number; half a line, from the moment of a kill, is left out.
+
+    Raises:
+        FileFormatError: A row belongs to another batch.
+    """
     path = folder / JOURNAL
     rows: dict[int, dict[str, Any]] = {}
     if path.exists():
@@ -64,8 +103,12 @@ def waiting_rows(folder: Path, manifest: Manifest) -> dict[int, dict[str, Any]]:
                 row = json.loads(line)
             except ValueError:
                 continue
-            if isinstance(row, dict) and 0 <= row.get("index", -1) < manifest.total:
-                rows[row["index"]] = row
+            index = row.get("index") if isinstance(row, dict) else None
+            if not isinstance(index, int) or isinstance(index, bool):
+                continue
+            _refuse_strangers(path, row.pop(OWNER, None), manifest)
+            if 0 <= index < manifest.total:
+                rows[index] = row
     return rows
 
 
@@ -122,19 +165,23 @@ class Store:
     def add(self, row: dict[str, Any]) -> None:
         """Add a row; it survives the death of this process."""
         self._rows[row["index"]] = row
-        self._journal.write(json.dumps(row) + "\n")
+        self._journal.write(self._line(row))
         self._journal.flush()
         shard = self._count(row["index"])
         if self._full(shard):
             self._write_shard(shard)
 
     def _begin(self) -> None:
-        for table in (GRASPS, ATTEMPTS):
-            (self.folder / table).mkdir(exist_ok=True)
         if (self.folder / MANIFEST).exists():
             read_manifest(self.folder).refuse_unless_same(self.manifest, self.folder)
         else:
             write_json(self.manifest.model_dump(mode="json"), self.folder / MANIFEST)
+        for table in (GRASPS, ATTEMPTS):
+            (self.folder / table).mkdir(exist_ok=True)
+
+    def _line(self, row: dict[str, Any]) -> str:
+        """A row as a line of the journal."""
+        return json.dumps({OWNER: self.manifest.digest, **row}) + "\n"
 
     def _stored(self, index: int) -> bool:
         return index // self.manifest.shard_rows in self._shards
@@ -163,8 +210,12 @@ class Store:
         self._journal = self._rewritten_journal()
 
     def _write(self, table: str, shard: int, data: Any) -> None:
+        owned = data.replace_schema_metadata(
+            {**(data.schema.metadata or {}), OWNER: self.manifest.digest or ""}
+        )
+
         def write(path: Path) -> None:
-            arrow().parquet.write_table(data, path)
+            arrow().parquet.write_table(owned, path)
 
         _replace(self.folder, shard_file(self.folder, table, shard), write)
 
@@ -172,11 +223,27 @@ class Store:
         """The journal of the rows that wait, open at its end."""
 
         def write(path: Path) -> None:
-            lines = (json.dumps(self._rows[i]) + "\n" for i in sorted(self._rows))
+            lines = (self._line(self._rows[i]) for i in sorted(self._rows))
             path.write_text("".join(lines), encoding="utf-8")
 
         _replace(self.folder, self.folder / JOURNAL, write)
         return (self.folder / JOURNAL).open("a", encoding="utf-8")
+
+
+def _refuse_rows(folder: Path) -> None:
+    """Check that a folder without a manifest holds no rows either.
+
+    Raises:
+        FileFormatError: It does; nobody can tell what they are.
+    """
+    journal = folder / JOURNAL
+    rows = [journal] if journal.exists() and journal.stat().st_size else []
+    rows += [p for t in (GRASPS, ATTEMPTS) if (folder / t).is_dir() for p in (folder / t).iterdir()]
+    if rows:
+        raise FileFormatError(
+            f"{folder} holds grasps ({rows[0].relative_to(folder)}) but no {MANIFEST}, which says "
+            "what they were planned for; bring that file back, or name a new or an empty folder"
+        )
 
 
 def _replace(folder: Path, target: Path, write: Callable[[Path], None]) -> None:
@@ -188,6 +255,11 @@ def _replace(folder: Path, target: Path, write: Callable[[Path], None]) -> None:
     partial.replace(target)
 
 
+BEGUN = {LOCK, GRASPS, ATTEMPTS, JOURNAL, PARTIAL}
+"""What a folder may hold where a batch was killed before its manifest was there, beside that file
+under another name."""
+
+
 def _locked(folder: Path) -> int:
     """Make the folder and lock it for this process, whose death unlocks it; a file descriptor.
 
@@ -196,10 +268,13 @@ def _locked(folder: Path) -> int:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()) and not {MANIFEST, LOCK} & {p.name for p in folder.iterdir()}:
-            raise FileFormatError(
-                f"{folder} holds files but no batch; name a new or an empty folder"
-            )
+        there = {p.name for p in folder.iterdir()}
+        if MANIFEST not in there:
+            _refuse_rows(folder)
+            if not all(name in BEGUN or name.startswith(MANIFEST) for name in there):
+                raise FileFormatError(
+                    f"{folder} holds files but no batch; name a new or an empty folder"
+                )
         lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT)
     except OSError as error:
         raise FileFormatError(f"cannot write to {folder}: {error.strerror}") from error

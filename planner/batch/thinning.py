@@ -39,7 +39,7 @@ def distances(grasps: GraspFeatures, i: int, others: IntArray) -> FloatArray:
     part = grasps[others]
     turn = np.einsum("nij,ij->n", part.rotations, grasps.rotations[i])  # trace of R_n R_i^T
     angles = np.arccos(np.clip((turn - 1.0) / 2.0, -1.0, 1.0))
-    contacts = np.linalg.norm(part.contacts - grasps.contacts[i], axis=2)
+    contacts = np.linalg.norm(_placed(part.contacts) - _placed(grasps.contacts[i]), axis=2)
     out: FloatArray = np.max(
         [
             np.linalg.norm(part.positions - grasps.positions[i], axis=1) / POSITION_TOL,
@@ -50,6 +50,16 @@ def distances(grasps: GraspFeatures, i: int, others: IntArray) -> FloatArray:
         axis=0,
     )
     return out
+
+
+AWAY = 1e3
+"""Coordinate (m) where the contact of a finger that does not touch is put: grasps with different
+fingers are never alike, and those without the same finger differ in nothing there."""
+
+
+def _placed(contacts: FloatArray) -> FloatArray:
+    """Contacts with a place for those that there are not."""
+    return np.where(np.isnan(contacts), AWAY, contacts)
 
 
 def thin(grasps: GraspFeatures, *, worth: FloatArray | None = None) -> IntArray:
@@ -71,7 +81,7 @@ def thin(grasps: GraspFeatures, *, worth: FloatArray | None = None) -> IntArray:
         raise TaskError(f"worth has shape {value.shape}, or holds NaN; give {n} numbers")
     if n == 0:
         return np.zeros(0, dtype=np.int64)
-    flat = np.hstack([grasps.positions, grasps.contacts.reshape(n, -1), grasps.q])
+    flat = np.hstack([grasps.positions, _placed(grasps.contacts).reshape(n, -1), grasps.q])
     # a ball of points is in a box of coordinates, which a tree finds quickly
     scale = np.concatenate(
         [

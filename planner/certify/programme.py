@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from planner.errors import PlannerError
-from planner.programme import ScipyProgramme, programme
+from planner.programme import ScipyProgramme
 from planner.spatial import FloatArray
 
 __all__ = ["Minimum", "minimise"]
@@ -56,13 +56,10 @@ def minimise(
         "lbx": bounds[:, 0],
         "ubx": bounds[:, 1],
     }
-    solver = programme("highs", *rows.shape[::-1])
+    solver = ScipyProgramme()
     x = solver.solve(**values)
-    if x is None:  # nothing is allowed, or numerical trouble: with presolve SciPy tells which
-        solver = ScipyProgramme()
-        x = solver.solve(**values)
-        if solver.infeasible:
-            return None
+    if solver.infeasible:
+        return None
     if x is None:
         raise PlannerError(
             "HiGHS gave up on a linear programme of a certificate; report this grasp, and "

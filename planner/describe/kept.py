@@ -22,7 +22,7 @@ __all__ = ["proposed_description"]
 
 KIND = "proposal"
 
-LIBRARIES = ("opposable", "mujoco", "pin", "coal", "numpy", "scipy", "trimesh")
+LIBRARIES = ("mujoco", "pin", "coal", "numpy", "scipy", "trimesh")
 """Distributions on whose numbers a proposal depends."""
 
 

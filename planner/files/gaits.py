@@ -7,7 +7,6 @@ relocations are not those of its stroke is refused.
 
 from __future__ import annotations
 
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,6 +23,7 @@ from planner.gait import GaitPlan, Relocation
 from planner.gait.check import GaitJudge
 from planner.hand import Hand
 from planner.schema import StrictData
+from planner.version import written_by
 
 __all__ = ["GaitFile", "gait_to_dict", "read_gait", "write_gait"]
 
@@ -55,7 +55,7 @@ class GaitFile(StrictData):
 def gait_to_dict(plan: GaitPlan) -> dict[str, Any]:
     """A gait as plain data that follows ``GaitFile``."""
     data = GaitFile(
-        written_by=f"opposable {version('opposable')}",
+        written_by=written_by(),
         cycles=plan.cycles,
         stroke=MotionFile.model_validate(motion_to_dict(plan.motion)),
         relocations=[_relocation(r) for r in plan.relocations if r.cycle == 0],

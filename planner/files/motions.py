@@ -6,7 +6,6 @@ judged again on the true geometry. A file whose contacts are not those of its jo
 
 from __future__ import annotations
 
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,6 +27,7 @@ from planner.motion import Knot, Limit, MotionPlan, MotionRecord, ObjectPath
 from planner.motion.check import MotionJudge, Place
 from planner.plan import GraspPlan
 from planner.schema import StrictData
+from planner.version import written_by
 
 __all__ = ["MotionFile", "motion_from_dict", "motion_to_dict", "read_motion", "write_motion"]
 
@@ -96,7 +96,7 @@ class MotionFile(StrictData):
 def motion_to_dict(plan: MotionPlan) -> dict[str, Any]:
     """A motion as plain data that follows ``MotionFile``."""
     data = MotionFile(
-        written_by=f"opposable {version('opposable')}",
+        written_by=written_by(),
         grasp=PlanFile.model_validate(plan_to_dict(plan.grasp)),
         path=PathData(
             axis=tuple(plan.path.axis), angle_rad=plan.path.angle, shift_m=tuple(plan.path.shift)

@@ -9,7 +9,6 @@ refused.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +33,7 @@ from planner.judge import judge_grasp
 from planner.plan import GraspPlan, SolveRecord
 from planner.spatial import FloatArray
 from planner.synthesis.pregrasp import Approach
+from planner.version import written_by
 
 __all__ = [
     "CONTACT_TOL",
@@ -54,7 +54,7 @@ def plan_to_dict(plan: GraspPlan) -> dict[str, Any]:
     """A plan as plain data that follows ``PlanFile``."""
     hand = plan.task.hand
     data = PlanFile(
-        written_by=f"opposable {version('opposable')}",
+        written_by=written_by(),
         task=task_data(plan.task),
         grasp=GraspData(
             T_world_base=PoseData.of(plan.T_world_base),

@@ -84,17 +84,17 @@ class _CasadiDaqp(SolverBase):
 
     def __init__(self, qp: DenseQp) -> None:
         super().__init__(qp)
-        self._programme = programme("daqp", qp.a.shape[1], len(qp.a))
 
     def solve(self) -> bool:
         qp = self.qp
-        x = self._programme.solve(
+        solver = programme("daqp", qp.a.shape[1], len(qp.a))  # that of the thread which asks now
+        x = solver.solve(
             h=qp.p, g=qp.q, a=qp.a, lba=qp.low, uba=qp.high, lbx=qp.lower, ubx=qp.upper
         )
         if x is None:
             return self.nothing("no solution")
         self.status = "solved"
-        return self.answer(x, -self._programme.row_prices, -self._programme.bound_prices)
+        return self.answer(x, -solver.row_prices, -solver.bound_prices)
 
 
 class _Daqp(SolverBase):

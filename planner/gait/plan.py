@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.contacts import Contact, ContactSet
+from planner.fixed import freeze
 from planner.motion import Knot, MotionPlan, MotionRecord
 from planner.spatial import SE3, FloatArray
 
@@ -61,6 +62,10 @@ class Relocation:
     after: ContactSet
     margin: float
     grip: float
+
+    def __post_init__(self) -> None:
+        """Keep copies that nobody changes."""
+        freeze(self, poses=("T_world_object",), arrays=("postures",))
 
     @property
     def landing(self) -> Contact:

@@ -63,6 +63,8 @@ def plan_gait(
 ) -> GaitPlan:
     """A motion of the object in the hand that is longer than one grasp allows, by regrasping.
 
+    May be called from any number of threads, like ``plan_grasp``.
+
     Args:
         task: What is grasped, with what, where it stands at the start; the base is free. All
             fingers of the hand take part where the task leaves the choice, and contacts may be

@@ -11,7 +11,6 @@ and none with ring and little.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -29,6 +28,7 @@ from planner.synthesis.mesh_seeds import turning_seeder_for
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.seeds import TRIPOD, Seeder
 from planner.task import GraspTask
+from planner.threads import kept_by_thread, made_once
 
 __all__ = ["Ground", "finger_sets", "rank", "tripods", "with_rolling_pads"]
 
@@ -49,7 +49,7 @@ def with_rolling_pads(task: GraspTask) -> GraspTask:
     return replace(task, hand=task.hand.rolling)
 
 
-@lru_cache(maxsize=4)
+@made_once(4)
 def finger_sets(task: GraspTask) -> tuple[GraspTask, ...]:
     """The task for each set of fingers that attempts take turns between.
 
@@ -86,8 +86,9 @@ def _alone(task: GraspTask, names: tuple[str, ...]) -> GraspTask | None:
     return alone
 
 
-@lru_cache(maxsize=8)
+@kept_by_thread(8)
 def _judge(task: GraspTask) -> MotionJudge:
+    """The judge of a task, of which every thread keeps its last few."""
     return MotionJudge(task)
 
 
@@ -98,14 +99,12 @@ class Ground:
     Attributes:
         seeder: Draws starts.
         solver: Solves from them.
-        judge: Judges what was solved.
         whole: Whether all of the path is asked for.
         build_s: Time that building the problem took, s.
     """
 
     seeder: Seeder
     solver: MotionSolver
-    judge: MotionJudge
     whole: bool
     build_s: float
 
@@ -148,7 +147,8 @@ class Ground:
             rounds=rounds,
             exact_end=exact_end,
         )
-        return cls(seeder=seeder, solver=solver, judge=_judge(task), whole=whole, build_s=build_s)
+        _judge(task)  # refuses what stands in something else, before anything is solved
+        return cls(seeder=seeder, solver=solver, whole=whole, build_s=build_s)
 
     def attempt(self, rng: np.random.Generator) -> MotionPlan | str:
         """What comes of a start: the best candidate that holds, or why the last one does not.
@@ -189,7 +189,8 @@ class Ground:
             build_s=0.0,
             objective="motion",
         )
-        found = self.judge.judge(candidate, covered, self.solver.tube, record)
+        judge = _judge(self.solver.task)  # that of the thread which asks now
+        found = judge.judge(candidate, covered, self.solver.tube, record)
         if isinstance(found, str):
             return found
         grasp, knots = found

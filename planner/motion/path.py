@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.errors import TaskError
+from planner.fixed import freeze
 from planner.spatial import SE3, FloatArray
 
 __all__ = ["LARGEST_TURN", "ObjectPath", "tilts"]
@@ -69,6 +70,7 @@ class ObjectPath:
         object.__setattr__(self, "axis", axis / length)
         object.__setattr__(self, "shift", shift)
         object.__setattr__(self, "angle", float(self.angle))
+        freeze(self, arrays=("axis", "shift"))
 
     def cut(self, share: float) -> ObjectPath:
         """The first part of the path."""

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.contacts import ContactSet
+from planner.fixed import freeze
 from planner.forces import ForceSolution
 from planner.kinematics import HandState
 from planner.motion.limits import Limit
@@ -48,6 +49,10 @@ class Knot:
     off_path: float
     slips: FloatArray
     between: float
+
+    def __post_init__(self) -> None:
+        """Keep copies that nobody changes."""
+        freeze(self, poses=("T_world_object",), arrays=("q", "slips"))
 
     @property
     def contacts_in_object(self) -> ContactSet:

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -39,6 +38,7 @@ from planner.synthesis.residuals import Residuals
 from planner.synthesis.surroundings import NO_TABLE
 from planner.synthesis.terms import formulate
 from planner.task import GraspTask
+from planner.threads import built
 
 __all__ = ["MotionNumbers", "MotionProblem", "build_motion_problem"]
 
@@ -84,37 +84,37 @@ class MotionProblem:
     n_knots: int
     holds: tuple[Hold, ...] = ()
 
-    @cached_property
+    @built
     def unknowns(self) -> MotionUnknowns:
         """Layout of the unknowns."""
         return MotionUnknowns(
             grasp=self.grasp.formulation.unknowns, n_knots=self.n_knots, n_holds=len(self.holds)
         )
 
-    @cached_property
+    @built
     def rolling(self) -> BufferedFunction:
         """``rolling_function`` from every knot to the next, mapped."""
         one = rolling_function(self.grasp.hand, self.grasp.fingers)
         return BufferedFunction(one.map(self.n_knots - 1))
 
-    @cached_property
+    @built
     def pivoting(self) -> BufferedFunction:
         """``pivoting_function`` from every knot to the next, mapped."""
         one = pivoting_function(self.grasp.hand, self.grasp.fingers)
         return BufferedFunction(one.map(self.n_knots - 1))
 
-    @cached_property
+    @built
     def loads(self) -> BufferedFunction:
         """``load_function`` at every knot, mapped."""
         one = load_function(self.grasp.hand, self.grasp.fingers)
         return BufferedFunction(one.map(self.n_knots))
 
-    @cached_property
+    @built
     def placement(self) -> BufferedFunction:
         """``placement`` of every knot, mapped."""
         return BufferedFunction(placement().map(self.n_knots))
 
-    @cached_property
+    @built
     def hold_rows(self) -> HoldRows:
         """The residuals of a hold."""
         return HoldRows(self.grasp.surface, len(self.grasp.fingers) - 1)

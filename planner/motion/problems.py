@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
-from functools import lru_cache
 
 from planner.hand import Hand
 from planner.motion.holds import Hold
@@ -12,6 +11,7 @@ from planner.motion.problem import MotionProblem, build_motion_problem
 from planner.shapes import Shape
 from planner.synthesis.surfaces import surface_of
 from planner.task import GraspTask
+from planner.threads import BUILDING, made_once
 
 __all__ = ["motion_problem_for"]
 
@@ -33,7 +33,8 @@ def motion_problem_for(
         shape=shape,
     )
     found = _built(form)
-    found.grasp.surface.field_of(shape)
+    with BUILDING:  # fitting a field takes seconds: one thread does it and the others wait
+        found.grasp.surface.field_of(shape)
     return found, time.perf_counter() - begin
 
 
@@ -51,7 +52,7 @@ class _Form:
     shape: Shape = field(compare=False)
 
 
-@lru_cache(maxsize=8)
+@made_once(8)
 def _built(form: _Form) -> MotionProblem:
     fingers = form.hand.choose_fingers(form.finger_names)
     return build_motion_problem(

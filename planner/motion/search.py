@@ -74,6 +74,8 @@ def motion_attempts(
 ) -> Iterator[MotionAttempt]:
     """Endless independent attempts; attempt i depends on ``seed`` and i alone.
 
+    A single iterator is for one thread at a time.
+
     Args:
         task: What is grasped, with which fingers, where; the base is free. On objects with faces
             contacts may be wherever tips are round (``Hand.rolling``).
@@ -150,6 +152,8 @@ def plan_motion(
     options: SynthesisOptions = MOTION_OPTIONS,
 ) -> MotionPlan:
     """A motion of the object in the hand, without regrasping.
+
+    May be called from any number of threads, like ``plan_grasp``.
 
     Args:
         task: What is grasped, with what, where it stands at the start; the base is free. Where it

@@ -10,7 +10,6 @@ nothing opposes it. That was the case with two of five starts of the Shadow-type
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from planner.shapes import Mesh
 from planner.spatial import FloatArray
 from planner.synthesis.problem import Start
 from planner.synthesis.seeds import Seeder
+from planner.threads import made_once
 
 __all__ = ["on_opposed_sides"]
 
@@ -80,7 +80,7 @@ def _pressing(start: Start, normals: FloatArray) -> FloatArray:
     return np.asarray(-normals * np.linalg.norm(start.forces, axis=1, keepdims=True))
 
 
-@lru_cache(maxsize=8)
+@made_once(8)
 def _off_edges(mesh: Mesh) -> tuple[FloatArray, FloatArray]:
     """Points (m, 3) spread over a mesh but not on its edges, and outward normals (m, 3)."""
     points, normals = mesh.surface_samples(SAMPLES, np.random.default_rng(0))

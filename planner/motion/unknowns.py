@@ -18,7 +18,7 @@ and s_k, t_k, q, points and forces of one knot are the unknowns of a grasp
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -26,6 +26,7 @@ import numpy as np
 
 from planner.spatial import FloatArray
 from planner.synthesis.unknowns import Unknowns, mrp_matrix
+from planner.threads import made_once
 
 __all__ = ["SHARED", "MotionUnknowns", "placement"]
 
@@ -99,7 +100,7 @@ class MotionUnknowns:
         return slice(SHARED + k * self.own, SHARED + (k + 1) * self.own)
 
 
-@lru_cache(maxsize=1)
+@made_once(1)
 def placement() -> Any:
     """CasADi function of [s, t, share, o], R0 (9, by columns), axis, angle, shift and place c.
 

@@ -6,6 +6,7 @@ for a Jacobian of a thousand entries that takes longer than evaluating it.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -33,22 +34,13 @@ def into_buffers(
 
 
 class BufferedFunction:
-    """A function of dense matrices, with its own arguments and results.
+    """A function of dense matrices, with arguments and results that every thread has for itself.
 
     All are transposed: CasADi stores columns, NumPy rows.
-
-    Attributes:
-        results: As the last call left them; the next one overwrites them.
     """
 
     def __init__(self, function: Any) -> None:
-        """Make room for arguments and results, whose entries must all be there."""
-        self._arguments = [
-            np.zeros(function.size_in(i)[::-1], dtype=np.float64) for i in range(function.n_in())
-        ]
-        self.results: tuple[FloatArray, ...] = tuple(
-            np.zeros(function.size_out(i)[::-1], dtype=np.float64) for i in range(function.n_out())
-        )
+        """Keep the function, whose entries must all be stored."""
         sparse = [
             name
             for names, sparsity in (
@@ -60,11 +52,32 @@ class BufferedFunction:
         ]
         if sparse:
             raise TypeError(f"{function.name()} has entries that are not stored: {sparse}; densify")
-        self._call = into_buffers(function, self._arguments, list(self.results))
+        self._function, self._own = function, threading.local()
 
     def __call__(self, *arguments: FloatArray | float) -> tuple[FloatArray, ...]:
-        """The results at these arguments, each in the shape of its transpose or one to spread."""
-        for mine, given in zip(self._arguments, arguments, strict=True):
+        """The results at these arguments; the thread's next call overwrites them.
+
+        Args:
+            *arguments: Each in the shape of its transpose, or one to spread.
+        """
+        try:
+            room: _Room = self._own.room
+        except AttributeError:
+            room = self._own.room = _Room(self._function)
+        for mine, given in zip(room.arguments, arguments, strict=True):
             mine[...] = given
-        self._call()
-        return self.results
+        room.call()
+        return room.results
+
+
+class _Room:
+    """Arguments and results of a function for one thread."""
+
+    def __init__(self, function: Any) -> None:
+        self.arguments = [
+            np.zeros(function.size_in(i)[::-1], dtype=np.float64) for i in range(function.n_in())
+        ]
+        self.results: tuple[FloatArray, ...] = tuple(
+            np.zeros(function.size_out(i)[::-1], dtype=np.float64) for i in range(function.n_out())
+        )
+        self.call = into_buffers(function, self.arguments, list(self.results))

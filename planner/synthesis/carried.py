@@ -17,6 +17,7 @@ from itertools import pairwise
 import numpy as np
 
 from planner.collision import CollisionWorld, bounding_radius
+from planner.fixed import freeze
 from planner.hand import Hand
 from planner.ik import LARGEST_TURN, palm_pose, straight_path
 from planner.kinematics import HandState, joint_axes
@@ -61,6 +62,10 @@ class ArmPath:
 
     approach: FloatArray
     lift: FloatArray
+
+    def __post_init__(self) -> None:
+        """Keep copies that nobody changes."""
+        freeze(self, arrays=("approach", "lift"))
 
 
 def retreats(

@@ -15,6 +15,7 @@ at the present points. Programmes without such points are handed to CasADi as th
 
 from __future__ import annotations
 
+import threading
 from collections import OrderedDict
 from collections.abc import Mapping
 from typing import Any, Protocol
@@ -23,6 +24,7 @@ import casadi as ca
 import numpy as np
 
 from planner.spatial import FloatArray
+from planner.threads import BUILDING
 
 __all__ = ["Field", "FieldPoints", "Nlp", "Solver"]
 
@@ -222,22 +224,28 @@ class Nlp:
         self.name, self.x, self.p, self.cost, self.g = name, x, p, cost, g
         self._options = {**BASE_OPTIONS, **options}
         self._points = points if points is not None and len(points) else None
-        self._bound: OrderedDict[int, tuple[Field | None, Solver]] = OrderedDict()
+        self._own = threading.local()
         if self._points is not None:
             self._functions = self._differentiate(self._points)
 
     def bind(self, field: Field | None) -> Solver:
-        """The solver for a field; None for a programme that needs none. The last few are kept."""
+        """The solver for a field; None for a programme that needs none.
+
+        Of solvers, which remember their last run, every thread keeps its last few.
+        """
         if self._points is not None and field is None:
             raise TypeError(f"the programme {self.name!r} needs a distance field")
         key = id(field) if self._points is not None else 0
-        if key not in self._bound:
-            solver = self._plain() if self._points is None else self._with_lookup(field)
-            self._bound[key] = field, solver  # the field is kept: its id stays its own
-            while len(self._bound) > KEPT:
-                self._bound.popitem(last=False)
-        self._bound.move_to_end(key)
-        return self._bound[key][1]
+        kept: OrderedDict[int, tuple[Field | None, Solver]]
+        kept = self._own.__dict__.setdefault("kept", OrderedDict())
+        if key not in kept:
+            with BUILDING:
+                solver = self._plain() if self._points is None else self._with_lookup(field)
+            kept[key] = field, solver  # the field is kept: its id stays its own
+            while len(kept) > KEPT:
+                kept.popitem(last=False)
+        kept.move_to_end(key)
+        return kept[key][1]
 
     def _plain(self) -> Solver:
         problem = {"x": self.x, "p": self.p, "f": self.cost, "g": self.g}

@@ -46,7 +46,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -64,6 +63,7 @@ from planner.synthesis.surfaces import surface_of
 from planner.synthesis.surroundings import obstacles_in_object, table_in_object
 from planner.synthesis.terms import Formulation, Term, formulate
 from planner.task import GraspTask
+from planner.threads import built
 
 __all__ = ["Candidate", "GraspProblem", "Start", "build_problem"]
 
@@ -125,7 +125,8 @@ class GraspProblem:
         fingers: Fingers that take part, in order of the contacts.
         surface: Form of the shape in the terms.
         n_obstacles: How many obstacle boxes there are.
-        residuals: The terms and the cost as residuals with their Jacobian.
+        residuals: The terms and the cost as residuals with their Jacobian, to be looked at; a
+            descent works with a twin of them, since threads share the problem.
         objectives: Names of the objectives that have rows of their own here.
     """
 
@@ -141,7 +142,7 @@ class GraspProblem:
         """Unknowns, parameters, terms without clearances, and cost."""
         return self.residuals.formulation
 
-    @cached_property
+    @built
     def whole(self) -> tuple[Formulation, Surface]:
         """All as expressions, clearances too, and the surface that collected its field points."""
         surface = self.surface.anew()
@@ -153,7 +154,7 @@ class GraspProblem:
         """The constraints."""
         return self.whole[0].terms
 
-    @cached_property
+    @built
     def nlp(self) -> Nlp:
         """The terms as a programme for IPOPT, built when it is first asked for."""
         f, surface = self.whole

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 from planner.hand import Hand
 from planner.shapes import Shape
 from planner.synthesis.problem import GraspProblem, build_problem
 from planner.synthesis.surfaces import surface_of
 from planner.task import GraspTask
+from planner.threads import BUILDING, made_once
 
 __all__ = ["Problems", "problems_for"]
 
@@ -35,7 +35,8 @@ def problems_for(task: GraspTask, objectives: tuple[str, ...] = ()) -> Problems:
         _SameHand(task.hand), task.finger_names, kind, len(task.obstacles), objectives
     )
     begin = time.perf_counter()
-    problems.grasp.surface.field_of(task.object.shape)
+    with BUILDING:  # fitting a field takes seconds: one thread does it and the others wait
+        problems.grasp.surface.field_of(task.object.shape)
     return replace(problems, build_s=problems.build_s + time.perf_counter() - begin)
 
 
@@ -65,7 +66,7 @@ class _SameHand:
         return hash(self.hand.digest)
 
 
-@lru_cache(maxsize=16)
+@made_once(16)
 def _cached_problems(
     same: _SameHand,
     finger_names: tuple[str, ...],

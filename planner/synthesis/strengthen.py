@@ -69,6 +69,9 @@ def descend_grasp(
 ) -> Candidate:
     """Where least squares lead from a start.
 
+    Everything that changes on the way belongs to this call: the problem is only read, so that any
+    number of descents may go on at once. The world belongs to the thread that calls.
+
     Args:
         problem: The problem of the task's hand, fingers and kind of shape.
         task: The task.
@@ -79,8 +82,7 @@ def descend_grasp(
     """
     rounds = options.rounds if options.weights else 0
     begin = time.process_time()
-    problem.residuals.bind(parameters, problem.surface.field_of(task.object.shape))
-    run = _Run(problem, task, start)
+    run = _Run(problem, task, start, parameters)
     run.descend(MAX_ITERATIONS)
     status = run.end.status
     if run.end.worst <= NEARLY:
@@ -92,19 +94,23 @@ def descend_grasp(
                 run.look(world, options)
             run.descend(ROUND_ITERATIONS, damping)
             damping = run.end.damping  # what the steps of one round tell holds for the next
-        problem.residuals.set_directions(np.zeros((0, 6)))
-        problem.residuals.set_objectives(np.zeros(0))
+        run.residuals.set_directions(np.zeros((0, 6)))
+        run.residuals.set_objectives(np.zeros(0))
         near = run.look(world, options)
         if near or (rounds and run.end.worst > SOLVED):
             run.descend(MEND_ITERATIONS, slow=np.inf)
-    violation = problem.residuals.violations()
+    violation = run.residuals.violations()
     return problem.candidate(start, run.x, violation, status, run.iterations, begin)
 
 
 class _Run:
     """Where a solution has come to, and within which bounds it may move on."""
 
-    def __init__(self, problem: GraspProblem, task: GraspTask, start: Start) -> None:
+    def __init__(
+        self, problem: GraspProblem, task: GraspTask, start: Start, parameters: FloatArray
+    ) -> None:
+        self.residuals = problem.residuals.twin()
+        self.residuals.bind(parameters, problem.surface.field_of(task.object.shape))
         self._problem, self._task, self._start = problem, task, start
         self._unknowns = problem.formulation.unknowns
         self._lower, self._upper = problem.bounds(start)
@@ -124,7 +130,7 @@ class _Run:
     def descend(self, budget: int, damping: float | None = None, slow: float = SLOW) -> None:
         """Move on by at most ``budget`` evaluations."""
         self.end = descend(
-            self._problem.residuals,
+            self.residuals,
             np.clip(self.x, self._lower, self._upper),
             lower=self._lower,
             upper=self._upper,
@@ -143,7 +149,7 @@ class _Run:
         with stage("links"):
             pose = self._problem.base_pose(self._start, self.x)
             gaps = find_gaps(world, self._unknowns, self.x, pose, options)
-        self._problem.residuals.keep_apart(gaps)
+        self.residuals.keep_apart(gaps)
         return gaps is not None and gaps.urgent
 
     def aim(self, options: SynthesisOptions) -> None:
@@ -156,7 +162,7 @@ class _Run:
             faces = wrench_faces(points, -outward, task.mu, length)[:N_DIRECTIONS]
             least = max(-float(faces[0, 6]), 0.0) if len(faces) else 0.0
             found = np.sqrt(weights[EPSILON]) * faces[:, :6]
-            problem.residuals.set_directions(found, least + GAIN)
+            self.residuals.set_directions(found, least + GAIN)
         if problem.objectives:
             moment = Moment(
                 task=task,
@@ -165,9 +171,7 @@ class _Run:
                 inward=-outward,
                 wrenches=resisted_wrenches(task, options.task_wrenches),
             )
-            problem.residuals.set_objectives(
-                objective_parameters(problem.objectives, weights, moment)
-            )
+            self.residuals.set_objectives(objective_parameters(problem.objectives, weights, moment))
 
 
 def _contacts(shape: Shape, points: FloatArray) -> tuple[FloatArray, FloatArray]:

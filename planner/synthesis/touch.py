@@ -9,7 +9,6 @@ nearest to the object.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from planner.hand import Finger, Hand
 from planner.kinematics import MovingHand
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
+from planner.threads import kept_by_thread
 
 __all__ = [
     "ROUND",
@@ -162,9 +162,9 @@ class Touching:
         return gap, found.point_b, -found.normal
 
 
-@lru_cache(maxsize=8)
+@kept_by_thread(8)
 def touching_of(task: GraspTask) -> Touching:
-    """The pads of a task, kept for the last few tasks."""
+    """The pads of a task, of which every thread keeps its last few."""
     return Touching(task)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
@@ -35,6 +35,25 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+
+def _say_version(asked: bool) -> None:
+    if asked:
+        from planner.version import written_by
+
+        typer.echo(written_by())
+        raise typer.Exit
+
+
+@app.callback()
+def _opposable(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Say which.")
+    ] = False,
+) -> None:
+    """Plan a multi-finger grasp, execute it in MuJoCo, and judge both by the same analysis."""
+
+
 for group in (
     grasp,
     motion,

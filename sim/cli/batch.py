@@ -14,23 +14,30 @@ from sim.cli.common import (
     EXIT_INTERRUPTED,
     EXIT_NOT_FOUND,
     AttemptsOption,
+    AvoidOption,
+    CpuOption,
+    DensityOption,
     FingersOption,
     HandArgument,
     JsonOption,
+    MassOption,
     MuOption,
     ObjectiveOption,
+    PoseOption,
+    RepairOption,
     RoundsOption,
     SeedOption,
     TaskWrenchOption,
+    TouchOption,
     check_folder,
     err,
     errors_for_people,
-    names,
     options_of,
     out,
     print_json,
     say,
 )
+from sim.cli.requests import task_of_options
 
 TABLE_WIDTH = 110
 """Characters that the table needs."""
@@ -57,26 +64,46 @@ def batch(
     backend: Annotated[str, typer.Option(help="joblib's backend: loky, threading.")] = "loky",
     mu: MuOption = 0.5,
     fingers: FingersOption = None,
+    mass: MassOption = None,
+    density: DensityOption = None,
+    repair: RepairOption = False,
+    pose: PoseOption = 0,
+    touch: TouchOption = None,
+    avoid: AvoidOption = None,
     objective: ObjectiveOption = "epsilon",
     task_wrench: TaskWrenchOption = None,
     rounds: RoundsOption = None,
     max_attempts: AttemptsOption = 100,
+    max_cpu_s: CpuOption = None,
     export: Annotated[Export | None, typer.Option(help="Also write OUT/dexgraspbench.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Plan many grasps on all cores into a Parquet dataset; an interrupted batch goes on."""
+    """Plan many grasps on all cores into a Parquet dataset; an interrupted batch goes on.
+
+    What says how an object is, stands and may be touched holds for all objects.
+    """
     from planner.batch import plan_grasps
     from planner.batch.dexgraspbench import export_dexgraspbench
     from planner.files import write_json
     from planner.hand import Hand
-    from planner.objects import parse_object
-    from planner.task import GraspTask
     from sim.batch_report import BatchBar, batch_summary, batch_table
 
-    check_folder(folder / "manifest.json" if folder.is_dir() else folder)
     loaded = Hand.load(hand)
-    chosen = None if fingers is None else names(fingers)
-    tasks = [GraspTask.create(loaded, parse_object(o), mu=mu, fingers=chosen) for o in objects]
+    tasks = [
+        task_of_options(
+            loaded,
+            item,
+            fingers=fingers,
+            mu=mu,
+            mass=mass,
+            density=density,
+            repair=repair,
+            resting=pose,
+            touch=touch,
+            avoid=avoid,
+        )
+        for item in objects
+    ]
     with BatchBar(err) as bar:
         try:
             grasps = plan_grasps(
@@ -88,6 +115,7 @@ def batch(
                 backend=backend,
                 out=folder,
                 max_attempts=max_attempts,
+                max_cpu_s=max_cpu_s,
                 options=options_of(objective, task_wrench, rounds),
                 progress=bar.show,
             )

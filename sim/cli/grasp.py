@@ -37,13 +37,13 @@ from sim.cli.common import (
     exit_for,
     heeding_ctrl_c,
     make_folder,
-    names,
     options_of,
     out,
     physics_of,
     print_json,
     say,
 )
+from sim.cli.requests import task_of_options
 
 
 def _plan(
@@ -66,25 +66,21 @@ def _plan(
     rounds: int | None,
 ) -> Any:
     """Plan with a spinner that counts attempts on stderr."""
-    from planner.objects import parse_object
     from planner.plan import GraspPlan
     from planner.search import Attempt, plan_grasp
-    from planner.task import GraspTask
 
     options = options_of(objective, task_wrench, rounds)
-    item = parse_object(
+    task = task_of_options(
+        hand,
         object,
+        fingers=fingers,
+        mu=mu,
         mass=mass,
         density=density,
         repair=repair,
-        touch=_touch_region(touch, avoid),
-    )
-    task = GraspTask.create(
-        hand,
-        item,
-        T_world_object=item.resting_pose(index=resting),
-        mu=mu,
-        fingers=None if fingers is None else names(fingers),
+        resting=resting,
+        touch=touch,
+        avoid=avoid,
     )
     title = f"planning: {task.hand.name}, {task.object.name} ..."
     with heeding_ctrl_c() as check, err.status(title) as status:
@@ -102,18 +98,6 @@ def _plan(
             options=options,
             progress=show,
         )
-
-
-def _touch_region(touch: list[str] | None, avoid: list[str] | None) -> Any:
-    """Regions as the options give them; None for none."""
-    from planner.regions import TouchRegion, parse_region
-
-    if not touch and not avoid:
-        return None
-    return TouchRegion(
-        allowed=tuple(parse_region(text) for text in touch or ()),
-        forbidden=tuple(parse_region(text) for text in avoid or ()),
-    )
 
 
 def _folder_name(item: Any) -> str:

@@ -6,7 +6,6 @@ import csv
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from rich.table import Table
 
 from planner.errors import FileFormatError
 from planner.plain import finite
+from planner.version import written_by
 from sim.protocols.outcome import Outcome
 
 __all__ = ["ProtocolReport", "protocol_table", "write_csv"]
@@ -143,7 +143,7 @@ class ProtocolReport:
         return {
             "format": "opposable-protocol",
             "version": 1,
-            "written_by": f"opposable {version('opposable')}",
+            "written_by": written_by(),
             **self.summary(),
             "trials": [o.to_dict() for o in self.outcomes],
         }

@@ -1,0 +1,93 @@
+"""Poses and arrays that nobody changes: what tasks and plans hold.
+
+Caches are keyed by tasks, so what a task says must stay as it was: a caller who goes on with a pose
+of his own must not change the task by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pinocchio as pin
+
+from planner.spatial import SE3, FloatArray, fixed_array
+
+__all__ = ["FixedPose", "fixed_pose", "freeze", "is_pose"]
+
+
+class FixedPose(SE3):  # type: ignore[misc]
+    """A ``pinocchio.SE3`` that nobody changes: what tasks and plans hold.
+
+    It is one wherever a pose is asked for, and all that is computed from it is a plain ``SE3``.
+    ``SE3(pose)`` is a copy that can be changed.
+    """
+
+    _translation: FloatArray
+    _rotation: FloatArray
+
+    @property
+    def translation(self) -> FloatArray:
+        """(3,), m; read-only."""
+        try:
+            return self._translation
+        except AttributeError:
+            self._translation = fixed_array(SE3.translation.fget(self))
+            return self._translation
+
+    @property
+    def rotation(self) -> FloatArray:
+        """(3, 3); read-only."""
+        try:
+            return self._rotation
+        except AttributeError:
+            self._rotation = fixed_array(SE3.rotation.fget(self))
+            return self._rotation
+
+    def __reduce__(self) -> tuple[type[FixedPose], tuple[FloatArray, FloatArray]]:
+        """How it is pickled: by its numbers."""
+        return FixedPose, (np.array(self.rotation), np.array(self.translation))
+
+    def setIdentity(self) -> None:
+        """Refused.
+
+        Raises:
+            AttributeError: Always.
+        """
+        raise AttributeError(CHANGE_A_COPY)
+
+    def setRandom(self) -> None:
+        """Refused.
+
+        Raises:
+            AttributeError: Always.
+        """
+        raise AttributeError(CHANGE_A_COPY)
+
+
+CHANGE_A_COPY = "this pose belongs to a task or a plan; change a copy of it: pinocchio.SE3(pose)"
+"""What is said to whoever changes a ``FixedPose``."""
+
+
+def fixed_pose(pose: SE3) -> FixedPose:
+    """A copy of a pose that nobody changes; the pose itself if it is one already."""
+    return pose if isinstance(pose, FixedPose) else FixedPose(pose)
+
+
+def is_pose(value: object) -> bool:
+    """Whether a value is a ``pinocchio.SE3``."""
+    return isinstance(value, pin.SE3)
+
+
+def freeze(holder: object, *, poses: Iterable[str] = (), arrays: Iterable[str] = ()) -> None:
+    """Put copies that nobody changes in the place of a frozen dataclass's poses and arrays.
+
+    Args:
+        holder: A frozen dataclass.
+        poses: Names of attributes that are poses.
+        arrays: Names of attributes that are arrays of numbers.
+    """
+    for name in poses:
+        object.__setattr__(holder, name, fixed_pose(getattr(holder, name)))
+    for name in arrays:
+        object.__setattr__(holder, name, fixed_array(getattr(holder, name)))

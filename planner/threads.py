@@ -1,0 +1,107 @@
+"""What threads share, and what each of them has for itself.
+
+Hands, tasks, shapes, plans and expressions never change once they are made. Threads share them;
+``made_once`` and ``built`` let one thread make each while the others wait. Arrays that a
+computation writes into, and engines that remember their last query, belong to one thread:
+``kept_by_thread`` gives every thread its own. So functions of this package may be called from any
+number of threads, and a seed gives the same plan in each.
+
+An object with a state of its own is for one thread at a time: ``CollisionWorld``, ``ForceLoop``,
+``MovingHand``, ``Residuals`` and iterators of attempts. Make one for every thread.
+
+CasADi lets other threads run while it computes, and counts references to its expressions without
+locks of its own in some builds. So expressions are only ever made under ``BUILDING``.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from functools import lru_cache, wraps
+from typing import Any, Generic, ParamSpec, TypeVar, overload
+
+__all__ = ["BUILDING", "built", "kept_by_thread", "made_once"]
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+BUILDING = threading.RLock()
+"""Held by the thread that makes something for all; one lock, so that no two can wait for each
+other."""
+
+
+def made_once(size: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """A function whose last results are kept for all threads; one thread at a time computes.
+
+    For results that nobody changes.
+
+    Args:
+        size: How many are kept.
+    """
+
+    def decorate(make: Callable[P, T]) -> Callable[P, T]:
+        cached: Callable[..., T] = lru_cache(maxsize=size)(make)
+
+        @wraps(make)
+        def get(*args: P.args, **kwargs: P.kwargs) -> T:
+            with BUILDING:
+                return cached(*args, **kwargs)
+
+        return get
+
+    return decorate
+
+
+def kept_by_thread(size: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """A function whose last results are kept for the thread that asked, and for no other.
+
+    For results with a state: worlds, workspaces, solvers. Ask anew wherever one is used, since the
+    holder may have moved on to another thread; asking takes 0.3 us.
+
+    Args:
+        size: How many a thread keeps; they go with it.
+    """
+
+    def decorate(make: Callable[P, T]) -> Callable[P, T]:
+        mine = threading.local()
+
+        @wraps(make)
+        def get(*args: P.args, **kwargs: P.kwargs) -> T:
+            try:
+                cached = mine.cached
+            except AttributeError:
+                cached = mine.cached = lru_cache(maxsize=size)(make)
+            result: T = cached(*args, **kwargs)
+            return result
+
+        return get
+
+    return decorate
+
+
+class built(Generic[T]):
+    """An attribute that is computed when first asked for, by one thread, under ``BUILDING``.
+
+    Like ``functools.cached_property``, which has a lock of its own in Python 3.11 and none later.
+    """
+
+    def __init__(self, make: Callable[[Any], T]) -> None:
+        """Keep the function; its name is that of the attribute."""
+        self._make, self._name, self.__doc__ = make, make.__name__, make.__doc__
+
+    @overload
+    def __get__(self, holder: None, kind: type | None = None) -> built[T]: ...
+
+    @overload
+    def __get__(self, holder: object, kind: type | None = None) -> T: ...
+
+    def __get__(self, holder: object | None, kind: type | None = None) -> built[T] | T:
+        """The value; from then on it stands in the holder's own dictionary."""
+        if holder is None:
+            return self
+        with BUILDING:
+            kept: dict[str, Any] = holder.__dict__
+            if self._name not in kept:
+                kept[self._name] = self._make(holder)
+            value: T = kept[self._name]
+            return value
