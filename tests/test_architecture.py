@@ -226,9 +226,11 @@ ALLOWED = {
         "quality",
         "synthesis",
     ),
-    "planner.task": ("errors", "spatial", "contacts", "hand", "objects", "shapes"),
+    "planner.fixed": ("spatial",),
+    "planner.task": ("errors", "fixed", "spatial", "contacts", "hand", "objects", "shapes"),
     "planner.motion": (
         "errors",
+        "fixed",
         "spatial",
         "attempt",
         "collision",
@@ -248,6 +250,7 @@ ALLOWED = {
     ),
     "planner.gait": (
         "errors",
+        "fixed",
         "spatial",
         "attempt",
         "collision",
