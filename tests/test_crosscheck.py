@@ -631,7 +631,6 @@ def test_nothing_of_the_current_folder_is_run(
     assert not ran.exists()
 
 
-
 # --- report, command and errors -------------------------------------------------------------------
 
 

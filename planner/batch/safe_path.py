@@ -16,9 +16,33 @@ __all__ = ["safe_path"]
 
 VARIABLE = "PYTHONSAFEPATH"
 
-_lock = threading.Lock()
-_users = 0
-_before: str | None = None
+
+class _Guard:
+    """Sets the variable for as long as anybody needs it."""
+
+    def __init__(self) -> None:
+        self._lock, self._users = threading.Lock(), 0
+        self._before: str | None = None
+
+    def enter(self) -> None:
+        with self._lock:
+            if self._users == 0:
+                self._before = os.environ.get(VARIABLE)
+                os.environ[VARIABLE] = "1"
+            self._users += 1
+
+    def leave(self) -> None:
+        with self._lock:
+            self._users -= 1
+            if self._users > 0:
+                return
+            if self._before is None:
+                os.environ.pop(VARIABLE, None)
+            else:
+                os.environ[VARIABLE] = self._before
+
+
+_guard = _Guard()
 
 
 @contextmanager
@@ -27,19 +51,8 @@ def safe_path() -> Iterator[None]:
 
     The environment is as it was before once the last of several threads has left.
     """
-    global _users, _before
-    with _lock:
-        if _users == 0:
-            _before = os.environ.get(VARIABLE)
-            os.environ[VARIABLE] = "1"
-        _users += 1
+    _guard.enter()
     try:
         yield
     finally:
-        with _lock:
-            _users -= 1
-            if _users == 0:
-                if _before is None:
-                    os.environ.pop(VARIABLE, None)
-                else:
-                    os.environ[VARIABLE] = _before
+        _guard.leave()
