@@ -313,6 +313,8 @@ class Trial:
             comparison=self.recorder.comparison(),
             quality_planned=plan.quality,
             quality_measured=analyse(measured, length=length) if ended_holding else None,
+            quality_mu=task.mu,
+            contacts_measured=merged if ended_holding else None,
             thresholds=self.thresholds,
             physics={k: float(v) for k, v in asdict(self.scene.physics).items()},
             timeline={k: float(v) for k, v in asdict(self.timeline).items()},
