@@ -20,6 +20,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from planner.bridge.quiet import without_log
 from planner.errors import TaskError
 from planner.plan import GraspPlan
 from planner.quality import analyse
@@ -136,15 +137,14 @@ class Trial:
         viewer = Viewer(self.scene.model, self.data) if view else None
         interrupted = False
         # divergence is told by the report; MuJoCo would also write a log file where the user stands
-        mujoco.set_mju_user_warning(lambda _: None)
         try:
-            for phase in PHASES:
-                if not self.run_phase(phase, progress, on_step, viewer):
-                    break
+            with without_log():
+                for phase in PHASES:
+                    if not self.run_phase(phase, progress, on_step, viewer):
+                        break
         except KeyboardInterrupt:
             interrupted = True
         finally:
-            mujoco.set_mju_user_warning(None)
             if viewer is not None:
                 viewer.close()
         verdict = judge(

@@ -21,9 +21,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
+from planner.bridge.quiet import without_log
 from planner.errors import PlannerError
 from planner.gait import cut_motion
 from planner.motion.release import find_release
@@ -92,8 +92,7 @@ class ManipulationRun:
         taken: dict[str, str] = {}
         no_picture = ""
         # divergence is told by the report; MuJoCo would also write a log file
-        mujoco.set_mju_user_warning(lambda _: None)
-        try:
+        with without_log():
             for k, (step, about, perform) in enumerate(self._parts(), start=1):
                 begin = float(self.stage.data.time)
                 reason, numbers = perform()
@@ -120,8 +119,6 @@ class ManipulationRun:
                         taken[file.stem if about else step] = str(made.path)
                 if not goes_on:
                     break
-        finally:
-            mujoco.set_mju_user_warning(None)
         return self._told(taken, no_picture)
 
     def _parts(self) -> Iterator[Part]:

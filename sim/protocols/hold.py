@@ -16,9 +16,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import mujoco
 import numpy as np
 
+from planner.bridge.quiet import without_log
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, rotation_angle
 from sim.carrier import Carrier
@@ -259,8 +259,9 @@ class quiet:
 
     def __enter__(self) -> None:
         """Silence it."""
-        mujoco.set_mju_user_warning(lambda _: None)
+        self._block = without_log()
+        self._block.__enter__()
 
     def __exit__(self, *_: object) -> None:
         """Let it speak again."""
-        mujoco.set_mju_user_warning(None)
+        self._block.__exit__(None, None, None)
