@@ -20,7 +20,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from planner.bridge.quiet import without_log
 from planner.errors import TaskError
 from planner.plan import GraspPlan
 from planner.quality import analyse
@@ -136,12 +135,10 @@ class Trial:
             return self._report(verdict, begin)
         viewer = Viewer(self.scene.model, self.data) if view else None
         interrupted = False
-        # divergence is told by the report; MuJoCo would also write a log file where the user stands
         try:
-            with without_log():
-                for phase in PHASES:
-                    if not self.run_phase(phase, progress, on_step, viewer):
-                        break
+            for phase in PHASES:
+                if not self.run_phase(phase, progress, on_step, viewer):
+                    break
         except KeyboardInterrupt:
             interrupted = True
         finally:

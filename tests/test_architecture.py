@@ -204,7 +204,7 @@ ALLOWED = {
         "sweep",
         "task",
     ),
-    "planner.kinematics": ("errors", "spatial", "hand"),
+    "planner.kinematics": ("arrays", "errors", "spatial", "hand"),
     "planner.symbolic": ("errors", "spatial", "hand", "kinematics"),
     "planner.certify": (
         "errors",

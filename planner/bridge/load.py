@@ -14,7 +14,6 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from planner.bridge.quiet import without_log
 from planner.errors import ModelError
 
 __all__ = [
@@ -51,8 +50,7 @@ def load_spec(path: Path) -> Any:
     if not path.is_file():
         raise ModelError(f"there is no model file {path}; give the path of an MJCF or URDF file")
     try:
-        with without_log():
-            spec = mujoco.MjSpec.from_file(str(path))
+        spec = mujoco.MjSpec.from_file(str(path))
     except (ValueError, FileNotFoundError) as error:
         reason = str(error).replace("\n", "; ")
         raise ModelError(f"MuJoCo cannot read {path} as a model: {reason}") from error
@@ -80,8 +78,7 @@ def compile_spec(spec: Any, what: str) -> Any:
         ModelError: MuJoCo refuses the model.
     """
     try:
-        with without_log():
-            return spec.compile()
+        return spec.compile()
     except ValueError as error:
         reason = str(error).replace("\n", "; ")
         raise ModelError(f"MuJoCo cannot compile {what}: {reason}{_remedy(reason)}") from error

@@ -14,7 +14,6 @@ import numpy as np
 
 from planner.bridge.load import compile_spec
 from planner.bridge.prepare import name_parts
-from planner.bridge.quiet import without_log
 from planner.errors import ModelError, NotFoundError
 from planner.spatial import SE3, pose_from_wxyz, pose_to_wxyz
 
@@ -58,8 +57,7 @@ def mount_spec(arm: Any, hand: Any, *, site: str, T_site_base: SE3, what: str) -
     carrier = out.site(ARM_PREFIX + site).parent
     frame = carrier.add_frame(pos=np.array(position), quat=np.array(quaternion))
     # MuJoCo warns that names without prefix are lost in a saved file; none is written
-    with without_log():
-        out.attach(hand, prefix="", frame=frame)
+    out.attach(hand, prefix="", frame=frame)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Attaching a spec with an empty prefix")
         compile_spec(out, f"{what} with its hand")

@@ -23,7 +23,6 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.bridge.quiet import without_log
 from planner.errors import PlannerError
 from planner.gait import cut_motion
 from planner.motion.release import find_release
@@ -91,34 +90,32 @@ class ManipulationRun:
         """
         taken: dict[str, str] = {}
         no_picture = ""
-        # divergence is told by the report; MuJoCo would also write a log file
-        with without_log():
-            for k, (step, about, perform) in enumerate(self._parts(), start=1):
-                begin = float(self.stage.data.time)
-                reason, numbers = perform()
-                end = float(self.stage.data.time)
-                then = self._after(step) if reason and retry else ""
-                goes_on = not reason or (retry and self._goes_on)
-                self.checks.append(
-                    Check(
-                        step=step,
-                        about=about,
-                        begin=begin,
-                        end=end,
-                        reason=reason,
-                        numbers=numbers,
-                        then=then,
-                    )
+        for k, (step, about, perform) in enumerate(self._parts(), start=1):
+            begin = float(self.stage.data.time)
+            reason, numbers = perform()
+            end = float(self.stage.data.time)
+            then = self._after(step) if reason and retry else ""
+            goes_on = not reason or (retry and self._goes_on)
+            self.checks.append(
+                Check(
+                    step=step,
+                    about=about,
+                    begin=begin,
+                    end=end,
+                    reason=reason,
+                    numbers=numbers,
+                    then=then,
                 )
-                if pictures is not None and not no_picture:
-                    name = f"{step} {about}".strip().replace(" ", "-")
-                    file = pictures / f"{k:02d}-{name}.png"
-                    made = save_picture(self.stage.scene.model, self.stage.data, file)
-                    no_picture = made.reason
-                    if made.path is not None:
-                        taken[file.stem if about else step] = str(made.path)
-                if not goes_on:
-                    break
+            )
+            if pictures is not None and not no_picture:
+                name = f"{step} {about}".strip().replace(" ", "-")
+                file = pictures / f"{k:02d}-{name}.png"
+                made = save_picture(self.stage.scene.model, self.stage.data, file)
+                no_picture = made.reason
+                if made.path is not None:
+                    taken[file.stem if about else step] = str(made.path)
+            if not goes_on:
+                break
         return self._told(taken, no_picture)
 
     def _parts(self) -> Iterator[Part]:

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from planner.bridge.quiet import without_log
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, rotation_angle
 from sim.carrier import Carrier
@@ -252,16 +251,3 @@ class _Still:
         """Command the pose of the grasp."""
         del phase, share
         self._carrier.drive(data, "settle", 0.0)
-
-
-class quiet:
-    """Keeps MuJoCo from writing a log file where the user stands; faults are told by outcomes."""
-
-    def __enter__(self) -> None:
-        """Silence it."""
-        self._block = without_log()
-        self._block.__enter__()
-
-    def __exit__(self, *_: object) -> None:
-        """Let it speak again."""
-        self._block.__exit__(None, None, None)

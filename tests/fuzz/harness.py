@@ -1,7 +1,7 @@
 """Cases run each in a process of its own, which is forked from one that has everything loaded.
 
 A process that takes more than ``TIME``, ``CLOCK`` or ``MEMORY`` is ended. What it wrote goes to a
-file in its folder. The folder is removed again, unless the case failed and ``--keep`` was asked for.
+file in its folder. Folders are removed again; ``--keep`` copies those of cases that failed.
 """
 
 from __future__ import annotations
