@@ -12,6 +12,7 @@ from __future__ import annotations
 import matplotlib
 
 from planner import GraspTask, plan_grasp
+from planner.quality import analyse
 from sim.controllers import PHASES
 from sim.scene import PhysicsOptions
 from sim.trial import simulate
@@ -39,8 +40,11 @@ for c in report.comparison:
     print(f"{c.finger:10} {c.position_error_mm:19.2f}   {forces} {c.force_error_percent:17.1f}")
 planned = report.quality_planned.epsilon_round
 print(f"\nepsilon of true cones, planned at mu {plan.task.mu}: {planned}")
-if report.quality_measured is not None:
-    print(f"epsilon of true cones, measured at mu {MU}: {report.quality_measured.epsilon_round}")
+if report.quality_measured is not None and report.contacts_measured is not None:
+    same = report.quality_measured.epsilon_round
+    print(f"epsilon of true cones, measured, at the plan's mu {report.quality_mu}: {same}")
+    own = analyse(report.contacts_measured, length=plan.task.object.shape.bounding_radius)
+    print(f"epsilon of true cones, measured, at the simulation's mu {MU}: {own.epsilon_round}")
 
 samples = report.samples
 figure, (top, bottom) = plt.subplots(2, 1, sharex=True, figsize=(8, 6))

@@ -20,18 +20,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from planner.arrays import float_array, per_item
 from planner.errors import ContactError
 from planner.spatial import FloatArray, contact_frames, skew
 
 if TYPE_CHECKING:
     from planner.spatial import SE3
 
-__all__ = ["CONTACT_DIM", "MIN_EDGES", "Contact", "ContactModel", "ContactSet"]
+__all__ = ["CONTACT_DIM", "MIN_EDGES", "Contact", "ContactModel", "ContactSet", "check_frames"]
 
 ContactModel: TypeAlias = Literal["frictionless", "point", "soft"]
 
@@ -41,8 +42,36 @@ CONTACT_DIM: dict[str, int] = {"frictionless": 1, "point": 3, "soft": 4}
 MIN_EDGES = 3
 """Fewest edges of a polyhedral friction cone (-): two span no area."""
 
+FARTHEST = 1e6
+"""Largest coordinate (m): beyond it torques lose the digits that a verdict needs."""
+
+MOST_FRICTION = 1e3
+"""Largest sliding friction (-) and torsional friction (m): a force may be 89.94 degrees off the
+normal. Beyond it the normal parts drown in the tangential ones, and rank is misjudged."""
+
+_IDENTITY = np.eye(3)
+
 _ORTHONORMAL_TOL = 1e-6
 """How far a given frame may be from a rotation matrix (-)."""
+
+
+def check_frames(frames: FloatArray) -> None:
+    """Refuse contact frames (n, 3, 3) that are not right-handed rotation matrices.
+
+    Raises:
+        ContactError: So, or they hold NaN.
+    """
+    if len(frames) == 0:
+        return
+    error = frames.transpose(0, 2, 1) @ frames
+    error -= _IDENTITY
+    if not (
+        max(error.max(), -error.min()) <= _ORTHONORMAL_TOL and np.linalg.det(frames).min() > 0.0
+    ):
+        raise ContactError(
+            "a contact frame is not a right-handed rotation matrix; give [normal, tangent1, "
+            "tangent2] in its columns, as contact_frames makes them"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +135,7 @@ class ContactSet:
             "center": (3,),
         }
         for name, shape in shapes.items():
-            value = np.array(getattr(self, name), dtype=np.float64)
+            value = float_array(name, getattr(self, name), copy=True)
             if value.shape != shape:
                 raise ContactError(f"{name} has shape {value.shape}, but {n} contacts need {shape}")
             if name != "forces" and not np.isfinite(value).all():
@@ -115,15 +144,20 @@ class ContactSet:
             object.__setattr__(self, name, value)
         if len(self.fingers) != n:
             raise ContactError(f"{len(self.fingers)} finger names for {n} contacts")
+        if np.isinf(self.forces).any():
+            raise ContactError("forces hold infinity; give finite numbers, NaN where unknown")
+        if max(np.abs(self.positions).max(initial=0.0), np.abs(self.center).max()) > FARTHEST:
+            raise ContactError(f"a position is farther than {FARTHEST:g} m away; give metres")
         if (self.mu < 0).any() or (self.mu_torsion < 0).any():
             raise ContactError("friction is negative; mu and mu_torsion must be >= 0")
+        if max(self.mu.max(initial=0.0), self.mu_torsion.max(initial=0.0)) > MOST_FRICTION:
+            raise ContactError(f"friction is above {MOST_FRICTION:g}; give mu and mu_torsion below")
+        if not all(isinstance(m, str) for m in self.models):
+            raise ContactError(f"contact models are names; use some of {list(CONTACT_DIM)}")
         unknown = sorted({m for m in self.models if m not in CONTACT_DIM})
         if unknown:
             raise ContactError(f"unknown contact model {unknown}; use one of {list(CONTACT_DIM)}")
-        gram = np.swapaxes(self.frames, 1, 2) @ self.frames
-        right_handed = np.linalg.det(self.frames) > 0 if n else np.ones(0, bool)
-        if n and (np.abs(gram - np.eye(3)).max() > _ORTHONORMAL_TOL or not right_handed.all()):
-            raise ContactError("a contact frame is not a right-handed rotation matrix")
+        check_frames(self.frames)
 
     @classmethod
     def from_arrays(
@@ -153,39 +187,50 @@ class ContactSet:
         Raises:
             ContactError: Shapes do not fit, NaN, a normal without length, negative friction.
         """
-        p = np.array(positions, dtype=np.float64)
+        p = float_array("positions", positions)
         p = p.reshape(0, 3) if p.size == 0 else p
         if p.ndim != 2 or p.shape[1] != 3:
             raise ContactError(f"positions have shape {p.shape}; give an array of shape (n, 3)")
         n = len(p)
-        normal_array = np.array(normals, dtype=np.float64).reshape(-1, 3)
-        if len(normal_array) != n:
-            raise ContactError(f"{n} positions but {len(normal_array)} normals")
-        models = (model,) * n if isinstance(model, str) else tuple(model)
+        given = float_array("normals", normals)
+        given = given.reshape(0, 3) if given.size == 0 else given
+        if given.shape != (n, 3):
+            raise ContactError(
+                f"normals have shape {given.shape}; {n} positions need {(n, 3)}, a row per contact"
+            )
         return cls(
             positions=p,
-            frames=contact_frames(normal_array) if n else np.zeros((0, 3, 3)),
-            models=models,
-            mu=np.broadcast_to(np.asarray(mu, dtype=np.float64), (n,)),
-            mu_torsion=np.broadcast_to(np.asarray(mu_torsion, dtype=np.float64), (n,)),
-            forces=np.full((n, 4), np.nan) if forces is None else np.asarray(forces, dtype=float),
-            fingers=("",) * n if fingers is None else tuple(fingers),
-            center=np.asarray(center, dtype=np.float64),
+            frames=contact_frames(given) if n else np.zeros((0, 3, 3)),
+            models=(model,) * n if isinstance(model, str) else _listed("model", model),
+            mu=per_item("mu", mu, n),
+            mu_torsion=per_item("mu_torsion", mu_torsion, n),
+            forces=np.full((n, 4), np.nan) if forces is None else float_array("forces", forces),
+            fingers=("",) * n if fingers is None else _listed("fingers", fingers),
+            center=float_array("center", center),
         )
 
     @classmethod
     def from_contacts(cls, contacts: Sequence[Contact], *, center: ArrayLike) -> ContactSet:
-        """A set from single contacts that share a frame of reference."""
+        """A set from single contacts that share a frame of reference.
+
+        Raises:
+            ContactError: As ``from_arrays`` does.
+        """
         n = len(contacts)
+
+        def stacked(what: str, values: list[Any], shape: tuple[int, ...]) -> FloatArray:
+            array = float_array(what, values)
+            return array if n else array.reshape(0, *shape)
+
         return cls(
-            positions=np.array([c.position for c in contacts]).reshape(n, 3),
-            frames=np.array([c.frame for c in contacts]).reshape(n, 3, 3),
+            positions=stacked("positions", [c.position for c in contacts], (3,)),
+            frames=stacked("frames", [c.frame for c in contacts], (3, 3)),
             models=tuple(c.model for c in contacts),
-            mu=np.array([c.mu for c in contacts], dtype=np.float64),
-            mu_torsion=np.array([c.mu_torsion for c in contacts], dtype=np.float64),
-            forces=np.array([c.force for c in contacts]).reshape(n, 4),
+            mu=stacked("mu", [c.mu for c in contacts], ()),
+            mu_torsion=stacked("mu_torsion", [c.mu_torsion for c in contacts], ()),
+            forces=stacked("forces", [c.force for c in contacts], (4,)),
             fingers=tuple(c.finger for c in contacts),
-            center=np.asarray(center, dtype=np.float64),
+            center=float_array("center", center),
         )
 
     def __len__(self) -> int:
@@ -216,7 +261,7 @@ class ContactSet:
 
     def with_forces(self, forces: ArrayLike) -> ContactSet:
         """The same contacts with forces (n, 4) in the contact frames."""
-        return replace(self, forces=np.asarray(forces, dtype=np.float64))
+        return replace(self, forces=float_array("forces", forces))
 
     def with_friction(self, mu: ArrayLike, mu_torsion: ArrayLike | None = None) -> ContactSet:
         """The same contacts with another friction, a number or (n,) each."""
@@ -224,8 +269,8 @@ class ContactSet:
         torsion = self.mu_torsion if mu_torsion is None else mu_torsion
         return replace(
             self,
-            mu=np.broadcast_to(np.asarray(mu, dtype=np.float64), (n,)),
-            mu_torsion=np.broadcast_to(np.asarray(torsion, dtype=np.float64), (n,)),
+            mu=per_item("mu", mu, n),
+            mu_torsion=per_item("mu_torsion", torsion, n),
         )
 
     def transformed(self, T_new_old: SE3) -> ContactSet:
@@ -287,3 +332,14 @@ class ContactSet:
             load = np.hypot(ratio, torsion)
             used = np.where(load > 0, load / np.maximum(fn, 0.0), 0.0)
         return np.where(np.isnan(self.forces).any(axis=1), np.nan, used)
+
+
+def _listed(what: str, value: Any) -> tuple[Any, ...]:
+    """A sequence of names as a tuple; their number is checked later.
+
+    Raises:
+        ContactError: Something else.
+    """
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise ContactError(f"{what} is {value!r}; give a list of names, one per contact")
+    return tuple(value)

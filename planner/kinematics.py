@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from planner.errors import ModelError
+from planner.arrays import finite_array
+from planner.errors import HandError, ModelError
 from planner.hand import Finger, Hand
 from planner.spatial import SE3, FloatArray, IntArray, skew
 
@@ -27,9 +28,13 @@ class HandState:
     """
 
     def __init__(self, hand: Hand, q: FloatArray) -> None:
-        """Compute placements and joint Jacobians at q (nq,)."""
+        """Compute placements and joint Jacobians at q (nq,).
+
+        Raises:
+            HandError: ``q`` has another shape, or is not finite.
+        """
         self.hand = hand
-        self.q = np.array(q, dtype=np.float64)
+        self.q = finite_array("q", q, (hand.nq,), error=HandError)
         self.q.flags.writeable = False
         self.pin_data: Any = hand.pin_model.createData()
         pin.computeJointJacobians(hand.pin_model, self.pin_data, self.q)

@@ -28,7 +28,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 
+from planner.arrays import float_array
 from planner.contacts import ContactSet
+from planner.errors import ContactError
 from planner.hand import Finger
 from planner.kinematics import HandState
 from planner.plan import GraspPlan
@@ -85,8 +87,14 @@ def resisted_per_newton(contacts: ContactSet, wrenches: FloatArray, *, length: f
         contacts: n contacts.
         wrenches: t (k, 6), in the contacts' frame about their centre, N and N m.
         length: Torque is divided by it, m; a matter of conditioning alone.
+
+    Raises:
+        ContactError: ``wrenches`` are not finite (k, 6), or ``length`` is not positive.
     """
     faces = _faces(contacts, length)
+    wrenches = float_array("wrenches", wrenches)
+    if wrenches.ndim != 2 or wrenches.shape[1] != 6 or not np.isfinite(wrenches).all():
+        raise ContactError(f"wrenches have shape {wrenches.shape}; give finite numbers (k, 6)")
     against = -faces[:, :6] @ (wrenches / np.repeat([1.0, length], 3)).T
     reach = np.maximum(-faces[:, 6:], 0.0)
     met = against > 0

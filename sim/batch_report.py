@@ -70,12 +70,13 @@ class BatchBar:
 
 def batch_summary(grasps: GraspSet) -> dict[str, Any]:
     """Figures of a batch as plain data: what was found, its cost, and how diverse it is."""
-    rows: dict[str, dict[str, list[Any]]] = {label: {} for label in grasps.labels}
-    columns = ("object", "found", "attempts", "cpu_s", "epsilon", "reason")
-    for table in grasps.tables(columns):
-        for row in table.to_pylist():
-            for key, value in row.items():
-                rows[row["object"]].setdefault(key, []).append(value)
+    columns = ("found", "attempts", "cpu_s", "epsilon", "reason")
+    rows: dict[str, dict[str, list[Any]]] = {
+        label: {name: [] for name in columns} for label in grasps.labels
+    }
+    for row in grasps:  # checked, which tables are not
+        for name in columns:
+            rows[row["object"]][name].append(row[name])
     return {
         "format": "opposable-batch-summary",
         "version": 1,

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from planner.contacts import ContactSet
 from planner.plain import finite
 from planner.quality import QualityReport
 from planner.schema import StrictData
@@ -64,6 +65,10 @@ class TrialReport:
         quality_measured: The same analysis of where the contacts were at the end of the hold,
             merged per finger, with the plan's friction and contact model; None without contacts.
             The closure in ``samples`` has the simulation's own friction.
+        quality_mu: Sliding friction (-) of both analyses: the plan's, not the simulation's.
+        contacts_measured: Those contacts, merged per finger, in the world's axes, with their forces
+            and the simulation's friction; None without contacts. For an analysis with another
+            friction: ``analyse(report.contacts_measured, length=...)``.
         thresholds: Where success ends.
         physics: Name and numbers of ``PhysicsOptions``, as plain data.
         least_creep_mm_s: Speed at which the object sinks through the fingers under this physics
@@ -92,6 +97,8 @@ class TrialReport:
     comparison: tuple[FingerComparison, ...]
     quality_planned: QualityReport
     quality_measured: QualityReport | None
+    quality_mu: float
+    contacts_measured: ContactSet | None
     thresholds: Thresholds
     physics: dict[str, Any]
     least_creep_mm_s: float
@@ -155,6 +162,7 @@ class TrialReport:
             quality_measured=(
                 None if self.quality_measured is None else self.quality_measured.to_dict()
             ),
+            quality_mu=self.quality_mu,
             thresholds=asdict(self.thresholds),
             physics=self.physics,
             least_creep_mm_s=finite(self.least_creep_mm_s),
@@ -258,6 +266,7 @@ class ReportFile(StrictData):
     comparison: list[ComparisonData]
     quality_planned: dict[str, Any]
     quality_measured: dict[str, Any] | None
+    quality_mu: float | None = None
     thresholds: dict[str, float]
     physics: dict[str, float | str | list[float]]
     least_creep_mm_s: float | None = None

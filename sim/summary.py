@@ -115,6 +115,7 @@ def print_report(report: TrialReport, console: Console) -> None:
         if measured is not None:
             console.print(
                 f"epsilon of the true cones: planned {report.quality_planned.epsilon_round}, "
-                f"measured {measured.epsilon_round} (both with the plan's friction)",
+                f"measured {measured.epsilon_round} (both with the plan's friction, mu "
+                f"{report.quality_mu:g})",
                 highlight=False,
             )

@@ -136,8 +136,6 @@ class Trial:
             return self._report(verdict, begin)
         viewer = Viewer(self.scene.model, self.data) if view else None
         interrupted = False
-        # divergence is told by the report; MuJoCo would also write a log file where the user stands
-        mujoco.set_mju_user_warning(lambda _: None)
         try:
             for phase in PHASES:
                 if not self.run_phase(phase, progress, on_step, viewer):
@@ -145,7 +143,6 @@ class Trial:
         except KeyboardInterrupt:
             interrupted = True
         finally:
-            mujoco.set_mju_user_warning(None)
             if viewer is not None:
                 viewer.close()
         verdict = judge(
@@ -314,6 +311,8 @@ class Trial:
             comparison=self.recorder.comparison(),
             quality_planned=plan.quality,
             quality_measured=analyse(measured, length=length) if ended_holding else None,
+            quality_mu=task.mu,
+            contacts_measured=merged if ended_holding else None,
             thresholds=self.thresholds,
             physics=self.scene.physics.to_dict(),
             least_creep_mm_s=1e3 * least_creep(self.scene, task.finger_names),

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 import sim.crosscheck.check as check_module
 from planner.bridge import pinocchio_from_mujoco
 from planner.catalog import find_hand, models_dir
-from planner.errors import ModelError, NotFoundError, TaskError
+from planner.errors import ModelError, NotFoundError, PlannerError, TaskError
 from sim.cli.crosscheck import register
 from sim.crosscheck import (
     BRIDGE,
@@ -585,16 +585,50 @@ def test_the_reader_runs_in_a_child_process(folder: Path) -> None:
 def test_a_reader_that_crashes_or_hangs_is_reported(
     folder: Path, monkeypatch: pytest.MonkeyPatch, script: str, reason: str
 ) -> None:
-    program = folder / "python"
-    program.write_text(f"#!/bin/sh\n{script}\n", encoding="utf-8")
-    program.chmod(0o755)
-    monkeypatch.setattr("sys.executable", str(program))
     path = folder / "model.xml"
     path.write_text(model(), encoding="utf-8")
+    put_for_python(folder, monkeypatch, f'for last; do :; done; touch "$last/started"; {script}')
     report = crosscheck(path, n_configurations=1, timeout=0.3, judge_reader=True)
     assert reason in report.column(READER).failure
     assert "cause unknown" in report.column(READER).failure
     assert not report.ok
+
+
+@pytest.mark.parametrize(
+    ("script", "reason"),
+    [("exit 0", "ended with code 0"), ("exec sleep 9", "no answer"), ("kill -9 $$", "signal 9")],
+)
+def test_a_reader_that_cannot_start_is_an_error_and_no_agreement(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, script: str, reason: str
+) -> None:
+    path = folder / "model.xml"
+    path.write_text(model(), encoding="utf-8")
+    put_for_python(folder, monkeypatch, script)
+    with pytest.raises(PlannerError, match=f"did not start: .*{reason}.*--no-own-reader"):
+        crosscheck(path, n_configurations=1, timeout=0.3)
+
+
+def put_for_python(folder: Path, monkeypatch: pytest.MonkeyPatch, script: str) -> None:
+    """Let child processes run a shell script instead of Python."""
+    program = folder / "python"
+    program.write_text(f"#!/bin/sh\n{script}\n", encoding="utf-8")
+    program.chmod(0o755)
+    monkeypatch.setattr("sys.executable", str(program))
+
+
+def test_nothing_of_the_current_folder_is_run(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran = tmp_path / "ran"
+    here = tmp_path / "project"
+    (here / "sim").mkdir(parents=True)
+    for name in ("pinocchio.py", "numpy.py", "sim/__init__.py", "planner.py"):
+        text = f"open({str(ran)!r}, 'a').write({name!r}); raise SystemExit"
+        (here / name).write_text(text, encoding="utf-8")
+    monkeypatch.chdir(here)
+    report = read(folder, model(base='pos="1 0 0"'))
+    assert list(report.column(READER).causes) == ["root pose"]  # it did read
+    assert not ran.exists()
 
 
 # --- report, command and errors -------------------------------------------------------------------

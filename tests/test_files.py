@@ -155,17 +155,16 @@ def test_a_failed_write_leaves_nothing_behind(plan: GraspPlan, tmp_path: Path) -
 def test_a_failed_write_keeps_the_old_file(
     plan: GraspPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A full disk: half of the text is written, then the system refuses."""
+    """A full disk: the text is written beside the file, then the system refuses."""
     path = tmp_path / "plan.json"
     write_plan(plan, path)
     old = path.read_text(encoding="utf-8")
 
-    def full(self: Path, text: str, encoding: str) -> int:
-        with self.open("w", encoding=encoding) as file:
-            file.write(text[:100])
+    def full(partial: Path, target: Path) -> None:
+        assert partial.stat().st_size > 100
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_text", full)
+    monkeypatch.setattr("planner.files.whole.os.replace", full)
     with pytest.raises(FileFormatError, match="No space left on device"):
         write_plan(plan, path)
     assert path.read_text(encoding="utf-8") == old

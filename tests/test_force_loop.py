@@ -593,3 +593,34 @@ def test_a_step_needs_what_limits_it() -> None:
         loop.step(WEIGHT, jacobians=np.zeros((2, 3, 2)))
     with pytest.raises(ContactError, match=r"give \(2, 3, 2\)"):
         loop.step(WEIGHT, jacobians=np.zeros((2, 3, 1)), q=np.zeros(2))
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"wrench": np.ones(5)}, r"wrench has shape \(5,\); give \(6,\)"),
+        ({"wrench": np.full(6, np.nan)}, "wrench holds NaN"),
+        ({"positions": np.nan}, r"positions has shape \(\); give \(2, 3\)"),
+        ({"positions": np.zeros(3)}, r"positions has shape \(3,\)"),
+        ({"positions": np.full((2, 3), np.inf)}, "positions holds NaN or infinity"),
+        ({"frames": 2 * np.stack([np.eye(3)] * 2)}, "not a right-handed rotation"),
+        ({"frames": -np.stack([np.eye(3)] * 2)}, "not a right-handed rotation"),
+        ({"frames": np.full((2, 3, 3), np.nan)}, "frames holds NaN"),
+        ({"frames": np.eye(3)}, r"frames has shape \(3, 3\)"),
+        ({"frames": "text"}, "give an array of numbers"),
+        ({"center": np.zeros((1, 3))}, r"center has shape \(1, 3\)"),
+        ({"previous": np.zeros((3, 4))}, r"previous has shape \(3, 4\)"),
+        ({"min_normal": 60.0, "max_normal": 50.0}, "min_normal .* is above max_normal"),
+        ({"min_normal": -1.0}, "give finite forces >= 0"),
+        ({"min_normal": np.inf}, "give finite forces >= 0"),
+        ({"max_normal": [1.0, 2.0, 3.0]}, r"max_normal has shape \(3,\)"),
+        ({"max_normal": np.nan}, "max_normal holds NaN"),
+        ({"gravity_torque": np.zeros(3)}, r"gravity_torque has shape \(3,\)"),
+        ({"jacobians": np.full((2, 3, 2), np.nan)}, "jacobians hold NaN"),
+    ],
+)
+def test_a_step_refuses_what_does_not_fit(given: dict[str, Any], message: str) -> None:
+    loop = ForceLoop(opposed(), change_cost=1.0, joints=2)
+    arguments = {"wrench": WEIGHT, "jacobians": np.zeros((2, 3, 2))} | given
+    with pytest.raises(ContactError, match=message):
+        loop.step(arguments.pop("wrench"), **arguments)

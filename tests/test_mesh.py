@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -20,8 +21,8 @@ from planner.proximity import DistancePair
 from planner.shapes import Box, LBracket, Mesh, Mug, Sphere, Torus
 from planner.shapes.cache import CACHE_VARIABLE, cache_directory, read_arrays, write_arrays
 from planner.shapes.field import DistanceField
-from planner.shapes.fit import fit_field
-from planner.shapes.mesh_distance import SMOOTHED_MOST
+from planner.shapes.mesh_distance import SMOOTHED_MOST, fit_mesh_field
+from planner.shapes.nearby import NearestTriangles
 from planner.shapes.triangles import COVERED, cover, nearest_on_triangles, winding_number
 from planner.spatial import SE3, FloatArray
 
@@ -61,22 +62,21 @@ def example(name: str) -> Mesh:
 
 @pytest.fixture
 def quick_fit(monkeypatch: pytest.MonkeyPatch) -> list[object]:
-    """A field that is that of a ball, at once; the list tells how often one was fitted."""
+    """A field that is fitted once for all tests; the list tells how often one was asked for."""
     calls: list[object] = []
-    ball = example_field()
 
-    def fit(surface: object, thickness: float) -> DistanceField:
+    def fit(surface: NearestTriangles, thickness: float) -> DistanceField:
         calls.append(surface)
-        return ball
+        key = surface.corners.tobytes()
+        if key not in FITTED:
+            FITTED[key] = fit_mesh_field(surface, thickness)
+        return FITTED[key]
 
     monkeypatch.setattr("planner.shapes.mesh.fit_mesh_field", fit)
     return calls
 
 
-@cache
-def example_field() -> DistanceField:
-    ball = Sphere(0.03)
-    return fit_field(ball.signed_distance, -ball.half_extents, ball.half_extents)
+FITTED: dict[bytes, DistanceField] = {}
 
 
 # --- distances ------------------------------------------------------------------------------------
@@ -399,7 +399,24 @@ def test_the_field_is_kept_on_disk_by_content(own_cache: Path, quick_fit: list[o
     assert box_mesh(BRICK).digest in stored.name
 
 
-@pytest.mark.parametrize("damage", ["cut", "text", "empty", "other arrays", "folder"])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "cut",
+        "text",
+        "empty",
+        "other arrays",
+        "folder",
+        "one byte",
+        "open to others",
+        "of another key",
+        "of another mesh",
+        "moved by a centimetre",
+        "NaN",
+        "no numbers",
+        "a pipe",
+    ],
+)
 def test_a_damaged_cache_is_made_anew(
     own_cache: Path, quick_fit: list[object], damage: str
 ) -> None:
@@ -414,13 +431,36 @@ def test_a_damaged_cache_is_made_anew(
         stored.write_bytes(b"")
     elif damage == "other arrays":
         write_arrays("field", stored.stem, {"place0": np.zeros(2)})
-    else:
+    elif damage == "one byte":
+        content = bytearray(stored.read_bytes())
+        content[len(content) // 2] ^= 1
+        stored.write_bytes(content)
+    elif damage == "open to others":
+        stored.chmod(0o666)
+    elif damage == "of another key":
+        write_arrays("field", "key", read_arrays("field", stored.stem) or {})
+        stored.with_stem("key").rename(stored)
+    elif damage == "of another mesh":
+        write_arrays("field", stored.stem, example("cube of 0.5 m").field().to_arrays())
+        quick_fit[1:] = []
+    elif damage == "folder":
         stored.unlink()
         stored.mkdir()
+    elif damage == "a pipe":
+        stored.unlink()
+        os.mkfifo(stored, mode=0o600)
+    else:
+        arrays = read_arrays("field", stored.stem) or {}
+        for name in [name for name in arrays if name.startswith("coefficients")]:
+            changed = {"NaN": np.full(4, np.nan), "no numbers": np.array(["text"])}
+            arrays[name] = changed.get(damage, arrays[name] - 0.01)
+        write_arrays("field", stored.stem, arrays)
     np.testing.assert_array_equal(box_mesh(BRICK).field().value(np.zeros((1, 3))), value)
     assert len(quick_fit) == 2
     if damage != "folder":
         assert read_arrays("field", stored.stem) is not None
+        np.testing.assert_array_equal(box_mesh(BRICK).field().value(np.zeros((1, 3))), value)
+        assert len(quick_fit) == 2  # what was made anew is kept
     assert not list(own_cache.rglob("*.part"))
 
 

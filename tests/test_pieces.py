@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from planner.shapes import Box, Mesh, Sphere
-from planner.shapes.cache import CACHE_VARIABLE
+from planner.shapes.cache import CACHE_VARIABLE, read_arrays, write_arrays
 from planner.shapes.cutting import Cell, Guards, cut, half_of
 from planner.shapes.hulls import clip, crossing_points, hull_of
 from planner.shapes.made import LBracket, Superquadric, Torus
@@ -143,6 +143,41 @@ def test_pieces_are_the_same_again_from_the_cache_and_anew(
         for k in range(len(runs[0])):
             np.testing.assert_array_equal(again.vertices[k], runs[0].vertices[k])
             np.testing.assert_array_equal(again.faces[k], runs[0].faces[k])
+
+
+@pytest.mark.parametrize(
+    "damage",
+    ["larger", "smaller", "one left out", "flat", "no faces", "inside out", "no deviation"],
+)
+def test_pieces_that_do_not_fit_the_mesh_are_made_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str
+) -> None:
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
+    mesh = LBracket()
+    convex_pieces.cache_clear()
+    made = convex_pieces(mesh)
+    (stored,) = (tmp_path / "pieces").iterdir()
+    arrays = read_arrays("pieces", stored.stem)
+    assert arrays is not None
+    if damage in ("larger", "smaller"):
+        factor = {"larger": 1.01, "smaller": 0.99}[damage]
+        arrays |= {name: v * factor for name, v in arrays.items() if name.startswith("vertices")}
+    elif damage == "one left out":
+        arrays["number_and_deviation"] = np.array([len(made) - 1, made.deviation])
+    elif damage == "flat":
+        arrays["vertices_0"] = arrays["vertices_0"].ravel()
+    elif damage == "no faces":
+        arrays["faces_0"] = arrays["faces_0"][:0]
+    elif damage == "inside out":
+        arrays["faces_0"] = arrays["faces_0"][:, ::-1]
+    else:
+        arrays["number_and_deviation"] = np.array([len(made), -1.0])
+    write_arrays("pieces", stored.stem, arrays)
+    convex_pieces.cache_clear()
+    again = convex_pieces(mesh)
+    assert again.deviation == made.deviation
+    for mine, theirs in zip(again.vertices, made.vertices, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
 
 
 def test_primitives_are_one_geom_and_true() -> None:

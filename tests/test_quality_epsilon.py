@@ -338,7 +338,7 @@ def test_bad_arguments_are_refused_with_a_remedy() -> None:
             call(contacts, length=-1.0)
     with pytest.raises(ContactError, match="positive number of metres"):
         epsilon_frogger(contacts, half_longest_side=float("nan"))
-    with pytest.raises(ContactError, match="at least 3"):
+    with pytest.raises(ContactError, match="from 3 to"):
         epsilon_linf(contacts, length=RADIUS, edges=0)
     with pytest.raises(ContactError, match="finite numbers"):
         measure_hull(np.full((6, 8), np.inf))

@@ -16,6 +16,7 @@ from planner.errors import TaskError
 from planner.hand import Hand
 from planner.paths import smooth
 from planner.plan import GraspPlan
+from planner.quality import analyse
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
@@ -65,6 +66,24 @@ def test_the_same_analysis_judges_plan_and_execution(report: TrialReport) -> Non
     # Both have the plan's friction, and contacts are within a millimetre of the planned ones.
     planned = report.quality_planned.epsilon
     assert report.quality_measured.epsilon == pytest.approx(planned, rel=0.05)
+
+
+def test_a_report_says_at_which_friction_its_contacts_were_analysed(
+    report: TrialReport, plan: GraspPlan
+) -> None:
+    contacts, physics_mu = report.contacts_measured, report.physics["mu"]
+    assert contacts is not None
+    assert report.quality_measured is not None
+    assert report.quality_mu == plan.task.mu == 0.5
+    assert contacts.mu == pytest.approx(np.full(len(contacts), physics_mu))
+    assert physics_mu == 0.6
+    length = plan.task.object.shape.bounding_radius
+    same = contacts.with_friction(report.quality_mu, plan.task.mu_torsion)
+    at_the_plans = analyse(same, length=length).epsilon
+    at_its_own = analyse(contacts, length=length).epsilon
+    assert report.quality_measured.epsilon == pytest.approx(at_the_plans)
+    assert at_its_own > 1.1 * at_the_plans
+    assert report.to_dict()["quality_mu"] == 0.5
 
 
 def test_samples_over_time(report: TrialReport) -> None:

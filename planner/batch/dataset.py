@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from planner.batch.checked import checked_row, reading
 from planner.batch.diversity import Diversity, diversity
 from planner.batch.features import GraspFeatures
 from planner.batch.manifest import read_manifest
 from planner.batch.recipe import task_of, with_fingers_of
 from planner.batch.rows import arrow, attempt_rows, attempt_schema, grasp_schema
-from planner.batch.store import ATTEMPTS, GRASPS, shard_file, waiting_rows, whole_shards
+from planner.batch.store import ATTEMPTS, GRASPS, JOURNAL, shard_file, waiting_rows, whole_shards
 from planner.batch.thinning import thin
 from planner.errors import FileFormatError, NotFoundError
 from planner.judge import judge_grasp
@@ -110,7 +111,7 @@ class GraspSet:
     def __iter__(self) -> Iterator[dict[str, Any]]:
         """Rows in order."""
         for table in self.tables():
-            yield from table.to_pylist()
+            yield from self._rows(table)
 
     def __getitem__(self, i: int) -> dict[str, Any]:
         """Row i, as plain data.
@@ -125,7 +126,7 @@ class GraspSet:
             if left < self._rows_in(shard):
                 break
             left -= self._rows_in(shard)
-        row: dict[str, Any] = self._table(GRASPS, shard, None).slice(left, 1).to_pylist()[0]
+        (row,) = self._rows(self._table(GRASPS, shard, None).slice(left, 1))
         return row
 
     def plan(self, i: int) -> GraspPlan:
@@ -173,11 +174,13 @@ class GraspSet:
         """Numbers and rows of the grasps, of one object or all, in order."""
         first = 0
         for table in self.tables():
-            wanted = table["found"].to_numpy(zero_copy_only=False)
-            if label is not None:
-                wanted = wanted & (table["object"].to_numpy(zero_copy_only=False) == label)
+            with reading(self.folder / GRASPS):
+                wanted = table["found"].to_numpy(zero_copy_only=False) == True  # noqa: E712
+                if label is not None:
+                    wanted = wanted & (table["object"].to_numpy(zero_copy_only=False) == label)
             numbers = np.flatnonzero(wanted)
-            yield from zip((first + numbers).tolist(), table.take(numbers).to_pylist(), strict=True)
+            rows = self._rows(table.take(numbers))
+            yield from zip((first + numbers).tolist(), rows, strict=True)
             first += table.num_rows
 
     def features(self, label: str, *, most: int = MOST_COMPARED) -> GraspFeatures:
@@ -218,19 +221,22 @@ class GraspSet:
         pa = arrow()
         if shard not in self._waiting:
             path = shard_file(self.folder, table, shard)
-            try:
+            with reading(path):
                 # one file, not a folder of them: no columns out of the path
-                return pa.parquet.ParquetFile(path).read(columns=columns)
-            except (pa.ArrowException, OSError) as error:
-                raise FileFormatError(
-                    f"{path} is damaged ({str(error).splitlines()[0]}); delete it, and the same "
-                    "batch plans its rows again"
-                ) from error
+                made = pa.parquet.ParquetFile(path).read(columns=columns)
+                return made if columns is None else made.select(list(columns))
         rows, schema = self._waiting[shard], self._schema()
         if table == ATTEMPTS:
             rows, schema = [a for row in rows for a in attempt_rows(row)], attempt_schema()
-        made = pa.Table.from_pylist(rows, schema=schema)
-        return made if columns is None else made.select(list(columns))
+        with reading(self.folder / JOURNAL):
+            made = pa.Table.from_pylist(rows, schema=schema)
+            return made if columns is None else made.select(list(columns))
+
+    def _rows(self, table: Any) -> list[dict[str, Any]]:
+        """Rows of a table of grasps as plain data, checked."""
+        nq, source = len(self.manifest.joint_names), self.folder / GRASPS
+        labels = frozenset(self.labels)
+        return [checked_row(row, nq, labels, source=source) for row in table.to_pylist()]
 
 
 def _pose(row: dict[str, Any], name: str) -> SE3:

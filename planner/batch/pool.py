@@ -19,6 +19,7 @@ import joblib
 
 from planner.batch.jobs import Job, plan_row
 from planner.batch.rows import failed_row
+from planner.batch.safe_path import safe_path
 from planner.errors import TaskError
 
 __all__ = ["check_backend", "finished", "planned_rows"]
@@ -111,10 +112,11 @@ def _stream(
 ) -> Iterator[tuple[int, Result]]:
     """Numbers and results of jobs, one job per message, so that little is in flight.
 
-    The iterator is asked for more as workers become free.
+    The iterator is asked for more as workers become free. Workers import nothing from the current
+    folder, also those that are started again later.
     """
     call = joblib.delayed(_numbered)
-    with joblib.parallel_config(backend=backend, n_jobs=workers):
+    with safe_path(), joblib.parallel_config(backend=backend, n_jobs=workers):
         active, n_workers = joblib.parallel.get_active_backend()
         if active.supports_return_generator:
             parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1)

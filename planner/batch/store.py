@@ -249,6 +249,8 @@ def _refuse_rows(folder: Path) -> None:
 def _replace(folder: Path, target: Path, write: Callable[[Path], None]) -> None:
     """Write a file under another name, see it on the disk, and rename it into place."""
     partial = folder / PARTIAL
+    partial.unlink(missing_ok=True)  # of a process that was killed, or a link to elsewhere
+    partial.open("xb").close()
     write(partial)
     with partial.open("rb") as file:
         os.fsync(file.fileno())

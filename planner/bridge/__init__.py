@@ -1,5 +1,6 @@
 """The one door to MuJoCo in ``planner``: compiled models become Pinocchio and coal models here."""
 
+import planner.bridge.quiet  # sets MuJoCo's handler of warnings  # noqa: F401
 from planner.bridge.actuation import actuation_from_mujoco
 from planner.bridge.couplings import couplings_from_mujoco
 from planner.bridge.decompile import spec_from_model

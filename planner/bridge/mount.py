@@ -57,11 +57,7 @@ def mount_spec(arm: Any, hand: Any, *, site: str, T_site_base: SE3, what: str) -
     carrier = out.site(ARM_PREFIX + site).parent
     frame = carrier.add_frame(pos=np.array(position), quat=np.array(quaternion))
     # MuJoCo warns that names without prefix are lost in a saved file; none is written
-    mujoco.set_mju_user_warning(lambda _: None)
-    try:
-        out.attach(hand, prefix="", frame=frame)
-    finally:
-        mujoco.set_mju_user_warning(None)
+    out.attach(hand, prefix="", frame=frame)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Attaching a spec with an empty prefix")
         compile_spec(out, f"{what} with its hand")

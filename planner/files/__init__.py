@@ -7,6 +7,7 @@ from planner.files.json_csv import read_json, write_json, write_trajectory
 from planner.files.motions import MotionFile, read_motion, write_motion
 from planner.files.plans import plan_from_dict, plan_to_dict, read_plan, write_plan
 from planner.files.tasks import task_data, task_from_data
+from planner.files.whole import plain_name, whole_file
 
 __all__ = [
     "PLAN_VERSION",
@@ -15,6 +16,7 @@ __all__ = [
     "MotionFile",
     "PlanFile",
     "TaskData",
+    "plain_name",
     "plan_from_dict",
     "plan_to_dict",
     "read_contacts",
@@ -24,6 +26,7 @@ __all__ = [
     "read_plan",
     "task_data",
     "task_from_data",
+    "whole_file",
     "write_gait",
     "write_json",
     "write_motion",

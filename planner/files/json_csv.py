@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from planner.errors import FileFormatError
+from planner.files.whole import whole_file
 from planner.plan import JointTrajectory
 from planner.spatial import pose_to_wxyz
 
@@ -18,20 +19,14 @@ __all__ = ["read_json", "write_json", "write_trajectory"]
 
 
 def write_json(data: dict[str, Any], path: Path | str) -> None:
-    """Write JSON whole or not at all: a file beside it is renamed into place.
+    """Write JSON whole or not at all; see ``whole_file``.
 
     Raises:
         FileFormatError: The folder does not exist or cannot be written.
     """
-    path = Path(path)
-    partial = path.with_name(path.name + ".part")
-    try:
-        partial.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            partial.unlink()
-        raise FileFormatError(f"cannot write {path}: {error.strerror}") from error
+    text = json.dumps(data, indent=1, allow_nan=False) + "\n"
+    with whole_file(Path(path)) as stream:
+        stream.write(text.encode())
 
 
 def write_trajectory(trajectory: JointTrajectory, path: Path | str) -> None:
@@ -52,11 +47,10 @@ def write_trajectory(trajectory: JointTrajectory, path: Path | str) -> None:
             strict=True,
         )
     ]
-    try:
-        with Path(path).open("w", newline="", encoding="utf-8") as file:
-            csv.writer(file).writerows([header, *rows])
-    except OSError as error:
-        raise FileFormatError(f"cannot write {path}: {error.strerror}") from error
+    text = io.StringIO(newline="")
+    csv.writer(text).writerows([header, *rows])
+    with whole_file(Path(path)) as stream:
+        stream.write(text.getvalue().encode())
 
 
 def read_json(path: Path | str, what: str) -> dict[str, Any]:

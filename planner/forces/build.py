@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.actuation import Actuation
+from planner.arrays import checked_number, finite_array, float_array, per_item
 from planner.contacts import ContactSet
 from planner.errors import ContactError, ObjectError
 from planner.forces.contact_part import ContactPart
@@ -15,7 +16,6 @@ from planner.forces.costs import (
     add_change_cost,
     add_torque_cost,
     check_not_negative,
-    finite_array,
 )
 from planner.forces.friction import Cone, LimitSurface
 from planner.forces.problem import ForceProblem
@@ -147,25 +147,24 @@ def build_force_problem(
     """
     n = len(contacts)
     balance = finite_array("wrench", wrench, (6,))
-    low, high = _per_contact("min_normal", min_normal, n), _per_contact("max_normal", max_normal, n)
+    low, high = per_item("min_normal", min_normal, n), per_item("max_normal", max_normal, n)
     if (low < 0).any() or (low > high).any() or np.isinf(low).any():
         raise ContactError(
             f"min_normal is {min_normal!r} and max_normal {max_normal!r}; give "
             "0 <= min_normal <= max_normal, min_normal finite"
         )
-    if not 0 < friction_scale <= 1:
+    if not 0 < checked_number("friction_scale", friction_scale) <= 1:
         raise ContactError(f"friction_scale is {friction_scale}; give a factor in (0, 1]")
-    if not 0 < tangential_cost < np.inf:
-        raise ContactError(f"tangential_cost is {tangential_cost}; give a finite number > 0")
+    checked_number("tangential_cost", tangential_cost, above=0.0)
     scaled = contacts.with_friction(
         friction_scale * contacts.mu, friction_scale * contacts.mu_torsion
     )
     if cone not in get_args(Cone):
         raise ContactError(f"cone is {cone!r}; use 'inscribed', 'circumscribed' or 'round'")
     check_not_negative("edge_cost", edge_cost)
-    if not 0 < edge_margin < 1:
+    if not 0 < checked_number("edge_margin", edge_margin) < 1:
         raise ContactError(f"edge_margin is {edge_margin}; give a share in (0, 1)")
-    if balance_cost is not None and not 0 < balance_cost < np.inf:
+    if balance_cost is not None and not checked_number("balance_cost", balance_cost) > 0:
         raise ContactError(f"balance_cost is {balance_cost}; give a finite number > 0, or None")
     part = ContactPart(
         scaled,
@@ -240,22 +239,8 @@ def build_force_problem(
         joint_map=joint_map,
         gravity_torque=gravity,
         actuation=actuation,
-        q=None if q is None else np.array(q, dtype=np.float64),
+        q=None if q is None else float_array("q", q, copy=True),
     )
-
-
-def _per_contact(what: str, value: ArrayLike, n: int) -> FloatArray:
-    """A number or (n,) as (n,); infinity is allowed.
-
-    Raises:
-        ContactError: Another shape, or NaN.
-    """
-    array = np.asarray(value, dtype=np.float64)
-    if array.shape not in ((), (n,)):
-        raise ContactError(f"{what} has shape {array.shape}; give a number or ({n},)")
-    if np.isnan(array).any():
-        raise ContactError(f"{what} holds NaN; give numbers in N")
-    return np.broadcast_to(array, (n,))
 
 
 def _joint_map(
@@ -267,7 +252,7 @@ def _joint_map(
         if gravity_torque is not None:
             raise ContactError("gravity_torque without jacobians; give both or neither")
         return np.zeros((0, sum(dims))), np.zeros(0)
-    jac = np.array(jacobians, dtype=np.float64)
+    jac = float_array("jacobians", jacobians)
     if jac.ndim != 3 or jac.shape[0] != n or jac.shape[1] not in (3, 6):
         raise ContactError(f"jacobians have shape {jac.shape}; give ({n}, 3 or 6, nv)")
     if not np.isfinite(jac).all():

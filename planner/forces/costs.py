@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike
 
+from planner.arrays import checked_number, finite_array
 from planner.contacts import ContactSet
 from planner.errors import ContactError
 from planner.forces.contact_part import ContactPart
 from planner.spatial import FloatArray
 
-__all__ = ["add_change_cost", "add_torque_cost", "check_not_negative", "finite_array"]
+__all__ = ["add_change_cost", "add_torque_cost", "check_not_negative"]
 
 
 def add_change_cost(
@@ -72,19 +71,4 @@ def check_not_negative(name: str, cost: float) -> None:
     Raises:
         ContactError: It is, or is not finite.
     """
-    if not 0 <= cost < np.inf:
-        raise ContactError(f"{name} is {cost}; give a finite number >= 0")
-
-
-def finite_array(what: str, value: Any, shape: tuple[int, ...]) -> FloatArray:
-    """A float array of a shape, finite.
-
-    Raises:
-        ContactError: It is not.
-    """
-    array = np.array(value, dtype=np.float64)
-    if array.shape != shape:
-        raise ContactError(f"{what} has shape {array.shape}; give {shape}")
-    if not np.isfinite(array).all():
-        raise ContactError(f"{what} holds NaN or infinity; give finite numbers")
-    return array
+    checked_number(name, cost, least=0.0)

@@ -24,9 +24,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.actuation import Actuation
-from planner.contacts import ContactSet
+from planner.arrays import checked_number, finite_given, float_array, per_item
+from planner.contacts import ContactSet, check_frames
 from planner.errors import ContactError
 from planner.forces.build import LimitArguments, build_force_problem
+from planner.forces.costs import check_not_negative
 from planner.forces.dense import DenseQp, KeptSolver
 from planner.forces.drive import DriveRows
 from planner.forces.friction import Pyramid
@@ -124,11 +126,10 @@ class ForceLoop:
             NotFoundError: No such solver is installed.
         """
         for name, value in (("change_cost", change_cost), ("torque_cost", torque_cost)):
-            if not 0 <= value < np.inf:
-                raise ContactError(f"{name} is {value}; give a finite number >= 0")
+            check_not_negative(name, value)
         if (cone := limits.get("cone", "inscribed")) not in get_args(Pyramid):
             raise ContactError(f"cone is {cone!r}; a loop takes 'inscribed' or 'circumscribed'")
-        if not 0 < tolerance < np.inf:
+        if not checked_number("tolerance", tolerance) > 0:
             raise ContactError(f"tolerance is {tolerance}; give a number > 0 in N")
         p = self.problem = build_force_problem(contacts, wrench=np.zeros(6), **limits)
         self._tolerance = tolerance
@@ -219,30 +220,38 @@ class ForceLoop:
             ``self.result``, written anew.
 
         Raises:
-            ContactError: Shapes do not fit, or an actuation without Jacobians or q.
+            ContactError: Shapes do not fit, NaN or infinity, frames that are no rotations, a least
+                normal force above the greatest of a contact that is not away, or an actuation
+                without Jacobians or q.
         """
         begin = time.perf_counter()
-        placed, qp = self.placed, self.qp
+        placed, qp, n, nv = self.placed, self.qp, len(self._least), self._nv
+        wrench = finite_given("wrench", wrench, (6,))
         if positions is not None or frames is not None or center is not None:
             if positions is not None:
-                placed.positions[:] = positions
+                placed.positions[:] = finite_given("positions", positions, (n, 3))
             if frames is not None:
+                frames = finite_given("frames", frames, (n, 3, 3))
+                check_frames(frames)
                 placed.frames[:] = frames
             if center is not None:
-                placed.center[:] = center
+                placed.center[:] = finite_given("center", center, (3,))
             placed.place()
             qp.new_a = True
         if jacobians is not None:
-            placed.load(jacobians)
+            placed.load(float_array("jacobians", jacobians))
         if gravity_torque is not None:
-            self._gravity[:] = gravity_torque
+            self._gravity[:] = finite_given("gravity_torque", gravity_torque, (nv,))
         if min_normal is not None or max_normal is not None:
             self._press(min_normal, max_normal)
         if self._change or self._effort:
+            if previous is not None:
+                previous = finite_given("previous", previous, (n, 4))
             self._write_costs(previous)
         if self._drive is not None:
             if q is None:
                 raise ContactError("an actuation limits the torques; give q (nv,) at every step")
+            q = finite_given("q", q, (nv,))
             self._limit_torques(self._drive, q, moved=jacobians is not None)
         np.multiply(self._minus_row_scale, wrench, out=self._balance)
         solver = self.solver
@@ -273,11 +282,22 @@ class ForceLoop:
 
     def _press(self, min_normal: ArrayLike | None, max_normal: ArrayLike | None) -> None:
         """Write bounds on normal forces; of a contact that is away everything is 0."""
-        qp = self.qp
-        if min_normal is not None:
-            self._least[:] = min_normal
+        qp, n = self.qp, len(self._least)
+        least = self._least if min_normal is None else per_item("min_normal", min_normal, n)
+        most = self._most if max_normal is None else per_item("max_normal", max_normal, n)
+        if n and not (least.min() >= 0.0 and least.max() < math.inf and most.min() >= 0.0):
+            raise ContactError(
+                f"min_normal is {min_normal!r} and max_normal {max_normal!r}; give finite forces "
+                ">= 0 in N, and infinity for no greatest force"
+            )
+        if min_normal is not None and ((least > most) & (most > 0.0)).any():
+            raise ContactError(
+                f"min_normal {least.tolist()} is above max_normal {most.tolist()}; give "
+                "min_normal <= max_normal, or a max_normal of 0 for a contact that is away"
+            )
+        self._least[:] = least
         if max_normal is not None:
-            self._most[:] = max_normal
+            self._most[:] = most
             qp.upper[self._normal] = self._most
             away = self._most <= 0.0
             if (key := away.tobytes()) != self._away:

@@ -86,6 +86,8 @@ class PlacedContacts:
         given = jacobians.shape
         if len(given) != 3 or given[0] != n or given[1] < rows or given[2] != self._nv:
             raise ContactError(f"jacobians have shape {given}; give ({n}, {rows}, {self._nv})")
+        if not np.isfinite(jacobians).all():
+            raise ContactError("jacobians hold NaN or infinity; give finite numbers")
         np.matmul(self._turned, jacobians[:, :3], out=self._force_levers)
         if self._soft:
             np.matmul(self._turned[:, :1], jacobians[:, 3:], out=self._levers[:, 3:])

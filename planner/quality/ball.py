@@ -16,12 +16,20 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from planner.contacts import ContactSet
+from planner.arrays import checked_count, float_array
+from planner.contacts import MIN_EDGES, ContactSet
 from planner.errors import ContactError
 from planner.quality.cones import Cone, check_length, primitive_wrenches
 from planner.spatial import FloatArray
 
-__all__ = ["HullMeasure", "epsilon_frogger", "epsilon_l1", "measure_hull", "volume_l1"]
+__all__ = [
+    "HullMeasure",
+    "check_hull",
+    "epsilon_frogger",
+    "epsilon_l1",
+    "measure_hull",
+    "volume_l1",
+]
 
 FLAT_TOL = 1e-9
 """A hull is flat, and has no ball and no volume, where the least singular value of its centred
@@ -35,6 +43,20 @@ result. The error of a radius is at most twice this."""
 _AGREEMENT = 1e-9
 """Qhull's distance of the nearest facet and the support function there may differ by this share of
 the longest point (-) before its facets are thought spoilt by points in special position."""
+
+MOST_HULL_EDGES = 64
+"""Most edges per cone of a hull (-): five contacts with 64 take 7 s, time grows elevenfold with
+twice the edges, and the cones are then 99.9 % of the round ones."""
+
+MOST_HULL_POINTS = 1000
+"""Most points of a hull (-): 125 contacts with 8 edges take 5 s, ten with 64 take 15 s."""
+
+LARGEST_WRENCH = 1e12
+"""Largest component of a wrench whose hull can be had: Qhull squares them several times."""
+
+FACETS_AT_ONCE = 50_000
+"""Facets whose support is computed together: five contacts with 64 edges have 400,000, and a table
+of all their supports takes a gigabyte."""
 
 FROGGER_EDGES = 16
 """Edges per cone in the baseline's figures (-)."""
@@ -81,6 +103,7 @@ def epsilon_l1(
     Raises:
         ContactError: ``length`` is not positive, ``edges`` is below 3, or ``cone`` is unknown.
     """
+    check_hull(len(contacts), edges)
     wrenches = primitive_wrenches(contacts, edges, cone=cone, length=length, phase=phase)
     return measure_hull(wrenches).epsilon
 
@@ -96,6 +119,7 @@ def volume_l1(contacts: ContactSet, *, length: float, edges: int = 8) -> float:
     Raises:
         ContactError: ``length`` is not positive, or ``edges`` is below 3.
     """
+    check_hull(len(contacts), edges)
     return measure_hull(primitive_wrenches(contacts, edges, length=length)).volume
 
 
@@ -123,6 +147,22 @@ def epsilon_frogger(contacts: ContactSet, *, half_longest_side: float) -> float:
     return measure_hull(wrenches).epsilon
 
 
+def check_hull(n_contacts: int, edges: int) -> None:
+    """Refuse a hull that would take minutes and gigabytes.
+
+    Raises:
+        ContactError: More edges or points than can be had.
+    """
+    checked_count(
+        "the number of edges per cone of a hull", edges, least=MIN_EDGES, most=MOST_HULL_EDGES
+    )
+    if n_contacts * edges > MOST_HULL_POINTS:
+        raise ContactError(
+            f"the hull of {n_contacts} contacts with {edges} edges each has more than "
+            f"{MOST_HULL_POINTS} points; give fewer edges, or merge contacts that are one patch"
+        )
+
+
 def measure_hull(wrenches: FloatArray) -> HullMeasure:
     """Epsilon, weakest direction and volume of the hull of any points.
 
@@ -133,9 +173,11 @@ def measure_hull(wrenches: FloatArray) -> HullMeasure:
     Raises:
         ContactError: The array is not of two dimensions, or a number is not finite.
     """
-    w = np.asarray(wrenches, dtype=np.float64)
-    if w.ndim != 2 or not np.isfinite(w).all():
+    w = float_array("wrenches", wrenches)
+    if w.ndim != 2 or len(w) < 2 or not np.isfinite(w).all():
         raise ContactError(f"wrenches have shape {w.shape}; give finite numbers of shape (d, m)")
+    if w.size and np.abs(w).max() > LARGEST_WRENCH:
+        raise ContactError(f"a wrench is larger than {LARGEST_WRENCH:g}; give it in other units")
     flat = flat_direction(w.T)
     if flat is not None:
         # All points lie in the plane flat . w = c: on the side c <= 0 they do not reach beyond 0.
@@ -157,7 +199,8 @@ def measure_hull(wrenches: FloatArray) -> HullMeasure:
 def _nearest_facet(hull: ConvexHull, w: FloatArray) -> tuple[float, FloatArray]:
     """Least value of the support function of w (d, m) over the facet normals, and that normal."""
     normals = hull.equations[:, :-1]
-    reach = (normals @ w).max(axis=1)
+    parts = range(0, len(normals), FACETS_AT_ONCE)
+    reach = np.concatenate([(normals[i : i + FACETS_AT_ONCE] @ w).max(axis=1) for i in parts])
     nearest = int(reach.argmin())
     return float(reach[nearest]), normals[nearest]
 

@@ -31,6 +31,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from planner.arrays import checked_count, float_array
 from planner.contacts import MIN_EDGES, ContactSet
 from planner.errors import ContactError
 from planner.spatial import FloatArray
@@ -39,6 +40,12 @@ __all__ = ["Cone", "RoundCones", "cone_edges", "contact_wrenches", "primitive_wr
 
 Cone: TypeAlias = Literal["inscribed", "circumscribed"]
 EdgeUnit: TypeAlias = Literal["normal", "length"]
+
+MOST_EDGES = 512
+"""Most edges of a friction cone (-): its polygon is then within 2e-5 of the circle."""
+
+LONGEST = 1e6
+"""Longest characteristic length, m."""
 
 
 def cone_edges(
@@ -57,7 +64,7 @@ def cone_edges(
         (4, m), rows f_n = 1, f_t1, f_t2 (-) and tau_n (m); m is 1, 2, k, k + 2 or 2 k.
 
     Raises:
-        ContactError: ``edges`` is below 3, or ``cone`` is unknown.
+        ContactError: ``edges`` is not 3 to 512, or ``cone`` is unknown.
     """
     _check_edges(edges)
     if cone not in ("inscribed", "circumscribed"):
@@ -187,7 +194,8 @@ def check_length(length: float) -> None:
     Raises:
         ContactError: It is not.
     """
-    if not (np.isfinite(length) and length > 0):
+    given = float_array("the characteristic length", length)
+    if given.shape != () or not 0.0 < given <= LONGEST:
         raise ContactError(
             f"the characteristic length is {length}; give a positive number of metres, for example "
             "the radius of the object's bounding sphere about its centre of mass"
@@ -195,5 +203,4 @@ def check_length(length: float) -> None:
 
 
 def _check_edges(edges: int) -> None:
-    if edges < MIN_EDGES:
-        raise ContactError(f"a friction cone of {edges} edges; give at least {MIN_EDGES}")
+    checked_count("the number of edges per friction cone", edges, least=MIN_EDGES, most=MOST_EDGES)

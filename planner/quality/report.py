@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from planner.contacts import ContactSet
-from planner.quality.ball import measure_hull
+from planner.quality.ball import check_hull, measure_hull
 from planner.quality.closure import ClosureResult, force_closure
 from planner.quality.cones import primitive_wrenches
 from planner.quality.interval import Interval, epsilon_linf, epsilon_round
@@ -120,8 +120,10 @@ def analyse(contacts: ContactSet, *, length: float, edges: int = 8) -> QualityRe
         edges: Edges per inscribed cone where cones are discretised, at least 3.
 
     Raises:
-        ContactError: ``length`` is not positive, or ``edges`` is below 3.
+        ContactError: ``length`` is not positive, or ``edges`` is not 3 to 64, or the hull has too
+            many points.
     """
+    check_hull(len(contacts), edges)
     hull = measure_hull(primitive_wrenches(contacts, edges, length=length))
     singular = singular_values(contacts, length=length)
     true_cones = epsilon_round(

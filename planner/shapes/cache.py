@@ -1,11 +1,15 @@
 """Arrays and texts that are costly to compute, kept on disk by content.
 
 The directory is that of the environment variable OPPOSABLE_CACHE_DIR, else the user's cache
-directory. A file that is damaged, or cannot be written, is as if it were not there.
+directory. A file begins with the digest of its kind, its key and its content. One that is damaged,
+that is of another key, that somebody else could have written, or that cannot be written, is as if
+it were not there. Who uses the content still checks that it fits what it was made of.
 """
 
 from __future__ import annotations
 
+import hashlib
+import io
 import os
 import tempfile
 from collections.abc import Mapping
@@ -20,6 +24,7 @@ from numpy.typing import NDArray
 from platformdirs import user_cache_dir
 
 from planner.spatial import FloatArray
+from planner.trust import is_closed
 
 __all__ = [
     "CACHE_VARIABLE",
@@ -33,8 +38,17 @@ __all__ = [
 CACHE_VARIABLE = "OPPOSABLE_CACHE_DIR"
 """Environment variable that names the directory of the cache."""
 
+MOST_BYTES = 2**30
+"""Size above which a file is none of ours: fields, the largest, have some ten megabytes."""
+
+SEAL_BYTES = hashlib.sha256().digest_size
+"""Length of the digest at the beginning of a file."""
+
 _DAMAGED = (OSError, ValueError, KeyError, EOFError, BadZipFile, ZlibError)
 """What reading an ``.npz`` raises where the file is missing, cut short or of another kind."""
+
+_NOT_WAITING = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+"""Opened so, a pipe in place of a file does not keep its reader waiting."""
 
 
 def cache_directory() -> Path:
@@ -45,23 +59,31 @@ def cache_directory() -> Path:
 
 def read_arrays(kind: str, key: str) -> dict[str, FloatArray] | None:
     """The arrays kept under a kind ("field") and a key (a digest); None if there are none."""
+    content = _sealed(kind, key)
+    if content is None:
+        return None
     try:
-        # opened here, since np.load leaves a file open that it cannot read
-        with _path(kind, key).open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files}
+        with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
     except _DAMAGED:
         return None
+    # texts are kept as bytes, and what is not finite was never computed
+    known = all(a.dtype.kind in "fiub" and np.isfinite(a).all() for a in arrays.values())
+    return arrays if known else None
 
 
 def write_arrays(kind: str, key: str, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Keep arrays: all of them or, where the disk refuses, none."""
     path = _path(kind, key)
+    packed = io.BytesIO()
+    np.savez(packed, allow_pickle=False, **arrays)
+    content = packed.getvalue()
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".part")
         try:
             with os.fdopen(handle, "wb") as stream:
-                np.savez(stream, allow_pickle=False, **arrays)
+                stream.write(_seal(kind, key, content) + content)
             os.replace(temporary, path)
         except OSError:
             Path(temporary).unlink(missing_ok=True)
@@ -82,4 +104,23 @@ def write_text(kind: str, key: str, text: str) -> None:
 
 
 def _path(kind: str, key: str) -> Path:
-    return cache_directory() / kind / f"{key}.npz"
+    return cache_directory() / kind / f"{key}.arrays"
+
+
+def _sealed(kind: str, key: str) -> bytes | None:
+    """Content of a file that is ours, closed to others, and as it was written; None for others."""
+    try:
+        handle = os.open(_path(kind, key), os.O_RDONLY | _NOT_WAITING)
+        with os.fdopen(handle, "rb") as stream:
+            state = os.fstat(handle)
+            if not is_closed(state) or state.st_size > MOST_BYTES:
+                return None
+            stored = stream.read()
+    except OSError:
+        return None
+    seal, content = stored[:SEAL_BYTES], stored[SEAL_BYTES:]
+    return content if seal == _seal(kind, key, content) else None
+
+
+def _seal(kind: str, key: str, content: bytes) -> bytes:
+    return hashlib.sha256(f"{kind}/{key}/".encode() + content).digest()

@@ -19,6 +19,7 @@ from planner.shapes.base import Shape, checked_points
 from planner.shapes.cache import read_arrays, write_arrays
 from planner.shapes.convex import convex_geometry
 from planner.shapes.field import DistanceField
+from planner.shapes.fits import field_fits
 from planner.shapes.mesh_distance import FIELD_VERSION, fit_mesh_field
 from planner.shapes.mesh_io import check_solid, read_mesh
 from planner.shapes.nearby import NearestTriangles, coal_tree
@@ -322,7 +323,9 @@ class Mesh(Shape):
         stored = read_arrays("field", key)
         if stored is not None:
             try:
-                return DistanceField.from_arrays(stored)
+                known = DistanceField.from_arrays(stored)
+                if field_fits(self, self.vertices, known):
+                    return known
             except (KeyError, ValueError, IndexError):
                 pass  # of another form: made anew
         field = fit_mesh_field(self._surface, self.wall_thickness)

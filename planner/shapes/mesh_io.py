@@ -33,7 +33,12 @@ def read_mesh(path: Path, scale: float) -> tuple[FloatArray, IntArray]:
         raise ObjectError(
             f"{path.name!r} is not a mesh that can be read; give one of {', '.join(MESH_SUFFIXES)}"
         )
-    if not path.is_file():
+    try:
+        there = path.is_file()
+    except (OSError, ValueError) as error:  # a name that no file can have
+        reason = getattr(error, "strerror", None) or error
+        raise ObjectError(f"there is no mesh file {str(path)[:60]!r}...: {reason}") from error
+    if not there:
         raise ObjectError(f"there is no mesh file {str(path)!r}; check the path")
     if not (np.isfinite(scale) and scale > 0):
         raise ObjectError(f"{path.name}: scale is {scale}; give metres per unit of the file, > 0")

@@ -22,6 +22,7 @@ from scipy.spatial import cKDTree
 
 from planner.shapes.cache import read_arrays, write_arrays
 from planner.shapes.cutting import Guards, cut
+from planner.shapes.fits import pieces_fit
 from planner.shapes.hulls import Hull, hull_of
 from planner.shapes.mesh import Mesh
 from planner.shapes.triangles import cover
@@ -75,7 +76,10 @@ def convex_pieces(mesh: Mesh) -> Pieces:
     stored = read_arrays("pieces", key)
     if stored is not None:
         try:
-            return _from_arrays(stored)
+            known = _from_arrays(stored)
+            parts = list(zip(known.vertices, known.faces, strict=True))
+            if pieces_fit(mesh, mesh.vertices, parts, known.deviation):
+                return known
         except (KeyError, ValueError, IndexError):
             pass  # of another form: made anew
     made = _make(mesh, TOLERANCE)
@@ -170,6 +174,8 @@ def _to_arrays(made: Pieces) -> dict[str, FloatArray]:
 
 def _from_arrays(arrays: dict[str, FloatArray]) -> Pieces:
     number, deviation = arrays["number_and_deviation"]
+    if number > len(arrays):
+        raise ValueError(f"{number} pieces in {len(arrays)} arrays")
     return Pieces(
         vertices=tuple(arrays[f"vertices_{k}"] for k in range(int(number))),
         faces=tuple(arrays[f"faces_{k}"].astype(np.int64) for k in range(int(number))),

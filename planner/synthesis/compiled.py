@@ -3,8 +3,9 @@
 CasADi evaluates expressions in a virtual machine. As C, compiled once, the residuals of a grasp
 take a seventh of the time (0.02 instead of 0.11 ms). The compiler needs 5 to 15 s for each kind of
 problem, so this is for many grasps and is asked for: environment variable ``OPPOSABLE_COMPILE=1``.
-Libraries lie in the cache directory under the digest of their source; no fast-math, no fused
-multiplication, so that rounding is the virtual machine's.
+Libraries lie in the cache directory under the digest of source, compiler and flags; no fast-math,
+no fused multiplication, so that rounding is the virtual machine's. See ``planner.trust``
+for what is checked before one is loaded.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import platform
 import shutil
 import subprocess
 import tempfile
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ import casadi as ca
 
 from planner.errors import PlannerError
 from planner.shapes.cache import cache_directory
+from planner.trust import check_folder, is_intact, make_private, seal
 
 __all__ = ["COMPILE_VARIABLE", "compiled"]
 
@@ -31,13 +34,18 @@ COMPILE_VARIABLE = "OPPOSABLE_COMPILE"
 FLAGS = ("-O1", "-ffp-contract=off", "-shared", "-fPIC")
 """Of the compiler; -O2 takes three times as long and wins nothing."""
 
+WITHOUT = f"unset {COMPILE_VARIABLE}: all works without it"
+
 
 def compiled(function: Any) -> Any:
     """The function as a compiled library if that is asked for; else itself.
 
+    A kept library that is damaged, or that others could have changed, is compiled anew.
+
     Raises:
-        PlannerError: It is asked for but there is no compiler, or it fails, or the variable's value
-            is neither 0 nor 1.
+        PlannerError: It is asked for but there is no compiler, or it fails, or others can write to
+            the folder of libraries, or a library cannot be loaded, or the variable's value is
+            neither 0 nor 1.
     """
     asked = os.environ.get(COMPILE_VARIABLE, "")
     if asked not in {"", "0", "1"}:
@@ -47,36 +55,67 @@ def compiled(function: Any) -> Any:
     generator = ca.CodeGenerator(f"{function.name()}.c")
     generator.add(function)
     source = generator.dump()
-    key = "\n".join([source, *FLAGS, platform.system(), platform.machine()])
+    compiler = _compiler()
+    key = "\n".join(
+        [source, compiler, _version(compiler), *FLAGS, platform.system(), platform.machine()]
+    )
     digest = hashlib.sha256(key.encode()).hexdigest()
-    library = cache_directory() / "compiled" / f"{function.name()}-{digest[:24]}.so"
-    if not library.is_file():
-        _compile(source, library)
-    return ca.external(function.name(), str(library))
+    library = cache_directory().absolute() / "compiled" / f"{function.name()}-{digest[:24]}.so"
+    make_private(library.parent)
+    check_folder(library.parent)
+    if not is_intact(library):
+        _compile(source, compiler, library)
+    try:
+        return ca.external(function.name(), str(library))
+    except RuntimeError as error:  # a folder from which no code may be run, for example
+        raise PlannerError(
+            f"the compiled library {library} cannot be loaded: {error}; {WITHOUT}"
+        ) from error
 
 
-def _compile(source: str, library: Path) -> None:
-    """Compile C text to a library, which is there whole or not at all."""
-    compiler = shutil.which(os.environ.get("CC", "cc"))
+def _compiler() -> str:
+    """Path of the C compiler."""
+    name = os.environ.get("CC", "cc")
+    compiler = shutil.which(name)
     if compiler is None:
         raise PlannerError(
-            f"{COMPILE_VARIABLE}=1 but there is no C compiler {os.environ.get('CC', 'cc')!r}; "
-            "install one, name one in CC, or unset the variable: all works without it"
+            f"{COMPILE_VARIABLE}=1 but there is no C compiler {name!r}; install one, name one in "
+            f"CC, or {WITHOUT}"
         )
-    library.parent.mkdir(parents=True, exist_ok=True)
+    return compiler
+
+
+@lru_cache(maxsize=4)
+def _version(compiler: str) -> str:
+    """What a compiler says of itself, "" if nothing: another version makes another library."""
+    done = _run([compiler, "--version"])
+    return done.stdout
+
+
+def _compile(source: str, compiler: str, library: Path) -> None:
+    """Compile C text to a library, which is there whole or not at all."""
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
         text, made = Path(folder) / "source.c", Path(folder) / "library.so"
         text.write_text(source, encoding="utf-8")
-        done = subprocess.run(
-            [compiler, *FLAGS, str(text), "-lm", "-o", str(made)],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        if done.returncode != 0:
+        done = _run([compiler, *FLAGS, str(text), "-lm", "-o", str(made)])
+        if done.returncode != 0 or not made.is_file():
             first = done.stderr.strip().splitlines()[:3]
             raise PlannerError(
-                f"{compiler} failed on generated code: {' '.join(first) or done.returncode}; unset "
-                f"{COMPILE_VARIABLE}: all works without it"
+                f"{compiler} failed on generated code: {' '.join(first) or done.returncode}; "
+                f"{WITHOUT}"
             )
-        os.replace(made, library)
+        seal(made, library)
+
+
+def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
+    """Run the compiler.
+
+    Raises:
+        PlannerError: It cannot be started.
+    """
+    try:
+        return subprocess.run(
+            command, capture_output=True, text=True, errors="replace", check=False
+        )
+    except OSError as error:
+        raise PlannerError(f"cannot run {command[0]}: {error.strerror}; {WITHOUT}") from error

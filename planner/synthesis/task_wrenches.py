@@ -5,8 +5,6 @@ A task wrench acts on the object about its centre of mass, in the object's frame
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -63,15 +61,18 @@ def tool_torque(axis: ArrayLike, torque: float) -> FloatArray:
 
 
 def resisted_wrenches(task: GraspTask, wrenches: ArrayLike = ()) -> FloatArray:
-    """The wrenches (k, 6) that a task is about: those given, else the weight in any direction."""
-    given = np.asarray(wrenches, dtype=np.float64)
-    if given.size:
-        return given
+    """The wrenches (k, 6) that a task is about: those given, else the weight in any direction.
+
+    Raises:
+        TaskError: As ``checked_wrenches`` does.
+    """
+    if given := checked_wrenches(wrenches if wrenches is not None else ()):
+        return np.array(given)
     return gravity_any_direction(task)
 
 
 def checked_wrenches(
-    wrenches: Sequence[Sequence[float]] | FloatArray,
+    wrenches: ArrayLike,
 ) -> tuple[tuple[float, ...], ...]:
     """Task wrenches (k, 6) as plain numbers, after a check; k may be 0.
 

@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -197,15 +197,19 @@ def errors_for_people() -> Iterator[None]:
         from planner.errors import NoGraspFoundError, PlannerError
     finally:
         signal.signal(signal.SIGINT, handler)
+    _made.clear()
     try:
         yield
     except NoGraspFoundError as error:
+        _remove_empty_folders()
         say(err, f"[bold]not found:[/] {escape(str(error))}")
         raise typer.Exit(EXIT_NOT_FOUND) from error
     except PlannerError as error:
+        _remove_empty_folders()
         say(err, f"[bold red]error:[/] {escape(str(error))}")
         raise typer.Exit(EXIT_BAD_INPUT) from error
     except KeyboardInterrupt as error:
+        _remove_empty_folders()
         say(err, "interrupted")
         raise typer.Exit(EXIT_INTERRUPTED) from error
 
@@ -243,13 +247,26 @@ def print_json(data: dict[str, Any]) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder, with an error for people."""
+    """Make a folder, with an error for people; one that an error leaves empty is removed again."""
     from planner.errors import FileFormatError
 
     try:
+        missing = [f for f in (folder, *folder.parents) if not f.exists()]
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileFormatError(f"cannot make the folder {folder}: {error.strerror}") from error
+    except (OSError, ValueError) as error:  # ValueError: a null character in the name
+        reason = getattr(error, "strerror", None) or error
+        raise FileFormatError(f"cannot make the folder {folder}: {reason}") from error
+    _made.extend(reversed(missing))
+
+
+_made: list[Path] = []
+"""Folders that the command made, outermost first."""
+
+
+def _remove_empty_folders() -> None:
+    while _made:
+        with suppress(OSError):  # it holds something, or has gone
+            _made.pop().rmdir()
 
 
 def check_folder(file: Path | None) -> None:

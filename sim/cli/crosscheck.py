@@ -103,7 +103,10 @@ def crosscheck(
                 say(out, escape(f"{column.name}: {note}"))
         for note in report.notes:
             say(out, escape(note))
-        say(out, "[green]all judged quantities agree[/]" if report.ok else "[red]differs[/]")
+        missing = [c.name for c in report.columns if c.failure and not c.judged]
+        without = f", without {escape(' and '.join(missing))}" if missing else ""
+        agree = f"[green]all judged quantities agree[/]{without}"
+        say(out, agree if report.ok else "[red]differs[/]")
     if not report.ok:
         raise typer.Exit(EXIT_NO)
 

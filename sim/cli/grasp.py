@@ -156,7 +156,7 @@ def run(
     as_json: JsonOption = False,
 ) -> None:
     """Plan a grasp, distribute its forces, execute it, judge it; writes plan, report, picture."""
-    from planner.files import plan_to_dict, write_json, write_plan
+    from planner.files import plain_name, plan_to_dict, write_json, write_plan
     from sim.controllers import named_controller
     from sim.summary import print_plan, print_report
     from sim.viewing import check_display
@@ -186,7 +186,9 @@ def run(
         rounds=rounds,
     )
     spec = _folder_name(plan.task.object)
-    folder = out_dir or Path("runs") / f"{plan.task.hand.name}-{spec}-{seed}"
+    folder = (
+        out_dir or Path("runs") / f"{plain_name(plan.task.hand.name)}-{plain_name(spec)}-{seed}"
+    )
     make_folder(folder)
     for old in ("report.json", "held.png"):  # of an earlier plan in this folder
         (folder / old).unlink(missing_ok=True)

@@ -280,7 +280,8 @@ class ObjectImpedance:
             jacobians=loaded,
             q=q,
             gravity_torque=self._torques.own_torque,
-            min_normal=scale * self._grip * self._patience.given * self.grip * share,
+            min_normal=np.minimum(scale * self._grip * self._patience.given * self.grip, MAX_NORMAL)
+            * share,
             max_normal=MAX_NORMAL * share,
             previous=self.forces,
         )

@@ -63,6 +63,7 @@ def crosscheck(
 
     Raises:
         ModelError: MuJoCo cannot read or compile the model.
+        PlannerError: The child process of Pinocchio's own reader cannot start.
         TaskError: A number is out of range.
     """
     _check_counts(seed, n_configurations)

@@ -1,7 +1,9 @@
 """Pinocchio's own reader of MJCF and URDF, run in a child process, since it can crash or hang.
 
-The child (``python -m sim.crosscheck.reader``) writes the model that it read, and what each
-collision geometry spans, to a file; the parent compares them like any other model.
+The child writes the model that it read, and what each collision geometry spans, to a file; the
+parent compares them like any other model. It imports this package from where the parent has it, and
+nothing from the current folder. Before it reads, it says that it has started, so that an
+installation in which it cannot start is told from a model that it cannot read.
 """
 
 from __future__ import annotations
@@ -18,10 +20,26 @@ from typing import Any
 
 import pinocchio as pin
 
+from planner.errors import PlannerError
 from planner.spatial import FloatArray
 from sim.crosscheck.boxes import bounding_box
 
-__all__ = ["ReaderResult", "is_urdf", "read_with_pinocchio"]
+__all__ = ["ReaderResult", "answer_in_child", "is_urdf", "read_with_pinocchio"]
+
+STARTED, ANSWER = "started", "answer.pickle"
+"""Files that the child leaves in its folder: the first before it reads the model."""
+
+PACKAGES = Path(__file__).resolve().parents[2]
+"""Folder of this package, where the child finds it if its own path does not."""
+
+CHILD = """
+import sys
+sys.path.append(sys.argv[1])
+from sim.crosscheck.reader import answer_in_child
+answer_in_child(*sys.argv[2:])
+"""
+"""Program of the child. ``-P`` keeps the current folder out of its path, which ``-m`` and ``-c``
+would put first: a ``pinocchio.py`` or a folder ``sim`` there must not be run instead of ours."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,18 +68,29 @@ def read_with_pinocchio(path: Path, timeout: float) -> ReaderResult:
     Args:
         path: MJCF or URDF.
         timeout: Seconds after which the child is ended.
+
+    Raises:
+        PlannerError: The child could not start, so that nothing is known about the reader.
     """
     with tempfile.TemporaryDirectory() as folder:
-        answer = Path(folder) / "answer.pickle"
-        command = [sys.executable, "-m", "sim.crosscheck.reader", str(path.resolve()), str(answer)]
+        answer, started = Path(folder) / ANSWER, Path(folder) / STARTED
+        command = [sys.executable, "-P", "-c", CHILD, str(PACKAGES), str(path.resolve()), folder]
         try:
             done = subprocess.run(
-                command, capture_output=True, text=True, timeout=timeout, check=False
+                command, capture_output=True, text=True, timeout=timeout, check=False, cwd=folder
             )
+            code, errors = done.returncode, done.stderr
+            failure = _why(code, errors)
         except subprocess.TimeoutExpired:
-            return _failed(f"no answer within {timeout:g} s")
-        if done.returncode != 0 or not answer.is_file():
-            return _failed(_why(done.returncode, done.stderr))
+            code, failure = -1, f"no answer within {timeout:g} s"
+        if not started.is_file():
+            raise PlannerError(
+                f"the child process of Pinocchio's own reader did not start: {failure}. Mend the "
+                "installation or give it more time (--timeout), or leave that reader out "
+                "(--no-own-reader)"
+            )
+        if code != 0 or not answer.is_file():
+            return _failed(failure)
         return _result(pickle.loads(answer.read_bytes()))  # written by our own child just now
 
 
@@ -129,5 +158,7 @@ def is_urdf(path: Path) -> bool:
     )
 
 
-if __name__ == "__main__":
-    Path(sys.argv[2]).write_bytes(pickle.dumps(_answer(Path(sys.argv[1]))))
+def answer_in_child(path: str, folder: str) -> None:
+    """What the child does: say in its folder that it has started, read, and leave the answer."""
+    (Path(folder) / STARTED).touch()
+    (Path(folder) / ANSWER).write_bytes(pickle.dumps(_answer(Path(path))))

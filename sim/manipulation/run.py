@@ -21,7 +21,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
 from planner.errors import PlannerError
@@ -91,37 +90,32 @@ class ManipulationRun:
         """
         taken: dict[str, str] = {}
         no_picture = ""
-        # divergence is told by the report; MuJoCo would also write a log file
-        mujoco.set_mju_user_warning(lambda _: None)
-        try:
-            for k, (step, about, perform) in enumerate(self._parts(), start=1):
-                begin = float(self.stage.data.time)
-                reason, numbers = perform()
-                end = float(self.stage.data.time)
-                then = self._after(step) if reason and retry else ""
-                goes_on = not reason or (retry and self._goes_on)
-                self.checks.append(
-                    Check(
-                        step=step,
-                        about=about,
-                        begin=begin,
-                        end=end,
-                        reason=reason,
-                        numbers=numbers,
-                        then=then,
-                    )
+        for k, (step, about, perform) in enumerate(self._parts(), start=1):
+            begin = float(self.stage.data.time)
+            reason, numbers = perform()
+            end = float(self.stage.data.time)
+            then = self._after(step) if reason and retry else ""
+            goes_on = not reason or (retry and self._goes_on)
+            self.checks.append(
+                Check(
+                    step=step,
+                    about=about,
+                    begin=begin,
+                    end=end,
+                    reason=reason,
+                    numbers=numbers,
+                    then=then,
                 )
-                if pictures is not None and not no_picture:
-                    name = f"{step} {about}".strip().replace(" ", "-")
-                    file = pictures / f"{k:02d}-{name}.png"
-                    made = save_picture(self.stage.scene.model, self.stage.data, file)
-                    no_picture = made.reason
-                    if made.path is not None:
-                        taken[file.stem if about else step] = str(made.path)
-                if not goes_on:
-                    break
-        finally:
-            mujoco.set_mju_user_warning(None)
+            )
+            if pictures is not None and not no_picture:
+                name = f"{step} {about}".strip().replace(" ", "-")
+                file = pictures / f"{k:02d}-{name}.png"
+                made = save_picture(self.stage.scene.model, self.stage.data, file)
+                no_picture = made.reason
+                if made.path is not None:
+                    taken[file.stem if about else step] = str(made.path)
+            if not goes_on:
+                break
         return self._told(taken, no_picture)
 
     def _parts(self) -> Iterator[Part]:

@@ -16,7 +16,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from planner.plan import GraspPlan
@@ -252,15 +251,3 @@ class _Still:
         """Command the pose of the grasp."""
         del phase, share
         self._carrier.drive(data, "settle", 0.0)
-
-
-class quiet:
-    """Keeps MuJoCo from writing a log file where the user stands; faults are told by outcomes."""
-
-    def __enter__(self) -> None:
-        """Silence it."""
-        mujoco.set_mju_user_warning(lambda _: None)
-
-    def __exit__(self, *_: object) -> None:
-        """Let it speak again."""
-        mujoco.set_mju_user_warning(None)

@@ -26,7 +26,6 @@ from sim.physics import PhysicsOptions
 from sim.protocols.cases import Case, Conditions, MakeController
 from sim.protocols.catalog import cases_of, trials_of, unsuitable
 from sim.protocols.fc import fc_physics
-from sim.protocols.hold import quiet
 from sim.protocols.outcome import Outcome
 from sim.protocols.report import ProtocolReport
 from sim.protocols.settings import Settings
@@ -202,8 +201,7 @@ def _plan_of(text: str, hand: Hand | None = None) -> GraspPlan:
 def _run(job: _Job, check: Callable[[], None]) -> Outcome:
     """One trial."""
     plan = _plan_of(job.plan)
-    with quiet():
-        outcome = job.case.run(plan, job.conditions)
+    outcome = job.case.run(plan, job.conditions)
     check()
     return outcome
 

@@ -25,7 +25,6 @@ from sim.bench.control.slip_trial import slip_row
 from sim.bench.journal import run_with_journal
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, loaded_hand, task_for
-from sim.protocols.hold import quiet
 from sim.runner import Check, Runner, made_with
 
 __all__ = ["PARTS", "ControlJob", "Part", "control_jobs", "control_row", "grasps_of", "run_control"]
@@ -155,8 +154,7 @@ def control_row(job: ControlJob, check: Check) -> dict[str, Any]:
     if isinstance(plan, str):
         return _row(job, error=plan)
     rng = np.random.default_rng([job.seed, job.index])
-    with quiet():
-        measured = part.measure(plan, rng)
+    measured = part.measure(plan, rng)
     check()
     return _row(job, **measured)
 

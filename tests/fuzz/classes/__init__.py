@@ -1,0 +1,1 @@
+"""One file per class of hostile inputs; see ``tests.fuzz``."""

@@ -1,0 +1,51 @@
+"""Workers of a batch import nothing from the current folder."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from planner.batch.safe_path import VARIABLE, safe_path
+
+PROGRAM = """
+import operator
+from planner.batch.pool import finished
+given_up = lambda item, reason: reason
+print(sorted(finished(operator.neg, [1, 2], workers=2, backend=BACKEND, given_up=given_up)))
+"""
+
+
+@pytest.mark.parametrize("backend", ["loky", "multiprocessing"])
+def test_a_joblib_of_the_current_folder_is_not_run(tmp_path: Path, backend: str) -> None:
+    for name in ("joblib.py", "numpy.py", "planner.py"):
+        text = f"open('ran', 'a').write({name!r}); raise SystemExit(9)"
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    program = PROGRAM.replace("BACKEND", repr(backend))
+    environment = {name: v for name, v in os.environ.items() if name != VARIABLE}
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", program], cwd=tmp_path, env=environment, timeout=120,
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.stdout == "[-2, -1]\n", done.stderr
+    assert not (tmp_path / "ran").exists()
+
+
+def test_the_environment_is_as_before_when_the_last_has_left(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv(VARIABLE, raising=False)
+    first, second = safe_path(), safe_path()
+    with first:
+        second.__enter__()
+        assert os.environ[VARIABLE] == "1"
+    assert os.environ[VARIABLE] == "1"
+    second.__exit__(None, None, None)
+    assert VARIABLE not in os.environ
+    monkeypatch.setenv(VARIABLE, "yes")
+    with safe_path():
+        pass
+    assert os.environ[VARIABLE] == "yes"
