@@ -17,7 +17,7 @@ LEAST_GIVEN, GIVING_TIME, TAKING_TIME = 0.1, 0.05, 0.5
 """While a wrench is missed the least normal forces give way to this share of them, as fast as all
 of them would in the first time (s), and come back in the second: a finger that must press where
 its force cannot be balanced is itself what is in the way. After a slip too: the larger grip that it
-brought is for the time when there is force to spare. A tenth of the least grip is still felt."""
+brought is for the time when there is force to spare."""
 
 INFEASIBLE_TIME, PATIENCE = 0.006, 0.5
 """How long (s) a wrench must be missed to be called infeasible, and to give up."""
