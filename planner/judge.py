@@ -5,6 +5,7 @@ The search asks it about what the NLP found, and whoever reads a plan from a fil
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from planner.synthesis.touch import pad_touches
 from planner.synthesis.verify import contacts_of, verify
 from planner.task import GraspTask
 
-__all__ = ["force_arguments", "judge_grasp", "plan_forces"]
+__all__ = ["force_arguments", "judge_grasp", "plan_forces", "with_grip"]
 
 CLOSURE_EDGES = 8
 """Sides of the friction pyramid with which closure is decided."""
@@ -121,6 +122,24 @@ def plan_forces(
     if quick.found or quick.fraction < 1.0 or "solver" in options:
         return quick
     return distribute_forces(contacts, **given)  # forces exist: the default solver has its turn
+
+
+def with_grip(plan: GraspPlan, grip_force: float) -> GraspPlan:
+    """The same grasp pressed with another least normal force.
+
+    Its ``forces`` tell whether the hand's actuators have that much; where not, ``found`` is False
+    and the reason is with them.
+
+    Args:
+        plan: The grasp.
+        grip_force: N per finger.
+
+    Raises:
+        TaskError: The grip is negative or not finite.
+    """
+    task = replace(plan.task, grip_force=grip_force)
+    forces = plan_forces(task, plan.contacts, plan.T_world_base, plan.q)
+    return replace(plan, task=task, forces=forces, contacts=forces.contacts)
 
 
 def force_arguments(

@@ -16,6 +16,7 @@ import numpy as np
 from planner.contacts import CONTACT_DIM, ContactModel
 from planner.errors import TaskError
 from planner.fixed import fixed_pose, is_pose
+from planner.forces.grip import LEAST_MU, ExpectedLoad, grip_for_load
 from planner.hand import Finger, Hand
 from planner.objects import GraspObject, parse_object
 from planner.spatial import SE3, FloatArray, fixed_array
@@ -91,6 +92,8 @@ class GraspTask:
         may_spare_fingers: Whether the search may go on with fewer fingers where all of these find
             nothing.
         grip_force: Smallest normal force per finger in the planned grasp, N.
+        expected_load: What ``grip_force`` was sized for beside the weight. Fewer fingers then grip
+            harder. A plan file keeps the grip alone.
         T_world_base: Pose of the hand's base if it is fixed; None if it is free. The base of a hand
             on an arm is the arm's root, which is fixed.
         wrist_free: Whether the wrist joints may move; they stay at ``wrist_q`` otherwise.
@@ -109,6 +112,7 @@ class GraspTask:
     finger_names: tuple[str, ...]
     may_spare_fingers: bool = False
     grip_force: float
+    expected_load: ExpectedLoad = field(default_factory=ExpectedLoad)
     T_world_base: SE3 | None = None
     wrist_free: bool = False
     wrist_q: FloatArray
@@ -128,6 +132,7 @@ class GraspTask:
         contact_model: ContactModel = "point",
         fingers: Sequence[str] | None = None,
         grip_force: float | None = None,
+        expected_load: ExpectedLoad | None = None,
         T_world_base: SE3 | None = None,
         wrist_free: bool = False,
         wrist_q: Sequence[float] | FloatArray | None = None,
@@ -146,7 +151,11 @@ class GraspTask:
             contact_model: Friction law of the planned contacts.
             fingers: Finger names; if None the hand's default set, of which the search may spare
                 some where all of them find nothing.
-            grip_force: N per finger; from weight and friction if None (``GRIP_SAFETY``).
+            grip_force: N per finger; from weight, friction (``GRIP_SAFETY``) and ``expected_load``
+                if None.
+            expected_load: The largest disturbance that the object is to bear in the hand; none if
+                None. It sizes the grip (``planner.forces.grip_for_load``), so it goes without
+                ``grip_force``.
             T_world_base: Pose of the hand's base if it is fixed. A hand on an arm has its arm stand
                 where its description says, seen from the object, if None.
             wrist_free: Whether the wrist joints may move.
@@ -170,8 +179,13 @@ class GraspTask:
             T_world_base = SE3(np.eye(3), spot) * hand.arm.T_spot_base
         chosen = hand.choose_fingers(fingers)
         pull = _numbers("gravity", gravity, "three finite numbers in m/s2")
+        load = expected_load or ExpectedLoad()
         if grip_force is None:
-            grip_force = _default_grip(item.mass, pull, mu, len(chosen))
+            grip_force = _default_grip(item, pull, mu, len(chosen), load)
+        elif load:
+            raise TaskError(
+                f"grip_force is {grip_force:g} N, and expected_load would size it; give one of them"
+            )
         n_wrist = len(hand.wrist_index)
         return cls(
             hand=hand,
@@ -186,6 +200,7 @@ class GraspTask:
             finger_names=tuple(f.name for f in chosen),
             may_spare_fingers=fingers is None,
             grip_force=grip_force,
+            expected_load=load,
             T_world_base=T_world_base,
             wrist_free=wrist_free,
             wrist_q=_numbers(
@@ -199,7 +214,7 @@ class GraspTask:
         Raises:
             TaskError, NotFoundError: They are not fingers of the hand, or too few.
         """
-        least = _default_grip(self.object.mass, self.gravity, self.mu, len(names))
+        least = _default_grip(self.object, self.gravity, self.mu, len(names), self.expected_load)
         return replace(
             self,
             finger_names=tuple(names),
@@ -319,10 +334,21 @@ class GraspTask:
             )
 
 
-def _default_grip(mass: float, gravity: FloatArray, mu: float, n_fingers: int) -> float:
-    """Normal force per finger (N) that carries the weight with a reserve."""
-    share = mass * float(np.linalg.norm(gravity)) / (max(mu, LEAST_MU) * n_fingers)
-    return float(max(MIN_GRIP, GRIP_SAFETY * share))
+def _default_grip(
+    item: GraspObject,
+    gravity: FloatArray,
+    mu: float,
+    n_fingers: int,
+    load: ExpectedLoad,
+) -> float:
+    """Normal force per finger (N) that carries the weight with a reserve, and a load if one is."""
+    weight = item.mass * float(np.linalg.norm(gravity))
+    grip = max(MIN_GRIP, GRIP_SAFETY * weight / (max(mu, LEAST_MU) * n_fingers))
+    if load:
+        lever = item.shape.bounding_radius
+        needed = grip_for_load(load, weight=weight, lever=lever, mu=mu, n_contacts=n_fingers)
+        grip = max(grip, needed)
+    return float(grip)
 
 
 def _numbers(name: str, values: object, wanted: str) -> FloatArray:
@@ -349,9 +375,6 @@ def _check_number(name: str, value: object) -> None:
 
 JOINTS_WANTED = "the wrist's joints in rad"
 """What ``wrist_q`` is to be, in messages."""
-
-LEAST_MU = 1e-3
-"""Friction (-) below which the default grip does not grow any more."""
 
 FLOATING_TOL = 1e-3
 """Height (m) above the table from which an object counts as floating; obstacles may carry it."""

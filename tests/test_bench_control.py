@@ -14,13 +14,25 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from planner.certify import smallest_breaking
 from planner.contacts import ContactSet
 from planner.errors import FileFormatError, NotFoundError
+from planner.judge import with_grip
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
-from sim.bench.control import control_tables, grasps_of, jobs, parts, rate, run_control, slip_trial
+from sim.bench.control import (
+    control_tables,
+    grasps_of,
+    jobs,
+    parts,
+    promise,
+    push,
+    rate,
+    run_control,
+    slip_trial,
+)
 from sim.bench.control.jobs import PARTS, ROWS_PER_GRASP, Part, control_jobs
 from sim.bench.control.rate import rate_row
 from sim.bench.control.slip_trial import Watched, slip_row
@@ -31,8 +43,8 @@ from sim.controllers.slip import SLIP_SPEED
 from sim.pads import read_pads
 from sim.protocols.fc import fc_cases
 from sim.protocols.forces import PushCase
-from sim.protocols.hold import Hold
-from sim.protocols.outcome import Outcome
+from sim.protocols.hold import LOST, Hold
+from sim.protocols.outcome import Fault, Outcome
 from sim.protocols.robust import RobustCase
 from sim.runner import Runner
 
@@ -136,21 +148,79 @@ def outcome(case: Any, **values: Any) -> Outcome:
 
 
 def test_both_loops_meet_the_same_pushes(plan: GraspPlan, monkeypatch: pytest.MonkeyPatch) -> None:
-    met: list[tuple[Any, FloatArray]] = []
+    met: list[tuple[Any, FloatArray, float]] = []
 
     def borne(self: PushCase, plan: GraspPlan, conditions: Any) -> Outcome:
-        met.append((conditions.controller, self.direction))
-        return outcome(self, borne=2.0, broke=np.inf, bound=4.0, unit="N")
+        grip = plan.task.grip_force
+        met.append((conditions.controller, self.direction, grip))
+        return outcome(self, borne=grip, broke=np.inf, bound=4.0, bound_near=np.inf, unit="N")
 
     monkeypatch.setattr(PushCase, "run", borne)
-    row = parts.push_row(plan, np.random.default_rng(0))
-    assert [made for made, _ in met] == [*CONTROLLERS.values()] * 2
-    for k, zero in ((0, slice(3, 6)), (2, slice(0, 3))):
-        np.testing.assert_array_equal(met[k][1], met[k + 1][1])
+    row = push.push_row(plan, np.random.default_rng(0))
+    grips = push.tried_grips(plan)
+    assert grips[0] == plan.task.grip_force
+    assert len(grips) == push.GRIPS + 1
+    once = [*[CONTROLLERS["open"]] * len(grips), CONTROLLERS["closed"]]
+    assert [made for made, *_ in met] == once * 2
+    assert [grip for *_, grip in met] == [*grips, grips[0]] * 2
+    for k, zero in ((0, slice(3, 6)), (len(once), slice(0, 3))):
+        for other in met[k : k + len(once)]:
+            np.testing.assert_array_equal(met[k][1], other[1])
         assert np.linalg.norm(met[k][1]) == pytest.approx(1.0)
         assert not met[k][1][zero].any()
     assert json.loads(json.dumps(row, allow_nan=False)) == row
-    assert row["pushes"][0]["open"] == {"borne": 2.0, "broke": None, "reason": ""}
+    first = row["pushes"][0]
+    assert first["open"] == {"borne": grips[0], "broke": None, "reason": ""}
+    assert first["best"] == {"borne": grips[-1], "broke": None, "reason": "", "grip_N": grips[-1]}
+    assert (first["lost_mm"], first["lost_deg"], first["bound_near"]) == (LOST.mm, LOST.deg, None)
+
+
+def test_the_largest_grip_is_the_last_that_the_hand_has(plan: GraspPlan) -> None:
+    most = push.largest_grip(plan)
+    assert with_grip(plan, most).forces.found
+    assert not with_grip(plan, (1.0 + 2.0 * push.GRIP_TOL) * most).forces.found
+    pressed = with_grip(plan, 0.9 * most)
+    assert pressed.contacts.forces[:, 0].min() == pytest.approx(0.9 * most, rel=1e-5)
+    weak = with_grip(plan, most)
+    assert push.tried_grips(weak) == [most]  # nothing above it is left to try
+
+
+def test_a_promise_is_tested_along_its_weakest_direction(
+    plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A hold that loses the object at 0.855 of the promised force, and never under torque."""
+    pushed: list[FloatArray] = []
+    force = smallest_breaking(plan.forces.problem, "force", length=0.035)
+    limit = 0.855 * force.bounds.lower
+
+    def endure(self: Hold, duration: float) -> Fault | None:
+        beyond = np.linalg.norm(pushed[-1][:3]) > limit
+        return Fault(reason="slipped", detail="", time=0.0) if beyond else None
+
+    monkeypatch.setattr(Hold, "grip", lambda self: None)
+    monkeypatch.setattr(Hold, "push", lambda self, wrench: pushed.append(wrench))
+    monkeypatch.setattr(Hold, "endure", endure)
+    row = promise.promise_row(plan, np.random.default_rng(0))
+    assert json.loads(json.dumps(row, allow_nan=False)) == row
+    told = {(load["kind"], load["speed"]): load["broke_at"] for load in row["loads"]}
+    assert told["force", "slow"] == pytest.approx(0.86)
+    assert told["force", "sudden"] == pytest.approx(0.9)
+    assert told["torque", "slow"] is told["torque", "sudden"] is None
+    assert row["loads"][0]["promised"] == pytest.approx(force.bounds.lower)
+    along = pushed[0] / np.linalg.norm(pushed[0])
+    np.testing.assert_allclose(along, force.wrench / np.linalg.norm(force.wrench), atol=1e-9)
+
+
+def test_promises_are_counted() -> None:
+    def load(broke_at: float | None) -> dict[str, Any]:
+        limits = {"lost_mm": 10.0, "lost_deg": 15.0}
+        return {"kind": "force", "speed": "slow", "broke_at": broke_at, **limits}
+
+    rows = [row_of("promise", k, loads=[load(s)]) for k, s in enumerate([0.9, 0.97, 1.05, None])]
+    last = cells({"rows": rows})[-1]
+    # not lost counts as the most that was tried
+    assert last == ["all", "", "slow", "4", "1.01", "0.92", "0.90", "3/4", "2/4"]
+    assert "10 mm or 15 degrees in the palm" in str(control_tables({"rows": rows})[0].title)
 
 
 def test_the_grid_is_seen_by_a_latin_square(
@@ -292,24 +362,30 @@ def test_fc_counts_grasps_that_hold_in_all_directions() -> None:
     assert cells({"rows": rows})[-1] == ["all", "", "3/4", "75.0 %", "23/24", "0.30", "0.20"]
 
 
-def test_pushes_are_compared_by_their_medians_and_with_the_bound() -> None:
-    def push(opened: float, closed: float, bound: float | None) -> dict[str, Any]:
+def test_pushes_are_compared_by_their_medians_and_with_the_bounds() -> None:
+    def load(opened: float, best: float, closed: float, bound: float) -> dict[str, Any]:
         return {
             "kind": "force",
             "unit": "N",
+            "lost_mm": 10.0,
+            "lost_deg": 15.0,
             "bound": bound,
+            "bound_near": None if bound > 9 else 1.2 * bound,
             "open": {"borne": opened},
+            "best": {"borne": best, "grip_N": 2.0 * best},
             "closed": {"borne": closed},
         }
 
     rows = [
-        row_of("push", 0, pushes=[push(2.0, 4.0, 5.0)]),
-        row_of("push", 1, pushes=[push(1.0, 9.0, 10.0)]),
-        row_of("push", 2, pushes=[push(4.0, 5.0, 10.0)]),
+        row_of("push", 0, pushes=[load(2.0, 3.0, 7.0, 5.0)]),
+        row_of("push", 1, pushes=[load(1.0, 2.0, 9.0, 10.0)]),
+        row_of("push", 2, pushes=[load(4.0, 4.0, 5.0, 4.5)]),
     ]
     last = cells({"rows": rows})[-1]
-    # medians 2 and 5; ratios 2, 9 and 1.25; shares 0.8, 0.9 and 0.5
-    assert last == ["all", "", "3", "2 N", "5 N", "2.50", "2.00", "0.80", "0.56", "2/3", "0"]
+    # medians 2, 3 and 7 N; shares 1.4, 0.9 and 1.11; beyond the near bounds 6 and 5.4 N: the first
+    told = ["3", "2 N", "3 N", "6.0 N", "7 N", "3.50", "2.33", "1.11", "0.94", "3/3", "2", "1"]
+    assert last == ["all", "", *told]
+    assert "lost: 10 mm or 15 degrees in the palm" in str(control_tables({"rows": rows})[0].title)
 
 
 def test_slips_and_peace_are_added_up() -> None:

@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from planner.certify import smallest_breaking
+from planner.certify.breaking import Disturbance
 from planner.errors import NotFoundError, TaskError
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
@@ -16,6 +18,7 @@ from planner.task import GraspTask
 from sim.bench.control.slips import LATENCY, true_slips
 from sim.controllers import GraspController, ImpedanceGains, ObjectImpedance, Sensing
 from sim.pads import read_pads
+from sim.protocols.hold import Hold
 from sim.report import ReportFile, TrialReport
 from sim.scene import PhysicsOptions
 from sim.trial import Timeline, Trial
@@ -301,3 +304,37 @@ def test_beliefs_must_make_sense(plan: GraspPlan) -> None:
         ObjectImpedance(plan, mass=0)
     with pytest.raises(TaskError, match="the believed mu is -1; give a number > 0"):
         ObjectImpedance(plan, mu=-1)
+
+
+@pytest.mark.parametrize("kind", ["force", "torque"])
+def test_a_slow_load_is_borne_up_to_what_the_certificate_promises(kind: Disturbance) -> None:
+    """With the friction and the contacts of the certificate: mu 0.5, no torsion.
+
+    The direction is that of the least load that breaks the grasp.
+    """
+    made = plan_grasp(GraspTask.create("allegro_hand", "ellipsoid"))
+    breaking = smallest_breaking(
+        made.forces.problem, kind, length=made.task.object.shape.bounding_radius
+    )
+    promised = breaking.bounds.lower * breaking.wrench / np.linalg.norm(breaking.wrench)
+    hold = Hold(
+        made, controller=ObjectImpedance(made), physics=PhysicsOptions(mu=0.5, mu_torsion=0.0)
+    )
+    assert hold.grip() is None
+    for share in (*np.linspace(0.05, 0.7, 14), *np.linspace(0.72, 0.94, 12)):
+        hold.push(share * promised)
+        assert hold.endure(0.08) is None, f"lost at {share:.2f} of the promise"
+    assert hold.at_rest()
+
+
+def test_a_slip_at_the_friction_that_is_believed_changes_no_belief(plan: GraspPlan) -> None:
+    """A pull to where the pads slip: their friction is the believed one, and stays believed."""
+    controller = ObjectImpedance(plan, mu=0.5)
+
+    def on_hold(trial: Trial, since: float) -> None:
+        push(trial, np.array([0.0, 0.0, -min(since / 0.3, 1.0) * 20.0]))
+
+    run(plan, controller, on_hold, timeline=replace(SHORT, hold=0.5), mu=0.5)
+    slips = [e for e in controller.events if e.kind == "slip"]
+    assert slips
+    assert "friction believed 0.50" in slips[0].detail, slips

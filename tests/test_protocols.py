@@ -19,6 +19,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from planner.certify import NEAR
 from planner.errors import NotFoundError, TaskError
 from planner.files import write_plan
 from planner.hand import Hand
@@ -209,6 +210,7 @@ def test_simulation_never_bears_more_than_is_proven(grasped: GraspPlan) -> None:
     for name in ("force +z", "torque -x", "wrench 7"):
         outcome = push(name, coarse).run(grasped, under())
         assert 0 < outcome.borne < outcome.bound, name
+        assert outcome.bound < outcome.bound_near < np.inf
         assert not outcome.contradicts
         assert not outcome.held
         # the load grows from sample to sample, and is known at every one
@@ -221,7 +223,12 @@ def test_simulation_never_bears_more_than_is_proven(grasped: GraspPlan) -> None:
 def test_a_contradiction_is_told(pinched: GraspPlan) -> None:
     outcome = push("force +y", replace(FINE, growth=1.5)).run(pinched, under())
     assert not outcome.contradicts
-    assert replace(outcome, bound=0.9 * outcome.borne).contradicts
+    assert outcome.stood is not None and NEAR.holds(outcome.stood)
+    assert replace(outcome, bound_near=0.9 * outcome.borne).contradicts
+    # more than the planned posture could bear is none: another posture has borne it
+    assert not replace(outcome, bound=0.9 * outcome.borne).contradicts
+    far = replace(outcome.stood, turn=2.0 * NEAR.turn)
+    assert not replace(outcome, bound_near=0.9 * outcome.borne, stood=far).contradicts
 
 
 def test_gravity_is_borne_up_to_the_friction_there_is(jaw: Hand) -> None:

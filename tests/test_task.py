@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.errors import HandError, NotFoundError, PlannerError, TaskError
+from planner.forces.grip import LOAD_SAFETY, ExpectedLoad, grip_for_load
 from planner.hand import Hand
 from planner.objects import GraspObject, parse_object
 from planner.search import attempts, plan_grasp
@@ -229,3 +230,29 @@ def test_mass_is_checked_by_the_object(allegro: Hand) -> None:
     shape = parse_object("box").shape
     with pytest.raises(PlannerError, match="mass is -1"):
         GraspTask.create(allegro, GraspObject(name="box", shape=shape, mass=-1.0))
+
+
+def test_an_expected_load_sizes_the_grip(allegro: Hand) -> None:
+    """1.5 times (weight + 5 N + 0.1 N m by the radius) over mu and the number of fingers."""
+    load = ExpectedLoad(force=5.0, torque=0.1)
+    task = GraspTask.create(allegro, "sphere", expected_load=load)
+    needed = LOAD_SAFETY * (0.981 + 5.0 + 0.1 / 0.035) / 0.5
+    assert task.grip_force == pytest.approx(needed / 4)
+    three = task.with_fingers(("thumb", "index", "ring"))
+    assert three.grip_force == pytest.approx(needed / 3)
+    assert three.expected_load == load
+    # without a load, and with a small one, it is the grip for the weight
+    assert GraspTask.create(allegro, "sphere").expected_load == ExpectedLoad()
+    little = GraspTask.create(allegro, "sphere", expected_load=ExpectedLoad(force=0.1))
+    assert little.grip_force == 1.5
+    slippery = grip_for_load(load, weight=1.0, lever=0.1, mu=0.25, n_contacts=2)
+    assert slippery == pytest.approx(LOAD_SAFETY * 7.0 / 0.5)
+
+
+def test_a_load_and_a_grip_exclude_each_other(allegro: Hand) -> None:
+    with pytest.raises(TaskError, match="grip_force is 2 N, and expected_load would size it"):
+        GraspTask.create(allegro, "box", grip_force=2.0, expected_load=ExpectedLoad(force=1.0))
+    with pytest.raises(TaskError, match="the expected force is -1; give a number >= 0 in N"):
+        ExpectedLoad(force=-1)
+    with pytest.raises(TaskError, match="the expected torque is nan; give a number >= 0 in N m"):
+        ExpectedLoad(torque=float("nan"))

@@ -5,16 +5,22 @@ from __future__ import annotations
 from planner.certify.breaking import Breaking, breaking_along, smallest_breaking
 from planner.certify.build import certify, certify_contacts
 from planner.certify.certificate import Certificate
+from planner.certify.nearby import NearBound, bound_nearby
+from planner.certify.neighbourhood import NEAR, Neighbourhood
 from planner.certify.pose import PoseErrors
 from planner.certify.robust import Verdict, closure_survives
 from planner.certify.tolerance import Tolerance, contact_tolerances, pose_tolerances, sampled
 
 __all__ = [
+    "NEAR",
     "Breaking",
     "Certificate",
+    "NearBound",
+    "Neighbourhood",
     "PoseErrors",
     "Tolerance",
     "Verdict",
+    "bound_nearby",
     "breaking_along",
     "certify",
     "certify_contacts",

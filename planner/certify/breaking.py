@@ -14,8 +14,11 @@ upper   is the least h(u) of all directions tried. h(u) u with ever so little mo
 Forces act through the centre of mass without a torque; torques come without a force; a wrench is
 measured by |(force, torque / length)|.
 
-The hand answers each disturbance as well as its actuators can: this is what it could bear with the
-best control, neither what a fixed grip bears nor what the controller of ``sim`` does.
+The hand answers each disturbance as well as its actuators can, in the planned posture, and the
+disturbance comes slowly. So this is what the best control bears, and neither what a fixed grip does
+nor what the controller of ``sim`` does: slow loads break that one at PROMISE_SLOW of the promise,
+sudden ones at PROMISE_SUDDEN (``opposable bench control --parts promise -n 12``). Postures
+near the planned one have a bound of their own in ``planner.certify.nearby``.
 """
 
 from __future__ import annotations

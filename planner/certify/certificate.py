@@ -17,6 +17,12 @@ __all__ = ["SCHEMA_VERSION", "Certificate"]
 SCHEMA_VERSION = 1
 """Version of ``Certificate.as_dict``."""
 
+BEST_CONTROL = (
+    "  of the planned posture under the best control that its actuators allow, load added slowly;\n"
+    "  what a controller bears of it: opposable bench control --parts promise"
+)
+"""What breaking loads are proven for, said where they are printed."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Certificate:
@@ -28,7 +34,8 @@ class Certificate:
         length: Torque is divided by it before it is mixed with force, m.
         epsilon: Bounds of epsilon of the true cones, normal forces of sum 1 (-).
         epsilon_linf: The same with each normal force in [0, 1].
-        breaking: Smallest disturbing force, torque and wrench; empty where no hand is known.
+        breaking: Smallest disturbing force, torque and wrench, for the planned posture and the best
+            control; empty where no hand is known.
         tolerances: Errors that closure tolerates.
         rotation: (3, 3), world from object.
         cpu_s: CPU time that the certificate took, s, with its samples.
@@ -87,6 +94,8 @@ class Certificate:
             lines.append(
                 _row(f"breaking {b.kind}", b.bounds.lower, b.bounds.upper, f"{b.unit:4} {where}")
             )
+        if self.breaking:
+            lines.append(BEST_CONTROL)
         if self.tolerances:
             lines.append(f"{'closure tolerates':24}{'promised':>10}{'broken at':>10}")
         for t in self.tolerances:

@@ -16,6 +16,7 @@ from planner.forces.compare import (
 )
 from planner.forces.friction import Cone, LimitSurface, Pyramid, pyramid_faces, round_cone
 from planner.forces.gaps import PyramidGap, cone_gaps
+from planner.forces.grip import ExpectedLoad, grip_for_load
 from planner.forces.infeasible import Infeasibility, explain_infeasibility
 from planner.forces.kept import QUICK_SOLVER, solver_names
 from planner.forces.loop import ForceLoop, ForceStep
@@ -31,6 +32,7 @@ from planner.forces.solve import (
 __all__ = [
     "QUICK_SOLVER",
     "Cone",
+    "ExpectedLoad",
     "ForceArguments",
     "ForceLoop",
     "ForceProblem",
@@ -51,6 +53,7 @@ __all__ = [
     "distribute_forces",
     "explain_infeasibility",
     "gravity_wrench",
+    "grip_for_load",
     "least_violation",
     "pyramid_faces",
     "round_cone",

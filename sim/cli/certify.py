@@ -39,6 +39,8 @@ def certify(
 ) -> None:
     """Prove what a plan withstands: disturbing forces and torques, and errors of its contacts.
 
+    Loads are those of the planned posture under the best control that the actuators allow.
+
     Ends with 0 if the grasp is closed and no sample contradicts a promise, else with 1.
     """
     from planner.certify import certify as prove

@@ -76,6 +76,13 @@ TaskWrenchOption = Annotated[
         "N m, object's frame; the weight in any direction if there is none."
     ),
 ]
+LoadOption = Annotated[
+    str | None,
+    typer.Option(
+        help="The largest load that the object is to bear in the hand, in any direction: a force "
+        "in N, or force,torque in N and N m. It sizes the grip; without it the weight does."
+    ),
+]
 RoundsOption = Annotated[
     int | None,
     typer.Option(
@@ -180,6 +187,21 @@ def options_of(objective: str, task_wrench: list[str] | None, rounds: int | None
         objective=objective, task_wrenches=tuple(tuple(row) for row in wrenches)
     )
     return options if rounds is None else replace(options, rounds=rounds)
+
+
+def load_of(expect_load: str | None) -> Any:
+    """The expected load as the command line gives it; None for none.
+
+    Raises:
+        TaskError: It is not one number or two, or one is negative.
+    """
+    from planner.forces import ExpectedLoad
+
+    if expect_load is None:
+        return None
+    count = 2 if "," in expect_load else 1
+    force, torque = (*numbers("--expect-load", expect_load, count), 0.0)[:2]
+    return ExpectedLoad(force=force, torque=torque)
 
 
 def _leave(*_: object) -> None:

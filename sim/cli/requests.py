@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from sim.cli.common import names
+from sim.cli.common import load_of, names
 
 __all__ = ["task_of_options"]
 
@@ -21,6 +21,7 @@ def task_of_options(
     resting: int,
     touch: list[str] | None,
     avoid: list[str] | None,
+    expect_load: str | None = None,
 ) -> Any:
     """The task that the command line describes.
 
@@ -35,6 +36,7 @@ def task_of_options(
         resting: Which of its stable poses the object stands in.
         touch: Regions where fingers may touch.
         avoid: Regions where they must not.
+        expect_load: Force and torque that the grip is sized for; None for none.
 
     Raises:
         PlannerError: An unknown name, or something that cannot be.
@@ -51,6 +53,7 @@ def task_of_options(
         T_world_object=item.resting_pose(index=resting),
         mu=mu,
         fingers=None if fingers is None else names(fingers),
+        expected_load=load_of(expect_load),
     )
 
 

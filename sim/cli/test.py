@@ -29,7 +29,8 @@ from sim.cli.common import (
 TABLE_WIDTH = 120
 """Characters that the table needs."""
 
-ALLOWED = "what the certificate allows any control"
+ALLOWED = "what the certificate allows any control in the planned posture"
+NEARBY = "of every posture near the planned one"
 
 
 @errors_for_people()
@@ -145,7 +146,7 @@ def _show(report: Any, table: Any) -> None:
             + of_bound,
         )
     for name in s["contradictions"]:
-        say(out, f"[bold red]contradiction:[/] {escape(name)}: more than the certificate allows")
+        say(out, f"[bold red]contradiction:[/] {escape(name)}: more than is proven {NEARBY}")
 
 
 def register(app: typer.Typer) -> None:

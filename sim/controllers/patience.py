@@ -9,11 +9,15 @@ __all__ = ["Patience"]
 MISSED_TOL = 0.05
 """A wrench counts as missed when more than this share of it, or this many N, is left over."""
 
-LEAST_GIVEN, GIVING_TIME, TAKING_TIME = 0.3, 0.05, 0.5
+GIVING_TOL = 0.002
+"""The least normal forces give way when more than this share of a wrench, or this many N, is left
+over: the wrench comes before the grip. Residuals of the force programme are a thousandth of it."""
+
+LEAST_GIVEN, GIVING_TIME, TAKING_TIME = 0.1, 0.05, 0.5
 """While a wrench is missed the least normal forces give way to this share of them, as fast as all
 of them would in the first time (s), and come back in the second: a finger that must press where
-its force cannot be balanced is itself what is in the way. Not after a slip: then it is friction
-that is wanting."""
+its force cannot be balanced is itself what is in the way. After a slip too: the larger grip that it
+brought is for the time when there is force to spare."""
 
 INFEASIBLE_TIME, PATIENCE = 0.006, 0.5
 """How long (s) a wrench must be missed to be called infeasible, and to give up."""
@@ -35,7 +39,7 @@ class Patience:
         self._missed_for = self._few_for = 0.0
 
     def update(
-        self, elapsed: float, *, short: float, asked: float, holding: int, gives: bool
+        self, elapsed: float, *, short: float, asked: float, holding: int
     ) -> list[tuple[EventKind, str]]:
         """Take over a step; returns what is to be noted.
 
@@ -44,11 +48,10 @@ class Patience:
             short: Size of what is left over of the wrench, N.
             asked: Size of the wrench, N.
             holding: Fingers that hold.
-            gives: Whether the least normal forces may give way.
         """
         self.missed = short / max(1.0, asked)
         wanting = self.missed > MISSED_TOL
-        rate = -1.0 / GIVING_TIME if wanting and gives else 1.0 / TAKING_TIME
+        rate = -1.0 / GIVING_TIME if self.missed > GIVING_TOL else 1.0 / TAKING_TIME
         self.given = min(1.0, max(LEAST_GIVEN, self.given + elapsed * rate))
         before = self._missed_for
         self._missed_for = before + elapsed if wanting else 0.0

@@ -16,7 +16,7 @@ from planner.judge import plan_forces
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from planner.task import GRAVITY
-from sim.protocols.bounds import proven_bound
+from sim.protocols.bounds import distance_from_plan, near_bound, proven_bound
 from sim.protocols.cases import AXES, Conditions, axis_of
 from sim.protocols.hold import Hold
 from sim.protocols.outcome import Fault, Outcome
@@ -94,6 +94,7 @@ class PushCase:
             lost=settings.lost,
         )
         borne, broke, before = 0.0, np.inf, 0.0
+        stood = None
         fault = hold.grip()
         if fault is None:
             weight = plan.task.object.mass * G
@@ -104,6 +105,7 @@ class PushCase:
                     broke = level
                 elif hold.at_rest():
                     borne = level
+                    stood = distance_from_plan(plan, hold.q, hold.T_base_object)
                 before, level = level, settings.growth * level
         else:
             broke = 0.0
@@ -113,6 +115,8 @@ class PushCase:
             borne=unit * borne,
             broke=unit * broke,
             bound=unit * proven_bound(plan, conditions.physics, wrench).upper,
+            bound_near=unit * near_bound(plan, conditions.physics, wrench).factor,
+            stood=stood,
             wrench=wrench / unit,
         )
 

@@ -195,6 +195,18 @@ class Hold(Trial):
         return T_world_palm.inverse() * scene.body_pose(self.data, scene.object_body)
 
     @property
+    def T_base_object(self) -> SE3:
+        """Where the object is in the hand's base."""
+        scene = self.scene
+        T_world_base = scene.body_pose(self.data, scene.base_body)
+        return T_world_base.inverse() * scene.body_pose(self.data, scene.object_body)
+
+    @property
+    def q(self) -> FloatArray:
+        """The hand's joints (nq,) as they are now."""
+        return np.array(self.data.qpos[self.scene.hand_qpos])
+
+    @property
     def samples(self) -> Samples:
         """What was recorded so far."""
         return self.recorder.samples()

@@ -101,7 +101,7 @@ class ProtocolReport:
 
     @property
     def contradictions(self) -> tuple[str, ...]:
-        """Directions in which more was borne than the certificate says anything could."""
+        """Directions in which more was borne than is proven of every posture near the plan's."""
         return tuple(o.name for o in self.loaded if o.contradicts)
 
     def summary(self) -> dict[str, Any]:
@@ -158,7 +158,7 @@ def protocol_table(report: ProtocolReport) -> Table:
     )
     columns = ["trial", "held"]
     if loaded:
-        columns += ["borne", "broke", "bound", "share"]
+        columns += ["borne", "broke", "bound", "share", "near"]
     columns += ["drift mm", "deg", "closed", "friction", "at s", "reason"]
     for name in columns:
         left = name in ("trial", "reason")
@@ -171,6 +171,7 @@ def protocol_table(report: ProtocolReport) -> Table:
                 _number(o.broke, 3),
                 _number(o.bound, 3),
                 _percent(o.borne / o.bound if o.bound > 0 else float("nan")),
+                _number(o.bound_near, 3),
             ]
         cells += [
             _number(o.drift[0], 2),

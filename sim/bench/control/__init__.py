@@ -1,7 +1,8 @@
 """``bench control``: what grasps bear in either loop, how they drift, and slips that are noticed.
 
-One part for one grasp is one job (``jobs``); ``parts`` runs the protocols, ``slip_trial`` makes
-slips that are known, ``rate`` times the loop, ``tables`` counts.
+One part for one grasp is one job (``jobs``); ``parts`` and ``push`` run the protocols, ``promise``
+tests certificates, ``slip_trial`` makes slips that are known, ``rate`` times the loop, ``tables``
+counts.
 """
 
 from __future__ import annotations

@@ -19,7 +19,9 @@ import numpy as np
 from planner.errors import NotFoundError, PlannerError
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
-from sim.bench.control.parts import drift_row, fc_row, push_row, robust_row
+from sim.bench.control.parts import drift_row, fc_row, robust_row
+from sim.bench.control.promise import promise_row
+from sim.bench.control.push import push_row
 from sim.bench.control.rate import rate_row
 from sim.bench.control.slip_trial import slip_row
 from sim.bench.journal import run_with_journal
@@ -59,6 +61,7 @@ PARTS: Mapping[str, Part] = MappingProxyType(
         "slip": Part(number=3, measure=slip_row, grasps=20),
         "robust": Part(number=4, measure=robust_row, grasps=60),
         "rate": Part(number=5, measure=rate_row, grasps=4, whole_hand=True),
+        "promise": Part(number=6, measure=promise_row, grasps=20),
     }
 )
 """By name; more than these may come, and numbers stay."""

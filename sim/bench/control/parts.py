@@ -1,4 +1,4 @@
-"""Parts that run the protocols: ``fc``, pushes until something breaks, drift, and the grid.
+"""Parts that run the protocols: ``fc``, drift, and the grid; ``push`` has a module of its own.
 
 Every function takes a plan and a source of randomness, and gives plain data. Both loops, open and
 closed, meet the same directions and errors.
@@ -10,19 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from planner.plain import finite
 from planner.plan import GraspPlan
-from planner.spatial import FloatArray
+from sim.bench.control.push import conditions
 from sim.controllers import CONTROLLERS
 from sim.physics import PhysicsOptions
-from sim.protocols.cases import Conditions
 from sim.protocols.fc import fc_cases
-from sim.protocols.forces import PushCase
 from sim.protocols.hold import Hold
 from sim.protocols.robust import robust_cases
 from sim.protocols.settings import Settings
 
-__all__ = ["drift_row", "fc_row", "push_row", "robust_row"]
+__all__ = ["drift_row", "fc_row", "robust_row"]
 
 DRIFT_S = 10.0
 """How long an object is held for its drift to be seen, s."""
@@ -34,7 +31,7 @@ NOSLIP = (10, 0)
 def fc_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
     """The six pushes of DexGraspBench's test; it draws nothing."""
     del rng
-    outcomes = [case.run(plan, _conditions("open")) for case in fc_cases()]
+    outcomes = [case.run(plan, conditions("open")) for case in fc_cases()]
     return {
         "held": sum(o.held for o in outcomes),
         "of": len(outcomes),
@@ -42,28 +39,6 @@ def fc_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
         "start_penetration_mm": max(o.conditions["start_penetration_mm"] for o in outcomes),
         "grasp_penetration_mm": max(o.conditions["grasp_penetration_mm"] for o in outcomes),
     }
-
-
-def push_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
-    """A force and a torque in random directions that grow until the object is lost, by each loop.
-
-    Both loops begin with the plan's grip: the open one presses with the planned forces, and the
-    closed one with no less than the least normal force that these were planned with.
-    """
-    pushes = []
-    for kind, offset in (("force", 0), ("torque", 3)):
-        direction = np.zeros(6)
-        direction[offset : offset + 3] = unit(rng)
-        case = PushCase(index=0, name=kind, direction=direction, settings=Settings())
-        push: dict[str, Any] = {"kind": kind, "direction": direction.tolist()}
-        for loop in CONTROLLERS:
-            outcome = case.run(plan, _conditions(loop))
-            push[loop] = finite(
-                {"borne": outcome.borne, "broke": outcome.broke, "reason": outcome.reason}
-            )
-            push |= finite({"bound": outcome.bound, "unit": outcome.unit})
-        pushes.append(push)
-    return {"pushes": pushes}
 
 
 def drift_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
@@ -109,7 +84,7 @@ def robust_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
         if (m + f + e + shift) % len(settings.pose_errors):
             continue
         for loop in CONTROLLERS:
-            outcome = case.run(plan, _conditions(loop))
+            outcome = case.run(plan, conditions(loop))
             trials.append(
                 {
                     "loop": loop,
@@ -121,13 +96,3 @@ def robust_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
                 }
             )
     return {"trials": trials}
-
-
-def unit(rng: np.random.Generator) -> FloatArray:
-    """A direction (3,), uniform on the sphere."""
-    drawn = rng.normal(size=3)
-    return np.asarray(drawn / np.linalg.norm(drawn))
-
-
-def _conditions(loop: str) -> Conditions:
-    return Conditions(physics=PhysicsOptions(), controller=CONTROLLERS[loop])

@@ -43,8 +43,8 @@ def control(
         int | None, typer.Option("-n", "--number", min=1, help="Grasps of every part.")
     ] = None,
     parts: Annotated[
-        str, typer.Option(help="Comma separated: fc, push, drift, slip, robust, rate.")
-    ] = "fc,push,drift,slip,robust,rate",
+        str, typer.Option(help="Comma separated: fc, push, drift, slip, robust, rate, promise.")
+    ] = "fc,push,drift,slip,robust,rate,promise",
     seed: SeedOption = 0,
     workers: WorkersOption = 1,
     samples: SamplesOption = Path("control.jsonl"),

@@ -1,0 +1,253 @@
+"""The most that any grasp near a planned one can bear along a direction: a bound, by duality.
+
+A disturbance t w is balanced by contact forces f_i, with torsions s_i, and by actuator forces F and
+reactions lam of stops, where
+
+    G f + W + t w = 0,        J^T f + g = R^T F + S^T lam + p.
+
+Take any motion u = (v, omega) of the object with w . u = 1 and any joint velocities mu (here x =
+(u, mu)) that leave no active stop, S mu >= 0. Multiply the first line by u and the second by mu:
+
+    t = -W . u + sum_i (f_i . d_i + s_i e_i) - (R mu) . F - (S mu) . lam + mu . (g - p),
+    d_i = J_i mu - (v + omega x r_i),    e_i = n_i . (A_i mu - omega).
+
+Where no contact force can do work on its d_i and e_i, which is the dual friction cone,
+
+    phi_i = n_i . d_i + |(mu_f d_t, mu_t e)| <= 0,
+
+t is at most -W . u + max over F of -(R mu) . F + mu . (g - p). That holds for one posture. In a
+neighbourhood, d_i and e_i differ by what ``Changes`` bounds, and phi_i by at most
+
+    sqrt(1 + mu_f^2) (2 sin(a / 2) (|d_i| + r) + r) + mu_t (2 sin(a / 2) (|g_i| + z) + z),
+
+with the tilt a of the normal, r = |omega| (change of the arm) + sum_j |mu_j| (change of J_ij), and
+z the same of A. Where phi_i plus that is not positive for any contact, the bound holds for all
+members. All of it is convex and homogeneous in x: the least bound is sought with cutting planes,
+and what was found is evaluated by the formulas above, which are the proof. Dry friction of joints,
+which a simulation has and a certificate has not, is allowed the hand as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from planner.certify.neighbourhood import NEAR, Changes, Neighbourhood
+from planner.certify.programme import Minimum, minimise
+from planner.contacts import ContactSet
+from planner.errors import ContactError, PlannerError
+from planner.judge import plan_forces
+from planner.kinematics import HandState
+from planner.plan import GraspPlan
+from planner.spatial import FloatArray, skew
+
+__all__ = ["NearBound", "bound_nearby"]
+
+SIDES = 16
+"""Cuts per contact to begin with (-)."""
+
+CUTS = 80
+"""Rounds of cutting planes (-); 10 to 30 were needed."""
+
+TIGHT = 1e-5
+"""By how much (-) cuts are tighter than they must be, in units of the object's velocity: what is
+left of a violation when the rounds end."""
+
+FASTEST = 1e4
+"""Largest unknown (-) in units of the velocity of the object: more is no bound of use."""
+
+SOLVER_MARGIN = 1e-7
+"""Share of a bound (-) that is added to it for the tolerance of HiGHS."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NearBound:
+    """What no grasp in a neighbourhood can bear more of.
+
+    Attributes:
+        factor: Largest multiple of the direction, proven; infinite where none was found (-).
+        near: The neighbourhood.
+        reason: Why there is no bound; "" where there is.
+    """
+
+    factor: float
+    near: Neighbourhood
+    reason: str = ""
+
+
+def bound_nearby(
+    plan: GraspPlan,
+    direction: ArrayLike,
+    *,
+    contacts: ContactSet | None = None,
+    near: Neighbourhood = NEAR,
+) -> NearBound:
+    """The largest multiple of a wrench that any grasp near a plan can bear on top of the weight.
+
+    Args:
+        plan: The grasp.
+        direction: (6,), N and N m, world axes about the centre of mass.
+        contacts: The plan's contacts with another friction; its own if None.
+        near: How near.
+
+    Raises:
+        ContactError: The direction is not six finite numbers, or is zero.
+    """
+    along = np.asarray(direction, dtype=np.float64)
+    if along.shape != (6,) or not np.isfinite(along).all() or not along.any():
+        raise ContactError(f"direction is {direction!r}; give six finite numbers, not all zero")
+    changes = Changes.of(plan, near)
+    if changes.reason and (near.shift or near.turn or near.tips):
+        return NearBound(factor=np.inf, near=near, reason=changes.reason)
+    search = _Search(plan, along, plan.contacts if contacts is None else contacts, changes)
+    return NearBound(factor=search.run(), near=near, reason=search.reason)
+
+
+class _Search:
+    """The programme over x = (v, omega, joint velocities), |joint velocities|, and R mu split."""
+
+    def __init__(
+        self, plan: GraspPlan, along: FloatArray, contacts: ContactSet, changes: Changes
+    ) -> None:
+        """Maps from x to d_i and A_i mu - omega, base costs, and the first cuts."""
+        task = plan.task
+        hand, actuation = task.hand, task.hand.actuation
+        problem = plan_forces(task, contacts, plan.T_world_base, plan.q).problem
+        self.reason = ""
+        self._length = problem.length
+        nv = self._nv = len(actuation.joint_names)
+        nu = self._nu = len(actuation.names)
+        state, inverse = HandState(hand, plan.q), plan.T_world_base.inverse()
+        turn = plan.T_world_base.rotation
+        self._changes, self._contacts = changes, contacts
+        dims = np.array(contacts.dims)
+        self._mu = np.where(dims >= 3, contacts.mu, 0.0)
+        self._twist = np.where(dims == 4, np.nan_to_num(contacts.mu_torsion), 0.0)
+        self._linear, self._angular = np.zeros((2, len(contacts), 3, 6 + nv))
+        for i, (finger, point) in enumerate(zip(task.fingers, contacts.positions, strict=True)):
+            jac = turn @ state.point_jacobian(finger.pad.joint_id, inverse.act(point)).reshape(
+                2, 3, nv
+            )
+            arm = point - contacts.center
+            self._linear[i] = np.hstack([-np.eye(3), skew(arm), jac[0]])
+            self._angular[i] = np.hstack([np.zeros((3, 3)), -np.eye(3), jac[1]])
+        friction = np.array(hand.pin_model.upperDryFrictionLimit)
+        gravity = problem.gravity_torque - actuation.passive_torque(plan.q)
+        low, high = changes.limits.T
+        self._cost = np.concatenate(
+            [
+                -problem.wrench,
+                gravity,
+                changes.torques + friction,
+                -np.where(np.isfinite(low), low, 0.0),
+                np.where(np.isfinite(high), high, 0.0),
+            ]
+        )
+        self._bounds = np.vstack(
+            [
+                np.tile([-1.0, 1.0], (6 + nv, 1)) * FASTEST,
+                np.tile([0.0, FASTEST], (nv, 1)),
+                np.column_stack([np.zeros(nu), np.where(np.isfinite(low), FASTEST, 0.0)]),
+                np.column_stack([np.zeros(nu), np.where(np.isfinite(high), FASTEST, 0.0)]),
+            ]
+        )
+        # unknowns by velocity of the object: angular ones and those of joints by the length
+        self._unit = np.concatenate(
+            [np.ones(3), np.full(3 + 2 * nv, 1 / self._length), np.full(2 * nu, 1 / self._length)]
+        )
+        self._along = along * np.repeat([1.0, 1 / self._length], 3)
+        self._size = float(np.linalg.norm(self._along))
+        self._rows, self._limits = self._fixed(actuation.moment, actuation.stop_rows)
+        self._cuts = [self._cut(i, s) for i in range(len(contacts)) for s in self._first(i)]
+
+    def run(self) -> float:
+        """The least bound found, at least 0; infinite where there is none."""
+        for _ in range(CUTS):
+            found = self._solve()
+            if found is None:
+                break
+            x = found.x * self._unit
+            worst = [self._excess(i, x) for i in range(len(self._contacts))]
+            if max(worst) <= 0.0:
+                return max(0.0, found.value * (1.0 + SOLVER_MARGIN) / self._size)
+            for i, excess in enumerate(worst):
+                if excess > 0.0:
+                    self._cuts.append(self._cut(i, x))
+        self.reason = "no motion of the object was found that all contacts of all members hinder"
+        return np.inf
+
+    def _solve(self) -> Minimum | None:
+        """Unknowns of the least bound under the present cuts."""
+        rows = np.vstack([self._rows, *self._cuts])
+        limits = np.vstack([self._limits, np.tile([-np.inf, -TIGHT], (len(self._cuts), 1))])
+        try:
+            return minimise(self._cost * self._unit, rows * self._unit, limits, self._bounds)
+        except PlannerError:
+            return None
+
+    def _fixed(self, moment: FloatArray, stops: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """W . u = 1; |mu|; R mu in two parts; stops that may be active are not left."""
+        nv, nu, width = self._nv, self._nu, len(self._cost)
+        one = np.zeros((1, width))
+        one[0, :6] = self._along * np.repeat([1.0, self._length], 3) / self._size
+        absolute = np.zeros((2 * nv, width))
+        absolute[:nv, 6 : 6 + nv], absolute[nv:, 6 : 6 + nv] = -np.eye(nv), np.eye(nv)
+        absolute[:, 6 + nv : 6 + 2 * nv] = np.vstack([np.eye(nv)] * 2)
+        parts = np.zeros((nu, width))
+        parts[:, 6 : 6 + nv] = moment
+        parts[:, 6 + 2 * nv :] = np.hstack([-np.eye(nu), np.eye(nu)])
+        held = np.zeros((len(self._changes.stops), width))
+        held[:, 6 : 6 + nv] = stops[self._changes.stops]
+        limits = np.vstack(
+            [
+                [[1.0, 1.0]],
+                np.tile([0.0, np.inf], (2 * nv, 1)),
+                np.zeros((nu, 2)),
+                np.tile([0.0, np.inf], (len(held), 1)),
+            ]
+        )
+        return np.vstack([one, absolute, parts, held]), limits
+
+    def _excess(self, i: int, x: FloatArray) -> float:
+        """phi_i and all that it may grow by, at x."""
+        return float(self._gradient(i, x) @ x)
+
+    def _cut(self, i: int, x: FloatArray) -> FloatArray:
+        """Row (width,) of the half-space that touches the constraint of contact i at x."""
+        return self._gradient(i, x)
+
+    def _gradient(self, i: int, x: FloatArray) -> FloatArray:
+        """Gradient of the constraint, which is homogeneous: its value at x is this times x."""
+        n_x, changes = 6 + self._nv, self._changes
+        linear, angular = self._linear[i], self._angular[i]
+        normal, mu, twist = self._contacts.normals[i], self._mu[i], self._twist[i]
+        d, g = linear @ x[:n_x], angular @ x[:n_x]
+        side = mu * (d - (normal @ d) * normal)
+        spin = twist * (normal @ g)
+        total = np.sqrt(side @ side + spin * spin)
+        out = np.zeros(len(x))
+        out[:n_x] = normal @ linear
+        if total > 0.0:
+            out[:n_x] += (mu * side @ linear + twist * spin * (normal @ angular)) / total
+        chord = 2.0 * np.sin(changes.tilts[i] / 2.0)
+        steep = np.sqrt(1.0 + mu * mu)
+        out[:n_x] += steep * chord * (_unit(d) @ linear) + twist * chord * (_unit(g) @ angular)
+        out[3:6] += steep * (1.0 + chord) * changes.arms[i] * _unit(x[3:6])
+        places, turns = changes.jacobians[i]
+        out[n_x : n_x + self._nv] += (1.0 + chord) * (steep * places + twist * turns)
+        return out
+
+    def _first(self, i: int) -> FloatArray:
+        """Unknowns (``SIDES``, width) at which the first cuts of a contact touch: it slides."""
+        frame, angle = self._contacts.frames[i], 2 * np.pi * np.arange(SIDES) / SIDES
+        ways = np.cos(angle)[:, None] * frame[:, 1] + np.sin(angle)[:, None] * frame[:, 2]
+        out = np.zeros((SIDES, len(self._cost)))
+        out[:, :3] = -ways
+        return out
+
+
+def _unit(vector: FloatArray) -> FloatArray:
+    size = np.linalg.norm(vector)
+    return vector / size if size > 0.0 else np.zeros_like(vector)

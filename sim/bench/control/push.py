@@ -1,0 +1,109 @@
+"""The part ``push``: a load that grows until the object is lost, by either loop.
+
+The open loop is measured twice: with the grip of the plan, and with the best of the grips that the
+plan's force programme allows. The closed loop begins with the grip of the plan: it takes what it
+needs. Where the load goes is the same for all.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.judge import with_grip
+from planner.plain import finite
+from planner.plan import GraspPlan
+from planner.spatial import FloatArray
+from sim.controllers import CONTROLLERS
+from sim.physics import PhysicsOptions
+from sim.protocols.cases import Conditions
+from sim.protocols.forces import PushCase
+from sim.protocols.outcome import Outcome
+from sim.protocols.settings import Settings
+
+__all__ = ["conditions", "largest_grip", "push_row", "tried_grips", "unit"]
+
+GRIPS = 3
+"""Grips that are tried between that of the plan and the largest that is allowed (-)."""
+
+MOST_GRIP = 16.0
+"""Times the plan's grip beyond which none is looked for (-): 24 N of 1.5 N, more than the fingers
+of any hand in the catalogue press."""
+
+GRIP_TOL = 0.05
+"""Relative width at which the search for the largest grip ends (-)."""
+
+
+def push_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
+    """A force and a torque in random directions that grow until the object is lost.
+
+    "open" presses with the planned forces, "best" with those of the grip out of ``tried_grips``
+    under which the most is borne, chosen afterwards and for each direction: no rule that chooses
+    a grip beforehand does better. "closed" presses with no less than the plan's grip while there is
+    force to spare.
+    """
+    settings = Settings()
+    grips = tried_grips(plan)
+    pressed = [plan, *(with_grip(plan, grip) for grip in grips[1:])]
+    pushes = []
+    for kind, offset in (("force", 0), ("torque", 3)):
+        direction = np.zeros(6)
+        direction[offset : offset + 3] = unit(rng)
+        case = PushCase(index=0, name=kind, direction=direction, settings=settings)
+        opened = [case.run(tight, conditions("open")) for tight in pressed]
+        closed = case.run(plan, conditions("closed"))
+        best = max(range(len(grips)), key=lambda k: opened[k].borne)
+        pushes.append(
+            {
+                "kind": kind,
+                "direction": direction.tolist(),
+                "lost_mm": settings.lost.mm,
+                "lost_deg": settings.lost.deg,
+                "open": _told(opened[0]),
+                "best": _told(opened[best]) | {"grip_N": grips[best]},
+                "closed": _told(closed),
+                **finite(
+                    {"bound": closed.bound, "bound_near": closed.bound_near, "unit": closed.unit}
+                ),
+            }
+        )
+    return {"pushes": pushes, "grips_N": grips}
+
+
+def tried_grips(plan: GraspPlan) -> list[float]:
+    """The plan's grip (N) first, then ``GRIPS`` evenly up to the largest; none where it is that."""
+    first, most = plan.task.grip_force, largest_grip(plan)
+    if most <= (1.0 + GRIP_TOL) * first:
+        return [first]
+    return [float(g) for g in np.linspace(first, most, GRIPS + 1)]
+
+
+def largest_grip(plan: GraspPlan) -> float:
+    """The largest least normal force (N) for which a plan's force programme has forces."""
+    low = plan.task.grip_force
+    high = MOST_GRIP * low
+    if with_grip(plan, high).forces.found:
+        return high
+    while high - low > GRIP_TOL * high:
+        middle = 0.5 * (low + high)
+        if with_grip(plan, middle).forces.found:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+def unit(rng: np.random.Generator) -> FloatArray:
+    """A direction (3,), uniform on the sphere."""
+    drawn = rng.normal(size=3)
+    return np.asarray(drawn / np.linalg.norm(drawn))
+
+
+def conditions(loop: str) -> Conditions:
+    """The default physics, and a loop by its name."""
+    return Conditions(physics=PhysicsOptions(), controller=CONTROLLERS[loop])
+
+
+def _told(outcome: Outcome) -> dict[str, Any]:
+    return dict(finite({"borne": outcome.borne, "broke": outcome.broke, "reason": outcome.reason}))
