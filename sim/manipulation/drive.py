@@ -16,6 +16,7 @@ from planner.errors import TaskError
 from planner.motion.path import tilts
 from planner.spatial import SE3, FloatArray
 from sim.controllers import Event, ObjectImpedance, Observation, Phase, Sensing
+from sim.controllers.closed import MAX_NORMAL
 from sim.controllers.follow import MotionReference
 from sim.controllers.opening import PostureServo
 from sim.manipulation.away import FingerAway
@@ -47,6 +48,7 @@ class MotionController:
         sensing: Sensing | None = None,
         mass: float | None = None,
         mu: float | None = None,
+        max_normal: float = MAX_NORMAL,
     ) -> None:
         """Prepare.
 
@@ -56,9 +58,12 @@ class MotionController:
             sensing: How well the object is known.
             mass: Mass that the object is believed to have, kg; the task's if None.
             mu: Friction that is believed (-), a lower bound; the task's if None.
+            max_normal: Largest normal force that a finger is asked for, N.
         """
         grasp = plan.motion.grasp
-        self.holding = ObjectImpedance(grasp, sensing=sensing, mass=mass, mu=mu)
+        self.holding = ObjectImpedance(
+            grasp, sensing=sensing, mass=mass, mu=mu, max_normal=max_normal
+        )
         self.away: FingerAway | None = None
         self._plan, self._rate = plan, rate
         self.reference = self.begin_stroke(plan.angle)
