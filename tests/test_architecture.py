@@ -188,6 +188,7 @@ ALLOWED = {
         "shapes",
         "task",
     ),
+    "planner.resting": ("spatial", "layout", "shapes", "task"),
     "planner.collision": (
         "errors",
         "spatial",
@@ -236,6 +237,7 @@ ALLOWED = {
         "kinematics",
         "plan",
         "quality",
+        "resting",
         "shapes",
         "stages",
         "symbolic",

@@ -20,6 +20,7 @@ from sim.controllers.closed import MAX_NORMAL
 from sim.controllers.follow import MotionReference
 from sim.controllers.opening import PostureServo
 from sim.manipulation.away import FingerAway
+from sim.manipulation.idle import out_of_the_way
 from sim.manipulation.plan import ManipulationPlan
 from sim.mount import Mount
 from sim.timeline import Timeline
@@ -66,6 +67,7 @@ class MotionController:
         )
         self.away: FingerAway | None = None
         self._plan, self._rate = plan, rate
+        self._motion = out_of_the_way(plan.motion)
         self.reference = self.begin_stroke(plan.angle)
         self._opening = PostureServo(grasp, plan.release.q)
 
@@ -81,7 +83,7 @@ class MotionController:
             left: Turn that is still to be made, rad, with its sign; as much of it is made as a
                 stroke has.
         """
-        motion = self._plan.motion
+        motion = self._motion
         beyond = TILTED_BEYOND if tilts(motion.path.axis) else BEYOND
         most = min(abs(left) + beyond, abs(motion.path.angle))
         angle = math.copysign(most, self._plan.angle)
@@ -92,7 +94,7 @@ class MotionController:
     def begin_back(self) -> MotionReference:
         """Lead the object back to where the motion began, from where it is."""
         place = self.reference.place
-        self.reference = MotionReference(self._plan.motion, rate=self._rate, back_from=place)
+        self.reference = MotionReference(self._motion, rate=self._rate, back_from=place)
         self.holding.reference = self.reference
         return self.reference
 

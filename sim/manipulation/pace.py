@@ -114,7 +114,7 @@ class Bounds:
         collision_N: Normal force of the hand on itself, table or obstacle from which on it has
             collided, N, as in trials of grasps; a collision is not strict.
         normal_N: Largest normal force, N, with which a finger may press on the object for the
-            strict verdict, as a mean over 20 ms; the controller asks for four fifths of it at most.
+            strict verdict, as a mean over 20 ms; the controller asks for two thirds of it at most.
             If None it follows from the plan (``sim.manipulation.pressing.force_limit``).
     """
 
