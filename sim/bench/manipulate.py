@@ -77,7 +77,7 @@ class Turn:
         stand: Height of the stand that carries the object, m; 0 for none.
         seed: Of all that is drawn.
         axis: Axis of the turn that is asked for (3,), world.
-        angle: The turn, rad; beyond ``ONE_STROKE`` it is made by regrasps.
+        angle: The turn, rad; beyond ``ONE_STROKE`` about the vertical it is made by regrasps.
         shift: Translation in the hand that is asked for with it (3,), m, world.
         spec: Specification of an object that is of no kind in ``KINDS``.
     """
@@ -98,7 +98,8 @@ class Turn:
     @property
     def regrasps(self) -> bool:
         """Whether fingers are to move on."""
-        return abs(self.angle) > ONE_STROKE
+        turns = self.axis == VERTICAL and not any(self.shift)
+        return abs(self.angle) > (ONE_STROKE if turns else LARGEST_TURN)
 
     def draw(self) -> Conditions:
         """What there really is."""

@@ -18,7 +18,7 @@ COLUMNS = (
     "loose",
     "complete",
     "drops",
-    "collided",
+    "hits",
     "turned in s",
     "error deg",
     "tilt deg",
@@ -40,8 +40,8 @@ def manipulate_table(result: dict[str, Any]) -> Table:
     table = table_of(
         f"{_movement(result)}: counts out of all trials; medians of those that are loose: time "
         "until they had turned, how far the turn was off, largest tilt off the planned attitude, "
-        "largest distance off the path; fewest fingers in any, largest force of a finger in any; "
-        "then of those placed"
+        "largest distance off the path; fewest fingers and largest force (N) of a finger in any; "
+        "then of those placed; hits are runs in which the hand collided"
         + ("; last, how far the translation was off, of the loose ones" if moves else ""),
         ("hand", "object"),
         (*COLUMNS, SHIFT_COLUMN) if moves else COLUMNS,

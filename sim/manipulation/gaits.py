@@ -13,7 +13,7 @@ import numpy as np
 
 from planner.errors import NoGraspFoundError, PlannerError, TaskError
 from planner.gait import plan_gait
-from planner.motion.path import LARGEST_TURN
+from planner.motion.path import LARGEST_TURN, tilts
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 from sim.manipulation.ending import planned_ending, standing_under, stands
@@ -28,9 +28,9 @@ from sim.manipulation.rounds import LITTLE_MORE
 __all__ = ["ONE_STROKE", "plan_regrasping", "plan_turning"]
 
 ONE_STROKE = math.radians(150.0)
-"""Turn (rad) beyond which regrasps are planned first: one stroke was found to turn by 144 degrees
-at most. A cylinder of 60 mm in the Allegro-type hand, 180 degrees: 50 attempts at one stroke find
-nothing in 10 s of CPU, and the first gait that is tried holds."""
+"""Turn (rad) about the vertical beyond which regrasps are planned first: one stroke was found to
+turn by 144 degrees at most. A cylinder of 60 mm in the Allegro-type hand, 180 degrees: 50 attempts
+at one stroke find nothing in 10 s of CPU, and the first gait that is tried holds."""
 
 GAITS = 4
 """Gaits tried until one is found out of whose end the hand gets."""
@@ -109,7 +109,7 @@ def plan_turning(
     max_attempts: int = MAX_ATTEMPTS,
     regrasp: bool = False,
 ) -> ManipulationPlan:
-    """A turn in one stroke if there is one, else with regrasps; beyond ``ONE_STROKE`` in reverse.
+    """A turn in one stroke if there is one, else with regrasps; beyond ``ONE_STROKE`` these first.
 
     Args:
         task: As for ``plan_manipulation``.
@@ -152,11 +152,9 @@ def plan_turning(
             task, axis=axis, angle=angle, place=place, seed=seed, max_attempts=max_attempts
         )
 
-    def may_regrasp() -> bool:
-        direction = np.asarray(axis, dtype=np.float64)
-        return not moved and stands(task, direction / np.linalg.norm(direction), angle)
-
-    if abs(angle) > ONE_STROKE and may_regrasp():
+    direction = np.asarray(axis, dtype=np.float64)
+    beyond = abs(angle) > ONE_STROKE and not moved and not tilts(direction)
+    if beyond:
         try:
             return regrasping()
         except PlannerError as error:
@@ -169,7 +167,7 @@ def plan_turning(
         return stroke()
     except NoGraspFoundError as error:
         one_stroke = error
-    if abs(angle) > ONE_STROKE or not may_regrasp():
+    if moved or not stands(task, direction / np.linalg.norm(direction), angle):
         raise one_stroke
     try:
         return regrasping()
