@@ -14,8 +14,9 @@ Forces belong to the positions of the same step: after ``mj_step`` both are thos
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 import mujoco
@@ -23,12 +24,15 @@ import numpy as np
 
 from planner.contacts import Contact, ContactModel, ContactSet
 from planner.spatial import FloatArray
+from planner.task import GraspTask
 from sim.scene import HAND_PREFIX, OBJECT, OBSTACLE_PREFIX, TABLE, Scene
 
 __all__ = [
     "Touch",
+    "as_believed",
     "contact_loads",
     "contacts_from_mujoco",
+    "hand_collision",
     "hand_contacts",
     "merge_per_finger",
     "normal_forces",
@@ -155,6 +159,15 @@ def object_contacts(scene: Scene, data: Any) -> list[tuple[int, int, float]]:
     return [(i, geom, -1.0 if object_first else 1.0) for i, geom, object_first in pairs]
 
 
+def as_believed(contacts: ContactSet, task: GraspTask) -> ContactSet:
+    """Measured contacts under the friction and the contact model that planning relies on.
+
+    What simulation has beside that, more friction and torsion, is no part of it.
+    """
+    believed = contacts.with_friction(task.mu, task.mu_torsion)
+    return replace(believed, models=(task.contact_model,) * len(contacts))
+
+
 def merge_per_finger(contacts: ContactSet) -> ContactSet:
     """One contact per finger (and one for the palm, finger ""), equal in wrench along its normal.
 
@@ -193,6 +206,15 @@ def other_touches(scene: Scene, data: Any) -> list[Touch]:
                 )
             )
     return touches
+
+
+def hand_collision(scene: Scene, data: Any) -> tuple[str, float]:
+    """The pair with the largest normal force (N) of hand on table, obstacle or itself; "" and 0."""
+    hits: dict[str, float] = defaultdict(float)
+    for touch in other_touches(scene, data):
+        if touch.kind.startswith("hand"):
+            hits[f"{touch.first} - {touch.second}"] += touch.normal_force
+    return max(hits.items(), key=lambda hit: hit[1], default=("", 0.0))
 
 
 def _pairs(

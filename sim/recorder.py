@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from planner.plan import GraspPlan
 from planner.quality import closure_and_epsilon, force_closure
 from planner.quality.report import QUICK_EDGES
 from planner.spatial import SE3, FloatArray, rotation_angle
-from sim.contacts import hand_contacts, merge_per_finger, other_touches
+from sim.contacts import hand_collision, hand_contacts, merge_per_finger
 from sim.controllers.base import Phase
 from sim.report import FingerComparison
 from sim.scene import Scene
@@ -51,11 +50,7 @@ class Recorder:
         T_world_object = scene.body_pose(data, scene.object_body)
         first = self._plan.task.T_world_object
         slip = self._slip(data)
-        hits: dict[str, float] = defaultdict(float)
-        for touch in other_touches(scene, data):
-            if touch.kind.startswith("hand"):
-                hits[f"{touch.first} - {touch.second}"] += touch.normal_force
-        collision, force = max(hits.items(), key=lambda hit: hit[1], default=("", 0.0))
+        collision, force = hand_collision(scene, data)
         normal, used = self._per_finger(merged)
         self._rows.append(
             {

@@ -7,6 +7,7 @@ that an object that ends on the ground was "dropped", however it began to move.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Literal, TypeAlias
 
@@ -18,11 +19,13 @@ from planner.spatial import FloatArray, IntArray
 from sim.controllers.base import Phase
 
 __all__ = [
+    "COLLISION_N",
     "REASONS",
     "Reason",
     "Samples",
     "Thresholds",
     "Verdict",
+    "first_collision",
     "judge",
 ]
 
@@ -45,6 +48,11 @@ REASONS: tuple[Reason, ...] = Reason.__args__  # type: ignore[attr-defined]
 """Every reason a verdict can have; "" is success."""
 
 
+COLLISION_N = 1.0
+"""Normal force (N) from which on hand on table, obstacle or itself is a collision, in trials as in
+manipulations. A light touch is let pass, as a person's would be."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Thresholds:
     """Where success ends.
@@ -56,8 +64,7 @@ class Thresholds:
         disturbed_mm: Movement of the object before the lift, mm: more is called tipped.
         disturbed_deg: Rotation before the lift, degrees.
         lift_shortfall_mm: How far the object may end below the height asked for, mm.
-        collision_N: Normal force between hand and table, obstacle or itself, N; a light touch is
-            let pass, as a person's would be.
+        collision_N: Normal force between hand and table, obstacle or itself, N.
         limited_share: Share of the samples under load in which an actuator stood at its limit, from
             which on a failure is put down to that (-).
     """
@@ -67,7 +74,7 @@ class Thresholds:
     disturbed_mm: float = 20.0
     disturbed_deg: float = 20.0
     lift_shortfall_mm: float = 5.0
-    collision_N: float = 1.0
+    collision_N: float = COLLISION_N
     limited_share: float = 0.5
 
     def __post_init__(self) -> None:
@@ -183,7 +190,9 @@ def judge(
     faults = [
         fault
         for fault in (
-            _collided(samples, thresholds),
+            first_collision(
+                samples.time, samples.collision_N, samples.collision, thresholds.collision_N
+            ),
             _tipped(samples, thresholds),
             _no_contact(samples, fingers, needed),
             _lost(samples, fingers, needed, lift_mm, thresholds),
@@ -196,12 +205,22 @@ def judge(
     return _blamed_on_torque(first, samples, thresholds)
 
 
-def _collided(samples: Samples, thresholds: Thresholds) -> Verdict | None:
-    i = _first(samples.collision_N > thresholds.collision_N)
+def first_collision(
+    time: FloatArray, force: FloatArray, pairs: Sequence[str], limit: float
+) -> Verdict | None:
+    """The first collision of the hand with table, obstacle or itself; None if there is none.
+
+    Args:
+        time: (m,), s.
+        force: (m,), largest normal force of such a pair at each sample, N.
+        pairs: m names of the pair.
+        limit: Force from which on it is a collision, N.
+    """
+    i = _first(force > limit)
     if i is None:
         return None
-    detail = f"{samples.collision[i]} with {samples.collision_N[i]:.1f} N"
-    return _fault(samples, i, "hand collided", detail)
+    detail = f"{pairs[i]} with {force[i]:.1f} N"
+    return Verdict(success=False, reason="hand collided", detail=detail, time=float(time[i]))
 
 
 def _tipped(samples: Samples, thresholds: Thresholds) -> Verdict | None:

@@ -193,6 +193,7 @@ ALLOWED = {
         "shapes",
         "task",
     ),
+    "planner.resting": ("spatial", "layout", "shapes", "task"),
     "planner.collision": (
         "errors",
         "spatial",
@@ -245,6 +246,7 @@ ALLOWED = {
         "kinematics",
         "plan",
         "quality",
+        "resting",
         "shapes",
         "stages",
         "symbolic",

@@ -31,7 +31,7 @@ from sim.manipulation import (
     plan_turning,
     regrasping,
 )
-from sim.manipulation.report import told_events
+from sim.manipulation.prose import told_events
 from sim.physics import PhysicsOptions
 
 DT = 0.002

@@ -1,8 +1,8 @@
 """How a hand lets go after a motion: fingers opened where the motion ends, and a way out.
 
 The same as a way into a grasp, backwards, and planned by the same code. When the motion has ended
-the table is as far below the object's lowest point as it was at first, and obstacles carry the
-object if they did.
+the table is as far below the object's lowest point as it was at first. Obstacles carry the object
+if they did, as high as it lies on them turned as it is then.
 """
 
 from __future__ import annotations
@@ -13,9 +13,13 @@ import numpy as np
 
 from planner.collision import CollisionWorld
 from planner.motion.plan import MotionPlan
+from planner.resting import lift_to_rest
 from planner.synthesis.pregrasp import Approach, find_approach
 
-__all__ = ["find_release"]
+__all__ = ["SINKS", "find_release"]
+
+SINKS = 0.01
+"""How much (m) higher or lower than at first a turned object may lie on what carries it."""
 
 
 def find_release(motion: MotionPlan) -> Approach | str:
@@ -32,5 +36,15 @@ def find_release(motion: MotionPlan) -> Approach | str:
         table += risen
         gone = last.translation - first.translation
         carrying = tuple(o.moved(np.array([*gone[:2], risen])) for o in carrying)
+        if carrying:
+            shape = task.object.shape
+            lift = lift_to_rest(shape, end.T_world_object, carrying, -SINKS, SINKS)
+            if lift is None:
+                return (
+                    f"turned like that the object does not lie on {carrying[0].name!r} and the "
+                    f"others that carried it: it is in them even {1e3 * SINKS:.0f} mm higher"
+                )
+            carrying = tuple(o.moved(np.array([0.0, 0.0, -lift])) for o in carrying)
+            table -= lift
     there = replace(task, T_world_object=end.T_world_object, table_height=table, obstacles=carrying)
     return find_approach(CollisionWorld(there), motion.T_world_base, end.q, end.contacts.normals)

@@ -41,7 +41,9 @@ from sim.bench.meshes import standing
 from sim.bench.objects import BenchObject, bench_objects
 from sim.controllers.follow import RATE, SPEED
 from sim.manipulation import Push, manipulate, manipulation_task, plan_turning
+from sim.manipulation.gaits import ONE_STROKE
 from sim.manipulation.stand import on_stand
+from sim.manipulation.standing import settled
 from sim.physics import PhysicsOptions
 from sim.runner import Check, Runner
 
@@ -79,7 +81,7 @@ class Turn:
         stand: Height of the stand that carries the object, m; 0 for none.
         seed: Of all that is drawn.
         axis: Axis of the turn that is asked for (3,), world.
-        angle: The turn, rad; beyond a half turn it is made by regrasps.
+        angle: The turn, rad; beyond ``ONE_STROKE`` about the vertical it is made by regrasps.
         shift: Translation in the hand that is asked for with it (3,), m, world.
         spec: Specification of an object that is of no kind in ``KINDS``.
         physics: How MuJoCo computes; friction is drawn.
@@ -102,7 +104,8 @@ class Turn:
     @property
     def regrasps(self) -> bool:
         """Whether fingers are to move on."""
-        return abs(self.angle) > LARGEST_TURN
+        turns = self.axis == VERTICAL and not any(self.shift)
+        return abs(self.angle) > (ONE_STROKE if turns else LARGEST_TURN)
 
     def draw(self) -> Conditions:
         """What there really is."""
@@ -166,6 +169,9 @@ def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
         complete=report.complete,
         dropped=report.dropped,
         reason=report.reason,
+        not_strict=report.not_strict,
+        collided=report.collision is not None,
+        regrasps=plan.gait is not None,
         place_off_mm=last.get("off_mm") if report.complete else None,
         place_heading_deg=last.get("heading_deg") if report.complete else None,
         events=[f"{e.time:.2f} {e.kind} {e.finger} {e.detail}" for e in report.events],
@@ -180,7 +186,7 @@ def _believed(turn: Turn, there: Conditions) -> GraspTask:
     task = manipulation_task(turn.hand, item, mu=mu, fingers=turn.fingers)
     if turn.spec:
         task = replace(task, T_world_object=standing(item.shape))
-    return on_stand(task, turn.stand) if turn.stand else task
+    return on_stand(task, turn.stand) if turn.stand else settled(task)
 
 
 def _objects(given: str) -> list[BenchObject]:

@@ -30,7 +30,7 @@ from sim.controllers import named_controller
 from sim.creep import CREEP_BUDGET, Remedy, least_creep, predicted_creep, remedies
 from sim.physics import PhysicsOptions
 from sim.presets import PRESETS
-from sim.protocols.hold import Hold, quiet
+from sim.protocols.hold import Hold
 from sim.runner import Check, Runner, made_with
 from sim.scene import build_scene
 from sim.trial import simulate
@@ -255,8 +255,7 @@ def physics_row(job: PhysicsJob, check: Check) -> dict[str, Any]:
     if isinstance(plan, str):
         return _row(job, error=plan)
     measure, _ = PARTS[job.part]
-    with quiet():
-        measured = measure(plan, job.case)
+    measured = measure(plan, job.case)
     check()
     return _row(job, **measured)
 

@@ -18,11 +18,13 @@ COLUMNS = (
     "loose",
     "complete",
     "drops",
+    "hits",
     "turned in s",
     "error deg",
     "tilt deg",
     "off path mm",
     "fingers",
+    "force N",
     "placed mm",
     "placed deg",
     "planning s",
@@ -38,7 +40,8 @@ def manipulate_table(result: dict[str, Any]) -> Table:
     table = table_of(
         f"{_movement(result)}: counts out of all trials; medians of those that are loose: time "
         "until they had turned, how far the turn was off, largest tilt off the planned attitude, "
-        "largest distance off the path; fewest fingers in any; then of those placed"
+        "largest distance off the path; fewest fingers and largest force (N) of a finger in any; "
+        "then of those placed; hits are runs in which the hand collided"
         + ("; last, how far the translation was off, of the loose ones" if moves else ""),
         ("hand", "object"),
         (*COLUMNS, SHIFT_COLUMN) if moves else COLUMNS,
@@ -72,13 +75,15 @@ def _cells(rows: list[dict[str, Any]], asked: float) -> list[str]:
     turned = [row for row in rows if row.get("loose")]
     found = [row for row in rows if row["found"]]
     least = [row["least_fingers"] for row in turned]
+    hardest = [row["largest_force_N"] for row in turned if "largest_force_N" in row]
     return [
-        *(count(name) for name in ("found", "strict", "loose", "complete", "dropped")),
+        *(count(name) for name in ("found", "strict", "loose", "complete", "dropped", "collided")),
         number(median("time_to_angle_s", turned), 2),
         number(median("turned_deg", turned, asked), 2),
         number(median("largest_tilt_deg", turned), 1),
         number(median("largest_off_path_mm", turned), 1),
         f"{min(least):.0f}" if least else "-",
+        f"{max(hardest):.1f}" if hardest else "-",
         number(median("place_off_mm", rows), 1),
         number(median("place_heading_deg", rows), 1),
         number(median("planning_cpu_s", found), 2),

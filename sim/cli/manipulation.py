@@ -158,6 +158,7 @@ def _perform(
     from sim.manipulation import manipulate as execute
     from sim.manipulation import manipulation_task, plan_turning
     from sim.manipulation.stand import on_stand
+    from sim.manipulation.standing import settled
 
     axis, degrees, moved = movement(rotate, shift)
     if physics.mu < mu:
@@ -175,8 +176,7 @@ def _perform(
         mu=mu,
         fingers=None if fingers is None else names(fingers),
     )
-    if stand:
-        task = on_stand(task, stand)
+    task = on_stand(task, stand) if stand else settled(task)
     x, y = numbers("--place", place, 2)
     with err.status(f"planning: {task.hand.name}, {task.object.name} ..."):
         plan = plan_turning(

@@ -111,6 +111,7 @@ class ObjectImpedance:
         sensing: Sensing | None = None,
         mass: float | None = None,
         mu: float | None = None,
+        max_normal: float = MAX_NORMAL,
     ) -> None:
         """Prepare for a plan.
 
@@ -120,17 +121,23 @@ class ObjectImpedance:
             sensing: How well the object is known; exactly and at once if None.
             mass: Mass that the object is believed to have, kg; the task's if None.
             mu: Friction that the contacts are believed to have (-); the task's if None.
+            max_normal: Largest normal force that a pad is asked for, N.
 
         Raises:
-            TaskError: A mass or a friction that is not positive.
+            TaskError: A mass, a friction or a largest force that is not positive.
         """
         task = plan.task
         self.plan = plan
         self._mass = task.object.mass if mass is None else mass
         first_mu = task.mu if mu is None else mu
-        for name, value, unit in (("mass", self._mass, " in kg"), ("mu", first_mu, "")):
+        for name, value, unit in (
+            ("believed mass", self._mass, " in kg"),
+            ("believed mu", first_mu, ""),
+            ("largest normal force", max_normal, " in N"),
+        ):
             if not (np.isfinite(value) and value > 0):
-                raise TaskError(f"the believed {name} is {value}; give a number > 0{unit}")
+                raise TaskError(f"the {name} is {value}; give a number > 0{unit}")
+        self._max_normal = max_normal
         n = len(task.fingers)
         if gains is None:
             felt_mass, inertia = felt_inertia(plan, self._mass)
@@ -302,8 +309,8 @@ class ObjectImpedance:
             jacobians=loaded,
             q=q,
             gravity_torque=self._torques.own_torque,
-            min_normal=np.minimum(scale * grip, MAX_NORMAL) * share,
-            max_normal=MAX_NORMAL * share,
+            min_normal=np.minimum(scale * grip, self._max_normal) * share,
+            max_normal=self._max_normal * share,
             previous=self.forces,
         )
         if not step.allowed:

@@ -8,7 +8,8 @@
 The spring on the fingertips acts on what their displacements p* - p have beyond those of a rigid
 body: f = K (1 - G^T (G G^T)^-1 G) (p* - p), so that G f = 0. The velocity of that rigid body is
 what the joints know of the object's in the palm, as long as the contacts stick. Joints of fingers
-that take no part, of the wrist and of an arm stay where they were by their servos' own stiffness.
+that take no part are held by their servos' own stiffness, where they were or, while a motion leads,
+where it has planned them: out of the way of the others. Wrist and arm stay where they were.
 All of it is in the axes of the hand's base.
 """
 
@@ -75,6 +76,9 @@ class HoldingTorques:
         for row, finger in zip(self._own, self._fingers, strict=True):
             row[finger.q_index] = True
         self._moving = self._own.any(axis=0)
+        self._led = np.zeros(nq, dtype=bool)
+        for finger in self._hand.fingers.values():
+            self._led[finger.q_index] = True
         self._stiffness, self._damping = motor_servo(self._hand, plan.q)
         self._stiffness[self._moving] = 0.0
         self._damping[self._moving] = JOINT_DAMPING
@@ -113,14 +117,14 @@ class HoldingTorques:
         self._tips[finger] = self._in_palm(self.centers)[finger]
 
     def aim(self, tips: FloatArray, q: FloatArray, v: FloatArray) -> None:
-        """Pursue fingertips (n, 3), palm, and a posture (nq,) of the fingers from now on.
+        """Pursue fingertips (n, 3), palm, and a posture (nq,) of all fingers from now on.
 
         The rates (nq,) at which the posture changes count until the next ``move``: what the joints'
         own damping and friction take of the torque is made up for.
         """
         self._tips = tips
-        self._q_ref = np.where(self._moving, q, self._q_ref)
-        self._v_ref = np.where(self._moving, v, 0.0)
+        self._q_ref = np.where(self._led, q, self._q_ref)
+        self._v_ref = np.where(self._led, v, 0.0)
         sign = np.clip(self._v_ref / FULL_FRICTION_RATE, -1.0, 1.0)
         self.own_torque += self._drag * self._v_ref + self._stiction * sign
 

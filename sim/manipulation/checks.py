@@ -2,19 +2,58 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 
 from planner.spatial import SE3, FloatArray, signed_twist
-from sim.manipulation.pace import Bounds
+from sim.manipulation.pace import Bounds, Step
 
-__all__ = ["Outcome", "off_target", "placed", "tilt_between", "undisturbed"]
+__all__ = ["Check", "Outcome", "off_target", "placed", "tilt_between", "undisturbed"]
 
 Outcome: TypeAlias = tuple[str, dict[str, float]]
 """Why a phase failed, "" if it did not, and its numbers by name with unit."""
 
 UP: FloatArray = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """The end of a phase.
+
+    Attributes:
+        step: Which.
+        about: Which one of several: a stroke's number, or the finger that moves on; "" of one.
+        begin: When it began, s.
+        end: When it ended, s.
+        reason: Why it failed, "" if it did not.
+        numbers: What was looked at, by name with unit.
+        then: What was tried after a failure, and what came of that; "" if nothing was.
+    """
+
+    step: Step
+    begin: float
+    end: float
+    reason: str
+    numbers: dict[str, float]
+    about: str = ""
+    then: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the phase ended as it should."""
+        return not self.reason
+
+    def __str__(self) -> str:
+        """One line."""
+        told = ", ".join(f"{name} {value:.3g}" for name, value in self.numbers.items())
+        mark = "ok  " if self.passed else "FAIL"
+        name = f"{self.step} {self.about}".strip()
+        line = f"{mark} {name:<15}{self.end - self.begin:5.2f} s  {told}"
+        if self.reason:
+            line += f"\n     {self.reason}"
+        return f"{line}\n     then: {self.then}" if self.then else line
 
 
 def undisturbed(first: SE3, now: SE3, bounds: Bounds) -> Outcome:

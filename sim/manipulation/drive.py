@@ -16,9 +16,11 @@ from planner.errors import TaskError
 from planner.motion.path import tilts
 from planner.spatial import SE3, FloatArray
 from sim.controllers import Event, ObjectImpedance, Observation, Phase, Sensing
+from sim.controllers.closed import MAX_NORMAL
 from sim.controllers.follow import MotionReference
 from sim.controllers.opening import PostureServo
 from sim.manipulation.away import FingerAway
+from sim.manipulation.idle import out_of_the_way
 from sim.manipulation.plan import ManipulationPlan
 from sim.mount import Mount
 from sim.timeline import Timeline
@@ -47,6 +49,7 @@ class MotionController:
         sensing: Sensing | None = None,
         mass: float | None = None,
         mu: float | None = None,
+        max_normal: float = MAX_NORMAL,
     ) -> None:
         """Prepare.
 
@@ -56,11 +59,15 @@ class MotionController:
             sensing: How well the object is known.
             mass: Mass that the object is believed to have, kg; the task's if None.
             mu: Friction that is believed (-), a lower bound; the task's if None.
+            max_normal: Largest normal force that a finger is asked for, N.
         """
         grasp = plan.motion.grasp
-        self.holding = ObjectImpedance(grasp, sensing=sensing, mass=mass, mu=mu)
+        self.holding = ObjectImpedance(
+            grasp, sensing=sensing, mass=mass, mu=mu, max_normal=max_normal
+        )
         self.away: FingerAway | None = None
         self._plan, self._rate = plan, rate
+        self._motion = out_of_the_way(plan.motion)
         self.reference = self.begin_stroke(plan.angle)
         self._opening = PostureServo(grasp, plan.release.q)
 
@@ -76,7 +83,7 @@ class MotionController:
             left: Turn that is still to be made, rad, with its sign; as much of it is made as a
                 stroke has.
         """
-        motion = self._plan.motion
+        motion = self._motion
         beyond = TILTED_BEYOND if tilts(motion.path.axis) else BEYOND
         most = min(abs(left) + beyond, abs(motion.path.angle))
         angle = math.copysign(most, self._plan.angle)
@@ -87,7 +94,7 @@ class MotionController:
     def begin_back(self) -> MotionReference:
         """Lead the object back to where the motion began, from where it is."""
         place = self.reference.place
-        self.reference = MotionReference(self._plan.motion, rate=self._rate, back_from=place)
+        self.reference = MotionReference(self._motion, rate=self._rate, back_from=place)
         self.holding.reference = self.reference
         return self.reference
 

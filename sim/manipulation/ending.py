@@ -14,10 +14,12 @@ import numpy as np
 import pinocchio as pin
 
 from planner.motion import MotionPlan
-from planner.motion.release import find_release
+from planner.motion.release import SINKS, find_release
+from planner.resting import lift_to_rest
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.pregrasp import Approach
 from planner.task import GraspTask, Obstacle
+from sim.manipulation.standing import rests
 
 __all__ = ["Ending", "object_at_target", "planned_ending", "standing_under", "stands", "way_back"]
 
@@ -85,6 +87,9 @@ def way_back(motion: MotionPlan, place: tuple[float, float] | None, why: str) ->
 def stands(task: GraspTask, axis: FloatArray, angle: float) -> bool:
     """Whether an object stands as securely after a turn as before.
 
+    On a table it does after any turn about the vertical, or on another stable face. On what carries
+    it above the table it does where it looks the same from all sides; else the simulation tells.
+
     Args:
         task: Where it stands before.
         axis: Axis of the turn (3,), unit, world.
@@ -92,26 +97,41 @@ def stands(task: GraspTask, axis: FloatArray, angle: float) -> bool:
     """
     shape, before = task.object.shape, task.T_world_object.rotation
     turned = pin.exp3(angle * axis) @ before
-    if turned[2] @ before[2] > FLAT:
+    carried = bool(task.carrying)  # what carries it was made for the attitude that it has
+    upright = bool(turned[2] @ before[2] > FLAT)
+    if upright and not carried:
         return True
     directions = np.random.default_rng(0).normal(size=(DIRECTIONS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     extents = np.array([[shape.support(d @ r) for d in directions] for r in (before, turned)])
     if np.abs(extents[0] - extents[1]).max() < ALIKE:
         return True
-    carried = bool(task.carrying)  # what carries it was made for the attitude that it has
-    poses = () if carried else shape.resting_poses()
-    return any(turned[2] @ pose.rotation[2] > FLAT for pose in poses)
+    if carried:
+        return upright and _rests_turned(task, axis, angle)
+    return any(turned[2] @ pose.rotation[2] > FLAT for pose in shape.resting_poses())
 
 
 def object_at_target(
     task: GraspTask, axis: FloatArray, angle: float, place: tuple[float, float] | None
 ) -> SE3:
-    """The object turned, at a place, with its lowest point as high as at first."""
-    turned = pin.exp3(angle * axis) @ task.T_world_object.rotation
-    x, y = task.T_world_object.translation[:2] if place is None else place
-    height = task.object.shape.support(-turned[2])
-    return SE3(turned, np.array([x, y, task.lowest_point(task.T_world_object) + height]))
+    """The object turned, at a place, as high as it stands there like that.
+
+    On a table that is with its lowest point as high as at first; on what carries it above a table
+    as high as it lies on that.
+    """
+    first, shape = task.T_world_object, task.object.shape
+    turned = pin.exp3(angle * axis) @ first.rotation
+    height = task.lowest_point(first) + shape.support(-turned[2])
+    pose = SE3(turned, np.array([*first.translation[:2], height]))
+    lift = lift_to_rest(shape, pose, task.carrying, -SINKS, SINKS) if task.carrying else 0.0
+    x, y = first.translation[:2] if place is None else place
+    return SE3(turned, np.array([x, y, height + (lift or 0.0)]))
+
+
+def _rests_turned(task: GraspTask, axis: FloatArray, angle: float) -> bool:
+    """Whether an object that is turned about the vertical rests on what carries it."""
+    turned = object_at_target(task, axis, angle, None)
+    return rests(replace(task, T_world_object=turned))
 
 
 def standing_under(task: GraspTask, target: SE3) -> tuple[Obstacle, ...]:

@@ -8,6 +8,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from planner.errors import TaskError
+from sim.verdict import COLLISION_N
 
 __all__ = ["IN_THE_AIR", "STEPS", "TURNING", "Bounds", "Pace", "Step"]
 
@@ -110,6 +111,11 @@ class Bounds:
             only where it was to be moved.
         place_mm: How far from the target the object may stand at last, mm.
         fingers: Fewest fingers that must touch for the strict verdict.
+        collision_N: Normal force of the hand on itself, table or obstacle from which on it has
+            collided, N, as in trials of grasps; a collision is not strict.
+        normal_N: Largest normal force, N, with which a finger may press on the object for the
+            strict verdict, as a mean over 20 ms; the controller asks for two thirds of it at most.
+            If None it follows from the plan (``sim.manipulation.pressing.force_limit``).
     """
 
     disturbed_mm: float = 20.0
@@ -119,3 +125,12 @@ class Bounds:
     shift_mm: float = 3.0
     place_mm: float = 10.0
     fingers: int = 3
+    collision_N: float = COLLISION_N
+    normal_N: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check that every bound is positive."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value is not None and not value > 0:
+                raise TaskError(f"bounds: {field.name} is {value}; give a number > 0")

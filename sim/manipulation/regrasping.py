@@ -1,7 +1,7 @@
 """``Regrasping``: one finger moves on while the others hold the object still.
 
-gate      the measured contacts of the others close with a margin, under the friction that is
-believed, and the controller has not given up; until then the finger stays
+gate      the measured contacts of the others close with a margin, under the friction and the
+contact model that are believed, and the controller has not given up; until then the finger stays
 leave     its force goes over to the others; asked again before it is lifted
 move      the finger goes along its planned way; the force programme no longer knows it
 land      it goes on until it feels the object, and takes its share again
@@ -16,7 +16,7 @@ from planner.contacts import ContactSet
 from planner.gait import Relocation
 from planner.gait.order import CLOSURE_EDGES
 from planner.quality import force_closure
-from sim.contacts import hand_contacts, merge_per_finger
+from sim.contacts import as_believed, hand_contacts, merge_per_finger
 from sim.controllers.schedule import RAMP
 from sim.manipulation.away import FingerAway
 from sim.manipulation.checks import Outcome
@@ -103,7 +103,7 @@ class Regrasping:
         if len(rest) < self._task.fingers_needed:
             return -np.inf
         contacts = ContactSet.from_contacts(rest, center=merged.center)
-        closure = force_closure(contacts.with_friction(self._task.mu), edges=CLOSURE_EDGES)
+        closure = force_closure(as_believed(contacts, self._task), edges=CLOSURE_EDGES)
         return (
             closure.normalised_min_weight
             if closure.closed

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,72 +12,15 @@ from planner.plain import finite
 from planner.quality import QualityReport
 from planner.spatial import FloatArray
 from sim.controllers import Event
+from sim.manipulation.checks import Check
 from sim.manipulation.modes import mode_table
-from sim.manipulation.pace import IN_THE_AIR, TURNING, Bounds, Step
+from sim.manipulation.pace import IN_THE_AIR, TURNING, Bounds
+from sim.manipulation.pressing import FingerForce, finger_forces
+from sim.manipulation.prose import told_events, told_forces, told_modes
 from sim.manipulation.samples import Track
+from sim.verdict import Verdict, first_collision
 
-__all__ = ["Check", "ManipulationReport"]
-
-MODE_LETTERS = 60
-"""Letters in which the contact modes of a turn are told, about."""
-
-AS_TOLD = ("finger leaves", "finger joins")
-"""Events that a regrasp brings about, one for each phase that is told anyway."""
-
-LETTERS = (("stick", "s"), ("roll", "r"), ("slip", "S"), ("break", "!"), ("off", "-"))
-"""One for each mode."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Check:
-    """The end of a phase.
-
-    Attributes:
-        step: Which.
-        about: Which one of several: a stroke's number, or the finger that moves on; "" of one.
-        begin: When it began, s.
-        end: When it ended, s.
-        reason: Why it failed, "" if it did not.
-        numbers: What was looked at, by name with unit.
-        then: What was tried after a failure, and what came of that; "" if nothing was.
-    """
-
-    step: Step
-    begin: float
-    end: float
-    reason: str
-    numbers: dict[str, float]
-    about: str = ""
-    then: str = ""
-
-    @property
-    def passed(self) -> bool:
-        """Whether the phase ended as it should."""
-        return not self.reason
-
-    def __str__(self) -> str:
-        """One line."""
-        told = ", ".join(f"{name} {value:.3g}" for name, value in self.numbers.items())
-        mark = "ok  " if self.passed else "FAIL"
-        name = f"{self.step} {self.about}".strip()
-        line = f"{mark} {name:<15}{self.end - self.begin:5.2f} s  {told}"
-        if self.reason:
-            line += f"\n     {self.reason}"
-        return f"{line}\n     then: {self.then}" if self.then else line
-
-
-def told_events(events: Sequence[Event]) -> list[str]:
-    """One line for each kind and finger, in order of the first; what was told to do is left out."""
-    alike: dict[tuple[str, str], list[Event]] = {}
-    for event in events:
-        if event.kind not in AS_TOLD:
-            alike.setdefault((event.kind, event.finger), []).append(event)
-    lines = []
-    for (kind, finger), same in alike.items():
-        times = f" {len(same)} times up to {same[-1].time:.2f} s, first" if len(same) > 1 else ""
-        first = f"{same[0].time:.2f} s {kind} {finger}".rstrip()
-        lines.append(f"{first}{times}: {same[0].detail}")
-    return lines
+__all__ = ["ManipulationReport"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -99,6 +41,7 @@ class ManipulationReport:
         before: Quality of the measured contacts before the lift; None if it never came to that.
         after: After the turn.
         bounds: Where phases fail.
+        force_limit: Largest normal force with which a finger may press for the strict verdict, N.
         events: What the controller noticed.
         physics: Name and numbers of ``PhysicsOptions``, as plain data.
         pictures: Files of pictures, by phase.
@@ -120,6 +63,7 @@ class ManipulationReport:
     before: QualityReport | None
     after: QualityReport | None
     bounds: Bounds
+    force_limit: float
     events: tuple[Event, ...]
     physics: dict[str, Any]
     pictures: dict[str, str]
@@ -172,9 +116,48 @@ class ManipulationReport:
         return bool(len(held)) and bool(self._reached()[held[-1]]) and not self.dropped
 
     @property
+    def collision(self) -> Verdict | None:
+        """The first collision of the hand with itself, table or obstacle; None without one.
+
+        Judged as in a trial of a grasp, over the whole run.
+        """
+        track = self.track
+        return first_collision(
+            track.time, track.collision_N, track.collision, self.bounds.collision_N
+        )
+
+    @property
+    def forces(self) -> tuple[FingerForce, ...]:
+        """How hard each finger pressed on the object over the whole run."""
+        return finger_forces(self.track, self.fingers)
+
+    @property
     def strict(self) -> bool:
-        """Loose, and at every sample in the air enough fingers and force closure."""
-        return self.loose and self.least_fingers >= self.bounds.fingers and not self.open_samples
+        """Loose, and nothing of ``not_strict``."""
+        return self.loose and not self.not_strict
+
+    @property
+    def not_strict(self) -> str:
+        """What is not as it should be, though the object may have been turned; "" if nothing.
+
+        In the air enough fingers and force closure at every sample; over the whole run no collision
+        of the hand, and no finger that presses harder than it may.
+        """
+        faults = []
+        if self.least_fingers < self.bounds.fingers:
+            faults.append(f"only {self.least_fingers} fingers touched at times")
+        if self.open_samples:
+            faults.append(f"{self.open_samples} samples without force closure")
+        if self.collision is not None:
+            detail, time = self.collision.detail, self.collision.time
+            faults.append(f"the hand collided, {detail} at {time:.2f} s")
+        hardest = max(self.forces, key=lambda force: force.sustained)
+        if hardest.sustained > self.force_limit:
+            faults.append(
+                f"{hardest.finger} pressed with {hardest.sustained:.1f} N (at most "
+                f"{self.force_limit:.1f})"
+            )
+        return "; ".join(faults)
 
     @property
     def time_to_angle(self) -> float:
@@ -201,7 +184,9 @@ class ManipulationReport:
         lines = [] if self.earlier is None else [str(self.earlier), "", "begun again:"]
         lines += [str(check) for check in self.checks]
         if self.track.during("turn").size:
-            lines += ["", *self._modes(), ""]
+            turning = self.track.during("turn", "regrasp")
+            modes = told_modes(self.fingers, self.planned_modes, self.measured_modes, turning)
+            lines += ["", *modes, ""]
             numbers = self.numbers()
             lines += [
                 f"turned {numbers['turned_deg']:.2f} of {np.rad2deg(self.asked):.1f} degrees, "
@@ -212,11 +197,17 @@ class ManipulationReport:
                 f"in the air: at least {self.least_fingers} fingers touched, "
                 f"{self.open_samples} samples without force closure",
             ]
+        if self.track.during("squeeze").size:
+            lines.append(told_forces(self.forces, self.force_limit))
         lines += [f"controller: {line}" for line in told_events(self.events)]
         verdict = "complete" if self.complete else f"failed in {self.reason}"
         strictness = "strict" if self.strict else "loose" if self.loose else "not turned"
         if self.earlier is not None:
             strictness = "put down half-way"
+        if self.loose and not self.strict:
+            strictness += f", not strict: {self.not_strict}"
+        elif self.collision is not None:
+            strictness += f"; {self.collision.reason}: {self.collision.detail}"
         return "\n".join([*lines, f"{verdict}; the turn: {strictness}"])
 
     def _moved(self) -> list[str]:
@@ -240,21 +231,6 @@ class ManipulationReport:
         off = np.linalg.norm(self.track.shift @ self.R_world_palm.T - self.asked_shift, axis=1)
         return np.asarray(far & (1e3 * off <= self.bounds.shift_mm))
 
-    def _modes(self) -> list[str]:
-        """Contact modes of each finger while the object is turned, planned above measured."""
-        index = self.track.during("turn", "regrasp")
-        index = index[:: max(1, len(index) // MODE_LETTERS)]
-        lines = [f"contact modes during the turn ({', '.join(f'{v} {k}' for k, v in LETTERS)}):"]
-        width = max(len(f) for f in self.fingers)
-        for i, finger in enumerate(self.fingers):
-            for name, modes in (
-                ("planned", self.planned_modes),
-                ("measured", self.measured_modes),
-            ):
-                row = "".join(dict(LETTERS)[str(m)] for m in modes[index, i])
-                lines.append(f"  {finger:<{width}} {name:<8} {row}")
-        return lines
-
     def numbers(self) -> dict[str, float]:
         """The figures of a row in a table."""
         after = self.after
@@ -268,6 +244,9 @@ class ManipulationReport:
             "least_fingers": float(self.least_fingers),
             "open_samples": float(self.open_samples),
             "epsilon_after": float("nan") if after is None else after.epsilon,
+            "largest_collision_N": float(self.track.collision_N.max(initial=0.0)),
+            "largest_force_N": max(force.sustained for force in self.forces),
+            "force_limit_N": self.force_limit,
             "duration_s": self.checks[-1].end if self.checks else 0.0,
         }
 
@@ -279,6 +258,9 @@ class ManipulationReport:
             "loose": self.loose,
             "dropped": self.dropped,
             "reason": self.reason,
+            "not_strict": self.not_strict,
+            "collision": "" if self.collision is None else self.collision.detail,
+            "forces": [vars(force) for force in self.forces],
             "fingers": list(self.fingers),
             "physics": self.physics,
             "earlier": None if self.earlier is None else self.earlier.to_dict(),

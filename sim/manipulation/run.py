@@ -29,13 +29,15 @@ from planner.motion.release import find_release
 from planner.spatial import SE3, signed_twist
 from planner.task import GraspTask
 from sim.controllers import Sensing
+from sim.manipulation.checks import Check
 from sim.manipulation.ending import object_at_target, stands, way_back
 from sim.manipulation.gaits import plan_turning
 from sim.manipulation.modes import measured_modes, planned_modes, planned_points
 from sim.manipulation.pace import STEPS, TURNING, Bounds, Pace, Step
 from sim.manipulation.phases import Phases
 from sim.manipulation.plan import ManipulationPlan
-from sim.manipulation.report import Check, ManipulationReport
+from sim.manipulation.pressing import ASKED_SHARE, force_limit
+from sim.manipulation.report import ManipulationReport
 from sim.manipulation.samples import Track
 from sim.manipulation.stage import Push, Stage
 from sim.manipulation.turning import Part
@@ -72,8 +74,15 @@ class ManipulationRun:
         """Build the scene and put hand and object at their start; see ``manipulate``."""
         self.plan = plan
         pace, self._bounds = pace or Pace(), bounds or Bounds()
+        self._force_limit = self._bounds.normal_N or force_limit(plan)
         self.stage = Stage(
-            plan, really=really, physics=physics, sensing=sensing, pace=pace, push=push
+            plan,
+            really=really,
+            physics=physics,
+            sensing=sensing,
+            pace=pace,
+            push=push,
+            max_normal=ASKED_SHARE * self._force_limit,
         )
         self.put_down = False
         self._goes_on = False
@@ -201,6 +210,7 @@ class ManipulationRun:
             before=self._phases.quality.get("verify"),
             after=self._phases.quality.get("verify again"),
             bounds=self._bounds,
+            force_limit=self._force_limit,
             events=self.stage.driver.events,
             physics=self.stage.scene.physics.to_dict(),
             pictures=pictures,

@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 
 from planner.quality import closure_and_epsilon, force_closure
 from planner.spatial import SE3, FloatArray, IntArray, signed_twist
-from sim.contacts import hand_contacts, merge_per_finger
+from sim.contacts import hand_collision, hand_contacts, merge_per_finger
 from sim.manipulation.pace import Step
 from sim.pads import read_pads
 from sim.scene import Scene
 
 __all__ = ["Track", "Watch"]
+
+NAMES = ("step", "collision")
+"""Fields of a ``Track`` that hold names, not numbers."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,6 +44,10 @@ class Track:
         off_path: (m,), distance from where the reference has the object, m; NaN before the turn.
         place: (m,), where on the planned path the reference is, 0 to 1.
         away: (m, n), which fingers are told to be off the object.
+        normal_force: (m, n), N, on the object, mean over the time steps since the last sample.
+        peak_force: (m, n), the largest of these steps, N.
+        collision_N: (m,), largest normal force of hand on table, obstacle or itself.
+        collision: m names of the pair with that force, "" without.
     """
 
     time: FloatArray
@@ -55,6 +62,10 @@ class Track:
     off_path: FloatArray
     place: FloatArray
     away: NDArray[np.bool_]
+    normal_force: FloatArray
+    peak_force: FloatArray
+    collision_N: FloatArray
+    collision: tuple[str, ...]
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -81,6 +92,11 @@ class Watch:
         self._reference: SE3 | None = None
         self._turn = 0.0
         self._rows: list[dict[str, Any]] = []
+        self._felt: list[FloatArray] = []
+
+    def feel(self, normal_forces: FloatArray) -> None:
+        """Note the normal forces (n,), N, of one time step, for the next sample."""
+        self._felt.append(normal_forces)
 
     def mark(self, data: Any) -> None:
         """From now on movement is counted from how the object lies in the palm now."""
@@ -124,6 +140,9 @@ class Watch:
         closed, _ = closure_and_epsilon(merged, length=self._length)
         if not closed:  # of four edges; the true cone may still be closed
             closed = force_closure(merged).closed
+        felt = np.array(self._felt or [np.zeros(len(self._fingers))])
+        self._felt = []
+        collision, collision_N = hand_collision(scene, data)
         pads = read_pads(scene, data, self._fingers)
         pose = scene.body_pose(data, scene.object_body)
         now = self.in_palm(data)
@@ -144,6 +163,10 @@ class Watch:
                 else np.linalg.norm(now.translation - wanted.translation),
                 "place": place,
                 "away": away.copy(),
+                "normal_force": felt.mean(axis=0),
+                "peak_force": felt.max(axis=0),
+                "collision_N": collision_N,
+                "collision": collision,
             }
         )
 
@@ -153,6 +176,8 @@ class Watch:
         shapes: dict[str, tuple[int, ...]] = {
             "sliding": (n,),
             "away": (n,),
+            "normal_force": (n,),
+            "peak_force": (n,),
             "points": (n, 3),
             "shift": (3,),
         }
@@ -162,6 +187,7 @@ class Watch:
                 [row[f.name] for row in self._rows], dtype=kinds.get(f.name, float)
             ).reshape(-1, *shapes.get(f.name, ()))
             for f in fields(Track)
-            if f.name != "step"
+            if f.name not in NAMES
         }
-        return Track(step=tuple(row["step"] for row in self._rows), **columns)
+        named: dict[str, Any] = {name: tuple(row[name] for row in self._rows) for name in NAMES}
+        return Track(**named, **columns)

@@ -10,7 +10,7 @@ import numpy as np
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.contacts import hand_contacts
-from sim.controllers import Phase, Sensing
+from sim.controllers import Observation, Phase, Sensing
 from sim.manipulation.drive import BaseMover, MotionController
 from sim.manipulation.pace import IN_THE_AIR, Pace, Step
 from sim.manipulation.plan import ManipulationPlan
@@ -77,10 +77,16 @@ class Stage(Trial):
         sensing: Sensing | None,
         pace: Pace,
         push: Push | None,
+        max_normal: float,
     ) -> None:
-        """Build the scene and put hand and object at their start; see ``manipulate``."""
+        """Build the scene and put hand and object at their start; see ``manipulate``.
+
+        ``max_normal`` is the largest normal force (N) that a finger is asked for.
+        """
         grasp = plan.motion.grasp
-        self.driver = MotionController(plan, rate=pace.turn_rate, sensing=sensing)
+        self.driver = MotionController(
+            plan, rate=pace.turn_rate, sensing=sensing, max_normal=max_normal
+        )
         there = really or grasp.task
         there = replace(there, obstacles=(*there.obstacles, *plan.under_target))
         super().__init__(replace(grasp, task=there), physics=physics, controller=self.driver)
@@ -136,6 +142,12 @@ class Stage(Trial):
         self.data.xfrc_applied[self.scene.object_body] = 0.0
         self.mover.stay()
         return fault
+
+    def observe(self, phase: Phase, share: float) -> Observation:
+        """As every trial does; the forces are noted for the next sample."""
+        observation = super().observe(phase, share)
+        self.watch.feel(observation.normal_forces)
+        return observation
 
     @property
     def touched(self) -> bool:

@@ -7,16 +7,15 @@ Round objects lie in the opening and cannot roll away, flat ones stand on the wa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from planner.collision import shape_pair
 from planner.errors import TaskError
-from planner.shapes import Box
+from planner.resting import lift_to_rest
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
+from sim.manipulation.standing import settled
 
 __all__ = ["on_stand"]
 
@@ -27,11 +26,8 @@ by a tenth of its diameter, and a block stands on the walls."""
 WALL = 0.004
 """Thickness of a wall, m."""
 
-APART = 1e-6
-"""Distance (m) from the walls at which the object lies on them; it must not be in them."""
-
-HALVINGS = 20
-"""Halvings of the height at which it may lie: a few centimetres to less than a micrometre."""
+LIFTED = 2e-6
+"""How far (m) above the walls' height the highest place of the object is where it is free."""
 
 
 def on_stand(task: GraspTask, height: float) -> GraspTask:
@@ -41,8 +37,12 @@ def on_stand(task: GraspTask, height: float) -> GraspTask:
         task: An object that stands on a table.
         height: Of the walls, m.
 
+    Returns:
+        The task with the object straight above where it was, as low as the walls let it; where it
+        would not stay like that, where it comes to rest on them.
+
     Raises:
-        TaskError: No table, or a height that is not positive.
+        TaskError: No table, a height that is not positive, or an object that does not stand on it.
     """
     if task.table_height is None:
         raise TaskError("there is no table for a stand; give table_height")
@@ -55,7 +55,14 @@ def on_stand(task: GraspTask, height: float) -> GraspTask:
     inner = OPENING * min(wide)
     x, y = pose.translation[:2]
     walls = tuple(_walls(inner, height, np.array([x, y, task.table_height])))
-    return replace(task, T_world_object=_lowered(task, walls, height), obstacles=walls)
+    lift = lift_to_rest(shape, pose, walls, 0.0, height + LIFTED)
+    if lift is None:
+        raise TaskError(
+            f"the object is in the walls of a stand even {1e3 * height:.0f} mm above the table; "
+            "give its pose with its lowest point on the table"
+        )
+    lifted = SE3(pose.rotation, pose.translation + np.array([0.0, 0.0, lift]))
+    return settled(replace(task, T_world_object=lifted, obstacles=walls))
 
 
 def _walls(inner: float, height: float, foot: FloatArray) -> list[Obstacle]:
@@ -73,20 +80,3 @@ def _walls(inner: float, height: float, foot: FloatArray) -> list[Obstacle]:
             )
         )
     return out
-
-
-def _lowered(task: GraspTask, walls: Sequence[Obstacle], height: float) -> SE3:
-    """The object as low between the walls as they let it."""
-    shape, pose = task.object.shape, task.T_world_object
-    pairs = [shape_pair(Box(tuple(w.size.tolist())).coal_geometry(), shape) for w in walls]
-
-    def lifted(by: float) -> SE3:
-        return SE3(pose.rotation, pose.translation + np.array([0.0, 0.0, by]))
-
-    low, high = 0.0, height + 2 * APART
-    for _ in range(HALVINGS):
-        middle = (low + high) / 2
-        there = lifted(middle)
-        apart = (p.distance(w.T_world_obstacle, there) for p, w in zip(pairs, walls, strict=True))
-        low, high = (low, middle) if min(apart) > APART else (middle, high)
-    return lifted(high)

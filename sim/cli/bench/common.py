@@ -15,7 +15,7 @@ from sim.cli.common import EXIT_INTERRUPTED, check_folder, err, heeding_ctrl_c, 
 if TYPE_CHECKING:
     from sim.runner import Runner
 
-TABLE_WIDTH = 200
+TABLE_WIDTH = 216
 """Characters that the benchmark's tables need at least: columns of names are the first that give
 way, and those of ``bench manipulate`` were gone at 140."""
 

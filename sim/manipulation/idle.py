@@ -1,0 +1,100 @@
+"""``out_of_the_way``: fingers that take no part in a motion are led away from those that do.
+
+The planner keeps 2 mm between fingers. A finger that turns an object is some degrees beside its
+planned posture, more where the object is beside its place, and would push a neighbour that stands
+2 mm away. So idle fingers are spread from the planned postures as far as that helps: they have
+nothing else to do. The planned motion of the others stays as it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from planner.collision import CollisionWorld
+from planner.hand import Hand
+from planner.motion import MotionPlan
+from planner.spatial import SE3, FloatArray
+
+__all__ = ["out_of_the_way"]
+
+ROOTS = 2
+"""Joints of a finger, from its root, that lead it away: aside and back."""
+
+STEP, SWEEPS = float(np.deg2rad(2.0)), 2
+"""Change of a joint (rad) that is tried either way, and how often all are tried at a knot: by 4
+degrees from one knot to the next, between which the object turns by 8."""
+
+NEAR = 0.0015
+"""Distance (m) over which nearness falls to a third: what is 6 mm away hardly counts."""
+
+PAIRS = 24
+"""Nearest pairs that are looked at."""
+
+
+def out_of_the_way(motion: MotionPlan) -> MotionPlan:
+    """The same motion with the joints of idle fingers such that they are farther from the rest.
+
+    The first knot stays: it is the grasp. A hand without idle fingers gets its motion back.
+    """
+    task = replace(motion.grasp.task, table_height=None, obstacles=())
+    joints = _joints(task.hand, task.finger_names)
+    if not len(joints):
+        return motion
+    world, idle = CollisionWorld(task), _idle_geometries(task.hand, task.finger_names)
+    offset, knots = np.zeros(task.hand.nq), [motion.knots[0]]
+    for knot in motion.knots[1:]:
+        T_world_base = task.T_world_object * knot.T_world_object.inverse() * motion.T_world_base
+        q = _spread(world, T_world_base, knot.q, offset, joints, idle)
+        offset = q - knot.q
+        knots.append(replace(knot, q=q))
+    return replace(motion, knots=tuple(knots))
+
+
+def _joints(hand: Hand, taking_part: tuple[str, ...]) -> list[int]:
+    """The first joints of idle fingers that are not coupled to others."""
+    matrix, _ = hand.coupling_matrix
+    coupled = (matrix != 0).any(axis=0)
+    fingers = [f for name, f in hand.fingers.items() if name not in taking_part]
+    return [int(j) for f in fingers for j in f.q_index[:ROOTS] if not coupled[j]]
+
+
+def _idle_geometries(hand: Hand, taking_part: tuple[str, ...]) -> frozenset[str]:
+    """Names of the geometries of idle fingers."""
+    finger_of = hand.finger_of_body
+    names = set(hand.fingers) - set(taking_part)
+    return frozenset(g.name for g in hand.geometries if finger_of.get(g.body, "") in names)
+
+
+def _spread(
+    world: CollisionWorld,
+    T_world_base: SE3,
+    planned: FloatArray,
+    offset: FloatArray,
+    joints: list[int],
+    idle: frozenset[str],
+) -> FloatArray:
+    """Joints (nq,) at a knot, from the planned ones with the offset of the knot before."""
+    hand = world.task.hand
+
+    def nearness(q: FloatArray) -> float:
+        near = world.closest(T_world_base, q, PAIRS)
+        mine = [c.distance for c in near if c.first in idle or c.second in idle]
+        return float(np.exp(-np.array(mine) / NEAR).sum())
+
+    q = np.clip(planned + offset, hand.q_lower, hand.q_upper)
+    best = nearness(q)
+    for _ in range(SWEEPS):
+        before = best
+        for joint in joints:
+            for step in (STEP, -STEP):
+                tried = q.copy()
+                tried[joint] = np.clip(q[joint] + step, hand.q_lower[joint], hand.q_upper[joint])
+                value = nearness(tried)
+                if value < best:
+                    q, best = tried, value
+                    break
+        if best == before:
+            break
+    return q

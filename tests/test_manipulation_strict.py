@@ -1,0 +1,401 @@
+"""What a strict manipulation must keep clear of: collisions, forces, poses where nothing rests."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import trimesh
+from conftest import of_trimesh
+
+from planner.collision import CollisionWorld
+from planner.contacts import Contact, ContactSet
+from planner.errors import NoGraspFoundError, TaskError
+from planner.motion.release import find_release
+from planner.objects import GraspObject, parse_object
+from planner.quality import force_closure
+from planner.resting import lift_to_rest
+from planner.shapes import Box, Sphere
+from planner.spatial import SE3, FloatArray
+from planner.task import GraspTask, Obstacle
+from sim.bench.conditions import FRICTION, REGRASP_FRICTION
+from sim.bench.manipulate import Turn
+from sim.contacts import as_believed
+from sim.controllers import ObjectImpedance
+from sim.controllers.torques import HoldingTorques
+from sim.manipulation import (
+    Bounds,
+    ManipulationPlan,
+    ManipulationReport,
+    Pace,
+    gaits,
+    manipulate,
+    manipulation_task,
+    plan_manipulation,
+    plan_turning,
+    regrasping,
+)
+from sim.manipulation.ending import object_at_target, stands
+from sim.manipulation.idle import out_of_the_way
+from sim.manipulation.pressing import ASKED_SHARE, LEAST_ASKED, finger_forces, force_limit
+from sim.manipulation.regrasping import Regrasping
+from sim.manipulation.stand import on_stand
+from sim.manipulation.standing import rests, settled
+from sim.verdict import Thresholds, first_collision
+
+UP = np.array([0.0, 0.0, 1.0])
+
+QUICK = Pace(
+    approach=0.4,
+    close=0.3,
+    squeeze=0.3,
+    verify=0.1,
+    lift=0.4,
+    hold=0.2,
+    carry=0.5,
+    lower=0.4,
+    open=0.3,
+    retreat=0.4,
+    height=0.03,
+)
+
+
+@pytest.fixture(scope="module")
+def plan() -> ManipulationPlan:
+    """A turn of a block by thumb, index and middle of the Shadow-type hand; two fingers idle."""
+    task = manipulation_task(
+        "shadow_hand",
+        parse_object("box:0.06x0.06x0.08", mass=0.3),
+        mu=0.45,
+        fingers=("thumb", "index", "middle"),
+    )
+    return plan_manipulation(task, angle=math.radians(45.0), place=(0.04, -0.02), seed=0)
+
+
+@pytest.fixture(scope="module")
+def report(plan: ManipulationPlan) -> ManipulationReport:
+    return manipulate(plan, pace=QUICK)
+
+
+# --- collisions ---------------------------------------------------------------------------------
+
+
+def test_trials_and_manipulations_have_one_bound_of_collisions() -> None:
+    assert Thresholds().collision_N == Bounds().collision_N == 1.0
+    time, pairs = np.array([0.0, 0.1, 0.2]), ("", "a - b", "c - d")
+    assert first_collision(time, np.array([0.0, 1.0, 0.9]), pairs, 1.0) is None
+    found = first_collision(time, np.array([0.0, 1.1, 5.0]), pairs, 1.0)
+    assert found is not None
+    assert (found.reason, found.detail, found.time) == ("hand collided", "a - b with 1.1 N", 0.1)
+
+
+def test_a_collision_anywhere_in_the_run_is_not_strict(report: ManipulationReport) -> None:
+    assert report.strict, str(report)
+    assert report.collision is None
+    track = report.track
+    force, names = track.collision_N.copy(), list(track.collision)
+    force[5], names[5] = 2.8, "middle_distal - ring_distal"
+    hit = replace(report, track=replace(track, collision_N=force, collision=tuple(names)))
+    assert hit.loose and not hit.strict
+    assert "middle_distal - ring_distal with 2.8 N" in hit.not_strict
+    assert "2.8 N" in str(hit).splitlines()[-1]
+    assert hit.to_dict()["collision"] == "middle_distal - ring_distal with 2.8 N"
+    force[5] = 0.9  # a light touch
+    assert replace(report, track=replace(track, collision_N=force)).strict
+
+
+# --- forces -------------------------------------------------------------------------------------
+
+
+def test_every_finger_reports_its_forces(report: ManipulationReport) -> None:
+    for i, force in enumerate(report.forces):
+        assert force.finger == report.fingers[i]
+        column = report.track.normal_force[:, i]
+        assert force.sustained == column.max() <= force.peak
+        assert 0.0 < force.mean == pytest.approx(column[column > 0.0].mean())
+        assert f"{force.finger} {force.sustained:.1f} N" in str(report)
+    told = report.to_dict()
+    assert [f["finger"] for f in told["forces"]] == list(report.fingers)
+    assert told["numbers"]["largest_force_N"] == max(f.sustained for f in report.forces)
+
+
+def test_a_finger_that_presses_harder_than_it_may_is_not_strict(
+    report: ManipulationReport,
+) -> None:
+    force = report.track.normal_force.copy()
+    force[7, 0] = report.force_limit + 1.0
+    hard = replace(report, track=replace(report.track, normal_force=force))
+    assert hard.loose and not hard.strict
+    assert f"thumb pressed with {report.force_limit + 1.0:.1f} N" in hard.not_strict
+    empty = replace(report.track, normal_force=0.0 * force, peak_force=0.0 * force)
+    assert all(f.peak == f.mean == 0.0 for f in finger_forces(empty, report.fingers))
+
+
+def test_the_limit_follows_from_the_plan(plan: ManipulationPlan) -> None:
+    planned = max(k.contacts.forces[:, 0].max() for k in plan.motion.knots)
+    assert force_limit(plan) == pytest.approx(max(LEAST_ASKED, 1.25 * planned) / ASKED_SHARE)
+    with pytest.raises(TaskError, match="normal_N is 0"):
+        Bounds(normal_N=0.0)
+    with pytest.raises(TaskError, match="largest normal force is -1"):
+        ObjectImpedance(plan.motion.grasp, max_normal=-1.0)
+
+
+def test_the_controller_asks_for_no_more_than_it_may(plan: ManipulationPlan) -> None:
+    """With a fifth of the friction that is believed it would press as hard as its actuators can."""
+    task = plan.motion.grasp.task
+    heavy = replace(task, object=replace(task.object, mass=1.2))
+    report = manipulate(plan, really=heavy, pace=QUICK, bounds=Bounds(normal_N=12.0))
+    assert max(force.sustained for force in report.forces) < 12.0
+
+
+# --- idle fingers -------------------------------------------------------------------------------
+
+
+def gap(plan: ManipulationPlan, T_world_object: SE3, q: FloatArray) -> float:
+    """Least distance (m) of an idle finger from thumb, index and middle."""
+    task = replace(plan.motion.grasp.task, table_height=None)
+    T_world_base = task.T_world_object * T_world_object.inverse() * plan.motion.T_world_base
+    near = CollisionWorld(task).closest(T_world_base, q, 60)
+    idle = ("ring", "little")
+    return min(c.distance for c in near if c.first.startswith(idle) != c.second.startswith(idle))
+
+
+def test_idle_fingers_are_led_out_of_the_way(plan: ManipulationPlan) -> None:
+    motion, led = plan.motion, out_of_the_way(plan.motion)
+    hand = motion.grasp.task.hand
+    used = np.concatenate([f.q_index for f in motion.grasp.task.fingers])
+    assert led.knots[0] is motion.knots[0]
+    for before, after in zip(motion.knots[1:], led.knots[1:], strict=True):
+        np.testing.assert_array_equal(after.q[used], before.q[used])
+        assert (after.q >= hand.q_lower - 1e-12).all() and (after.q <= hand.q_upper + 1e-12).all()
+        assert gap(plan, after.T_world_object, after.q) > 0.0025
+    least = [min(gap(plan, k.T_world_object, k.q) for k in m.knots[1:]) for m in (motion, led)]
+    assert least[1] > least[0]
+
+
+def test_idle_fingers_follow_the_motion(plan: ManipulationPlan) -> None:
+    """They stayed where they were when the turn began, though the plan has them make room."""
+    grasp = plan.motion.grasp
+    hand = grasp.task.hand
+    torques = HoldingTorques(grasp)
+    torques.move(grasp.q, np.zeros(hand.nq), np.array([0.0, 0.0, -9.81]))
+    torques.latch()
+    center = grasp.T_world_base.actInv(grasp.contacts.center)
+    torques.touch(torques.centers, center, np.ones(3, dtype=bool))
+    still, held = np.zeros((3, 3)), np.ones(3, dtype=bool)
+
+    def commands(q: FloatArray) -> FloatArray:
+        torques.aim(torques.tips_in_palm, q, np.zeros(hand.nq))
+        normals = grasp.contacts.normals @ grasp.T_world_base.rotation
+        return torques.commands(still, normals, held, ~held)
+
+    first = commands(grasp.q)
+    joint = hand.joint_names.index("RFJ4")
+    aside = grasp.q.copy()
+    aside[joint] += 0.1
+    changed = np.flatnonzero(np.abs(commands(aside) - first) > 1e-9)
+    assert [hand.actuation.moment[i, joint] != 0.0 for i in changed] == [True]
+
+
+def test_a_hand_without_idle_fingers_keeps_its_motion(plan: ManipulationPlan) -> None:
+    grasp = plan.motion.grasp
+    every = replace(grasp.task, finger_names=tuple(grasp.task.hand.fingers))
+    whole = replace(plan.motion, grasp=replace(grasp, task=every))
+    assert out_of_the_way(whole) is whole
+
+
+# --- the gate of a regrasp ----------------------------------------------------------------------
+
+
+def pinched() -> ContactSet:
+    """Contacts at two opposed points of a cylinder: closed by torsion alone."""
+    places = [([0.03, 0.0, 0.0], "thumb"), ([-0.03, 0.0, 0.0], "index")]
+    places.append(([-0.03, 0.0, 0.0], "middle"))
+    return ContactSet.from_contacts(
+        [
+            Contact(
+                position=np.array(p),
+                frame=np.diag([-np.sign(p[0]), -np.sign(p[0]), 1.0]),
+                model="soft",
+                mu=1.0,
+                mu_torsion=0.005,
+                force=np.array([2.0, 0.0, 0.0, 0.0]),
+                finger=f,
+            )
+            for p, f in places
+        ],
+        center=np.zeros(3),
+    )
+
+
+def test_a_lift_is_judged_by_what_is_believed(
+    plan: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Torsion of 5 mm that simulation has, and planning does not count on, let a finger go."""
+    task = plan.motion.grasp.task
+    assert force_closure(pinched()).normalised_min_weight > 0.02
+    believed = as_believed(pinched(), task)
+    assert set(believed.models) == {"point"} and (believed.mu == task.mu).all()
+    holding = SimpleNamespace(grip=1.5)
+    stage: Any = SimpleNamespace(scene=None, data=None, driver=SimpleNamespace(holding=holding))
+    monkeypatch.setattr(regrasping, "hand_contacts", lambda *_: pinched())
+    gate = Regrasping(plan, stage, QUICK)
+    assert gate._margin("ring") <= 0.0
+
+
+# --- where objects rest -------------------------------------------------------------------------
+
+
+def oval(x: float, y: float, z: float) -> GraspObject:
+    """A mesh of an ellipsoid with these diameters, m."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.5)
+    ball.apply_scale((x, y, z))
+    return GraspObject(name="oval", shape=of_trimesh(ball), mass=0.1)
+
+
+def lying(item: GraspObject, rotation: FloatArray) -> GraspTask:
+    """On the table, turned like that, whether it stands so or not."""
+    height = item.shape.support(-rotation[2])
+    pose = SE3(rotation, np.array([0.0, 0.0, height]))
+    task = manipulation_task("allegro_hand", item, mu=0.45)
+    return replace(task, T_world_object=pose)
+
+
+def test_how_far_up_an_object_rests() -> None:
+    walls = [
+        Obstacle(
+            name=f"{side}",
+            size=np.array([0.01, 0.1, 0.02]),
+            T_world_obstacle=SE3(np.eye(3), np.array([0.023 * side, 0.0, 0.0])),
+        )
+        for side in (-1, 1)
+    ]
+    ball = Sphere(0.03)  # on edges 18 mm beside its middle, 10 mm up: 24 mm above them
+    lift = lift_to_rest(ball, SE3(np.eye(3), np.array([0.0, 0.0, 0.03])), walls, -0.02, 0.02)
+    assert lift == pytest.approx(0.004, abs=2e-6)
+    low = SE3(np.eye(3), np.zeros(3))
+    assert lift_to_rest(ball, low, walls, -0.01, 0.01) is None
+    high = SE3(np.eye(3), np.array([0.0, 0.0, 0.2]))
+    assert lift_to_rest(ball, high, walls, -0.01, 0.01) == -0.01
+    assert lift_to_rest(Box((0.01, 0.01, 0.01)), low, [], -0.01, 0.01) == -0.01
+
+
+def test_an_object_that_would_roll_on_its_stand_is_put_where_it_rests() -> None:
+    """An oval with its long axis up by 30 degrees lies on four walls, and rolls until it rests."""
+    tilted = lying(oval(0.07, 0.055, 0.055), pin.exp3(np.array([0.0, 0.5, 0.0])))
+    task = on_stand(tilted, 0.04)
+    assert rests(task)
+    off = np.arccos(
+        (np.trace(task.T_world_object.rotation.T @ tilted.T_world_object.rotation) - 1) / 2
+    )
+    assert np.rad2deg(off) > 10.0
+    again = lift_to_rest(task.object.shape, task.T_world_object, task.obstacles, -0.001, 0.001)
+    assert again == pytest.approx(0.0, abs=3e-6)
+
+
+def test_an_object_that_rests_stays_where_it_was_put() -> None:
+    flat = lying(oval(0.055, 0.055, 0.07), np.eye(3))
+    task = on_stand(flat, 0.04)
+    np.testing.assert_array_equal(task.T_world_object.rotation, np.eye(3))
+    assert settled(task) is task
+    primitive = manipulation_task("allegro_hand", parse_object("cylinder"), mu=0.45)
+    assert settled(primitive) is primitive
+    held = replace(flat, table_height=None)
+    assert settled(held) is held
+
+
+def test_an_object_that_falls_off_its_stand_is_refused() -> None:
+    """A ball beside the middle of a post."""
+    post = Obstacle(
+        name="post",
+        size=np.array([0.02, 0.02, 0.05]),
+        T_world_obstacle=SE3(np.eye(3), np.array([0.004, 0.0, 0.025])),
+    )
+    task = manipulation_task("allegro_hand", parse_object("sphere:0.03"), mu=0.45)
+    above = SE3(np.eye(3), np.array([0.0, 0.0, 0.08001]))
+    narrow = replace(post, size=np.array([0.002, 0.002, 0.05]))
+    with pytest.raises(TaskError, match="does not stand on 'post'"):
+        settled(replace(task, T_world_object=above, obstacles=(narrow,)))
+
+
+def test_a_turned_object_that_lies_higher_does_not_end_the_search(plan: ManipulationPlan) -> None:
+    """It was 'inside stand +y; move them apart', an error, for hundredths of a millimetre."""
+    task = on_stand(lying(oval(0.056, 0.06, 0.058), np.eye(3)), 0.05)
+    motion = plan.motion
+    grasp = replace(
+        motion.grasp,
+        task=replace(
+            task,
+            hand=motion.grasp.task.hand,
+            finger_names=motion.grasp.task.finger_names,
+            wrist_q=motion.grasp.task.wrist_q,
+        ),
+    )
+    turned = SE3(pin.exp3(math.radians(50.0) * UP), task.T_world_object.translation)
+    knots = (*motion.knots[:-1], replace(motion.knots[-1], T_world_object=turned))
+    again = find_release(replace(motion, grasp=grasp, knots=knots))
+    assert not (isinstance(again, str) and "inside" in again)
+
+
+def test_a_turned_object_is_put_down_where_it_lies_on_its_stand() -> None:
+    task = on_stand(lying(oval(0.056, 0.06, 0.058), np.eye(3)), 0.05)
+    target = object_at_target(task, UP, math.radians(45.0), None)
+    again = lift_to_rest(task.object.shape, target, task.carrying, -0.001, 0.001)
+    assert again == pytest.approx(0.0, abs=3e-6)
+    assert target.translation[2] != pytest.approx(task.T_world_object.translation[2], abs=5e-5)
+    assert stands(task, UP, math.radians(90.0))
+
+
+# --- which turns are left to regrasps -----------------------------------------------------------
+
+
+@pytest.mark.parametrize(("degrees", "friction"), [(140.0, FRICTION), (180.0, REGRASP_FRICTION)])
+def test_a_turn_that_no_stroke_makes_has_the_conditions_of_regrasps(
+    degrees: float, friction: tuple[float, float]
+) -> None:
+    """180 degrees had those of one stroke: 300 g, friction 0.45, and no way to lift a finger."""
+    turn = Turn(
+        index=0,
+        hand="allegro_hand",
+        kind="cylinder",
+        number=0,
+        height=0.08,
+        fingers=None,
+        stand=0.0,
+        seed=3,
+        angle=math.radians(degrees),
+    )
+    drawn = [replace(turn, number=k).draw().mu for k in range(60)]
+    assert friction[0] <= min(drawn) < friction[0] + 0.05
+    assert turn.regrasps == (friction == REGRASP_FRICTION)
+
+
+def test_regrasps_come_first_where_no_stroke_goes(
+    plan: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order: list[str] = []
+
+    def nothing(name: str) -> Any:
+        def plan_it(*_: object, **__: object) -> ManipulationPlan:
+            order.append(name)
+            raise NoGraspFoundError(f"no {name}", ())
+
+        return plan_it
+
+    task = manipulation_task("allegro_hand", parse_object("cylinder"), mu=0.45)
+    monkeypatch.setattr(gaits, "plan_manipulation", nothing("stroke"))
+    monkeypatch.setattr(gaits, "plan_regrasping", nothing("regrasps"))
+    with pytest.raises(NoGraspFoundError, match=r"no stroke\. With regrasps: no regrasps"):
+        plan_turning(task, angle=math.pi)
+    assert order == ["regrasps", "stroke"]
+    with pytest.raises(NoGraspFoundError, match=r"no stroke\. With regrasps: no regrasps"):
+        plan_turning(task, angle=math.radians(140.0))
+    assert order[2:] == ["stroke", "regrasps"]
+    monkeypatch.setattr(gaits, "plan_regrasping", lambda *_, **__: plan)
+    assert plan_turning(task, angle=math.pi) is plan
+    assert len(order) == 4
