@@ -10,6 +10,7 @@ import json
 import os.path
 import re
 import shutil
+from functools import lru_cache
 from pathlib import Path, PurePath
 
 import numpy as np
@@ -48,6 +49,7 @@ def export_name(hand: Hand) -> str:
     return file_name(f"{path.parent.name}-{path.stem}" if named in NO_MODEL_NAME else named)
 
 
+@lru_cache(maxsize=8)
 def T_model_base(hand: Hand) -> SE3:
     """Pose of the hand's base in the world of its model file.
 

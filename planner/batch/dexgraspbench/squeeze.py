@@ -26,7 +26,7 @@ from planner.judge import force_arguments, plan_forces
 from planner.spatial import SE3, FloatArray, skew
 from planner.task import GraspTask
 
-__all__ = ["LOADS", "MISPLACED", "Squeeze", "plan_squeeze", "without_servos"]
+__all__ = ["LOADS", "MASS", "MISPLACED", "PUSH", "Squeeze", "plan_squeeze", "without_servos"]
 
 MASS = 0.1
 """Of every object in the benchmark, kg (``config/task/eval.yaml``)."""

@@ -19,7 +19,6 @@ import sys
 import types
 from typing import Any
 
-
 ABSENT = ("torch", "pxr")
 """Used by statistics and format conversion, and by pictures in OpenUSD: gigabytes, and no part in
 the evaluation. The benchmark's README asks for torch 2.2.2 and names no version of usd-core."""
