@@ -6,11 +6,10 @@ pre-grasp to the grasp in 10 stages of 10 steps, to the squeeze likewise, then a
 times the object's mass at its centre for 2 s. Every 0.2 s the object must be within 50 mm and 15
 degrees of its first pose. There is no gravity, the object weighs 0.1 kg, a time step is 4 ms,
 friction is 0.6 and 0.02 m, contacts of 4 dimensions, impratio 10, two noslip iterations, and a
-hand that begins more than 10 mm inside the object or itself fails.
+hand that begins more than 10 mm inside the object or itself fails. The world is that of
+``sim.protocols.fc_scene``; hand, pieces and squeeze are those of the export of a batch.
 
-The squeeze posture is the one whose commands make the plan's forces without gravity, as in the
-export of a batch. What differs: the hand's own servos act instead of ones with kp 5, and the hand
-is carried by six stiff servos instead of a weld to a mocap body.
+``opposable bench dexgraspbench`` compares the verdicts with those of the benchmark itself.
 """
 
 from __future__ import annotations
@@ -63,7 +62,7 @@ class FcCase:
         """The direction."""
         return f"fc {AXES[self.index]}"
 
-    def run(self, plan: GraspPlan, conditions: Conditions) -> Outcome:
+    def run(self, plan: GraspPlan, conditions: Conditions | None = None) -> Outcome:
         """Execute it; physics and controller are the benchmark's, whatever the conditions."""
         del conditions
         task = replace(

@@ -80,8 +80,20 @@ _KNOWN: Mapping[str, str] = MappingProxyType(
 """Element -> attributes that 3.3.2 knows. Elements of one name in several places share a line."""
 
 _WORLD = frozenset(
-    ("option", "size", "visual", "statistic", "custom", "keyframe", "sensor", "texture", "camera")
-    + ("light", "skin", "layer")
+    {
+        "camera",
+        "custom",
+        "keyframe",
+        "layer",
+        "light",
+        "option",
+        "sensor",
+        "size",
+        "skin",
+        "statistic",
+        "texture",
+        "visual",
+    }
 )
 """Elements that say nothing of the hand's motion or contacts, left out."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from sim.cli.bench import control, grasps, manipulate, motion, synthesis
+from sim.cli.bench import control, dexgraspbench, grasps, manipulate, motion, synthesis
 
 __all__ = ["register"]
 
@@ -24,6 +24,7 @@ def register(app: typer.Typer) -> None:
         control.control,
         motion.motion,
         manipulate.manipulate,
+        dexgraspbench.dexgraspbench,
     ):
         bench.command()(command)
     app.add_typer(bench, name="bench")
