@@ -27,7 +27,9 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[GraspSet, Path]:
     folder = tmp_path_factory.mktemp("export")
     task = GraspTask.create("allegro_hand", "sphere", table_height=0.4)
     grasps = plan_grasps("allegro_hand", [task, "mug"], 2, workers=1, out=folder / "set")
-    assert export_dexgraspbench(grasps, folder / "bench") == len(list(grasps.found()))
+    exported = export_dexgraspbench(grasps, folder / "bench")
+    assert (exported.hand, exported.written) == ("allegro_hand", len(list(grasps.found())))
+    assert not exported.left_out
     return grasps, folder / "bench"
 
 
@@ -41,7 +43,7 @@ def test_grasps_survive_the_round_trip(exported: tuple[GraspSet, Path]) -> None:
     grasps, bench = exported
     for _, row in grasps.found():
         name = row["object"].replace(":", "-")
-        data = load(bench / "graspdata" / name / f"{row['k']}.npy")
+        data = load(bench / "graspdata" / "allegro_hand" / name / f"{row['k']}.npy")
         assert set(data) == {
             "obj_path",
             "obj_scale",
@@ -64,7 +66,7 @@ def test_grasps_survive_the_round_trip(exported: tuple[GraspSet, Path]) -> None:
 
 def test_the_tables_top_is_the_floor(exported: tuple[GraspSet, Path]) -> None:
     _, bench = exported
-    data = load(bench / "graspdata" / "sphere-0.035" / "0.npy")
+    data = load(bench / "graspdata" / "allegro_hand" / "sphere-0.035" / "0.npy")
     assert data["obj_pose"][:3] == pytest.approx([0, 0, 0.035])
 
 
@@ -144,8 +146,8 @@ def test_the_exported_grasp_holds_as_the_benchmark_replays_it(
 ) -> None:
     _, bench = exported
     for name in ("sphere-0.035", "mug-0.04x0.09"):
-        grasp = load(bench / "graspdata" / name / "0.npy")
-        model = benchmark_scene(bench / "hand" / "allegro_hand.xml", grasp["obj_path"])
+        grasp = load(bench / "graspdata" / "allegro_hand" / name / "0.npy")
+        model = benchmark_scene(bench / "hand" / "allegro_hand" / "allegro_hand.xml", grasp["obj_path"])
         assert model.body("object").mass[0] == pytest.approx(0.1, rel=0.35)  # pieces overlap
         push = np.array([0.0, 0.0, -1.0])
         assert replayed(model, grasp, "squeeze_qpos", push) < 0.01
@@ -156,7 +158,7 @@ def test_the_exported_grasp_holds_as_the_benchmark_replays_it(
 def test_the_squeeze_presses_with_the_grip(exported: tuple[GraspSet, Path]) -> None:
     grasps, bench = exported
     row = grasps[0]
-    data = load(bench / "graspdata" / "sphere-0.035" / "0.npy")
+    data = load(bench / "graspdata" / "allegro_hand" / "sphere-0.035" / "0.npy")
     hand = grasps.task(row["object"]).hand
     # each joint has a servo of 3 N m/rad: the torques of the normal forces, about
     torque = 3.0 * (data["squeeze_qpos"] - data["grasp_qpos"])[7:]
@@ -183,7 +185,7 @@ def test_the_squeeze_presses_with_the_grip(exported: tuple[GraspSet, Path]) -> N
 def test_the_shadows_coupled_joints_share_a_command(tmp_path: Path) -> None:
     grasps = plan_grasps("shadow_hand", ["sphere"], 1, workers=1, out=tmp_path / "set")
     export_dexgraspbench(grasps, tmp_path / "bench")
-    data = load(tmp_path / "bench" / "graspdata" / "sphere-0.035" / "0.npy")
+    data = load(tmp_path / "bench" / "graspdata" / "shadow_hand" / "sphere-0.035" / "0.npy")
     hand = grasps.task("sphere:0.035").hand
     assert len(data["grasp_qpos"]) == 7 + hand.nq
     change = (data["squeeze_qpos"] - data["grasp_qpos"])[7:]

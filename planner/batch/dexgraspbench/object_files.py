@@ -2,7 +2,7 @@
 
 Pieces and pose are in the frame of the object's own file, in metres: ours has its origin at the
 centre of mass. ``simplified.json`` says under ``gravity_center`` where that is, as the benchmark's
-own files do; a primitive's frame is the same in both.
+own files do. What is not from a file keeps our frame.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ reach out by 3.52 mm, its hull by 3.56 mm."""
 
 def frame_shift(shape: Shape) -> FloatArray:
     """The centre of mass (3,), m, in the frame of the object's file."""
-    return np.array(shape.offset) if isinstance(shape, Mesh) else np.zeros(3)
+    if isinstance(shape, Mesh) and shape.source is not None:
+        return np.array(shape.offset)
+    return np.zeros(3)
 
 
 @lru_cache(maxsize=32)
