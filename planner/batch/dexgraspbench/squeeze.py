@@ -68,9 +68,9 @@ friction in use, more is left to the loads, but forces that balance may be very 
 farthest from buckling."""
 
 STABLE = 1.0 / 3.0
-"""Share of the force at which a grasp buckles that a squeeze may use (-): tips roll and slide, which
-the stiffness leaves out. Of 22 grasps that the benchmark lost when they were pressed without such a
-limit, 19 held with half of it, and 21 with a quarter."""
+"""Share of the force at which a grasp buckles that a squeeze may use (-): tips roll and slide,
+which the stiffness leaves out. Of 22 grasps (Allegro and LEAP) that the benchmark lost when they
+were pressed without such a limit, 19 held in our fc with half of it, and 21 with a quarter."""
 
 MISPLACED = 0.001
 """Distance (m) between a contact and its plan: the servos lag by different times, so that the first

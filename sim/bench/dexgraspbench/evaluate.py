@@ -12,7 +12,7 @@ from planner.batch import GraspSet
 from planner.batch.dexgraspbench import export_dexgraspbench
 from planner.batch.dexgraspbench.hand_file import file_name
 from planner.errors import PlannerError, TaskError
-from sim.bench.dexgraspbench.install import Installed
+from sim.bench.dexgraspbench.checkout import Installed
 from sim.protocols.fc import fc_cases
 from sim.protocols.hold import quiet
 from sim.runner import Runner, made_with
@@ -91,8 +91,8 @@ def run_dexgraspbench(
         done = export_dexgraspbench(batch, home / "export")
         if done.hand in exports:
             raise TaskError(
-                f"{folder} and {exports[done.hand]['batch']} are both of the hand {done.hand}; give "
-                "one batch with all objects"
+                f"two batches are of the hand {done.hand}, in {exports[done.hand]['batch']} and "
+                f"{folder}; give one batch with all objects"
             )
         model = installed.opened(home / "export" / "hand" / done.hand / f"{done.hand}.xml")
         exports[done.hand] = {
