@@ -33,7 +33,16 @@ from sim.mount import MOUNT, Mount, add_mount, tuned_mount
 from sim.physics import CONTACT_SOLREF, PhysicsOptions
 from sim.picture import add_scenery
 
-__all__ = ["HAND_PREFIX", "OBJECT", "TABLE", "PhysicsOptions", "Scene", "build_scene"]
+__all__ = [
+    "HAND_PREFIX",
+    "OBJECT",
+    "TABLE",
+    "PhysicsOptions",
+    "Scene",
+    "build_scene",
+    "drop_options",
+    "index_scene",
+]
 
 HAND_PREFIX = "hand/"
 """Prefix of every name of the hand's model in the scene."""
@@ -161,14 +170,17 @@ def build_scene(
         1.0 if hand.arm is None else ARM_VIEW,
     )
     model = compile_spec(spec, f"the scene of {spec.modelname}")
-    return _indexed(task, physics, T_world_base, model)
+    mount = None
+    if hand.arm is None:
+        mount = tuned_mount(model, T_world_base, task.object.mass, OBJECT)
+    return index_scene(task, physics, T_world_base, model, mount)
 
 
 def _add_hand(spec: Any, task: GraspTask, T_world_base: SE3, physics: PhysicsOptions) -> None:
     position, quaternion = pose_to_wxyz(T_world_base)
     mount = spec.worldbody.add_body(name=MOUNT, pos=position)
     child = task.hand.new_spec()
-    _drop_options(child)
+    drop_options(child)
     physics.apply(child, task.gravity)
     for geom in child.geoms:
         geom.friction = physics.friction
@@ -183,7 +195,7 @@ def _add_hand(spec: Any, task: GraspTask, T_world_base: SE3, physics: PhysicsOpt
         add_mount(spec, mount)
 
 
-def _drop_options(spec: Any) -> None:
+def drop_options(spec: Any) -> None:
     """Forget how a model wants to be computed: the scene decides, and MuJoCo warns of conflicts."""
     fresh = mujoco.MjSpec()
     for name in dir(fresh.option):
@@ -265,14 +277,14 @@ def _solid(geom: Any, kind: str, size: tuple[float, ...], physics: PhysicsOption
     geom.solimp = physics.solimp
 
 
-def _indexed(task: GraspTask, physics: PhysicsOptions, T_world_base: SE3, model: Any) -> Scene:
+def index_scene(
+    task: GraspTask, physics: PhysicsOptions, T_world_base: SE3, model: Any, mount: Mount | None
+) -> Scene:
+    """Find the parts of a compiled scene, whose hand has the prefix, by their names."""
     hand = task.hand
     hand_joints = [model.joint(HAND_PREFIX + name) for name in hand.joint_names]
     hand_ctrl = np.array([model.actuator(HAND_PREFIX + n).id for n in hand.actuation.names])
     free = model.joint(OBJECT)
-    mount = None
-    if hand.arm is None:
-        mount = tuned_mount(model, T_world_base, task.object.mass, OBJECT)
     return Scene(
         task=task,
         physics=physics,
@@ -289,7 +301,7 @@ def _indexed(task: GraspTask, physics: PhysicsOptions, T_world_base: SE3, model:
         base_body=int(model.body(HAND_PREFIX + hand.description.base_body).id),
         palm_body=int(model.body(HAND_PREFIX + hand.description.palm_body).id),
         finger_of_geom=_finger_of_geom(hand, model),
-        support=int(model.equality(SUPPORT).id) if task.table_height is None else -1,
+        support=int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_EQUALITY, SUPPORT)),
         deviation=solid_deviation(task.object.shape),
     )
 

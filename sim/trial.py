@@ -77,6 +77,8 @@ class Trial:
         timeline: Timeline | None = None,
         thresholds: Thresholds | None = None,
         record_every: float = 0.02,
+        scene: Scene | None = None,
+        carrier: Carrier | None = None,
     ) -> None:
         """Build the scene and put hand and object at their start.
 
@@ -87,6 +89,8 @@ class Trial:
             timeline: Durations; defaults if None.
             thresholds: Where success ends; defaults if None.
             record_every: Time between samples, s.
+            scene: The scene of the plan's task, if it is not to be built with ``physics``.
+            carrier: What moves the hand as a whole; the scene's mount or the arm if None.
         """
         if not 0 < record_every <= LONGEST_PERIOD:
             raise TaskError(
@@ -97,11 +101,11 @@ class Trial:
         self.timeline = timeline or Timeline()
         self.thresholds = thresholds or Thresholds()
         self.controller: Controller = controller or GraspController(plan)
-        self.scene: Scene = build_scene(
+        self.scene: Scene = scene or build_scene(
             plan.task, T_world_base=plan.T_world_base, q=plan.q, physics=physics
         )
         self.data = self.scene.start(plan.q_start, plan.T_world_base_start)
-        self.carrier: Carrier = carrier_of(plan, self.scene, self.timeline)
+        self.carrier: Carrier = carrier or carrier_of(plan, self.scene, self.timeline)
         self._every = max(1, round(record_every / self.scene.physics.timestep))
         self.recorder = Recorder(plan, self.scene)
         self.steps = 0

@@ -275,9 +275,12 @@ ALLOWED = {
     "planner.batch": (
         "errors",
         "spatial",
+        "bridge",
         "catalog",
         "contacts",
+        "described",
         "files",
+        "forces",
         "hand",
         "judge",
         "kinematics",

@@ -40,7 +40,8 @@ def test_a_batch_is_planned_summed_up_exported_and_picked_from(tmp_path: Path) -
     assert "3/3" in out
     assert "0/3" in out
     assert "3 grasps exported" in err
-    assert (folder / "dexgraspbench" / "graspdata" / "sphere-0.035" / "2.npy").exists()
+    written = folder / "dexgraspbench" / "graspdata" / "allegro_hand" / "sphere-0.035"
+    assert (written / "2.npy").exists()
 
     code, out, _ = opposable(*words, "--out", folder, "--json")
     summary = json.loads(out)

@@ -13,6 +13,8 @@ import trimesh
 
 from planner.batch import GraspSet, plan_grasps
 from planner.batch.dexgraspbench import export_dexgraspbench
+from planner.batch.dexgraspbench.export import row_squeeze
+from planner.batch.dexgraspbench.hand_file import T_model_base
 from planner.errors import TaskError
 from planner.hand import Hand
 from planner.spatial import FloatArray, pose_from_wxyz
@@ -27,7 +29,9 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[GraspSet, Path]:
     folder = tmp_path_factory.mktemp("export")
     task = GraspTask.create("allegro_hand", "sphere", table_height=0.4)
     grasps = plan_grasps("allegro_hand", [task, "mug"], 2, workers=1, out=folder / "set")
-    assert export_dexgraspbench(grasps, folder / "bench") == len(list(grasps.found()))
+    exported = export_dexgraspbench(grasps, folder / "bench")
+    assert (exported.hand, exported.written) == ("allegro_hand", len(list(grasps.found())))
+    assert not exported.left_out
     return grasps, folder / "bench"
 
 
@@ -41,7 +45,7 @@ def test_grasps_survive_the_round_trip(exported: tuple[GraspSet, Path]) -> None:
     grasps, bench = exported
     for _, row in grasps.found():
         name = row["object"].replace(":", "-")
-        data = load(bench / "graspdata" / name / f"{row['k']}.npy")
+        data = load(bench / "graspdata" / "allegro_hand" / name / f"{row['k']}.npy")
         assert set(data) == {
             "obj_path",
             "obj_scale",
@@ -52,7 +56,8 @@ def test_grasps_survive_the_round_trip(exported: tuple[GraspSet, Path]) -> None:
         }
         T_object = pose_from_wxyz(data["obj_pose"][:3], data["obj_pose"][3:])
         base = pose_from_wxyz(data["grasp_qpos"][:3], data["grasp_qpos"][3:7])
-        T_object_base = T_object.inverse() * base
+        hand = grasps.task(row["object"]).hand
+        T_object_base = T_object.inverse() * base * T_model_base(hand)
         assert T_object_base.translation == pytest.approx(row["base_position_object_m"])
         # joints in the order of the hand's file
         joints = grasps.task(row["object"]).hand.joint_names
@@ -64,7 +69,7 @@ def test_grasps_survive_the_round_trip(exported: tuple[GraspSet, Path]) -> None:
 
 def test_the_tables_top_is_the_floor(exported: tuple[GraspSet, Path]) -> None:
     _, bench = exported
-    data = load(bench / "graspdata" / "sphere-0.035" / "0.npy")
+    data = load(bench / "graspdata" / "allegro_hand" / "sphere-0.035" / "0.npy")
     assert data["obj_pose"][:3] == pytest.approx([0, 0, 0.035])
 
 
@@ -144,8 +149,9 @@ def test_the_exported_grasp_holds_as_the_benchmark_replays_it(
 ) -> None:
     _, bench = exported
     for name in ("sphere-0.035", "mug-0.04x0.09"):
-        grasp = load(bench / "graspdata" / name / "0.npy")
-        model = benchmark_scene(bench / "hand" / "allegro_hand.xml", grasp["obj_path"])
+        grasp = load(bench / "graspdata" / "allegro_hand" / name / "0.npy")
+        hand = bench / "hand" / "allegro_hand" / "allegro_hand.xml"
+        model = benchmark_scene(hand, grasp["obj_path"])
         assert model.body("object").mass[0] == pytest.approx(0.1, rel=0.35)  # pieces overlap
         push = np.array([0.0, 0.0, -1.0])
         assert replayed(model, grasp, "squeeze_qpos", push) < 0.01
@@ -153,11 +159,12 @@ def test_the_exported_grasp_holds_as_the_benchmark_replays_it(
         assert replayed(model, grasp, "grasp_qpos", push) > 0.03
 
 
-def test_the_squeeze_presses_with_the_grip(exported: tuple[GraspSet, Path]) -> None:
+def test_the_squeeze_presses_with_its_forces(exported: tuple[GraspSet, Path]) -> None:
     grasps, bench = exported
     row = grasps[0]
-    data = load(bench / "graspdata" / "sphere-0.035" / "0.npy")
+    data = load(bench / "graspdata" / "allegro_hand" / "sphere-0.035" / "0.npy")
     hand = grasps.task(row["object"]).hand
+    squeeze = row_squeeze(grasps.task(row["object"]), row)
     # each joint has a servo of 3 N m/rad: the torques of the normal forces, about
     torque = 3.0 * (data["squeeze_qpos"] - data["grasp_qpos"])[7:]
     model, state = hand.mj_model, mujoco.MjData(hand.mj_model)
@@ -169,21 +176,22 @@ def test_the_squeeze_presses_with_the_grip(exported: tuple[GraspSet, Path]) -> N
     points = [T_object_base.actInv(np.array(p)) for p in row["contact_positions_object_m"]]
     normals = T_object_base.rotation.T @ np.array(row["contact_normals_object"]).T
     lift = np.zeros(model.nv)
-    for finger, point, normal in zip(
-        hand.choose_fingers(grasps.task(row["object"]).finger_names), points, normals.T, strict=True
+    fingers = hand.choose_fingers(grasps.task(row["object"]).finger_names)
+    for finger, point, normal, force in zip(
+        fingers, points, normals.T, squeeze.forces, strict=True
     ):
         jacobian = np.zeros((3, model.nv))
         tip = model.site(finger.tip_frame).bodyid[0]
         mujoco.mj_jac(model, state, jacobian, None, point, tip)
-        lift += jacobian.T @ normal * 1.5
+        lift += jacobian.T @ normal * force
         assert torque @ (jacobian.T @ normal) > 0  # presses into the object
-    assert np.abs(torque - lift).max() < 0.1
+    assert np.abs(torque - lift).max() < 0.1 * squeeze.factor  # friction makes the rest
 
 
 def test_the_shadows_coupled_joints_share_a_command(tmp_path: Path) -> None:
     grasps = plan_grasps("shadow_hand", ["sphere"], 1, workers=1, out=tmp_path / "set")
     export_dexgraspbench(grasps, tmp_path / "bench")
-    data = load(tmp_path / "bench" / "graspdata" / "sphere-0.035" / "0.npy")
+    data = load(tmp_path / "bench" / "graspdata" / "shadow_hand" / "sphere-0.035" / "0.npy")
     hand = grasps.task("sphere:0.035").hand
     assert len(data["grasp_qpos"]) == 7 + hand.nq
     change = (data["squeeze_qpos"] - data["grasp_qpos"])[7:]

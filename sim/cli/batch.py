@@ -76,6 +76,9 @@ def batch(
     max_attempts: AttemptsOption = 100,
     max_cpu_s: CpuOption = None,
     export: Annotated[Export | None, typer.Option(help="Also write OUT/dexgraspbench.")] = None,
+    export_all: Annotated[
+        bool, typer.Option(help="Fail where the format cannot take a grasp, or leave it out.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Plan many grasps on all cores into a Parquet dataset; an interrupted batch goes on.
@@ -125,8 +128,8 @@ def batch(
     summary: dict[str, Any] = batch_summary(grasps)
     write_json(summary, folder / "summary.json")
     if export is not None:
-        count = export_dexgraspbench(grasps, folder / export.value)
-        say(err, escape(f"{count} grasps exported to {folder / export.value}"))
+        exported = export_dexgraspbench(grasps, folder / export.value, need_all=export_all)
+        say(err, escape(f"{exported.summary}: {folder / export.value}"))
     if as_json:
         print_json(summary)
     else:

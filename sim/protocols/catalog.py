@@ -9,7 +9,7 @@ from typing import TypeAlias
 from planner.errors import NotFoundError
 from planner.task import GraspTask
 from sim.protocols.cases import Case
-from sim.protocols.fc import fc_cases, without_servos
+from sim.protocols.fc import fc_cases, unsuitable_for_fc
 from sim.protocols.forces import forces_cases
 from sim.protocols.robust import robust_cases
 from sim.protocols.settings import Settings
@@ -30,7 +30,7 @@ PROTOCOLS: Mapping[str, MakeCases] = MappingProxyType(
 """Name -> what makes the trials out of settings and the seed of random directions and errors."""
 
 _UNSUITABLE: Mapping[str, Callable[[GraspTask], str]] = {
-    "fc": lambda task: without_servos(task.hand),
+    "fc": lambda task: unsuitable_for_fc(task.hand),
     "shake": lambda task: on_an_arm(task.hand),
 }
 """Name -> why the protocol cannot take a task, of those that cannot take every one."""

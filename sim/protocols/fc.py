@@ -6,11 +6,10 @@ pre-grasp to the grasp in 10 stages of 10 steps, to the squeeze likewise, then a
 times the object's mass at its centre for 2 s. Every 0.2 s the object must be within 50 mm and 15
 degrees of its first pose. There is no gravity, the object weighs 0.1 kg, a time step is 4 ms,
 friction is 0.6 and 0.02 m, contacts of 4 dimensions, impratio 10, two noslip iterations, and a
-hand that begins more than 10 mm inside the object or itself fails.
+hand that begins more than 10 mm inside the object or itself fails. The world is that of
+``sim.protocols.fc_scene``; hand, pieces and squeeze are those of the export of a batch.
 
-The squeeze posture is the one whose commands make the plan's forces without gravity, as in the
-export of a batch. What differs: the hand's own servos act instead of ones with kp 5, and the hand
-is carried by six stiff servos instead of a weld to a mocap body.
+``opposable bench dexgraspbench`` compares the verdicts with those of the benchmark itself.
 """
 
 from __future__ import annotations
@@ -20,25 +19,21 @@ from typing import Any
 
 import numpy as np
 
+from planner.batch.dexgraspbench import plan_squeeze
+from planner.batch.dexgraspbench.object_files import frame_shift
+from planner.batch.dexgraspbench.squeeze import MASS, PUSH, without_servos
 from planner.errors import TaskError
 from planner.hand import Hand
-from planner.judge import plan_forces
 from planner.plan import GraspPlan
-from planner.spatial import FloatArray, rotation_angle
+from planner.spatial import SE3, FloatArray, rotation_angle
 from sim.controllers import Observation
-from sim.physics import PhysicsOptions
 from sim.protocols.cases import AXES, Conditions, axis_of
+from sim.protocols.fc_scene import fc_physics, fc_scene
 from sim.protocols.hold import Hold
 from sim.protocols.outcome import Fault, Outcome
 from sim.timeline import Timeline
 
-__all__ = ["FcCase", "Replay", "fc_cases", "fc_physics", "without_servos"]
-
-MASS = 0.1
-"""Of the object, kg."""
-
-PUSH = 10.0
-"""Force over the object's mass, m/s2."""
+__all__ = ["FcCase", "Replay", "fc_cases", "fc_physics", "unsuitable_for_fc"]
 
 STAGES, CHECK_S, CHECKS = 10, 0.2, 10
 """Stages of a motion; time between checks (s), and how many there are."""
@@ -67,7 +62,7 @@ class FcCase:
         """The direction."""
         return f"fc {AXES[self.index]}"
 
-    def run(self, plan: GraspPlan, conditions: Conditions) -> Outcome:
+    def run(self, plan: GraspPlan, conditions: Conditions | None = None) -> Outcome:
         """Execute it; physics and controller are the benchmark's, whatever the conditions."""
         del conditions
         task = replace(
@@ -98,21 +93,16 @@ def fc_cases() -> tuple[FcCase, ...]:
     return tuple(FcCase(index=i) for i in range(len(AXES)))
 
 
-def fc_physics() -> PhysicsOptions:
-    """The benchmark's physics."""
-    return PhysicsOptions(timestep=0.004, mu=0.6, mu_torsion=0.02, impratio=10, noslip_iterations=2)
-
-
-def without_servos(hand: Hand) -> str:
-    """Why a hand cannot be commanded by postures; "" if it can."""
-    actuation = hand.actuation
-    motors = [n for n, b in zip(actuation.names, actuation.bias, strict=True) if b[1] >= 0]
-    if not motors:
-        return ""
-    return (
-        f"protocol fc commands postures, and {', '.join(motors)} of {hand.name} are no "
-        "position servos; use the protocols forces, shake and robust"
-    )
+def unsuitable_for_fc(hand: Hand) -> str:
+    """Why a hand cannot be tested by this protocol; "" if it can."""
+    if hand.arm is not None:
+        return (
+            f"protocol fc carries the hand alone, by a weld, and {hand.name} is on an arm; use the "
+            "protocols forces and robust, or plan with the hand without its arm"
+        )
+    if reason := without_servos(hand):
+        return f"protocol fc commands postures, and {reason}; use the protocols forces and shake"
+    return ""
 
 
 class Replay:
@@ -125,16 +115,13 @@ class Replay:
             TaskError: The hand has actuators that follow no position.
         """
         hand, actuation = plan.task.hand, plan.task.hand.actuation
-        if reason := without_servos(hand):
+        if reason := unsuitable_for_fc(hand):
             raise TaskError(reason)
-        forces = plan_forces(plan.task, plan.contacts, plan.T_world_base, plan.q)
-        self.fault = "" if forces.found else forces.reason
+        squeeze = plan_squeeze(plan.task, plan.contacts, plan.T_world_base, plan.q)
+        self.fault = squeeze.reason
         self.pregrasp = actuation.moment @ plan.q_pregrasp + actuation.length0
         self.grasp = actuation.moment @ plan.q + actuation.length0
-        self.squeeze: FloatArray = self.grasp
-        if forces.found:
-            still = np.zeros(hand.nq)
-            self.squeeze, _ = actuation.ctrl_for_torque(plan.q, still, forces.joint_torques)
+        self.squeeze: FloatArray = self.grasp if self.fault else squeeze.ctrl
 
     def step(self, observation: Observation) -> FloatArray:
         """Commands (nu,) for the hand's actuators."""
@@ -162,10 +149,16 @@ class _FcTrial(Hold):
     def __init__(self, plan: GraspPlan) -> None:
         """The object is free from the beginning."""
         self._replay = Replay(plan)
+        scene, welded = fc_scene(plan.task, plan.T_world_base)
         super().__init__(
-            plan, controller=self._replay, physics=fc_physics(), lost=None, timeline=MOTION
+            plan,
+            controller=self._replay,
+            lost=None,
+            timeline=MOTION,
+            scene=scene,
+            carrier=welded,
         )
-        self.scene.release(self.data)
+        self._shift = SE3(np.eye(3), -frame_shift(plan.task.object.shape))
         at_grasp = self.scene.start(plan.q, plan.T_world_base)
         self.depths = {
             "start_penetration_mm": _deepest(self.data),
@@ -180,7 +173,7 @@ class _FcTrial(Hold):
             depth = self.depths["start_penetration_mm"]
             detail = f"{depth:.1f} mm deep before it began; {DEEP_MM:g} are let pass"
             return self.fault("penetration", detail)
-        begin = self.scene.body_pose(self.data, self.scene.object_body)
+        begin = self._object_pose()
         for phase in ("close", "squeeze"):
             if not self.run_phase(phase):
                 return self.fault("diverged", self.divergence())
@@ -190,10 +183,14 @@ class _FcTrial(Hold):
         for _ in range(CHECKS):
             if fault := self.endure(CHECK_S):
                 return fault
-            now = self.scene.body_pose(self.data, self.scene.object_body)
+            now = self._object_pose()
             moved = 1e3 * float(np.linalg.norm(now.translation - begin.translation))
             turned = float(np.rad2deg(rotation_angle(begin.rotation.T @ now.rotation)))
             if moved >= FAR_MM or turned >= FAR_DEG:
                 detail = f"the object moved {moved:.1f} mm and turned {turned:.1f} degrees"
                 return self.blamed("slipped" if self.touching() else "dropped", detail)
         return None
+
+    def _object_pose(self) -> SE3:
+        """Of the frame of the object's file, whose movement the benchmark looks at."""
+        return self.scene.body_pose(self.data, self.scene.object_body) * self._shift

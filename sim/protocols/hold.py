@@ -26,6 +26,7 @@ from sim.controllers import Controller, Event, Phase, ReportsEvents
 from sim.controllers.slip import SLIP_SPEED
 from sim.physics import PhysicsOptions
 from sim.protocols.outcome import Failure, Fault
+from sim.scene import Scene
 from sim.timeline import Timeline
 from sim.trial import Trial
 from sim.verdict import Samples
@@ -86,6 +87,8 @@ class Hold(Trial):
         physics: PhysicsOptions | None = None,
         lost: Lost | None = LOST,
         timeline: Timeline = GRIP,
+        scene: Scene | None = None,
+        carrier: Carrier | None = None,
     ) -> None:
         """Put the hand, fingers open, where it grasps.
 
@@ -95,6 +98,8 @@ class Hold(Trial):
             physics: How MuJoCo computes; defaults if None.
             lost: When the object counts as lost; None for someone else's rule.
             timeline: Durations up to the hold.
+            scene: Another scene than that of the plan's task in the air.
+            carrier: What carries the hand in it.
         """
         task = replace(plan.task, table_height=None, obstacles=())
         super().__init__(
@@ -103,6 +108,8 @@ class Hold(Trial):
             controller=controller,
             timeline=timeline,
             record_every=RECORD_EVERY,
+            scene=scene,
+            carrier=carrier,
         )
         self.data = self.scene.start(plan.q_pregrasp, plan.T_world_base)
         self.carrier = _Still(self.carrier)

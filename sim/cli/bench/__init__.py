@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import typer
 
-from sim.cli.bench import control, grasps, manipulate, motion, physics, synthesis
+from sim.cli.bench import (
+    control,
+    dexgraspbench,
+    grasps,
+    manipulate,
+    motion,
+    physics,
+    synthesis,
+)
 
 __all__ = ["register"]
 
@@ -25,6 +33,7 @@ def register(app: typer.Typer) -> None:
         motion.motion,
         manipulate.manipulate,
         physics.physics,
+        dexgraspbench.dexgraspbench,
     ):
         bench.command()(command)
     app.add_typer(bench, name="bench")
