@@ -100,9 +100,8 @@ def check_numbers(model: Any, what: str) -> None:
         if not wrong.any():
             continue
         part = int(np.argmax(wrong.any(axis=1)))
-        name = getattr(model, quantity.kind)(part).name if quantity.kind != "joint" else ""
-        if quantity.kind == "joint":
-            name = model.joint(_joint_of(model, quantity.field, part)).name
+        owner = _joint_of(model, quantity.field, part) if quantity.kind == "joint" else part
+        name = getattr(model, quantity.kind)(owner).name
         worst = rows[part][wrong[part]][0]
         raise ModelError(
             f"{what}: the {quantity.what} of {quantity.kind} {name!r} holds {worst:g}; allowed are "
