@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from typer.testing import CliRunner
 
 from planner.catalog import models_dir
 from planner.describe import CheckReport, check_hand
+from planner.describe.overlaps import frequent_overlaps
+from planner.errors import TaskError
 from planner.hand import Hand
 from planner.kinematics import HandState
 from planner.synthesis.seeds import opposition
@@ -183,14 +186,66 @@ def test_a_pad_below_another_geom_is_told(edit_hand: EditHand) -> None:
     assert "drop_collision" in found[0].what_to_do
 
 
-def test_two_fingers_are_warned_about(edit_hand: EditHand) -> None:
+def test_a_gripper_of_two_fingers_is_said_plainly(edit_hand: EditHand) -> None:
+    # run refuses it, so that check-hand may not pass it
     toml = {
         'default_fingers = ["thumb", "index", "middle", "ring"]': 'default_fingers = ["thumb", '
         '"index"]'
     }
-    report = check_hand(Hand.load(edit_hand(toml)))
-    assert report.ok
-    assert any("two fingers" in what for what in levels(report)["warning"])
+    hand = Hand.load(edit_hand(toml))
+    report = check_hand(hand)
+    assert not report.ok
+    (finding,) = (f for f in report.findings if "two fingers" in f.what)
+    assert "gripper" in finding.what and 'contact_model="soft"' in finding.what_to_do
+    with pytest.raises(TaskError, match="needs at least 3"):
+        GraspTask.create(hand, "sphere")
+
+
+def test_a_finger_that_takes_no_part_presses_with_nothing(
+    app: typer.Typer, runner: CliRunner, edit_hand: EditHand
+) -> None:
+    three = {'["thumb", "index", "middle", "ring"]': '["thumb", "index", "middle"]'}
+    path = edit_hand(three)
+    presses = {p.finger: p.presses for p in check_hand(Hand.load(path)).pads}
+    assert presses["ring"] is None
+    assert all(presses[f] is not None for f in ("thumb", "index", "middle"))
+    shown = runner.invoke(app, ["check-hand", str(path)])
+    assert shown.exit_code == 0 and "nan" not in shown.output
+
+
+def test_a_link_that_overlaps_the_one_that_carries_it_is_told_with_its_share(
+    edit_hand: EditHand,
+) -> None:
+    # a block before the knuckle, in the way of the link after the next
+    base = '<geom name="index_base" class="dark" type="box" pos="0 0 0.0082"'
+    xml = {base: f'<geom name="block" type="sphere" size="0.02" pos="0.045 0 0.055"/>{base}'}
+    hand = Hand.load(edit_hand(xml=xml))
+    overlap = frequent_overlaps(hand)[0]
+    assert overlap.bodies == ("index_base", "index_middle")
+    assert 0.2 < overlap.share <= 1.0
+    findings = [f for f in check_hand(hand).findings if "between open and pinch" in f.what]
+    assert findings and all(f.level == "warning" for f in findings)
+    assert "block" in findings[0].what and f"{100 * overlap.share:.0f} %" in findings[0].what
+    assert 'exclude = [["index_base", "index_middle"]]' in findings[0].what_to_do
+    excluded = {
+        '[[fingers]]\nname = "thumb"': "[repair]\nexclude = "
+        '[["index_base", "index_middle"], ["index_base", "index_distal"]]\n\n'
+        '[[fingers]]\nname = "thumb"'
+    }
+    assert frequent_overlaps(Hand.load(edit_hand(excluded, xml))) == ()
+
+
+def test_links_too_heavy_for_their_servos_are_told(edit_hand: EditHand) -> None:
+    xml = {
+        '<geom name="index_pad" class="pad" pos="0 0 0.0267"/>': '<geom name="index_pad" '
+        'class="pad" pos="0 0 0.0267" mass="50"/>'
+    }
+    text = (models_dir() / "hands" / "allegro_hand" / "allegro_hand.xml").read_text("utf-8")
+    for line in re.findall(r"<inertial[^>]*/>", text):
+        xml[line] = ""
+    report = check_hand(Hand.load(edit_hand(xml=xml)))
+    (finding,) = (f for f in report.findings if "cannot bear the weight" in f.what)
+    assert "A_index_1" in finding.what and "0.7 at most" in finding.what
 
 
 def test_the_report_is_plain_data(allegro_report: CheckReport) -> None:

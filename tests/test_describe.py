@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -377,6 +378,37 @@ def test_a_flat_tip_is_told_as_such_and_loads(tmp_path: Path) -> None:
     assert pad.axis == pytest.approx((1.0, 0.0, 0.0))
     assert pad.radius == pytest.approx(0.004)
     assert sum("not round" in q for q in proposal.open_questions) == 3
+
+
+def test_a_large_flat_hull_has_its_pad_on_the_face_and_not_in_the_edge(tmp_path: Path) -> None:
+    # 15 x 25 x 50 mm with edges rounded by 1.5 mm: the ball of the edge is no pad of such a tip
+    rounded = sphere_directions(600)
+    half, edge = np.array([0.0075, 0.0125, 0.025]), 0.0015
+    points = np.array([0.0, 0.0, 0.03]) + np.sign(rounded) * (half - edge) + edge * rounded
+    asset = f'<mesh name="tip" vertex="{" ".join(f"{v:.6f}" for v in points.ravel())}"/>'
+    tip = '<geom name="{name}_b" type="mesh" mesh="tip" mass="0.02"/>'
+    text = claw(tip=tip).replace("<worldbody>", f"<asset>{asset}</asset><worldbody>")
+    proposal = propose(written(tmp_path, text))
+    pad = proposal.description.fingers[0].pad
+    assert pad.axis == pytest.approx((1.0, 0.0, 0.0), abs=0.02)
+    # half as thick as the tip, below the face, between its middle and its end
+    assert pad.radius == pytest.approx(0.0075, abs=2e-4)
+    assert pad.center[0] == pytest.approx(0.0, abs=2e-4)
+    assert 0.035 < pad.center[2] < 0.045
+    assert sum("not round" in q for q in proposal.open_questions) == 3
+    Hand.load(tmp_path / "claw.xml")
+
+
+def test_a_gripper_of_two_fingers_is_said(tmp_path: Path) -> None:
+    text = claw()
+    start = text.index('<body name="right_a"')
+    text = text[:start] + text[text.index("</body>", text.index("</body>", start) + 1) + 7 :]
+    text = "".join(line for line in re.split(r"(?=<position)", text) if "right_" not in line[:30])
+    if "</actuator>" not in text:
+        text += "</actuator></mujoco>"
+    proposal = propose(written(tmp_path, text))
+    assert len(proposal.description.default_fingers) == 2
+    assert any("gripper of two fingers" in q for q in proposal.open_questions)
 
 
 def test_an_arm_upstream_is_left_out_and_said(tmp_path: Path) -> None:

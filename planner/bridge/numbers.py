@@ -13,7 +13,7 @@ import numpy as np
 
 from planner.errors import ModelError
 
-__all__ = ["check_numbers", "check_repeated_names"]
+__all__ = ["check_numbers", "check_repeated_names", "check_sizes"]
 
 MOST_LENGTH = 10.0
 """Size or offset (m) above which a part is none of a hand, nor of the arm that carries it: files in
@@ -100,9 +100,8 @@ def check_numbers(model: Any, what: str) -> None:
         if not wrong.any():
             continue
         part = int(np.argmax(wrong.any(axis=1)))
-        name = getattr(model, quantity.kind)(part).name if quantity.kind != "joint" else ""
-        if quantity.kind == "joint":
-            name = model.joint(_joint_of(model, quantity.field, part)).name
+        owner = _joint_of(model, quantity.field, part) if quantity.kind == "joint" else part
+        name = getattr(model, quantity.kind)(owner).name
         worst = rows[part][wrong[part]][0]
         raise ModelError(
             f"{what}: the {quantity.what} of {quantity.kind} {name!r} holds {worst:g}; allowed are "
@@ -148,6 +147,33 @@ def _check_coefficients(model: Any, what: str) -> None:
 
 POLYNOMIAL = 5
 """Numbers of an equality's data that are the coefficients of its polynomial."""
+
+
+def check_sizes(spec: Any, what: str) -> None:
+    """See that no part of a ``mujoco.MjSpec`` is so large that MuJoCo cannot even compile it.
+
+    With a geom of 1e300 m it gives an inertia of no number, a warning, or a refusal that names
+    neither the geom nor its size. A scene around the hand may be large; NaN stands for what a file
+    does not say. Both are left to ``check_numbers``.
+
+    Raises:
+        ModelError: A size, a position, a mass or an inertia is above ``MOST_OF_ANYTHING``.
+    """
+    fields = {"geom": ("size", "pos", "mass"), "body": ("pos", "mass", "inertia")}
+    for kind, parts in (("geom", spec.geoms), ("body", spec.bodies)):
+        for part in parts:
+            for field in fields[kind]:
+                value = np.abs(np.atleast_1d(np.asarray(getattr(part, field), dtype=np.float64)))
+                if (value > MOST_OF_ANYTHING).any():
+                    of = {"pos": "position"}.get(field, field)
+                    raise ModelError(
+                        f"{what}: the {of} of {kind} {part.name!r} holds {np.nanmax(value):g}; "
+                        "give finite numbers in metres and kilograms, as a hand has them"
+                    )
+
+
+MOST_OF_ANYTHING = 1e6
+"""Length (m), mass (kg) or inertia (kg m^2) above which nothing in a scene is."""
 
 
 def check_repeated_names(spec: Any, what: str) -> None:

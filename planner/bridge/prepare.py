@@ -15,7 +15,7 @@ import numpy as np
 
 from planner.bridge.load import RIGID_SOLIMP, RIGID_SOLREF, compile_spec
 from planner.bridge.moments import tendon_row
-from planner.bridge.numbers import check_repeated_names
+from planner.bridge.numbers import check_repeated_names, check_sizes
 from planner.description import ActuatorDescription, HandDescription
 from planner.errors import HandError, NotFoundError
 
@@ -67,9 +67,10 @@ def isolate_base(spec: Any, base_body: str, what: str) -> None:
 
     Raises:
         NotFoundError: There is no such body.
-        ModelError: Two parts of a kind share a name.
+        ModelError: Two parts of a kind share a name, or a part is larger than any.
     """
     check_repeated_names(spec, what)
+    check_sizes(spec, what)
     base = _need(spec.bodies, "body", base_body, what)
     for part in (*spec.keys, *spec.sensors, *spec.cameras, *spec.lights, *spec.skins):
         spec.delete(part)

@@ -1,7 +1,8 @@
-"""What drives a hand: couplings that cannot hold, stops that carry a contact, servos it lacks.
+"""What drives a hand: couplings that cannot hold, and stops that carry a contact.
 
-A stop is a tendon limit that takes up what no actuator can: the side is the one that resists a
-contact pressing on the pad. Servos are proposed for joints that nothing holds.
+A stop is a tendon limit, or the end of a joint's range, that takes up what no actuator can: the
+side is the one that resists a contact pressing on the pad. Servos for joints that nothing holds are
+in ``planner.describe.servos``.
 """
 
 from __future__ import annotations
@@ -15,38 +16,17 @@ from scipy.optimize import linprog
 from planner.bridge.structure import ModelStructure, TendonPart
 from planner.couplings import Coupling
 from planner.describe.proposal import Reason
-from planner.description import ActuatorDescription, CouplingDescription, JointDefaults
+from planner.description import ActuatorDescription, CouplingDescription
 from planner.spatial import FloatArray
 
 __all__ = [
     "Drive",
     "PadContact",
     "impossible_couplings",
-    "joint_defaults",
+    "in_span",
     "joint_stops",
-    "missing_servos",
     "stops_and_springs",
 ]
-
-LARGEST_EFFORT = {"hinge": 5.0, "slide": 500.0}
-"""Efforts (N m, N) above these are not those of a finger's joint: URDF files often hold fillers."""
-
-USUAL_EFFORT = {"hinge": 0.7, "slide": 20.0}
-"""Effort (N m, N) where the model names none that is credible: 7 N at a fingertip 0.1 m from the
-joint, what servo-driven hands of a human's size do."""
-
-SERVO_TRAVEL = {"hinge": 0.25, "slide": 0.005}
-"""Error (rad, m) at which a proposed servo pushes with its whole force."""
-
-SLOWEST_JOINT = 0.3
-"""Time constant damping/kp (s) above which a joint's own damping makes closing a hand a matter of
-seconds."""
-
-STICKIEST_JOINT = 0.3
-"""Share of a servo's force that dry friction may eat (-)."""
-
-USUAL_ARMATURE = 2e-4
-"""Inertia (kg m2) of a small geared motor seen from the joint."""
 
 LEAST_TRAVEL = 0.05
 """A coupling that leaves every joint that it ties less than this share of its range is wrong."""
@@ -119,11 +99,11 @@ def stops_and_springs(
     out, reasons = [], []
     for tendon in structure.tendons:
         tied = np.flatnonzero(tendon.row)
-        settled = _is_driven(structure, tendon) or _in_span(tendon.row, [c.row for c in equalities])
+        settled = _is_driven(structure, tendon) or in_span(tendon.row, [c.row for c in equalities])
         if len(tied) < 2 or settled:
             continue
         low, high = _reach(tendon.row, lower, upper)
-        loose = not _in_span(tendon.row, held)
+        loose = not in_span(tendon.row, held)
         scale = float(np.abs(tendon.row).max())
         limits = tendon.limits
         narrow = limits is not None and limits[1] - limits[0] < NARROW * (high - low)
@@ -204,7 +184,7 @@ def joint_stops(
             ends = []
             for k in together:
                 unit = np.eye(len(names))[k]
-                if _in_span(unit, rows):
+                if in_span(unit, rows):
                     continue
                 balance = _balance(unit, rows, contacts)
                 at_lower = balance >= 0 if balance else abs(lower[k]) <= abs(upper[k])
@@ -239,156 +219,9 @@ def joint_stops(
     return Drive(couplings=tuple(out), reasons=tuple(reasons), questions=tuple(questions))
 
 
-def missing_servos(
-    structure: ModelStructure,
-    held: Sequence[FloatArray],
-    joints: Sequence[int],
-    inertia: FloatArray,
-) -> Drive:
-    """Servos for joints that neither actuators nor couplings hold, nearest to the palm first.
-
-    Args:
-        structure: The hand.
-        held: Rows (nv,) of actuators and couplings.
-        joints: Every joint, in the order in which servos are preferred.
-        inertia: (nv,), what each joint moves in the model, its rotor included, kg m2 (kg).
-    """
-    rows = list(held)
-    inertia = inertia + _missing_armature(structure)
-    groups: dict[tuple[float, float], list[str]] = {}
-    reasons, questions = [], []
-    unsaid, unbelieved = [], []
-    for j in joints:
-        unit = np.eye(len(structure.joints))[j]
-        if _in_span(unit, rows):
-            continue
-        rows.append(unit)
-        part = structure.joints[j]
-        effort = part.effort
-        if not np.isfinite(effort):
-            unsaid.append(part.name)
-            effort = USUAL_EFFORT[part.kind]
-        elif not 0 < effort <= LARGEST_EFFORT[part.kind]:
-            unbelieved.append(part.name)
-            effort = USUAL_EFFORT[part.kind]
-        kp = _two_digits(effort / SERVO_TRAVEL[part.kind])
-        groups.setdefault((kp, effort), []).append(part.name)
-    index = {j.name: k for k, j in enumerate(structure.joints)}
-    actuators = []
-    for (kp, effort), names in groups.items():
-        critical = [2 * np.sqrt(kp * inertia[index[n]]) for n in names]
-        own = [structure.joints[index[n]].damping for n in names]
-        # a joint's own damping does its part; one that is too large is replaced (joint_defaults)
-        missing = [
-            c - d if d <= SLOWEST_JOINT * kp else c / 2 for c, d in zip(critical, own, strict=True)
-        ]
-        actuators.append(
-            ActuatorDescription(
-                joints=tuple(names),
-                kp=kp,
-                damping=_two_digits(max(*missing, 0.0)),
-                force_limit=effort,
-            )
-        )
-    if actuators:
-        reasons.append(
-            Reason(
-                key="actuators",
-                value=f"position servos for {sum(len(a.joints) for a in actuators)} joints",
-                why="neither an actuator nor a coupling of the model holds them; kp brings the "
-                f"whole force at {SERVO_TRAVEL['hinge']} rad ({1e3 * SERVO_TRAVEL['slide']:g} mm), "
-                "damping makes that of the joint critical for the inertia that the heaviest of "
-                "them moves, rotor and all",
-            )
-        )
-    if unbelieved:
-        worst = max(structure.joints[index[n]].effort for n in unbelieved)
-        questions.append(
-            f"the model allows up to {worst:g} N m on {_listed(unbelieved)}, which no finger has: "
-            f"{USUAL_EFFORT['hinge']} N m is proposed; set force_limit to your hand's"
-        )
-    if unsaid:
-        questions.append(
-            f"the model does not say how strong {_listed(unsaid)} are: {USUAL_EFFORT['hinge']} N m "
-            f"({USUAL_EFFORT['slide']} N) is proposed; set force_limit to your hand's"
-        )
-    return Drive(actuators=tuple(actuators), reasons=tuple(reasons), questions=tuple(questions))
-
-
-def joint_defaults(
-    structure: ModelStructure, added: Sequence[ActuatorDescription], inertia: FloatArray
-) -> tuple[JointDefaults, tuple[Reason, ...]]:
-    """Damping and friction with which servos work, and rotors for joints that have none.
-
-    Args:
-        structure: The hand.
-        added: Proposed servos.
-        inertia: (nv,), what each joint moves in the model, its rotor included, kg m2 (kg).
-    """
-    if added:
-        inertia = inertia + _missing_armature(structure)
-    n = len(structure.joints)
-    index = {j.name: k for k, j in enumerate(structure.joints)}
-    kp, force = np.full(n, np.nan), np.full(n, np.inf)
-    for actuator in structure.actuators:
-        for k in np.flatnonzero(actuator.row):
-            kp[k] = np.nanmax([kp[k], actuator.stiffness * actuator.row[k] ** 2])
-            force[k] = min(force[k], actuator.force_limit * abs(actuator.row[k]))
-    for servo in added:
-        for name in servo.joints:
-            kp[index[name]], force[index[name]] = servo.kp, servo.force_limit
-    damping = np.array([j.damping for j in structure.joints])
-    friction = np.array([j.frictionloss for j in structure.joints])
-    driven = kp > 0
-    slow = driven & (damping > SLOWEST_JOINT * kp)
-    sticky = driven & (friction > STICKIEST_JOINT * force)
-    reasons, values = [], {}
-    if slow.any():
-        worst = int(np.argmax(np.where(slow, damping / np.where(driven, kp, 1.0), 0.0)))
-        values["damping"] = _two_digits(float(np.nanmax(2 * np.sqrt(kp * inertia)[driven])) / 2)
-        reasons.append(
-            Reason(
-                key="joint_defaults.damping",
-                value=f"{values['damping']:g} N m s/rad, half the critical damping",
-                why=f"the model says {damping[worst]:g} for {structure.joints[worst].name}, whose "
-                f"servo has kp {kp[worst]:g}: it would take {damping[worst] / kp[worst]:.1f} s to "
-                "close most of an error",
-            )
-        )
-    if sticky.any():
-        worst = int(np.argmax(np.where(sticky, friction, 0.0)))
-        values["frictionloss"] = 0.0
-        reasons.append(
-            Reason(
-                key="joint_defaults.frictionloss",
-                value="0",
-                why=f"the model says {friction[worst]:g} for {structure.joints[worst].name}, whose "
-                f"servo gives {force[worst]:g} at most: it would hardly move",
-            )
-        )
-    if added and _missing_armature(structure).any():
-        values["least_armature"] = USUAL_ARMATURE
-        kept = [j.name for j in structure.joints if j.armature >= USUAL_ARMATURE]
-        reasons.append(
-            Reason(
-                key="joint_defaults.least_armature",
-                value=f"{USUAL_ARMATURE:g} kg m2",
-                why="the proposed servos have rotors, which the model does not know; light links "
-                "would swing at rates that a time step of 2 ms does not resolve"
-                + (f"; {_listed(kept)} keep the armature that the model gives" if kept else ""),
-            )
-        )
-    return JointDefaults(**values), tuple(reasons)
-
-
-def _missing_armature(structure: ModelStructure) -> FloatArray:
-    """What each joint's rotor (nv,) lacks of a usual one, kg m2 (kg)."""
-    return np.maximum(USUAL_ARMATURE - np.array([j.armature for j in structure.joints]), 0.0)
-
-
 def _is_driven(structure: ModelStructure, tendon: TendonPart) -> bool:
     """Whether an actuator pulls along the tendon itself: its limits are that actuator's range."""
-    return any(_in_span(tendon.row, [a.row]) for a in structure.actuators)
+    return any(in_span(tendon.row, [a.row]) for a in structure.actuators)
 
 
 def _resisting_side(
@@ -414,7 +247,8 @@ def _balance(row: FloatArray, held: Sequence[FloatArray], contacts: Sequence[Pad
     return sum(votes) / len(votes) if votes else 0.0
 
 
-def _in_span(row: FloatArray, rows: Sequence[FloatArray]) -> bool:
+def in_span(row: FloatArray, rows: Sequence[FloatArray]) -> bool:
+    """Whether a row is a sum of multiples of others."""
     if not len(rows):
         return False
     basis = np.array([r / max(float(np.linalg.norm(r)), 1e-12) for r in rows])
@@ -430,13 +264,3 @@ def _reach(row: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[float
 def _tidy(value: float) -> float:
     """Without the noise of the last digits."""
     return float(f"{value:.9g}") + 0.0
-
-
-def _two_digits(value: float) -> float:
-    return float(f"{value:.2g}")
-
-
-def _listed(names: Sequence[str]) -> str:
-    """The first names and how many there are."""
-    few = ", ".join(names[:3])
-    return few if len(names) <= 3 else f"{few} and {len(names) - 3} other joints"

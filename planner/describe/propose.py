@@ -26,14 +26,7 @@ from planner.describe.anatomy import (
     palm_body,
     palm_normal,
 )
-from planner.describe.drive import (
-    Drive,
-    PadContact,
-    joint_defaults,
-    joint_stops,
-    missing_servos,
-    stops_and_springs,
-)
+from planner.describe.drive import Drive, PadContact, joint_stops, stops_and_springs
 from planner.describe.fingertips import Fingertip, Skeleton
 from planner.describe.overlaps import frequent_overlaps
 from planner.describe.pads import PadFit
@@ -45,6 +38,7 @@ from planner.describe.repairs import (
     without_impossible_couplings,
     without_overlaps,
 )
+from planner.describe.servos import joint_defaults, missing_servos
 from planner.describe.tree import Branch, HandTree, finger_names, read_tree
 from planner.description import CouplingDescription, HandDescription
 from planner.errors import HandError

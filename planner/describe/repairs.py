@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.bridge import compile_spec, couplings_from_mujoco
 from planner.bridge.load import compile_balanced
-from planner.bridge.numbers import check_numbers
+from planner.bridge.numbers import check_numbers, check_sizes
 from planner.bridge.pinocchio_model import pinocchio_from_mujoco
 from planner.bridge.prepare import name_parts, prepare_spec
 from planner.bridge.structure import structure_of
@@ -46,6 +46,7 @@ def repair_and_base(
     """What the file needs to be read rightly, and the root of the hand in it."""
     raw = spec.copy()
     name_parts(raw)
+    check_sizes(raw, what)
     model, balanced = compile_balanced(raw, what)
     structure = structure_of(model)
     angle: Literal["radian", "degree"] | None = None
