@@ -134,9 +134,7 @@ ALONGSIDE = 0.998
 degrees."""
 
 
-def _turned(
-    moved: Movement, start_of: Callable[[FloatArray], Start], start: Start
-) -> Exit:
+def _turned(moved: Movement, start_of: Callable[[FloatArray], Start], start: Start) -> Exit:
     """The shortest way out from one start, turned to the normal at its end as long as it gains."""
     best = _exit(moved, start)
     for _ in range(TURNS):
@@ -185,9 +183,7 @@ def _exit(moved: Movement, start: Start) -> Exit:
     return Exit(way=way - apart, along=along, normal=at.normal, on_mesh=at.on_mesh)
 
 
-def _pushed(
-    moved: Movement, way: FloatArray, at: Moved
-) -> tuple[FloatArray, Moved] | None:
+def _pushed(moved: Movement, way: FloatArray, at: Moved) -> tuple[FloatArray, Moved] | None:
     """A translation out of a concave corner: the least one across all planes met so far.
 
     Args:
