@@ -49,8 +49,8 @@ FLATTEST = 0.1
 """Least slope (-) of the distance along a direction that Newton's step trusts."""
 
 ALIGNED = 1e-3
-"""One less the cosine between direction and normal up to which turning is not worth it: of convex
-bodies, no direction gains more than that share of the way."""
+"""One less the cosine between direction and normal up to which turning is not worth it: it gains
+about that share of the way."""
 
 GAIN = 5e-7
 """What a direction may gain (m) at most for not being tried."""
