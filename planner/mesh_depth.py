@@ -28,7 +28,7 @@ from scipy.optimize import nnls
 
 from planner.spatial import FloatArray
 
-__all__ = ["TOLERANCE", "Exit", "Moved", "Start", "shortest_exit"]
+__all__ = ["TOLERANCE", "Exit", "Moved", "Movement", "Start", "shortest_exit"]
 
 TOLERANCE = 2e-6
 """Distance (m) at which a geometry counts as having just left: twice coal's accuracy."""
@@ -39,7 +39,7 @@ TURNS = 5
 STEPS = 16
 """Queries along one direction on the way back to the surface; two to four are usual."""
 
-GROWTH = 1.5
+GROWTH = 2.0
 """Factor by which a way is lengthened that has not yet led out."""
 
 SHORTEST = 2e-4
@@ -48,12 +48,12 @@ SHORTEST = 2e-4
 FLATTEST = 0.1
 """Least slope (-) of the distance along a direction that Newton's step trusts."""
 
-ALIGNED = 1e-6
-"""One less the cosine between direction and normal up to which turning gains nothing: 3 nm at a
-depth of 3 mm."""
+ALIGNED = 1e-3
+"""One less the cosine between direction and normal up to which turning is not worth it: it gains
+about that share of the way."""
 
-GAIN = 1e-7
-"""What a direction must gain (m) for a further one to be tried."""
+GAIN = 5e-7
+"""What a direction may gain (m) at most for not being tried."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,15 +103,19 @@ class Exit:
     on_mesh: FloatArray
 
 
+Movement = Callable[[FloatArray, float], Moved]
+"""How they lie after a translation (3,), m, and a bound (m) that their distance does not exceed."""
+
+
 def shortest_exit(
-    moved: Callable[[FloatArray], Moved],
+    moved: Movement,
     starts: Sequence[FloatArray],
     start_of: Callable[[FloatArray], Start],
 ) -> Exit:
     """The shortest way out of those tried.
 
     Args:
-        moved: How they lie after a translation (3,), m.
+        moved: How they lie after a translation.
         starts: Directions (3,) to begin with, unit; at least one.
         start_of: What is known of the way along a direction.
     """
@@ -130,14 +134,12 @@ ALONGSIDE = 0.998
 degrees."""
 
 
-def _turned(
-    moved: Callable[[FloatArray], Moved], start_of: Callable[[FloatArray], Start], start: Start
-) -> Exit:
+def _turned(moved: Movement, start_of: Callable[[FloatArray], Start], start: Start) -> Exit:
     """The shortest way out from one start, turned to the normal at its end as long as it gains."""
     best = _exit(moved, start)
     for _ in range(TURNS):
         slope = float(best.normal @ best.along)
-        if slope > 1.0 - ALIGNED:
+        if slope > 1.0 - ALIGNED or best.way * (1.0 - slope) < GAIN:
             break
         known = start_of(best.normal)
         # the plane that they touch last is as far away as this: all there is if both are convex
@@ -149,12 +151,12 @@ def _turned(
     return best
 
 
-def _exit(moved: Callable[[FloatArray], Moved], start: Start) -> Exit:
+def _exit(moved: Movement, start: Start) -> Exit:
     """The way out along one direction, or beside it where something is in the way."""
     along, inside = start.along, 0.0
     # a little farther, lest what they leave is what they cross by a rounding error
     way = min(max(start.likely, 0.0) + TOLERANCE / 2, start.certain)
-    at = moved(way * along)
+    at = moved(way * along, np.inf)
     if at.distance <= 0.0:
         pushed = _pushed(moved, way * along, at)
         if pushed is not None:
@@ -162,17 +164,18 @@ def _exit(moved: Callable[[FloatArray], Moved], start: Start) -> Exit:
             along = pushed[0] / way
     while at.distance <= 0.0 and way < start.certain:
         inside, way = way, min(max(GROWTH * way, SHORTEST), start.certain)
-        at = moved(way * along)
+        at = moved(way * along, np.inf)
     for _ in range(STEPS):
         if at.distance <= TOLERANCE or way - inside <= TOLERANCE:
             break
         missing = at.distance - TOLERANCE / 2
         nearer = way - missing / max(float(at.normal @ along), FLATTEST)
         nearer = nearer if nearer > inside else (inside + way) / 2
-        there = moved(nearer * along)
+        # a distance changes by no more than the step
+        there = moved(nearer * along, at.distance + way - nearer + TOLERANCE)
         if there.distance <= 0.0:
             inside, nearer = nearer, max(way - missing, (inside + way) / 2)
-            there = moved(nearer * along)
+            there = moved(nearer * along, at.distance + way - nearer + TOLERANCE)
             if there.distance <= 0.0:  # rounding: the way so far is one that leads out
                 break
         way, at = nearer, there
@@ -180,9 +183,7 @@ def _exit(moved: Callable[[FloatArray], Moved], start: Start) -> Exit:
     return Exit(way=way - apart, along=along, normal=at.normal, on_mesh=at.on_mesh)
 
 
-def _pushed(
-    moved: Callable[[FloatArray], Moved], way: FloatArray, at: Moved
-) -> tuple[FloatArray, Moved] | None:
+def _pushed(moved: Movement, way: FloatArray, at: Moved) -> tuple[FloatArray, Moved] | None:
     """A translation out of a concave corner: the least one across all planes met so far.
 
     Args:
@@ -202,7 +203,7 @@ def _pushed(
         across = _least_across(np.array(normals), np.array(rooms))
         if across is None:
             return None
-        way, at = across, moved(across)
+        way, at = across, moved(across, np.inf)
         if at.distance > 0.0:
             return way, at
     return None

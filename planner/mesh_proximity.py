@@ -148,9 +148,11 @@ class MeshPair:
         surface, outward = mesh.closest_point(middle[None])
         identity, at = coal.Transform3s.Identity(), coal.Transform3s(pose)
 
-        def moved(way: FloatArray) -> Moved:
+        def moved(way: FloatArray, bound: float) -> Moved:
             at.setTranslation(begin + way)
             result.clear()
+            if bound < np.inf:
+                result.min_distance = bound + reach
             distance = float(self._compute(at, identity, self._request, result))
             on_mesh, normal = np.array(result.getNearestPoint2()), -np.array(result.normal)
             outside = distance > 0.0

@@ -22,7 +22,7 @@ from planner.bridge.object_body import object_body
 from planner.errors import NotFoundError, ObjectError
 from planner.regions import TouchRegion
 from planner.shapes import SIZED_SHAPES, Mesh, Shape
-from planner.shapes.mesh_io import MESH_SUFFIXES
+from planner.shapes.mesh_io import CONVERTIBLE, MESH_SUFFIXES
 from planner.spatial import SE3
 
 __all__ = ["DEFAULT_MASS", "GraspObject", "object_names", "parse_object"]
@@ -34,7 +34,7 @@ HEAVIEST = 100.0
 """Largest mass (kg) that is believed: more is too heavy to lift, or was given in grams."""
 
 _MESH_FILE = re.compile(
-    rf"(.*(?:{'|'.join(re.escape(s) for s in MESH_SUFFIXES)}))(?:\*(.*))?", re.I
+    rf"(.*(?:{'|'.join(re.escape(s) for s in (*MESH_SUFFIXES, *CONVERTIBLE))}))(?:\*(.*))?", re.I
 )
 _MODEL_BODY = re.compile(r"(.*\.(?:xml|mjcf|urdf))#(.*)", re.I)
 
@@ -133,8 +133,8 @@ def _parse_shape(spec: str, repair: bool) -> tuple[str, Shape, float]:
     kind = kind.strip()
     if kind not in SIZED_SHAPES:
         hint = (
-            "Sizes follow a colon, in metres: box:0.05x0.05x0.08. A mesh is the path of an OBJ, "
-            "STL or PLY file: mug.stl, or mug.stl*0.001 if in millimetres."
+            "Sizes follow a colon, in metres: box:0.05x0.05x0.08. A mesh is the path of a GLB, "
+            "OBJ, PLY or STL file: mug.stl, or mug.stl*0.001 if in millimetres."
         )
         raise NotFoundError("object", kind, object_names(), hint)
     shape = SIZED_SHAPES[kind]

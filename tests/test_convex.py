@@ -26,12 +26,14 @@ def ring(count: int, radius: float = 0.03) -> FloatArray:
     return np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros(count)])
 
 
+UP = np.array([0.0, 0.0, 0.05])
+
 SOLIDS = {
     f"{name} {count}": points
     for count in (254, 255, 256, 1000)
     for name, points in (
-        ("cylinder", np.concatenate([ring(count), ring(count) + [0.0, 0.0, 0.05]])),
-        ("cone", np.concatenate([ring(count), [[0.0, 0.0, 0.05]]])),
+        ("cylinder", np.concatenate([ring(count), ring(count) + UP])),
+        ("cone", np.concatenate([ring(count), UP[None]])),
         ("flat cone", np.concatenate([ring(count), [[0.0, 0.0, 0.001]]])),
         ("leaning double cone", np.concatenate([ring(count), [[0.0, 0, 0.03], [0.01, 0, -0.03]]])),
     )

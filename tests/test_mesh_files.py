@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -49,6 +52,30 @@ def test_millimetres_with_a_scale(tmp_path: Path) -> None:
     assert parse_object(mesh.spec).shape == mesh
     with pytest.raises(ObjectError, match=r"is 100 m long.*in millimetres, give scale 0\.001"):
         parse_object(str(path))
+
+
+def test_a_glb_file_is_read_with_everything_where_the_file_places_it(tmp_path: Path) -> None:
+    scene = trimesh.Scene()
+    for x in (0.0, 0.2):
+        placed = np.eye(4)
+        placed[0, 3] = x
+        scene.add_geometry(trimesh.creation.box((0.05, 0.06, 0.08)), transform=placed)
+    scene.export(tmp_path / "pair.glb")
+    mesh = parse_object(str(tmp_path / "pair.glb")).shape
+    assert isinstance(mesh, Mesh)
+    assert mesh.volume == pytest.approx(2 * 0.05 * 0.06 * 0.08)
+    np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0), [0.25, 0.06, 0.08], atol=1e-7)
+
+
+def test_the_remedy_for_other_formats_works(tmp_path: Path) -> None:
+    """The command of the message is run as it is told."""
+    trimesh.creation.box((0.05, 0.06, 0.08)).export(tmp_path / "crate.off")
+    with pytest.raises(ObjectError) as told:
+        Mesh.load(tmp_path / "crate.off")
+    code = re.search(r'python -c "(.*)"', str(told.value))
+    assert code is not None
+    subprocess.run([sys.executable, "-c", code[1]], check=True, timeout=120)
+    assert Mesh.load(tmp_path / "crate.ply").volume == pytest.approx(0.05 * 0.06 * 0.08)
 
 
 def test_seams_of_an_obj_are_merged(tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ TOO_MANY = "Too many neighbors"
 
 
 def _coal_hull(corners: FloatArray, options: str) -> Any | None:
-    """Coal's hull; None where a corner has too many neighbours."""
+    """The hull by coal; None where a corner has too many neighbours."""
     points = coal.StdVec_Vec3s()
     points.extend(list(np.asarray(corners, dtype=np.float64)))
     try:

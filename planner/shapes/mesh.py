@@ -117,7 +117,7 @@ class Mesh(Shape):
 
     @classmethod
     def load(cls, path: Path | str, *, scale: float = 1.0, repair: bool = False) -> Mesh:
-        """A mesh from an OBJ, STL or PLY file.
+        """A mesh from a GLB, OBJ, PLY or STL file.
 
         Args:
             path: The file.
@@ -144,7 +144,7 @@ class Mesh(Shape):
     @classmethod
     def from_sizes(cls, sizes: Sequence[float]) -> Self:
         """Not for meshes of files: they are named by their path."""
-        raise ObjectError("a mesh has no sizes; give the path of an OBJ, STL or PLY file")
+        raise ObjectError("a mesh has no sizes; give the path of a GLB, OBJ, PLY or STL file")
 
     @property
     def sizes(self) -> tuple[float, ...]:

@@ -13,17 +13,26 @@ from planner.shapes.mesh_repair import repaired
 from planner.shapes.soundness import MOST_TRIANGLES, Fault, faults_of, size_fault
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["MESH_SUFFIXES", "check_solid", "read_mesh"]
+__all__ = ["CONVERTIBLE", "MESH_SUFFIXES", "check_solid", "read_mesh"]
 
-MESH_SUFFIXES = (".obj", ".ply", ".stl")
+MESH_SUFFIXES = (".glb", ".obj", ".ply", ".stl")
 """File formats that are read, by their suffix in lower case."""
+
+CONVERTIBLE = {
+    ".3mf": "networkx lxml",
+    ".dae": "pycollada",
+    ".gltf": "",
+    ".off": "",
+}
+"""Formats of meshes that trimesh converts, and the packages that it needs for that."""
 
 
 def read_mesh(path: Path, scale: float) -> tuple[FloatArray, IntArray]:
     """Vertices (n, 3), m, and faces (m, 3) of a file; seams of colours and normals are merged.
 
     Args:
-        path: An OBJ, STL or PLY file; several objects in one file become one mesh.
+        path: A GLB, OBJ, PLY or STL file; several objects in one file become one mesh, each where
+            the file places it. Axes are the file's: in a GLB file, y is up.
         scale: Metres per unit of the file.
 
     Raises:
@@ -32,6 +41,7 @@ def read_mesh(path: Path, scale: float) -> tuple[FloatArray, IntArray]:
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise ObjectError(
             f"{path.name!r} is not a mesh that can be read; give one of {', '.join(MESH_SUFFIXES)}"
+            f"{_conversion(path)}"
         )
     try:
         there = path.is_file()
@@ -54,6 +64,17 @@ def read_mesh(path: Path, scale: float) -> tuple[FloatArray, IntArray]:
         raise ObjectError(f"{path.name} has vertices that are NaN or infinite; export it again")
     used, faces = np.unique(faces, return_inverse=True)
     return vertices[used] * scale, faces.reshape(-1, 3).astype(np.int64)
+
+
+def _conversion(path: Path) -> str:
+    """How to make a file of another format one that is read; "" where we know no way."""
+    packages = CONVERTIBLE.get(path.suffix.lower())
+    if packages is None:
+        return ""
+    needed = f" (after pip install {packages})" if packages else ""
+    source, target = path.as_posix(), path.with_suffix(".ply").as_posix()
+    command = f"import trimesh; trimesh.load_mesh({source!r}).export({target!r})"
+    return f'. To convert it{needed}: python -c "{command}"'
 
 
 def _read(path: Path) -> tuple[FloatArray, IntArray]:
