@@ -202,8 +202,9 @@ def test_what_is_no_pose_is_refused(allegro: Hand, pose: Any) -> None:
 
 @pytest.mark.parametrize("name", ["gravity", "wrist_q"])
 def test_what_are_no_numbers_is_refused(shadow: Hand, name: str) -> None:
+    given: Any = {name: "down"}
     with pytest.raises(TaskError, match=f"{name} is"):
-        GraspTask.create(shadow, "box", **{name: "down"})
+        GraspTask.create(shadow, "box", **given)
     with pytest.raises(TaskError, match="size"):
         Obstacle(name="wall", size="large", T_world_obstacle=SE3.Identity())  # type: ignore[arg-type]
 

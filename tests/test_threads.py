@@ -8,6 +8,8 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -138,7 +140,7 @@ def test_iterators_of_attempts_may_be_mixed_and_moved(allegro: Hand) -> None:
     for k in range(4):
         for results, iterator in zip(mixed, running, strict=True):
             if k % 2:  # every other attempt in another thread than the one that began
-                results.extend(at_once(lambda it=iterator: outcome(next(it))))
+                results.extend(at_once(partial(lambda it: outcome(next(it)), iterator)))
             else:
                 results.append(outcome(next(iterator)))
     assert mixed == alone
@@ -230,8 +232,7 @@ def test_certificates_of_threads_are_those_of_one(two_plans: list[GraspPlan]) ->
 def test_a_mesh_that_threads_share_is_prepared_once(
     allegro: Hand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from planner.shapes import mesh
-
+    mesh = import_module("planner.shapes.mesh")
     fits = [0]
 
     def fit(*arguments: Any) -> Any:
