@@ -127,7 +127,7 @@ ALLOWED = {
     "planner.paths": ("spatial",),
     "planner.plain": (),
     "planner.quality": ("errors", "spatial", "contacts", "plain", "programme"),
-    "planner.forces": ("errors", "spatial", "contacts", "actuation", "programme"),
+    "planner.forces": ("errors", "spatial", "contacts", "actuation", "programme", "threads"),
     "planner.shapes": ("errors", "spatial"),
     "planner.regions": ("errors", "spatial"),
     "planner.objects": ("errors", "spatial", "bridge", "regions", "shapes"),

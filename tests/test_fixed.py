@@ -68,7 +68,7 @@ def test_nothing_that_is_given_is_kept(allegro: Hand) -> None:
     size[:], gravity[:] = 9.0, 9.0
     obstacles.clear()
     for pose in (task.T_world_object, task.T_world_base, task.obstacles[0].T_world_obstacle):
-        assert pose.translation.tolist() == [0.0, 0.0, 0.3]
+        assert pose is not None and pose.translation.tolist() == [0.0, 0.0, 0.3]
         assert (pose.rotation == np.eye(3)).all()
     assert task.obstacles[0].size.tolist() == [0.02] * 3
     assert task.gravity.tolist() == [0.0, 0.0, -9.81]

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from functools import partial
 from importlib import import_module
@@ -29,7 +30,7 @@ from planner.programme import programme
 from planner.quality import force_closure
 from planner.search import attempts, plan_grasp
 from planner.task import GraspTask
-from planner.threads import built, kept_by_thread, made_once
+from planner.threads import built, kept_by_thread, made_once, without_warnings
 
 OFTEN = 1e-6
 """Time (s) after which threads change places: as often as Python lets them."""
@@ -316,3 +317,25 @@ for name in names:
         [sys.executable, "-c", code], capture_output=True, text=True, env=os.environ, check=False
     )
     assert done.returncode == 0, done.stderr[-2000:]
+
+
+def test_threads_that_want_no_warnings_leave_them_as_they_were() -> None:
+    before = list(warnings.filters)
+    entered, left = threading.Event(), threading.Event()
+
+    def first() -> None:
+        with without_warnings():
+            entered.set()
+            left.wait(timeout=30.0)  # leaves after the second, which entered later
+            warnings.warn("not heard", stacklevel=1)
+
+    def second() -> None:
+        entered.wait(timeout=30.0)
+        with without_warnings():
+            warnings.warn("not heard", stacklevel=1)
+        left.set()
+
+    at_once(first, second)
+    assert list(warnings.filters) == before
+    with pytest.warns(UserWarning, match="heard"):
+        warnings.warn("heard", stacklevel=1)

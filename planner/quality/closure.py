@@ -205,7 +205,7 @@ def _solve(basis: FloatArray) -> tuple[float, FloatArray, FloatArray]:
     target = np.append(np.zeros(rank), 1.0)
     cost = np.append(np.zeros(m), -1.0)
     lower = np.append(np.zeros(m), -np.inf)
-    quick = programme("highs", m + 1, rank + 1)
+    quick = programme("proximal", m + 1, rank + 1)
     x = quick.solve(g=cost, a=rows, lba=target, uba=target, lbx=lower, ubx=np.full(m + 1, np.inf))
     if x is not None:
         # -l is minimised, so the prices are minus the dual variables of the maximum.
