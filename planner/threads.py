@@ -96,8 +96,8 @@ _QUIET = _Quiet()
 def without_warnings() -> Iterator[None]:
     """No warnings meanwhile, of any thread; what the process had set is there again after the last.
 
-    ``warnings.catch_warnings`` changes the settings of the whole process, and two threads that leave
-    it in the order in which they entered leave it changed for good.
+    ``warnings.catch_warnings`` changes the settings of the whole process. Two threads that leave it
+    in the order in which they entered leave them changed for good.
     """
     with _QUIET.lock:
         if _QUIET.blocks == 0:
