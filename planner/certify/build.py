@@ -43,6 +43,8 @@ def certify(
 ) -> Certificate:
     """Bounds of epsilon, the smallest breaking disturbances, and errors that closure tolerates.
 
+    May be called from any number of threads.
+
     Disturbances are judged with the hand's actuators, stops and weight and the object's weight, as
     the plan's own forces are, without the plan's grip and without its reserve of friction. Torque
     is divided by the radius of the object's bounding sphere.

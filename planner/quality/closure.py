@@ -106,7 +106,8 @@ def force_closure(contacts: ContactSet, edges: int = 8, *, phase: float = 0.0) -
     """Force closure of the contacts, their cones inscribed with k edges.
 
     A grasp called closed is closed for the true cones too; one that is not may be closed with more
-    edges. Any number of contacts is an answerable question, none included.
+    edges. Any number of contacts is an answerable question, none included. May be called from any
+    number of threads.
 
     Args:
         contacts: n contacts.
