@@ -7,7 +7,8 @@ using recursive LDL' updates", 2022), which CasADi brings, solves the quadratic 
 to rounding in 20 to 300 us. CasADi's call by arguments would add 0.25 ms of converting; through its
 buffers it adds 10 us. What is said to be solved is checked to be allowed.
 
-SciPy's HiGHS solves the linear ones, in 3 ms. CasADi's HiGHS takes 0.2 to 1 ms, but its library
+SciPy's HiGHS solves the linear ones, in 3 ms; DAQP tries first where duality tells whether it is
+right (``planner.quality.closure``). CasADi's HiGHS takes 0.2 to 1 ms, but its library
 bears the name of that of the package highspy, which qpsolvers loads where it is installed: of the
 two the first that is loaded serves both, and the process dies. What else is installed must change
 neither answers nor speed, so CasADi's is not used at all. Its CLP and CBC give wrong answers where
@@ -27,8 +28,15 @@ from planner.threads import BUILDING, kept_by_thread
 
 __all__ = ["Programme", "ScipyProgramme", "programme"]
 
-_DAQP: dict[str, Any] = {"daqp": {"primal_tol": 1e-10}}
-"""DAQP's options."""
+PROXIMAL = 1e-3
+"""Weight (-) of the step in DAQP's proximal method, by which it solves linear programmes. Of 300
+min-weight programmes 299 are solved to 1e-9 in 0.25 ms each; with 1e-4 to 2e-7, with 1e-6 212."""
+
+_DAQP: dict[str, dict[str, Any]] = {
+    "daqp": {"primal_tol": 1e-10},
+    "proximal": {"primal_tol": 1e-10, "eps_prox": PROXIMAL},
+}
+"""DAQP's options for quadratic and for linear programmes."""
 
 _HIGHS = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
 """HiGHS at its tightest."""
@@ -66,13 +74,14 @@ class Programme(Protocol):
 class _DaqpProgramme:
     """DAQP through CasADi's buffers."""
 
-    def __init__(self, n: int, m: int) -> None:
-        """Make it for n unknowns and m rows."""
+    def __init__(self, solver: Literal["daqp", "proximal"], n: int, m: int) -> None:
+        """Make it for n unknowns and m rows; H is 0 where it is never given."""
         import casadi as ca  # loaded when the first programme is solved, not with the contacts
 
         with BUILDING:
             shapes = {"a": ca.Sparsity.dense(m, n), "h": ca.Sparsity.dense(n, n)}
-            self._solve = ca.conic("programme", "daqp", shapes, {"error_on_fail": False, **_DAQP})
+            options: dict[str, Any] = {"error_on_fail": False, "daqp": _DAQP[solver]}
+            self._solve = ca.conic("programme", "daqp", shapes, options)
         made: Any = self._solve.buffer()  # kept: the solver works in it
         self._buffer, self._run = made
         self._in = {
@@ -163,10 +172,13 @@ def _is_allowed(x: FloatArray, values: dict[str, FloatArray]) -> bool:
 
 
 @kept_by_thread(KEPT)
-def programme(solver: Literal["daqp", "highs"], n: int, m: int) -> Programme:
+def programme(solver: Literal["daqp", "proximal", "highs"], n: int, m: int) -> Programme:
     """The solver for a size, of which every thread keeps its last few.
+
+    "daqp" is for quadratic programmes, "highs" for linear ones. "proximal" is for linear ones whose
+    answer the caller checks: a tenth of the time, and wrong now and then.
 
     Its answer holds until the thread asks for another of that size: ask for the solver where it is
     used, and read its prices at once.
     """
-    return ScipyProgramme() if solver == "highs" else _DaqpProgramme(n, m)
+    return ScipyProgramme() if solver == "highs" else _DaqpProgramme(solver, n, m)

@@ -16,11 +16,13 @@ locks of its own in some builds. So expressions are only ever made under ``BUILD
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import lru_cache, wraps
 from typing import Any, Generic, ParamSpec, TypeVar, overload
 
-__all__ = ["BUILDING", "built", "kept_by_thread", "made_once"]
+__all__ = ["BUILDING", "built", "kept_by_thread", "made_once", "without_warnings"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -77,6 +79,39 @@ def kept_by_thread(size: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
         return get
 
     return decorate
+
+
+class _Quiet:
+    """How many blocks want no warnings at present, and what they found."""
+
+    def __init__(self) -> None:
+        self.lock, self.blocks = threading.Lock(), 0
+        self.before = warnings.catch_warnings()
+
+
+_QUIET = _Quiet()
+
+
+@contextmanager
+def without_warnings() -> Iterator[None]:
+    """No warnings meanwhile, of any thread; what the process had set is there again after the last.
+
+    ``warnings.catch_warnings`` changes the settings of the whole process. Two threads that leave it
+    in the order in which they entered leave them changed for good.
+    """
+    with _QUIET.lock:
+        if _QUIET.blocks == 0:
+            _QUIET.before = warnings.catch_warnings()
+            _QUIET.before.__enter__()
+            warnings.simplefilter("ignore")
+        _QUIET.blocks += 1
+    try:
+        yield
+    finally:
+        with _QUIET.lock:
+            _QUIET.blocks -= 1
+            if _QUIET.blocks == 0:
+                _QUIET.before.__exit__(None, None, None)
 
 
 class built(Generic[T]):

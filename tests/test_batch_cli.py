@@ -114,8 +114,8 @@ def test_a_batch_takes_what_a_plan_takes(tmp_path: Path) -> None:
     task = grasps.task("turned")
     assert task.object.mass == plan.task.object.mass == 0.2
     assert task.object.touch == plan.task.object.touch
-    poses = (T.homogeneous for T in (task.T_world_object, plan.task.T_world_object))
-    np.testing.assert_allclose(*poses, rtol=0, atol=1e-15)  # a plan file holds quaternions
+    mine, theirs = (T.homogeneous for T in (task.T_world_object, plan.task.T_world_object))
+    np.testing.assert_allclose(mine, theirs, rtol=0, atol=1e-15)  # plan files have quaternions
     assert grasps.manifest.max_cpu_s == 60.0
 
 

@@ -69,7 +69,7 @@ def test_nothing_that_is_given_is_kept(allegro: Hand) -> None:
     size[:], gravity[:] = 9.0, 9.0
     obstacles.clear()
     for pose in (task.T_world_object, task.T_world_base, task.obstacles[0].T_world_obstacle):
-        assert pose.translation.tolist() == [0.0, 0.0, 0.3]
+        assert pose is not None and pose.translation.tolist() == [0.0, 0.0, 0.3]
         assert (pose.rotation == np.eye(3)).all()
     assert task.obstacles[0].size.tolist() == [0.02] * 3
     assert task.gravity.tolist() == [0.0, 0.0, -9.81]
@@ -203,8 +203,9 @@ def test_what_is_no_pose_is_refused(allegro: Hand, pose: Any) -> None:
 
 @pytest.mark.parametrize("name", ["gravity", "wrist_q"])
 def test_what_are_no_numbers_is_refused(shadow: Hand, name: str) -> None:
+    given: Any = {name: "down"}
     with pytest.raises(TaskError, match=f"{name} is"):
-        GraspTask.create(shadow, "box", **{name: "down"})
+        GraspTask.create(shadow, "box", **given)
     with pytest.raises(TaskError, match="size"):
         Obstacle(name="wall", size="large", T_world_obstacle=SE3.Identity())  # type: ignore[arg-type]
 

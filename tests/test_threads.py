@@ -7,7 +7,10 @@ import os
 import subprocess
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterator
+from functools import partial
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -27,7 +30,7 @@ from planner.programme import programme
 from planner.quality import force_closure
 from planner.search import attempts, plan_grasp
 from planner.task import GraspTask
-from planner.threads import built, kept_by_thread, made_once
+from planner.threads import built, kept_by_thread, made_once, without_warnings
 
 OFTEN = 1e-6
 """Time (s) after which threads change places: as often as Python lets them."""
@@ -138,7 +141,7 @@ def test_iterators_of_attempts_may_be_mixed_and_moved(allegro: Hand) -> None:
     for k in range(4):
         for results, iterator in zip(mixed, running, strict=True):
             if k % 2:  # every other attempt in another thread than the one that began
-                results.extend(at_once(lambda it=iterator: outcome(next(it))))
+                results.extend(at_once(partial(lambda it: outcome(next(it)), iterator)))
             else:
                 results.append(outcome(next(iterator)))
     assert mixed == alone
@@ -230,8 +233,7 @@ def test_certificates_of_threads_are_those_of_one(two_plans: list[GraspPlan]) ->
 def test_a_mesh_that_threads_share_is_prepared_once(
     allegro: Hand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from planner.shapes import mesh
-
+    mesh = import_module("planner.shapes.mesh")
     fits = [0]
 
     def fit(*arguments: Any) -> Any:
@@ -315,3 +317,25 @@ for name in names:
         [sys.executable, "-c", code], capture_output=True, text=True, env=os.environ, check=False
     )
     assert done.returncode == 0, done.stderr[-2000:]
+
+
+def test_threads_that_want_no_warnings_leave_them_as_they_were() -> None:
+    before = list(warnings.filters)
+    entered, left = threading.Event(), threading.Event()
+
+    def first() -> None:
+        with without_warnings():
+            entered.set()
+            left.wait(timeout=30.0)  # leaves after the second, which entered later
+            warnings.warn("not heard", stacklevel=1)
+
+    def second() -> None:
+        entered.wait(timeout=30.0)
+        with without_warnings():
+            warnings.warn("not heard", stacklevel=1)
+        left.set()
+
+    at_once(first, second)
+    assert list(warnings.filters) == before
+    with pytest.warns(UserWarning, match="heard"):
+        warnings.warn("heard", stacklevel=1)

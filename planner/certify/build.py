@@ -43,6 +43,8 @@ def certify(
 ) -> Certificate:
     """Bounds of epsilon, the smallest breaking disturbances, and errors that closure tolerates.
 
+    May be called from any number of threads.
+
     Disturbances are judged with the hand's actuators, stops and weight and the object's weight, as
     the plan's own forces are, without the plan's grip and without its reserve of friction: what is
     proven is what the best control bears in the planned posture. Torque

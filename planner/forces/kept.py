@@ -7,7 +7,6 @@ has its arrays ready; any other solver that qpsolvers finds is called anew every
 
 from __future__ import annotations
 
-import warnings
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
@@ -20,6 +19,7 @@ from planner.errors import NotFoundError
 from planner.forces.dense import DenseQp, KeptSolver, SolverBase
 from planner.forces.kept_osqp import Osqp
 from planner.programme import programme
+from planner.threads import without_warnings
 
 __all__ = ["QUICK_SOLVER", "keep_solver", "solver_names"]
 
@@ -280,9 +280,8 @@ class _AnyQpsolver(SolverBase):
             lb=qp.lower / size,
             ub=qp.upper / size,
         )
-        with warnings.catch_warnings():
-            # that a solver found no solution is told by the return value
-            warnings.simplefilter("ignore")
+        # that a solver found no solution is told by the return value
+        with without_warnings():
             try:
                 solution = qpsolvers.solve_problem(task, solver=self._name, **self._options)
             except (qpsolvers.ProblemError, qpsolvers.SolverError, ValueError) as error:

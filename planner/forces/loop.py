@@ -87,6 +87,8 @@ class ForceStep:
 class ForceLoop:
     """A force programme that is solved again and again; see the module.
 
+    A loop is for one thread at a time; loops of different threads have nothing in common.
+
     Attributes:
         problem: The programme as it was built, for reading; ``str(loop.problem)`` prints it.
         qp: What the solver sees; forces in N, torques divided by ``problem.length``.

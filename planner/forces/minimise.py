@@ -8,7 +8,6 @@ their absolute tolerances mean the same for a pea and for a brick. Round cones g
 
 from __future__ import annotations
 
-import warnings
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
@@ -22,6 +21,7 @@ from planner.forces.kept import QUICK_SOLVER, solver_names
 from planner.forces.problem import ForceProblem
 from planner.programme import programme
 from planner.spatial import FloatArray
+from planner.threads import without_warnings
 
 __all__ = ["CONE_SOLVER", "check_solver", "minimise"]
 
@@ -104,9 +104,8 @@ def _by_qpsolvers(scaled: _Scaled, solver: str) -> tuple[FloatArray | None, str]
         lb=scaled.lower,
         ub=scaled.upper,
     )
-    with warnings.catch_warnings():
-        # That a solver found no solution is no news to a caller who gets the reason.
-        warnings.simplefilter("ignore")
+    # That a solver found no solution is no news to a caller who gets the reason.
+    with without_warnings():
         try:
             solution = qpsolvers.solve_problem(
                 task, solver=solver, **SOLVER_OPTIONS.get(solver, {})

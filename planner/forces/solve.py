@@ -87,6 +87,8 @@ def distribute_forces(
 ) -> ForceSolution:
     """Least contact forces that balance a wrench within friction, normal and actuator limits.
 
+    May be called from any number of threads.
+
     Args:
         contacts: n contacts; 0 is allowed.
         solver: "daqp", or any that qpsolvers finds; None for OSQP, or for Clarabel if the cones are

@@ -106,7 +106,8 @@ def force_closure(contacts: ContactSet, edges: int = 8, *, phase: float = 0.0) -
     """Force closure of the contacts, their cones inscribed with k edges.
 
     A grasp called closed is closed for the true cones too; one that is not may be closed with more
-    edges. Any number of contacts is an answerable question, none included.
+    edges. Any number of contacts is an answerable question, none included. May be called from any
+    number of threads.
 
     Args:
         contacts: n contacts.
@@ -205,7 +206,7 @@ def _solve(basis: FloatArray) -> tuple[float, FloatArray, FloatArray]:
     target = np.append(np.zeros(rank), 1.0)
     cost = np.append(np.zeros(m), -1.0)
     lower = np.append(np.zeros(m), -np.inf)
-    quick = programme("highs", m + 1, rank + 1)
+    quick = programme("proximal", m + 1, rank + 1)
     x = quick.solve(g=cost, a=rows, lba=target, uba=target, lbx=lower, ubx=np.full(m + 1, np.inf))
     if x is not None:
         # -l is minimised, so the prices are minus the dual variables of the maximum.
