@@ -35,7 +35,7 @@ from planner.shapes import Mesh
 from planner.shapes.pieces import Pieces
 from planner.spatial import SE3, pose_from_wxyz
 from planner.task import GraspTask
-from sim.protocols.fc_scene import fc_scene
+from sim.protocols.fc_scene import fc_contacts, fc_scene
 
 pytest.importorskip("pyarrow")
 
@@ -303,8 +303,10 @@ def test_the_world_of_fc_is_the_benchmarks(jaw: Hand) -> None:
     assert contacts
     for contact in contacts:
         # the hand's 5 ms and MuJoCo's default of 20 ms for the object, mixed
-        assert contact.solref[0] == pytest.approx(0.0125)
+        assert contact.solref == pytest.approx([0.0125, 1.0])
         assert contact.solimp[:3] == pytest.approx([0.7, 0.97, 0.00055])
+        assert contact.solref == pytest.approx(fc_contacts()["solref"])
+        assert contact.solimp == pytest.approx(fc_contacts()["solimp"])
         assert contact.friction[:3] == pytest.approx([0.6, 0.6, 0.02])
     assert model.body_mass[scene.object_body] == pytest.approx(0.1)
     assert model.body_mass[scene.object_body] == pytest.approx(plan.task.object.mass)

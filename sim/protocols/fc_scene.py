@@ -30,10 +30,13 @@ from sim.mount import Mount
 from sim.physics import PhysicsOptions
 from sim.scene import HAND_PREFIX, OBJECT, Scene, drop_options, index_scene
 
-__all__ = ["HAND_SOLIMP", "HAND_SOLREF", "Welded", "fc_physics", "fc_scene"]
+__all__ = ["HAND_SOLIMP", "HAND_SOLREF", "Welded", "fc_contacts", "fc_physics", "fc_scene"]
 
 HAND_SOLREF, HAND_SOLIMP = (0.005, 1.0), (0.5, 0.99, 0.0001)
 """Contact parameters that the benchmark gives to all geoms of a hand."""
+
+OBJECT_SOLREF, OBJECT_SOLIMP = (0.02, 1.0), (0.9, 0.95, 0.001)
+"""Those of the object, MuJoCo's defaults; a contact has the means of both."""
 
 WELD_SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
 """Impedance of the weld that carries the hand; its solref is MuJoCo's default."""
@@ -45,6 +48,15 @@ HANGER = "mocap"
 def fc_physics() -> PhysicsOptions:
     """The benchmark's options."""
     return PhysicsOptions(timestep=0.004, mu=0.6, mu_torsion=0.02, impratio=10, noslip_iterations=2)
+
+
+def fc_contacts() -> dict[str, list[float]]:
+    """Contact parameters between hand and object, as a report states them."""
+    solimp = [float(x) for x in np.mean([HAND_SOLIMP, OBJECT_SOLIMP], axis=0)]
+    return {
+        "solref": [float(x) for x in np.mean([HAND_SOLREF, OBJECT_SOLREF], axis=0)],
+        "solimp": [*solimp, 0.5, 2.0],
+    }
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

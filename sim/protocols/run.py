@@ -25,7 +25,7 @@ from sim.controllers import named_controller
 from sim.physics import PhysicsOptions
 from sim.protocols.cases import Case, Conditions, MakeController
 from sim.protocols.catalog import cases_of, trials_of, unsuitable
-from sim.protocols.fc import fc_physics
+from sim.protocols.fc_scene import fc_contacts, fc_physics
 from sim.protocols.outcome import Outcome
 from sim.protocols.report import ProtocolReport
 from sim.protocols.settings import Settings
@@ -117,6 +117,7 @@ def run_protocol(
         ).run(_run, jobs, title=f"{protocol} {name}".strip(), keep=keep, given_up=_given_up)
     task = plan.task
     own = {} if protocol == "fc" else asdict(settings)
+    stated = physics_of(plan, physics) | (fc_contacts() if protocol == "fc" else {})
     return ProtocolReport(
         protocol=protocol,
         plan=name,
@@ -125,7 +126,7 @@ def run_protocol(
         mass_kg=task.object.mass,
         controller=label,
         seed=seed,
-        physics=physics_of(plan, physics),
+        physics=stated,
         settings=own,
         epsilon_planned=plan.quality.epsilon,
         grip_N=tuple(float(f) for f in plan.forces.forces[:, 0]),
