@@ -29,7 +29,15 @@ from planner.arrays import float_array, per_item
 from planner.errors import ContactError
 from planner.spatial import SE3, FloatArray, contact_frames, skew
 
-__all__ = ["CONTACT_DIM", "MIN_EDGES", "Contact", "ContactModel", "ContactSet", "check_frames"]
+__all__ = [
+    "CONTACT_DIM",
+    "MIN_EDGES",
+    "MOST_EDGES",
+    "Contact",
+    "ContactModel",
+    "ContactSet",
+    "check_frames",
+]
 
 ContactModel: TypeAlias = Literal["frictionless", "point", "soft"]
 
@@ -47,6 +55,9 @@ MOST_FRICTION = 1e3
 normal. Beyond it the normal parts drown in the tangential ones, and rank is misjudged."""
 
 _IDENTITY = np.eye(3)
+
+MOST_EDGES = 512
+"""Most edges of a polyhedral friction cone (-): its polygon is then within 2e-5 of the circle."""
 
 _ORTHONORMAL_TOL = 1e-6
 """How far a given frame may be from a rotation matrix (-)."""

@@ -47,7 +47,7 @@ def whole_shards(folder: Path, manifest: Manifest) -> set[int]:
         if path.exists() and shard_file(folder, ATTEMPTS, shard).exists():
             try:
                 rows = pa.parquet.read_metadata(path).num_rows
-            except pa.ArrowInvalid:
+            except (pa.ArrowException, OSError):
                 continue
             if rows == manifest.rows_in(shard):
                 whole.add(shard)
@@ -64,8 +64,9 @@ def waiting_rows(folder: Path, manifest: Manifest) -> dict[int, dict[str, Any]]:
                 row = json.loads(line)
             except ValueError:
                 continue
-            if isinstance(row, dict) and 0 <= row.get("index", -1) < manifest.total:
-                rows[row["index"]] = row
+            index = row.get("index") if isinstance(row, dict) else None
+            if isinstance(index, int) and 0 <= index < manifest.total:
+                rows[index] = row
     return rows
 
 
