@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 
-EACH = 20
+EACH = 12
 """Inputs per class."""
 
 
