@@ -264,6 +264,7 @@ ALLOWED = {
         "task",
     ),
     "planner.batch": (
+        "arrays",
         "errors",
         "spatial",
         "catalog",
