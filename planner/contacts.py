@@ -32,7 +32,15 @@ from planner.spatial import FloatArray, contact_frames, skew
 if TYPE_CHECKING:
     from planner.spatial import SE3
 
-__all__ = ["CONTACT_DIM", "MIN_EDGES", "Contact", "ContactModel", "ContactSet", "check_frames"]
+__all__ = [
+    "CONTACT_DIM",
+    "MIN_EDGES",
+    "MOST_EDGES",
+    "Contact",
+    "ContactModel",
+    "ContactSet",
+    "check_frames",
+]
 
 ContactModel: TypeAlias = Literal["frictionless", "point", "soft"]
 
@@ -50,6 +58,9 @@ MOST_FRICTION = 1e3
 normal. Beyond it the normal parts drown in the tangential ones, and rank is misjudged."""
 
 _IDENTITY = np.eye(3)
+
+MOST_EDGES = 512
+"""Most edges of a polyhedral friction cone (-): its polygon is then within 2e-5 of the circle."""
 
 _ORTHONORMAL_TOL = 1e-6
 """How far a given frame may be from a rotation matrix (-)."""

@@ -281,6 +281,7 @@ ALLOWED = {
         "task",
     ),
     "planner.batch": (
+        "arrays",
         "errors",
         "spatial",
         "bridge",

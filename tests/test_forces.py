@@ -300,7 +300,7 @@ def test_forces_turn_with_everything() -> None:
     [
         ({"wrench": [0, 0, np.nan, 0, 0, 0]}, "wrench holds NaN"),
         ({"wrench": [0, 0, 1]}, r"wrench has shape \(3,\); give \(6,\)"),
-        ({"edges": 2}, "at least 3"),
+        ({"edges": 2}, "from 3 to 512"),
         ({"cone": "flat"}, "use 'inscribed', 'circumscribed' or 'round'"),
         ({"min_normal": -1.0}, "0 <= min_normal <= max_normal"),
         ({"min_normal": 2.0, "max_normal": 1.0}, "0 <= min_normal <= max_normal"),

@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from planner.batch.pool import finished
 from planner.batch.safe_path import VARIABLE, safe_path
+from planner.errors import TaskError
 
 PROGRAM = """
 import operator
@@ -49,3 +51,9 @@ def test_the_environment_is_as_before_when_the_last_has_left(
     with safe_path():
         pass
     assert os.environ[VARIABLE] == "yes"
+
+
+@pytest.mark.parametrize("workers", [0, -7, 2**63])
+def test_a_number_of_workers_that_cannot_be_is_named(workers: int) -> None:
+    with pytest.raises(TaskError, match="give a whole number from 1 to 1024"):
+        next(finished(abs, [1], workers=workers, backend="loky", given_up=lambda *_: 0))

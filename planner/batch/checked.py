@@ -16,7 +16,7 @@ from planner.batch.rows import arrow
 from planner.errors import FileFormatError
 from planner.files.data import LARGEST
 
-__all__ = ["checked_row", "reading"]
+__all__ = ["check_fingers", "checked_row", "reading"]
 
 REMEDY = "; delete that file and go on with the batch, which plans its rows again"
 
@@ -63,6 +63,19 @@ def checked_row(
         if n == 0 or any(len(row[name]) != n for name in same):
             raise FileFormatError(f"{source} is damaged: contacts of a row do not match{REMEDY}")
     return row
+
+
+def check_fingers(row: dict[str, Any], names: Sequence[str], *, source: Path | str) -> None:
+    """See that a row has a contact of each finger of its task, or of those that it names.
+
+    Raises:
+        FileFormatError: It has not.
+    """
+    fingers = row.get("fingers") or names
+    if len(row["contact_positions_object_m"]) != len(fingers) or not set(fingers) <= set(names):
+        raise FileFormatError(
+            f"{source} is damaged: a row's contacts are not those of {', '.join(names)}{REMEDY}"
+        )
 
 
 def _is_number(value: Any) -> bool:

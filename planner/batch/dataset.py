@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.batch.checked import checked_row, reading
+from planner.batch.checked import check_fingers, checked_row, reading
 from planner.batch.diversity import Diversity, diversity
 from planner.batch.features import GraspFeatures
 from planner.batch.manifest import read_manifest
@@ -186,7 +186,7 @@ class GraspSet:
     def features(self, label: str, *, most: int = MOST_COMPARED) -> GraspFeatures:
         """What grasps of an object are compared by: the first found ones, in order of k."""
         rows = [row for _, row in islice(self.found(label), most)]
-        return GraspFeatures.of_rows(self.task(label), rows)
+        return self._compared(label, rows)
 
     def thinned(self, label: str) -> IntArray:
         """Numbers of an object's rows without near-duplicates, of which the best epsilon stays."""
@@ -194,7 +194,7 @@ class GraspSet:
         for number, row in self.found(label):
             numbers.append(number)
             rows.append(row)
-        features = GraspFeatures.of_rows(self.task(label), rows)
+        features = self._compared(label, rows)
         kept = thin(features, worth=np.array([row["epsilon"] for row in rows]))
         chosen: IntArray = np.array(numbers, dtype=np.int64)[kept]
         return chosen
@@ -203,6 +203,12 @@ class GraspSet:
         """How different the grasps of an object are from each other."""
         task = self.task(label)
         return diversity(self.features(label), task.object.shape)
+
+    def _compared(self, label: str, rows: list[dict[str, Any]]) -> GraspFeatures:
+        task = self.task(label)
+        for row in rows:
+            check_fingers(row, task.finger_names, source=self.folder / GRASPS)
+        return GraspFeatures.of_rows(task, rows)
 
     @property
     def _parts(self) -> list[int]:

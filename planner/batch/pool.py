@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 
 import joblib
 
+from planner.arrays import checked_count
 from planner.batch.jobs import Job, plan_row
 from planner.batch.rows import failed_row
 from planner.batch.safe_path import safe_path
@@ -30,6 +31,9 @@ Result = TypeVar("Result")
 DEATHS_ALONE = 2
 """How often a job may kill a worker that has nothing else to do before it is given up: one
 death may be the work of the system, which ends a process when memory is short."""
+
+MOST_WORKERS = 1024
+"""Most processes of a pool: each takes some 200 MB."""
 
 AT_ONCE = 4
 """Jobs per worker that a backend without a stream of results gets at a time."""
@@ -78,7 +82,13 @@ def finished(
         backend: joblib's name of a backend.
         given_up: The result of a job that kills its worker again and again, called here with the
             job and the reason in words.
+
+    Raises:
+        TaskError: ``workers`` is neither -1 nor a number of processes.
     """
+    if workers != -1:
+        what = "workers (-1: one per core)"
+        checked_count(what, workers, least=1, most=MOST_WORKERS, error=TaskError)
     in_flight: dict[int, Item] = {}
 
     def sent() -> Iterator[tuple[int, Item]]:

@@ -27,7 +27,8 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from planner.contacts import MIN_EDGES
+from planner.arrays import checked_count
+from planner.contacts import MIN_EDGES, MOST_EDGES
 from planner.errors import ContactError
 from planner.spatial import FloatArray
 
@@ -59,10 +60,11 @@ def pyramid_faces(
         0.
 
     Raises:
-        ContactError: ``edges`` is below 3, or ``cone`` or ``limit_surface`` is unknown.
+        ContactError: ``edges`` is not 3 to 512, or ``cone`` or ``limit_surface`` is unknown.
     """
-    if edges < MIN_EDGES:
-        raise ContactError(f"a friction pyramid of {edges} edges; give at least {MIN_EDGES}")
+    checked_count(
+        "the number of sides per friction pyramid", edges, least=MIN_EDGES, most=MOST_EDGES
+    )
     if cone not in ("inscribed", "circumscribed"):
         raise ContactError(f"cone is {cone!r}; use 'inscribed' or 'circumscribed'")
     if limit_surface not in ("ellipsoid", "independent"):

@@ -32,7 +32,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from planner.arrays import checked_count, float_array
-from planner.contacts import MIN_EDGES, ContactSet
+from planner.contacts import MIN_EDGES, MOST_EDGES, ContactSet
 from planner.errors import ContactError
 from planner.spatial import FloatArray
 
@@ -40,9 +40,6 @@ __all__ = ["Cone", "RoundCones", "cone_edges", "contact_wrenches", "primitive_wr
 
 Cone: TypeAlias = Literal["inscribed", "circumscribed"]
 EdgeUnit: TypeAlias = Literal["normal", "length"]
-
-MOST_EDGES = 512
-"""Most edges of a friction cone (-): its polygon is then within 2e-5 of the circle."""
 
 LONGEST = 1e6
 """Longest characteristic length, m."""

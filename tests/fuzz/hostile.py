@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import re
 from random import Random
 from typing import Any
 
@@ -82,22 +83,32 @@ def _places(data: Any) -> Any:
             yield from _places(item)
 
 
-def replaced_numbers(source: str, rng: Random, changes: int) -> str:
-    """A text with some of its numbers replaced by hostile ones, or words by other words."""
-    import re
+def replaced_numbers(source: str, rng: Random, changes: int, *, words: float = 0.1) -> str:
+    """A text with some numbers replaced by hostile ones or multiplied, or words by other words.
 
+    Args:
+        source: The text.
+        rng: Where chance comes from.
+        changes: How many.
+        words: Share of the changes that are to words.
+    """
     for _ in range(changes):
-        pattern = r"-?\d+\.?\d*(?:e-?\d+)?" if rng.random() < 0.7 else r"[A-Za-z_]+\w*"
-        found = list(re.finditer(pattern, source))
+        if rng.random() < words:
+            found = list(re.finditer(r"[A-Za-z_]\w*", source))
+            new = rng.choice(["", rng.choice(found).group() if found else "", text(rng)])
+        else:
+            found = list(re.finditer(r"(?<![\w.])-?\d+\.?\d*(?:e-?\d+)?(?!\w)", source))
+            new = number_text(rng)
         if not found:
             break
         match = rng.choice(found)
-        if match.group()[0] in "-0123456789":
-            new = number_text(rng)
-        else:
-            new = rng.choice([rng.choice(found).group(), "", text(rng).replace("\0", "")])
-        source = source[: match.start()] + new + source[match.end() :]
+        if match.group()[0] in "-0123456789" and rng.random() < 0.6:
+            new = f"{float(match.group()) * rng.choice(FACTORS):.6g}"
+        source = source[: match.start()] + new.replace("\0", "") + source[match.end() :]
     return source
+
+
+FACTORS = (-1.0, 0.0, 0.5, 0.999, 1.001, 1.1, 2.0, 10.0, 1e-3, 1e3)
 
 
 def damaged(content: bytes, rng: Random) -> bytes:

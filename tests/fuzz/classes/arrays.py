@@ -129,7 +129,7 @@ def _shape(rng: Random) -> Callable[[], object]:
     sizes, points = [number(rng) for _ in range(3)], array(rng, 5, 3)
     if rng.random() < 0.5:
         return lambda: Sphere(sizes[0]).signed_distance(points)
-    return lambda: Box(sizes).closest_point(points)
+    return lambda: Box((sizes[0], sizes[1], sizes[2])).closest_point(points)
 
 
 def _task(rng: Random) -> Callable[[], object]:

@@ -66,8 +66,12 @@ def _change_rows(path: Path, rng: Random) -> None:
     elif isinstance(values[k], int) and not isinstance(values[k], bool):
         values[k] = rng.choice([-1, 0, 2**31, 10**9])
     index = table.column_names.index(name)
-    column = pa.array(values, type=table.schema.field(name).type)
-    field = pa.field(name, table.schema.field(name).type)
+    field = table.schema.field(name)
+    try:
+        column = pa.array(values, type=field.type)
+    except pa.ArrowInvalid:  # lists of a fixed length: another length is another type
+        column = pa.array(values)
+        field = pa.field(name, column.type)
     pq.write_table(table.set_column(index, field, column), path)
 
 

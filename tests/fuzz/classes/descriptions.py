@@ -17,7 +17,7 @@ COMMANDS = (
 
 def case(rng: Random, samples: Samples) -> list[str]:
     lines = samples.description.splitlines()
-    for _ in range(rng.choice([0, 0, 1, 2])):
+    for _ in range(rng.choice([0, 0, 0, 0, 1, 2])):
         k = rng.randrange(len(lines))
         kind = rng.randrange(3)
         if kind == 0:
@@ -29,11 +29,11 @@ def case(rng: Random, samples: Samples) -> list[str]:
     text = "\n".join(lines)
     kept = [line for line in lines if line.startswith("model")]
     if rng.random() < 0.9:
-        text = replaced_numbers(text, rng, rng.randrange(1, 4))
+        text = replaced_numbers(text, rng, rng.randrange(1, 4), words=0.15)
     if kept and rng.random() < 0.9:  # most cases are about the description, not about its model
         text = "\n".join(kept[0] if s.startswith("model") else s for s in text.splitlines())
     content = text.encode(errors="replace")
-    if rng.random() < 0.1:
+    if rng.random() < 0.05:
         content = damaged(content, rng)
     Path("hand.toml").write_bytes(content)
     return rng.choices(COMMANDS, weights=[4, 3, 1])[0]

@@ -20,7 +20,7 @@ def case(rng: Random, samples: Samples) -> Callable[[], object]:
     del samples
     mesh = rng.choice(MAKERS)(rng)
     vertices, faces = np.array(mesh.vertices), np.array(mesh.faces)
-    kind = rng.randrange(6)
+    kind = rng.randrange(8)
     if kind == 0:
         vertices[rng.randrange(len(vertices)), rng.randrange(3)] = number(rng)
     elif kind == 1:
@@ -28,7 +28,7 @@ def case(rng: Random, samples: Samples) -> Callable[[], object]:
     elif kind == 2:
         faces[rng.randrange(len(faces))] = faces[rng.randrange(len(faces))][::-1]
     elif kind == 3:
-        vertices *= abs(number(rng))
+        vertices *= rng.choice([1e-3, 0.1, 1.5, 10.0, abs(number(rng))])
     suffix = rng.choice([".stl", ".obj", ".ply"])
     path = Path(f"part{suffix}")
     with np.errstate(all="ignore"):
@@ -36,7 +36,7 @@ def case(rng: Random, samples: Samples) -> Callable[[], object]:
     content = content.encode() if isinstance(content, str) else content
     if suffix == ".obj" and rng.random() < 0.5:
         content = replaced_numbers(content.decode(), rng, 2).encode(errors="replace")
-    elif rng.random() < 0.5:
+    elif rng.random() < 0.3:
         content = damaged(content, rng)
     path.write_bytes(content)
     repair, scale = rng.random() < 0.4, abs(number(rng)) if rng.random() < 0.2 else 1.0

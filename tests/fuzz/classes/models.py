@@ -14,7 +14,7 @@ COMMANDS = ("check-hand", "inspect", "describe", "crosscheck")
 def case(rng: Random, samples: Samples) -> list[str]:
     del samples
     urdf = rng.random() < 0.4
-    text = _urdf(rng) if urdf else _mjcf(rng)
+    text = _urdf(rng) if urdf else mjcf(rng)
     for old, new in rng.sample(SWAPS, rng.choice([0, 0, 1])):
         text = text.replace(old, new, 1)
     text = replaced_numbers(text, rng, rng.choice([0, 1, 1, 2, 3]))
@@ -52,7 +52,7 @@ def _numbers(rng: Random, *sound: float) -> str:
     return " ".join(values)
 
 
-def _mjcf(rng: Random) -> str:
+def mjcf(rng: Random) -> str:
     fingers, joints = rng.choice([2, 3, 3]), rng.choice([2, 3])
     bodies, motors = [], []
     for f in range(fingers):

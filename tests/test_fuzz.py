@@ -1,0 +1,64 @@
+"""The short form of the fuzzer: ``python -m tests.fuzz`` is the long one."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+EACH = 12
+"""Inputs per class."""
+
+
+def fuzz(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "tests.fuzz", "--failures", str(folder / "f"), *arguments]
+    return subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, timeout=600, check=False
+    )
+
+
+def test_hostile_inputs_get_an_answer_or_a_named_error(tmp_path: Path) -> None:
+    done = fuzz("-n", str(EACH), "--seed", "7", folder=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = [line.split() for line in done.stdout.splitlines() if line and line[0] != " "]
+    counts = {row[0]: [int(cell) for cell in row[1:6]] for row in rows if row[0] != "class"}
+    classes = sorted(path.stem for path in (ROOT / "tests/fuzz/classes").glob("[a-z]*.py"))
+    assert sorted(counts) == classes
+    assert all(sum(good) == inputs == EACH for inputs, *good in counts.values())
+
+
+FAULTS = {
+    "raw": "raise ValueError('raw')",
+    "crash": "import os; os.kill(os.getpid(), 11)",
+    "memory": "block = bytearray(5 * 2**30); block[::4096] = b'x' * len(block[::4096])",
+    "litter": "open('MUJOCO_LOG.TXT', 'w').close()",
+    "named": "from planner.errors import TaskError; raise TaskError('named')",
+    "usage": "raise SystemExit(2)",
+    "ok": "pass",
+}
+
+
+@pytest.mark.parametrize("verdict", FAULTS)
+def test_a_fault_is_seen(tmp_path: Path, verdict: str) -> None:
+    program = f"""
+import json, sys
+sys.path.insert(0, {str(ROOT)!r})
+import types
+from tests.fuzz import harness
+harness.Samples.make = lambda self: None
+made = types.ModuleType("tests.fuzz.classes.planted")
+made.case = lambda rng, samples: (lambda: exec({FAULTS[verdict]!r}))
+sys.modules[made.__name__] = made
+with harness.Harness(0) as running:
+    print(json.dumps([outcome.verdict for outcome in running.run([("planted", 0)])]))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=200, check=False,
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert json.loads(done.stdout.splitlines()[-1]) == [verdict], done.stderr
