@@ -76,7 +76,7 @@ def test_a_grip_beyond_the_motors_is_told() -> None:
 def test_a_grasp_is_lost_by_the_defaults_and_held_by_a_remedy() -> None:
     lost = row_of("holds", "mujoco-default")
     assert (lost["held"], lost["reason"]) == (False, "slipped")
-    held = row_of("remedies", "the object's contacts")
+    held = row_of("remedies", "contacts")
     assert held["held"]
     assert 'priority="1"' in held["what"]
     assert held["physics"].startswith("mujoco-default with solref")

@@ -15,9 +15,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import mujoco
-import numpy as np
-
 from planner.errors import NotFoundError, PlannerError
 from planner.judge import plan_forces
 from planner.plain import finite
@@ -27,10 +24,11 @@ from sim.bench.journal import run_with_journal
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, task_for
 from sim.controllers import named_controller
-from sim.creep import CREEP_BUDGET, Remedy, least_creep, predicted_creep, remedies
+from sim.creep import CREEP_BUDGET, Remedy, least_creep, remedies
 from sim.physics import PhysicsOptions
 from sim.presets import PRESETS
-from sim.protocols.hold import Hold, quiet
+from sim.protocols.creep import measure_creep
+from sim.protocols.hold import quiet
 from sim.runner import Check, Runner, made_with
 from sim.scene import build_scene
 from sim.trial import simulate
@@ -49,10 +47,6 @@ FORMAT = "opposable-bench-physics"
 
 SOFT = PRESETS["mujoco-default"]
 ROUND = replace(SOFT, cone="elliptic")
-
-CALM_S, CREEP_S = 0.3, 1.0
-"""Time (s) after the grip is there that is left out, and in which creep is measured then."""
-
 
 NO_SUCH_GRIP = "the hand cannot press so hard"
 """Why there is no creep to measure with a firmer grip."""
@@ -131,7 +125,7 @@ def _closed(plan: GraspPlan, case: str) -> dict[str, Any]:
 
 def _remedy(plan: GraspPlan, case: str) -> dict[str, Any]:
     """Under the change of MuJoCo's defaults that the formula asks for."""
-    changes = dict(zip(REMEDIES, _changes(plan), strict=False))
+    changes = {change.kind: change for change in _changes(plan)}
     if case not in changes:
         return {"held": False, "reason": "there is no such remedy for this grasp"}
     return {**_trial(plan, changes[case].physics, "open"), "what": changes[case].what}
@@ -164,24 +158,14 @@ def _creep(plan: GraspPlan, case: str) -> dict[str, Any]:
     pressed = _gripped(plan, variant.grip)
     if pressed is None:
         return {"error": NO_SUCH_GRIP}
-    hold = Hold(
-        pressed, controller=named_controller("open")(pressed), physics=variant.physics, lost=None
-    )
-    if fault := hold.grip() or hold.endure(CALM_S):
-        return {"error": fault.reason}
-    scene, data = hold.scene, hold.data
-    mujoco.mj_forward(scene.model, data)
-    predicted = predicted_creep(scene, data)
-    begin = hold.T_palm_object
-    fault = hold.endure(CREEP_S)
-    moved = np.linalg.norm(hold.T_palm_object.translation - begin.translation)
-    if fault is not None or hold.touching() < len(pressed.task.finger_names):
+    seen = measure_creep(pressed, variant.physics)
+    if seen.lost:
         return {"error": "lost"}
     row: dict[str, Any] = finite(
         {
-            "creep_mm_s": 1e3 * moved / CREEP_S,
-            "predicted_mm_s": 1e3 * predicted,
-            "least_mm_s": 1e3 * least_creep(scene, pressed.task.finger_names),
+            "creep_mm_s": 1e3 * seen.measured,
+            "predicted_mm_s": 1e3 * seen.predicted,
+            "least_mm_s": 1e3 * seen.least,
         }
     )
     return row
@@ -198,8 +182,8 @@ def _gripped(plan: GraspPlan, factor: float) -> GraspPlan | None:
     return replace(plan, task=task, forces=forces, contacts=forces.contacts)
 
 
-REMEDIES = ("noslip", "elliptic and impratio", "the object's contacts")
-"""In the order of ``sim.creep.remedies``."""
+REMEDIES = ("noslip", "impratio", "contacts")
+"""Kinds of changes of ``sim.creep.remedies``."""
 
 PARTS: Mapping[str, tuple[Callable[[GraspPlan, str], dict[str, Any]], tuple[str, ...]]] = (
     MappingProxyType(
