@@ -13,13 +13,13 @@ from sim.bench import manipulate
 from sim.bench.objects import bench_objects
 from sim.bench.physics import (
     PARTS,
-    VARIANTS,
     PhysicsJob,
     physics_jobs,
     physics_row,
     run_physics,
 )
 from sim.bench.physics_tables import physics_tables
+from sim.bench.physics_variants import VARIANTS
 from sim.physics import PhysicsOptions
 from sim.presets import PRESETS
 from sim.runner import Runner
