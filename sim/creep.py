@@ -173,10 +173,12 @@ class Remedy:
     """One change of a scene that brings creep below a budget.
 
     Attributes:
+        kind: "noslip", "impratio" or "contacts".
         what: What to write into one's own MJCF.
         physics: The physics with it.
     """
 
+    kind: str
     what: str
     physics: PhysicsOptions
 
@@ -203,6 +205,7 @@ def remedies(
         return ()
     found = [
         Remedy(
+            kind="noslip",
             what=f'<option noslip_iterations="{NOSLIP}"/>',
             physics=replace(physics, noslip_iterations=NOSLIP),
         )
@@ -212,6 +215,7 @@ def remedies(
     if ratio <= HIGHEST_IMPRATIO:
         found.append(
             Remedy(
+                kind="impratio",
                 what=f'<option cone="elliptic" impratio="{ratio}"/>',
                 physics=replace(elliptic, impratio=float(ratio)),
             )
@@ -223,6 +227,7 @@ def remedies(
         )
         found.append(
             Remedy(
+                kind="contacts",
                 what="every geom of the object: "
                 f'priority="1" condim="{stiff.condim}" solref="{solref}" solimp="{solimp}"',
                 physics=stiff,

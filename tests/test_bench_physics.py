@@ -13,13 +13,13 @@ from sim.bench import manipulate
 from sim.bench.objects import bench_objects
 from sim.bench.physics import (
     PARTS,
-    VARIANTS,
     PhysicsJob,
     physics_jobs,
     physics_row,
     run_physics,
 )
 from sim.bench.physics_tables import physics_tables
+from sim.bench.physics_variants import VARIANTS
 from sim.physics import PhysicsOptions
 from sim.presets import PRESETS
 from sim.runner import Runner
@@ -76,7 +76,7 @@ def test_a_grip_beyond_the_motors_is_told() -> None:
 def test_a_grasp_is_lost_by_the_defaults_and_held_by_a_remedy() -> None:
     lost = row_of("holds", "mujoco-default")
     assert (lost["held"], lost["reason"]) == (False, "slipped")
-    held = row_of("remedies", "the object's contacts")
+    held = row_of("remedies", "contacts")
     assert held["held"]
     assert 'priority="1"' in held["what"]
     assert held["physics"].startswith("mujoco-default with solref")

@@ -15,9 +15,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import mujoco
-import numpy as np
-
 from planner.errors import NotFoundError, PlannerError
 from planner.judge import plan_forces
 from planner.plain import finite
@@ -25,12 +22,13 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from sim.bench.journal import run_with_journal
 from sim.bench.objects import BenchObject
+from sim.bench.physics_variants import SOFT, VARIANTS
 from sim.bench.requests import Setting, check_tasks, task_for
 from sim.controllers import named_controller
-from sim.creep import CREEP_BUDGET, Remedy, least_creep, predicted_creep, remedies
+from sim.creep import CREEP_BUDGET, Remedy, least_creep, remedies
 from sim.physics import PhysicsOptions
 from sim.presets import PRESETS
-from sim.protocols.hold import Hold
+from sim.protocols.creep import measure_creep
 from sim.runner import Check, Runner, made_with
 from sim.scene import build_scene
 from sim.trial import simulate
@@ -47,57 +45,8 @@ __all__ = [
 
 FORMAT = "opposable-bench-physics"
 
-SOFT = PRESETS["mujoco-default"]
-ROUND = replace(SOFT, cone="elliptic")
-
-CALM_S, CREEP_S = 0.3, 1.0
-"""Time (s) after the grip is there that is left out, and in which creep is measured then."""
-
-
 NO_SUCH_GRIP = "the hand cannot press so hard"
 """Why there is no creep to measure with a firmer grip."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Variant:
-    """Physics and grip under which creep is measured.
-
-    Attributes:
-        physics: How MuJoCo computes.
-        grip: Factor on the least normal forces of the plan (-).
-    """
-
-    physics: PhysicsOptions
-    grip: float = 1.0
-
-
-VARIANTS: Mapping[str, Variant] = MappingProxyType(
-    {
-        "mujoco-default": Variant(physics=SOFT),
-        "condim 4": Variant(physics=replace(SOFT, condim=4)),
-        "mu 0.6": Variant(physics=replace(SOFT, mu=0.6)),
-        "elliptic": Variant(physics=ROUND),
-        "impratio 10": Variant(physics=replace(SOFT, impratio=10.0)),
-        "elliptic, impratio 10": Variant(physics=replace(ROUND, impratio=10.0)),
-        "elliptic, impratio 100": Variant(physics=replace(ROUND, impratio=100.0)),
-        "solref 0.01": Variant(physics=replace(SOFT, solref=(0.01, 1.0))),
-        "solref 0.005": Variant(physics=replace(SOFT, solref=(0.005, 1.0))),
-        "solimp 0.95 0.95": Variant(physics=replace(SOFT, solimp=(0.95, 0.95, 1e-3, 0.5, 2.0))),
-        "solimp 0.99 0.99": Variant(physics=replace(SOFT, solimp=(0.99, 0.99, 1e-3, 0.5, 2.0))),
-        "solimp 0.999 0.999": Variant(physics=replace(SOFT, solimp=(0.999, 0.999, 1e-3, 0.5, 2))),
-        "noslip 1": Variant(physics=replace(SOFT, noslip_iterations=1)),
-        "noslip 3": Variant(physics=replace(SOFT, noslip_iterations=3)),
-        "noslip 10": Variant(physics=replace(SOFT, noslip_iterations=10)),
-        "grip x 1.5": Variant(physics=SOFT, grip=1.5),
-        "grip x 2": Variant(physics=SOFT, grip=2.0),
-        "elliptic, grip x 2": Variant(physics=ROUND, grip=2.0),
-        "menagerie": Variant(physics=PRESETS["menagerie"]),
-        "menagerie, grip x 2": Variant(physics=PRESETS["menagerie"], grip=2.0),
-        "ours without noslip": Variant(physics=replace(PRESETS["ours"], noslip_iterations=0)),
-        "ours": Variant(physics=PRESETS["ours"]),
-    }
-)
-"""By what differs from MuJoCo's defaults."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +80,7 @@ def _closed(plan: GraspPlan, case: str) -> dict[str, Any]:
 
 def _remedy(plan: GraspPlan, case: str) -> dict[str, Any]:
     """Under the change of MuJoCo's defaults that the formula asks for."""
-    changes = dict(zip(REMEDIES, _changes(plan), strict=False))
+    changes = {change.kind: change for change in _changes(plan)}
     if case not in changes:
         return {"held": False, "reason": "there is no such remedy for this grasp"}
     return {**_trial(plan, changes[case].physics, "open"), "what": changes[case].what}
@@ -164,24 +113,14 @@ def _creep(plan: GraspPlan, case: str) -> dict[str, Any]:
     pressed = _gripped(plan, variant.grip)
     if pressed is None:
         return {"error": NO_SUCH_GRIP}
-    hold = Hold(
-        pressed, controller=named_controller("open")(pressed), physics=variant.physics, lost=None
-    )
-    if fault := hold.grip() or hold.endure(CALM_S):
-        return {"error": fault.reason}
-    scene, data = hold.scene, hold.data
-    mujoco.mj_forward(scene.model, data)
-    predicted = predicted_creep(scene, data)
-    begin = hold.T_palm_object
-    fault = hold.endure(CREEP_S)
-    moved = np.linalg.norm(hold.T_palm_object.translation - begin.translation)
-    if fault is not None or hold.touching() < len(pressed.task.finger_names):
+    seen = measure_creep(pressed, variant.physics)
+    if seen.lost:
         return {"error": "lost"}
     row: dict[str, Any] = finite(
         {
-            "creep_mm_s": 1e3 * moved / CREEP_S,
-            "predicted_mm_s": 1e3 * predicted,
-            "least_mm_s": 1e3 * least_creep(scene, pressed.task.finger_names),
+            "creep_mm_s": 1e3 * seen.measured,
+            "predicted_mm_s": 1e3 * seen.predicted,
+            "least_mm_s": 1e3 * seen.least,
         }
     )
     return row
@@ -198,8 +137,8 @@ def _gripped(plan: GraspPlan, factor: float) -> GraspPlan | None:
     return replace(plan, task=task, forces=forces, contacts=forces.contacts)
 
 
-REMEDIES = ("noslip", "elliptic and impratio", "the object's contacts")
-"""In the order of ``sim.creep.remedies``."""
+REMEDIES = ("noslip", "impratio", "contacts")
+"""Kinds of changes of ``sim.creep.remedies``."""
 
 PARTS: Mapping[str, tuple[Callable[[GraspPlan, str], dict[str, Any]], tuple[str, ...]]] = (
     MappingProxyType(

@@ -16,6 +16,7 @@ from sim.cli import (
     batch,
     bench,
     certify,
+    creep,
     crosscheck,
     forces,
     grasp,
@@ -66,6 +67,7 @@ for group in (
     crosscheck,
     bench,
     test,
+    creep,
 ):
     group.register(app)
 

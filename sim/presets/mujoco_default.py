@@ -13,9 +13,9 @@ __all__ = ["PRESET"]
 PRESET = PhysicsOptions(
     name="mujoco-default",
     timestep=0.002,
-    # MuJoCo's default is Euler, which takes servo damping explicitly: that diverges for hands with
-    # light fingers and strong dampers (10 of 11 default grasps of one shipped hand), whatever the
-    # contacts do; where a hand has such servos a scene must ask for this one
+    # MuJoCo's default is Euler, which takes servo damping explicitly: hands with light fingers and
+    # strong dampers diverge (10 of 11 default grasps of the Shadow-type hand), whatever the
+    # contacts do; a scene with such servos must ask for this one
     integrator="implicitfast",
     cone="pyramidal",
     condim=3,
