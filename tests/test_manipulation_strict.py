@@ -12,6 +12,7 @@ import pinocchio as pin
 import pytest
 import trimesh
 from conftest import of_trimesh
+from typer.testing import CliRunner
 
 from planner.collision import CollisionWorld
 from planner.contacts import Contact, ContactSet
@@ -25,6 +26,7 @@ from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
 from sim.bench.conditions import FRICTION, REGRASP_FRICTION
 from sim.bench.manipulate import Turn
+from sim.cli import app
 from sim.contacts import as_believed
 from sim.controllers import ObjectImpedance
 from sim.controllers.torques import HoldingTorques
@@ -107,6 +109,31 @@ def test_a_collision_anywhere_in_the_run_is_not_strict(report: ManipulationRepor
     assert hit.to_dict()["collision"] == "middle_distal - ring_distal with 2.8 N"
     force[5] = 0.9  # a light touch
     assert replace(report, track=replace(track, collision_N=force)).strict
+
+
+def test_the_command_says_no_where_the_hand_collided(
+    plan: ManipulationPlan, report: ManipulationReport, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Bounds] = []
+    made = [report]
+
+    def execute(*_: object, bounds: Bounds, **__: object) -> ManipulationReport:
+        asked.append(bounds)
+        return made[-1]
+
+    monkeypatch.setattr("sim.manipulation.plan_turning", lambda *_, **__: plan)
+    monkeypatch.setattr("sim.manipulation.manipulate", execute)
+    command = ["manipulate", "shadow_hand", "box", "--max-force", "20"]
+    assert CliRunner().invoke(app, command).exit_code == 0
+    force = report.track.collision_N.copy()
+    force[-1] = 1.5
+    made.append(replace(report, track=replace(report.track, collision_N=force)))
+    told = CliRunner().invoke(app, command)
+    assert told.exit_code == 1 and "1.5 N" in told.stdout
+    assert asked[0].normal_N == 20.0
+    assert CliRunner().invoke(app, [*command[:-1], "0"]).exit_code == 3
+    again = replace(report, earlier=made[-1])
+    assert again.collision is not None
 
 
 # --- forces -------------------------------------------------------------------------------------

@@ -83,6 +83,14 @@ def manipulate(
             "--gait", help="Turn by strokes, the fingers moving on between them, in any case."
         ),
     ] = False,
+    max_force: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            help="Largest normal force with which a finger may press for the strict verdict, N; "
+            "half as much again as the plan's largest and a quarter, at least 18, if not given.",
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Pick an object from a table, turn it in the hand, put it down; a check after every phase.
@@ -90,6 +98,9 @@ def manipulate(
     Where one stroke is not enough, fingers move on one at a time while the others hold. A turn that
     stalls is tried again, once. An object that does not stand as it was turned, or that the hand
     could not let go of where it was moved to, is brought back in the hand before it is put down.
+
+    Exits with 1 where a phase failed, or where the hand collided with itself, the table or the
+    stand.
     """
     _perform(
         hand,
@@ -106,6 +117,7 @@ def manipulate(
         stand=stand,
         max_attempts=max_attempts,
         gait=gait,
+        max_force=max_force,
         as_json=as_json,
     )
 
@@ -130,6 +142,7 @@ def demo(
         stand=0.0,
         max_attempts=MAX_ATTEMPTS,
         gait=False,
+        max_force=None,
         as_json=as_json,
     )
 
@@ -150,13 +163,14 @@ def _perform(
     stand: float,
     max_attempts: int,
     gait: bool,
+    max_force: float | None,
     as_json: bool,
 ) -> None:
     """Plan, execute, tell."""
     from planner.files import write_gait, write_json, write_motion
     from planner.objects import parse_object
+    from sim.manipulation import Bounds, manipulation_task, plan_turning
     from sim.manipulation import manipulate as execute
-    from sim.manipulation import manipulation_task, plan_turning
     from sim.manipulation.stand import on_stand
     from sim.manipulation.standing import settled
 
@@ -196,7 +210,13 @@ def _perform(
             say(out, escape(f"made backwards before it is put down: {plan.back}"))
         say(out, "")
     with err.status("executing ..."):
-        report = execute(plan, physics=physics, pictures=folder, retry=True)
+        report = execute(
+            plan,
+            physics=physics,
+            bounds=Bounds(normal_N=max_force),
+            pictures=folder,
+            retry=True,
+        )
     if folder is not None:
         if plan.gait is None:
             write_motion(plan.motion, folder / "motion.json")
@@ -211,7 +231,7 @@ def _perform(
             note = report.picture_reason and f" (no pictures: {report.picture_reason})"
             plan_file = "motion.json" if plan.gait is None else "gait.json"
             say(out, escape(f"written to {folder}: {plan_file}, report.json, pictures{note}"))
-    if not report.complete:
+    if not report.complete or report.collision is not None:
         raise typer.Exit(EXIT_NO)
 
 

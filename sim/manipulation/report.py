@@ -119,8 +119,10 @@ class ManipulationReport:
     def collision(self) -> Verdict | None:
         """The first collision of the hand with itself, table or obstacle; None without one.
 
-        Judged as in a trial of a grasp, over the whole run.
+        Judged as in a trial of a grasp, over the whole run and what was done before it.
         """
+        if self.earlier is not None and self.earlier.collision is not None:
+            return self.earlier.collision
         track = self.track
         return first_collision(
             track.time, track.collision_N, track.collision, self.bounds.collision_N
