@@ -209,6 +209,7 @@ ALLOWED = {
         "spatial",
         "contacts",
         "forces",
+        "kinematics",
         "plan",
         "programme",
         "quality",
@@ -223,7 +224,7 @@ ALLOWED = {
         "quality",
         "synthesis",
     ),
-    "planner.task": ("errors", "spatial", "contacts", "hand", "objects", "shapes"),
+    "planner.task": ("errors", "spatial", "contacts", "forces", "hand", "objects", "shapes"),
     "planner.motion": (
         "errors",
         "spatial",
