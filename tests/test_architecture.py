@@ -207,6 +207,7 @@ ALLOWED = {
     "planner.certify": (
         "errors",
         "spatial",
+        "actuation",
         "contacts",
         "forces",
         "kinematics",
