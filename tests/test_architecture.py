@@ -221,8 +221,10 @@ ALLOWED = {
     "planner.certify": (
         "errors",
         "spatial",
+        "actuation",
         "contacts",
         "forces",
+        "kinematics",
         "plan",
         "programme",
         "quality",
@@ -240,7 +242,16 @@ ALLOWED = {
         "synthesis",
     ),
     "planner.fixed": ("spatial",),
-    "planner.task": ("errors", "fixed", "spatial", "contacts", "hand", "objects", "shapes"),
+    "planner.task": (
+        "errors",
+        "fixed",
+        "forces",
+        "spatial",
+        "contacts",
+        "hand",
+        "objects",
+        "shapes",
+    ),
     "planner.motion": (
         "errors",
         "fixed",

@@ -552,3 +552,12 @@ def test_the_command_says_its_version() -> None:
     done = opposable("--version")
     assert done.code == 0
     assert done.out == f"opposable {planner.__version__}\n"
+
+
+def test_an_expected_load_is_asked_for_on_the_command_line(tmp_path: Path) -> None:
+    sphere = ("plan", "allegro_hand", "sphere", "-o", tmp_path / "plan.json", "--expect-load")
+    assert opposable(*sphere, "3").code == 0
+    assert read_plan(tmp_path / "plan.json").task.grip_force > 2.9
+    for text, wrong in (("-1", "the expected force is -1"), ("1,2,3", "has 3 numbers")):
+        refused = opposable(*sphere, text)
+        assert refused.code == 3 and wrong in refused.err

@@ -15,6 +15,7 @@ import pytest
 
 from planner.batch.features import GraspFeatures
 from planner.errors import TaskError
+from planner.fixed import FixedPose, fixed_pose
 from planner.hand import Hand
 from planner.motion import plan_motion
 from planner.motion.path import ObjectPath
@@ -23,7 +24,6 @@ from planner.plan import GraspPlan
 from planner.regions import TouchRegion, parse_region
 from planner.search import plan_grasp
 from planner.shapes import Shape
-from planner.fixed import FixedPose, fixed_pose
 from planner.spatial import SE3
 from planner.synthesis.touch import pad_touches
 from planner.task import GraspTask, Obstacle

@@ -38,7 +38,6 @@ from planner.certify.neighbourhood import NEAR, Changes, Neighbourhood
 from planner.certify.programme import Minimum, minimise
 from planner.contacts import ContactSet
 from planner.errors import ContactError, PlannerError
-from planner.judge import plan_forces
 from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, skew
@@ -114,7 +113,7 @@ class _Search:
         """Maps from x to d_i and A_i mu - omega, base costs, and the first cuts."""
         task = plan.task
         hand, actuation = task.hand, task.hand.actuation
-        problem = plan_forces(task, contacts, plan.T_world_base, plan.q).problem
+        problem = plan.forces.problem  # its weight and the hand's; friction comes with the contacts
         self.reason = ""
         self._length = problem.length
         nv = self._nv = len(actuation.joint_names)

@@ -83,9 +83,7 @@ def measure_creep(
     scene, data = hold.scene, hold.data
     least = least_creep(scene, names)
     if fault := hold.grip() or hold.endure(CALM_S):
-        return CreepMeasured(
-            measured=math.inf, predicted=math.nan, least=least, lost=fault.reason
-        )
+        return CreepMeasured(measured=math.inf, predicted=math.nan, least=least, lost=fault.reason)
     mujoco.mj_forward(scene.model, data)
     predicted = predicted_creep(scene, data)
     begin = hold.T_palm_object.translation.copy()
