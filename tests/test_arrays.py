@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -61,13 +62,14 @@ def test_contacts_refuse_what_does_not_fit(given: dict[str, Any], message: str) 
 def test_single_contacts_and_changed_ones_are_checked_too() -> None:
     contacts = ContactSet.from_arrays(P, -P)
     odd = Contact(position=np.zeros(2), frame=np.eye(3))
-    for wrong in (
+    wrongs: tuple[Callable[[], object], ...] = (
         lambda: ContactSet.from_contacts([odd], center=np.zeros(3)),
         lambda: ContactSet.from_contacts([contacts[0], odd], center=np.zeros(3)),
         lambda: contacts.with_friction([0.1, 0.2]),
         lambda: contacts.with_friction("much"),
         lambda: contacts.with_forces(np.zeros(4)),
-    ):
+    )
+    for wrong in wrongs:
         with pytest.raises(ContactError):
             wrong()
 
