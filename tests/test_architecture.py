@@ -219,6 +219,7 @@ ALLOWED = {
     "planner.kinematics": ("arrays", "errors", "spatial", "hand"),
     "planner.symbolic": ("errors", "spatial", "hand", "kinematics"),
     "planner.certify": (
+        "arrays",
         "errors",
         "spatial",
         "actuation",

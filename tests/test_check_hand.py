@@ -102,6 +102,7 @@ def test_the_force_of_a_finger_is_limited_by_its_weakest_servo(edit_hand: EditHa
     path = edit_hand(xml={'kp="3" forcerange="-0.7 0.7"': 'kp="3" forcerange="-0.35 0.35"'})
     weak = {p.finger: p.presses for p in check_hand(Hand.load(path)).pads}
     for finger, presses in strong.items():
+        assert presses is not None
         assert weak[finger] == pytest.approx(presses / 2, rel=1e-3)
     # index_1 carries most: 0.7 N m at the height of its pad above it, along the look
     hand = Hand.load("allegro_hand")
