@@ -28,15 +28,9 @@ from planner.synthesis.pregrasp import Approach, approach_fault, find_approach
 from planner.synthesis.touch import pad_touches
 from planner.synthesis.verify import contacts_of, verify
 from planner.task import GraspTask
+from planner.tolerances import CLOSURE_EDGES, FRICTION_SHARE
 
 __all__ = ["force_arguments", "judge_grasp", "plan_forces", "with_grip"]
-
-CLOSURE_EDGES = 8
-"""Sides of the friction pyramid with which closure is decided."""
-
-FRICTION_SHARE = 0.8
-"""Share of the friction coefficient that planned forces may use, so that they keep off the cone's
-edge when contacts turn out a little different (-)."""
 
 
 def judge_grasp(

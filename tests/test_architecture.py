@@ -123,6 +123,7 @@ ALLOWED = {
     "planner.contacts": ("arrays", "errors", "spatial"),
     "planner.actuation": ("errors", "spatial"),
     "planner.threads": (),
+    "planner.tolerances": (),
     "planner.version": (),
     "planner.programme": ("spatial", "threads"),
     "planner.paths": ("spatial",),
@@ -254,6 +255,7 @@ ALLOWED = {
         "shapes",
     ),
     "planner.motion": (
+        "tolerances",
         "errors",
         "fixed",
         "spatial",
@@ -275,6 +277,7 @@ ALLOWED = {
         "threads",
     ),
     "planner.gait": (
+        "tolerances",
         "errors",
         "fixed",
         "spatial",
@@ -342,6 +345,18 @@ def test_grasp_analysis_reaches_neither_hand_nor_engine(room: str) -> None:
         known = everything - {"planner.programme"}
         engines = {i for m in known for i in imports_of(m) if i in ("mujoco", "coal", "casadi")}
         assert not engines
+
+
+def test_tolerances_are_defined_on_their_page_alone() -> None:
+    page = set(public_names("planner.tolerances") or ())
+    assert page
+    for module, path in sources().items():
+        if module == "planner.tolerances":
+            continue
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        targets = [t for node in tree.body if isinstance(node, ast.Assign) for t in node.targets]
+        own = {t.id for t in targets if isinstance(t, ast.Name)}
+        assert not own & page, f"{module} defines {sorted(own & page)} again"
 
 
 def test_synthesis_does_not_know_who_uses_it() -> None:

@@ -129,7 +129,12 @@ def test_a_benchmark_that_is_not_there_is_told(repository: Path, tmp_path: Path)
 
 def test_results_are_read_without_arrays(tmp_path: Path) -> None:
     (tmp_path / "can").mkdir()
-    row: Any = {"succ_flag": np.bool_(True), "ho_pene": 0.0, "obj_pose": np.zeros(7), "obj_path": "x"}
+    row: Any = {
+        "succ_flag": np.bool_(True),
+        "ho_pene": 0.0,
+        "obj_pose": np.zeros(7),
+        "obj_path": "x",
+    }
     np.save(tmp_path / "can" / "0.npy", row, allow_pickle=True)
     installed = Installed(python=Path(sys.executable), checkout=tmp_path, lacking=())
     assert installed.results(tmp_path) == [{"file": "can/0.npy", "succ_flag": 1.0, "ho_pene": 0.0}]

@@ -17,7 +17,7 @@ from planner.batch.cells import N_CELLS, cell_of
 from planner.batch.diversity import FINEST, SURFACE_POINTS, TOUCHED, posture_entropy
 from planner.batch.thinning import (
     CONTACT_TOL,
-    JOINT_TOL,
+    FLEXION_TOL,
     POSITION_TOL,
     ROTATION_TOL,
     distances,
@@ -137,7 +137,7 @@ def test_near_duplicates_are_within_every_tolerance() -> None:
         shifted(one, positions=one.positions[0] + [0, by * POSITION_TOL, 0]),
         shifted(one, rotations=turn @ one.rotations[0]),
         shifted(one, contacts=one.contacts[0] + by * CONTACT_TOL * np.eye(4, 3)),
-        shifted(one, q=one.q[0] + by * JOINT_TOL),
+        shifted(one, q=one.q[0] + by * FLEXION_TOL),
     ]
     for pair in alike:
         assert thin(pair).tolist() in ([0], [1])
@@ -154,7 +154,7 @@ def test_beyond_any_tolerance_grasps_are_different() -> None:
         shifted(one, positions=one.positions[0] + [by * POSITION_TOL, 0, 0]),
         shifted(one, rotations=one.rotations[0] @ turn),
         shifted(one, contacts=far_contact),
-        shifted(one, q=one.q[0] + np.array([0, 0, 0, 0, by * JOINT_TOL])),
+        shifted(one, q=one.q[0] + np.array([0, 0, 0, 0, by * FLEXION_TOL])),
     ]
     for pair in different:
         assert thin(pair).tolist() == [0, 1]

@@ -20,8 +20,8 @@ from planner.files.gaits import gait_to_dict
 from planner.forces import gravity_wrench
 from planner.gait import GaitPlan, NoOrder, Order, Relocation, find_order, plan_gait
 from planner.gait.alike import same_space
-from planner.gait.check import HOLDING_SHARE, GaitJudge
-from planner.gait.order import LIFT_MARGIN, holding, standing
+from planner.gait.check import GaitJudge
+from planner.gait.order import holding, standing
 from planner.hand import Hand
 from planner.kinematics import HandState
 from planner.motion import plan_motion
@@ -29,6 +29,7 @@ from planner.objects import parse_object
 from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
+from planner.tolerances import CLOSURE_MARGIN, SWING_VERDICT_SHARE
 from sim.bench.star_hand import write_star_hand
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -109,7 +110,7 @@ def test_lifts_depend_on_who_has_moved_on_before() -> None:
     assert order.index(1) < order.index(0) < order.index(3)
     for lift in found.lifts:
         closure = force_closure(holding(begin, end, lift.moved, lift.finger))
-        assert closure.normalised_min_weight == lift.margin >= LIFT_MARGIN
+        assert closure.normalised_min_weight == lift.margin >= CLOSURE_MARGIN
 
 
 @settings(max_examples=10, deadline=None)
@@ -133,7 +134,7 @@ def test_the_order_found_is_the_best_of_all(degrees: list[float], mu: float, str
             least = min(least, margins[key])
         best = max(best, least)
     found = find_order(begin, end, UP)
-    if best >= LIFT_MARGIN:
+    if best >= CLOSURE_MARGIN:
         assert isinstance(found, Order) and found.margin == best
     else:
         assert isinstance(found, NoOrder)
@@ -170,7 +171,7 @@ def test_two_strokes_with_all_fingers_moving_on_between(twice: GaitPlan) -> None
     assert sorted(twice.order) == sorted(twice.motion.grasp.task.hand.fingers)
     kinds = [type(phase).__name__ for phase in twice.phases]
     assert kinds == ["Stroke", *["Relocation"] * 5, "Stroke"]
-    assert twice.margin >= LIFT_MARGIN
+    assert twice.margin >= CLOSURE_MARGIN
     text = str(twice)
     assert "2 strokes of 30.0 degrees" in text and "thumb moves on" in text
 
@@ -222,7 +223,7 @@ def test_forces_bear_the_weight_with_nothing_on_the_finger_that_leaves(twice: Ga
         assert relocation.finger not in relocation.during.fingers
         assert len(relocation.during) == 4
         assert np.allclose(relocation.during.wrench() + weight, 0.0, atol=1e-3)
-        assert (relocation.during.friction_utilisation() <= HOLDING_SHARE + 1e-3).all()
+        assert (relocation.during.friction_utilisation() <= SWING_VERDICT_SHARE + 1e-3).all()
         assert np.allclose(relocation.after.wrench() + weight, 0.0, atol=1e-3)
         assert np.allclose(
             relocation.landing.position,

@@ -40,8 +40,9 @@ from planner.synthesis.settle import SETTLED, settle
 from planner.synthesis.strengthen import descend_grasp
 from planner.synthesis.surfaces import STEEP
 from planner.synthesis.touch import pad_touches
-from planner.synthesis.verify import TOUCH_TOL, edge_faults, verify
+from planner.synthesis.verify import edge_faults, verify
 from planner.task import GraspTask
+from planner.tolerances import TOUCH_TOL
 
 
 @pytest.fixture(scope="module")

@@ -26,7 +26,7 @@ from planner.kinematics import HandState
 from planner.motion import MotionPlan, ObjectPath, motion_attempts, plan_motion
 from planner.motion.between import lead
 from planner.motion.ground import finger_sets, with_rolling_pads
-from planner.motion.holds import HOLD_SHARE, Hold, HoldRows
+from planner.motion.holds import Hold, HoldRows
 from planner.motion.limits import what_limits
 from planner.motion.loads import MOST_LOAD, PER_LOAD, load_function, load_parameters
 from planner.motion.problem import JOINT_ROOM, MotionProblem, build_motion_problem
@@ -49,6 +49,7 @@ from planner.synthesis.surroundings import obstacles_in_object
 from planner.synthesis.unknowns import mrp_numeric
 from planner.synthesis.verify import contacts_at, verify
 from planner.task import GraspTask, Obstacle
+from planner.tolerances import SWING_SHARE
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -425,7 +426,7 @@ def test_forces_of_a_hold_balance_where_each_contact_is_seen_by_the_hand() -> No
     tilted = -outward + 0.6 * UP  # outside the cones, and not in balance
     values, _ = rows(points, tilted, shares, path, p, np.array([side.code] * 3))
     assert values[2] == pytest.approx(WEIGHTS["balance"] * 1.8)
-    cone = WEIGHTS["cone"] * ((HOLD_SHARE * 0.5) ** 2 - 0.36)
+    cone = WEIGHTS["cone"] * ((SWING_SHARE * 0.5) ** 2 - 0.36)
     assert np.allclose(values[7:], cone)
 
 

@@ -16,7 +16,7 @@ import pytest
 
 from planner.errors import NoGraspFoundError, TaskError
 from planner.hand import Hand
-from planner.judge import FRICTION_SHARE, judge_grasp
+from planner.judge import judge_grasp
 from planner.kinematics import HandState
 from planner.objects import parse_object
 from planner.plan import GraspPlan
@@ -28,6 +28,7 @@ from planner.synthesis.opening import OPENED_SHARE
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.pregrasp import APPROACH_CLEARANCE, Approach
 from planner.task import GraspTask, Obstacle
+from planner.tolerances import FRICTION_SHARE
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -17,8 +17,9 @@ from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.pregrasp import Approach, approach_fault
 from planner.synthesis.settle import SETTLED
-from planner.synthesis.verify import TOUCH_TOL, Verification, contacts_at, verify
+from planner.synthesis.verify import Verification, contacts_at, verify
 from planner.task import GraspTask, Obstacle
+from planner.tolerances import TOUCH_TOL
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from planner.batch.features import GraspFeatures
 from planner.errors import TaskError
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["CONTACT_TOL", "JOINT_TOL", "POSITION_TOL", "ROTATION_TOL", "distances", "thin"]
+__all__ = ["CONTACT_TOL", "FLEXION_TOL", "POSITION_TOL", "ROTATION_TOL", "distances", "thin"]
 
 POSITION_TOL = 0.010
 """Distance (m) between two bases up to which they are alike: a tenth of a hand's length."""
@@ -27,7 +27,7 @@ CONTACT_TOL = 0.005
 """Distance (m) between two contacts of a finger up to which they are alike: less than half of a
 pad's radius, and what a hand's placing error leaves."""
 
-JOINT_TOL = float(np.deg2rad(10.0))
+FLEXION_TOL = float(np.deg2rad(10.0))
 """Difference (rad; m for slides) of a joint up to which it is alike."""
 
 
@@ -45,7 +45,7 @@ def distances(grasps: GraspFeatures, i: int, others: IntArray) -> FloatArray:
             np.linalg.norm(part.positions - grasps.positions[i], axis=1) / POSITION_TOL,
             angles / ROTATION_TOL,
             contacts.max(axis=1, initial=0.0) / CONTACT_TOL,
-            np.abs(part.q - grasps.q[i]).max(axis=1, initial=0.0) / JOINT_TOL,
+            np.abs(part.q - grasps.q[i]).max(axis=1, initial=0.0) / FLEXION_TOL,
         ],
         axis=0,
     )
@@ -87,7 +87,7 @@ def thin(grasps: GraspFeatures, *, worth: FloatArray | None = None) -> IntArray:
         [
             np.full(3, POSITION_TOL),
             np.full(grasps.contacts[0].size, CONTACT_TOL),
-            np.full(grasps.q.shape[1], JOINT_TOL),
+            np.full(grasps.q.shape[1], FLEXION_TOL),
         ]
     )
     tree = cKDTree(flat / scale)

@@ -24,18 +24,15 @@ from planner.motion import Knot, MotionPlan
 from planner.motion.check import MotionJudge, Place
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.touch import pad_touches
-from planner.synthesis.verify import TOUCH_TOL, contacts_of, verify
+from planner.synthesis.verify import contacts_of, verify
 from planner.task import GraspTask
+from planner.tolerances import SWING_VERDICT_SHARE, TOUCH_TOL
 
 __all__ = ["GaitJudge"]
 
 HOLDING_GRIP = 0.5
 """Least normal force (N) of those that hold while a finger is away, where the task's grip cannot be
 had: a finger between two others presses the object out of them, so it is to press lightly."""
-
-HOLDING_SHARE = 0.9
-"""Share of the friction coefficient (-) that their forces may use. A grasp uses 0.8; while a finger
-is away every degree around the object counts."""
 
 SAME_POINT, SAME_NORMAL = 1e-5, 1e-3
 """How far contacts (m) and normals (-) of a later stroke may be from those of the first to count as
@@ -234,7 +231,7 @@ class _End:
                 base,
                 q,
                 min_normal=grip,
-                friction_scale=HOLDING_SHARE,
+                friction_scale=SWING_VERDICT_SHARE,
                 edges=HOLDING_EDGES,
             )
             if during.found:

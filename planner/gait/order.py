@@ -19,9 +19,10 @@ import numpy as np
 from planner.contacts import ContactSet
 from planner.quality import closure_of_wrenches, force_closure, primitive_wrenches
 from planner.spatial import FloatArray
+from planner.tolerances import CLOSURE_EDGES, CLOSURE_MARGIN
 
 __all__ = [
-    "LIFT_MARGIN",
+    "CLOSURE_MARGIN",
     "NO_ORDER",
     "Lift",
     "NoOrder",
@@ -30,13 +31,6 @@ __all__ = [
     "holding",
     "standing",
 ]
-
-LIFT_MARGIN = 0.05
-"""Least normalised min-weight (-) of the contacts that hold while a finger is away: that of every
-knot of a motion."""
-
-CLOSURE_EDGES = 8
-"""Sides of the friction pyramid with which closure is decided, as for a grasp."""
 
 PROOF_EDGES = 32
 """Sides of the circumscribed pyramid with which it is proven that round cones do not close: it
@@ -155,7 +149,7 @@ def find_order(
     axis: FloatArray,
     *,
     refuse: Callable[[int, frozenset[int]], str] = lambda finger, moved: "",
-    margin: float = LIFT_MARGIN,
+    margin: float = CLOSURE_MARGIN,
     moved: frozenset[int] = frozenset(),
 ) -> Order | NoOrder:
     """The order of lifts with the largest least margin; or what stands against all of them.

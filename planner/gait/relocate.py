@@ -21,8 +21,8 @@ from planner.kinematics import MovingHand
 from planner.programme import programme
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.synthesis.touch import touching_geometries
-from planner.synthesis.verify import PENETRATION_TOL
 from planner.task import GraspTask
+from planner.tolerances import PENETRATION_TOL
 
 __all__ = ["FingerPaths"]
 

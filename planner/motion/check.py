@@ -29,15 +29,9 @@ from planner.synthesis.touch import PadTouch, pad_touches, touching_of
 from planner.synthesis.unknowns import Unknowns
 from planner.synthesis.verify import contacts_of, verify
 from planner.task import GraspTask
+from planner.tolerances import CLOSURE_EDGES, CLOSURE_MARGIN
 
 __all__ = ["MotionJudge", "Place"]
-
-CLOSURE_EDGES = 8
-"""Sides of the friction pyramid with which closure is decided, as for a grasp."""
-
-CLOSURE_MARGIN = 0.05
-"""Least normalised min-weight (-) at every knot: contacts of a moving grasp are off by more than
-those of one that rests."""
 
 SUBKNOTS = 3
 """Knots of a plan for every one of the solver: 10 degrees apart where those are 30."""

@@ -24,13 +24,9 @@ from planner.spatial import FloatArray
 from planner.synthesis.residuals import WEIGHTS
 from planner.synthesis.terms import PRESS_MIN
 from planner.synthesis.unknowns import mrp_matrix
+from planner.tolerances import SWING_SHARE
 
 __all__ = ["Hold", "HoldRows"]
-
-HOLD_SHARE = 0.85
-"""Share of the friction coefficient (-) that the internal force of a hold may use. With the share
-of a grasp (0.7) the others would have to reach much further around the object; what is reached is
-judged with a margin of its own."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +70,7 @@ class HoldRows:
             pressed = -ca.dot(g, turn @ surface.outward_normal(size, code, p))
             total, torque = total + g, torque + ca.cross(turn @ p + shares[j] * shift, g)
             level += pressed / m
-            cones.append((HOLD_SHARE * mu * pressed) ** 2 - ca.dot(g, g) + pressed**2)
+            cones.append((SWING_SHARE * mu * pressed) ** 2 - ca.dot(g, g) + pressed**2)
             presses.append(pressed - PRESS_MIN)
         rows = ca.densify(
             ca.vertcat(

@@ -24,7 +24,6 @@ import numpy as np
 import pinocchio as pin
 
 from planner.hand import Finger, Hand
-from planner.judge import FRICTION_SHARE
 from planner.motion.path import ObjectPath
 from planner.spatial import FloatArray
 from planner.symbolic import SymbolicHand
@@ -33,6 +32,7 @@ from planner.synthesis.joint_objectives import LEAST_LIMIT, LEAST_PRESS, driving
 from planner.synthesis.unknowns import Unknowns, mrp_matrix
 from planner.synthesis.wrenches import contact_torque
 from planner.task import GraspTask
+from planner.tolerances import FRICTION_SHARE
 
 __all__ = ["MOST_LOAD", "PER_HOLD", "PER_LOAD", "load_function", "load_parameters"]
 

@@ -23,6 +23,7 @@ from planner.ik import LARGEST_TURN, palm_pose, straight_path
 from planner.kinematics import HandState, joint_axes
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GraspTask
+from planner.tolerances import PENETRATION_TOL
 
 __all__ = [
     "LIFT_HEIGHT",
@@ -191,10 +192,6 @@ def path_fault(
         if nearest.distance < clearance:
             return f"{nearest}"
     return ""
-
-
-PENETRATION_TOL = 5e-6
-"""Depth (m) from which a touch counts: coal's accuracy."""
 
 
 def _torque_fault(task: GraspTask, T_world_base: SE3, q: FloatArray, path: FloatArray) -> str:

@@ -13,6 +13,7 @@ from planner.errors import NotFoundError, TaskError
 from planner.spatial import FloatArray
 from planner.synthesis.objectives import EPSILON, OBJECTIVES
 from planner.synthesis.task_wrenches import checked_wrenches
+from planner.tolerances import SYNTHESIS_SHARE
 
 __all__ = ["NO_OBJECTIVE", "OPTION_NAMES", "SynthesisOptions"]
 
@@ -44,7 +45,7 @@ class SynthesisOptions:
             centre of mass, N and N m; if there are none, the object's weight in any direction.
     """
 
-    cone_share: float = 0.7
+    cone_share: float = SYNTHESIS_SHARE
     clear_object: float = 0.003
     clear_tip: float = 0.0007
     clear_table: float = 0.003

@@ -23,6 +23,7 @@ from planner.synthesis.carried import (
     retreats,
 )
 from planner.synthesis.opening import Opener
+from planner.tolerances import JOINT_TOL
 
 __all__ = ["Approach", "approach_fault", "find_approach"]
 
@@ -38,9 +39,6 @@ APPROACH_CLEARANCE = 0.001
 
 CLOSING_SAMPLES = 12
 """Configurations checked along the closing motion: pads move about 2 mm between two of them."""
-
-JOINT_TOL = 1e-6
-"""How far (rad) couplings and joint limits may be violated: the solver's accuracy."""
 
 
 @dataclass(frozen=True, kw_only=True)

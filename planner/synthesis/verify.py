@@ -18,15 +18,9 @@ from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.touch import PadTouch, pad_touches, touching_of
 from planner.task import GraspTask
+from planner.tolerances import ANGLE_TOL, FLAT_ANGLE_TOL, JOINT_TOL, PENETRATION_TOL, TOUCH_TOL
 
-__all__ = ["TOUCH_TOL", "Verification", "contacts_at", "contacts_of", "edge_faults", "verify"]
-
-TOUCH_TOL = 5e-4
-"""A pad touches when its signed distance to the true surface is at most this (m), either sign."""
-
-PENETRATION_TOL = 5e-6
-"""Depth (m) from which two geometries that must not touch count as penetrating: coal is that
-accurate in penetration (``planner.proximity``)."""
+__all__ = ["Verification", "contacts_at", "contacts_of", "edge_faults", "verify"]
 
 LISTED = 5
 """Clearances that a verification keeps."""
@@ -97,16 +91,6 @@ def _given_faults(task: GraspTask, T_world_base: SE3, q: FloatArray) -> list[str
     if not task.wrist_free and np.abs(wrist - task.wrist_q).max(initial=0.0) > JOINT_TOL:
         faults.append("the wrist is not where the task holds it")
     return faults
-
-
-ANGLE_TOL = 1e-3
-"""How far (rad) a contact may lie outside the pad's cone: the solver's accuracy."""
-
-FLAT_ANGLE_TOL = 0.15
-"""The same where the pad's sphere approximates a box or a hull: its normals differ by that much."""
-
-JOINT_TOL = 1e-6
-"""How far (rad) couplings and joint limits may be violated: the solver's accuracy."""
 
 
 def contacts_at(task: GraspTask, T_world_base: SE3, q: FloatArray) -> ContactSet:

@@ -14,8 +14,8 @@ import numpy as np
 
 from planner.contacts import ContactSet
 from planner.gait import Relocation
-from planner.gait.order import CLOSURE_EDGES
 from planner.quality import force_closure
+from planner.tolerances import CLOSURE_EDGES
 from sim.contacts import as_believed, hand_contacts, merge_per_finger
 from sim.controllers.schedule import RAMP
 from sim.manipulation.away import FingerAway
@@ -28,7 +28,7 @@ __all__ = ["Regrasping"]
 
 MEASURED_MARGIN = 0.02
 """Least normalised min-weight (-) of the measured contacts that are to hold while a finger is away;
-planned is ``planner.gait.order.LIFT_MARGIN``."""
+planned is ``planner.gait.order.CLOSURE_MARGIN``."""
 
 GATE_PERIOD = 0.05
 """Time (s) between looks at whether a finger may be lifted."""
