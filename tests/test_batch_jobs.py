@@ -19,6 +19,7 @@ from planner.batch import jobs
 from planner.batch.jobs import BatchObject, Job, batch_jobs, grasp_seed, plan_row
 from planner.batch.recipe import label_of, recipe_of, shape_key, task_of
 from planner.errors import FileFormatError, TaskError
+from planner.forces import ExpectedLoad
 from planner.hand import Hand
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
@@ -225,9 +226,16 @@ def test_a_task_is_made_again_to_the_last_bit(allegro: Hand) -> None:
         T = SE3(turn, np.array([0.1, 0.2, 0.5]))
         wall = Obstacle(name="wall", size=np.full(3, 0.1), T_world_obstacle=T)
         task = GraspTask.create(
-            allegro, "box", T_world_object=T, obstacles=[wall], T_world_base=SE3(turn.T, np.ones(3))
+            allegro,
+            "box",
+            T_world_object=T,
+            obstacles=[wall],
+            T_world_base=SE3(turn.T, np.ones(3)),
+            expected_load=ExpectedLoad(force=3.0, torque=0.1),
         )
         again = task_of(recipe_of(task))
+        assert again.expected_load == task.expected_load
+        assert again.grip_force == task.grip_force
         assert (again.T_world_object.homogeneous == task.T_world_object.homogeneous).all()
         assert again.T_world_base is not None
         assert (again.T_world_base.rotation == turn.T).all()

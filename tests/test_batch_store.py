@@ -285,7 +285,7 @@ def test_damage_of_a_file_is_an_error_that_says_what_to_do(
     path.write_bytes(changed[damage])
     grasps = GraspSet(tmp_path)
     if damage == "scrambled":  # its end, which says what is where, is as it was
-        with pytest.raises(FileFormatError, match=r"damaged .*delete it"):
+        with pytest.raises(FileFormatError, match=r"is damaged: .*; delete that file"):
             list(grasps)
     else:
         assert numbers(grasps) == list(range(4, 10))

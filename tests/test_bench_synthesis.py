@@ -185,7 +185,7 @@ def test_folders_stand_for_their_mesh_files(folder: Path, tmp_path: Path) -> Non
     ]
     empty = tmp_path / "empty"
     empty.mkdir()
-    with pytest.raises(ObjectError, match=r"no mesh file; meshes end in \.obj"):
+    with pytest.raises(ObjectError, match=r"no mesh file; meshes end in \.glb, \.obj"):
         bench_objects([str(empty)])
     with pytest.raises(ObjectError, match="there are no objects"):
         bench_objects([])

@@ -19,6 +19,7 @@ from pydantic import Field, ValidationError
 from planner.errors import FileFormatError
 from planner.files import TaskData, task_data, task_from_data
 from planner.files.data import Finite, PoseData
+from planner.forces.grip import ExpectedLoad
 from planner.hand import Hand
 from planner.schema import StrictData, faults_of
 from planner.shapes import Mesh, Shape, shape_to_dict
@@ -35,11 +36,13 @@ class Recipe(StrictData):
     Attributes:
         task: As in plan files.
         may_spare_fingers: Whether the search may go on with fewer fingers.
+        expected_load: Force (N) and torque (N m) that fewer fingers are to bear too.
         rotations: Rotation matrices, row by row, of poses that quaternions give to rounding alone.
     """
 
     task: TaskData
     may_spare_fingers: bool = False
+    expected_load: tuple[Finite, Finite] = (0.0, 0.0)
     rotations: dict[str, list[Finite]] = Field(default_factory=dict)
 
     @classmethod
@@ -52,6 +55,7 @@ class Recipe(StrictData):
         return cls(
             task=task_data(task),
             may_spare_fingers=task.may_spare_fingers,
+            expected_load=(task.expected_load.force, task.expected_load.torque),
             rotations={
                 name: pose.rotation.ravel().tolist()
                 for name, pose in _poses(task).items()
@@ -72,7 +76,14 @@ class Recipe(StrictData):
             replace(o, T_world_obstacle=exact.pop(f"obstacle {k}"))
             for k, o in enumerate(task.obstacles)
         )
-        return replace(task, obstacles=obstacles, may_spare_fingers=self.may_spare_fingers, **exact)
+        force, torque = self.expected_load
+        return replace(
+            task,
+            obstacles=obstacles,
+            may_spare_fingers=self.may_spare_fingers,
+            expected_load=ExpectedLoad(force=force, torque=torque),
+            **exact,
+        )
 
 
 def _poses(task: GraspTask) -> dict[str, SE3]:

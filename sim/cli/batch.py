@@ -20,6 +20,7 @@ from sim.cli.common import (
     FingersOption,
     HandArgument,
     JsonOption,
+    LoadOption,
     MassOption,
     MuOption,
     ObjectiveOption,
@@ -70,6 +71,7 @@ def batch(
     pose: PoseOption = 0,
     touch: TouchOption = None,
     avoid: AvoidOption = None,
+    expect_load: LoadOption = None,
     objective: ObjectiveOption = "epsilon",
     task_wrench: TaskWrenchOption = None,
     rounds: RoundsOption = None,
@@ -104,6 +106,7 @@ def batch(
             resting=pose,
             touch=touch,
             avoid=avoid,
+            expect_load=expect_load,
         )
         for item in objects
     ]

@@ -21,7 +21,7 @@ def task_of_options(
     resting: int,
     touch: list[str] | None,
     avoid: list[str] | None,
-    expect_load: str | None = None,
+    expect_load: str | None,
 ) -> Any:
     """The task that the command line describes.
 
