@@ -24,7 +24,7 @@ from planner.batch.dexgraspbench import (
     export_name,
     object_files,
 )
-from planner.batch.dexgraspbench.hand_file import T_model_base, write_hand
+from planner.batch.dexgraspbench.hand_file import T_model_base, file_name, write_hand
 from planner.batch.dexgraspbench.pinned_mjcf import pinned_mjcf
 from planner.batch.dexgraspbench.squeeze import plan_squeeze
 from planner.catalog import models_dir
@@ -188,6 +188,51 @@ def test_every_hand_has_its_own_name_and_none_is_overwritten(tmp_path: Path) -> 
     )
     with pytest.raises(FileFormatError, match="another hand of that name"):
         write_hand(Hand.load(other), tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("given", "name"),
+    [
+        ("../../ESCAPED", "ESCAPED"),
+        ("..", "unnamed"),
+        ("/etc/passwd", "etc-passwd"),
+        ("x" * 5000, "x" * 100),
+        ("my hand, v1.2", "my-hand--v1-2"),
+        ("Shadow", "hand-Shadow"),  # the benchmark's own, which it finds first
+        ("null", "hand-null"),
+        ("1e5", "hand-1e5"),
+    ],
+)
+def test_a_name_stays_in_its_folder_and_means_this_hand(
+    given: str, name: str, tmp_path: Path
+) -> None:
+    home, out = tmp_path / "jaw", tmp_path / "out"
+    home.mkdir()
+    make_jaw(home, SERVOS)
+    described = home / "hand.toml"
+    text = re.sub(r'(?m)^name = ".*"$', f'name = "{given}"', described.read_text(), count=1)
+    described.write_text(text, encoding="utf-8")
+    hand = Hand.load(described)
+    assert hand.name == given
+    folder = out / "a" / "b" / "hand"
+    assert write_hand(hand, folder) == export_name(hand) == name
+    written = {path for path in tmp_path.rglob("*") if path.is_file() and home not in path.parents}
+    assert written == {folder / f"{name}.yaml", folder / name / f"{name}.xml"}
+
+
+def test_an_objects_folder_is_below_the_export_and_its_own(
+    grasps: GraspSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert [file_name(label) for label in ("..", "../x", "sphere:0.035", "a+b")] == [
+        *("unnamed", "x", "sphere-0.035", "a-b")
+    ]
+    labels = property(lambda self: ("a b", "a:b"))
+    task = grasps.task(grasps.labels[0])
+    monkeypatch.setattr(GraspSet, "labels", labels)
+    monkeypatch.setattr(GraspSet, "task", lambda self, label: task)
+    with pytest.raises(TaskError, match="'a b' and 'a:b' would both be exported as 'a-b'"):
+        export_dexgraspbench(grasps, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_frame_of_the_objects_file_is_kept_and_used(grasps: GraspSet, tmp_path: Path) -> None:

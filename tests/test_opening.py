@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import copy
+
+import mujoco
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from test_describe_drive import shared
 
+from planner.catalog import hand_names
 from planner.collision import CollisionWorld
 from planner.hand import Hand
 from planner.kinematics import HandState
@@ -18,6 +23,7 @@ from planner.synthesis.opening import (
     OPENED_SHARE,
     POSTURE_WEIGHT,
     Opener,
+    undetermined_joints,
 )
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.pregrasp import OPENINGS
@@ -81,3 +87,38 @@ def test_what_limits_forbid_is_not_opened() -> None:
     opener = Opener(CollisionWorld(plan.task), plan.T_world_base, plan.q, plan.contacts.normals)
     assert opener.open(0.3) is None
     assert opener.open(0.02) is not None  # and nothing is left of it
+
+
+def closed_in_the_air(hand: Hand, begin: FloatArray, end: FloatArray) -> FloatArray:
+    """Joints after servos have gone from one posture to another in 0.4 s, nothing touched."""
+    model = copy.copy(hand.mj_model)
+    model.opt.gravity[:] = 0.0
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    model.dof_damping[:] = 0.05
+    data = mujoco.MjData(model)
+    data.qpos[:] = begin
+    for share in np.linspace(0.0, 1.0, 40):
+        data.ctrl[:] = hand.actuation.moment @ (begin + share * (end - begin))
+        mujoco.mj_step(model, data, round(0.01 / model.opt.timestep))
+    mujoco.mj_step(model, data, round(0.5 / model.opt.timestep))
+    return np.array(data.qpos)
+
+
+def test_fingers_of_shared_tendons_close_the_way_that_they_opened() -> None:
+    hand = Hand.from_spec(mujoco.MjSpec.from_string(shared()))
+    joints = undetermined_joints(hand)
+    assert [hand.joint_names[k][-1] for k in joints] == ["b", "c"] * 3
+    plan = plan_grasp(GraspTask.create(hand, "sphere:0.035"), seed=0)
+    np.testing.assert_array_equal(plan.q_pregrasp[joints], plan.q[joints])
+    now = closed_in_the_air(hand, plan.q_pregrasp, plan.q)
+    np.testing.assert_allclose(now, plan.q, rtol=0, atol=0.01)
+    # opened by all joints, the fingers are elsewhere when they have closed
+    world = CollisionWorld(plan.task)
+    every = Opener(world, plan.T_world_base, plan.q, plan.contacts.normals).open(plan.opening)
+    assert every is not None
+    assert np.abs(closed_in_the_air(hand, every, plan.q) - plan.q).max() > 0.05
+
+
+def test_joints_that_a_tendon_moves_alike_may_open() -> None:
+    # the tendon of the shipped fingers is stopped where both joints are equal, and moves both alike
+    assert [name for name in hand_names() if len(undetermined_joints(Hand.load(name)))] == []

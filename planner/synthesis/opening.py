@@ -13,13 +13,16 @@ what is true of the result is for others to find out.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from planner.collision import CollisionWorld, NearPairs
+from planner.hand import Hand
 from planner.programme import programme
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, IntArray
 
-__all__ = ["OPENED_SHARE", "Opener"]
+__all__ = ["OPENED_SHARE", "Opener", "undetermined_joints"]
 
 OPENED_SHARE = 0.7
 """Share of the opening that every pad must really reach within its joint limits (-)."""
@@ -64,15 +67,43 @@ of its last step only: a Gauss-Newton step goes too far where the pads stay away
 
 BACK = 0.4
 
+UNDETERMINED = 1e-6
+"""Share of a joint's motion (-) above which it is no rounding."""
+
 LEAST = 2e-3
 """Shortest step (rad) that a joint is left: the programmes want some room."""
+
+
+def undetermined_joints(hand: Hand) -> IntArray:
+    """Joints (k,) that do not come back in the air the way that they were opened, ascending.
+
+    Those of an actuator that moves several joints and leaves it to a contact to hold one of them at
+    a stop. In the air the joints share its motion by their damping: if that takes the one off its
+    stop, the finger closes into another posture than the grasp's.
+    """
+    firm = np.vstack([hand.actuation.moment, *(c.row for c in hand.couplings if not c.one_sided)])
+    left = np.eye(hand.nq) - np.linalg.pinv(firm) @ firm
+    damping = np.array(hand.pin_model.damping)
+    yielding = 1.0 / damping if (damping > 0.0).all() else np.ones(hand.nq)
+    shared = hand.actuation.moment * yielding / yielding.max()  # (nu, nq), what actuators move
+    out = np.zeros(hand.nq, dtype=bool)
+    for stop in hand.couplings:
+        if stop.one_sided and np.abs(left @ stop.row).max() > UNDETERMINED:
+            leaving = np.abs(shared @ stop.row) > UNDETERMINED
+            out |= (hand.actuation.moment[leaving] != 0.0).any(axis=0)
+    return np.flatnonzero(out)
 
 
 class Opener:
     """Opens the fingers of one grasp, by one distance after the other."""
 
     def __init__(
-        self, world: CollisionWorld, T_world_base: SE3, q: FloatArray, normals: FloatArray
+        self,
+        world: CollisionWorld,
+        T_world_base: SE3,
+        q: FloatArray,
+        normals: FloatArray,
+        still: Sequence[int] | IntArray = (),
     ) -> None:
         """Compute what does not depend on the opening.
 
@@ -81,6 +112,7 @@ class Opener:
             T_world_base: Base pose of the grasp.
             q: Joints of the grasp (nq,).
             normals: Contact normals into the object (n, 3), world.
+            still: Joints that stay where the grasp has them.
         """
         hand, self._fingers = world.task.hand, world.task.fingers
         self._world, self._T_world_base, self._grasp = world, T_world_base, q
@@ -90,7 +122,7 @@ class Opener:
         self._inward = normals @ T_world_base.rotation  # (n, 3), base
         self._matrix, self._value = hand.coupling_matrix
         self._lower, self._upper = hand.q_lower, hand.q_upper
-        held = np.concatenate([hand.wrist_index, hand.arm_index])
+        held = np.concatenate([hand.wrist_index, hand.arm_index, np.array(still, dtype=np.int64)])
         self._free = np.setdiff1d(np.arange(hand.nq), held)
 
     def open(self, opening: float) -> FloatArray | None:

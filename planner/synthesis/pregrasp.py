@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from planner.synthesis.carried import (
     path_fault,
     retreats,
 )
-from planner.synthesis.opening import Opener
+from planner.synthesis.opening import Opener, undetermined_joints
 from planner.tolerances import JOINT_TOL
 
 __all__ = ["Approach", "approach_fault", "find_approach"]
@@ -66,6 +67,9 @@ def find_approach(
 ) -> Approach | str:
     """A pre-grasp and a straight way in that touch nothing; or why there is none.
 
+    Joints that actuators leave undetermined stay where the grasp has them if there is such a way:
+    else they are elsewhere when the fingers have closed, and push the object aside.
+
     Args:
         world: True geometry of the task.
         T_world_base: Base pose of the grasp.
@@ -77,8 +81,11 @@ def find_approach(
     lift = find_lift(world, T_world_base, q) if carried else None
     if isinstance(lift, str):
         return lift
-    opener = Opener(world, T_world_base, q, normals)
-    for opening in OPENINGS:
+    openers = [Opener(world, T_world_base, q, normals)]
+    loose = undetermined_joints(world.task.hand)
+    if len(loose) > 0:
+        openers.insert(0, Opener(world, T_world_base, q, normals, loose))
+    for opener, opening in product(openers, OPENINGS):
         opened = opener.open(opening)
         if opened is None:
             continue

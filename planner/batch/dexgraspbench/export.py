@@ -14,7 +14,7 @@ servos. So the squeeze pose is the posture with R q = the commands that make the
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -75,7 +75,7 @@ def export_dexgraspbench(
 
     Raises:
         TaskError: The hand is on an arm, whose way in this format tells differently, or has
-            actuators that follow no position.
+            actuators that follow no position; or two objects would have one folder.
         ModelError: The MuJoCo that the benchmark pins cannot read such a hand.
         FileFormatError: The folder cannot be written or holds another hand of that name, or a
             grasp cannot press and all are needed.
@@ -91,6 +91,7 @@ def export_dexgraspbench(
         raise TaskError(
             f"{reason}; DexGraspBench commands postures: plan with a hand that has position servos"
         )
+    _need_distinct_folders(grasps.labels)
     written = 0
     left_out: Counter[str] = Counter()
     T_base_model = T_model_base(hand).inverse()
@@ -167,6 +168,18 @@ def row_squeeze(task: GraspTask, row: Mapping[str, Any]) -> Squeeze:
         fingers=task.finger_names,
     ).transformed(task.T_world_object)
     return plan_squeeze(task, contacts, task.T_world_object * _base(row), np.array(row["q_rad"]))
+
+
+def _need_distinct_folders(labels: Sequence[str]) -> None:
+    """The grasps of one object would replace those of another."""
+    first: dict[str, str] = {}
+    for label in labels:
+        other = first.setdefault(file_name(label), label)
+        if other != label:
+            raise TaskError(
+                f"the objects {other!r} and {label!r} would both be exported as "
+                f"{file_name(label)!r}; plan one of them in another batch, or give it another name"
+            )
 
 
 def _base(row: Mapping[str, Any]) -> SE3:

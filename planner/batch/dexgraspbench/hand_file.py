@@ -19,6 +19,7 @@ from planner.batch.dexgraspbench.pinned_mjcf import pinned_mjcf
 from planner.bridge import compile_spec, load_spec
 from planner.described import read_description
 from planner.errors import FileFormatError
+from planner.files import plain_name
 from planner.hand import Hand
 from planner.spatial import SE3, pose_from_wxyz, pose_to_wxyz
 
@@ -27,26 +28,41 @@ __all__ = ["T_model_base", "export_name", "file_name", "write_hand"]
 NO_MODEL_NAME = ("", "MuJoCo Model")
 """Names of a model whose author gave none."""
 
+TAKEN = (
+    *("allegro", "leap", "shadow", "ur10e_shadow"),
+    *("null", "true", "false", "nan", "inf"),
+)
+"""Names that a hand in an export cannot have. The first are in the benchmark's own ``config/hand``,
+which its Hydra searches before the folder of an export: it would evaluate its own hand instead, and
+say nothing. The others Hydra reads as values."""
+
 MESHES = "assets"
 """Folder of the meshes beside the model."""
 
 
 def file_name(label: str) -> str:
-    """A label as the name of a file or folder."""
-    return re.sub(r"[^\w.\-]", "-", label)
+    """A label as the name of a file or folder, which never leaves its folder."""
+    return plain_name(label.replace("+", "-"))
 
 
 def export_name(hand: Hand) -> str:
     """What a hand is called in an export.
 
     The name in its description; for a model without one, the model's own name, or folder and file
-    where it has none: "right_hand.xml" is the file name of most hands.
+    where it has none: "right_hand.xml" is the file name of most hands. Letters, digits, ``_`` and
+    ``-`` stay, everything else becomes a dash. What the benchmark would take for something else
+    begins with "hand-": its own hands, numbers, and words of YAML.
     """
     if hand.path is None or hand.path.suffix == ".toml":
-        return file_name(hand.name)
+        return _hand_name(hand.name)
     named = str(hand.spec.modelname)
     path = hand.path.resolve()
-    return file_name(f"{path.parent.name}-{path.stem}" if named in NO_MODEL_NAME else named)
+    return _hand_name(f"{path.parent.name}-{path.stem}" if named in NO_MODEL_NAME else named)
+
+
+def _hand_name(text: str) -> str:
+    name = file_name(re.sub(r"[^A-Za-z0-9_\-]", "-", text))
+    return f"hand-{name}" if name.lower() in TAKEN or not name[0].isalpha() else name
 
 
 @lru_cache(maxsize=8)
