@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.contacts import CONTACT_DIM, ContactModel
+from planner.arrays import checked_number
+from planner.contacts import CONTACT_DIM, MOST_FRICTION, ContactModel
 from planner.errors import TaskError
 from planner.fixed import fixed_pose, is_pose
 from planner.forces.grip import LEAST_MU, ExpectedLoad, grip_for_load
@@ -238,8 +239,8 @@ class GraspTask:
         for name in ("mu", "mu_torsion", "grip_force"):
             value = getattr(self, name)
             _check_number(name, value)
-            if not np.isfinite(value) or value < 0:
-                raise TaskError(f"{name} is {value}; give a finite number >= 0")
+            most = np.inf if name == "grip_force" else MOST_FRICTION
+            checked_number(name, value, least=0.0, most=most, error=TaskError)
         gravity = _numbers("gravity", self.gravity, "three finite numbers in m/s2")
         if gravity.shape != (3,) or not np.isfinite(gravity).all():
             raise TaskError(f"gravity is {self.gravity}; give three finite numbers in m/s2")
