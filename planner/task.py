@@ -245,8 +245,12 @@ class GraspTask:
         if gravity.shape != (3,) or not np.isfinite(gravity).all():
             raise TaskError(f"gravity is {self.gravity}; give three finite numbers in m/s2")
         object.__setattr__(self, "gravity", gravity)
-        if self.table_height is not None and not np.isfinite(self.table_height):
-            raise TaskError(f"table_height is {self.table_height}; give metres, or None for none")
+        if self.table_height is not None:
+            _check_number("table_height", self.table_height)
+            if not np.isfinite(self.table_height):
+                raise TaskError(
+                    f"table_height is {self.table_height}; give metres, or None for none"
+                )
         for name in ("T_world_object", "T_world_base"):
             if name != "T_world_base" or self.T_world_base is not None:
                 object.__setattr__(self, name, _checked_pose(name, getattr(self, name)))
@@ -356,7 +360,7 @@ def _numbers(name: str, values: object, wanted: str) -> FloatArray:
     """Numbers as a read-only copy."""
     try:
         return fixed_array(values)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise TaskError(f"{name} is {values!r}; give {wanted}") from None
 
 
@@ -372,6 +376,10 @@ def _checked_pose(name: str, pose: SE3) -> SE3:
 def _check_number(name: str, value: object) -> None:
     if isinstance(value, bool) or not isinstance(value, Real):
         raise TaskError(f"{name} is {value!r}; give a number")
+    try:
+        float(value)
+    except OverflowError:
+        raise TaskError(f"{name} has more digits than a number here; give less") from None
 
 
 JOINTS_WANTED = "the wrist's joints in rad"
