@@ -13,12 +13,16 @@ import pytest
 
 from planner import GraspTask, plan_grasp
 from planner.contacts import ContactSet
-from planner.errors import ContactError, FileFormatError, ObjectError, TaskError
+from planner.errors import ContactError, FileFormatError, ObjectError, PlannerError, TaskError
 from planner.files import plan_from_dict, plan_to_dict
+from planner.hand import Hand
 from planner.measures import resisted_per_newton, robust_epsilon
 from planner.quality import analyse
 from planner.shapes import Mesh, Sphere
+from sim.cli import main
 from sim.physics import PhysicsOptions
+
+LONG = 5000 * "x"
 
 Change = Callable[[dict[str, Any]], object]
 
@@ -143,3 +147,34 @@ def test_no_command_is_made_of_an_odd_file_name(tmp_path: Path) -> None:
     with pytest.raises(ObjectError, match=r"Convert it to \.ply") as told:
         Mesh.load(path)
     assert "python -c" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["plan", "allegro_hand", "sphere", "--out", LONG],
+        ["describe", "hand.xml", "--out", LONG],
+        ["check-hand", LONG],
+        ["crosscheck", LONG],
+        ["pick", LONG, "0"],
+        ["batch", "allegro_hand", "sphere", "-n", "1", "--out", LONG],
+        ["forces", "plan.json", "--tolerance", "nan"],
+        ["forces", "plan.json", "--rate", "inf"],
+        ["batch", "allegro_hand", "sphere", "-n", "1", "--workers", str(2**63), "--out", "b"],
+    ],
+)
+def test_names_that_are_too_long_and_odd_numbers_are_refused(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 3
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_hand_that_mirrors_a_name_that_is_too_long(tmp_path: Path) -> None:
+    file = tmp_path / "hand.toml"
+    file.write_text(f'schema = 1\nname = "left"\nmirror_of = "{LONG}"\naxis = "y"\n', "utf-8")
+    with pytest.raises(PlannerError):
+        Hand.load(file)
