@@ -11,10 +11,12 @@ import importlib
 import importlib.util
 import os
 import re
+import sys
 from importlib import metadata
 from pathlib import Path
 
 from planner.errors import ModelError, NotFoundError
+from planner.fetched import menagerie_model, robot_descriptions_model
 
 __all__ = [
     "FOREIGN_HANDS",
@@ -94,13 +96,14 @@ def foreign_hand_model(name: str) -> str | None:
     return FOREIGN_HANDS.get(f"{package.replace('_', '-')}:{inside}")
 
 
-def find_hand(name_or_path: str | Path) -> Path:
+def find_hand(name_or_path: str | Path, *, download: bool = True) -> Path:
     """Path of a hand's description file, or of its model where there is no description.
 
     Args:
         name_or_path: A name out of ``hand_names()`` or ``foreign_hand_names()``; ``menagerie:NAME``
             or ``menagerie:NAME/ENTRY``; ``robot_descriptions:ID``; ``package:PACKAGE/PATH``; a
             description file (``hand.toml``) or a folder that holds one; a model file.
+        download: Whether ``menagerie:`` and ``robot_descriptions:`` may fetch what is not cached.
 
     Raises:
         NotFoundError: It is neither a known name nor an existing path.
@@ -114,9 +117,9 @@ def find_hand(name_or_path: str | Path) -> Path:
         return model_file(text, Path())
     source, _, name = text.partition(":")
     if source == "menagerie":
-        return _menagerie_model(name)
+        return menagerie_model(name, download=download)
     if source == "robot_descriptions":
-        return _robot_descriptions_model(name)
+        return robot_descriptions_model(name, download=download)
     foreign = foreign_hand_model(text)
     if foreign is not None:
         return model_file(foreign, Path())
@@ -158,12 +161,14 @@ def model_file(model: str, folder: Path) -> Path:
     if not model.startswith(PACKAGE_SCHEME):
         return folder / model
     package, _, inside = model.removeprefix(PACKAGE_SCHEME).partition("/")
+    if not _PACKAGE_NAME.fullmatch(package):
+        raise ModelError(
+            f"{model!r}: {package!r} is not the name of a package; give package:PACKAGE/PATH, the "
+            "package by letters, digits, _ and -"
+        )
     roots = _package_folders(package)
     if not roots:
-        raise ModelError(
-            f"{model}: the package {package!r} is not installed; {ASSETS_HINT} or pip install "
-            f"{package.replace('_', '-')}"
-        )
+        raise ModelError(f"{model}: the package {package!r} {_how_to_install(package)}")
     for root in roots:
         if inside and os.path.isfile(root / inside):
             return root / inside
@@ -173,10 +178,26 @@ def model_file(model: str, folder: Path) -> Path:
     )
 
 
+def _how_to_install(package: str) -> str:
+    """What is said of a package without files: a command for those that we know, else none.
+
+    The name may come out of a file that somebody else wrote; a command to install it would run
+    whatever anybody uploaded under that name.
+    """
+    if package in sys.stdlib_module_names:
+        return "is a module of Python itself, which has no models; correct the name"
+    known = {name.partition(":")[0] for name in FOREIGN_HANDS}
+    if package.replace("_", "-") in known:
+        return f"is not installed; {ASSETS_HINT} or pip install {package.replace('_', '-')}"
+    return (
+        "is not installed, and it is none of those that Opposable knows "
+        f"({', '.join(sorted(known))}); install it if you know where it comes from, or "
+        "give the path of the model"
+    )
+
+
 def _package_folders(package: str) -> list[Path]:
     """Where a package keeps its data: beside its modules, or as a share of a cmeel wheel."""
-    if not _PACKAGE_NAME.fullmatch(package):
-        return []
     found = importlib.util.find_spec(package) if package.isidentifier() else None
     folders = [Path(f) for f in (found.submodule_search_locations or ())] if found else []
     try:
@@ -185,73 +206,3 @@ def _package_folders(package: str) -> list[Path]:
         return folders
     share = Path(str(wheel.locate_file(f"cmeel.prefix/share/{package}")))
     return [*folders, share] if share.is_dir() else folders
-
-
-def _menagerie_model(name: str) -> Path:
-    """Model file of MuJoCo Menagerie, downloaded by the package ``mujoco-menagerie`` if need be.
-
-    Raises:
-        NotFoundError: Menagerie has no such model, or the model no such entry.
-        ModelError: The package is not installed, or the model is neither cached nor reachable.
-    """
-    if importlib.util.find_spec("mujoco_menagerie") is None:
-        raise ModelError(
-            f"menagerie:{name} needs a package that is not installed; pip install mujoco-menagerie"
-        )
-    menagerie = importlib.import_module("mujoco_menagerie")
-    robot_name, _, entry = name.partition("/")
-    if robot_name not in menagerie.names():
-        hands = [robot.name for robot in menagerie.robots("end_effector")]
-        raise NotFoundError("model of MuJoCo Menagerie", robot_name, hands)
-    robot = menagerie.get(robot_name)
-    if entry and entry not in robot.entry_names:
-        raise NotFoundError(f"entry of menagerie:{robot_name}", entry, robot.entry_names)
-    try:
-        return Path(robot.xml(entry or robot.default_model))
-    except (menagerie.MenagerieError, OSError) as error:
-        raise ModelError(
-            f"menagerie:{name} is neither cached nor can it be downloaded ({error}); run python -m "
-            f"mujoco_menagerie prefetch {robot_name} where there is a network, or let "
-            "MENAGERIE_ROOT name a copy of MuJoCo Menagerie"
-        ) from error
-
-
-def _robot_descriptions_model(name: str) -> Path:
-    """Model file that the package ``robot_descriptions`` finds, cloned by it if need be.
-
-    Raises:
-        NotFoundError: The package has no such description.
-        ModelError: The package or git is not installed, the model is neither cached nor reachable,
-            or the description holds no model file.
-    """
-    if importlib.util.find_spec("robot_descriptions") is None:
-        raise ModelError(
-            f"robot_descriptions:{name} needs a package that is not installed; pip install "
-            "robot_descriptions"
-        )
-    known = importlib.import_module("robot_descriptions._descriptions").DESCRIPTIONS
-    module = name if name in known else f"{name}_description"
-    if module not in known:
-        hands = [n.removesuffix("_description") for n in known if "end_effector" in known[n].tags]
-        raise NotFoundError("model of robot_descriptions", name, hands)
-    try:
-        git = importlib.import_module("git")  # an ImportError where the program git is missing
-    except ImportError as error:
-        raise ModelError(
-            f"robot_descriptions:{name} is cloned with git, which is missing ({error}); install "
-            "git and pip install GitPython"
-        ) from error
-    try:
-        found = importlib.import_module(f"robot_descriptions.{module}")
-    except (git.exc.GitError, OSError) as error:
-        raise ModelError(
-            f"robot_descriptions:{name} is neither cached nor can it be cloned ({error}); run "
-            f"python -m robot_descriptions pull {module} where there is a network, or give the "
-            "path of the model"
-        ) from error
-    for field in ("MJCF_PATH", "URDF_PATH"):
-        if hasattr(found, field):
-            return Path(getattr(found, field))
-    raise ModelError(
-        f"robot_descriptions:{name} names neither an MJCF nor a URDF file; give the path of a model"
-    )

@@ -43,7 +43,7 @@ class Hand(HandModel):
     """A hand that the planner can use; make one with ``load``, ``from_spec`` or ``from_model``."""
 
     @classmethod
-    def load(cls, name_or_path: str | Path) -> Hand:
+    def load(cls, name_or_path: str | Path, *, download: bool = True) -> Hand:
         """Load a hand by name or path.
 
         Args:
@@ -51,13 +51,16 @@ class Hand(HandModel):
                 or its folder; or a model, which is then described by its structure alone: a file
                 (MJCF, URDF), ``PACKAGE:NAME`` out of ``catalog.FOREIGN_HANDS``,
                 ``menagerie:NAME``, ``robot_descriptions:ID`` or ``package:PACKAGE/PATH``.
+            download: Whether models of ``menagerie:`` and ``robot_descriptions:`` may be fetched
+                where they are not cached. Readers of files say no: a file is not to make this
+                machine fetch anything.
 
         Raises:
             NotFoundError: No such hand, or the description names what the model does not have.
             ModelError: The model file is missing or not usable.
             HandError: Description and model do not fit.
         """
-        path = find_hand(name_or_path)
+        path = find_hand(name_or_path, download=download)
         reference = hand_reference(name_or_path)
         if path.suffix == ".toml":
             mount = read_mount(path)

@@ -35,6 +35,7 @@ from planner.hand import Finger
 from planner.kinematics import HandState
 from planner.plan import GraspPlan
 from planner.quality import epsilon_l1, min_weight, primitive_wrenches
+from planner.quality.ball import flat_direction
 from planner.spatial import FloatArray
 from planner.synthesis.joint_objectives import driving, free_velocities
 from planner.synthesis.task_wrenches import resisted_wrenches
@@ -95,10 +96,12 @@ def resisted_per_newton(contacts: ContactSet, wrenches: FloatArray, *, length: f
     wrenches = float_array("wrenches", wrenches)
     if wrenches.ndim != 2 or wrenches.shape[1] != 6 or not np.isfinite(wrenches).all():
         raise ContactError(f"wrenches have shape {wrenches.shape}; give finite numbers (k, 6)")
+    if (faces[:, 6] >= 0).any():
+        return 0.0  # the origin is not inside
     against = -faces[:, :6] @ (wrenches / np.repeat([1.0, length], 3)).T
     reach = np.maximum(-faces[:, 6:], 0.0)
     met = against > 0
-    return float(np.min(np.where(met, reach / np.where(met, against, 1.0), np.inf)))
+    return float(np.min(np.where(met, reach / np.where(met, against, 1.0), np.inf), initial=np.inf))
 
 
 def robust_epsilon(
@@ -124,6 +127,11 @@ def robust_epsilon(
 def _faces(contacts: ContactSet, length: float) -> FloatArray:
     """Faces (k, 7) of the hull of primitive wrenches: unit normal, minus its distance."""
     wrenches = primitive_wrenches(contacts, EDGES, length=length).T
+    if len(wrenches) <= 6:  # a hull in six dimensions has seven corners or more: this one is flat
+        flat = flat_direction(wrenches)
+        assert flat is not None
+        offset = float(flat @ wrenches[0]) if len(wrenches) else 0.0
+        return np.array([[*flat, -offset], [*-flat, offset]])
     # the option joggles points in special position, such as those of two opposed contacts
     return np.asarray(ConvexHull(wrenches, qhull_options="QJ").equations)
 

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.contacts import CONTACT_DIM, ContactModel
+from planner.arrays import checked_number
+from planner.contacts import CONTACT_DIM, MOST_FRICTION, ContactModel
 from planner.errors import TaskError
 from planner.fixed import fixed_pose, is_pose
 from planner.forces.grip import LEAST_MU, ExpectedLoad, grip_for_load
@@ -238,14 +239,18 @@ class GraspTask:
         for name in ("mu", "mu_torsion", "grip_force"):
             value = getattr(self, name)
             _check_number(name, value)
-            if not np.isfinite(value) or value < 0:
-                raise TaskError(f"{name} is {value}; give a finite number >= 0")
+            most = np.inf if name == "grip_force" else MOST_FRICTION
+            checked_number(name, value, least=0.0, most=most, error=TaskError)
         gravity = _numbers("gravity", self.gravity, "three finite numbers in m/s2")
         if gravity.shape != (3,) or not np.isfinite(gravity).all():
             raise TaskError(f"gravity is {self.gravity}; give three finite numbers in m/s2")
         object.__setattr__(self, "gravity", gravity)
-        if self.table_height is not None and not np.isfinite(self.table_height):
-            raise TaskError(f"table_height is {self.table_height}; give metres, or None for none")
+        if self.table_height is not None:
+            _check_number("table_height", self.table_height)
+            if not np.isfinite(self.table_height):
+                raise TaskError(
+                    f"table_height is {self.table_height}; give metres, or None for none"
+                )
         for name in ("T_world_object", "T_world_base"):
             if name != "T_world_base" or self.T_world_base is not None:
                 object.__setattr__(self, name, _checked_pose(name, getattr(self, name)))
@@ -355,7 +360,7 @@ def _numbers(name: str, values: object, wanted: str) -> FloatArray:
     """Numbers as a read-only copy."""
     try:
         return fixed_array(values)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise TaskError(f"{name} is {values!r}; give {wanted}") from None
 
 
@@ -371,6 +376,10 @@ def _checked_pose(name: str, pose: SE3) -> SE3:
 def _check_number(name: str, value: object) -> None:
     if isinstance(value, bool) or not isinstance(value, Real):
         raise TaskError(f"{name} is {value!r}; give a number")
+    try:
+        float(value)
+    except OverflowError:
+        raise TaskError(f"{name} has more digits than a number here; give less") from None
 
 
 JOINTS_WANTED = "the wrist's joints in rad"

@@ -16,8 +16,8 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 import mujoco
-import numpy as np
 
+from planner.contacts import MOST_FRICTION
 from planner.errors import TaskError
 from planner.spatial import FloatArray
 
@@ -61,6 +61,27 @@ against it where there are contacts."""
 CONDIMS = (3, 4, 6)
 """Dimensions of a contact that a grasp can live with: sliding; and torsion; and rolling. 1 has no
 friction."""
+
+TIMESTEPS = (1e-6, 0.1)
+"""Range of a time step, s: below it a trial takes hours, above it no contact is met in time."""
+
+IMPRATIOS = (1e-6, 1e6)
+"""Range of ``impratio`` (-): the solver's matrices lose their digits beyond it."""
+
+MOST_ITERATIONS = 10_000
+"""Most iterations of a solver per step (-): MuJoCo's own limit is 100, and 20 to 50 are usual."""
+
+TIME_CONSTANTS = (1e-9, 1e3)
+"""Range of the time constant of contacts, s; MuJoCo raises what is below two time steps."""
+
+DAMPING_RATIOS = (1e-9, 1e6)
+"""Range of the damping ratio of contacts (-)."""
+
+LARGEST_DEPTH, LARGEST_POWER = 1e3, 1e3
+"""Largest depth (m) and power (-) in ``solimp``."""
+
+LARGEST_NUMBER = 1e6
+"""Largest number of ``solref`` and ``solimp`` that is looked at."""
 
 SAFE_STEPS = 2.0
 """Least time constant of a contact in time steps; MuJoCo silently raises what is shorter."""
@@ -117,31 +138,36 @@ class PhysicsOptions:
 
     def __post_init__(self) -> None:
         """Check every number."""
-        for name in ("timestep", "impratio"):
-            _number(name, getattr(self, name), "a finite number > 0", above=0.0)
+        _number("timestep", self.timestep, *TIMESTEPS, "s")
+        _number("impratio", self.impratio, *IMPRATIOS)
         for name in ("mu", "mu_torsion", "mu_rolling"):
-            value = getattr(self, name)
-            _number(f"{name} in simulation", value, "a finite number >= 0", least=0.0)
+            _number(f"{name} in simulation", getattr(self, name), 0.0, MOST_FRICTION)
         for name, lowest in (("noslip_iterations", 0), ("iterations", 1)):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < lowest:
-                raise TaskError(f"{name} is {value!r}; give {name} >= {lowest}, a whole number")
+            whole = isinstance(value, int) and not isinstance(value, bool)
+            if not whole or not lowest <= value <= MOST_ITERATIONS:
+                raise TaskError(
+                    f"{name} is {value!r}; give {name} >= {lowest}, a whole number up to "
+                    f"{MOST_ITERATIONS}"
+                )
         for name, allowed in (("integrator", INTEGRATORS), ("cone", CONES), ("condim", CONDIMS)):
             value = getattr(self, name)
-            if isinstance(value, bool | list | dict) or value not in allowed:
+            if isinstance(value, bool) or not isinstance(value, str | int) or value not in allowed:
                 known = ", ".join(str(a) for a in allowed)
                 raise TaskError(f"{name} is {value!r}; give one of {known}")
         if not isinstance(self.name, str) or not self.name:
             raise TaskError(f"name is {self.name!r}; give a text for reports")
         object.__setattr__(self, "solref", _numbers("solref", self.solref, 2))
         object.__setattr__(self, "solimp", _numbers("solimp", self.solimp, 5))
-        _number("the time constant, solref[0],", self.solref[0], "seconds > 0", above=0.0)
-        _number("the damping ratio, solref[1],", self.solref[1], "a number > 0", above=0.0)
+        _number("the time constant, solref[0],", self.solref[0], *TIME_CONSTANTS, "s")
+        _number("the damping ratio, solref[1],", self.solref[1], *DAMPING_RATIOS)
         low, high, width, middle, power = self.solimp
-        if not (0 < low < 1 and 0 < high < 1 and width > 0 and 0 < middle < 1 and power >= 1):
+        impedances = 0 < low < 1 and 0 < high < 1 and 0 < middle < 1
+        if not (impedances and 0 < width <= LARGEST_DEPTH and 1 <= power <= LARGEST_POWER):
             raise TaskError(
                 f"solimp is {list(self.solimp)}; give impedances in (0, 1) at touch and at depth, "
-                "the depth in m > 0, a midpoint in (0, 1), and a power >= 1"
+                f"the depth in m > 0, up to {LARGEST_DEPTH:g}, a midpoint in (0, 1), and a power "
+                f">= 1, up to {LARGEST_POWER:g}"
             )
 
     @classmethod
@@ -211,20 +237,20 @@ FIELDS = tuple(field.name for field in fields(PhysicsOptions))
 """Names that a file may set."""
 
 
-def _number(
-    name: str, value: Any, wanted: str, *, above: float = -np.inf, least: float = -np.inf
-) -> None:
+def _number(name: str, value: Any, least: float, most: float, unit: str = "") -> None:
     good = isinstance(value, int | float) and not isinstance(value, bool)
-    if not (good and np.isfinite(value) and value > above and value >= least):
-        raise TaskError(f"{name} is {value!r}; give {wanted}")
+    if not (good and least <= value <= most):  # False for NaN
+        raise TaskError(
+            f"{name} is {value!r}; give a finite number from {least:g} to {most:g}"
+            f"{unit and ' '}{unit}"
+        )
 
 
 def _numbers(name: str, value: Any, count: int) -> tuple[float, ...]:
-    wanted = f"{count} finite numbers"
     if not isinstance(value, list | tuple) or len(value) != count:
-        raise TaskError(f"{name} is {value!r}; give {wanted}")
+        raise TaskError(f"{name} is {value!r}; give {count} finite numbers")
     for number in value:
-        _number(f"a number of {name}", number, wanted)
+        _number(f"a number of {name}", number, -LARGEST_NUMBER, LARGEST_NUMBER)
     return tuple(float(number) for number in value)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import shutil
+import subprocess
 import sys
 from collections.abc import Callable
 from importlib.machinery import ModuleSpec
@@ -12,9 +14,11 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from planner import catalog
+from planner import GraspTask, catalog, plan_grasp
+from planner.batch.recipe import recipe_of, task_of
 from planner.catalog import find_hand, hand_names, hand_reference, model_file, models_dir
 from planner.errors import HandError, ModelError, NotFoundError, PlannerError
+from planner.files import plan_from_dict, plan_to_dict
 from planner.hand import Hand
 
 EditHand = Callable[..., Path]
@@ -181,12 +185,22 @@ def test_a_file_that_a_package_lacks(package: Path, inside: str) -> None:
         find_hand(f"package:tiny_hands/{inside}")
 
 
-@pytest.mark.parametrize("name", ["nowhere_hands", "no.where", "", "..", "os path"])
-def test_a_package_that_is_missing(name: str) -> None:
-    with pytest.raises(
-        ModelError, match=r"is not installed; .*pip install \"opposable\[assets\]\""
-    ):
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        (
+            "nowhere_hands",
+            r"is not installed, and .* none .* knows .*example-robot-data.* the path",
+        ),
+        ("os", "a module of Python itself"),
+        *((odd, "is not the name of a package; give") for odd in ("no.where", "", "..", "os path")),
+    ],
+)
+def test_a_package_that_is_missing(name: str, said: str) -> None:
+    """The name may come out of a file: no command that would install whatever is called so."""
+    with pytest.raises(ModelError, match=said) as told:
         find_hand(f"package:{name}/hand.xml")
+    assert "pip install" not in str(told.value)
 
 
 def test_a_known_hand_of_a_missing_package_says_what_to_install(
@@ -236,6 +250,7 @@ def menagerie(monkeypatch: pytest.MonkeyPatch) -> None:
         "get": lambda name: _Robot(),
         "robots": lambda category: [_Robot()],
         "MenagerieError": KeyError,
+        "Cache": lambda: SimpleNamespace(root=None, is_cached=lambda robot: False),
     }.items():
         setattr(module, name, value)
     monkeypatch.setitem(sys.modules, "mujoco_menagerie", module)
@@ -252,6 +267,17 @@ def test_a_model_of_menagerie_is_found_by_name_and_entry() -> None:
         find_hand("menagerie:clwa")
     with pytest.raises(NotFoundError, match="no entry of menagerie:claw is called 'left'"):
         find_hand("menagerie:claw/left")
+
+
+@pytest.mark.usefixtures("menagerie")
+def test_what_a_file_names_is_not_downloaded_from_menagerie(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with pytest.raises(ModelError, match=r"downloads nothing; .* mujoco_menagerie prefetch claw"):
+        find_hand("menagerie:claw", download=False)
+    cache = SimpleNamespace(root=None, is_cached=lambda robot: True)
+    monkeypatch.setattr(sys.modules["mujoco_menagerie"], "Cache", lambda: cache)
+    assert find_hand("menagerie:claw", download=False) == Path("/cache/claw.xml")
 
 
 @pytest.mark.parametrize(
@@ -306,6 +332,45 @@ def test_a_model_of_robot_descriptions_is_found_by_name() -> None:
         find_hand("robot_descriptions:srdf")
     with pytest.raises(NotFoundError, match=r"called 'clwa_mj'\. Did you mean 'claw_mj'"):
         find_hand("robot_descriptions:clwa_mj")
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="git is asked to clone")
+def test_what_a_file_names_is_not_cloned(robot_descriptions: Path, tmp_path: Path) -> None:
+    source, target = tmp_path / "source", tmp_path / "clone"
+    subprocess.run(["git", "init", "-q", "--bare", source], check=True)
+    command = ["git", "clone", "-q", f"file://{source}", str(target)]
+    program = f"""
+import git, subprocess
+if subprocess.run({command!r}, capture_output=True).returncode != 0:
+    raise git.exc.GitError("transport not allowed")
+MJCF_PATH = "/cache/far.xml"
+"""
+    (robot_descriptions / "far_description.py").write_text(program, encoding="utf-8")
+    with pytest.raises(ModelError, match=r"downloads nothing; .* pull far_description first"):
+        find_hand("robot_descriptions:far", download=False)
+    assert not target.exists()
+    assert find_hand("robot_descriptions:claw_mj", download=False) == Path("/cache/claw.xml")
+    assert find_hand("robot_descriptions:far") == Path("/cache/far.xml")
+    assert target.exists()
+
+
+def test_readers_of_files_download_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = plan_grasp(GraspTask.create("allegro_hand", "sphere"), seed=0)
+    data, recipe = plan_to_dict(plan), json.loads(recipe_of(plan.task))
+    data["task"]["hand"]["description_path"] = "robot_descriptions:far"
+    recipe["task"]["hand"]["description_path"] = "menagerie:claw"
+    asked = []
+
+    def asks(name: str, *, download: bool = True) -> Path:
+        asked.append((name, download))
+        raise ModelError("asked")
+
+    monkeypatch.setattr("planner.hand.find_hand", asks)
+    with pytest.raises(ModelError, match="asked"):
+        plan_from_dict(data, "plan.json")
+    with pytest.raises(ModelError, match="asked"):
+        task_of(json.dumps(recipe))
+    assert asked == [("robot_descriptions:far", False), ("menagerie:claw", False)]
 
 
 @pytest.mark.usefixtures("robot_descriptions")

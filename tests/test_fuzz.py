@@ -11,8 +11,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 
-EACH = 12
-"""Inputs per class."""
+EACH, DEAR = 20, 5
+"""Inputs per class, and of those that take seconds each: the whole stays below a minute."""
 
 
 def fuzz(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
@@ -23,13 +23,14 @@ def fuzz(*arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_hostile_inputs_get_an_answer_or_a_named_error(tmp_path: Path) -> None:
-    done = fuzz("-n", str(EACH), "--seed", "7", folder=tmp_path)
+    done = fuzz("-n", str(EACH), "--dear", str(DEAR), "--seed", "7", folder=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     rows = [line.split() for line in done.stdout.splitlines() if line and line[0] != " "]
     counts = {row[0]: [int(cell) for cell in row[1:6]] for row in rows if row[0] != "class"}
     classes = sorted(path.stem for path in (ROOT / "tests/fuzz/classes").glob("[a-z]*.py"))
     assert sorted(counts) == classes
-    assert all(sum(good) == inputs == EACH for inputs, *good in counts.values())
+    assert all(sum(good) == inputs >= DEAR for inputs, *good in counts.values())
+    assert sum(inputs == EACH for inputs, *_ in counts.values()) == len(classes) - 2
 
 
 FAULTS = {

@@ -51,7 +51,7 @@ def checked_row(
     """
     wanted = _ALWAYS | (_found(nq) if row.get("found") is True else {})
     for name, fits in wanted.items():
-        if not fits(row.get(name)):
+        if name not in row or not fits(row[name]):
             raise FileFormatError(f"{source} is damaged: a row has no sound {name!r}{REMEDY}")
     if row["object"] not in labels:
         raise FileFormatError(

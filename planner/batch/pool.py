@@ -40,11 +40,12 @@ AT_ONCE = 4
 
 
 def check_backend(backend: str, workers: int) -> None:
-    """Refuse a backend that joblib does not have, or that is not ready.
+    """Refuse a backend that joblib does not have, or that is not ready, or a number of workers.
 
     Raises:
-        TaskError: So.
+        TaskError: So; or ``workers`` is neither -1 nor a number of processes.
     """
+    _check_workers(workers)
     try:
         with joblib.parallel_config(backend=backend, n_jobs=workers):
             pass
@@ -54,6 +55,12 @@ def check_backend(backend: str, workers: int) -> None:
             "multiprocessing; dask after making a dask.distributed.Client; ray after "
             "ray.util.joblib.register_ray()"
         ) from error
+
+
+def _check_workers(workers: int) -> None:
+    if workers != -1:
+        what = "workers (-1: one per core)"
+        checked_count(what, workers, least=1, most=MOST_WORKERS, error=TaskError)
 
 
 def planned_rows(jobs: Iterable[Job], workers: int, backend: str) -> Iterator[dict[str, Any]]:
@@ -86,9 +93,7 @@ def finished(
     Raises:
         TaskError: ``workers`` is neither -1 nor a number of processes.
     """
-    if workers != -1:
-        what = "workers (-1: one per core)"
-        checked_count(what, workers, least=1, most=MOST_WORKERS, error=TaskError)
+    _check_workers(workers)
     in_flight: dict[int, Item] = {}
 
     def sent() -> Iterator[tuple[int, Item]]:

@@ -147,7 +147,7 @@ def _with_fingers(task: GraspTask, names: tuple[str, ...]) -> GraspTask:
 @made_once(8)
 def _hand(name: str) -> Hand:
     """One hand for all tasks with it, so that they share its NLPs."""
-    return Hand.load(name)
+    return Hand.load(name, download=False)
 
 
 def label_of(task: GraspTask) -> str:

@@ -7,52 +7,20 @@ environment variable PYTHONSAFEPATH forbids it, and processes inherit the enviro
 
 from __future__ import annotations
 
-import os
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
+
+from planner.environment import Held
 
 __all__ = ["safe_path"]
 
 VARIABLE = "PYTHONSAFEPATH"
 
-
-class _Guard:
-    """Sets the variable for as long as anybody needs it."""
-
-    def __init__(self) -> None:
-        self._lock, self._users = threading.Lock(), 0
-        self._before: str | None = None
-
-    def enter(self) -> None:
-        with self._lock:
-            if self._users == 0:
-                self._before = os.environ.get(VARIABLE)
-                os.environ[VARIABLE] = "1"
-            self._users += 1
-
-    def leave(self) -> None:
-        with self._lock:
-            self._users -= 1
-            if self._users > 0:
-                return
-            if self._before is None:
-                os.environ.pop(VARIABLE, None)
-            else:
-                os.environ[VARIABLE] = self._before
+_held = Held(VARIABLE, "1")
 
 
-_guard = _Guard()
-
-
-@contextmanager
-def safe_path() -> Iterator[None]:
+def safe_path() -> AbstractContextManager[None]:
     """Processes that are started meanwhile do not import from the current folder.
 
     The environment is as it was before once the last of several threads has left.
     """
-    _guard.enter()
-    try:
-        yield
-    finally:
-        _guard.leave()
+    return _held()

@@ -2,8 +2,7 @@
 
 The schema is the pydantic model ``PlanFile`` (``opposable schema plan`` prints it as JSON Schema).
 Reading checks the format, the version and the hand's digest, rebuilds the task, and recomputes
-contacts, forces and quality from the joints: a file whose contacts are not those of its joints is
-refused.
+contacts, forces and quality from the joints: a file that claims others is refused.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ from pydantic import BaseModel
 
 from planner.contacts import Contact, ContactSet
 from planner.errors import FileFormatError
+from planner.files.claims import check_clearances, check_quality
 from planner.files.data import (
     ArmData,
     ContactData,
@@ -135,7 +135,7 @@ def plan_from_dict(data: dict[str, Any], source: str, *, hand: Hand | None = Non
     """
     file = checked_file(PlanFile, data, source)
     given = file.task.hand
-    hand = hand or Hand.load(given.description_path or given.name)
+    hand = hand or Hand.load(given.description_path or given.name, download=False)
     hand = hand.rolling if given.rolling else hand
     if hand.digest != given.sha256:
         raise FileFormatError(
@@ -185,6 +185,15 @@ def _rebuild(file: PlanFile, hand: Hand, source: str) -> GraspPlan:
             raise FileFormatError(
                 f"{source}: its {what} are not those of its joints; it is damaged"
             )
+    check_quality(file.quality, again.quality, plan.contacts, source)
+    check_clearances(
+        file.smallest_clearances_m, again.smallest_clearances_m, "smallest_clearances_m", source
+    )
+    fingers = [c.finger for c in again.contacts]
+    if len(file.pad_gaps_m) != len(fingers):
+        raise FileFormatError(f"{source}: its pad_gaps_m are not one per finger; it is damaged")
+    claimed, real = (dict(zip(fingers, d.pad_gaps_m, strict=True)) for d in (file, again))
+    check_clearances(claimed, real, "pad_gaps_m", source)
     return plan
 
 

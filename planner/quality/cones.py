@@ -41,8 +41,8 @@ __all__ = ["Cone", "RoundCones", "cone_edges", "contact_wrenches", "primitive_wr
 Cone: TypeAlias = Literal["inscribed", "circumscribed"]
 EdgeUnit: TypeAlias = Literal["normal", "length"]
 
-LONGEST = 1e6
-"""Longest characteristic length, m."""
+SHORTEST, LONGEST = 1e-6, 1e6
+"""Range of a characteristic length, m: beyond it forces and torques drown each other."""
 
 
 def cone_edges(
@@ -192,10 +192,11 @@ def check_length(length: float) -> None:
         ContactError: It is not.
     """
     given = float_array("the characteristic length", length)
-    if given.shape != () or not 0.0 < given <= LONGEST:
+    if given.shape != () or not SHORTEST <= given <= LONGEST:
         raise ContactError(
-            f"the characteristic length is {length}; give a positive number of metres, for example "
-            "the radius of the object's bounding sphere about its centre of mass"
+            f"the characteristic length is {length}; give a positive number of metres "
+            f"from {SHORTEST:g} to {LONGEST:g}, for example the radius of the object's bounding "
+            "sphere about its centre of mass"
         )
 
 

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from planner.arrays import float_array
 from planner.errors import ObjectError
 from planner.shapes.stable import StablePose
 from planner.shapes.surface import Surface
@@ -259,9 +260,9 @@ def checked_points(points: FloatArray) -> FloatArray:
     """Points (n, 3) as float64; a single point (3,) becomes (1, 3).
 
     Raises:
-        ObjectError: Another shape, NaN or infinity.
+        ObjectError: No numbers, another shape, NaN or infinity.
     """
-    p = np.atleast_2d(np.asarray(points, dtype=np.float64))
+    p = np.atleast_2d(float_array("points", points, error=ObjectError))
     if p.ndim != 2 or p.shape[1] != 3:
         raise ObjectError(f"points have shape {p.shape}; give an array of shape (n, 3), in metres")
     if not np.isfinite(p).all():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,9 @@ CONVERTIBLE = {
     ".off": "",
 }
 """Formats of meshes that trimesh converts, and the packages that it needs for that."""
+
+PLAIN_PATH = re.compile(r"[\w./ :+,@=~-]+")
+"""Paths that mean the same to every shell, between double quotes, and to Python."""
 
 
 def read_mesh(path: Path, scale: float) -> tuple[FloatArray, IntArray]:
@@ -72,6 +76,8 @@ def _conversion(path: Path) -> str:
     if packages is None:
         return ""
     needed = f" (after pip install {packages})" if packages else ""
+    if not PLAIN_PATH.fullmatch(path.as_posix()):  # nobody is to paste what a file name says
+        return f". Convert it to .ply{needed}"
     source, target = path.as_posix(), path.with_suffix(".ply").as_posix()
     command = f"import trimesh; trimesh.load_mesh({source!r}).export({target!r})"
     return f'. To convert it{needed}: python -c "{command}"'

@@ -6,6 +6,7 @@ from hashlib import sha256
 
 import numpy as np
 
+from planner.arrays import float_array
 from planner.errors import ObjectError
 from planner.spatial import FloatArray, IntArray
 
@@ -44,7 +45,11 @@ def checked_triangles(
         ObjectError: Other shapes, NaN or infinity, no faces, or faces of vertices that are not
             there.
     """
-    v, f = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
+    v = float_array(f"{name}: vertices", vertices, error=ObjectError)
+    try:
+        f = np.asarray(faces)
+    except ValueError as fault:  # rows of different lengths
+        raise ObjectError(f"{name}: faces are no array ({fault}); give integers (m, 3)") from fault
     if v.ndim != 2 or v.shape[1:] != (3,) or not np.isfinite(v).all():
         raise ObjectError(f"{name}: vertices have shape {v.shape}; give finite (n, 3), in m")
     if f.ndim != 2 or f.shape[1:] != (3,) or not np.issubdtype(f.dtype, np.integer) or len(f) == 0:

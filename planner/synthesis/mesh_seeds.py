@@ -98,12 +98,16 @@ class MeshSeeder(Seeder):
             able &= level & (high if (able & level & high).any() else True)
         if not able.any():
             least = float(pairs.widths.min(initial=np.inf))
+            places = (
+                f"{len(pairs.widths)} places with opposed faces, the narrowest {1e3 * least:.0f} "
+                "mm wide, none of them level enough, within reach and where it may be touched"
+                if len(pairs.widths)
+                else "no places with opposed faces"
+            )
             raise TaskError(
                 f"{task.hand.name} finds nowhere to close on {task.object.name}: its pads open "
-                f"{1e3 * self.widest:.0f} mm; the object has {len(pairs.widths)} places with "
-                f"opposed faces, the narrowest {1e3 * least:.0f} mm wide, none of them level "
-                "enough, within reach and where it may be touched; try another pose, other fingers "
-                "or a larger hand"
+                f"{1e3 * self.widest:.0f} mm; the object has {places}; try another pose, other "
+                "fingers or a larger hand"
             )
         far = np.linalg.norm(pairs.centers, axis=1) / (self.near_center * mesh.bounding_radius)
         weight = np.where(able, np.exp(-(far**2)), 0.0)

@@ -295,9 +295,16 @@ def check_folder(file: Path | None) -> None:
     """Refuse a file in a folder that does not exist, before the work and not after it."""
     from planner.errors import FileFormatError
 
-    if file is not None and not file.parent.is_dir():
+    if file is None:
+        return
+    try:
+        has_folder, is_folder = file.parent.is_dir(), file.is_dir()
+    except (OSError, ValueError) as error:  # too long a name, a barred way, a null character
+        reason = getattr(error, "strerror", None) or error
+        raise FileFormatError(f"cannot write {file}: {reason}; give another name") from error
+    if not has_folder:
         raise FileFormatError(f"cannot write {file}: there is no folder {file.parent}; make it")
-    if file is not None and file.is_dir():
+    if is_folder:
         raise FileFormatError(f"cannot write {file}: it is a folder; name a file")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -68,7 +69,7 @@ def compiled(model: Any) -> Source:
             "mujoco.MjSpec or a mujoco.MjModel"
         )
     path = Path(model)
-    if not path.is_file() or path.suffix == DESCRIPTION:
+    if not os.path.isfile(path) or path.suffix == DESCRIPTION:
         path = find_hand(model)
     if path.suffix == DESCRIPTION:
         hand = Hand.load(model)
