@@ -33,6 +33,10 @@ def tilts(axis: FloatArray) -> bool:
     return bool(abs(axis[2]) < UPRIGHT * np.linalg.norm(axis))
 
 
+LONGEST_SHIFT = 2.0
+"""Longest way, m: fingers that stay where they touch reach less than a metre."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class ObjectPath:
     """Where an object is to go from where it is.
@@ -60,6 +64,8 @@ class ObjectPath:
             raise TaskError(f"axis is {self.axis}; give a direction of three numbers in world axes")
         if shift.shape != (3,) or not np.isfinite(shift).all():
             raise TaskError(f"shift is {self.shift}; give three finite numbers in m, world axes")
+        if np.linalg.norm(shift) > LONGEST_SHIFT:
+            raise TaskError(f"shift is {self.shift}; give a way of at most {LONGEST_SHIFT:g} m")
         if not np.isfinite(self.angle) or abs(self.angle) > LARGEST_TURN + SHORTEST:
             raise TaskError(
                 f"angle is {self.angle} rad; give at most a half turn (pi) in either direction, "

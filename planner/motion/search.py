@@ -224,6 +224,10 @@ ROUNDING = 1e-9
 """A path longer than a whole number of pieces by this (-) has that number."""
 
 
+WIDEST_TUBE = 2.0
+"""Widest tube, m: as large as an object may be."""
+
+
 def check_task(task: GraspTask, tube: float, seed: int) -> None:
     """Check what every motion needs.
 
@@ -237,8 +241,8 @@ def check_task(task: GraspTask, tube: float, seed: int) -> None:
         )
     if task.wrist_free:
         raise TaskError("the wrist is free in this task; a motion is the fingers': hold the wrist")
-    if not (np.isfinite(tube) and tube >= 0):
-        raise TaskError(f"tube is {tube}; give a radius in m, 0 or more")
+    if not 0 <= tube <= WIDEST_TUBE:
+        raise TaskError(f"tube is {tube}; give a radius in m, 0 or more, up to {WIDEST_TUBE:g}")
     if not isinstance(seed, int | np.integer) or seed < 0:
         raise TaskError(f"seed is {seed!r}; give an integer >= 0")
 

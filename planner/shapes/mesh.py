@@ -326,7 +326,7 @@ class Mesh(Shape):
                 known = DistanceField.from_arrays(stored)
                 if field_fits(self, self.vertices, known):
                     return known
-            except (KeyError, ValueError, IndexError):
+            except (KeyError, ValueError, IndexError, TypeError):  # TypeError: rows for numbers
                 pass  # of another form: made anew
         field = fit_mesh_field(self._surface, self.wall_thickness)
         write_arrays("field", key, field.to_arrays())
