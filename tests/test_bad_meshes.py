@@ -193,6 +193,10 @@ BAD: dict[str, tuple[Make, str]] = {
     "a picture": (written(b"\x89PNG\r\n\x1a\n" + b"\0" * 99, "p.ply"), r"cannot be read as \.ply"),
     "an open obj": (written(OBJ_BOX_OPEN, "open.obj"), "is not closed: 3 open"),
     "a vertex that is not a number": (written(OBJ_NAN, "nan.obj"), "NaN or infinite"),
+    "vertices in a plane": (
+        written("v 0 0\nv 1 0\nv 0 1\nv 1 1\nf 1 2 3\nf 2 4 3\n", "plane.obj"),
+        r"vertices of another number of coordinates than 3 \(shape \(4, 2\)\)",
+    ),
     "a vertex that is not there": (written(OBJ_INDEX, "index.obj"), "cannot be read"),
     "points only": (
         exported(lambda: trimesh.PointCloud(np.eye(3)), "points.ply"),

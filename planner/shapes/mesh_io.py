@@ -99,6 +99,11 @@ def _read(path: Path) -> tuple[FloatArray, IntArray]:
             f"{path.name} cannot be read as {path.suffix.lower()} ({type(fault).__name__}: "
             f"{fault}); export it again"
         ) from fault
+    if vertices.ndim != 2 or vertices.shape[1] != 3:  # an OBJ line of two or seven numbers
+        raise ObjectError(
+            f"{path.name} has vertices of another number of coordinates than 3 (shape "
+            f"{vertices.shape}); export it again"
+        )
     # merging may leave triangles with two equal corners, which are nothing
     faces = faces.reshape(-1, 3)
     return vertices, faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
