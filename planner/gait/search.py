@@ -25,6 +25,7 @@ from planner.kinematics import HandState
 from planner.motion import ObjectPath
 from planner.motion.ground import Ground
 from planner.motion.holds import Hold
+from planner.motion.path import check_shift
 from planner.motion.search import MOTION_OPTIONS, TUBE, UP, check_task
 from planner.spatial import FloatArray
 from planner.synthesis.mesh_seeds import seeder_for
@@ -168,6 +169,7 @@ def _pieces(
     """
     if not np.isfinite(angle):
         raise TaskError(f"angle is {angle} rad; give a finite number")
+    check_shift(shift)
     counts: list[int] = []
     for turn in STROKES:
         pieces = max(abs(angle) / turn, float(np.linalg.norm(shift)) / STROKE_SHIFT)

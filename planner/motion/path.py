@@ -15,7 +15,7 @@ from planner.errors import TaskError
 from planner.fixed import freeze
 from planner.spatial import SE3, FloatArray
 
-__all__ = ["LARGEST_TURN", "ObjectPath", "tilts"]
+__all__ = ["LARGEST_TURN", "ObjectPath", "check_shift", "tilts"]
 
 SHORTEST = 1e-9
 """Length (-) below which an axis has no direction; turns (rad) and shifts (m) below it are none."""
@@ -35,6 +35,18 @@ def tilts(axis: FloatArray) -> bool:
 
 LONGEST_SHIFT = 2.0
 """Longest way, m: fingers that stay where they touch reach less than a metre."""
+
+
+def check_shift(shift: FloatArray) -> None:
+    """Refuse what is no translation (3,), m, of an object in a hand.
+
+    Raises:
+        TaskError: Another shape, not finite, or longer than ``LONGEST_SHIFT``.
+    """
+    if shift.shape != (3,) or not np.isfinite(shift).all():
+        raise TaskError(f"shift is {shift}; give three finite numbers in m, world axes")
+    if np.abs(shift).max() > LONGEST_SHIFT or np.linalg.norm(shift) > LONGEST_SHIFT:
+        raise TaskError(f"shift is {shift}; give a way of at most {LONGEST_SHIFT:g} m")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,10 +74,7 @@ class ObjectPath:
         length = float(np.linalg.norm(axis)) if axis.shape == (3,) else 0.0
         if not (np.isfinite(axis).all() and length > SHORTEST):
             raise TaskError(f"axis is {self.axis}; give a direction of three numbers in world axes")
-        if shift.shape != (3,) or not np.isfinite(shift).all():
-            raise TaskError(f"shift is {self.shift}; give three finite numbers in m, world axes")
-        if np.linalg.norm(shift) > LONGEST_SHIFT:
-            raise TaskError(f"shift is {self.shift}; give a way of at most {LONGEST_SHIFT:g} m")
+        check_shift(shift)
         if not np.isfinite(self.angle) or abs(self.angle) > LARGEST_TURN + SHORTEST:
             raise TaskError(
                 f"angle is {self.angle} rad; give at most a half turn (pi) in either direction, "
