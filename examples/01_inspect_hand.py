@@ -10,14 +10,15 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from planner import SE3, GraspTask, Hand, HandState
+from planner import SE3, GraspTask, HandState
+from planner.hand_loading import load_hand
 from sim.scene import build_scene
 
 HAND = "shadow_hand"  # name, or path of a hand.toml
 POSTURE = "pinch"  # a posture that the description names
 SHIFT = 1e-6  # joint step of the finite difference, rad
 
-hand = Hand.load(HAND)
+hand = load_hand(HAND)
 q = hand.posture(POSTURE)
 print(f"{hand.name}: {hand.nq} joints, {len(hand.actuation.names)} actuators")
 for finger in hand.fingers.values():

@@ -19,6 +19,7 @@ import mujoco
 import numpy as np
 
 from planner import GraspPlan, GraspTask, Hand, plan_grasp
+from planner.hand_loading import hand_from_spec
 from planner.spatial import FloatArray
 from sim.controllers import ObjectImpedance, Observation
 from sim.protocols.hold import Hold, Lost
@@ -58,7 +59,7 @@ def with_motors(hand: Hand) -> Hand:
     for actuator in spec.actuators:
         actuator.set_to_motor()
         actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
-    return Hand.from_spec(spec, hand.description)
+    return hand_from_spec(spec, hand.description)
 
 
 def pushed(plan: GraspPlan, every: int) -> tuple[bool, FloatArray, FloatArray]:

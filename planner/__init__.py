@@ -12,7 +12,7 @@ loading MuJoCo, Pinocchio, coal or CasADi.
 
 from typing import TYPE_CHECKING
 
-from planner.lazy import lazy_names
+from planner.system.lazy_names import lazy_names
 from planner.version import __version__
 
 if TYPE_CHECKING:
@@ -21,16 +21,17 @@ if TYPE_CHECKING:
     from planner.errors import NoGraspFoundError, PlannerError
     from planner.files import read_plan, write_plan
     from planner.forces import distribute_forces
-    from planner.gait import GaitPlan, plan_gait
-    from planner.hand import Hand
-    from planner.kinematics import HandState
+    from planner.hand_loading import hand_from_model, hand_from_spec, load_hand
+    from planner.hands.hand import Hand
+    from planner.kinematics.state import HandState
+    from planner.kinematics.symbolic import SymbolicHand
     from planner.motion import MotionPlan, plan_motion
+    from planner.motion.gait import GaitPlan, plan_gait
     from planner.objects import GraspObject, parse_object
     from planner.plan import GraspPlan
     from planner.quality import analyse, force_closure
     from planner.search import attempts, plan_grasp
     from planner.spatial import SE3
-    from planner.symbolic import SymbolicHand
     from planner.task import GraspTask, Obstacle
 
 __all__ = [
@@ -54,6 +55,9 @@ __all__ = [
     "attempts",
     "distribute_forces",
     "force_closure",
+    "hand_from_model",
+    "hand_from_spec",
+    "load_hand",
     "parse_object",
     "plan_gait",
     "plan_grasp",
@@ -66,25 +70,28 @@ __all__ = [
 _HOMES = {
     "Contact": "planner.contacts",
     "ContactSet": "planner.contacts",
-    "GaitPlan": "planner.gait",
+    "GaitPlan": "planner.motion.gait",
     "GraspObject": "planner.objects",
     "GraspPlan": "planner.plan",
     "GraspSet": "planner.batch",
     "GraspTask": "planner.task",
-    "Hand": "planner.hand",
-    "HandState": "planner.kinematics",
+    "Hand": "planner.hands.hand",
+    "hand_from_model": "planner.hand_loading",
+    "hand_from_spec": "planner.hand_loading",
+    "load_hand": "planner.hand_loading",
+    "HandState": "planner.kinematics.state",
     "MotionPlan": "planner.motion",
     "NoGraspFoundError": "planner.errors",
     "Obstacle": "planner.task",
     "PlannerError": "planner.errors",
     "SE3": "planner.spatial",
-    "SymbolicHand": "planner.symbolic",
+    "SymbolicHand": "planner.kinematics.symbolic",
     "analyse": "planner.quality",
     "attempts": "planner.search",
     "distribute_forces": "planner.forces",
     "force_closure": "planner.quality",
     "parse_object": "planner.objects",
-    "plan_gait": "planner.gait",
+    "plan_gait": "planner.motion.gait",
     "plan_grasp": "planner.search",
     "plan_grasps": "planner.batch",
     "plan_motion": "planner.motion",

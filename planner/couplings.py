@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from planner.errors import HandError
-from planner.programme import programme
+from planner.numerics.programme import programme
 from planner.spatial import FloatArray
 
 __all__ = [

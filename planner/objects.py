@@ -22,7 +22,7 @@ from planner.bridge.object_body import object_body
 from planner.errors import NotFoundError, ObjectError
 from planner.regions import TouchRegion
 from planner.shapes import SIZED_SHAPES, Mesh, Shape
-from planner.shapes.mesh_io import CONVERTIBLE, MESH_SUFFIXES
+from planner.shapes.meshes.io import CONVERTIBLE, MESH_SUFFIXES
 from planner.spatial import SE3
 
 __all__ = ["DEFAULT_MASS", "GraspObject", "object_names", "parse_object"]

@@ -7,18 +7,47 @@ from functools import cached_property
 
 import numpy as np
 
+from planner.approach.arm_path import ArmPath
+from planner.collision.world import Clearance
 from planner.contacts import ContactSet
-from planner.fixed import freeze
 from planner.forces import ForceSolution
-from planner.kinematics import HandState
+from planner.immutable import freeze
+from planner.kinematics.state import HandState
 from planner.paths import along, smooth
 from planner.quality import QualityReport, analyse
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.carried import ArmPath
-from planner.synthesis.verify import Verification
 from planner.task import GraspTask
 
-__all__ = ["GraspPlan", "JointTrajectory", "SolveRecord"]
+__all__ = ["GraspPlan", "JointTrajectory", "SolveRecord", "Verification"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verification:
+    """Residuals of a grasp on the true geometry.
+
+    Attributes:
+        pad_gaps: Signed distance of each finger's pad from the surface, (n,), m: of its sphere, or
+            of the geometry that carries it where the sphere only approximates that.
+        pad_geometry_gaps: The same for the whole geometry that carries the pad, by coal, (n,), m.
+        pad_angles: Angle between pad axis and contact direction, (n,), rad.
+        closest: The smallest clearances that are not pad contacts, nearest first.
+        coupling_error: Largest violation of a kinematic coupling, rad.
+        limit_error: Largest violation of a joint limit, rad.
+        faults: What fails, in words; empty if the grasp holds geometrically.
+    """
+
+    pad_gaps: FloatArray
+    pad_geometry_gaps: FloatArray
+    pad_angles: FloatArray
+    closest: tuple[Clearance, ...]
+    coupling_error: float
+    limit_error: float
+    faults: tuple[str, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing failed."""
+        return not self.faults
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +96,7 @@ class JointTrajectory:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GraspPlan:
-    """A grasp that passed every check of ``planner.synthesis.verify`` and the force QP.
+    """A grasp that passed every check of ``planner.verification.geometry`` and the force QP.
 
     Like its task it never changes: poses and arrays are read-only copies.
 

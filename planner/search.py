@@ -11,22 +11,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planner.attempt import Attempt, nothing_found, numbered
-from planner.collision import CollisionWorld
+from planner.attempts import Attempt, nothing_found, numbered
+from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
-from planner.judge import judge_grasp
 from planner.plan import GraspPlan, SolveRecord
-from planner.stages import stage
 from planner.synthesis.clearance import bones_are_true
-from planner.synthesis.mesh_seeds import seeder_for
+from planner.synthesis.optimize import NEARLY, descend_grasp
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problems import Problems, problems_for
 from planner.synthesis.residuals import WEIGHTS
-from planner.synthesis.seeds import Seeder
-from planner.synthesis.settle import settle
-from planner.synthesis.strengthen import NEARLY, descend_grasp
+from planner.synthesis.seeds.draw import Seeder
+from planner.synthesis.seeds.mesh import seeder_for
+from planner.system.stage_times import stage
+from planner.system.threads import kept_by_thread, made_once
 from planner.task import GraspTask
-from planner.threads import kept_by_thread, made_once
+from planner.verification.grasp import judge_grasp
+from planner.verification.projection import settle
 
 __all__ = [
     "Attempt",

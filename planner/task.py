@@ -16,9 +16,11 @@ import numpy as np
 from planner.arrays import checked_number
 from planner.contacts import CONTACT_DIM, MOST_FRICTION, ContactModel
 from planner.errors import TaskError
-from planner.fixed import fixed_pose, is_pose
 from planner.forces.grip import LEAST_MU, ExpectedLoad, grip_for_load
-from planner.hand import Finger, Hand
+from planner.hand_loading import load_hand
+from planner.hands.fingers import Finger
+from planner.hands.hand import Hand
+from planner.immutable import fixed_pose, is_pose
 from planner.objects import GraspObject, parse_object
 from planner.spatial import SE3, FloatArray, fixed_array
 
@@ -165,7 +167,7 @@ class GraspTask:
         Raises:
             PlannerError: An unknown name, a number out of range, or a task that cannot work.
         """
-        hand = hand if isinstance(hand, Hand) else Hand.load(hand)
+        hand = hand if isinstance(hand, Hand) else load_hand(hand)
         item = parse_object(object) if isinstance(object, str) else object
         _check_number("mu", mu)
         if table_height is not None:

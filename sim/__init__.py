@@ -12,7 +12,7 @@ own package, ``sim.crosscheck``.
 
 from typing import TYPE_CHECKING
 
-from planner.lazy import lazy_names
+from planner.system.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from sim.contacts import contacts_from_mujoco
@@ -53,7 +53,7 @@ _HOMES = {
     "ManipulationReport": "sim.manipulation",
     "ObjectImpedance": "sim.controllers",
     "Observation": "sim.controllers",
-    "PhysicsOptions": "sim.physics",
+    "PhysicsOptions": "sim.physics.options",
     "ProtocolReport": "sim.protocols",
     "Scene": "sim.scene",
     "Sensing": "sim.controllers",

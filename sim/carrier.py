@@ -16,13 +16,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from planner.approach.arm_path import LIFT_HEIGHT, ArmPath
 from planner.errors import TaskError
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
-from planner.synthesis.carried import LIFT_HEIGHT, ArmPath
 from sim.controllers.base import Phase
 from sim.controllers.motors import motor_servo
-from sim.mount import MountCarrier
+from sim.gantry import MountCarrier
 from sim.scene import Scene
 from sim.timeline import Timeline
 

@@ -12,8 +12,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from planner.hand import Finger, Hand
-from planner.kinematics import HandState
+from planner.hands.fingers import Finger
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
 
 if TYPE_CHECKING:
     from planner.describe import CheckReport

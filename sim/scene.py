@@ -1,6 +1,6 @@
 """``Scene``: the MuJoCo world of a ``GraspTask``: driven mount, hand, table, obstacles, object.
 
-The hand hangs on a mount of six driven joints (``sim.mount``). A hand on an arm has no mount: the
+The hand hangs on a mount of six driven joints (``sim.gantry``). A hand on an arm has no mount: the
 arm's root stands fixed, and its own servos carry the hand (``sim.carrier``).
 
 Friction is explicit. MuJoCo mixes the friction of two geoms by their maximum unless one has the
@@ -8,7 +8,8 @@ higher priority; here the object decides against the hand (condim 4 unless the p
 otherwise: sliding and torsion), and table and obstacles decide against the object (condim 6: with
 rolling too, so that a ball stays where it is put). So do the other numbers of a contact.
 
-A mesh collides as convex pieces that cover it (``planner.shapes.pieces``) and is shown as it is.
+A mesh collides as convex pieces that cover it (``planner.shapes.decomposition.pieces``) and is
+shown as it is.
 """
 
 from __future__ import annotations
@@ -22,16 +23,16 @@ import mujoco
 import numpy as np
 
 from planner.bridge import compile_spec
-from planner.collision import TABLE_SIZE
-from planner.hand import Hand
-from planner.kinematics import HandState
+from planner.collision.world import TABLE_SIZE
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
 from planner.shapes import Mesh
-from planner.shapes.solid import solid_deviation, solid_geoms
+from planner.shapes.decomposition.solid import solid_deviation, solid_geoms
 from planner.spatial import SE3, FloatArray, IntArray, pose_to_wxyz
 from planner.task import GraspTask
-from sim.mount import MOUNT, Mount, add_mount, tuned_mount
-from sim.physics import CONTACT_SOLREF, PhysicsOptions
-from sim.picture import add_scenery
+from sim.gantry import MOUNT, Mount, add_mount, tuned_mount
+from sim.looking.picture import add_scenery
+from sim.physics.options import CONTACT_SOLREF, PhysicsOptions
 
 __all__ = [
     "HAND_PREFIX",

@@ -37,14 +37,14 @@ from sim.controllers import (
 )
 from sim.controllers.schedule import TOUCH_FORCE
 from sim.creep import CREEP_BUDGET, least_creep, remedies
+from sim.looking.picture import save_picture
+from sim.looking.viewer import Viewer
 from sim.pads import read_pads
-from sim.picture import save_picture
 from sim.recorder import Recorder
 from sim.report import TrialReport
 from sim.scene import PhysicsOptions, Scene, build_scene
 from sim.timeline import Timeline
 from sim.verdict import Thresholds, Verdict, judge
-from sim.viewing import Viewer
 
 __all__ = ["Timeline", "Trial", "simulate"]
 

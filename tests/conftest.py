@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from planner.catalog import models_dir
-from planner.hand import Hand
+from planner.hand_loading import load_hand
+from planner.hands.catalog import models_dir
+from planner.hands.hand import Hand
 from planner.shapes import Mesh
 from planner.spatial import FloatArray
 from sim.controllers.follow import MotionReference
@@ -35,12 +36,12 @@ def box_mesh(size: Sequence[float] | FloatArray, halvings: int = 0) -> Mesh:
 
 @pytest.fixture(scope="session")
 def allegro() -> Hand:
-    return Hand.load("allegro_hand")
+    return load_hand("allegro_hand")
 
 
 @pytest.fixture(scope="session")
 def shadow() -> Hand:
-    return Hand.load("shadow_hand")
+    return load_hand("shadow_hand")
 
 
 @pytest.fixture(scope="session", params=RIGHT_HANDS)

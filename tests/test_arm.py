@@ -11,7 +11,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.catalog import models_dir
 from planner.errors import (
     HandError,
     ModelError,
@@ -20,12 +19,21 @@ from planner.errors import (
     PlannerError,
     TaskError,
 )
-from planner.hand import Hand
-from planner.ik import POSITION_TOL, ROTATION_TOL, follow, palm_pose, reach, straight_path
-from planner.kinematics import HandState
+from planner.hand_loading import load_hand
+from planner.hands.catalog import models_dir
+from planner.hands.hand import Hand
+from planner.kinematics.arm_ik import (
+    POSITION_TOL,
+    ROTATION_TOL,
+    follow,
+    palm_pose,
+    reach,
+    straight_path,
+)
+from planner.kinematics.state import HandState
+from planner.kinematics.symbolic import SymbolicHand
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, rotation_angle
-from planner.symbolic import SymbolicHand
 from planner.task import GraspTask
 
 # Craig's Denavit-Hartenberg parameters of the Panda: a (m), alpha (rad), d (m) of joints 1 to 7
@@ -80,7 +88,7 @@ z = 0.2
 
 @pytest.fixture(scope="module")
 def arm_hand() -> Hand:
-    return Hand.load("allegro_on_arm7")
+    return load_hand("allegro_on_arm7")
 
 
 @pytest.fixture
@@ -147,7 +155,7 @@ def test_the_hand_is_the_same_as_without_an_arm(arm_hand: Hand, allegro: Hand) -
 
 def test_a_mirrored_hand_can_be_on_an_arm(gantry: Path) -> None:
     edit(gantry, "allegro_hand/", "allegro_hand_left/")
-    left, right = Hand.load(gantry), Hand.load("allegro_hand")
+    left, right = load_hand(gantry), load_hand("allegro_hand")
     q = left.posture("pinch")
     thumb = HandState(left, q)
     in_palm = thumb.T_base_palm.inverse().act(thumb.pad_center(left.fingers["thumb"]))
@@ -230,7 +238,7 @@ def test_a_straight_path_is_straight(arm_hand: Hand) -> None:
 
 
 def test_any_tree_of_joints_is_an_arm(gantry: Path) -> None:
-    hand = Hand.load(gantry)
+    hand = load_hand(gantry)
     assert hand.joint_names[:2] == ("arm/x", "arm/z")
     q = hand.posture("open")
     assert q[:2].tolist() == [0.0, 0.2]
@@ -264,7 +272,7 @@ def test_a_wrong_mount_is_told(
 ) -> None:
     edit(gantry, old, new)
     with pytest.raises(error, match=message):
-        Hand.load(gantry)
+        load_hand(gantry)
 
 
 @pytest.mark.parametrize(
@@ -279,7 +287,7 @@ def test_a_wrong_mount_is_told(
 def test_a_model_that_is_no_arm_is_told(gantry: Path, old: str, new: str, message: str) -> None:
     edit(gantry.parent / "gantry.xml", old, new)
     with pytest.raises(PlannerError, match=message):
-        Hand.load(gantry)
+        load_hand(gantry)
 
 
 def test_the_arm_stands_where_its_description_says(arm_hand: Hand) -> None:

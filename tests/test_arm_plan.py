@@ -12,18 +12,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.collision import CollisionWorld
+from planner.approach.arm_path import LIFT_HEIGHT, _Radii, lift_fault, path_fault
+from planner.approach.pregrasp import APPROACH_CLEARANCE, Approach, approach_fault
+from planner.collision.world import CollisionWorld
 from planner.errors import FileFormatError, TaskError
 from planner.files import read_plan, write_plan
-from planner.hand import Hand
-from planner.ik import palm_pose
+from planner.hands.hand import Hand
+from planner.kinematics.arm_ik import palm_pose
 from planner.objects import GraspObject
 from planner.paths import along
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, rotation_angle
-from planner.synthesis.carried import LIFT_HEIGHT, _Radii, lift_fault, path_fault
-from planner.synthesis.pregrasp import APPROACH_CLEARANCE, Approach, approach_fault
 from planner.task import GraspTask, Obstacle
 from sim.carrier import ArmCarrier
 from sim.scene import build_scene

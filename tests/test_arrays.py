@@ -12,7 +12,7 @@ from planner.arrays import checked_count, checked_number, finite_array
 from planner.contacts import Contact, ContactSet
 from planner.errors import ContactError, TaskError
 from planner.forces import distribute_forces
-from planner.measures import resisted_per_newton
+from planner.plan_metrics import resisted_per_newton
 from planner.quality import analyse, epsilon_l1
 from planner.quality.ball import MOST_HULL_POINTS, measure_hull
 

@@ -13,8 +13,8 @@ import trimesh
 from planner.errors import NotFoundError, ObjectError, PlannerError
 from planner.objects import parse_object
 from planner.shapes import Mesh
-from planner.shapes.cache import CACHE_VARIABLE
-from planner.shapes.soundness import MOST_TRIANGLES
+from planner.shapes.meshes.soundness import MOST_TRIANGLES
+from planner.system.disk_cache import CACHE_VARIABLE
 
 Make = Callable[[Path], Path]
 

@@ -12,11 +12,11 @@ import pytest
 import trimesh
 
 from planner.batch import GraspSet, plan_grasps
-from planner.batch.dexgraspbench import export_dexgraspbench
-from planner.batch.dexgraspbench.export import row_squeeze
-from planner.batch.dexgraspbench.hand_file import T_model_base
 from planner.errors import TaskError
-from planner.hand import Hand
+from planner.exchange.dexgraspbench import export_dexgraspbench
+from planner.exchange.dexgraspbench.export import row_squeeze
+from planner.exchange.dexgraspbench.hand_file import T_model_base
+from planner.hand_loading import load_hand
 from planner.spatial import FloatArray, pose_from_wxyz
 from planner.task import GraspTask
 
@@ -213,7 +213,7 @@ def test_a_hand_on_an_arm_is_not_exported(
     exported: tuple[GraspSet, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     grasps, _ = exported
-    task = GraspTask.create(Hand.load("allegro_on_arm7"), "sphere")
+    task = GraspTask.create(load_hand("allegro_on_arm7"), "sphere")
     monkeypatch.setattr(grasps, "task", lambda label: task)
     with pytest.raises(TaskError, match="on an arm"):
         export_dexgraspbench(grasps, tmp_path)

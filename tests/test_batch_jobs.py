@@ -20,7 +20,8 @@ from planner.batch.jobs import BatchObject, Job, batch_jobs, grasp_seed, plan_ro
 from planner.batch.recipe import label_of, recipe_of, shape_key, task_of
 from planner.errors import FileFormatError, TaskError
 from planner.forces import ExpectedLoad
-from planner.hand import Hand
+from planner.hand_loading import load_hand
+from planner.hands.hand import Hand
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
 from planner.regions import TouchRegion, parse_region
@@ -127,7 +128,7 @@ def test_a_hand_made_in_python_cannot_be_sent(allegro: Hand) -> None:
 
 
 def test_a_hand_whose_files_changed_is_refused(edit_hand: Callable[..., Path]) -> None:
-    task = GraspTask.create(Hand.load(edit_hand()), "sphere")
+    task = GraspTask.create(load_hand(edit_hand()), "sphere")
     recipe = recipe_of(task).replace(task.hand.digest, "0" * 64)
     with pytest.raises(FileFormatError, match="changed since"):
         task_of(recipe)

@@ -21,7 +21,7 @@ from planner.batch.pool import planned_rows
 from planner.batch.rows import failed_row
 from planner.errors import TaskError
 from planner.files import read_plan, write_plan
-from planner.hand import Hand
+from planner.hands.hand import Hand
 from planner.search import plan_grasp
 from planner.task import GraspTask
 

@@ -17,7 +17,7 @@ from planner.batch.recipe import Recipe
 from planner.batch.rows import failed_row, grasp_schema
 from planner.batch.store import Store, shard_file
 from planner.errors import FileFormatError, NotFoundError, TaskError
-from planner.hand import Hand
+from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.search import Attempt
 from planner.task import GraspTask

@@ -17,11 +17,11 @@ from rich.console import Console
 from planner.certify import smallest_breaking
 from planner.contacts import ContactSet
 from planner.errors import FileFormatError, NotFoundError
-from planner.judge import with_grip
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
+from planner.verification.grasp import with_grip
 from sim.bench.control import (
     control_tables,
     grasps_of,

@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from planner.errors import FileFormatError, PlannerError
-from planner.hand import Hand
+from planner.hands.hand import Hand
 from planner.search import plan_grasp
 from planner.task import GraspTask
 from sim.bench import metrics

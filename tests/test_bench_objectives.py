@@ -12,7 +12,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from planner.errors import NotFoundError, PlannerError, TaskError
-from planner.measures import MEASURES
+from planner.plan_metrics import MEASURES
 from planner.synthesis import OBJECTIVES
 from sim.bench.objectives import objective_tables, run_objectives, summary_of_objective
 from sim.bench.objects import bench_objects

@@ -20,8 +20,7 @@ from sim.bench.physics import (
 )
 from sim.bench.physics_tables import physics_tables
 from sim.bench.physics_variants import VARIANTS
-from sim.physics import PhysicsOptions
-from sim.presets import PRESETS
+from sim.physics import PRESETS, PhysicsOptions
 from sim.runner import Runner
 
 BOX = bench_objects(["box"])

@@ -10,9 +10,9 @@ import pytest
 from rich.console import Console
 
 from planner.errors import NotFoundError
-from planner.hand import Hand
-from planner.kinematics import HandState
-from planner.shapes.cache import CACHE_VARIABLE
+from planner.hand_loading import load_hand
+from planner.kinematics.state import HandState
+from planner.system.disk_cache import CACHE_VARIABLE
 from sim.bench.scaling import CURVES, curve, points_of, run_scaling, scaling_tables
 from sim.bench.star_hand import write_star_hand
 from sim.runner import Runner
@@ -23,7 +23,7 @@ HERE = Runner(console=Console(quiet=True), check=lambda: None)
 
 @pytest.mark.parametrize("n", [2, 5, 8])
 def test_a_star_hand_has_equal_fingers_around_its_palm(n: int, tmp_path: Path) -> None:
-    hand = Hand.load(write_star_hand(tmp_path, n))
+    hand = load_hand(write_star_hand(tmp_path, n))
     assert len(hand.fingers) == n
     assert hand.nq == 4 * n
     state = HandState(hand, hand.posture("pinch"))

@@ -14,12 +14,14 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from planner import GraspTask, catalog, plan_grasp
+from planner import GraspTask, plan_grasp
 from planner.batch.recipe import recipe_of, task_of
-from planner.catalog import find_hand, hand_names, hand_reference, model_file, models_dir
 from planner.errors import HandError, ModelError, NotFoundError, PlannerError
 from planner.files import plan_from_dict, plan_to_dict
-from planner.hand import Hand
+from planner.hand_loading import load_hand
+from planner.hands import catalog
+from planner.hands.catalog import find_hand, hand_names, hand_reference, model_file, models_dir
+from planner.hands.hand import Hand
 
 EditHand = Callable[..., Path]
 
@@ -36,7 +38,7 @@ def test_both_right_hands_are_there() -> None:
 
 @pytest.mark.parametrize("name", hand_names())
 def test_every_hand_is_named_after_its_folder_and_describes_itself(name: str) -> None:
-    hand = Hand.load(name)
+    hand = load_hand(name)
     assert hand.name == name
     assert hand.path == models_dir() / "hands" / name / "hand.toml"
     assert hand.description.summary
@@ -50,7 +52,7 @@ def test_hands_are_found_from_a_foreign_directory(
     before = hand_names()
     monkeypatch.chdir(tmp_path)
     assert hand_names() == before
-    assert Hand.load("allegro_hand").nq == 16
+    assert load_hand("allegro_hand").nq == 16
 
 
 def test_a_folder_of_the_same_name_does_not_hide_a_hand(
@@ -69,7 +71,7 @@ def test_a_hand_is_found_by_file_by_folder_and_by_relative_path(
     folder = Path(file.parent.name)
     for given in (file, str(file), file.parent, folder, folder / "hand.toml"):
         assert find_hand(given).resolve() == file.resolve()
-        assert Hand.load(given).name == "allegro_hand"
+        assert load_hand(given).name == "allegro_hand"
 
 
 @pytest.mark.parametrize(
@@ -83,7 +85,7 @@ def test_a_hand_is_found_by_file_by_folder_and_by_relative_path(
 )
 def test_a_misspelt_hand_is_answered_with_the_nearest_name(given: str, nearest: str) -> None:
     with pytest.raises(NotFoundError, match=f"no hand is called '{given}'") as caught:
-        Hand.load(given)
+        load_hand(given)
     assert f"Did you mean {nearest!r}?" in str(caught.value)
     assert "There is: allegro_hand, " in str(caught.value)
     assert "Or give the path of a hand.toml" in str(caught.value)
@@ -92,7 +94,7 @@ def test_a_misspelt_hand_is_answered_with_the_nearest_name(given: str, nearest: 
 
 def test_a_name_like_none_of_them_gets_the_list_and_no_guess() -> None:
     with pytest.raises(NotFoundError) as caught:
-        Hand.load("zzz")
+        load_hand("zzz")
     assert "Did you mean" not in str(caught.value)
     assert "shadow_hand" in str(caught.value)
 
@@ -103,18 +105,18 @@ def test_a_path_that_does_not_exist_is_called_a_path(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(NotFoundError, match="That path does not exist"):
-        Hand.load(given)
+        load_hand(given)
 
 
 @pytest.mark.parametrize("given", ["", "a" * 400, "a\0b", "hand.toml/" + "a" * 400])
 def test_a_name_that_no_file_can_have(given: str) -> None:
     with pytest.raises(NotFoundError, match="no hand is called "):
-        Hand.load(given)
+        load_hand(given)
 
 
 def test_an_empty_folder_is_no_hand(tmp_path: Path) -> None:
     with pytest.raises(NotFoundError, match=r"no hand is called .* path of a hand\.toml"):
-        Hand.load(tmp_path)
+        load_hand(tmp_path)
 
 
 def test_a_model_file_is_found_as_itself(edit_hand: EditHand) -> None:
@@ -127,21 +129,21 @@ def test_a_model_file_is_a_hand_by_its_structure_wherever_it_lies(
     edit_hand: EditHand, tmp_path: Path
 ) -> None:
     model = edit_hand().parent / "allegro_hand.xml"
-    hand = Hand.load(model)
+    hand = load_hand(model)
     assert (hand.nq, len(hand.fingers), hand.path) == (16, 4, model)
     assert hand.reference == str(model)
     (tmp_path / "moved").mkdir()
     moved = shutil.copy(model, tmp_path / "moved")
-    assert Hand.load(moved).digest == hand.digest
+    assert load_hand(moved).digest == hand.digest
     Path(moved).write_text(model.read_text().replace('mass="0.0119"', 'mass="0.0120"'))
-    assert Hand.load(moved).digest != hand.digest
+    assert load_hand(moved).digest != hand.digest
 
 
 def test_what_is_neither_description_nor_model_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "hand.stl"
     path.write_text("solid", encoding="utf-8")
     with pytest.raises(ModelError, match=r"hand\.stl is neither a hand description nor a model; "):
-        Hand.load(path)
+        load_hand(path)
 
 
 # --- hands of others ------------------------------------------------------------------------------
@@ -209,12 +211,12 @@ def test_a_known_hand_of_a_missing_package_says_what_to_install(
     monkeypatch.setitem(catalog.FOREIGN_HANDS, "nowhere-hands:one", "package:nowhere_hands/one.xml")
     for given in ("nowhere-hands:one", "nowhere_hands:one"):
         with pytest.raises(ModelError, match=r"'nowhere_hands' is not installed; install it, "):
-            Hand.load(given)
+            load_hand(given)
 
 
 def test_an_unknown_hand_of_a_package_is_answered_with_the_nearest() -> None:
     with pytest.raises(NotFoundError, match="Did you mean 'robosuite:inspire_right'"):
-        Hand.load("robosuite:inspire_rigth")
+        load_hand("robosuite:inspire_rigth")
 
 
 def test_a_reference_is_a_name_or_an_absolute_path(
@@ -222,11 +224,11 @@ def test_a_reference_is_a_name_or_an_absolute_path(
 ) -> None:
     file = edit_hand()
     monkeypatch.chdir(file.parent)
-    assert Hand.load("hand.toml").reference == str(file)
-    assert Hand.load("shadow_hand").reference == "shadow_hand"
+    assert load_hand("hand.toml").reference == str(file)
+    assert load_hand("shadow_hand").reference == "shadow_hand"
     assert hand_reference("menagerie:shadow_hand") == "menagerie:shadow_hand"
     monkeypatch.chdir("/")
-    assert Hand.load(str(file)).digest == Hand.load(Hand.load(file).reference or "").digest
+    assert load_hand(str(file)).digest == load_hand(load_hand(file).reference or "").digest
 
 
 class _Robot:
@@ -365,7 +367,7 @@ def test_readers_of_files_download_nothing(monkeypatch: pytest.MonkeyPatch) -> N
         asked.append((name, download))
         raise ModelError("asked")
 
-    monkeypatch.setattr("planner.hand.find_hand", asks)
+    monkeypatch.setattr("planner.hands.hand.find_hand", asks)
     with pytest.raises(ModelError, match="asked"):
         plan_from_dict(data, "plan.json")
     with pytest.raises(ModelError, match="asked"):
@@ -388,14 +390,14 @@ def test_what_is_not_toml_is_refused(tmp_path: Path) -> None:
         path = tmp_path / "hand.toml"
         path.write_text(text, encoding="utf-8")
         with pytest.raises(HandError, match=r"hand\.toml is not a TOML file: \S"):
-            Hand.load(path)
+            load_hand(path)
 
 
 def test_bytes_that_are_not_text_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "hand.toml"
     path.write_bytes(b"\xff\xfe\x00\x01")
     with pytest.raises(HandError, match="is not a TOML file"):
-        Hand.load(path)
+        load_hand(path)
 
 
 @pytest.mark.parametrize(
@@ -419,12 +421,12 @@ def test_bytes_that_are_not_text_are_refused(tmp_path: Path) -> None:
 )
 def test_a_faulty_field_is_named(edit_hand: EditHand, toml: dict[str, str], fault: str) -> None:
     with pytest.raises(HandError, match=r"hand\.toml does not describe a hand: .*" + fault):
-        Hand.load(edit_hand(toml))
+        load_hand(edit_hand(toml))
 
 
 def test_every_fault_of_a_description_is_told_at_once(edit_hand: EditHand) -> None:
     with pytest.raises(HandError) as caught:
-        Hand.load(
+        load_hand(
             edit_hand({"schema = 1": "schema = 1\ncolour = 3", "radius = 0.012": "radius = 0"})
         )
     assert "colour: " in str(caught.value)
@@ -432,7 +434,7 @@ def test_every_fault_of_a_description_is_told_at_once(edit_hand: EditHand) -> No
 
 
 def test_directions_are_normalised_on_reading(edit_hand: EditHand) -> None:
-    hand = Hand.load(edit_hand({"[1.0, 0.0, 0.0]": "[3.0, 0.0, 4.0]"}))
+    hand = load_hand(edit_hand({"[1.0, 0.0, 0.0]": "[3.0, 0.0, 4.0]"}))
     np.testing.assert_allclose(hand.palm_normal, [0.6, 0.0, 0.8], rtol=0, atol=1e-15)
 
 
@@ -471,13 +473,13 @@ def test_a_name_that_the_model_does_not_have(
 ) -> None:
     expected = rf"no {kind} of .*allegro_hand\.xml is called '{given}'\. Did you mean '{nearest}"
     with pytest.raises(NotFoundError, match=expected) as caught:
-        Hand.load(edit_hand(toml))
+        load_hand(edit_hand(toml))
     assert "Correct " in str(caught.value)
 
 
 def test_a_posture_of_an_unknown_joint(edit_hand: EditHand) -> None:
     with pytest.raises(NotFoundError, match="no joint of allegro_hand is called 'index_8'"):
-        Hand.load(edit_hand({"index_1 = 0.6\n": "index_8 = 0.6\n"}))
+        load_hand(edit_hand({"index_1 = 0.6\n": "index_8 = 0.6\n"}))
 
 
 def test_a_posture_outside_the_joint_range(edit_hand: EditHand) -> None:
@@ -486,7 +488,7 @@ def test_a_posture_outside_the_joint_range(edit_hand: EditHand) -> None:
         "bring it inside"
     )
     with pytest.raises(HandError, match=message):
-        Hand.load(edit_hand({"index_1 = 0.6\n": "index_1 = 2.6\n"}))
+        load_hand(edit_hand({"index_1 = 0.6\n": "index_1 = 2.6\n"}))
 
 
 def test_a_hand_without_fingers(edit_hand: EditHand) -> None:
@@ -495,19 +497,19 @@ def test_a_hand_without_fingers(edit_hand: EditHand) -> None:
     head, tail = text[: text.index("[[fingers]]")], text[text.index("[postures.open]") :]
     file.write_text(head + tail, encoding="utf-8")
     with pytest.raises(HandError, match=r"describes no finger; add at least one \[\[fingers\]\]"):
-        Hand.load(file)
+        load_hand(file)
 
 
 def test_two_fingers_of_one_name(edit_hand: EditHand) -> None:
     with pytest.raises(HandError, match="two fingers of one name; rename one"):
-        Hand.load(edit_hand({'name = "index"': 'name = "middle"'}))
+        load_hand(edit_hand({'name = "index"': 'name = "middle"'}))
 
 
 def test_a_pad_on_another_link(edit_hand: EditHand) -> None:
     for geom in ("palm", "middle_pad"):
         message = rf"pad geom '{geom}' of finger 'index' does not move with .* name a geom of its"
         with pytest.raises(HandError, match=message):
-            Hand.load(edit_hand({INDEX_PAD: f'geom = "{geom}"'}))
+            load_hand(edit_hand({INDEX_PAD: f'geom = "{geom}"'}))
 
 
 # --- the model ------------------------------------------------------------------------------------
@@ -515,35 +517,35 @@ def test_a_pad_on_another_link(edit_hand: EditHand) -> None:
 
 def test_a_model_file_that_is_missing(edit_hand: EditHand) -> None:
     with pytest.raises(ModelError, match=r"no model file .*gone\.xml; give the path of an MJCF"):
-        Hand.load(edit_hand({'"allegro_hand.xml"': '"gone.xml"'}))
+        load_hand(edit_hand({'"allegro_hand.xml"': '"gone.xml"'}))
 
 
 def test_a_model_that_is_broken_xml(edit_hand: EditHand) -> None:
     with pytest.raises(ModelError, match=r"MuJoCo cannot read .*allegro_hand\.xml as a model: "):
-        Hand.load(edit_hand(xml={"</worldbody>": ""}))
+        load_hand(edit_hand(xml={"</worldbody>": ""}))
 
 
 def test_a_model_that_mujoco_does_not_compile(edit_hand: EditHand) -> None:
     with pytest.raises(ModelError, match=r"MuJoCo cannot compile .*allegro_hand\.xml: .*inertia"):
-        Hand.load(edit_hand(xml={'mass="0.0119"': 'mass="-1"'}))
+        load_hand(edit_hand(xml={'mass="0.0119"': 'mass="-1"'}))
 
 
 def test_a_ball_joint_is_refused(edit_hand: EditHand) -> None:
     file = edit_hand(xml={'<body name="palm">': '<body name="palm"><joint name="f" type="ball"/>'})
     message = "free or ball joints below 'palm'; a hand has hinges and slides: replace a ball joint"
     with pytest.raises(HandError, match=message):
-        Hand.load(file)
+        load_hand(file)
 
 
 def test_a_floating_base_is_a_base(edit_hand: EditHand, allegro: Hand) -> None:
-    hand = Hand.load(
+    hand = load_hand(
         edit_hand(xml={'<body name="palm">': '<body name="palm"><freejoint name="f"/>'})
     )
     assert hand.joint_names == allegro.joint_names
 
 
 def test_a_joint_without_a_name_gets_one(edit_hand: EditHand) -> None:
-    hand = Hand.load(
+    hand = load_hand(
         edit_hand(
             {
                 '"index_0"': '"index_base_joint0"',
@@ -559,29 +561,29 @@ def test_a_joint_without_a_name_gets_one(edit_hand: EditHand) -> None:
 
 
 def test_a_colliding_geom_without_a_name_gets_one(edit_hand: EditHand) -> None:
-    hand = Hand.load(edit_hand(xml={'<geom name="index_proximal"': "<geom"}))
+    hand = load_hand(edit_hand(xml={'<geom name="index_proximal"': "<geom"}))
     assert "index_proximal_geom0" in {g.name for g in hand.geometries}
 
 
 def test_a_plane_in_the_model(edit_hand: EditHand) -> None:
     plane = '<body name="palm"><geom name="floor" type="plane" size="1 1 1"/>'
     with pytest.raises(ModelError, match=r"'floor' is a plane, a height field or .*; use a solid"):
-        Hand.load(edit_hand(xml={'<body name="palm">': plane}))
+        load_hand(edit_hand(xml={'<body name="palm">': plane}))
 
 
 def test_a_body_without_a_name(edit_hand: EditHand) -> None:
-    hand = Hand.load(edit_hand(xml={'<body name="index_proximal"': "<body"}))
+    hand = load_hand(edit_hand(xml={'<body name="index_proximal"': "<body"}))
     assert "index_proximal" in [g.name for g in hand.geometries]
 
 
 def test_what_is_fixed_beside_the_base_is_dropped(edit_hand: EditHand) -> None:
     wall = '<worldbody><geom name="wall" type="box" size="0.1 0.1 0.1" pos="1 0 0"/>'
-    hand = Hand.load(edit_hand(xml={"<worldbody>": wall}))
+    hand = load_hand(edit_hand(xml={"<worldbody>": wall}))
     assert "wall" not in {g.name for g in hand.geometries}
 
 
 def test_a_tip_site_named_like_its_body(edit_hand: EditHand) -> None:
-    hand = Hand.load(
+    hand = load_hand(
         edit_hand(
             {'tip_site = "index_tip"': 'tip_site = "index_distal"'},
             {'site name="index_tip"': 'site name="index_distal"'},

@@ -13,7 +13,7 @@ from planner.certify import NEAR, Neighbourhood, bound_nearby, breaking_along
 from planner.certify.neighbourhood import Changes
 from planner.contacts import ContactSet
 from planner.errors import ContactError, TaskError
-from planner.kinematics import HandState
+from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.quality import cone_edges
 from planner.search import plan_grasp

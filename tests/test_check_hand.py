@@ -12,13 +12,14 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from planner.catalog import models_dir
 from planner.describe import CheckReport, check_hand
 from planner.describe.overlaps import frequent_overlaps
 from planner.errors import TaskError
-from planner.hand import Hand
-from planner.kinematics import HandState
-from planner.synthesis.seeds import opposition
+from planner.hand_loading import load_hand
+from planner.hands.catalog import models_dir
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
+from planner.synthesis.seeds.draw import opposition
 from planner.task import GraspTask
 from sim.cli import hands
 from sim.cli.common import EXIT_BAD_INPUT, EXIT_NO
@@ -41,7 +42,7 @@ def runner() -> CliRunner:
 
 @pytest.fixture(scope="module")
 def allegro_report() -> CheckReport:
-    return check_hand(Hand.load("allegro_hand"))
+    return check_hand(load_hand("allegro_hand"))
 
 
 def levels(report: CheckReport) -> dict[str, list[str]]:
@@ -53,7 +54,7 @@ def levels(report: CheckReport) -> dict[str, list[str]]:
 
 @pytest.mark.parametrize("name", ["allegro_hand", "shadow_hand", "shadow_hand_left"])
 def test_nothing_is_wrong_with_a_shipped_hand(name: str) -> None:
-    report = check_hand(Hand.load(name))
+    report = check_hand(load_hand(name))
     assert report.ok
     assert report.findings == ()
     assert report.kinematics_error < 1e-12
@@ -61,7 +62,7 @@ def test_nothing_is_wrong_with_a_shipped_hand(name: str) -> None:
 
 
 def test_joints_are_told_in_the_order_of_both_engines(allegro_report: CheckReport) -> None:
-    hand = Hand.load("allegro_hand")
+    hand = load_hand("allegro_hand")
     for k, row in enumerate(allegro_report.joints):
         assert row.name == hand.joint_names[k] == hand.mj_model.joint(row.qpos_index).name
         assert row.q_index == k
@@ -72,7 +73,7 @@ def test_joints_are_told_in_the_order_of_both_engines(allegro_report: CheckRepor
 
 
 def test_workspaces_hold_the_tips_of_other_configurations(allegro_report: CheckReport) -> None:
-    hand = Hand.load("allegro_hand")
+    hand = load_hand("allegro_hand")
     rng = np.random.default_rng(99)
     margin = 0.01  # m: a sample of 500 does not reach every corner
     for row in allegro_report.workspaces:
@@ -87,7 +88,7 @@ def test_workspaces_hold_the_tips_of_other_configurations(allegro_report: CheckR
 
 
 def test_gaps_are_those_of_the_seeder(allegro_report: CheckReport) -> None:
-    hand = Hand.load("allegro_hand")
+    hand = load_hand("allegro_hand")
     task = GraspTask.create(hand, "sphere")
     for row in allegro_report.postures:
         found = opposition(task, hand.posture(row.name))
@@ -98,14 +99,14 @@ def test_gaps_are_those_of_the_seeder(allegro_report: CheckReport) -> None:
 
 
 def test_the_force_of_a_finger_is_limited_by_its_weakest_servo(edit_hand: EditHand) -> None:
-    strong = {p.finger: p.presses for p in check_hand(Hand.load(edit_hand())).pads}
+    strong = {p.finger: p.presses for p in check_hand(load_hand(edit_hand())).pads}
     path = edit_hand(xml={'kp="3" forcerange="-0.7 0.7"': 'kp="3" forcerange="-0.35 0.35"'})
-    weak = {p.finger: p.presses for p in check_hand(Hand.load(path)).pads}
+    weak = {p.finger: p.presses for p in check_hand(load_hand(path)).pads}
     for finger, presses in strong.items():
         assert presses is not None
         assert weak[finger] == pytest.approx(presses / 2, rel=1e-3)
     # index_1 carries most: 0.7 N m at the height of its pad above it, along the look
-    hand = Hand.load("allegro_hand")
+    hand = load_hand("allegro_hand")
     task = GraspTask.create(hand, "sphere")
     q = hand.posture("pinch")
     state = HandState(hand, q)
@@ -116,7 +117,7 @@ def test_the_force_of_a_finger_is_limited_by_its_weakest_servo(edit_hand: EditHa
 
 
 def test_a_hand_without_postures_cannot_be_planned_with(edit_hand: EditHand) -> None:
-    report = check_hand(Hand.load(edit_hand({"[postures.pinch]": "[postures.other]"})))
+    report = check_hand(load_hand(edit_hand({"[postures.pinch]": "[postures.other]"})))
     assert not report.ok
     assert levels(report)["error"] == ["there is no posture 'pinch'"]
     assert "opposable describe" in report.findings[0].what_to_do
@@ -127,7 +128,7 @@ def test_a_pad_that_faces_backwards_is_an_error(edit_hand: EditHand) -> None:
     thumb = toml.split("[[fingers]]")[1]
     turned = thumb.replace("axis = [0.7071067811865476, 0.0,", "axis = [-0.7071067811865476, 0.0,")
     turned = turned.replace("0.0, 0.7071067811865476]", "0.0, -0.7071067811865476]")
-    report = check_hand(Hand.load(edit_hand({thumb: turned})))
+    report = check_hand(load_hand(edit_hand({thumb: turned})))
     assert not report.ok
     assert any("faces" in what and "away" in what for what in levels(report)["error"])
 
@@ -137,7 +138,7 @@ def test_a_servo_at_the_end_of_its_range_cannot_press(edit_hand: EditHand) -> No
     xml = {
         'joint="index_1" ctrlrange="-0.4294 1.8434"': 'joint="index_1" ctrlrange="-0.4294 0.538"'
     }
-    report = check_hand(Hand.load(edit_hand(xml=xml)))
+    report = check_hand(load_hand(edit_hand(xml=xml)))
     assert any(
         what.startswith("in the pinch posture index presses")
         for what in levels(report)["error"] + levels(report)["warning"]
@@ -150,7 +151,7 @@ def test_missing_force_limits_are_told(edit_hand: EditHand) -> None:
     for line in text.splitlines():
         if "ctrlrange" in line:
             xml[line] = line.split(" ctrlrange")[0] + "/>"
-    report = check_hand(Hand.load(edit_hand(xml=xml)))
+    report = check_hand(load_hand(edit_hand(xml=xml)))
     assert report.ok
     assert any("nothing limits the torque" in what for what in levels(report)["warning"])
     assert report.to_dict()["joints"][0]["torque"] == [None, None]  # JSON knows no infinity
@@ -162,7 +163,7 @@ def test_overlap_at_rest_is_told_with_its_remedy(edit_hand: EditHand) -> None:
         '<geom name="middle_proximal" class="link" fromto="0 0 0 0 0 0.054"/>': "<geom name="
         '"middle_proximal" class="link" fromto="0 0 0 0 0 0.054" size="0.04"/>'
     }
-    report = check_hand(Hand.load(edit_hand(xml=xml)))
+    report = check_hand(load_hand(edit_hand(xml=xml)))
     touching = {frozenset((t.first, t.second)) for t in report.touches}
     assert frozenset(("middle_proximal", "index_proximal")) in touching
     row = next(t for t in report.touches if "index_proximal" in (t.first, t.second))
@@ -180,7 +181,7 @@ def test_a_pad_below_another_geom_is_told(edit_hand: EditHand) -> None:
         '<geom name="index_pad" class="pad" pos="0 0 0.0267"/>': '<geom name="index_pad" '
         'class="pad" pos="0 0 0.0267"/><geom name="glove" class="pad" pos="0.001 0 0.0277"/>'
     }
-    report = check_hand(Hand.load(edit_hand(xml=xml)))
+    report = check_hand(load_hand(edit_hand(xml=xml)))
     found = [f for f in report.findings if "before the pad of index" in f.what]
     assert len(found) == 1
     assert "1.41 mm" in found[0].what  # |(1, 0, 1)| mm along the axis (1, 0, 1) / sqrt 2
@@ -193,7 +194,7 @@ def test_a_gripper_of_two_fingers_is_said_plainly(edit_hand: EditHand) -> None:
         'default_fingers = ["thumb", "index", "middle", "ring"]': 'default_fingers = ["thumb", '
         '"index"]'
     }
-    hand = Hand.load(edit_hand(toml))
+    hand = load_hand(edit_hand(toml))
     report = check_hand(hand)
     assert not report.ok
     (finding,) = (f for f in report.findings if "two fingers" in f.what)
@@ -207,7 +208,7 @@ def test_a_finger_that_takes_no_part_presses_with_nothing(
 ) -> None:
     three = {'["thumb", "index", "middle", "ring"]': '["thumb", "index", "middle"]'}
     path = edit_hand(three)
-    presses = {p.finger: p.presses for p in check_hand(Hand.load(path)).pads}
+    presses = {p.finger: p.presses for p in check_hand(load_hand(path)).pads}
     assert presses["ring"] is None
     assert all(presses[f] is not None for f in ("thumb", "index", "middle"))
     shown = runner.invoke(app, ["check-hand", str(path)])
@@ -220,7 +221,7 @@ def test_a_link_that_overlaps_the_one_that_carries_it_is_told_with_its_share(
     # a block before the knuckle, in the way of the link after the next
     base = '<geom name="index_base" class="dark" type="box" pos="0 0 0.0082"'
     xml = {base: f'<geom name="block" type="sphere" size="0.02" pos="0.045 0 0.055"/>{base}'}
-    hand = Hand.load(edit_hand(xml=xml))
+    hand = load_hand(edit_hand(xml=xml))
     overlap = frequent_overlaps(hand)[0]
     assert overlap.bodies == ("index_base", "index_middle")
     assert 0.2 < overlap.share <= 1.0
@@ -233,7 +234,7 @@ def test_a_link_that_overlaps_the_one_that_carries_it_is_told_with_its_share(
         '[["index_base", "index_middle"], ["index_base", "index_distal"]]\n\n'
         '[[fingers]]\nname = "thumb"'
     }
-    assert frequent_overlaps(Hand.load(edit_hand(excluded, xml))) == ()
+    assert frequent_overlaps(load_hand(edit_hand(excluded, xml))) == ()
 
 
 def test_links_too_heavy_for_their_servos_are_told(edit_hand: EditHand) -> None:
@@ -244,7 +245,7 @@ def test_links_too_heavy_for_their_servos_are_told(edit_hand: EditHand) -> None:
     text = (models_dir() / "hands" / "allegro_hand" / "allegro_hand.xml").read_text("utf-8")
     for line in re.findall(r"<inertial[^>]*/>", text):
         xml[line] = ""
-    report = check_hand(Hand.load(edit_hand(xml=xml)))
+    report = check_hand(load_hand(edit_hand(xml=xml)))
     (finding,) = (f for f in report.findings if "cannot bear the weight" in f.what)
     assert "A_index_1" in finding.what and "0.7 at most" in finding.what
 
@@ -285,7 +286,7 @@ def test_describe_command(app: typer.Typer, runner: CliRunner, tmp_path: Path) -
     path = tmp_path / "hand.toml"
     wrote = runner.invoke(app, ["describe", str(model), "--out", str(path)])
     assert wrote.exit_code == 0, wrote.output
-    assert Hand.load(path).joint_names == Hand.load("allegro_hand").joint_names
+    assert load_hand(path).joint_names == load_hand("allegro_hand").joint_names
     again = runner.invoke(app, ["describe", str(model), "-o", str(path)])
     assert again.exit_code == EXIT_BAD_INPUT
     assert "--force" in again.output

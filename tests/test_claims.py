@@ -15,8 +15,8 @@ from planner import GraspTask, plan_grasp
 from planner.contacts import ContactSet
 from planner.errors import ContactError, FileFormatError, ObjectError, PlannerError, TaskError
 from planner.files import plan_from_dict, plan_to_dict
-from planner.hand import Hand
-from planner.measures import resisted_per_newton, robust_epsilon
+from planner.hand_loading import load_hand
+from planner.plan_metrics import resisted_per_newton, robust_epsilon
 from planner.quality import analyse
 from planner.shapes import Mesh, Sphere
 from sim.cli import main
@@ -177,4 +177,4 @@ def test_a_hand_that_mirrors_a_name_that_is_too_long(tmp_path: Path) -> None:
     file = tmp_path / "hand.toml"
     file.write_text(f'schema = 1\nname = "left"\nmirror_of = "{LONG}"\naxis = "y"\n', "utf-8")
     with pytest.raises(PlannerError):
-        Hand.load(file)
+        load_hand(file)

@@ -22,7 +22,7 @@ import pytest
 
 import planner
 from planner.files import PlanFile, read_plan
-from planner.hand import Hand
+from planner.hand_loading import load_hand
 from sim.cli import main
 from sim.cli.common import names, print_json
 from sim.report import ReportFile
@@ -70,7 +70,7 @@ def without_times(plan: dict[str, Any]) -> dict[str, Any]:
 
 def test_inspect_prints_every_joint_and_actuator() -> None:
     result = opposable("inspect", "shadow_hand")
-    hand = Hand.load("shadow_hand")
+    hand = load_hand("shadow_hand")
     assert result.code == 0
     assert result.err == ""
     for name in (*hand.fingers, *hand.actuation.names, *hand.fingers["thumb"].joints):
@@ -80,7 +80,7 @@ def test_inspect_prints_every_joint_and_actuator() -> None:
 def test_inspect_as_json_agrees_with_the_hand() -> None:
     result = opposable("inspect", "allegro_hand", "--json")
     assert result.code == 0
-    data, hand = json.loads(result.out), Hand.load("allegro_hand")
+    data, hand = json.loads(result.out), load_hand("allegro_hand")
     assert data["sha256"] == hand.digest
     assert [a["name"] for a in data["actuator_table"]] == list(hand.actuation.names)
     for finger in data["fingers"]:
@@ -527,7 +527,7 @@ def test_defaults_are_those_of_the_library() -> None:
     from planner.search import DEFAULT_MAX_ATTEMPTS
     from planner.task import DEFAULT_MU
     from sim.cli import grasp as cli
-    from sim.physics import PhysicsOptions
+    from sim.physics import PhysicsOptions, named_physics
 
     defaults = {
         name: parameter.default for name, parameter in inspect.signature(cli.run).parameters.items()
@@ -535,7 +535,7 @@ def test_defaults_are_those_of_the_library() -> None:
     assert defaults["mu"] == DEFAULT_MU
     assert defaults["max_attempts"] == DEFAULT_MAX_ATTEMPTS
     assert defaults["sim_mu"] is None  # that of the physics
-    assert PhysicsOptions.named(defaults["physics"]) == PhysicsOptions()
+    assert named_physics(defaults["physics"]) == PhysicsOptions()
 
 
 def test_names_are_those_between_the_commas() -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from planner.contacts import ContactSet
 from planner.errors import NotFoundError, TaskError
-from planner.kinematics import HandState
+from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, skew

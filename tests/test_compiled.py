@@ -12,11 +12,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from planner import trust
 from planner.errors import PlannerError
-from planner.shapes.cache import CACHE_VARIABLE
-from planner.synthesis.compiled import COMPILE_VARIABLE, compiled
-from planner.trust import digest_file
+from planner.numerics.casadi_compiled import COMPILE_VARIABLE, compiled
+from planner.system import trusted_files as trust
+from planner.system.disk_cache import CACHE_VARIABLE
+from planner.system.trusted_files import digest_file
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler here")
 

@@ -13,8 +13,8 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 from planner.bridge.geometry import coal_geometry
-from planner.collision import CollisionWorld
-from planner.hand import Hand
+from planner.collision.world import CollisionWorld
+from planner.hands.hand import Hand
 from planner.shapes import Mesh
 from planner.shapes.convex import BLUNT, convex_geometry
 from planner.spatial import SE3, FloatArray

@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 
 import sim.crosscheck.check as check_module
 from planner.bridge import pinocchio_from_mujoco
-from planner.catalog import find_hand, models_dir
 from planner.errors import ModelError, NotFoundError, PlannerError, TaskError
+from planner.hands.catalog import find_hand, models_dir
 from sim.cli.crosscheck import register
 from sim.crosscheck import (
     BRIDGE,

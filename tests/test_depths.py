@@ -20,9 +20,9 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from planner.bridge.geometry import coal_geometry
-from planner.hand import Hand
-from planner.kinematics import MovingHand
-from planner.layout import shape_pair
+from planner.collision.pair_table import shape_pair
+from planner.hands.hand import Hand
+from planner.kinematics.state import MovingHand
 from planner.search import plan_grasp
 from planner.shapes import Box, Capsule, Cylinder, Ellipsoid, Mesh, Shape, Sphere
 from planner.shapes.convex import convex_geometry

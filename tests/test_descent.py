@@ -13,17 +13,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from planner.hand import Hand
+from planner.hands.hand import Hand
+from planner.numerics.levenberg_marquardt import Descent, descend
 from planner.objects import parse_object
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.descent import Descent, descend
-from planner.synthesis.mesh_seeds import seeder_for
+from planner.synthesis.optimize import descend_grasp
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import GraspProblem, Start
 from planner.synthesis.problems import problems_for
 from planner.synthesis.residuals import SPARE, WEIGHTS
-from planner.synthesis.strengthen import descend_grasp
+from planner.synthesis.seeds.mesh import seeder_for
 from planner.task import GraspTask, Obstacle
 
 

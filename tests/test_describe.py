@@ -17,19 +17,20 @@ from hypothesis import strategies as st
 from planner.bridge import hand_geometries, load_spec
 from planner.bridge.pinocchio_model import pinocchio_from_mujoco
 from planner.bridge.structure import structure_of
-from planner.catalog import find_hand, models_dir
 from planner.couplings import Coupling
 from planner.describe import Proposal, description_text, propose, write_proposal
 from planner.describe.convex_links import ConvexLink, cone_directions, sphere_directions
 from planner.describe.drive import impossible_couplings
 from planner.describe.tree import finger_names, read_tree
-from planner.described import read_description
 from planner.errors import FileFormatError, HandError, ModelError, NotFoundError
-from planner.hand import Hand
-from planner.kinematics import HandState
-from planner.proximity import DistancePair
+from planner.hand_loading import hand_from_spec, load_hand
+from planner.hands.catalog import find_hand, models_dir
+from planner.hands.description_files import read_description
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
+from planner.proximity.convex import DistancePair
 from planner.spatial import SE3
-from planner.synthesis.seeds import opposition
+from planner.synthesis.seeds.draw import opposition
 from planner.task import GraspTask
 
 FINGER = """
@@ -90,7 +91,7 @@ def model_of(hand: str) -> Path:
 @pytest.fixture(scope="module", params=["allegro_hand", "shadow_hand"])
 def known(request: pytest.FixtureRequest) -> tuple[Hand, Proposal]:
     """A shipped hand, and what is proposed from its bare model."""
-    return Hand.load(request.param), propose(model_of(request.param))
+    return load_hand(request.param), propose(model_of(request.param))
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +148,7 @@ def test_stops_of_tendon_coupled_fingers_are_found_with_their_side(
 def test_proposed_postures_oppose_the_thumb_to_the_others(known: tuple[Hand, Proposal]) -> None:
     hand, proposal = known
     spec = mujoco.MjSpec.from_file(str(model_of(hand.name)))
-    proposed = Hand.from_spec(spec, proposal.description)
+    proposed = hand_from_spec(spec, proposal.description)
     task = GraspTask.create(proposed, "sphere")
     gaps = {}
     for name in ("pinch", "open"):
@@ -205,7 +206,7 @@ def test_the_closing_side_is_the_larger_side_of_the_range(tmp_path: Path) -> Non
 
 def test_postures_of_a_claw_are_wide_and_narrow(proposed_claw: Proposal, tmp_path: Path) -> None:
     spec = mujoco.MjSpec.from_string(claw())
-    hand = Hand.from_spec(spec, proposed_claw.description)
+    hand = hand_from_spec(spec, proposed_claw.description)
     task = GraspTask.create(hand, "sphere")
     pinch, wide = (opposition(task, hand.posture(p)).gap for p in ("pinch", "open"))
     assert 0.02 < pinch < wide
@@ -289,7 +290,7 @@ def test_a_urdf_gets_servos_from_its_efforts(tmp_path: Path) -> None:
     assert proposal.description.joint_defaults.frictionloss is None
     # the structure alone says which finger is opposed to the others
     assert [f.name for f in proposal.description.fingers] == ["thumb", "finger2", "finger3"]
-    hand = Hand.load(tmp_path / "claw.urdf")
+    hand = load_hand(tmp_path / "claw.urdf")
     assert hand.actuation.moment.shape == (6, 6)
 
 
@@ -309,7 +310,7 @@ def test_joints_that_mimic_others_get_no_servo(tmp_path: Path) -> None:
     (servos,) = proposal.description.actuators
     assert servos.joints == ("f1.0", "f2.0", "f3.0")
     assert not proposal.description.couplings  # the loader finds them in the model
-    hand = Hand.from_spec(load_spec(tmp_path / "claw.urdf"), proposal.description)
+    hand = hand_from_spec(load_spec(tmp_path / "claw.urdf"), proposal.description)
     assert hand.posture("pinch")[1] == pytest.approx(0.5 * hand.posture("pinch")[0])
 
 
@@ -368,7 +369,7 @@ def test_the_pad_of_a_rounded_hull_is_its_ball(tmp_path: Path) -> None:
     assert pad.radius == pytest.approx(0.01, abs=5e-4)
     assert pad.half_angle_deg >= 40.0
     # the sphere touches the hull from inside: description and geometry fit, so the hand loads
-    Hand.load(tmp_path / "claw.xml")
+    load_hand(tmp_path / "claw.xml")
 
 
 def test_a_flat_tip_is_told_as_such_and_loads(tmp_path: Path) -> None:
@@ -396,7 +397,7 @@ def test_a_large_flat_hull_has_its_pad_on_the_face_and_not_in_the_edge(tmp_path:
     assert pad.center[0] == pytest.approx(0.0, abs=2e-4)
     assert 0.035 < pad.center[2] < 0.045
     assert sum("not round" in q for q in proposal.open_questions) == 3
-    Hand.load(tmp_path / "claw.xml")
+    load_hand(tmp_path / "claw.xml")
 
 
 def test_a_gripper_of_two_fingers_is_said(tmp_path: Path) -> None:

@@ -16,7 +16,8 @@ from planner.describe import Proposal, check_hand, propose
 from planner.describe.postures import PostureSolver
 from planner.description import CouplingDescription
 from planner.errors import HandError
-from planner.hand import Hand
+from planner.hand_loading import hand_from_spec
+from planner.hands.hand import Hand
 
 NAMES = ("thumb", "left", "right")
 
@@ -62,7 +63,7 @@ def test_joints_that_share_a_tendon_get_a_stop_and_no_motor(proposed: Proposal) 
     why = next(r.why for r in proposed.reasons if r.key == "couplings.thumb_b_stop")
     assert "thumb_pull drives thumb_b and thumb_c together" in why
     assert "No motor and no tie is added" in why
-    hand = Hand.from_spec(mujoco.MjSpec.from_string(shared()), d)
+    hand = hand_from_spec(mujoco.MjSpec.from_string(shared()), d)
     assert hand.actuation.moment.shape == (6, 9)
     assert hand.posture("pinch")[hand.joint_index("thumb_b")] == 0.0
 
@@ -80,7 +81,7 @@ def test_joints_that_close_the_other_way_stop_at_the_other_end() -> None:
 def test_without_its_stops_such_a_hand_is_refused_with_what_to_write(proposed: Proposal) -> None:
     bare = proposed.description.model_copy(update={"couplings": ()})
     with pytest.raises(HandError, match=r"hold their sum alone \('thumb_pull' drives") as refused:
-        Hand.from_spec(mujoco.MjSpec.from_string(shared()), bare)
+        hand_from_spec(mujoco.MjSpec.from_string(shared()), bare)
     for text in ("thumb_b = 1.0", 'kind = "stop"', 'kind = "equality"', "right_pull"):
         assert text in str(refused.value)
 
@@ -93,7 +94,7 @@ def test_tied_joints_need_no_new_postures(proposed: Proposal) -> None:
         for n in NAMES
     )
     tied = proposed.description.model_copy(update={"couplings": ties})
-    hand = Hand.from_spec(mujoco.MjSpec.from_string(shared()), tied)
+    hand = hand_from_spec(mujoco.MjSpec.from_string(shared()), tied)
     matrix, value = hand.coupling_matrix
     for name in ("open", "pinch"):
         q, letter = hand.posture(name), hand.described_posture(name)
@@ -135,7 +136,7 @@ def test_a_rounded_posture_keeps_the_range_of_a_joint_that_follows(tmp_path: Pat
         tail = tail.replace('upper="1.4"', 'upper="0.5003"', 1)
         text = f'{head}<joint name="{n}.1"{tail}'
     path = written(tmp_path, text, "claw.urdf")
-    hand = Hand.from_spec(load_spec(path), propose(path).description)
+    hand = hand_from_spec(load_spec(path), propose(path).description)
     solver = PostureSolver(hand, hand.choose_fingers())
     q = hand.neutral.copy()
     q[[hand.joint_index(f"{n}.0") for n in ("f1", "f2", "f3")]] = 1.0006
@@ -154,7 +155,7 @@ def without_servos(joint: str) -> str:
 def damping_of(text: str) -> tuple[Hand, float]:
     """A hand as described, and the damping over the critical one of its slowest joint."""
     spec = mujoco.MjSpec.from_string(text)
-    hand = Hand.from_spec(spec, propose(spec).description)
+    hand = hand_from_spec(spec, propose(spec).description)
     data = mujoco.MjData(hand.mj_model)
     data.qpos[:] = hand.neutral
     mujoco.mj_forward(hand.mj_model, data)

@@ -10,12 +10,12 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner.catalog import models_dir
 from planner.describe import kept, propose, proposed_description
 from planner.description import HandDescription
 from planner.errors import HandError, ModelError, NotFoundError
-from planner.hand import Hand
-from planner.shapes.cache import CACHE_VARIABLE, write_text
+from planner.hand_loading import load_hand
+from planner.hands.catalog import models_dir
+from planner.system.disk_cache import CACHE_VARIABLE, write_text
 
 ALLEGRO = models_dir() / "hands" / "allegro_hand" / "allegro_hand.xml"
 
@@ -78,14 +78,14 @@ def test_a_kept_proposal_is_the_same_to_the_last_bit(
     own_cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fresh = propose(ALLEGRO).description
-    first = Hand.load(ALLEGRO)
+    first = load_hand(ALLEGRO)
     (stored,) = (own_cache / "proposal").iterdir()
 
     def never(*_: object) -> None:
         raise AssertionError("proposed again")
 
     monkeypatch.setattr(kept, "propose", never)
-    again = Hand.load(ALLEGRO)
+    again = load_hand(ALLEGRO)
     assert repr(again.description) == repr(first.description) == repr(fresh)
     assert again.description == fresh
     assert again.digest == first.digest

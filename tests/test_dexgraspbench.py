@@ -16,7 +16,8 @@ import trimesh
 from test_protocols import PAD, SERVOS, make_jaw, pinch
 
 from planner.batch import GraspSet, plan_grasps
-from planner.batch.dexgraspbench import (
+from planner.errors import FileFormatError, ModelError, TaskError
+from planner.exchange.dexgraspbench import (
     Squeeze,
     benchmark_pieces,
     export,
@@ -24,15 +25,15 @@ from planner.batch.dexgraspbench import (
     export_name,
     object_files,
 )
-from planner.batch.dexgraspbench.hand_file import T_model_base, file_name, write_hand
-from planner.batch.dexgraspbench.pinned_mjcf import pinned_mjcf
-from planner.batch.dexgraspbench.squeeze import plan_squeeze
-from planner.catalog import models_dir
-from planner.errors import FileFormatError, ModelError, TaskError
-from planner.hand import Hand
+from planner.exchange.dexgraspbench.hand_file import T_model_base, file_name, write_hand
+from planner.exchange.dexgraspbench.pinned_mjcf import pinned_mjcf
+from planner.exchange.dexgraspbench.squeeze import plan_squeeze
+from planner.hand_loading import load_hand
+from planner.hands.catalog import models_dir
+from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.shapes import Mesh
-from planner.shapes.pieces import Pieces
+from planner.shapes.decomposition.pieces import Pieces
 from planner.spatial import SE3, pose_from_wxyz
 from planner.task import GraspTask
 from sim.protocols.fc_scene import fc_contacts, fc_scene
@@ -55,7 +56,7 @@ def jaw(tmp_path_factory: pytest.TempPathFactory) -> Hand:
     text = model.read_text(encoding="utf-8")
     placed = '<body name="palm" pos="0.1 -0.2 0.3" quat="0.6 0 0.8 0">'
     model.write_text(text.replace('<body name="palm">', placed), encoding="utf-8")
-    return Hand.load(folder / "hand.toml")
+    return load_hand(folder / "hand.toml")
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +115,7 @@ def export_row(plan: Any) -> dict[str, Any]:
 def test_hand_files_hold_nothing_that_the_pinned_mujoco_does_not_know(
     name: str, tmp_path: Path
 ) -> None:
-    hand = Hand.load(name)
+    hand = load_hand(name)
     written = write_hand(hand, tmp_path)
     path = tmp_path / written / f"{written}.xml"
     for element in ET.parse(path).getroot().iter():
@@ -156,7 +157,7 @@ def test_meshes_travel_with_the_hand(tmp_path: Path) -> None:
     text = text.replace('angle="radian"', 'angle="radian" meshdir="parts"')
     text = text.replace('type="box" size="0.08 0.02 0.01"', 'type="mesh" mesh="palm"')
     model.write_text(text, encoding="utf-8")
-    name = write_hand(Hand.load(home.parent / "hand.toml"), tmp_path / "out")
+    name = write_hand(load_hand(home.parent / "hand.toml"), tmp_path / "out")
     shutil.rmtree(home.parent)
     moved = tmp_path / "elsewhere"
     (tmp_path / "out").rename(moved)
@@ -171,10 +172,10 @@ def test_every_hand_has_its_own_name_and_none_is_overwritten(tmp_path: Path) -> 
         path.parent.mkdir()
         head = "<mujoco>" if name is None else f'<mujoco model="{name}">'
         path.write_text(re.sub(r"<mujoco[^>]*>", head, text, count=1), encoding="utf-8")
-        hands.append(Hand.load(path))
+        hands.append(load_hand(path))
     assert {hand.name for hand in hands} == {"right_hand"}
     assert [export_name(hand) for hand in hands] == ["model_one", "model_two", "three-right_hand"]
-    assert export_name(Hand.load("allegro_hand")) == "allegro_hand"
+    assert export_name(load_hand("allegro_hand")) == "allegro_hand"
     for hand in hands:
         write_hand(hand, tmp_path / "out")
         write_hand(hand, tmp_path / "out")  # the same one again
@@ -187,7 +188,7 @@ def test_every_hand_has_its_own_name_and_none_is_overwritten(tmp_path: Path) -> 
         encoding="utf-8",
     )
     with pytest.raises(FileFormatError, match="another hand of that name"):
-        write_hand(Hand.load(other), tmp_path / "out")
+        write_hand(load_hand(other), tmp_path / "out")
 
 
 @pytest.mark.parametrize(
@@ -212,7 +213,7 @@ def test_a_name_stays_in_its_folder_and_means_this_hand(
     described = home / "hand.toml"
     text = re.sub(r'(?m)^name = ".*"$', f'name = "{given}"', described.read_text(), count=1)
     described.write_text(text, encoding="utf-8")
-    hand = Hand.load(described)
+    hand = load_hand(described)
     assert hand.name == given
     folder = out / "a" / "b" / "hand"
     assert write_hand(hand, folder) == export_name(hand) == name
@@ -278,7 +279,7 @@ def test_a_grasp_that_cannot_press_is_left_out_and_counted(
 
 
 def test_motors_are_not_exported(grasps: GraspSet, monkeypatch: pytest.MonkeyPatch) -> None:
-    task = GraspTask.create(Hand.load("shadow_hand_torque"), "sphere")
+    task = GraspTask.create(load_hand("shadow_hand_torque"), "sphere")
     monkeypatch.setattr(grasps, "task", lambda label: task)
     with pytest.raises(TaskError, match="no position servos"):
         export_dexgraspbench(grasps, "nowhere")
@@ -325,7 +326,7 @@ def test_a_squeeze_stays_off_the_force_that_turns_the_object_aside(
     task, row = grasps.task(label), grasps[0]
     held_back = export.row_squeeze(task, row)
     assert held_back.factor < held_back.wanted
-    monkeypatch.setattr("planner.batch.dexgraspbench.squeeze.STABLE", 1e6)
+    monkeypatch.setattr("planner.exchange.dexgraspbench.squeeze.STABLE", 1e6)
     free = export.row_squeeze(task, row)
     assert free.factor == free.wanted
 

@@ -23,7 +23,7 @@ from planner.batch.thinning import (
     distances,
 )
 from planner.errors import TaskError
-from planner.hand import Hand
+from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.search import plan_grasp
 from planner.shapes import Box, Sphere

@@ -15,12 +15,12 @@ import pytest
 
 from planner.errors import NoGraspFoundError
 from planner.files import read_plan, write_plan
-from planner.hand import Hand
-from planner.judge import judge_grasp
+from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.task import GraspTask
+from planner.verification.grasp import judge_grasp
 from sim.contacts import hand_contacts
 from sim.physics import PhysicsOptions
 from sim.report import TrialReport

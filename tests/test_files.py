@@ -23,7 +23,7 @@ from planner.files import (
     read_plan,
     write_plan,
 )
-from planner.hand import Hand
+from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.search import plan_grasp

@@ -14,10 +14,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from planner.catalog import models_dir
 from planner.errors import FileFormatError, HandError, PlannerError
 from planner.files import plan_to_dict, read_plan, write_plan
-from planner.hand import Hand
+from planner.hand_loading import load_hand
+from planner.hands.catalog import models_dir
+from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3
@@ -199,7 +200,7 @@ def test_a_hand_that_has_changed_since_is_refused(plan: GraspPlan, tmp_path: Pat
         file.write("# repaired\n")
     write_plan(plan, tmp_path / "plan.json")
     with pytest.raises(FileFormatError, match="the files have changed since; plan again, or give"):
-        read_plan(tmp_path / "plan.json", hand=Hand.load(tmp_path / "hand"))
+        read_plan(tmp_path / "plan.json", hand=load_hand(tmp_path / "hand"))
 
 
 ANYTHING = st.one_of(

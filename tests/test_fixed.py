@@ -14,9 +14,10 @@ import pinocchio as pin
 import pytest
 
 from planner.batch.features import GraspFeatures
+from planner.collision.pad_contact import pad_touches
 from planner.errors import TaskError
-from planner.fixed import FixedPose, fixed_pose
-from planner.hand import Hand
+from planner.hands.hand import Hand
+from planner.immutable import FixedPose, fixed_pose
 from planner.motion import plan_motion
 from planner.motion.path import ObjectPath
 from planner.objects import parse_object
@@ -25,7 +26,6 @@ from planner.regions import TouchRegion, parse_region
 from planner.search import plan_grasp
 from planner.shapes import Shape
 from planner.spatial import SE3
-from planner.synthesis.touch import pad_touches
 from planner.task import GraspTask, Obstacle
 
 TOUCH = 5e-4

@@ -25,9 +25,9 @@ from planner.forces import (
     turned_frames,
     turning_wrenches,
 )
-from planner.forces.dense import SolverBase
 from planner.forces.drive import DriveRows
-from planner.hand import Hand
+from planner.hand_loading import load_hand
+from planner.numerics.dense_qp import SolverBase
 from planner.spatial import FloatArray
 
 W = 0.981
@@ -395,7 +395,7 @@ def test_a_stop_along_a_motor_takes_its_limit_off_on_one_side() -> None:
 @pytest.mark.parametrize("at_limits", [False, True])
 def test_the_rows_of_a_real_hand_allow_what_its_columns_allow(name: str, at_limits: bool) -> None:
     """Random levers at random q. Where stops repeat each other at limits, rows may refuse more."""
-    hand = Hand.load(name)
+    hand = load_hand(name)
     rng = np.random.default_rng(0)
     nv = hand.nq
     contacts = ring()

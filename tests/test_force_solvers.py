@@ -24,10 +24,10 @@ from planner.forces import (
     solver_names,
     turning_wrenches,
 )
-from planner.forces.dense import DenseQp
-from planner.forces.kept import keep_solver
 from planner.forces.minimise import minimise
 from planner.forces.outlines import outlined
+from planner.numerics.dense_qp import DenseQp
+from planner.numerics.warm_started import keep_solver
 from planner.spatial import FloatArray
 
 FILE = Path(__file__).parent / "data" / "force_problems.json"

@@ -18,8 +18,8 @@ from planner.forces import (
     explain_infeasibility,
     gravity_wrench,
 )
-from planner.hand import Hand
-from planner.kinematics import HandState
+from planner.hand_loading import load_hand
+from planner.kinematics.state import HandState
 
 MASS, G = 0.1, 9.81
 WEIGHT = gravity_wrench(MASS, [0, 0, -G])
@@ -191,7 +191,7 @@ def test_torsion_of_a_soft_contact_loads_the_joints() -> None:
 
 
 def test_the_whole_shadow_hand_presses_and_its_actuators_can() -> None:
-    hand = Hand.load("shadow_hand")
+    hand = load_hand("shadow_hand")
     q = hand.posture("pinch")
     state = HandState(hand, q)
     fingers = hand.choose_fingers()

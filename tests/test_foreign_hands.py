@@ -27,12 +27,13 @@ from planner.bridge import (
 )
 from planner.bridge.geometry import coal_geometry
 from planner.bridge.load import model_bytes, model_files
-from planner.catalog import FOREIGN_HANDS, find_hand
 from planner.description import HandDescription
 from planner.errors import HandError, ModelError, NotFoundError
-from planner.hand import Hand
-from planner.kinematics import HandState
-from planner.proximity import DistancePair
+from planner.hand_loading import hand_from_model, hand_from_spec, load_hand
+from planner.hands.catalog import FOREIGN_HANDS, find_hand
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
+from planner.proximity.convex import DistancePair
 from planner.spatial import SE3
 
 GRIPPER = """
@@ -107,7 +108,7 @@ def spec_of(text: str = GRIPPER) -> Any:
 
 
 def gripper(text: str = GRIPPER, **changes: Any) -> Hand:
-    return Hand.from_spec(spec_of(text), description(**changes))
+    return hand_from_spec(spec_of(text), description(**changes))
 
 
 def placements(model: Any, q: float) -> dict[str, np.ndarray[Any, Any]]:
@@ -456,7 +457,7 @@ def write_hand(tmp_path: Path) -> Callable[[str, str], Path]:
 
 
 def test_a_urdf_with_mimic(write_hand: Callable[[str, str], Path]) -> None:
-    hand = Hand.load(write_hand(URDF, "claw.urdf"))
+    hand = load_hand(write_hand(URDF, "claw.urdf"))
     assert hand.joint_names == ("left", "right")
     (mimic,) = hand.couplings
     np.testing.assert_allclose(mimic.row, [0.5, 1], rtol=0, atol=1e-15)
@@ -479,7 +480,7 @@ def test_a_mirrored_hand_mirrors_what_its_description_adds(
         mirrored.write_text(
             f'schema = 1\nname = "m"\nmirror_of = "../hand.toml"\nmirror_axis = "{sub}"\n'
         )
-        one, other = Hand.load(file), Hand.load(mirrored)
+        one, other = load_hand(file), load_hand(mirrored)
         signs = np.ones(3)
         signs[axis] = -1
         for q in (np.array([0.4, -0.2]), np.array([-0.4, 0.2])):
@@ -493,12 +494,12 @@ def test_a_mirrored_hand_mirrors_what_its_description_adds(
 
 
 def test_effort_of_a_urdf_limits_the_servo(write_hand: Callable[[str, str], Path]) -> None:
-    hand = Hand.load(write_hand(URDF.replace('effort="2"', 'effort="0.4"'), "claw.urdf"))
+    hand = load_hand(write_hand(URDF.replace('effort="2"', 'effort="0.4"'), "claw.urdf"))
     np.testing.assert_array_equal(hand.actuation.force_range, [[-0.4, 0.4]])
 
 
 def test_a_mimic_is_stiff(write_hand: Callable[[str, str], Path]) -> None:
-    model = Hand.load(write_hand(URDF, "claw.urdf")).new_spec().compile()
+    model = load_hand(write_hand(URDF, "claw.urdf")).new_spec().compile()
     model.opt.gravity[:] = 0
     model.dof_damping[:] = 0.02
     data = mujoco.MjData(model)
@@ -513,7 +514,7 @@ def test_a_urdf_whose_joint_has_no_range(write_hand: Callable[[str, str], Path])
     with pytest.raises(
         HandError, match=r"joints \['left'\] of claw\.urdf have no range; give them"
     ):
-        Hand.load(write_hand(endless, "claw.urdf"))
+        load_hand(write_hand(endless, "claw.urdf"))
 
 
 @pytest.mark.parametrize("above", [True, False])
@@ -615,18 +616,18 @@ def test_the_digest_follows_includes_and_meshes(write_hand: Callable[[str, str],
     body.write_text(text, encoding="utf-8")
     mesh = trimesh.creation.box((0.01, 0.01, 0.01))
     mesh.export(file.parent / "m.stl")
-    first = Hand.load(file)
+    first = load_hand(file)
     assert set(model_files(file.parent / "claw.xml")) == {
         file.parent / "claw.xml",
         body,
         file.parent / "m.stl",
     }
-    assert Hand.load(file).digest == first.digest
+    assert load_hand(file).digest == first.digest
     mesh.apply_scale(1.001)
     mesh.export(file.parent / "m.stl")
-    second = Hand.load(file)
+    second = load_hand(file)
     body.write_text(text.replace('mass="0.05"', 'mass="0.06"'), encoding="utf-8")
-    assert len({first.digest, second.digest, Hand.load(file).digest}) == 3
+    assert len({first.digest, second.digest, load_hand(file).digest}) == 3
 
 
 def test_a_hand_made_in_python_has_a_digest_and_no_reference() -> None:
@@ -646,7 +647,7 @@ def test_the_digest_is_the_same_in_another_process() -> None:
 
 def test_the_spec_that_is_given_stays_as_it_is() -> None:
     spec = spec_of()
-    Hand.from_spec(spec, description())
+    hand_from_spec(spec, description())
     assert spec.body("cup") is not None
     assert spec.compile().nbody == 5
 
@@ -691,7 +692,7 @@ def test_a_hand_from_a_compiled_model_is_the_hand_from_its_spec() -> None:
     text = RICH.replace(' actuatorfrcrange="-3 4"', "")
     changes = {"repair": {"drop_couplings": ["tie"]}}
     one = gripper(text, **changes)
-    other = Hand.from_model(spec_of(text).compile(), description(**changes))
+    other = hand_from_model(spec_of(text).compile(), description(**changes))
     q = np.array([0.3, 0.2])
     np.testing.assert_array_equal(one.actuation.moment, other.actuation.moment)
     np.testing.assert_allclose(
@@ -776,12 +777,12 @@ def test_the_depth_of_a_pad_is_that_of_the_true_solid(shape: str) -> None:
         left["pad"]["radius"] = depth + error
         chosen = description(fingers=[left, finger("right", -1.0)])
         if fits:
-            Hand.from_spec(spec, chosen)
+            hand_from_spec(spec, chosen)
             continue
         with pytest.raises(
             HandError, match=rf"its center lies {1e3 * depth:.2f} mm below the surf"
         ):
-            Hand.from_spec(spec, chosen)
+            hand_from_spec(spec, chosen)
 
 
 def test_a_hull_is_that_of_its_corners() -> None:
@@ -822,8 +823,8 @@ def test_a_flat_mesh_is_named() -> None:
     nail = spec.body("left").add_geom(name="nail", type=mujoco.mjtGeom.mjGEOM_MESH, meshname="m")
     nail.mass = 0.001
     with pytest.raises(ModelError, match=r"mesh 'm' has coplanar.* its geom in drop_collision"):
-        Hand.from_spec(spec, description())
-    Hand.from_spec(spec, description(repair={"drop_collision": ["nail"]}))
+        hand_from_spec(spec, description())
+    hand_from_spec(spec, description(repair={"drop_collision": ["nail"]}))
 
 
 def test_coal_knows_how_deep_a_point_lies_in_a_hull() -> None:
@@ -917,7 +918,8 @@ def test_nothing_of_other_packages_is_imported_to_find_a_hand() -> None:
     if importlib.util.find_spec("gymnasium_robotics") is None:
         pytest.skip("gymnasium-robotics is not installed")
     code = (
-        "from planner.catalog import find_hand; find_hand('gymnasium-robotics:shadow'); import sys;"
+        "import sys; from planner.hands.catalog import find_hand;"
+        "find_hand('gymnasium-robotics:shadow');"
         "print('gymnasium_robotics' in sys.modules)"
     )
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -18,13 +18,14 @@ from planner.errors import FileFormatError, NoGraspFoundError, TaskError
 from planner.files import read_gait, write_gait, write_json
 from planner.files.gaits import gait_to_dict
 from planner.forces import gravity_wrench
-from planner.gait import GaitPlan, NoOrder, Order, Relocation, find_order, plan_gait
-from planner.gait.alike import same_space
-from planner.gait.check import GaitJudge
-from planner.gait.order import holding, standing
-from planner.hand import Hand
-from planner.kinematics import HandState
+from planner.hand_loading import load_hand
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
 from planner.motion import plan_motion
+from planner.motion.gait import GaitPlan, NoOrder, Order, Relocation, find_order, plan_gait
+from planner.motion.gait.alike import same_space
+from planner.motion.gait.check import GaitJudge
+from planner.motion.gait.order import holding, standing
 from planner.objects import parse_object
 from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray
@@ -245,14 +246,14 @@ def test_lifting_the_allegros_thumb_is_proven_impossible(allegro: Hand) -> None:
 def test_a_hand_of_four_fingers_in_a_circle_finds_an_order(tmp_path: Path) -> None:
     # three of four at right angles close with any friction, so some order always holds: on the
     # equator with a normalised min-weight of 0.6, of which half is left below it and rolled
-    hand = Hand.load(write_star_hand(tmp_path, 4))
+    hand = load_hand(write_star_hand(tmp_path, 4))
     plan = plan_gait(GraspTask.create(hand, "sphere:0.03"), angle=math.radians(45), seed=1)
     assert sorted(plan.order) == sorted(hand.fingers)
     assert min(r.margin for r in plan.relocations) > 0.3
 
 
 def test_a_round_object_is_rolled_about_a_level_axis(tmp_path: Path) -> None:
-    hand = Hand.load(write_star_hand(tmp_path, 4))
+    hand = load_hand(write_star_hand(tmp_path, 4))
     task = GraspTask.create(hand, "sphere:0.03", mu=0.8)
     plan = plan_gait(task, axis=(1, 0, 0), angle=math.radians(40), seed=0)
     first, last = plan.strokes[0].knots[0], plan.strokes[-1].knots[-1]

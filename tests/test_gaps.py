@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planner.collision import CollisionWorld
-from planner.hand import Hand
+from planner.collision.pad_contact import touching_of
+from planner.collision.world import CollisionWorld
+from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.clearance import bones_are_true
 from planner.synthesis.gaps import AHEAD, ROOM, find_gaps
-from planner.synthesis.mesh_seeds import seeder_for
+from planner.synthesis.optimize import descend_grasp
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start
 from planner.synthesis.problems import problems_for
-from planner.synthesis.strengthen import descend_grasp
-from planner.synthesis.touch import touching_of
+from planner.synthesis.seeds.mesh import seeder_for
 from planner.task import GraspTask
 
 

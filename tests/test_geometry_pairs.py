@@ -9,13 +9,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.collision import OBJECT, CollisionWorld
-from planner.geometry_pairs import GeometryPairs
-from planner.hand import Hand
-from planner.kinematics import HandState
-from planner.mesh_pairs import LEAST_LIMIT
-from planner.mesh_proximity import MeshPair
-from planner.proximity import DistancePair
+from planner.collision.world import OBJECT, CollisionWorld
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
+from planner.proximity.convex import DistancePair
+from planner.proximity.convex_pairs import GeometryPairs
+from planner.proximity.mesh import MeshPair
+from planner.proximity.mesh_pairs import LEAST_LIMIT
 from planner.search import plan_grasp
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
@@ -142,7 +142,7 @@ def test_a_query_that_coal_fails_at_is_asked_again(
     base, q = SE3(np.eye(3), np.array([0.0, 0.0, 0.3])), allegro.posture("open")
     truth = world.nearest(base, q)
     # so small a limit makes every distance a failure
-    monkeypatch.setattr("planner.geometry_pairs.FAILED", 0.0)
+    monkeypatch.setattr("planner.proximity.convex_pairs.FAILED", 0.0)
     asked = []
     distance = DistancePair.distance
 

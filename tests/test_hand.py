@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from planner.errors import HandError, NotFoundError, TaskError
-from planner.hand import Hand
-from planner.proximity import DistancePair
+from planner.hand_loading import load_hand
+from planner.hands.hand import Hand
+from planner.proximity.convex import DistancePair
 from planner.spatial import SE3, FloatArray, contact_frames
 
 EditHand = Callable[..., Path]
@@ -122,7 +123,7 @@ def test_postures_keep_the_couplings_and_the_limits(right_hand: Hand) -> None:
 def test_a_joint_that_a_posture_does_not_name_is_at_zero_or_its_nearest_limit(
     edit_hand: EditHand,
 ) -> None:
-    hand = Hand.load(edit_hand({"thumb_0 = 1.323\n": ""}))
+    hand = load_hand(edit_hand({"thumb_0 = 1.323\n": ""}))
     q = hand.posture("open")
     assert q[hand.joint_index("thumb_0")] == 0.263  # its range is 0.263 to 1.396
     assert q[hand.joint_index("index_0")] == 0
@@ -183,7 +184,7 @@ def test_fingers_by_default_are_the_description_s(shadow: Hand) -> None:
 
 
 def test_without_a_default_all_fingers_take_part(edit_hand: EditHand) -> None:
-    hand = Hand.load(edit_hand({'default_fingers = ["thumb", "index", "middle", "ring"]\n': ""}))
+    hand = load_hand(edit_hand({'default_fingers = ["thumb", "index", "middle", "ring"]\n': ""}))
     assert [f.name for f in hand.choose_fingers()] == list(hand.fingers)
 
 
@@ -201,11 +202,11 @@ def test_an_unknown_finger_is_answered_with_the_nearest(allegro: Hand) -> None:
 
 
 def test_the_digest_follows_both_files(edit_hand: EditHand, allegro: Hand) -> None:
-    assert Hand.load(edit_hand()).digest == allegro.digest
+    assert load_hand(edit_hand()).digest == allegro.digest
     digests = {
         allegro.digest,
-        Hand.load(edit_hand({"index_1 = 0.6\n": "index_1 = 0.61\n"})).digest,
-        Hand.load(edit_hand(xml={'kp="3"': 'kp="4"'})).digest,
+        load_hand(edit_hand({"index_1 = 0.6\n": "index_1 = 0.61\n"})).digest,
+        load_hand(edit_hand(xml={'kp="3"': 'kp="4"'})).digest,
     }
     assert len(digests) == 3
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from planner.bridge import load_spec
 from planner.describe import propose
 from planner.errors import HandError, ModelError, NotFoundError, PlannerError
-from planner.hand import Hand
+from planner.hand_loading import hand_from_spec, load_hand
 from sim.cli import app
 from sim.cli.common import EXIT_BAD_INPUT
 
@@ -57,7 +57,7 @@ def test_numbers_of_no_hand_are_refused_by_name(kind: str, tmp_path: Path) -> No
     # and where somebody describes it by hand
     description = propose(written(tmp_path, claw(), "sound.xml")).description
     with pytest.raises(PlannerError):
-        Hand.from_spec(load_spec(path), description)
+        hand_from_spec(load_spec(path), description)
 
 
 URDF = {
@@ -132,7 +132,7 @@ def test_descriptions_with_numbers_that_cannot_be(
     path = edit_hand()
     path.write_text(path.read_text(encoding="utf-8") + "\n" + text + "\n", encoding="utf-8")
     with pytest.raises(HandError, match=message):
-        Hand.load(path)
+        load_hand(path)
 
 
 @pytest.mark.parametrize("command", ["describe", "check-hand"])

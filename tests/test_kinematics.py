@@ -11,10 +11,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.hand import Hand
-from planner.kinematics import HandState
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
+from planner.kinematics.symbolic import SymbolicHand
 from planner.spatial import SE3, FloatArray
-from planner.symbolic import SymbolicHand
 
 CONFIGURATIONS = 1100
 AGREEMENT = 1e-10  # m, -, m/rad

@@ -23,7 +23,7 @@ from planner.shapes import (
     shape_from_dict,
     shape_to_dict,
 )
-from planner.shapes.soundness import bodies_of, faults_of
+from planner.shapes.meshes.soundness import bodies_of, faults_of
 
 EXAMPLES: tuple[Mesh, ...] = (
     Mug(),

@@ -14,7 +14,7 @@ import pytest
 import trimesh
 from conftest import noting_leads, of_trimesh
 
-from planner.collision import CollisionWorld, shape_pair
+from planner.collision.world import CollisionWorld, shape_pair
 from planner.errors import TaskError
 from planner.motion import MotionAttempt
 from planner.motion.release import find_release

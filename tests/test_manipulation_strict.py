@@ -14,13 +14,13 @@ import trimesh
 from conftest import of_trimesh
 from typer.testing import CliRunner
 
-from planner.collision import CollisionWorld
+from planner.collision.resting import lift_to_rest
+from planner.collision.world import CollisionWorld
 from planner.contacts import Contact, ContactSet
 from planner.errors import NoGraspFoundError, TaskError
 from planner.motion.release import find_release
 from planner.objects import GraspObject, parse_object
 from planner.quality import force_closure
-from planner.resting import lift_to_rest
 from planner.shapes import Box, Sphere
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle

@@ -15,16 +15,16 @@ from conftest import box_mesh, of_trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner.collision import shape_pair
+from planner.collision.world import shape_pair
 from planner.errors import ObjectError
-from planner.proximity import DistancePair
+from planner.proximity.convex import DistancePair
 from planner.shapes import Box, LBracket, Mesh, Mug, Sphere, Torus
-from planner.shapes.cache import CACHE_VARIABLE, cache_directory, read_arrays, write_arrays
-from planner.shapes.field import DistanceField
-from planner.shapes.mesh_distance import SMOOTHED_MOST, fit_mesh_field
-from planner.shapes.nearby import NearestTriangles
-from planner.shapes.triangles import COVERED, cover, nearest_on_triangles, winding_number
+from planner.shapes.field.distance_field import DistanceField
+from planner.shapes.field.grid_distance import SMOOTHED_MOST, fit_mesh_field
+from planner.shapes.meshes.nearest_triangle import NearestTriangles
+from planner.shapes.meshes.triangles import COVERED, cover, nearest_on_triangles, winding_number
 from planner.spatial import SE3, FloatArray
+from planner.system.disk_cache import CACHE_VARIABLE, cache_directory, read_arrays, write_arrays
 
 BRICK = (0.05, 0.06, 0.1)
 

@@ -17,7 +17,7 @@ from conftest import of_trimesh
 from planner.errors import ObjectError
 from planner.objects import parse_object
 from planner.shapes import Mesh, Torus, shape_from_dict, shape_to_dict
-from planner.shapes.cache import CACHE_VARIABLE
+from planner.system.disk_cache import CACHE_VARIABLE
 
 
 @pytest.fixture(autouse=True)

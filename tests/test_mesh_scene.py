@@ -9,14 +9,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from planner.hand import Hand
+from planner.hands.hand import Hand
 from planner.objects import GraspObject
 from planner.shapes import Mesh
-from planner.shapes.cache import CACHE_VARIABLE
+from planner.shapes.decomposition.pieces import convex_pieces
+from planner.shapes.decomposition.solid import solid_deviation, solid_geoms
 from planner.shapes.made import LBracket, Torus
-from planner.shapes.pieces import convex_pieces
-from planner.shapes.solid import solid_deviation, solid_geoms
 from planner.spatial import SE3
+from planner.system.disk_cache import CACHE_VARIABLE
 from planner.task import GraspTask
 from sim.contacts import other_touches
 from sim.scene import PIECE_GROUP, WORLD_BIT, Scene, build_scene

@@ -14,35 +14,35 @@ from conftest import box_mesh
 from scipy.spatial import ConvexHull
 
 from planner.bridge import LinkGeometry
-from planner.collision import CollisionWorld
+from planner.collision.pad_contact import pad_touches
+from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
 from planner.files import read_plan, write_plan
-from planner.hand import Hand
-from planner.kinematics import HandState
-from planner.mesh_proximity import MeshPair
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
 from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
-from planner.proximity import DistancePair
+from planner.proximity.convex import DistancePair
+from planner.proximity.mesh import MeshPair
 from planner.regions import Region, TouchRegion, parse_region
 from planner.search import plan_grasp
 from planner.shapes import Box, Mesh, Shape, Torus
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.clearance import link_balls
 from planner.synthesis.filling import fill, span
-from planner.synthesis.mesh_seeds import MeshSeeder, seeder_for
-from planner.synthesis.opposed import FACING, opposed_pairs
+from planner.synthesis.optimize import descend_grasp
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.postures import measure_postures
 from planner.synthesis.problem import Start, build_problem
 from planner.synthesis.resistance import least_resisted
-from planner.synthesis.seeds import Seeder, opposition
-from planner.synthesis.settle import SETTLED, settle
-from planner.synthesis.strengthen import descend_grasp
+from planner.synthesis.seeds.draw import Seeder, opposition
+from planner.synthesis.seeds.mesh import MeshSeeder, seeder_for
+from planner.synthesis.seeds.opposed_points import FACING, opposed_pairs
+from planner.synthesis.seeds.postures import measure_postures
 from planner.synthesis.surfaces import STEEP
-from planner.synthesis.touch import pad_touches
-from planner.synthesis.verify import edge_faults, verify
 from planner.task import GraspTask
 from planner.tolerances import TOUCH_TOL
+from planner.verification.geometry import edge_faults, verify
+from planner.verification.projection import SETTLED, settle
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +144,7 @@ def test_starts_of_which_one_is_chosen_resist_more(
         return float(np.median(values))
 
     chosen = resisted()
-    monkeypatch.setattr("planner.synthesis.mesh_seeds.RESISTANCE_WORTH", 0.0)
+    monkeypatch.setattr("planner.synthesis.seeds.mesh.RESISTANCE_WORTH", 0.0)
     assert chosen > resisted() + 0.02
 
 

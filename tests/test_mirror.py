@@ -16,18 +16,19 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from planner.approach.pregrasp import Approach
 from planner.bridge import compile_spec, mirror_spec
-from planner.catalog import find_hand
-from planner.described import MirrorAxis, read_description, reflection_signs
 from planner.errors import HandError
-from planner.hand import Hand
-from planner.judge import judge_grasp
-from planner.kinematics import HandState
+from planner.hand_loading import load_hand
+from planner.hands.catalog import find_hand
+from planner.hands.description_files import MirrorAxis, read_description, reflection_signs
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.pregrasp import Approach
 from planner.task import GraspTask
+from planner.verification.grasp import judge_grasp
 
 HANDS = Path(__file__).resolve().parent.parent / "models" / "hands"
 NAMES = ("shadow_hand", "allegro_hand")
@@ -78,7 +79,7 @@ ODD_MODEL = """
 
 @cache
 def hand(name: str) -> Hand:
-    return Hand.load(name)
+    return load_hand(name)
 
 
 def pair(name: str) -> tuple[Hand, Hand, FloatArray]:
@@ -329,7 +330,7 @@ def test_description_is_mirrored_out_of_the_plane(tmp_path: Path) -> None:
         assert old in text
         text = text.replace(old, new)
     original.write_text(text)
-    right, left = Hand.load(original), Hand.load(_write_mirror(tmp_path, "hand.toml", "left.toml"))
+    right, left = load_hand(original), load_hand(_write_mirror(tmp_path, "hand.toml", "left.toml"))
     np.testing.assert_array_equal(left.palm_normal, [-0.8, 0.6, 0.0])
     m = np.diag([-1.0, 1.0, 1.0])
     q = random_joints(right, 1)[0]
@@ -344,10 +345,10 @@ def test_digest_covers_all_files(tmp_path: Path) -> None:
     original = _copy_right(tmp_path)
     model = tmp_path / "allegro_hand.xml"
     mirror = _write_mirror(tmp_path, "hand.toml", "left.toml")
-    seen = {Hand.load(mirror).digest}
+    seen = {load_hand(mirror).digest}
     for file, comment in ((original, "\n# x"), (model, "<!-- x -->"), (mirror, "\n# x")):
         file.write_text(file.read_text() + comment)
-        seen.add(Hand.load(mirror).digest)
+        seen.add(load_hand(mirror).digest)
     assert len(seen) == 4
 
 
@@ -363,19 +364,19 @@ def test_two_mirrors_give_the_hand_back() -> None:
 def test_mirror_of_a_mirror_is_refused(tmp_path: Path) -> None:
     path = _write_mirror(tmp_path, HANDS / "allegro_hand_left" / "hand.toml")
     with pytest.raises(HandError, match="is a mirror image itself"):
-        Hand.load(path)
+        load_hand(path)
 
 
 def test_missing_original_is_refused(tmp_path: Path) -> None:
     with pytest.raises(HandError, match="which does not exist"):
-        Hand.load(_write_mirror(tmp_path, "nowhere.toml"))
+        load_hand(_write_mirror(tmp_path, "nowhere.toml"))
 
 
 def test_fields_beside_mirror_of_are_refused(tmp_path: Path) -> None:
     path = _write_mirror(tmp_path, HANDS / "allegro_hand" / "hand.toml")
     path.write_text(path.read_text() + 'palm_body = "palm"\n')
     with pytest.raises(HandError, match="palm_body"):
-        Hand.load(path)
+        load_hand(path)
 
 
 def test_mesh_is_refused() -> None:

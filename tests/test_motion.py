@@ -15,14 +15,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.collision import CollisionWorld
+from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
 from planner.errors import FileFormatError, NoGraspFoundError, TaskError
 from planner.files import read_motion, write_json, write_motion
 from planner.files.motions import motion_to_dict
-from planner.hand import Hand
-from planner.judge import plan_forces
-from planner.kinematics import HandState
+from planner.hand_loading import load_hand
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
 from planner.motion import MotionPlan, ObjectPath, motion_attempts, plan_motion
 from planner.motion.between import lead
 from planner.motion.ground import finger_sets, with_rolling_pads
@@ -40,16 +40,17 @@ from planner.motion.unknowns import SHARE, placement
 from planner.objects import parse_object
 from planner.quality import analyse, force_closure
 from planner.spatial import SE3, FloatArray, skew
-from planner.synthesis.joint_objectives import driving
+from planner.synthesis.objectives.joint import driving
 from planner.synthesis.problem import Start
 from planner.synthesis.residuals import WEIGHTS
-from planner.synthesis.seeds import Seeder
+from planner.synthesis.seeds.draw import Seeder
 from planner.synthesis.surfaces import surface_of
 from planner.synthesis.surroundings import obstacles_in_object
 from planner.synthesis.unknowns import mrp_numeric
-from planner.synthesis.verify import contacts_at, verify
 from planner.task import GraspTask, Obstacle
 from planner.tolerances import SWING_SHARE
+from planner.verification.geometry import contacts_at, verify
+from planner.verification.grasp import plan_forces
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -120,7 +121,7 @@ default_fingers = {names}
 
 @pytest.fixture(scope="module")
 def turning(tmp_path_factory: pytest.TempPathFactory) -> GraspTask:
-    hand = Hand.load(write_turning_hand(tmp_path_factory.mktemp("turning")))
+    hand = load_hand(write_turning_hand(tmp_path_factory.mktemp("turning")))
     return GraspTask.create(hand, "cylinder:0.03x0.08", mu=0.8, grip_force=2.0)
 
 

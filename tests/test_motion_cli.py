@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-import planner.gait.search
+import planner.motion.gait.search
 import planner.motion.search
 import sim.manipulation.plan
 from planner.files import read_motion
@@ -92,7 +92,7 @@ def test_a_gait_of_one_stroke_is_written(tmp_path: Path) -> None:
     ("command", "mu", "attempts"),
     [
         (plan_motion, DEFAULT_MU, planner.motion.search.MAX_ATTEMPTS),
-        (plan_gait, DEFAULT_MU, planner.gait.search.MAX_ATTEMPTS),
+        (plan_gait, DEFAULT_MU, planner.motion.gait.search.MAX_ATTEMPTS),
         (manipulate, BELIEVED_MU, sim.manipulation.plan.MAX_ATTEMPTS),
     ],
 )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import box_mesh
 
-from planner.hand import Hand
+from planner.hands.hand import Hand
 from planner.motion import ObjectPath, motion_attempts
 from planner.motion.ground import with_rolling_pads
 from planner.motion.problem import build_motion_problem
@@ -19,8 +19,8 @@ from planner.motion.surfaces import turned_surface_of
 from planner.objects import GraspObject, parse_object
 from planner.shapes import Cylinder, Mesh, Superquadric
 from planner.spatial import SE3
-from planner.synthesis.mesh_seeds import MeshSeeder, TurningSeeder, turning_seeder_for
 from planner.synthesis.problem import Start
+from planner.synthesis.seeds.mesh import MeshSeeder, TurningSeeder, turning_seeder_for
 from planner.synthesis.surfaces import surface_of
 from planner.task import GraspTask
 

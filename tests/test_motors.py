@@ -11,10 +11,11 @@ import pinocchio as pin
 import pytest
 
 from planner.bridge.motors import motorise_spec
-from planner.catalog import models_dir
 from planner.errors import HandError
-from planner.hand import Hand
-from planner.kinematics import HandState
+from planner.hand_loading import load_hand
+from planner.hands.catalog import models_dir
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
 from planner.search import plan_grasp
 from planner.spatial import FloatArray
 from planner.task import GraspTask
@@ -27,7 +28,7 @@ EXACT = 1e-12
 
 @cache
 def hand(name: str) -> Hand:
-    return Hand.load(name)
+    return load_hand(name)
 
 
 def derived(folder: Path, of: Path, name: str = "hand.toml") -> Path:
@@ -207,7 +208,7 @@ def test_it_grasps_and_holds() -> None:
 def test_any_hand_can_have_motors(tmp_path: Path) -> None:
     own, driven = (
         hand("allegro_hand"),
-        Hand.load(derived(tmp_path, HANDS / "allegro_hand" / "hand.toml")),
+        load_hand(derived(tmp_path, HANDS / "allegro_hand" / "hand.toml")),
     )
     assert driven.actuation.names == own.joint_names
     np.testing.assert_array_equal(driven.actuation.force_range, own.actuation.force_range)
@@ -215,7 +216,7 @@ def test_any_hand_can_have_motors(tmp_path: Path) -> None:
 
 
 def test_a_mirror_image_can_have_motors(tmp_path: Path) -> None:
-    left = Hand.load(derived(tmp_path, HANDS / "shadow_hand_left" / "hand.toml"))
+    left = load_hand(derived(tmp_path, HANDS / "shadow_hand_left" / "hand.toml"))
     right = hand("shadow_hand_torque")
     np.testing.assert_array_equal(left.actuation.force_range, right.actuation.force_range)
     q = right.posture("pinch")
@@ -228,12 +229,12 @@ def test_the_mirror_image_of_motors_is_refused(tmp_path: Path) -> None:
     mirror = tmp_path / "mirror.toml"
     mirror.write_text(f'schema = 1\nname = "m"\nmirror_of = "{first}"\nmirror_axis = "x"\n')
     with pytest.raises(HandError, match="motors_of = that mirror image"):
-        Hand.load(mirror)
+        load_hand(mirror)
 
 
 def test_a_hand_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(HandError, match=r"motors_of names .*nowhere.toml, which does not exist"):
-        Hand.load(derived(tmp_path, tmp_path / "nowhere.toml"))
+        load_hand(derived(tmp_path, tmp_path / "nowhere.toml"))
 
 
 def test_stops_have_nothing_that_presses_on_them(tmp_path: Path) -> None:
@@ -241,4 +242,4 @@ def test_stops_have_nothing_that_presses_on_them(tmp_path: Path) -> None:
     path = tmp_path / "hand.toml"
     path.write_text(text.replace("schema = 1\n", "schema = 1\nmotors = true\n"), encoding="utf-8")
     with pytest.raises(HandError, match=r"stops \['index_stop', .*kind = \"equality\""):
-        Hand.load(path)
+        load_hand(path)

@@ -14,7 +14,7 @@ from planner.bridge.object_body import object_body
 from planner.errors import ModelError, NotFoundError, ObjectError
 from planner.objects import DEFAULT_MASS, parse_object
 from planner.shapes import Box, Capsule, Cylinder, Ellipsoid, Mesh, Shape, Sphere, Torus
-from planner.shapes.cache import CACHE_VARIABLE
+from planner.system.disk_cache import CACHE_VARIABLE
 
 Scene = Callable[[str], Path]
 

@@ -14,13 +14,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner import measures
+from planner import plan_metrics as measures
 from planner.contacts import ContactSet
 from planner.errors import NotFoundError, TaskError
 from planner.files import PlanFile, plan_to_dict, read_plan, write_plan
-from planner.hand import Hand
-from planner.kinematics import HandState
-from planner.measures import (
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
+from planner.plan_metrics import (
     MEASURES,
     mean_singular_value,
     measured,
@@ -31,22 +31,17 @@ from planner.quality import closure_of_wrenches, epsilon_l1, min_weight, primiti
 from planner.search import attempts
 from planner.spatial import FloatArray
 from planner.synthesis import SynthesisOptions, gravity_any_direction, tool_torque
-from planner.synthesis.joint_objectives import (
+from planner.synthesis.objectives.joint import (
     LIMIT_AIM,
     REACH_AIM,
     SINGULAR,
     driving,
     free_velocities,
 )
-from planner.synthesis.mesh_seeds import seeder_for
-from planner.synthesis.moment import Moment
-from planner.synthesis.objectives import EPSILON, OBJECTIVES, objective_parameters
-from planner.synthesis.problem import Start
-from planner.synthesis.problems import problems_for
-from planner.synthesis.surfaces import surface_of
-from planner.synthesis.task_wrenches import resisted_wrenches
-from planner.synthesis.terms import Formulation, formulate
-from planner.synthesis.wrench_objectives import (
+from planner.synthesis.objectives.linearisation import Moment
+from planner.synthesis.objectives.registry import EPSILON, OBJECTIVES, objective_parameters
+from planner.synthesis.objectives.task_wrenches import resisted_wrenches
+from planner.synthesis.objectives.wrench import (
     NORMAL_ERROR,
     POSITION_ERROR,
     ROBUST_AIM,
@@ -54,6 +49,11 @@ from planner.synthesis.wrench_objectives import (
     WEIGHT_AIM,
     narrowed,
 )
+from planner.synthesis.problem import Start
+from planner.synthesis.problems import problems_for
+from planner.synthesis.seeds.mesh import seeder_for
+from planner.synthesis.surfaces import surface_of
+from planner.synthesis.terms import Formulation, formulate
 from planner.task import GraspTask
 
 BUILT = tuple(name for name in OBJECTIVES if name != EPSILON)

@@ -10,14 +10,7 @@ import pytest
 from scipy.optimize import minimize
 from test_describe_drive import shared
 
-from planner.catalog import hand_names
-from planner.collision import CollisionWorld
-from planner.hand import Hand
-from planner.kinematics import HandState
-from planner.plan import GraspPlan
-from planner.search import plan_grasp
-from planner.spatial import FloatArray
-from planner.synthesis.opening import (
+from planner.approach.open_fingers import (
     FINGER_CLEARANCE,
     OPEN_CLEARANCE,
     OPENED_SHARE,
@@ -25,8 +18,16 @@ from planner.synthesis.opening import (
     Opener,
     undetermined_joints,
 )
+from planner.approach.pregrasp import OPENINGS
+from planner.collision.world import CollisionWorld
+from planner.hand_loading import hand_from_spec, load_hand
+from planner.hands.catalog import hand_names
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
+from planner.plan import GraspPlan
+from planner.search import plan_grasp
+from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.pregrasp import OPENINGS
 from planner.task import GraspTask
 
 
@@ -105,7 +106,7 @@ def closed_in_the_air(hand: Hand, begin: FloatArray, end: FloatArray) -> FloatAr
 
 
 def test_fingers_of_shared_tendons_close_the_way_that_they_opened() -> None:
-    hand = Hand.from_spec(mujoco.MjSpec.from_string(shared()))
+    hand = hand_from_spec(mujoco.MjSpec.from_string(shared()))
     joints = undetermined_joints(hand)
     assert [hand.joint_names[k][-1] for k in joints] == ["b", "c"] * 3
     plan = plan_grasp(GraspTask.create(hand, "sphere:0.035"), seed=0)
@@ -121,4 +122,4 @@ def test_fingers_of_shared_tendons_close_the_way_that_they_opened() -> None:
 
 def test_joints_that_a_tendon_moves_alike_may_open() -> None:
     # the tendon of the shipped fingers is stopped where both joints are equal, and moves both alike
-    assert [name for name in hand_names() if len(undetermined_joints(Hand.load(name)))] == []
+    assert [name for name in hand_names() if len(undetermined_joints(load_hand(name)))] == []

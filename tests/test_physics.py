@@ -21,8 +21,8 @@ from planner.search import plan_grasp
 from planner.task import GraspTask
 from sim.cli import main
 from sim.creep import contact_drag, impedance, least_creep, predicted_creep, remedies
-from sim.physics import CONES, FIELDS, INTEGRATORS, PhysicsOptions
-from sim.presets import PRESETS, named_physics, physics_for, read_physics
+from sim.physics import PRESETS, named_physics, physics_for, read_physics
+from sim.physics.options import CONES, FIELDS, INTEGRATORS, PhysicsOptions
 from sim.protocols.creep import measure_creep, sized_remedies
 from sim.protocols.run import physics_of
 from sim.scene import OBJECT, build_scene
@@ -48,7 +48,7 @@ def test_presets_are_called_as_they_are_registered() -> None:
     assert set(PRESETS) == {"ours", "mujoco-default", "menagerie", "dexgraspbench"}
     for name, preset in PRESETS.items():
         assert preset.name == preset.label == name
-        assert PhysicsOptions.named(name) is preset
+        assert named_physics(name) is preset
     assert PRESETS["ours"] == PhysicsOptions()
 
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from planner.shapes import Box, Mesh, Sphere
-from planner.shapes.cache import CACHE_VARIABLE, read_arrays, write_arrays
-from planner.shapes.cutting import Cell, Guards, cut, half_of
-from planner.shapes.hulls import clip, crossing_points, hull_of
+from planner.shapes.decomposition.cutting import Cell, Guards, cut, half_of
+from planner.shapes.decomposition.hulls import clip, crossing_points, hull_of
+from planner.shapes.decomposition.pieces import TOLERANCE, Pieces, convex_pieces, deviation
+from planner.shapes.decomposition.solid import solid_deviation, solid_geoms
 from planner.shapes.made import LBracket, Superquadric, Torus
-from planner.shapes.pieces import TOLERANCE, Pieces, convex_pieces, deviation
-from planner.shapes.solid import solid_deviation, solid_geoms
-from planner.shapes.triangles import cover
+from planner.shapes.meshes.triangles import cover
 from planner.spatial import FloatArray
+from planner.system.disk_cache import CACHE_VARIABLE, read_arrays, write_arrays
 
 MADE = (LBracket(), Torus())
 
@@ -101,7 +101,7 @@ def test_cutting_ends_where_a_plane_cuts_nothing_off(monkeypatch: pytest.MonkeyP
             raise AssertionError("the same cell is cut again and again")
         return np.array([1.0, 0.0, 0.0, 1.0])
 
-    monkeypatch.setattr("planner.shapes.cutting._best_plane", beside)
+    monkeypatch.setattr("planner.shapes.decomposition.cutting._best_plane", beside)
     hulls = cut(mesh, Guards(mesh, whole, TOLERANCE), whole, TOLERANCE)
     assert [h.volume for h in hulls] == [pytest.approx(whole.volume)]
 

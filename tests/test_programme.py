@@ -13,7 +13,7 @@ import qpsolvers
 from scipy.optimize import linprog
 from scipy.sparse import csc_matrix
 
-from planner.programme import ScipyProgramme, programme
+from planner.numerics.programme import ScipyProgramme, programme
 from planner.spatial import FloatArray
 
 INF = np.inf
@@ -133,7 +133,7 @@ CLOSE = """
 import numpy as np
 from planner import ContactSet, force_closure
 from planner.certify import certify_contacts
-from planner.programme import programme
+from planner.numerics.programme import programme
 angles = np.arange(3) * 2 * np.pi / 3
 normals = -np.column_stack([np.cos(angles), np.sin(angles), np.zeros(3)])
 contacts = ContactSet.from_arrays(-0.03 * normals, normals, mu=0.5)

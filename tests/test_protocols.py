@@ -19,17 +19,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner.batch.dexgraspbench import plan_squeeze
 from planner.certify import NEAR
 from planner.errors import NotFoundError, TaskError
+from planner.exchange.dexgraspbench import plan_squeeze
 from planner.files import write_plan
-from planner.hand import Hand
-from planner.judge import judge_grasp
+from planner.hand_loading import load_hand
+from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.plan import GraspPlan, SolveRecord
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GraspTask
+from planner.verification.grasp import judge_grasp
 from sim.cli import main
 from sim.cli.test import _show
 from sim.controllers import Controller, GraspController, Observation, Phase
@@ -113,7 +114,7 @@ left = 0.028
 right = 0.028
 """
     )
-    return Hand.load(folder / "hand.toml")
+    return load_hand(folder / "hand.toml")
 
 
 def pinch(hand: Hand, *, press: float = PRESS, mass: float = 0.1) -> GraspPlan:

@@ -12,7 +12,7 @@ import pinocchio as pin
 import pytest
 
 from planner.errors import ModelError
-from planner.proximity import (
+from planner.proximity.convex import (
     DistancePair,
     Proximity,
 )

@@ -45,7 +45,7 @@ def test_pictures_are_there() -> None:
 
 
 def test_every_hand_is_named_in_the_readme() -> None:
-    from planner.catalog import hand_names
+    from planner.hands.catalog import hand_names
 
     for name in hand_names():
         assert f"`{name}`" in README

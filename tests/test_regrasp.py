@@ -11,8 +11,8 @@ import pytest
 from conftest import noting_leads
 
 from planner.errors import NoGraspFoundError, TaskError
-from planner.gait import GaitPlan, cut_motion, plan_back, plan_others
-from planner.hand import Hand
+from planner.hand_loading import load_hand
+from planner.motion.gait import GaitPlan, cut_motion, plan_back, plan_others
 from planner.objects import parse_object
 from planner.spatial import SE3
 from sim.bench.conditions import FRICTION, REGRASP_FRICTION
@@ -57,7 +57,7 @@ QUICK = Pace(
 @pytest.fixture(scope="module")
 def plan(tmp_path_factory: pytest.TempPathFactory) -> ManipulationPlan:
     """Two strokes of 21 degrees by a hand of four fingers in a circle."""
-    hand = Hand.load(write_star_hand(tmp_path_factory.mktemp("star"), 4))
+    hand = load_hand(write_star_hand(tmp_path_factory.mktemp("star"), 4))
     task = manipulation_task(hand, parse_object("cylinder:0.03x0.08", mass=0.1), mu=0.6)
     return plan_regrasping(task, angle=ANGLE, place=(0.03, 0.0))
 

@@ -8,15 +8,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.collision import CollisionWorld
+from planner.approach.pregrasp import Approach, approach_fault
+from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
-from planner.judge import judge_grasp
-from planner.kinematics import HandState
+from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3
-from planner.synthesis.pregrasp import Approach, approach_fault
 from planner.task import GraspTask, Obstacle
+from planner.verification.grasp import judge_grasp
 from sim.recorder import Recorder
 from sim.scene import build_scene
 from sim.trial import Trial

@@ -14,21 +14,21 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from planner.approach.open_fingers import OPENED_SHARE
+from planner.approach.pregrasp import APPROACH_CLEARANCE, Approach
 from planner.errors import NoGraspFoundError, TaskError
-from planner.hand import Hand
-from planner.judge import judge_grasp
-from planner.kinematics import HandState
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
 from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.regions import Region, TouchRegion
 from planner.search import SPARE_AFTER, Attempt, attempts, plan_grasp
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.mesh_seeds import seeder_for
-from planner.synthesis.opening import OPENED_SHARE
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.pregrasp import APPROACH_CLEARANCE, Approach
+from planner.synthesis.seeds.mesh import seeder_for
 from planner.task import GraspTask, Obstacle
 from planner.tolerances import FRICTION_SHARE
+from planner.verification.grasp import judge_grasp
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -97,11 +97,11 @@ def test_same_seed_same_plan_in_a_fresh_process_that_built_other_problems_first(
     allegro: Hand,
 ) -> None:
     script = (
-        "from planner.hand import Hand\n"
+        "from planner.hands.hand import Hand\n"
         "from planner.search import plan_grasp\n"
         "from planner.synthesis.problems import problems_for\n"
         "from planner.task import GraspTask\n"
-        "hand = Hand.load('allegro_hand')\n"
+        "hand = load_hand('allegro_hand')\n"
         "problems_for(GraspTask.create(hand, 'sphere'))\n"
         "print(plan_grasp(GraspTask.create(hand, 'box'), seed=3).q.tobytes().hex())\n"
     )

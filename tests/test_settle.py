@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planner.hand import Hand
+from planner.collision.pad_contact import pad_touches
+from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
-from planner.synthesis.settle import COUPLED, FARTHEST, SETTLED, settle
-from planner.synthesis.touch import pad_touches
 from planner.task import GraspTask
+from planner.verification.projection import COUPLED, FARTHEST, SETTLED, settle
 
 
 @pytest.fixture(scope="module", params=["sphere", "torus"])

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from planner.errors import NotFoundError, ObjectError
 from planner.objects import parse_object
-from planner.proximity import DistancePair
+from planner.proximity.convex import DistancePair
 from planner.shapes import (
     SHAPES,
     Box,

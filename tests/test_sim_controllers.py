@@ -11,8 +11,8 @@ import pinocchio as pin
 import pytest
 
 from planner.contacts import ContactModel, ContactSet
-from planner.hand import Hand
-from planner.kinematics import HandState
+from planner.hand_loading import load_hand
+from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
@@ -187,7 +187,7 @@ def test_motors_hold_the_object_too(plan: GraspPlan, tmp_path: Path) -> None:
         _without(line, "ctrlrange", "kp") if "<motor" in line else line for line in text.split("\n")
     ]
     model.write_text("\n".join(lines))
-    hand = Hand.load(tmp_path / "hand")
+    hand = load_hand(tmp_path / "hand")
     assert (hand.actuation.bias == 0).all()
     with_motors = replace(plan, task=replace(plan.task, hand=hand))
     report = simulate(with_motors, timeline=Timeline(lift=0.5, hold=0.3))

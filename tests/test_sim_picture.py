@@ -11,7 +11,7 @@ from PIL import Image
 
 from planner.spatial import SE3
 from planner.task import GraspTask
-from sim.picture import PICTURE_SIZE, save_picture
+from sim.looking.picture import PICTURE_SIZE, save_picture
 from sim.scene import Scene, build_scene
 
 AWAY = SE3(np.eye(3), np.array([0.6, 0.0, 0.4]))

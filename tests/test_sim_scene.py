@@ -8,12 +8,13 @@ import pinocchio as pin
 import pytest
 
 from planner.errors import TaskError
-from planner.hand import Hand
-from planner.kinematics import HandState
+from planner.hand_loading import load_hand
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
 from planner.spatial import SE3
 from planner.task import GraspTask, Obstacle
 from sim.contacts import other_touches
-from sim.mount import MOUNT_FREQUENCY, Mount
+from sim.gantry import MOUNT_FREQUENCY, Mount
 from sim.physics import PhysicsOptions
 from sim.scene import HAND_PREFIX, Scene, build_scene
 
@@ -22,7 +23,7 @@ ABOVE = SE3(pin.exp3(np.array([0.2, np.pi - 0.3, 0.4])), np.array([0.03, -0.02, 
 
 @pytest.fixture(scope="module", params=["allegro_hand", "shadow_hand"])
 def hand(request: pytest.FixtureRequest) -> Hand:
-    return Hand.load(request.param)
+    return load_hand(request.param)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from planner.errors import TaskError
-from planner.hand import Hand
+from planner.hand_loading import load_hand
 from planner.paths import smooth
 from planner.plan import GraspPlan
 from planner.quality import analyse
@@ -268,7 +268,7 @@ def test_a_hand_too_weak_for_the_plan_reaches_its_torque_limit(
         if "thumb" in actuator.name:
             setattr(actuator, attribute, [float(v) for v in value.split()])
     model.write_text(spec.to_xml())
-    weak = replace(plan, task=replace(plan.task, hand=Hand.load(tmp_path / "hand")))
+    weak = replace(plan, task=replace(plan.task, hand=load_hand(tmp_path / "hand")))
     failed = simulate(weak, timeline=QUICK)
     assert failed.reason == "torque limit reached", failed.verdict.detail
     assert "thumb" in failed.verdict.detail

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from planner.stages import stage, timed
+from planner.system.stage_times import stage, timed
 
 
 def burn(seconds: float) -> None:

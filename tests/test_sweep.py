@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planner.collision import CollisionWorld
-from planner.hand import Hand
+from planner.collision.world import CollisionWorld
+from planner.hands.hand import Hand
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
 

@@ -13,10 +13,11 @@ import pytest
 
 from planner.bridge import pinocchio_from_mujoco
 from planner.errors import ModelError
-from planner.hand import Hand
-from planner.kinematics import HandState, joint_axes
+from planner.hand_loading import load_hand
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState, joint_axes
+from planner.kinematics.symbolic import SymbolicHand
 from planner.spatial import FloatArray
-from planner.symbolic import SymbolicHand
 
 SLIDER = """
 <mujoco>
@@ -68,7 +69,7 @@ def slider(tmp_path_factory: pytest.TempPathFactory) -> Hand:
     folder: Path = tmp_path_factory.mktemp("slider")
     (folder / "slider.xml").write_text(SLIDER, encoding="utf-8")
     (folder / "hand.toml").write_text(SLIDER_TOML, encoding="utf-8")
-    return Hand.load(folder)
+    return load_hand(folder)
 
 
 def random_q(hand: Hand, seed: int) -> FloatArray:

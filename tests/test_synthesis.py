@@ -15,15 +15,16 @@ import pinocchio as pin
 import pytest
 
 from planner.contacts import ContactSet
-from planner.hand import Hand
-from planner.kinematics import HandState
+from planner.hand_loading import load_hand
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
 from planner.shapes.surface import EDGE_MARGIN
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.clearance import LinkBall, hull_balls, link_balls
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start
 from planner.synthesis.problems import problems_for
-from planner.synthesis.seeds import Seeder
+from planner.synthesis.seeds.draw import Seeder
 from planner.synthesis.terms import LEVER, PRESS_MIN
 from planner.task import GraspTask, Obstacle
 
@@ -285,9 +286,9 @@ def test_contacts_stay_inside_the_patch_that_a_finger_was_given(solved: Solved) 
 
 def test_programmes_are_built_once_for_a_hand_however_often_it_is_loaded() -> None:
     first, again = (
-        problems_for(GraspTask.create(Hand.load("allegro_hand"), size))
+        problems_for(GraspTask.create(load_hand("allegro_hand"), size))
         for size in ("sphere:0.03", "sphere:0.04")
     )
     assert first.grasp is again.grasp
-    other = problems_for(GraspTask.create(Hand.load("shadow_hand"), "sphere"))
+    other = problems_for(GraspTask.create(load_hand("shadow_hand"), "sphere"))
     assert other.grasp is not first.grasp

@@ -14,10 +14,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner.hand import Hand
-from planner.kinematics import HandState
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
+from planner.kinematics.symbolic import SymbolicHand
 from planner.spatial import SE3, FloatArray
-from planner.symbolic import SymbolicHand
 from planner.synthesis.clearance import (
     MEETING_MARGIN,
     ClearanceTerms,
@@ -30,7 +30,7 @@ from planner.synthesis.clearance import (
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Start
 from planner.synthesis.problems import problems_for
-from planner.synthesis.seeds import Seeder
+from planner.synthesis.seeds.draw import Seeder
 from planner.task import GraspTask, Obstacle
 
 STEP = 1e-6

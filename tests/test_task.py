@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from planner.errors import HandError, NotFoundError, PlannerError, TaskError
 from planner.forces.grip import LOAD_SAFETY, ExpectedLoad, grip_for_load
-from planner.hand import Hand
+from planner.hands.hand import Hand
 from planner.objects import GraspObject, parse_object
 from planner.search import attempts, plan_grasp
 from planner.spatial import SE3

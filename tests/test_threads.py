@@ -19,18 +19,19 @@ import pytest
 from planner.certify import certify_contacts
 from planner.errors import NoGraspFoundError
 from planner.forces import ForceLoop, distribute_forces
-from planner.gait import plan_gait
-from planner.hand import Hand
-from planner.judge import force_arguments
+from planner.hand_loading import load_hand
+from planner.hands.hand import Hand
 from planner.motion import plan_motion
+from planner.motion.gait import plan_gait
 from planner.motion.plan import Knot
+from planner.numerics.programme import programme
 from planner.objects import parse_object
 from planner.plan import GraspPlan
-from planner.programme import programme
 from planner.quality import force_closure
 from planner.search import attempts, plan_grasp
+from planner.system.threads import built, kept_by_thread, made_once, without_warnings
 from planner.task import GraspTask
-from planner.threads import built, kept_by_thread, made_once, without_warnings
+from planner.verification.grasp import force_arguments
 
 OFTEN = 1e-6
 """Time (s) after which threads change places: as often as Python lets them."""
@@ -97,7 +98,7 @@ SEEDS = range(4)
     ],
 )
 def test_plans_of_threads_are_those_of_one(hand: str, objects: tuple[str, str]) -> None:
-    loaded = Hand.load(hand)
+    loaded = load_hand(hand)
     alone = {
         (name, seed): bits_of(plan_grasp(GraspTask.create(loaded, name), seed=seed))
         for name in objects
@@ -302,8 +303,8 @@ def test_threads_that_build_their_first_problems_at_once() -> None:
 import sys, threading
 sys.setswitchinterval(1e-6)
 from planner import GraspTask, plan_grasp
-from planner.hand import Hand
-hand = Hand.load("allegro_hand")
+from planner.hands.hand import Hand
+hand = load_hand("allegro_hand")
 names = ("box", "sphere", "capsule", "ellipsoid")
 found = {}
 def work(name):

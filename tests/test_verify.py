@@ -8,18 +8,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.collision import CollisionWorld
-from planner.hand import Hand
-from planner.judge import judge_grasp
-from planner.kinematics import HandState
-from planner.plan import GraspPlan
+from planner.approach.pregrasp import Approach, approach_fault
+from planner.collision.world import CollisionWorld
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
+from planner.plan import GraspPlan, Verification
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.pregrasp import Approach, approach_fault
-from planner.synthesis.settle import SETTLED
-from planner.synthesis.verify import Verification, contacts_at, verify
 from planner.task import GraspTask, Obstacle
 from planner.tolerances import TOUCH_TOL
+from planner.verification.geometry import contacts_at, verify
+from planner.verification.grasp import judge_grasp
+from planner.verification.projection import SETTLED
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planner.contacts import ContactSet
-from planner.hand import Hand
+from planner.hands.hand import Hand
 from planner.quality import epsilon_round, primitive_wrenches
 from planner.quality.weakest import APART, weakest_directions
 from planner.search import attempts

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner import GraspPlan, GraspTask, plan_grasp
-from planner.collision import CollisionWorld
+from planner.collision.world import CollisionWorld
 from planner.spatial import FloatArray
 from sim.controllers import GraspController, Observation
 from sim.trial import Timeline, simulate

@@ -12,14 +12,14 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from planner import Hand
+from planner.hand_loading import load_hand
 from planner.spatial import FloatArray
 
 HAND = "shadow_hand"
 STEP = 0.1  # how far each joint is moved, rad
 MOVED = 1e-9  # a tip that moved further than this has moved, m
 
-hand = Hand.load(HAND)
+hand = load_hand(HAND)
 model, data = hand.mj_model, mujoco.MjData(hand.mj_model)
 print(f"{hand.name}: {model.njnt} joints, {model.nu} actuators, {model.nbody} bodies")
 for finger in hand.fingers.values():

@@ -13,13 +13,14 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from planner import Hand, HandState
+from planner import HandState
+from planner.hand_loading import load_hand
 
 HAND = "shadow_hand"
 POSTURES = 50  # random ones
 SHIFT = 1e-6  # joint step of the finite difference, rad
 
-hand = Hand.load(HAND)
+hand = load_hand(HAND)
 spec = hand.new_spec()
 spec.body(hand.description.base_body).add_freejoint()
 model = spec.compile()

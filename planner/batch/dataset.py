@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from planner.approach.arm_path import ArmPath
+from planner.approach.pregrasp import Approach
 from planner.batch.checked import check_fingers, checked_row, reading
 from planner.batch.diversity import Diversity, diversity
 from planner.batch.features import GraspFeatures
@@ -19,12 +21,10 @@ from planner.batch.rows import arrow, attempt_rows, attempt_schema, grasp_schema
 from planner.batch.store import ATTEMPTS, GRASPS, JOURNAL, shard_file, waiting_rows, whole_shards
 from planner.batch.thinning import thin
 from planner.errors import FileFormatError, NotFoundError
-from planner.judge import judge_grasp
 from planner.plan import GraspPlan, SolveRecord
 from planner.spatial import SE3, IntArray, pose_from_wxyz
-from planner.synthesis.carried import ArmPath
-from planner.synthesis.pregrasp import Approach
 from planner.task import GraspTask
+from planner.verification.grasp import judge_grasp
 
 __all__ = ["GraspSet"]
 

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from planner.errors import TaskError
-from planner.kinematics import HandState
+from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, pose_from_wxyz
-from planner.synthesis.mesh_seeds import seeder_for
+from planner.synthesis.seeds.mesh import seeder_for
 from planner.task import GraspTask
 
 __all__ = ["GraspFeatures"]

@@ -20,12 +20,13 @@ from planner.errors import FileFormatError
 from planner.files import TaskData, task_data, task_from_data
 from planner.files.data import Finite, PoseData
 from planner.forces.grip import ExpectedLoad
-from planner.hand import Hand
+from planner.hand_loading import load_hand
+from planner.hands.hand import Hand
 from planner.schema import StrictData, faults_of
 from planner.shapes import Mesh, Shape, shape_to_dict
 from planner.spatial import SE3
+from planner.system.threads import made_once
 from planner.task import GraspTask
-from planner.threads import made_once
 
 __all__ = ["Recipe", "label_of", "recipe_of", "shape_key", "task_of", "with_fingers_of"]
 
@@ -147,7 +148,7 @@ def _with_fingers(task: GraspTask, names: tuple[str, ...]) -> GraspTask:
 @made_once(8)
 def _hand(name: str) -> Hand:
     """One hand for all tasks with it, so that they share its NLPs."""
-    return Hand.load(name, download=False)
+    return load_hand(name, download=False)
 
 
 def label_of(task: GraspTask) -> str:

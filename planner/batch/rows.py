@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from planner.errors import TaskError
-from planner.hand import Hand
+from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.quality import epsilon_l1, min_weight
 from planner.search import Attempt

@@ -19,7 +19,8 @@ from planner.batch.recipe import Recipe, label_of, recipe_of, task_of
 from planner.batch.rows import grasp_schema
 from planner.batch.store import Store
 from planner.errors import TaskError
-from planner.hand import Hand
+from planner.hand_loading import load_hand
+from planner.hands.hand import Hand
 from planner.objects import GraspObject
 from planner.search import DEFAULT_MAX_ATTEMPTS
 from planner.synthesis.options import SynthesisOptions
@@ -171,7 +172,7 @@ def _tasks(
     """
     if isinstance(objects, str | GraspObject | GraspTask):
         raise TaskError(f"objects is {objects!r}; give a list, even of one")
-    hand = hand if isinstance(hand, Hand) else Hand.load(hand)
+    hand = hand if isinstance(hand, Hand) else load_hand(hand)
     tasks: dict[str, GraspTask] = {}
     for item in objects:
         task = item if isinstance(item, GraspTask) else GraspTask.create(hand, item)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from contextlib import AbstractContextManager
 
-from planner.environment import Held
+from planner.system.environment import Held
 
 __all__ = ["safe_path"]
 

@@ -35,10 +35,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.certify.neighbourhood import NEAR, Changes, Neighbourhood
-from planner.certify.programme import Minimum, minimise
 from planner.contacts import ContactSet
 from planner.errors import ContactError, PlannerError
-from planner.kinematics import HandState
+from planner.kinematics.state import HandState
+from planner.numerics.bounded_lp import Minimum, minimise
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, skew
 

@@ -27,7 +27,7 @@ from planner.actuation import STOP_TOL
 from planner.certify.pose import PoseErrors
 from planner.certify.turning import largest_turn
 from planner.errors import TaskError
-from planner.kinematics import HandState, joint_axes
+from planner.kinematics.state import HandState, joint_axes
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, IntArray
 

@@ -25,9 +25,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.certify.programme import minimise
 from planner.contacts import ContactSet
 from planner.forces import ForceProblem, pyramid_faces
+from planner.numerics.bounded_lp import minimise
 from planner.spatial import FloatArray
 
 __all__ = ["Resistance", "without_grip"]

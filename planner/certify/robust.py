@@ -38,10 +38,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.arrays import checked_count
-from planner.certify.programme import Minimum, minimise
 from planner.certify.sphere import halved, icosphere
 from planner.contacts import MIN_EDGES, MOST_EDGES, ContactSet
 from planner.errors import ContactError, PlannerError
+from planner.numerics.bounded_lp import Minimum, minimise
 from planner.quality import measure_hull
 from planner.spatial import FloatArray, IntArray
 

@@ -13,9 +13,9 @@ from planner.describe.gaps import TOUCHING
 from planner.describe.grip import check_pads, check_postures
 from planner.describe.overlaps import check_overlaps
 from planner.describe.report import CheckReport, Finding, JointRow, TouchRow, WorkspaceRow
-from planner.hand import Hand
-from planner.kinematics import HandState
-from planner.proximity import DistancePair
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
+from planner.proximity.convex import DistancePair
 from planner.spatial import SE3, FloatArray
 
 __all__ = ["check_hand"]

@@ -11,8 +11,8 @@ import numpy as np
 import pinocchio as pin
 
 from planner.bridge import LinkGeometry
-from planner.hand import Hand
-from planner.proximity import DistancePair
+from planner.hands.hand import Hand
+from planner.proximity.convex import DistancePair
 from planner.spatial import SE3, FloatArray
 
 __all__ = ["TOUCHING", "HandGaps"]

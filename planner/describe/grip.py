@@ -10,8 +10,9 @@ from planner.describe.convex_links import ConvexLink, cone_directions
 from planner.describe.gaps import TOUCHING
 from planner.describe.postures import PostureSolver
 from planner.describe.report import Finding, PadRow, PostureRow
-from planner.hand import Finger, Hand
-from planner.kinematics import HandState
+from planner.hands.fingers import Finger
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
 from planner.spatial import FloatArray
 
 __all__ = ["check_pads", "check_postures"]

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from planner.bridge.load import named_files
 from planner.describe.propose import located, propose
 from planner.description import HandDescription
-from planner.shapes.cache import read_text, write_text
+from planner.system.disk_cache import read_text, write_text
 
 __all__ = ["proposed_description"]
 

@@ -15,7 +15,7 @@ import pinocchio as pin
 from planner.couplings import nearest_on_couplings
 from planner.describe.gaps import TOUCHING, HandGaps
 from planner.describe.report import Finding
-from planner.hand import Hand
+from planner.hands.hand import Hand
 
 __all__ = ["Overlap", "check_overlaps", "frequent_overlaps"]
 

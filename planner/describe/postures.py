@@ -21,8 +21,9 @@ from scipy.optimize import least_squares
 
 from planner.couplings import nearest_on_couplings
 from planner.describe.gaps import TOUCHING, HandGaps
-from planner.hand import Finger, Hand
-from planner.kinematics import HandState
+from planner.hands.fingers import Finger
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
 from planner.spatial import FloatArray
 
 __all__ = ["OPEN_RADII", "PINCH_RADII", "PosturePart", "PostureSolver"]

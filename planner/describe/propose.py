@@ -17,7 +17,6 @@ from planner.bridge import couplings_from_mujoco, hand_geometries
 from planner.bridge.measure import joint_inertia
 from planner.bridge.pinocchio_model import pinocchio_from_mujoco
 from planner.bridge.structure import read_spec, structure_of
-from planner.catalog import find_hand, foreign_hand_model
 from planner.describe.anatomy import (
     default_fingers,
     describe_finger,
@@ -42,7 +41,8 @@ from planner.describe.servos import joint_defaults, missing_servos
 from planner.describe.tree import Branch, HandTree, finger_names, read_tree
 from planner.description import CouplingDescription, HandDescription
 from planner.errors import HandError
-from planner.hand import Hand
+from planner.hands.build import described_hand
+from planner.hands.catalog import find_hand, foreign_hand_model
 from planner.spatial import FloatArray
 
 __all__ = ["located", "propose"]
@@ -52,7 +52,7 @@ def propose(model: Any, *, name: str | None = None, base_body: str | None = None
     """Propose a hand description from a model.
 
     Args:
-        model: A path, or ``PACKAGE:NAME`` as for ``Hand.load``; a ``mujoco.MjSpec``, or a compiled
+        model: A path, or ``PACKAGE:NAME`` as for ``load_hand``; a ``mujoco.MjSpec``, or a compiled
             ``mujoco.MjModel``.
         name: What to call the hand; after the model if None.
         base_body: Root of the hand in the model; found if None.
@@ -115,7 +115,7 @@ class _Proposer:
         description = self._anatomy(description)
         description = without_overlaps(self.spec, description, self.notes)
         description = self._postures(description)
-        hand = Hand.from_spec(self.spec, description)  # what is proposed loads, or says why not
+        hand = described_hand(self.spec, description)  # what is proposed loads, or says why not
         for overlap in frequent_overlaps(hand):
             self.notes.ask(f"{overlap.told}; {overlap.remedy}")
         return Proposal(
@@ -235,7 +235,7 @@ class _Proposer:
         return drive, defaults
 
     def _postures(self, description: HandDescription) -> HandDescription:
-        hand = Hand.from_spec(self.spec, description)
+        hand = described_hand(self.spec, description)
         solver = PostureSolver(hand, hand.choose_fingers())
         pinch = solver.solve(PINCH_RADII)
         wide = solver.solve(OPEN_RADII, near=pinch.q)

@@ -18,9 +18,10 @@ from planner.describe.gaps import TOUCHING
 from planner.describe.proposal import Notes
 from planner.describe.tree import find_base
 from planner.description import HandDescription, RepairDescription
-from planner.hand import Hand
-from planner.kinematics import HandState
-from planner.proximity import DistancePair
+from planner.hands.build import described_hand
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
+from planner.proximity.convex import DistancePair
 from planner.spatial import SE3
 
 __all__ = ["prepared_model", "repair_and_base", "without_impossible_couplings", "without_overlaps"]
@@ -108,7 +109,7 @@ def without_impossible_couplings(
 
 def without_overlaps(spec: Any, description: HandDescription, notes: Notes) -> HandDescription:
     """Exclude pairs of bodies that overlap nearly wherever the joints are."""
-    hand = Hand.from_spec(spec, description)
+    hand = described_hand(spec, description)
     always = _overlapping(hand)
     if not always:
         return description

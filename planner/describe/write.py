@@ -13,10 +13,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from planner.catalog import PACKAGE_SCHEME
 from planner.describe.proposal import Proposal, Reason
 from planner.description import HandDescription
 from planner.errors import FileFormatError
+from planner.hands.catalog import PACKAGE_SCHEME
 
 __all__ = ["description_text", "write_description", "write_proposal"]
 

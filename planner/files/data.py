@@ -11,14 +11,14 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
+from planner.approach.arm_path import ArmPath
 from planner.contacts import ContactModel
 from planner.errors import FileFormatError
-from planner.hand import Hand
+from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.regions import Region, TouchRegion
 from planner.schema import StrictData
 from planner.spatial import SE3, pose_from_wxyz, pose_to_wxyz
-from planner.synthesis.carried import ArmPath
 
 __all__ = [
     "LARGEST",

@@ -19,9 +19,9 @@ from planner.files.head import checked_file
 from planner.files.json_csv import read_json, write_json
 from planner.files.motions import MotionFile, motion_from_dict, motion_to_dict
 from planner.files.plans import CONTACT_TOL, contact_data, numbers_of
-from planner.gait import GaitPlan, Relocation
-from planner.gait.check import GaitJudge
-from planner.hand import Hand
+from planner.hands.hand import Hand
+from planner.motion.gait import GaitPlan, Relocation
+from planner.motion.gait.check import GaitJudge
 from planner.schema import StrictData
 from planner.version import written_by
 

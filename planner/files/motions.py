@@ -22,7 +22,7 @@ from planner.files.plans import (
     plan_from_dict,
     plan_to_dict,
 )
-from planner.hand import Hand
+from planner.hands.hand import Hand
 from planner.motion import Knot, Limit, MotionPlan, MotionRecord, ObjectPath
 from planner.motion.check import MotionJudge, Place
 from planner.plan import GraspPlan

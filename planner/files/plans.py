@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
+from planner.approach.pregrasp import Approach
 from planner.contacts import Contact, ContactSet
 from planner.errors import FileFormatError
 from planner.files.claims import check_clearances, check_quality
@@ -28,11 +29,11 @@ from planner.files.data import (
 from planner.files.head import checked_file
 from planner.files.json_csv import read_json, write_json
 from planner.files.tasks import task_data, task_from_data
-from planner.hand import Hand
-from planner.judge import judge_grasp
+from planner.hand_loading import load_hand
+from planner.hands.hand import Hand
 from planner.plan import GraspPlan, SolveRecord
 from planner.spatial import FloatArray
-from planner.synthesis.pregrasp import Approach
+from planner.verification.grasp import judge_grasp
 from planner.version import written_by
 
 __all__ = [
@@ -135,7 +136,7 @@ def plan_from_dict(data: dict[str, Any], source: str, *, hand: Hand | None = Non
     """
     file = checked_file(PlanFile, data, source)
     given = file.task.hand
-    hand = hand or Hand.load(given.description_path or given.name, download=False)
+    hand = hand or load_hand(given.description_path or given.name, download=False)
     hand = hand.rolling if given.rolling else hand
     if hand.digest != given.sha256:
         raise FileFormatError(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.catalog import hand_names
 from planner.errors import TaskError
 from planner.files.data import (
     HandData,
@@ -14,7 +13,8 @@ from planner.files.data import (
     TaskData,
     TouchData,
 )
-from planner.hand import Hand
+from planner.hands.catalog import hand_names
+from planner.hands.hand import Hand
 from planner.objects import GraspObject
 from planner.shapes import shape_from_dict, shape_to_dict
 from planner.task import GraspTask, Obstacle

@@ -18,7 +18,6 @@ from planner.forces.friction import Cone, LimitSurface, Pyramid, pyramid_faces, 
 from planner.forces.gaps import PyramidGap, cone_gaps
 from planner.forces.grip import ExpectedLoad, grip_for_load
 from planner.forces.infeasible import Infeasibility, explain_infeasibility
-from planner.forces.kept import QUICK_SOLVER, solver_names
 from planner.forces.loop import ForceLoop, ForceStep
 from planner.forces.placed import turned_frames
 from planner.forces.priorities import LeastViolation, least_violation
@@ -28,6 +27,7 @@ from planner.forces.solve import (
     distribute_forces,
     solve_force_problem,
 )
+from planner.numerics.warm_started import QUICK_SOLVER, solver_names
 
 __all__ = [
     "QUICK_SOLVER",

@@ -22,8 +22,8 @@ from planner.contacts import ContactSet
 from planner.errors import ContactError
 from planner.forces.build import LimitArguments, build_force_problem
 from planner.forces.infeasible import explain_infeasibility
-from planner.forces.kept import QUICK_SOLVER, solver_names
 from planner.forces.loop import STEP_TOL, ForceLoop
+from planner.numerics.warm_started import QUICK_SOLVER, solver_names
 from planner.spatial import FloatArray
 
 __all__ = ["SolverComparison", "SolverRecord", "compare_solvers", "turning_wrenches"]

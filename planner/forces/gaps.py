@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 from planner.contacts import ContactSet
 from planner.forces.build import ForceArguments
 from planner.forces.friction import Pyramid
-from planner.forces.kept import QUICK_SOLVER
 from planner.forces.solve import distribute_forces
+from planner.numerics.warm_started import QUICK_SOLVER
 
 __all__ = ["PyramidGap", "cone_gaps"]
 

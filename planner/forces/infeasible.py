@@ -21,7 +21,7 @@ import numpy as np
 
 from planner.forces.outlines import outlined
 from planner.forces.problem import RESIDUAL_TOL, ForceProblem
-from planner.programme import programme
+from planner.numerics.programme import programme
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["FEASIBLE", "Infeasibility", "explain_infeasibility"]

@@ -29,11 +29,11 @@ from planner.contacts import ContactSet, check_frames
 from planner.errors import ContactError
 from planner.forces.build import LimitArguments, build_force_problem
 from planner.forces.costs import check_not_negative
-from planner.forces.dense import DenseQp, KeptSolver
 from planner.forces.drive import DriveRows
 from planner.forces.friction import Pyramid
-from planner.forces.kept import QUICK_SOLVER, keep_solver
 from planner.forces.placed import PlacedContacts
+from planner.numerics.dense_qp import DenseQp, KeptSolver
+from planner.numerics.warm_started import QUICK_SOLVER, keep_solver
 from planner.spatial import FloatArray
 
 __all__ = ["ForceLoop", "ForceStep"]

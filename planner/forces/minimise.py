@@ -17,11 +17,11 @@ import qpsolvers
 from scipy.sparse import csc_matrix, triu
 
 from planner.errors import ContactError, NotFoundError
-from planner.forces.kept import QUICK_SOLVER, solver_names
 from planner.forces.problem import ForceProblem
-from planner.programme import programme
+from planner.numerics.programme import programme
+from planner.numerics.warm_started import QUICK_SOLVER, solver_names
 from planner.spatial import FloatArray
-from planner.threads import without_warnings
+from planner.system.threads import without_warnings
 
 __all__ = ["CONE_SOLVER", "check_solver", "minimise"]
 

@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planner.errors import ContactError
-from planner.forces.kept import QUICK_SOLVER
 from planner.forces.minimise import CONE_SOLVER, minimise
 from planner.forces.problem import RESIDUAL_TOL, ForceProblem
 from planner.forces.solve import ForceSolution, solve_force_problem
+from planner.numerics.warm_started import QUICK_SOLVER
 from planner.spatial import FloatArray
 
 __all__ = ["LeastViolation", "least_violation"]

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from planner.kinematics import MovingHand
+from planner.kinematics.state import MovingHand
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from planner.collision import Clearance, CollisionWorld
-from planner.judge import judge_grasp, plan_forces
+from planner.collision.pad_contact import PadTouch, pad_touches, touching_of
+from planner.collision.world import Clearance, CollisionWorld
 from planner.motion.between import lead
 from planner.motion.path import ObjectPath
 from planner.motion.plan import Knot
@@ -24,12 +24,12 @@ from planner.motion.solve import MotionCandidate
 from planner.plan import GraspPlan, SolveRecord
 from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray, rotation_angle
-from planner.synthesis.settle import settle
-from planner.synthesis.touch import PadTouch, pad_touches, touching_of
 from planner.synthesis.unknowns import Unknowns
-from planner.synthesis.verify import contacts_of, verify
 from planner.task import GraspTask
 from planner.tolerances import CLOSURE_EDGES, CLOSURE_MARGIN
+from planner.verification.geometry import contacts_of, verify
+from planner.verification.grasp import judge_grasp, plan_forces
+from planner.verification.projection import settle
 
 __all__ = ["MotionJudge", "Place"]
 

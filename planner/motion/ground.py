@@ -24,11 +24,11 @@ from planner.motion.problems import motion_problem_for
 from planner.motion.solve import WORTH_A_LOOK, MotionCandidate, MotionSolver
 from planner.motion.starts import on_opposed_sides
 from planner.plan import SolveRecord
-from planner.synthesis.mesh_seeds import turning_seeder_for
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.seeds import TRIPOD, Seeder
+from planner.synthesis.seeds.draw import TRIPOD, Seeder
+from planner.synthesis.seeds.mesh import turning_seeder_for
+from planner.system.threads import kept_by_thread, made_once
 from planner.task import GraspTask
-from planner.threads import kept_by_thread, made_once
 
 __all__ = ["Ground", "finger_sets", "rank", "tripods", "with_rolling_pads"]
 

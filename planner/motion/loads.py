@@ -23,12 +23,13 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 
-from planner.hand import Finger, Hand
+from planner.hands.fingers import Finger
+from planner.hands.hand import Hand
+from planner.kinematics.symbolic import SymbolicHand
 from planner.motion.path import ObjectPath
+from planner.numerics.casadi_compiled import compiled
 from planner.spatial import FloatArray
-from planner.symbolic import SymbolicHand
-from planner.synthesis.compiled import compiled
-from planner.synthesis.joint_objectives import LEAST_LIMIT, LEAST_PRESS, driving
+from planner.synthesis.objectives.joint import LEAST_LIMIT, LEAST_PRESS, driving
 from planner.synthesis.unknowns import Unknowns, mrp_matrix
 from planner.synthesis.wrenches import contact_torque
 from planner.task import GraspTask

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.errors import TaskError
-from planner.fixed import freeze
+from planner.immutable import freeze
 from planner.spatial import SE3, FloatArray
 
 __all__ = ["LARGEST_TURN", "ObjectPath", "check_shift", "tilts"]

@@ -9,15 +9,14 @@ import numpy as np
 import pinocchio as pin
 
 from planner.contacts import ContactSet
-from planner.fixed import freeze
 from planner.forces import ForceSolution
-from planner.kinematics import HandState
+from planner.immutable import freeze
+from planner.kinematics.state import HandState
 from planner.motion.limits import Limit
 from planner.motion.path import ObjectPath
-from planner.plan import GraspPlan
+from planner.plan import GraspPlan, Verification
 from planner.quality import ClosureResult
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.verify import Verification
 
 __all__ = ["Knot", "MotionPlan", "MotionRecord"]
 

@@ -21,24 +21,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.hand import Finger, Hand
+from planner.hands.fingers import Finger
+from planner.hands.hand import Hand
 from planner.motion.holds import Hold, HoldRows
 from planner.motion.loads import load_function, load_parameters
 from planner.motion.path import ObjectPath, tilts
 from planner.motion.rolling import pivoting_function, rolling_function
 from planner.motion.surfaces import turned_surface_of
 from planner.motion.unknowns import MotionUnknowns, placement
+from planner.numerics.casadi_buffers import BufferedFunction
 from planner.shapes import Shape
 from planner.spatial import FloatArray
 from planner.synthesis.avoid import Avoidance
-from planner.synthesis.buffered import BufferedFunction
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import GraspProblem, Start
 from planner.synthesis.residuals import Residuals
 from planner.synthesis.surroundings import NO_TABLE
 from planner.synthesis.terms import formulate
+from planner.system.threads import built
 from planner.task import GraspTask
-from planner.threads import built
 
 __all__ = ["MotionNumbers", "MotionProblem", "build_motion_problem"]
 

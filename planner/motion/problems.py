@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field
 
-from planner.hand import Hand
+from planner.hands.hand import Hand
 from planner.motion.holds import Hold
 from planner.motion.problem import MotionProblem, build_motion_problem
 from planner.shapes import Shape
 from planner.synthesis.surfaces import surface_of
+from planner.system.threads import BUILDING, made_once
 from planner.task import GraspTask
-from planner.threads import BUILDING, made_once
 
 __all__ = ["motion_problem_for"]
 

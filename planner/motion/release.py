@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.collision import CollisionWorld
+from planner.approach.pregrasp import Approach, find_approach
+from planner.collision.resting import lift_to_rest
+from planner.collision.world import CollisionWorld
 from planner.motion.plan import MotionPlan
-from planner.resting import lift_to_rest
-from planner.synthesis.pregrasp import Approach, find_approach
 
 __all__ = ["SINKS", "find_release"]
 

@@ -1,4 +1,4 @@
-"""A motion as weighted residuals with their Jacobian: what ``planner.synthesis.descent`` descends.
+"""A motion as weighted residuals with their Jacobian, for Levenberg-Marquardt steps.
 
 The residuals of a grasp are evaluated once for every knot; their derivatives by the knot's base
 pose are carried on to what all knots share. Units and weights are those of a grasp: a millimetre is
@@ -14,10 +14,10 @@ import numpy as np
 from planner.motion.jacobian import Block, MotionJacobian
 from planner.motion.problem import MotionNumbers, MotionProblem
 from planner.motion.unknowns import SHARE, SHARED, TUBE
+from planner.numerics.casadi_buffers import BufferedFunction
 from planner.spatial import FloatArray, IntArray
-from planner.stages import stage
-from planner.synthesis.buffered import BufferedFunction
 from planner.synthesis.nlp import Field
+from planner.system.stage_times import stage
 
 __all__ = ["PER_METRE", "PULL", "MotionResiduals", "Tally"]
 

@@ -24,11 +24,12 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 
-from planner.hand import Finger, Hand
-from planner.kinematics import HandState
+from planner.hands.fingers import Finger
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
+from planner.kinematics.symbolic import SymbolicHand
+from planner.numerics.casadi_compiled import compiled
 from planner.spatial import SE3, FloatArray
-from planner.symbolic import SymbolicHand
-from planner.synthesis.compiled import compiled
 from planner.synthesis.unknowns import Unknowns, mrp_matrix
 
 __all__ = ["pivoting_function", "rolling_function", "slips"]

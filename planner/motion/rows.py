@@ -18,7 +18,7 @@ from planner.motion.residuals import PER_METRE, MotionResiduals
 from planner.motion.unknowns import SHARED, TUBE
 from planner.spatial import FloatArray
 from planner.synthesis.avoid import TERMS
-from planner.synthesis.joint_objectives import driving
+from planner.synthesis.objectives.joint import driving
 from planner.synthesis.residuals import WEIGHTS
 
 __all__ = ["Row", "described"]

@@ -25,12 +25,10 @@ from planner.motion.path import ObjectPath
 from planner.motion.problem import MotionProblem
 from planner.motion.residuals import PULL, MotionResiduals
 from planner.motion.unknowns import SHARE
+from planner.numerics.levenberg_marquardt import PATIENCE, STALLED, descend
 from planner.quality.weakest import weakest_directions
 from planner.spatial import FloatArray
-from planner.synthesis.descent import PATIENCE, STALLED, descend
-from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.problem import Start
-from planner.synthesis.strengthen import (
+from planner.synthesis.optimize import (
     FORCE_SCALE,
     JOINT_SCALE,
     POINT_SCALE,
@@ -39,6 +37,8 @@ from planner.synthesis.strengthen import (
     TURN_SCALE,
     descend_grasp,
 )
+from planner.synthesis.options import SynthesisOptions
+from planner.synthesis.problem import Start
 from planner.task import GraspTask
 
 __all__ = ["WORTH_A_LOOK", "MotionCandidate", "MotionSolver"]

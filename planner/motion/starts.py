@@ -13,12 +13,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.kinematics import HandState
+from planner.kinematics.state import HandState
 from planner.shapes import Mesh
 from planner.spatial import FloatArray
 from planner.synthesis.problem import Start
-from planner.synthesis.seeds import Seeder
-from planner.threads import made_once
+from planner.synthesis.seeds.draw import Seeder
+from planner.system.threads import made_once
 
 __all__ = ["on_opposed_sides"]
 

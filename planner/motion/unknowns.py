@@ -26,7 +26,7 @@ import numpy as np
 
 from planner.spatial import FloatArray
 from planner.synthesis.unknowns import Unknowns, mrp_matrix
-from planner.threads import made_once
+from planner.system.threads import made_once
 
 __all__ = ["SHARED", "MotionUnknowns", "placement"]
 

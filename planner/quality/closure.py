@@ -29,8 +29,8 @@ from scipy.optimize import linprog
 
 from planner.contacts import ContactSet
 from planner.errors import ContactError, PlannerError
+from planner.numerics.programme import programme
 from planner.plain import finite
-from planner.programme import programme
 from planner.quality.cones import primitive_wrenches
 from planner.spatial import FloatArray
 

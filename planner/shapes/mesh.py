@@ -16,18 +16,18 @@ from scipy.spatial import ConvexHull
 
 from planner.errors import ObjectError
 from planner.shapes.base import Shape, checked_points
-from planner.shapes.cache import read_arrays, write_arrays
 from planner.shapes.convex import convex_geometry
-from planner.shapes.field import DistanceField
-from planner.shapes.fits import field_fits
-from planner.shapes.mesh_distance import FIELD_VERSION, fit_mesh_field
-from planner.shapes.mesh_io import check_solid, read_mesh
-from planner.shapes.nearby import NearestTriangles, coal_tree
+from planner.shapes.field.distance_field import DistanceField
+from planner.shapes.field.grid_distance import FIELD_VERSION, fit_mesh_field
+from planner.shapes.field.kept_fits import field_fits
+from planner.shapes.meshes.io import check_solid, read_mesh
+from planner.shapes.meshes.nearest_triangle import NearestTriangles, coal_tree
+from planner.shapes.meshes.polyhedron import checked_triangles, digest_of, moments
+from planner.shapes.meshes.triangles import winding_number
 from planner.shapes.nearest import ON_SURFACE, unit
-from planner.shapes.polyhedron import checked_triangles, digest_of, moments
 from planner.shapes.stable import StablePose, stable_poses
-from planner.shapes.triangles import winding_number
 from planner.spatial import FloatArray, IntArray
+from planner.system.disk_cache import read_arrays, write_arrays
 
 __all__ = ["Mesh", "MeshSource"]
 
@@ -246,8 +246,10 @@ class Mesh(Shape):
         return convex_geometry(self.hull_vertices)
 
     def mujoco_geom(self) -> tuple[str, tuple[float, ...]]:
-        """None fits: see ``planner.shapes.solid``."""
-        raise ObjectError("a mesh is no single MuJoCo geom; use planner.shapes.solid.solid_geoms")
+        """None fits: see ``planner.shapes.decomposition.solid``."""
+        raise ObjectError(
+            "a mesh is no single MuJoCo geom; use planner.shapes.decomposition.solid.solid_geoms"
+        )
 
     def closest_point(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See ``Shape``; on the surface, the normal of the face, edge or vertex."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from planner.shapes.triangles import solid_angles
+from planner.shapes.meshes.triangles import solid_angles
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["StablePose", "stable_poses"]

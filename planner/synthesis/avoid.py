@@ -23,7 +23,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.hand import Hand
+from planner.hands.hand import Hand
 from planner.shapes.surface import Surface, box_clearance
 from planner.spatial import FloatArray, IntArray
 from planner.synthesis.clearance import (

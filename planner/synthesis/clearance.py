@@ -5,7 +5,7 @@ object, links are filled with balls, so the NLP sees a slightly smaller link. Ag
 hull's corners are enough, and exact for spheres, capsules and boxes: a capsule's two ends, a
 box's eight corners, a prism around a cylinder (balls of radius 0). Between fingers the bones of
 links, which are capsules, keep away from each other where they can meet at all. The verdict on the
-true geometry is coal's (``planner.synthesis.verify``).
+true geometry is coal's (``planner.verification.geometry``).
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from planner.bridge import LinkGeometry
-from planner.hand import Hand
-from planner.kinematics import HandState
+from planner.collision.pad_contact import ROUND, pad_geometry
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
+from planner.kinematics.symbolic import SymbolicHand
 from planner.shapes.surface import Surface, box_clearance
 from planner.spatial import FloatArray
-from planner.symbolic import SymbolicHand
 from planner.synthesis.filling import fill, span
-from planner.synthesis.touch import ROUND, pad_geometry
 
 __all__ = [
     "ClearanceTerms",

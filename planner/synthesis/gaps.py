@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.collision import CollisionWorld
+from planner.collision.pad_contact import touching_of
+from planner.collision.world import CollisionWorld
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.touch import touching_of
 from planner.synthesis.unknowns import Unknowns, mrp_rates
 
 __all__ = ["Gaps", "find_gaps"]

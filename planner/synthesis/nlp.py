@@ -1,9 +1,9 @@
 """Nonlinear programmes over a distance field: written once as expressions, bound to many fields.
 
-A primitive's distance is an expression. A mesh has a sampled field (``planner.shapes.field``), a
-table, which no expression holds. So the programme is written in terms of the field's Taylor
-coefficients at the points where it is needed: with the coefficients a, b, H, T of phi at a point y
-that depends on the unknowns,
+A primitive's distance is an expression. A mesh has a sampled field
+(``planner.shapes.field.distance_field``), a table, which no expression holds. So the programme is
+written in terms of the field's Taylor coefficients at the points where it is needed: with the
+coefficients a, b, H, T of phi at a point y that depends on the unknowns,
 
     phi(y)      = a + b . d + d'Hd/2       with d = y - y0 = 0,
     grad phi(y) = b + H d + T[d, d]/2,
@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 
 from planner.spatial import FloatArray
-from planner.threads import BUILDING
+from planner.system.threads import BUILDING
 
 __all__ = ["Field", "FieldPoints", "Nlp", "Solver"]
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from planner.errors import NotFoundError, TaskError
 from planner.spatial import FloatArray
-from planner.synthesis.objectives import EPSILON, OBJECTIVES
-from planner.synthesis.task_wrenches import checked_wrenches
+from planner.synthesis.objectives.registry import EPSILON, OBJECTIVES
+from planner.synthesis.objectives.task_wrenches import checked_wrenches
 from planner.tolerances import SYNTHESIS_SHARE
 
 __all__ = ["NO_OBJECTIVE", "OPTION_NAMES", "SynthesisOptions"]
@@ -38,7 +38,7 @@ class SynthesisOptions:
         weight_center: Cost of the mean contact point's squared distance from the centre of mass, in
             characteristic lengths (-): a grasp far from it bears the weight with torsion.
         rounds: How many rounds work on the objectives.
-        objective: What is worked on (``planner.synthesis.objectives``): a name, several as
+        objective: What is worked on (``planner.synthesis.objectives.registry``): a name, several as
             "epsilon:1,torque:0.5", or a mapping of names to weights > 0 of their squared residuals;
             "none" for nothing. Kept as text.
         task_wrenches: Wrenches (k, 6) that the objective "task" is about, object frame, about the

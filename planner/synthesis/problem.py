@@ -34,7 +34,7 @@ Sastry 1994, proposition 5.3); rank follows from three contacts that are not on 
 keeps forces near the normals, shares them evenly, keeps contacts around the centre of mass and
 joints near the pinch posture.
 
-The same terms are solved in two ways. ``planner.synthesis.strengthen`` takes them as residuals of a
+The same terms are solved in two ways. ``planner.synthesis.optimize`` takes them as residuals of a
 least-squares problem, inequalities counting where they are violated and the cost
 weighing little: a few milliseconds from a start to a grasp or to nothing. ``solve`` gives them to
 IPOPT as the constrained programme they are, with exact second derivatives: to its optimum, in ten
@@ -50,8 +50,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from planner.hand import Finger, Hand
-from planner.kinematics import HandState
+from planner.hands.fingers import Finger
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
 from planner.shapes import Shape
 from planner.shapes.surface import Patch, Surface
 from planner.spatial import SE3, FloatArray
@@ -62,8 +63,8 @@ from planner.synthesis.residuals import Residuals
 from planner.synthesis.surfaces import surface_of
 from planner.synthesis.surroundings import obstacles_in_object, table_in_object
 from planner.synthesis.terms import Formulation, Term, formulate
+from planner.system.threads import built
 from planner.task import GraspTask
-from planner.threads import built
 
 __all__ = ["Candidate", "GraspProblem", "Start", "build_problem"]
 

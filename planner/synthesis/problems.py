@@ -5,12 +5,12 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 
-from planner.hand import Hand
+from planner.hands.hand import Hand
 from planner.shapes import Shape
 from planner.synthesis.problem import GraspProblem, build_problem
 from planner.synthesis.surfaces import surface_of
+from planner.system.threads import BUILDING, made_once
 from planner.task import GraspTask
-from planner.threads import BUILDING, made_once
 
 __all__ = ["Problems", "problems_for"]
 

@@ -14,15 +14,15 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.numerics.casadi_buffers import into_buffers
+from planner.numerics.casadi_compiled import compiled
 from planner.spatial import FloatArray, IntArray
-from planner.stages import stage
 from planner.synthesis.avoid import TERMS, Avoidance, Violated
-from planner.synthesis.buffered import into_buffers
-from planner.synthesis.compiled import compiled
 from planner.synthesis.gaps import Gaps
 from planner.synthesis.nlp import THIRD, Field, FieldPoints
 from planner.synthesis.resistance import missing_resistance
 from planner.synthesis.terms import Formulation
+from planner.system.stage_times import stage
 
 __all__ = ["COST_SHARE", "WEIGHTS", "Residuals"]
 

@@ -9,12 +9,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from planner.hand import Finger, Hand
+from planner.hands.fingers import Finger
+from planner.hands.hand import Hand
+from planner.kinematics.symbolic import SymbolicHand
 from planner.shapes.surface import CODE_DIM, SIZE_DIM, Surface
 from planner.spatial import FloatArray
-from planner.symbolic import SymbolicHand
 from planner.synthesis.clearance import ClearanceTerms
-from planner.synthesis.objectives import GraspSymbols, objective_rows
+from planner.synthesis.objectives.registry import GraspSymbols, objective_rows
 from planner.synthesis.options import OPTION_NAMES
 from planner.synthesis.surroundings import Surroundings
 from planner.synthesis.unknowns import Unknowns, mrp_matrix
@@ -119,7 +120,7 @@ def formulate(
         fingers: Fingers that take part, in order of the contacts.
         surface: NLP form of the shape.
         n_obstacles: Number of obstacle boxes.
-        objectives: Those of ``planner.synthesis.objectives`` that have rows of their own.
+        objectives: Those of ``planner.synthesis.objectives.registry`` that have rows of their own.
         clearances: Whether links' clearances are among the terms; least squares gets them from
             ``planner.synthesis.avoid``.
     """

@@ -9,8 +9,8 @@ from typing import Any
 
 import casadi as ca
 
-from planner.hand import Finger
-from planner.symbolic import SymbolicHand
+from planner.hands.fingers import Finger
+from planner.kinematics.symbolic import SymbolicHand
 
 __all__ = ["TINY", "contact_torque", "support"]
 

@@ -16,7 +16,7 @@ from rich.table import Table
 from planner.batch.jobs import grasp_seed
 from planner.batch.recipe import shape_key
 from planner.errors import PlannerError
-from planner.measures import MEASURES, measured
+from planner.plan_metrics import MEASURES, measured
 from planner.search import attempts
 from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions
 from sim.bench.objects import BenchObject

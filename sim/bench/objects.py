@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from planner.errors import ObjectError
-from planner.shapes.mesh_io import MESH_SUFFIXES
+from planner.shapes.meshes.io import MESH_SUFFIXES
 
 __all__ = ["BenchObject", "bench_objects"]
 

@@ -16,18 +16,17 @@ from types import MappingProxyType
 from typing import Any
 
 from planner.errors import NotFoundError, PlannerError
-from planner.judge import plan_forces
 from planner.plain import finite
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
+from planner.verification.grasp import plan_forces
 from sim.bench.journal import run_with_journal
 from sim.bench.objects import BenchObject
 from sim.bench.physics_variants import SOFT, VARIANTS
 from sim.bench.requests import Setting, check_tasks, task_for
 from sim.controllers import named_controller
 from sim.creep import CREEP_BUDGET, Remedy, least_creep, remedies
-from sim.physics import PhysicsOptions
-from sim.presets import PRESETS
+from sim.physics import PRESETS, PhysicsOptions
 from sim.protocols.creep import measure_creep
 from sim.runner import Check, Runner, made_with
 from sim.scene import build_scene

@@ -18,16 +18,17 @@ import numpy as np
 from planner.batch import GraspFeatures
 from planner.batch.jobs import grasp_seed
 from planner.batch.recipe import shape_key
-from planner.collision import OBJECT
+from planner.collision.world import OBJECT
 from planner.errors import PlannerError, TaskError
-from planner.hand import Hand
+from planner.hand_loading import load_hand
+from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.quality.ball import epsilon_frogger, epsilon_l1
 from planner.search import DEFAULT_MAX_ATTEMPTS, Attempt, attempts
 from planner.shapes import Shape
-from planner.stages import timed
 from planner.synthesis.options import SynthesisOptions
+from planner.system.stage_times import timed
 from planner.task import DEFAULT_MU, GraspTask
 from sim.bench.objects import BenchObject
 
@@ -251,7 +252,7 @@ def check_tasks(hands: Iterable[str], objects: Sequence[BenchObject]) -> None:
 @lru_cache(maxsize=16)
 def loaded_hand(name: str) -> Hand:
     """A hand, loaded once per process."""
-    return Hand.load(name)
+    return load_hand(name)
 
 
 @lru_cache(maxsize=32)

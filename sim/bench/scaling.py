@@ -29,8 +29,8 @@ from rich.table import Table
 
 from planner.batch import plan_grasps
 from planner.errors import NotFoundError, TaskError
-from planner.hand import Hand
-from planner.shapes.cache import CACHE_VARIABLE
+from planner.hand_loading import load_hand
+from planner.system.disk_cache import CACHE_VARIABLE
 from planner.task import FINGERS_NEEDED, GraspTask
 from sim.bench.requests import Outcome, Request, Setting, loaded_hand, measure, measure_task
 from sim.bench.star_hand import write_star_hand
@@ -85,7 +85,7 @@ def _point(x: int, outcomes: Sequence[Outcome]) -> Point:
 def _contacts(hand: str, count: int, n: int) -> Point:
     soft = count < FINGERS_NEEDED["point"]
     with tempfile.TemporaryDirectory() as folder:
-        star = Hand.load(write_star_hand(Path(folder), count))
+        star = load_hand(write_star_hand(Path(folder), count))
     task = GraspTask.create(
         star,
         SPHERE,

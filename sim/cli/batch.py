@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
+from planner.hand_loading import load_hand
 from sim.cli.common import (
     EXIT_INTERRUPTED,
     EXIT_NOT_FOUND,
@@ -88,12 +89,11 @@ def batch(
     What says how an object is, stands and may be touched holds for all objects.
     """
     from planner.batch import plan_grasps
-    from planner.batch.dexgraspbench import export_dexgraspbench
+    from planner.exchange.dexgraspbench import export_dexgraspbench
     from planner.files import write_json
-    from planner.hand import Hand
     from sim.batch_report import BatchBar, batch_summary, batch_table
 
-    loaded = Hand.load(hand)
+    loaded = load_hand(hand)
     tasks = [
         task_of_options(
             loaded,

@@ -57,7 +57,7 @@ def forces(
     from planner.errors import TaskError
     from planner.files import read_plan
     from planner.forces import compare_solvers, cone_gaps, distribute_forces, turning_wrenches
-    from planner.judge import force_arguments
+    from planner.verification.grasp import force_arguments
 
     checked_number("--tolerance", tolerance, above=0.0, error=TaskError)
     checked_number("--rate", 1.0 if rate is None else rate, above=0.0, error=TaskError)

@@ -162,8 +162,8 @@ def run(
     """Plan a grasp, distribute its forces, execute it, judge it; writes plan, report, picture."""
     from planner.files import plain_name, plan_to_dict, write_json, write_plan
     from sim.controllers import named_controller
+    from sim.looking.viewer import check_display
     from sim.summary import print_plan, print_report
-    from sim.viewing import check_display
 
     make_controller = named_controller(controller)
     computed = physics_of(physics, sim_mu)

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
+from planner.hand_loading import load_hand
 from sim.cli.common import (
     EXIT_NO,
     HandArgument,
@@ -24,8 +25,8 @@ from sim.cli.common import (
 @errors_for_people()
 def hands() -> None:
     """Hands that come with Opposable, and hands in packages of others that it knows."""
-    from planner.catalog import find_hand, foreign_hand_names, hand_names
     from planner.errors import PlannerError
+    from planner.hands.catalog import find_hand, foreign_hand_names, hand_names
 
     for name in hand_names():
         say(out, name)
@@ -77,10 +78,9 @@ def describe(
 def check_hand(hand: HandArgument, as_json: JsonOption = False) -> None:
     """What the planner will see of a hand, and what stands in its way."""
     from planner.describe import check_hand as check
-    from planner.hand import Hand
     from sim.inspection import print_check
 
-    report = check(Hand.load(hand))
+    report = check(load_hand(hand))
     if as_json:
         print_json(report.to_dict())
     else:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from planner.hand_loading import load_hand
 from sim.cli.common import (
     EXIT_NO,
     HandArgument,
@@ -20,10 +21,9 @@ from sim.cli.common import (
 @errors_for_people()
 def inspect(hand: HandArgument, as_json: JsonOption = False) -> None:
     """What a hand is made of: joints per finger with limits, actuators, tips, masses, torques."""
-    from planner.hand import Hand
     from sim.inspection import hand_tables, inspect_hand
 
-    loaded = Hand.load(hand)
+    loaded = load_hand(hand)
     if as_json:
         print_json(inspect_hand(loaded))
     else:

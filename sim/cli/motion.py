@@ -107,7 +107,7 @@ def plan_gait(
     """Plan how fingers move on, one at a time, to turn or move an object without end."""
     from planner.files import write_gait
     from planner.files.gaits import gait_to_dict
-    from planner.gait import plan_gait as plan
+    from planner.motion.gait import plan_gait as plan
     from planner.objects import parse_object
     from planner.task import GraspTask
 

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.errors import TaskError
-from planner.kinematics import HandState
+from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, skew
 

@@ -20,8 +20,8 @@ import numpy as np
 import pinocchio as pin
 
 from planner.actuation import Actuation
-from planner.hand import Hand
-from planner.kinematics import HandState, MovingHand
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState, MovingHand
 from planner.paths import smooth
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, skew

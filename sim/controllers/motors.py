@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planner.hand import Hand
+from planner.hands.hand import Hand
 from planner.spatial import FloatArray
 
 __all__ = ["FULL_FRICTION_RATE", "MotorServo", "joint_drag", "motor_servo"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.kinematics import MovingHand
+from planner.kinematics.state import MovingHand
 from planner.paths import smooth
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray

@@ -52,7 +52,7 @@ def crosscheck(
     geometries, and what Pinocchio's own reader makes of the same file.
 
     Args:
-        model: Path of an MJCF or URDF file, a hand as for ``Hand.load``, ``mujoco.MjSpec`` or
+        model: Path of an MJCF or URDF file, a hand as for ``load_hand``, ``mujoco.MjSpec`` or
             ``mujoco.MjModel``. Pinocchio's own reader is asked only about a model file.
         seed: Of the configurations.
         n_configurations: How many.

@@ -11,9 +11,9 @@ import mujoco
 
 from planner.bridge import compile_spec, load_spec
 from planner.bridge.load import compile_balanced
-from planner.catalog import find_hand
 from planner.errors import ModelError
-from planner.hand import Hand
+from planner.hand_loading import load_hand
+from planner.hands.catalog import find_hand
 
 __all__ = ["Source", "compiled"]
 
@@ -50,7 +50,7 @@ def compiled(model: Any) -> Source:
     """Compile what was given.
 
     Args:
-        model: Path of an MJCF or URDF file, a hand as for ``Hand.load``, ``mujoco.MjSpec`` or
+        model: Path of an MJCF or URDF file, a hand as for ``load_hand``, ``mujoco.MjSpec`` or
             ``mujoco.MjModel``.
 
     Raises:
@@ -72,7 +72,7 @@ def compiled(model: Any) -> Source:
     if not os.path.isfile(path) or path.suffix == DESCRIPTION:
         path = find_hand(model)
     if path.suffix == DESCRIPTION:
-        hand = Hand.load(model)
+        hand = load_hand(model)
         note = (
             "checked as the hand is loaded; Pinocchio's own reader is asked only about model "
             "files: give the path of one"

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from planner.gait import Relocation
-from planner.kinematics import MovingHand
+from planner.kinematics.state import MovingHand
+from planner.motion.gait import Relocation
 from planner.paths import smooth
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray

@@ -19,10 +19,10 @@ from sim.controllers import Event, ObjectImpedance, Observation, Phase, Sensing
 from sim.controllers.closed import MAX_NORMAL
 from sim.controllers.follow import MotionReference
 from sim.controllers.opening import PostureServo
+from sim.gantry import Mount
 from sim.manipulation.away import FingerAway
 from sim.manipulation.idle import out_of_the_way
 from sim.manipulation.plan import ManipulationPlan
-from sim.mount import Mount
 from sim.timeline import Timeline
 
 __all__ = ["BaseMover", "MotionController"]

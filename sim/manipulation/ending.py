@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
+from planner.approach.pregrasp import Approach
+from planner.collision.resting import lift_to_rest
 from planner.motion import MotionPlan
 from planner.motion.release import SINKS, find_release
-from planner.resting import lift_to_rest
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.pregrasp import Approach
 from planner.task import GraspTask, Obstacle
 from sim.manipulation.standing import rests
 

@@ -1,7 +1,7 @@
 """``plan_regrasping``: pick, turn by any angle in several strokes, place; ``plan_turning`` chooses.
 
-The turn is a ``planner.gait.GaitPlan``: strokes of one motion, and between them the fingers move on
-one at a time. Way in, way out and target are those of any ``ManipulationPlan``.
+The turn is a ``planner.motion.gait.GaitPlan``: strokes of one motion, and between them the fingers
+move on one at a time. Way in, way out and target are those of any ``ManipulationPlan``.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from planner.errors import NoGraspFoundError, PlannerError, TaskError
-from planner.gait import plan_gait
+from planner.motion.gait import plan_gait
 from planner.motion.path import LARGEST_TURN, tilts
 from planner.spatial import FloatArray
 from planner.task import GraspTask

@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.collision import CollisionWorld
-from planner.hand import Hand
+from planner.collision.world import CollisionWorld
+from planner.hands.hand import Hand
 from planner.motion import MotionPlan
 from planner.spatial import SE3, FloatArray
 

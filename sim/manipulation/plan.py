@@ -11,13 +11,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from planner.attempt import nothing_found
+from planner.approach.pregrasp import Approach
+from planner.attempts import nothing_found
 from planner.errors import TaskError
-from planner.gait import GaitPlan
 from planner.motion import MotionAttempt, MotionPlan, ObjectPath, motion_attempts
+from planner.motion.gait import GaitPlan
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.joint_objectives import driving
-from planner.synthesis.pregrasp import Approach
+from planner.synthesis.objectives.joint import driving
 from planner.task import GraspTask, Obstacle
 from sim.manipulation.ending import planned_ending, standing_under
 from sim.manipulation.paths import further, narrow_tube, pivots

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.contacts import ContactSet
-from planner.gait import Relocation
+from planner.motion.gait import Relocation
 from planner.quality import force_closure
 from planner.tolerances import CLOSURE_EDGES
 from sim.contacts import as_believed, hand_contacts, merge_per_finger
@@ -28,7 +28,7 @@ __all__ = ["Regrasping"]
 
 MEASURED_MARGIN = 0.02
 """Least normalised min-weight (-) of the measured contacts that are to hold while a finger is away;
-planned is ``planner.gait.order.CLOSURE_MARGIN``."""
+planned is ``planner.motion.gait.order.CLOSURE_MARGIN``."""
 
 GATE_PERIOD = 0.05
 """Time (s) between looks at whether a finger may be lifted."""

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from planner.errors import TaskError
-from planner.hand import Hand
+from planner.hands.hand import Hand
 from planner.motion.ground import tripods, with_rolling_pads
 from planner.objects import GraspObject
-from planner.synthesis.mesh_seeds import turning_seeder_for
+from planner.synthesis.seeds.mesh import turning_seeder_for
 from planner.task import GraspTask
 
 __all__ = ["LITTLE_MORE", "is_ball", "manipulation_task", "rounds"]

@@ -24,11 +24,12 @@ from pathlib import Path
 import numpy as np
 
 from planner.errors import PlannerError
-from planner.gait import cut_motion
+from planner.motion.gait import cut_motion
 from planner.motion.release import find_release
 from planner.spatial import SE3, signed_twist
 from planner.task import GraspTask
 from sim.controllers import Sensing
+from sim.looking.picture import save_picture
 from sim.manipulation.checks import Check
 from sim.manipulation.ending import object_at_target, stands, way_back
 from sim.manipulation.gaits import plan_turning
@@ -42,7 +43,6 @@ from sim.manipulation.samples import Track
 from sim.manipulation.stage import Push, Stage
 from sim.manipulation.turning import Part
 from sim.physics import PhysicsOptions
-from sim.picture import save_picture
 
 __all__ = ["ManipulationRun", "manipulate"]
 

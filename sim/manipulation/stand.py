@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from planner.collision.resting import lift_to_rest
 from planner.errors import TaskError
-from planner.resting import lift_to_rest
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
 from sim.manipulation.standing import settled

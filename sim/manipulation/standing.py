@@ -15,8 +15,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from planner.collision.resting import lift_to_rest
 from planner.errors import TaskError
-from planner.resting import lift_to_rest
 from planner.shapes import Mesh
 from planner.spatial import SE3, rotation_angle
 from planner.task import GraspTask

@@ -13,7 +13,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from planner.gait import Relocation, plan_back, plan_others
+from planner.motion.gait import Relocation, plan_back, plan_others
 from sim.contacts import hand_contacts
 from sim.manipulation.checks import Outcome
 from sim.manipulation.pace import Bounds, Pace, Step

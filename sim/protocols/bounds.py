@@ -16,11 +16,11 @@ import numpy as np
 
 from planner.certify import NearBound, Neighbourhood, bound_nearby, breaking_along
 from planner.contacts import ContactModel, ContactSet
-from planner.judge import plan_forces
-from planner.kinematics import HandState
+from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.quality import Interval
 from planner.spatial import SE3, FloatArray, rotation_angle
+from planner.verification.grasp import plan_forces
 from sim.physics import PhysicsOptions
 
 __all__ = ["distance_from_plan", "near_bound", "proven_bound"]

@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from planner.batch.dexgraspbench import plan_squeeze
-from planner.batch.dexgraspbench.object_files import frame_shift
-from planner.batch.dexgraspbench.squeeze import MASS, PUSH, without_servos
 from planner.errors import TaskError
-from planner.hand import Hand
+from planner.exchange.dexgraspbench import plan_squeeze
+from planner.exchange.dexgraspbench.object_files import frame_shift
+from planner.exchange.dexgraspbench.squeeze import MASS, PUSH, without_servos
+from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, rotation_angle
 from sim.controllers import Observation

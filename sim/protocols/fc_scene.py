@@ -20,13 +20,13 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from planner.batch.dexgraspbench import benchmark_pieces
-from planner.batch.dexgraspbench.hand_file import T_model_base
 from planner.bridge import compile_spec
+from planner.exchange.dexgraspbench import benchmark_pieces
+from planner.exchange.dexgraspbench.hand_file import T_model_base
 from planner.spatial import SE3, FloatArray, pose_to_wxyz
 from planner.task import GraspTask
 from sim.controllers.base import Phase
-from sim.mount import Mount
+from sim.gantry import Mount
 from sim.physics import PhysicsOptions
 from sim.scene import HAND_PREFIX, OBJECT, Scene, drop_options, index_scene
 

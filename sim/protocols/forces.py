@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planner.judge import plan_forces
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from planner.task import GRAVITY
+from planner.verification.grasp import plan_forces
 from sim.protocols.bounds import distance_from_plan, near_bound, proven_bound
 from sim.protocols.cases import AXES, Conditions, axis_of
 from sim.protocols.hold import Hold

@@ -19,7 +19,7 @@ from rich.console import Console
 
 from planner.errors import FileFormatError, PlannerError, TaskError
 from planner.files import plan_from_dict, plan_to_dict
-from planner.hand import Hand
+from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from sim.controllers import named_controller
 from sim.physics import PhysicsOptions

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from planner.errors import TaskError
-from planner.hand import Hand
+from planner.hands.hand import Hand
 from planner.paths import smooth
 from planner.plan import GraspPlan
 from sim.controllers import Phase
-from sim.mount import MOUNT_AXES, MOUNT_FREQUENCY, Mount
+from sim.gantry import MOUNT_AXES, MOUNT_FREQUENCY, Mount
 from sim.protocols.cases import Conditions
 from sim.protocols.hold import Hold
 from sim.protocols.outcome import Outcome

@@ -25,7 +25,7 @@ from pkgutil import iter_modules
 from typing import Any
 
 from planner.errors import NoGraspFoundError, PlannerError
-from planner.shapes.cache import CACHE_VARIABLE
+from planner.system.disk_cache import CACHE_VARIABLE
 from sim.cli import main
 
 from . import classes

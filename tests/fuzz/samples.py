@@ -11,8 +11,8 @@ from typing import Any
 
 from planner import GraspTask, plan_grasp
 from planner.batch import plan_grasps
-from planner.catalog import find_hand
 from planner.files import write_motion, write_plan
+from planner.hands.catalog import find_hand
 from planner.motion import plan_motion
 
 HAND = "allegro_hand"

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from planner.judge import with_grip
 from planner.plain import finite
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
+from planner.verification.grasp import with_grip
 from sim.controllers import CONTROLLERS
 from sim.physics import PhysicsOptions
 from sim.protocols.cases import Conditions

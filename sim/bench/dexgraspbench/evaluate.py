@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from planner.batch import GraspSet
-from planner.batch.dexgraspbench import export_dexgraspbench
-from planner.batch.dexgraspbench.hand_file import file_name
 from planner.errors import PlannerError, TaskError
+from planner.exchange.dexgraspbench import export_dexgraspbench
+from planner.exchange.dexgraspbench.hand_file import file_name
 from sim.bench.dexgraspbench.checkout import Installed
 from sim.protocols.fc import fc_cases
 from sim.runner import Runner, made_with

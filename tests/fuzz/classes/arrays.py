@@ -14,10 +14,10 @@ import numpy as np
 
 from planner.contacts import ContactSet
 from planner.forces import ForceLoop, distribute_forces
-from planner.hand import Hand
-from planner.kinematics import HandState
-from planner.measures import resisted_per_newton
+from planner.hand_loading import load_hand
+from planner.kinematics.state import HandState
 from planner.objects import parse_object
+from planner.plan_metrics import resisted_per_newton
 from planner.quality import analyse, epsilon_l1, force_closure, primitive_wrenches
 from planner.quality.ball import measure_hull
 from planner.shapes import Box, Mesh, Sphere
@@ -147,7 +147,7 @@ def _task(rng: Random) -> Callable[[], object]:
 
 def _state(rng: Random) -> Callable[[], object]:
     q = array(rng, 16)
-    return lambda: HandState(Hand.load(HAND), q)
+    return lambda: HandState(load_hand(HAND), q)
 
 
 CALLS = (

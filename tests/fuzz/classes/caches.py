@@ -16,8 +16,8 @@ import trimesh
 
 from planner.describe import proposed_description
 from planner.shapes import Mesh
-from planner.shapes.cache import CACHE_VARIABLE, read_arrays, write_arrays, write_text
-from planner.shapes.pieces import convex_pieces
+from planner.shapes.decomposition.pieces import convex_pieces
+from planner.system.disk_cache import CACHE_VARIABLE, read_arrays, write_arrays, write_text
 
 from ..hostile import array, damaged, text
 from ..samples import Samples

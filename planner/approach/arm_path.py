@@ -1,0 +1,254 @@
+"""What an arm has to do around a grasp: come in straight, and lift. Both are paths of its joints.
+
+The palm moves straight and does not turn; the fingers stay as they are. A path is a row of arm
+postures, and between two of them the joints move in proportion. It is checked without a gap. From a
+configuration with clearance d, a step dq of the arm's joints moves no point of arm or hand by more
+than sum |dq_j| r_j, with r_j the largest distance of a point downstream of joint j from its axis at
+that configuration (1 for a slide): take the joints one after the other, root first, and each turns
+what is downstream of it as it stood before. So any step with that sum below d is free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from planner.collision.world import CollisionWorld, bounding_radius
+from planner.hands.hand import Hand
+from planner.immutable import freeze
+from planner.kinematics.arm_ik import LARGEST_TURN, palm_pose, straight_path
+from planner.kinematics.state import HandState, joint_axes
+from planner.spatial import SE3, FloatArray, rotation_angle
+from planner.task import GraspTask
+from planner.tolerances import PENETRATION_TOL
+
+__all__ = [
+    "LIFT_HEIGHT",
+    "ArmPath",
+    "approach_line_fault",
+    "find_lift",
+    "lift_fault",
+    "path_fault",
+    "retreats",
+]
+
+LIFT_HEIGHT = 0.1
+"""How far (m) upwards a grasp must be liftable by the arm: the lift of a trial."""
+
+LEAST_STEP = 5e-4
+"""Shortest step (m) of any point in the check of a path: less than the clearance of an approach, so
+that nothing is jumped over."""
+
+LIMIT_TOL = 1e-6
+"""How far (rad, m) a posture of a path may be beyond a joint's range: rounding in a file."""
+
+LINE_TOL = 1e-3
+"""How far (m) the palm may leave the straight line at a posture of the path."""
+
+TURN_TOL = 5e-3
+"""How far (rad) it may turn there: 1 mm at a fingertip 0.2 m away."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ArmPath:
+    """The arm's part of a plan, rows of arm postures in the order of ``hand.arm.index``.
+
+    Attributes:
+        approach: (m, n), from the start to the grasp; fingers at the pre-grasp.
+        lift: (k, n), from the grasp upwards by ``LIFT_HEIGHT``; fingers at the grasp.
+    """
+
+    approach: FloatArray
+    lift: FloatArray
+
+    def __post_init__(self) -> None:
+        """Keep copies that nobody changes."""
+        freeze(self, arrays=("approach", "lift"))
+
+
+def retreats(
+    hand: Hand, T_world_base: SE3, q: FloatArray, ways: list[FloatArray]
+) -> Iterator[FloatArray]:
+    """Arm paths (m, n) straight in to q (nq,), one for each way (3,), m, world, the arm can go."""
+    for way in ways:
+        path = straight_path(hand, q, T_world_base.rotation.T @ way)
+        if path is not None:
+            yield path[::-1].copy()
+
+
+def find_lift(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> FloatArray | str:
+    """Arm path (k, n) straight up from a grasp q (nq,) that touches nothing; or why there is none.
+
+    The object moves with the palm. That it is clear of obstacles is not looked at, as it is not for
+    a floating hand.
+    """
+    up = T_world_base.rotation.T @ np.array([0.0, 0.0, LIFT_HEIGHT])
+    path = straight_path(world.task.hand, q, up)
+    if path is None:
+        return f"the arm cannot lift the object straight by {LIFT_HEIGHT:g} m within its limits"
+    return lift_fault(world, T_world_base, q, path) or path
+
+
+def lift_fault(world: CollisionWorld, T_world_base: SE3, q: FloatArray, path: FloatArray) -> str:
+    """What is wrong with a lift, "" if nothing is."""
+    hand = world.task.hand
+    up = np.array([0.0, 0.0, LIFT_HEIGHT])
+    fault = _line_fault(hand, T_world_base, q, path, up, "lift")
+    fault = fault or path_fault(world, T_world_base, q, path, clearance=0.0, held=True)
+    fault = fault or _torque_fault(world.task, T_world_base, q, path)
+    return f"the lift: {fault}" if fault else ""
+
+
+def approach_line_fault(hand: Hand, T_world_base: SE3, q: FloatArray, path: FloatArray) -> str:
+    """What is wrong with the line of an approach that ends at q (nq,), "" if nothing is."""
+    ends = path[[0, -1]] if path.ndim == 2 and len(path) else path
+    if ends.shape != (2, len(hand.arm_index)):
+        return f"the approach has shape {path.shape}; it needs a column per joint of the arm"
+    first = q.copy()
+    first[hand.arm_index] = ends[0]
+    shift = palm_pose(hand, first).translation - palm_pose(hand, q).translation
+    return _line_fault(hand, T_world_base, q, path[::-1], T_world_base.rotation @ shift, "approach")
+
+
+def _line_fault(
+    hand: Hand,
+    T_world_base: SE3,
+    q: FloatArray,
+    path: FloatArray,
+    shift: FloatArray,
+    what: str,
+) -> str:
+    """Whether a path (m, n) that begins at q (nq,) is one the arm can go, straight by a shift."""
+    index = hand.arm_index
+    if path.ndim != 2 or path.shape[1] != len(index) or len(path) < 2:
+        return f"its {what} has shape {path.shape}; it needs rows of {len(index)} joints"
+    beyond = np.maximum(hand.q_lower[index] - path, path - hand.q_upper[index])
+    if not beyond.max() <= LIMIT_TOL:
+        return f"a joint of the arm is {beyond.max():.1e} beyond its range"
+    if np.abs(path[0] - q[index]).max() > LIMIT_TOL:
+        return "the arm's path does not meet the grasp"
+    if np.abs(np.diff(path, axis=0)).max() > LARGEST_TURN:
+        return "the arm's path jumps"
+    begin, joints = palm_pose(hand, q), q.copy()
+    goal = T_world_base.rotation.T @ shift
+    for share, posture in zip(np.linspace(0.0, 1.0, len(path)), path, strict=True):
+        joints[index] = posture
+        palm = palm_pose(hand, joints)
+        off = float(np.linalg.norm(palm.translation - begin.translation - share * goal))
+        turn = rotation_angle(begin.rotation.T @ palm.rotation)
+        if off > LINE_TOL or turn > TURN_TOL:
+            return f"the palm leaves the line by {1e3 * off:.1f} mm and {np.rad2deg(turn):.1f} deg"
+    return ""
+
+
+def path_fault(
+    world: CollisionWorld,
+    T_world_base: SE3,
+    q: FloatArray,
+    path: FloatArray,
+    *,
+    clearance: float,
+    held: bool = False,
+) -> str:
+    """What the arm or the hand comes nearer to than a clearance (m) along a path (m, n), or "".
+
+    Args:
+        world: True geometry of the task.
+        T_world_base: Pose of the arm's root.
+        q: Joints (nq,); those of the arm are taken from the path.
+        path: Arm postures (m, n).
+        clearance: Least distance, m.
+        held: Whether the object moves with the palm, which may touch it then.
+    """
+    hand = world.task.hand
+    at = np.array(q, dtype=np.float64)
+    arm, radii = hand.arm_index, _Radii(hand)
+    palm_at_grasp = palm_pose(hand, q)
+    for begin, end in pairwise(path):
+        share, sweep = 0.0, 0.0
+        steps = np.abs(end - begin)
+        while share < 1.0:
+            at[arm] = begin + share * (end - begin)
+            if share == 0.0:
+                here = radii.at(at)
+                # on the way nothing gets farther from an axis than it moves
+                sweep = float(steps @ (here + steps @ here))
+            T_object = None
+            if held:
+                moved = T_world_base * palm_pose(hand, at) * palm_at_grasp.inverse()
+                T_object = moved * T_world_base.inverse() * world.task.T_world_object
+            nearest = world.nearest_on_arm(T_world_base, at, T_world_object=T_object)
+            if nearest.distance < clearance - (PENETRATION_TOL if held else 0.0):
+                return f"{nearest}"
+            if sweep == 0.0:
+                break
+            share += max(nearest.distance - clearance, LEAST_STEP) / sweep
+    at[arm] = path[-1]
+    if not held:
+        nearest = world.nearest_on_arm(T_world_base, at)
+        if nearest.distance < clearance:
+            return f"{nearest}"
+    return ""
+
+
+def _torque_fault(task: GraspTask, T_world_base: SE3, q: FloatArray, path: FloatArray) -> str:
+    """Whether the arm's actuators carry arm, hand and object at rest along a path (m, n)."""
+    hand, joints = task.hand, np.array(q, dtype=np.float64)
+    arm = hand.actuation.moment[:, hand.arm_index].any(axis=1)
+    gravity = T_world_base.rotation.T @ task.gravity
+    in_palm = palm_pose(hand, q).inverse() * T_world_base.inverse() * task.T_world_object
+    palm = int(hand.pin_model.frames[hand.palm_frame_id].parentJoint)
+    for posture in path:
+        joints[hand.arm_index] = posture
+        state = HandState(hand, joints)
+        at = (state.T_base_palm * in_palm).translation
+        torque = state.gravity_torque(gravity)
+        torque -= task.object.mass * gravity @ state.point_jacobian(palm, at)[:3]
+        force, _ = hand.actuation.split_torque(joints, torque)
+        low, high = hand.actuation.force_limits(joints).T
+        beyond = np.where(arm, np.maximum(low - force, force - high), -np.inf)
+        worst = int(np.argmax(beyond))
+        if beyond[worst] > 0:
+            return (
+                f"{hand.actuation.names[worst]} would have to give {force[worst]:.1f}, beyond its "
+                f"limits [{low[worst]:.1f}, {high[worst]:.1f}]"
+            )
+    return ""
+
+
+class _Radii:
+    """Largest distances of what is downstream of the arm's joints from their axes."""
+
+    def __init__(self, hand: Hand) -> None:
+        model = hand.pin_model
+        self._hand = hand
+        self._axes = joint_axes(model)
+        self._of_joint = np.array([g.joint_id for g in hand.geometries])
+        self._centers = np.array([g.T_joint_geometry.translation for g in hand.geometries])
+        self._sizes = np.array([bounding_radius(g.geometry) for g in hand.geometries])
+        self._below = [
+            np.array([k + 1 in list(model.supports[int(j)]) for j in self._of_joint])
+            for k in hand.arm_index
+        ]
+
+    def at(self, q: FloatArray) -> FloatArray:
+        """(n,), m per rad, and 1 for slides."""
+        state = HandState(self._hand, q)
+        poses = [state.joint_pose(j) for j in range(self._hand.pin_model.njoints)]
+        turn = np.array([p.rotation for p in poses])[self._of_joint]
+        shift = np.array([p.translation for p in poses])[self._of_joint]
+        centers = np.einsum("nij,nj->ni", turn, self._centers) + shift
+        out = np.zeros(len(self._below))
+        for i, (k, below) in enumerate(zip(self._hand.arm_index, self._below, strict=True)):
+            if not below.any():
+                continue
+            pose, axis = poses[int(k) + 1], self._axes[int(k) + 1]
+            if not axis[3:].any():
+                out[i] = 1.0
+                continue
+            across = np.cross(centers[below] - pose.translation, pose.rotation @ axis[3:])
+            out[i] = (np.linalg.norm(across, axis=1) + self._sizes[below]).max()
+        return out

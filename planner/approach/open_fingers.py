@@ -1,0 +1,230 @@
+"""Opening the fingers of a grasp, by quadratic programmes on the true geometry.
+
+    min  sum |c_i(q) - (c_i - opening n_i)|^2 / opening^2 + POSTURE_WEIGHT |q - q_grasp|^2
+    s.t. every pad opened by OPENED_SHARE of the opening at least; couplings; joint limits;
+         hand clear of object, table, obstacles and of itself
+
+with c_i the pad centres of the grasp and n_i the normals into the object. Gauss-Newton steps, each
+a programme over the joints with everything linearised. What is near is looked at only where the
+solution without it comes too near to something. Fingers that stand close to each other may have to
+move sideways as well while they open. A bound that cannot be kept is missed by as little as can be:
+what is true of the result is for others to find out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from planner.collision.world import CollisionWorld, NearPairs
+from planner.hands.hand import Hand
+from planner.numerics.programme import programme
+from planner.spatial import SE3, FloatArray, IntArray
+
+__all__ = ["OPENED_SHARE", "Opener", "undetermined_joints"]
+
+OPENED_SHARE = 0.7
+"""Share of the opening that every pad must really reach within its joint limits (-)."""
+
+POSTURE_WEIGHT = 0.05
+"""Cost of moving a joint by one radian against missing the opening by all of it (-)."""
+
+OPEN_CLEARANCE = 0.003
+"""Distance (m) that the opened hand keeps from object, table and obstacles, where it can."""
+
+FINGER_CLEARANCE = 0.002
+"""Distance (m) that it keeps from itself, where it can."""
+
+SPARE = 0.002
+"""Share of the opening by which bounds are to be met better: the last step leaves less (-)."""
+
+SEEN = 0.03
+"""Distance (m) up to which pairs are looked at once one of them is too near."""
+
+MISSED = 100.0
+"""Cost of missing a bound by all of the opening (-): more than any bound is worth."""
+
+STEPS = (3, 6)
+"""Most steps without and with a look at what is near; three to six are usual in all."""
+
+SMALL = 0.02
+"""Step (rad) from which on nothing changes that matters: what is linear is right to 20 um then."""
+
+SETTLED = 0.1
+"""Last step (rad) after which the fingers stay where all bounds hold: 4 mm at a pad."""
+
+DAMPING = 0.2
+"""Cost of a step of one radian (-): joints that pads hardly feel go too far otherwise."""
+
+STILL = 1e-3
+"""Rate of a distance (m/rad) below which nothing can be done about it."""
+
+LARGEST = 0.4
+"""Longest step of a joint (rad), since pads move on arcs. A joint that turns back may go ``BACK``
+of its last step only: a Gauss-Newton step goes too far where the pads stay away from their goals.
+"""
+
+BACK = 0.4
+
+UNDETERMINED = 1e-6
+"""Share of a joint's motion (-) above which it is no rounding."""
+
+LEAST = 2e-3
+"""Shortest step (rad) that a joint is left: the programmes want some room."""
+
+
+def undetermined_joints(hand: Hand) -> IntArray:
+    """Joints (k,) that do not come back in the air the way that they were opened, ascending.
+
+    Those of an actuator that moves several joints and leaves it to a contact to hold one of them at
+    a stop. In the air the joints share its motion by their damping: if that takes the one off its
+    stop, the finger closes into another posture than the grasp's.
+    """
+    firm = np.vstack([hand.actuation.moment, *(c.row for c in hand.couplings if not c.one_sided)])
+    left = np.eye(hand.nq) - np.linalg.pinv(firm) @ firm
+    damping = np.array(hand.pin_model.damping)
+    yielding = 1.0 / damping if (damping > 0.0).all() else np.ones(hand.nq)
+    shared = hand.actuation.moment * yielding / yielding.max()  # (nu, nq), what actuators move
+    out = np.zeros(hand.nq, dtype=bool)
+    for stop in hand.couplings:
+        if stop.one_sided and np.abs(left @ stop.row).max() > UNDETERMINED:
+            leaving = np.abs(shared @ stop.row) > UNDETERMINED
+            out |= (hand.actuation.moment[leaving] != 0.0).any(axis=0)
+    return np.flatnonzero(out)
+
+
+class Opener:
+    """Opens the fingers of one grasp, by one distance after the other."""
+
+    def __init__(
+        self,
+        world: CollisionWorld,
+        T_world_base: SE3,
+        q: FloatArray,
+        normals: FloatArray,
+        still: Sequence[int] | IntArray = (),
+    ) -> None:
+        """Compute what does not depend on the opening.
+
+        Args:
+            world: True geometry of the task.
+            T_world_base: Base pose of the grasp.
+            q: Joints of the grasp (nq,).
+            normals: Contact normals into the object (n, 3), world.
+            still: Joints that stay where the grasp has them.
+        """
+        hand, self._fingers = world.task.hand, world.task.fingers
+        self._world, self._T_world_base, self._grasp = world, T_world_base, q
+        self._state = world.moving.move(q)
+        self._pad_joints = np.repeat([f.pad.joint_id for f in self._fingers], 3)
+        self._begin = np.array([self._state.pad_center(f) for f in self._fingers])
+        self._inward = normals @ T_world_base.rotation  # (n, 3), base
+        self._matrix, self._value = hand.coupling_matrix
+        self._lower, self._upper = hand.q_lower, hand.q_upper
+        held = np.concatenate([hand.wrist_index, hand.arm_index, np.array(still, dtype=np.int64)])
+        self._free = np.setdiff1d(np.arange(hand.nq), held)
+
+    def open(self, opening: float) -> FloatArray | None:
+        """Joints (nq,) with the pads ``opening`` (m) back along the normals; None if limits forbid.
+
+        Whether the hand touches anything there is for others to look at.
+        """
+        q = self._solve(self._grasp, opening, None)
+        if q is not None:
+            clear = {"around": OPEN_CLEARANCE, "between": FINGER_CLEARANCE}
+            if not self._world.is_clear(self._T_world_base, q, **clear):
+                near = self._world.near(self._T_world_base, q, SEEN)
+                q = self._solve(q, opening, near)
+        if q is None or self._pads(q, opening)[2].min() < OPENED_SHARE:
+            return None
+        return q
+
+    def _solve(self, q: FloatArray, opening: float, near: NearPairs | None) -> FloatArray | None:
+        """Joints (nq,) after steps from q, clear of what was near there; None if limits forbid."""
+        last, reach = np.zeros(len(q)), np.full(len(q), LARGEST)
+        seen = None if near is None else near.numbers[~near.mesh]
+        for _ in range(STEPS[near is not None]):
+            rows, misses, shares = self._pads(q, opening)
+            rates = -np.einsum("ni,nij->nj", self._inward, rows.reshape(len(shares), 3, -1))
+            least = OPENED_SHARE + SPARE - shares
+            if near is not None:
+                short, moving = self._near(q, near)
+                rates = np.vstack([rates, moving / opening])
+                least = np.concatenate([least, short / opening + SPARE])
+                if (least <= SPARE).all() and np.abs(last).max() < SETTLED:
+                    break
+            step = self._step(q, rows, misses, rates, least, reach)
+            if step is None:
+                return None
+            q = q + step
+            if np.abs(step).max() < SMALL:
+                break
+            back = np.maximum(BACK * np.abs(last), LEAST)
+            reach = np.where(step * last < 0.0, back, reach)
+            last = step
+            if near is not None:
+                near = self._world.near(self._T_world_base, q, SEEN, seen)
+        return np.clip(q, self._lower, self._upper)
+
+    def _pads(self, q: FloatArray, opening: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Rates (3 n, nq) of the pads' misses and misses (3 n,), by the opening; shares (n,)."""
+        state = self._state.move(q)
+        centers = np.array([state.pad_center(f) for f in self._fingers])
+        n = len(centers)
+        directions = np.tile(np.eye(3), (n, 1))
+        rows = state.point_rates(self._pad_joints, np.repeat(centers, 3, axis=0), directions)
+        moved = (centers - self._begin) / opening
+        shares = -np.einsum("ij,ij->i", moved, self._inward)
+        return rows / opening, (moved + self._inward).ravel(), shares
+
+    def _near(self, q: FloatArray, near: NearPairs) -> tuple[FloatArray, FloatArray]:
+        """By how much distances that can be changed are too small (k,), m, and rates (k, nq)."""
+        ahead = self._state.point_rates(near.joints[:, 1], near.points_b, near.normals)
+        behind = self._state.point_rates(near.joints[:, 0], near.points_a, near.normals)
+        rates = ahead - behind
+        short = np.where(near.outward, OPEN_CLEARANCE, FINGER_CLEARANCE) - near.distances
+        moving = np.abs(rates[:, self._free]).max(axis=1, initial=0.0) > STILL
+        return short[moving], rates[moving]
+
+    def _step(
+        self,
+        q: FloatArray,
+        rows: FloatArray,
+        misses: FloatArray,
+        rates: FloatArray,
+        least: FloatArray,
+        reach: FloatArray,
+    ) -> FloatArray | None:
+        """The step (nq,) with least misses + rows @ step where rates @ step >= least.
+
+        None where limits and couplings contradict each other.
+        """
+        free, m = self._free, len(self._value)
+        n = len(free)
+        size = n + 2  # the last unknowns: by how much shares, and clearances, are missed
+        hessian, gradient = np.zeros((size, size)), np.zeros(size)
+        mine = rows[:, free]
+        hessian[:n, :n] = mine.T @ mine
+        hessian[np.arange(n), np.arange(n)] += POSTURE_WEIGHT + DAMPING
+        gradient[:n] = mine.T @ misses + POSTURE_WEIGHT * (q - self._grasp)[free]
+        hessian[[n, n + 1], [n, n + 1]], gradient[n:] = 1.0, MISSED
+        table = np.zeros((m + len(least), size))
+        table[:m, :n], table[m:, :n] = self._matrix[:, free], rates[:, free]
+        pads = m + len(self._fingers)
+        table[m:pads, n], table[pads:, n + 1] = 1.0, 1.0
+        off = self._value - self._matrix @ q
+        found = programme("daqp", size, len(table)).solve(
+            h=hessian,
+            g=gradient,
+            a=table,
+            lba=np.concatenate([off, least]),
+            uba=np.concatenate([off, np.full(len(least), np.inf)]),
+            lbx=np.append(np.clip(self._lower - q, -reach, 0.0)[free], [0.0, 0.0]),
+            ubx=np.append(np.clip(self._upper - q, 0.0, reach)[free], [np.inf, np.inf]),
+        )
+        if found is None:
+            return None
+        step = np.zeros(len(q))
+        step[free] = found[:n]
+        return step

@@ -1,0 +1,227 @@
+"""The pre-grasp and the way to it: fingers opened along the contact normals, then straight in.
+
+Both are part of a plan: a grasp that cannot be reached without touching is no plan. How the fingers
+open is the matter of ``planner.approach.open_fingers``; whether the way is free is looked at here,
+on the true geometry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from planner.approach.arm_path import (
+    ArmPath,
+    approach_line_fault,
+    find_lift,
+    lift_fault,
+    path_fault,
+    retreats,
+)
+from planner.approach.open_fingers import Opener, undetermined_joints
+from planner.collision.world import CollisionWorld
+from planner.spatial import SE3, FloatArray
+from planner.tolerances import JOINT_TOL
+
+__all__ = ["Approach", "approach_fault", "find_approach"]
+
+OPENINGS = (0.025, 0.02, 0.015, 0.01)
+"""Distances (m) by which pads are opened along the normals, tried in this order. More room absorbs
+a larger error of the object's pose; less is easier to reach."""
+
+STANDOFF = 0.12
+"""Length (m) of the straight approach: outside the reach of most objects for a hand."""
+
+APPROACH_CLEARANCE = 0.001
+"""Smallest distance (m) to object, table and obstacles on the way in."""
+
+CLOSING_SAMPLES = 12
+"""Configurations checked along the closing motion: pads move about 2 mm between two of them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Approach:
+    """How the hand gets to a grasp.
+
+    Attributes:
+        q: Pre-grasp joints (nq,), pads opened along the normals.
+        opening: By how much, m.
+        T_world_base_start: Base pose from which it moves straight to the grasp with ``q``.
+        arm: The way in and the lift of the arm that carries the hand; its root stays.
+    """
+
+    q: FloatArray
+    opening: float
+    T_world_base_start: SE3
+    arm: ArmPath | None = None
+
+
+def find_approach(
+    world: CollisionWorld,
+    T_world_base: SE3,
+    q: FloatArray,
+    normals: FloatArray,
+) -> Approach | str:
+    """A pre-grasp and a straight way in that touch nothing; or why there is none.
+
+    Joints that actuators leave undetermined stay where the grasp has them if there is such a way:
+    else they are elsewhere when the fingers have closed, and push the object aside.
+
+    Args:
+        world: True geometry of the task.
+        T_world_base: Base pose of the grasp.
+        q: Joints of the grasp (nq,).
+        normals: Contact normals into the object (n, 3), world.
+    """
+    reason = "the fingers cannot open along the contact normals"
+    carried = world.task.hand.arm is not None
+    lift = find_lift(world, T_world_base, q) if carried else None
+    if isinstance(lift, str):
+        return lift
+    openers = [Opener(world, T_world_base, q, normals)]
+    loose = undetermined_joints(world.task.hand)
+    if len(loose) > 0:
+        openers.insert(0, Opener(world, T_world_base, q, normals, loose))
+    for opener, opening in product(openers, OPENINGS):
+        opened = opener.open(opening)
+        if opened is None:
+            continue
+        reason = _opened_fault(world, T_world_base, opened)
+        reason = reason or _closing_fault(world, T_world_base, q, opened)
+        if reason:
+            continue
+        for approach in _ways_in(world, T_world_base, opened, opening, lift):
+            reason = _way_in_fault(world, T_world_base, q, approach)
+            if not reason:
+                return approach
+    return reason
+
+
+def approach_fault(
+    world: CollisionWorld, T_world_base: SE3, q: FloatArray, approach: Approach
+) -> str:
+    """What is wrong with an approach, "" if nothing is.
+
+    The straight way in is checked without a gap: from a pose with clearance d the hand may move by
+    d less ``APPROACH_CLEARANCE`` before it could touch. Closing is sampled, all fingers in step.
+    An arm's lift is looked at too.
+    """
+    fault = _way_in_fault(world, T_world_base, q, approach)
+    fault = fault or _closing_fault(world, T_world_base, q, approach.q)
+    if fault or approach.arm is None:
+        return fault
+    return lift_fault(world, T_world_base, q, approach.arm.lift)
+
+
+def _way_in_fault(
+    world: CollisionWorld, T_world_base: SE3, q: FloatArray, approach: Approach
+) -> str:
+    """What is wrong with the pre-grasp and the way there, "" if nothing is."""
+    hand = world.task.hand
+    outside = np.maximum(hand.q_lower - approach.q, approach.q - hand.q_upper).max()
+    matrix, value = hand.coupling_matrix
+    if outside > JOINT_TOL or np.abs(matrix @ approach.q - value).max(initial=0.0) > JOINT_TOL:
+        return "the pre-grasp violates a joint limit or a coupling"
+    if hand.arm is not None:
+        fault = _carried_fault(world, T_world_base, q, approach)
+    elif approach.arm is not None:
+        fault = "there are paths of an arm, but the hand is not on one"
+    else:
+        fault = _straight_fault(world, T_world_base, approach)
+    return fault
+
+
+def _closing_fault(
+    world: CollisionWorld, T_world_base: SE3, q: FloatArray, opened: FloatArray
+) -> str:
+    """What touches while the fingers close, "" if nothing does."""
+    for s in np.linspace(1.0, 0.0, CLOSING_SAMPLES, endpoint=False):
+        touching = world.touching(T_world_base, q + s * (opened - q))
+        if touching is not None and touching.distance <= 0.0:
+            return f"the fingers touch while they close: {touching}"
+    return ""
+
+
+def _opened_fault(world: CollisionWorld, T_world_base: SE3, opened: FloatArray) -> str:
+    """What the opened hand is too near to at the end of any way in, "" if nothing."""
+    near = world.touching(
+        T_world_base, opened, clearance=APPROACH_CLEARANCE, surroundings_only=True
+    )
+    return f"the hand touches on its way in: {near}" if near is not None else ""
+
+
+def _carried_fault(
+    world: CollisionWorld, T_world_base: SE3, q: FloatArray, approach: Approach
+) -> str:
+    """What is wrong with the paths of the arm, "" if nothing is."""
+    hand, arm = world.task.hand, approach.arm
+    if arm is None:
+        return "the arm's way in and lift are missing"
+    if not np.allclose(approach.T_world_base_start.homogeneous, T_world_base.homogeneous):
+        return "the root of the arm moves"
+    if np.abs(approach.q - q)[hand.arm_index].max() > JOINT_TOL:
+        return "the arm moves while the fingers close"
+    fault = approach_line_fault(hand, T_world_base, approach.q, arm.approach)
+    if fault:
+        return fault
+    near = path_fault(world, T_world_base, approach.q, arm.approach, clearance=APPROACH_CLEARANCE)
+    return f"the hand touches on its way in: {near}" if near else ""
+
+
+def _straight_fault(world: CollisionWorld, T_world_base: SE3, approach: Approach) -> str:
+    """What a floating hand touches on the straight way in, "" if nothing."""
+    begin, end = approach.T_world_base_start, T_world_base
+    if not np.allclose(begin.rotation, end.rotation, atol=SAME_ROTATION):
+        return "the hand turns on its way in"
+    # from the grasp outwards: what touches mostly touches there
+    back = begin.translation - end.translation
+    near = world.undercut_on_way(end, approach.q, back, APPROACH_CLEARANCE)
+    return f"the hand touches on its way in: {near}" if near is not None else ""
+
+
+SAME_ROTATION = 1e-9
+"""Largest difference of rotation matrix entries (-) along a straight approach: rounding."""
+
+
+def _ways_in(
+    world: CollisionWorld,
+    T_world_base: SE3,
+    opened: FloatArray,
+    opening: float,
+    lift: FloatArray | None,
+) -> Iterator[Approach]:
+    """Approaches to be looked at; a base that is fixed without an arm stays where it is."""
+    hand = world.task.hand
+    if hand.arm is not None and lift is not None:
+        for path in retreats(hand, T_world_base, opened, _ways_back(world, T_world_base, opened)):
+            arm = ArmPath(approach=path, lift=lift)
+            yield Approach(q=opened, opening=opening, T_world_base_start=T_world_base, arm=arm)
+        return
+    ways = [np.zeros(3)]
+    if world.task.T_world_base is None:
+        ways = _ways_back(world, T_world_base, opened)
+    for way in ways:
+        start = SE3(T_world_base.rotation, T_world_base.translation + way)
+        yield Approach(q=opened, opening=opening, T_world_base_start=start)
+
+
+def _ways_back(world: CollisionWorld, T_world_base: SE3, opened: FloatArray) -> list[FloatArray]:
+    """Where the palm may come from, (3,), m: above, against its normal, or between the two.
+
+    Over a table first from above, without one first against the palm's normal.
+    """
+    palm = T_world_base * world.moving.move(opened).T_base_palm
+    back = -(palm.rotation @ world.moving.hand.palm_normal)
+    up = np.array([0.0, 0.0, 1.0])
+    ways = (up, back + up, back)
+    if world.task.table_height is None:
+        ways = ways[::-1]
+    lengths = [(d, float(np.linalg.norm(d))) for d in ways]
+    return [STANDOFF * d / length for d, length in lengths if length > SHORTEST]
+
+
+SHORTEST = 1e-6
+"""Length (-) below which the sum of two unit directions has no direction."""

@@ -1,0 +1,187 @@
+"""Where pads touch the true surface of an object, by Pinocchio and coal.
+
+Two kinds of pad. Where the pad's sphere is the surface of its geometry (the end of a capsule), the
+contact is the surface point nearest to the sphere's centre: exact, and smooth in q. Elsewhere (a
+box, a hull) the sphere is an approximation, and the contact is where coal finds the true geometry
+nearest to the object.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner.bridge import LinkGeometry
+from planner.collision.world import shape_pair
+from planner.hands.fingers import Finger
+from planner.hands.hand import Hand
+from planner.kinematics.state import MovingHand
+from planner.spatial import SE3, FloatArray
+from planner.system.threads import kept_by_thread
+from planner.task import GraspTask
+
+__all__ = [
+    "ROUND",
+    "PadTouch",
+    "Touching",
+    "pad_geometry",
+    "pad_touches",
+    "touching_geometries",
+    "touching_of",
+]
+
+ROUND = ("sphere", "capsule")
+"""Kinds of geometry whose surface is a pad's sphere where the pad may touch."""
+
+LIFTED = 1e-3
+"""How far (m) a geometry is drawn back before coal is asked for points and normal: apart, both are
+exact, whatever the depth was."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PadTouch:
+    """How a finger's pad and the object's surface lie to each other, in the object's frame.
+
+    Attributes:
+        sphere_gap: Signed distance of the pad's sphere, m.
+        gap: Signed distance of all that may touch with the finger, m.
+        round: Whether the pad's sphere is the geometry's surface, or only approximates it.
+        point: Nearest point of the object's surface (3,), m.
+        outward: Normal of the object there (3,), unit, out of the object.
+        angle: Between the pad's axis and the direction into the object, rad.
+    """
+
+    sphere_gap: float
+    gap: float
+    round: bool
+    point: FloatArray
+    outward: FloatArray
+    angle: float
+
+    @property
+    def pad_gap(self) -> float:
+        """Signed distance, m, of the pad: of its sphere where that is the geometry's surface."""
+        return self.sphere_gap if self.round else self.gap
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PadGaps:
+    """Gaps of all pads of a task, in the object's frame.
+
+    Attributes:
+        gaps: (n,), m, see ``PadTouch.pad_gap``.
+        points: Nearest points of the object's surface (n, 3), m.
+        outward: Unit normals (n, 3) there, out of the object.
+        jacobians: (n, 3, nq), velocity of what moves with each pad at its point, base axes.
+    """
+
+    gaps: FloatArray
+    points: FloatArray
+    outward: FloatArray
+    jacobians: FloatArray
+
+
+class Touching:
+    """The pads of a task's fingers at one placement after the other; its queries are made once."""
+
+    def __init__(self, task: GraspTask) -> None:
+        """Prepare the queries."""
+        hand, shape = task.hand, task.object.shape
+        self._task = task
+        self._state = MovingHand(hand, hand.q_lower)
+        self._to_object = task.T_world_object.inverse()
+        self.round = [pad_geometry(hand, f.pad.geom).kind in ROUND for f in task.fingers]
+        """Whether each pad's sphere is its geometry's surface."""
+        self._pairs = [
+            [
+                (shape_pair(g.geometry, shape), g.T_joint_geometry)
+                for g in touching_geometries(hand, f)
+            ]
+            for f in task.fingers
+        ]
+        self.names = frozenset(g.name for f in task.fingers for g in touching_geometries(hand, f))
+        """Geometries of the hand that may touch the object."""
+
+    def touches(self, T_world_base: SE3, q: FloatArray) -> list[PadTouch]:
+        """The touch of every finger at base pose and q (nq,), touching or not."""
+        base, distances, points, outward = self._spheres(T_world_base, q)
+        out = []
+        for i, (finger, is_round) in enumerate(zip(self._task.fingers, self.round, strict=True)):
+            gap, point, normal = self._whole(i, base, points[i], outward[i])
+            axis = base.rotation @ self._state.pad_axis(finger)
+            out.append(
+                PadTouch(
+                    sphere_gap=float(distances[i]),
+                    gap=gap,
+                    round=is_round,
+                    point=point,
+                    outward=normal,
+                    angle=float(np.arccos(min(max(-float(axis @ normal), -1.0), 1.0))),
+                )
+            )
+        return out
+
+    def gaps(self, T_world_base: SE3, q: FloatArray) -> PadGaps:
+        """Gaps of the pads alone and how they move, at base pose and q (nq,)."""
+        base, gaps, points, outward = self._spheres(T_world_base, q)
+        for i, is_round in enumerate(self.round):
+            if not is_round:
+                gaps[i], points[i], outward[i] = self._whole(i, base, points[i], outward[i])
+        to_base = base.inverse()
+        jacobians = [
+            self._state.point_jacobian(f.pad.joint_id, to_base.act(p))[:3]
+            for f, p in zip(self._task.fingers, points, strict=True)
+        ]
+        return PadGaps(gaps=gaps, points=points, outward=outward, jacobians=np.array(jacobians))
+
+    def _spheres(
+        self, T_world_base: SE3, q: FloatArray
+    ) -> tuple[SE3, FloatArray, FloatArray, FloatArray]:
+        """Base in the object's frame; of the pads' spheres, gaps, nearest points and normals."""
+        self._state.move(q)
+        base = self._to_object * T_world_base
+        fingers = self._task.fingers
+        centers = np.array([base.act(self._state.pad_center(f)) for f in fingers])
+        points, outward = self._task.object.shape.closest_point(centers)
+        gaps = np.einsum("ij,ij->i", centers - points, outward)
+        return base, gaps - [f.pad.radius for f in fingers], points, outward
+
+    def _whole(
+        self, i: int, base: SE3, point: FloatArray, outward: FloatArray
+    ) -> tuple[float, FloatArray, FloatArray]:
+        """Gap of all that may touch with finger i, and the point and normal of its contact."""
+        pose = base * self._state.joint_pose(self._task.fingers[i].pad.joint_id)
+        pairs = [(pair, pose * local) for pair, local in self._pairs[i]]
+        gaps = [pair.distance(at, SE3.Identity()) for pair, at in pairs]
+        gap = min(gaps)
+        if self.round[i]:
+            return gap, point, outward
+        pair, at = pairs[gaps.index(gap)]
+        lifted = SE3(at.rotation, at.translation + (LIFTED + max(-gap, 0.0)) * outward)
+        found = pair.query(lifted, SE3.Identity())
+        return gap, found.point_b, -found.normal
+
+
+@kept_by_thread(8)
+def touching_of(task: GraspTask) -> Touching:
+    """The pads of a task, of which every thread keeps its last few."""
+    return Touching(task)
+
+
+def pad_touches(task: GraspTask, T_world_base: SE3, q: FloatArray) -> list[PadTouch]:
+    """The touch of every finger of the task, touching or not."""
+    return touching_of(task).touches(T_world_base, q)
+
+
+def pad_geometry(hand: Hand, name: str) -> LinkGeometry:
+    """The geometry of a hand that a pad is part of."""
+    return next(g for g in hand.geometries if g.name == name)
+
+
+def touching_geometries(hand: Hand, finger: Finger) -> list[LinkGeometry]:
+    """What may touch with a finger: the geometry of its pad; of a box or a hull all of its link."""
+    geometry = pad_geometry(hand, finger.pad.geom)
+    if geometry.kind in ROUND:
+        return [geometry]
+    return [g for g in hand.geometries if g.joint_id == geometry.joint_id]

@@ -1,0 +1,191 @@
+"""``Layout``: what there is around a hand, and which pairs of geometries must not touch.
+
+It follows from a task alone and never changes. ``planner.collision.world`` measures the pairs.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from planner.errors import TaskError
+from planner.hands.hand import Hand
+from planner.proximity.convex import DistancePair
+from planner.proximity.mesh import MeshPair
+from planner.shapes import Box, Mesh, Shape
+from planner.spatial import SE3, IntArray
+from planner.task import GraspTask
+
+__all__ = ["OBJECT", "TABLE", "TABLE_SIZE", "Layout", "shape_pair"]
+
+OBJECT = "object"
+TABLE = "table"
+
+TABLE_SIZE = (2.0, 2.0, 0.1)
+"""Full extents (m) of the table: wide enough for any hand, centred under the object."""
+
+OVERLAP_TOL = 1e-5
+"""Depth (m) to which the object may be inside table or obstacle: rounding, and coal's accuracy."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Layout:
+    """The geometries of a task, those of the hand first, and the pairs that must not touch.
+
+    Of hand and surroundings, the hand's is a pair's first.
+
+    Attributes:
+        model: ``pinocchio.GeometryModel`` of all geometries.
+        names: Of all geometries, in the model's order.
+        n_hand: How many of them are the hand's.
+        fixed: Poses of the others in the world: object, table, obstacles.
+        pairs: The pairs, numbers of geometries.
+        named: The pairs, names of geometries.
+        first: The first geometry of each pair (n_pairs,).
+        joints: Pinocchio's joints that carry them (n_pairs, 2).
+        outward: Which pairs (n_pairs,) are of hand and surroundings;
+        of_arm: which have to do with the arm that carries the hand;
+        between: which are of links on the last three joints of two different fingers;
+        on_object: which are with the object;
+        on_mesh: which are with an object that is a mesh.
+    """
+
+    model: Any
+    names: tuple[str, ...]
+    n_hand: int
+    fixed: tuple[SE3, ...]
+    pairs: tuple[tuple[int, int], ...]
+    named: tuple[tuple[str, str], ...]
+    first: IntArray
+    joints: IntArray
+    outward: NDArray[np.bool_]
+    of_arm: NDArray[np.bool_]
+    between: NDArray[np.bool_]
+    on_object: NDArray[np.bool_]
+    on_mesh: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, task: GraspTask) -> Layout:
+        """Collect the geometries and the pairs that must not touch.
+
+        Raises:
+            TaskError: Two geometries have one name, so that a verdict could not tell them apart;
+                or table or an obstacle is in the object.
+        """
+        hand = task.hand
+        surroundings = _surroundings(task)
+        names = [g.name for g in hand.geometries] + [name for name, _, _ in surroundings]
+        _check(task, names, surroundings)
+        model = pin.GeometryModel()
+        for g in hand.geometries:
+            model.addGeometryObject(
+                pin.GeometryObject(g.name, g.joint_id, g.T_joint_geometry, g.geometry)
+            )
+        for name, pose, shape in surroundings:
+            model.addGeometryObject(pin.GeometryObject(name, 0, pose, shape.coal_geometry()))
+        pairs = _pairs(hand, names)
+        named = [(names[a], names[b]) for a, b in pairs]
+        n_hand = len(hand.geometries)
+        arm = hand.arm.geometries if hand.arm is not None else frozenset()
+        joint = [*(g.joint_id for g in hand.geometries), *(0 for _ in surroundings)]
+        on_object = np.array([b == OBJECT for _, b in named])
+        return cls(
+            model=model,
+            names=tuple(names),
+            n_hand=n_hand,
+            fixed=tuple(pose for _, pose, _ in surroundings),
+            pairs=tuple(pairs),
+            named=tuple(named),
+            first=np.array([a for a, _ in pairs]),
+            joints=np.array([(joint[a], joint[b]) for a, b in pairs]),
+            outward=np.array([b >= n_hand for _, b in pairs]),
+            of_arm=np.array([a in arm or b in arm for a, b in named]),
+            between=_between_fingers(hand, pairs),
+            on_object=on_object,
+            on_mesh=on_object & isinstance(task.object.shape, Mesh),
+        )
+
+    @property
+    def surroundings(self) -> frozenset[str]:
+        """Names of all that is not the hand."""
+        return frozenset(self.names[self.n_hand :])
+
+
+def _surroundings(task: GraspTask) -> list[tuple[str, SE3, Shape]]:
+    """Name, pose in the world and shape of object, table and obstacles, in this order."""
+    found: list[tuple[str, SE3, Shape]] = [(OBJECT, task.T_world_object, task.object.shape)]
+    if task.table_height is not None:
+        top = np.array([*task.T_world_object.translation[:2], task.table_height])
+        center = top - np.array([0.0, 0.0, TABLE_SIZE[2] / 2])
+        found.append((TABLE, SE3(np.eye(3), center), Box(TABLE_SIZE)))
+    for o in task.obstacles:
+        x, y, z = (float(v) for v in o.size)
+        found.append((o.name, o.T_world_obstacle, Box((x, y, z))))
+    return found
+
+
+def _check(
+    task: GraspTask, names: Sequence[str], surroundings: Sequence[tuple[str, SE3, Shape]]
+) -> None:
+    """Refuse names that are not unique, and an object inside the others; see ``Layout.of``."""
+    twice = sorted(name for name, count in Counter(names).items() if count > 1)
+    if twice:
+        raise TaskError(
+            f"several of obstacles, object, table and hand geometries are called {twice}; name "
+            "each obstacle differently"
+        )
+    for name, pose, shape in surroundings[1:]:
+        query = shape_pair(shape.coal_geometry(), task.object.shape)
+        depth = -query.distance(pose, task.T_world_object)
+        if depth > OVERLAP_TOL:
+            raise TaskError(f"the object is {1e3 * depth:.2f} mm inside {name!r}; move them apart")
+
+
+def _pairs(hand: Hand, names: Sequence[str]) -> list[tuple[int, int]]:
+    """Pairs that must not touch: of the hand, then of hand and surroundings."""
+    n_hand = len(hand.geometries)
+    pairs = [
+        (a, b)
+        for a, b in combinations(range(n_hand), 2)
+        if frozenset((names[a], names[b])) not in hand.allowed_pairs
+    ]
+    # an arm stands on the table
+    standing = {g.name for g in hand.geometries if hand.arm is not None and g.joint_id == 0}
+    pairs += [
+        (a, b)
+        for a in range(n_hand)
+        for b in range(n_hand, len(names))
+        if not (names[a] in standing and names[b] == TABLE)
+    ]
+    return pairs
+
+
+def _between_fingers(hand: Hand, pairs: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
+    """Which pairs (n_pairs,) are of links on the last three joints of two different fingers."""
+    finger_of = [hand.finger_of_body.get(g.body, "") for g in hand.geometries]
+    joints = np.array([g.joint_id for g in hand.geometries])
+    outer = np.zeros(len(joints), dtype=bool)
+    for name in hand.fingers:
+        mine = np.array([of == name for of in finger_of])
+        outer |= mine & np.isin(joints, np.unique(joints[mine])[-3:])
+    n = len(joints)
+    return np.array(
+        [
+            b < n and bool(outer[a]) and bool(outer[b]) and finger_of[a] != finger_of[b]
+            for a, b in pairs
+        ]
+    )
+
+
+def shape_pair(geometry: Any, shape: Shape) -> DistancePair | MeshPair:
+    """The distance query of a convex coal geometry (a) and a shape (b)."""
+    if isinstance(shape, Mesh):
+        return MeshPair(geometry, shape)
+    return DistancePair(geometry, shape.coal_geometry())

@@ -1,0 +1,347 @@
+"""``CollisionWorld``: all distances of a hand from object, table, obstacles and itself, at one q.
+
+Which pairs there are is in ``planner.collision.pair_table``. Pairs of convex geometries are
+measured in one call (``planner.proximity.convex_pairs``), those of a mesh one by one, as far as
+they can matter (``planner.proximity.mesh_pairs``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.collision.clearances import Clearance, NearPairs
+from planner.collision.pair_table import OBJECT, TABLE, TABLE_SIZE, Layout, shape_pair
+from planner.collision.sweep import Sweep, hull_pairs
+from planner.errors import NotFoundError, TaskError
+from planner.kinematics.state import MovingHand
+from planner.proximity.convex import DistancePair, Proximity
+from planner.proximity.convex_pairs import GeometryPairs
+from planner.proximity.mesh import MeshPair
+from planner.proximity.mesh_pairs import FEW, LEAST_LIMIT, MeshPairs
+from planner.shapes import Mesh
+from planner.spatial import SE3, FloatArray, IntArray
+from planner.task import GraspTask
+
+__all__ = [
+    "OBJECT",
+    "TABLE",
+    "TABLE_SIZE",
+    "Clearance",
+    "CollisionWorld",
+    "NearPairs",
+    "bounding_radius",
+    "shape_pair",
+]
+
+MESH_LIMIT = 0.006
+"""``CollisionWorld.near`` looks no further than this (m) from a mesh: what is near takes time."""
+
+FAR = 0.03
+"""``CollisionWorld.distances`` measures what is nearer to a mesh than this (m)."""
+
+
+class CollisionWorld:
+    """The true geometry of a task, ready to be asked at many configurations.
+
+    Attributes:
+        task: The task.
+        surroundings: Names of all that is not the hand: object, table, obstacles.
+        moving: The hand, for whoever asks to move about.
+    """
+
+    def __init__(self, task: GraspTask) -> None:
+        """Collect the geometries and the pairs that must not touch.
+
+        Raises:
+            TaskError: Two geometries have one name, so that a verdict could not tell them apart;
+                or table or an obstacle is in the object.
+        """
+        self.task = task
+        hand = task.hand
+        self._layout = layout = Layout.of(task)
+        self.surroundings = layout.surroundings
+        self.moving = MovingHand(hand, hand.q_lower)
+        self._all = np.ones(len(layout.pairs), dtype=bool)
+        self._queries: dict[tuple[int, int], DistancePair | MeshPair] = {}
+        self._allowed: dict[frozenset[str], NDArray[np.bool_]] = {}
+        self._geometries = GeometryPairs(hand.pin_model, layout.model, layout.pairs, layout.n_hand)
+        self._mesh: MeshPairs | None = None
+        hull: GeometryPairs | None = None
+        if isinstance(task.object.shape, Mesh):
+            self._mesh = MeshPairs([g.geometry for g in hand.geometries], task.object.shape)
+            hull = hull_pairs(hand, task.object.shape)
+        convex = np.flatnonzero(layout.outward & ~layout.on_mesh)
+        self._sweep = Sweep(self._geometries, convex, self._mesh, hull)
+
+    def distances(self, T_world_base: SE3, q: FloatArray) -> list[Clearance]:
+        """Signed distance of every pair at base pose and q (nq,).
+
+        Of a mesh and what is further from it than ``FAR``, it is only said to be that far.
+        """
+        self._place(T_world_base, q)
+        values = self._distances(self._all, limit=FAR)
+        return [self._clearance(k, d) for k, d in enumerate(values)]
+
+    def closest(
+        self, T_world_base: SE3, q: FloatArray, count: int, *, touching: Collection[str] = ()
+    ) -> list[Clearance]:
+        """The smallest signed distances at base pose and q (nq,), smallest first.
+
+        Args:
+            T_world_base: Base pose.
+            q: Joints (nq,).
+            count: How many; all that are negative come with them.
+            touching: Geometries of the hand whose distance from the object is left out.
+        """
+        self._place(T_world_base, q)
+        values = self._distances(~self._touching(frozenset(touching)), count=count)
+        order = np.argsort(values, kind="stable")
+        kept = order[: max(count, int((values < 0.0).sum()))]
+        return [self._clearance(int(k), values[k]) for k in kept if values[k] < np.inf]
+
+    def nearest(
+        self, T_world_base: SE3, q: FloatArray, *, surroundings_only: bool = False
+    ) -> Clearance:
+        """The pair of smallest signed distance; of hand and surroundings only if asked."""
+        self._place(T_world_base, q)
+        return self._nearest(self._layout.outward if surroundings_only else self._all)
+
+    def touching(
+        self,
+        T_world_base: SE3,
+        q: FloatArray,
+        *,
+        clearance: float = LEAST_LIMIT,
+        surroundings_only: bool = False,
+    ) -> Clearance | None:
+        """The pair of smallest signed distance where that is below a clearance (m).
+
+        Quicker than looking for the nearest where all are apart.
+
+        Args:
+            T_world_base: Base pose.
+            q: Joints (nq,).
+            clearance: m.
+            surroundings_only: Whether only pairs of hand and surroundings matter.
+        """
+        self._place(T_world_base, q)
+        which = self._layout.outward if surroundings_only else self._all
+        if not self._is_any_below(which, clearance):
+            return None
+        found = self._nearest(which, clearance)
+        return found if found.distance < clearance else None
+
+    def nearest_on_arm(
+        self, T_world_base: SE3, q: FloatArray, *, T_world_object: SE3 | None = None
+    ) -> Clearance:
+        """The pair of smallest signed distance among those that change when the arm moves.
+
+        Arm and hand against the surroundings, and the arm against itself and the hand.
+
+        Args:
+            T_world_base: Pose of the arm's root.
+            q: Joints (nq,).
+            T_world_object: Where the object is if the hand holds it; only the arm's distance from
+                it counts then.
+        """
+        self._place(T_world_base, q, T_world_object)
+        moving = self._layout.outward | self._layout.of_arm
+        held = self._layout.on_object & ~self._layout.of_arm
+        return self._nearest(moving if T_world_object is None else moving & ~held)
+
+    def undercut_on_way(
+        self, T_world_base: SE3, q: FloatArray, way: FloatArray, clearance: float
+    ) -> Clearance | None:
+        """A pair of hand and surroundings that comes nearer than a clearance on a straight way.
+
+        Args:
+            T_world_base: Base pose where the way begins.
+            q: Joints (nq,).
+            way: How the hand moves, without turning (3,), m, world.
+            clearance: m.
+
+        Returns:
+            The pair with its distance where it first is too near, None if none is: without a gap,
+            see ``planner.collision.sweep``.
+        """
+        inverse = T_world_base.inverse()
+        fixed = [inverse * pose for pose in self._layout.fixed]
+        found = self._sweep.undercut(q, fixed, inverse.rotation @ way, clearance)
+        if found is None:
+            return None
+        pair, body, distance = found
+        if pair is None:
+            pair = int(np.flatnonzero(self._layout.on_mesh & (self._layout.first == body))[0])
+        return self._clearance(pair, distance)
+
+    def is_clear(self, T_world_base: SE3, q: FloatArray, *, around: float, between: float) -> bool:
+        """Whether the hand keeps distances (m) from its surroundings and between its fingers.
+
+        Of fingers only the last three joints' links count: those before are side by side always.
+        """
+        self._place(T_world_base, q)
+        if self._nearest(self._layout.outward, around).distance < around:
+            return False
+        fingers = self._nearest(self._layout.between, between)
+        return bool(fingers.distance >= between)
+
+    def near(
+        self,
+        T_world_base: SE3,
+        q: FloatArray,
+        limit: float,
+        among: IntArray | None = None,
+        *,
+        touching: Collection[str] = (),
+        meshes: bool = True,
+    ) -> NearPairs:
+        """How hand and surroundings lie, and links of different fingers, that are near; base axes.
+
+        Args:
+            T_world_base: Base pose.
+            q: Joints (nq,).
+            limit: Pairs nearer than this (m) are looked at.
+            among: Numbers of pairs that are looked at instead, but for those with a mesh.
+            touching: Geometries of the hand whose distance from the object is left out.
+            meshes: Whether pairs with a mesh are looked at, which takes most of the time.
+        """
+        self._place(T_world_base, q)
+        layout = self._layout
+        wanted = (layout.outward | layout.between) & ~self._touching(frozenset(touching))
+        convex = wanted & ~layout.on_mesh
+        numbers, distances, rows = (
+            self._geometries.near(convex, limit) if among is None else self._geometries.at(among)
+        )
+        if self._mesh is not None and meshes:
+            on_mesh = np.flatnonzero(wanted & layout.on_mesh)
+            places, apart, more = self._mesh.near(layout.first[on_mesh], min(limit, MESH_LIMIT))
+            numbers = np.concatenate([numbers, on_mesh[places]])
+            distances, rows = np.concatenate([distances, apart]), np.vstack([rows, more])
+        return NearPairs(
+            numbers=numbers,
+            outward=layout.outward[numbers],
+            mesh=layout.on_mesh[numbers],
+            joints=layout.joints[numbers],
+            distances=distances,
+            points_a=rows[:, :3],
+            points_b=rows[:, 3:6],
+            normals=rows[:, 6:],
+        )
+
+    def _touching(self, names: frozenset[str]) -> NDArray[np.bool_]:
+        """Which pairs are of the object and a geometry that may touch it."""
+        if names not in self._allowed:
+            named = self._layout.named
+            self._allowed[names] = np.array([b == OBJECT and a in names for a, b in named])
+        return self._allowed[names]
+
+    def proximity(self, T_world_base: SE3, q: FloatArray, first: str, second: str) -> Proximity:
+        """Signed distance, nearest points and normal (world) of any two geometries by name.
+
+        Raises:
+            NotFoundError: No geometry has that name.
+        """
+        for name in (first, second):
+            if name not in self._layout.names:
+                raise NotFoundError("geometry", name, self._layout.names)
+        self._place(T_world_base, q)
+        a, b = self._layout.names.index(first), self._layout.names.index(second)
+        poses = self._geometries.poses
+        return self._pair(a, b).query(T_world_base * poses[a], T_world_base * poses[b])
+
+    def _place(self, T_world_base: SE3, q: FloatArray, T_world_object: SE3 | None = None) -> None:
+        """Put every geometry where it is at base pose and q, in the base's frame.
+
+        Raises:
+            TaskError: A number is not finite.
+        """
+        if not (np.isfinite(q).all() and np.isfinite(T_world_base.homogeneous).all()):
+            raise TaskError("the base pose or q holds NaN or infinity; give finite numbers")
+        inverse = T_world_base.inverse()
+        poses = [inverse * pose for pose in self._layout.fixed]
+        if T_world_object is not None:
+            poses[0] = inverse * T_world_object
+        moved = self._geometries.place(q, poses)
+        if self._mesh is not None:
+            self._mesh.place(self._geometries.poses, poses[0], moved=moved)
+
+    def _nearest(self, which: NDArray[np.bool_], limit: float = np.inf) -> Clearance:
+        """The pair of smallest signed distance among those told, where they were last placed.
+
+        With a limit (m), it is some pair at or above the limit where all are.
+        """
+        convex = which & ~self._layout.on_mesh
+        k, distance = self._geometries.nearest(convex) if convex.any() else (0, np.inf)
+        if self._mesh is not None and self._is_mesh_below(which, limit):
+            asked = np.flatnonzero(which & self._layout.on_mesh)
+            bodies = self._layout.first[asked]
+            found = self._mesh.nearest(bodies, min(distance, limit))
+            if found is not None:
+                k, distance = int(asked[bodies == found[0]][0]), found[1]
+        return self._clearance(k, distance)
+
+    def _is_any_below(self, which: NDArray[np.bool_], limit: float) -> bool:
+        """Whether a pair among those told may be nearer than a limit (m), in one look at all."""
+        if self._geometries.any_below(which, limit):
+            return True
+        on_mesh = which & self._layout.on_mesh
+        if self._mesh is None or not on_mesh.any():
+            return False
+        return self._mesh.any_maybe_inside(self._layout.first[on_mesh])
+
+    def _is_mesh_below(self, which: NDArray[np.bool_], limit: float) -> bool:
+        """Whether a pair of the mesh, among those told, may be nearer than a limit (m)."""
+        on_mesh = which & self._layout.on_mesh
+        count = int(np.count_nonzero(on_mesh))
+        if self._mesh is None or count == 0:
+            return False
+        return (
+            limit == np.inf
+            or count <= FEW
+            or self._geometries.any_below(on_mesh, limit)
+            or self._mesh.any_maybe_inside(self._layout.first[on_mesh])
+        )
+
+    def _distances(
+        self, which: NDArray[np.bool_], *, limit: float = 0.0, count: int = 0
+    ) -> FloatArray:
+        """Signed distance (m) of every pair, infinite where not asked.
+
+        On a mesh, those are only bounded that are not below a limit (m) or, if a count is given,
+        not of so many smallest.
+        """
+        layout = self._layout
+        values = np.full(len(layout.pairs), np.inf)
+        convex, on_mesh = which & ~layout.on_mesh, np.flatnonzero(which & layout.on_mesh)
+        values[convex] = self._geometries.distances(convex)
+        if self._mesh is not None and count:
+            values[on_mesh] = self._mesh.smallest(layout.first[on_mesh], values[convex], count)
+        elif self._mesh is not None:
+            values[on_mesh] = self._mesh.distances(layout.first[on_mesh], limit)
+        return values
+
+    def _clearance(self, k: int, distance: float) -> Clearance:
+        first, second = self._layout.named[k]
+        return Clearance(first=first, second=second, distance=float(distance))
+
+    def _pair(self, a: int, b: int) -> DistancePair | MeshPair:
+        """The query of two geometries, made when first needed."""
+        if (a, b) not in self._queries:
+            first, second = (self._layout.model.geometryObjects[i].geometry for i in (a, b))
+            self._queries[a, b] = (
+                shape_pair(first, self.task.object.shape)
+                if self._layout.names[b] == OBJECT
+                else DistancePair(first, second)
+            )
+        return self._queries[a, b]
+
+
+def bounding_radius(geometry: Any) -> float:
+    """Radius (m) of the ball about the geometry's origin that contains it."""
+    geometry.computeLocalAABB()
+    box = geometry.aabb_local
+    return float(np.linalg.norm(np.maximum(np.abs(box.min_), np.abs(box.max_))))

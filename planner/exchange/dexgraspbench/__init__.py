@@ -1,0 +1,22 @@
+"""Export of a batch to the files that DexGraspBench evaluates.
+
+Read from https://github.com/JYChen18/DexGraspBench at commit 1e7a5a6 (2025-06-05): ``src/task/
+eval_func/base.py`` for the keys of a grasp and of an object's ``simplified.json``, ``src/util/
+hand_util.py`` for the order of qpos and for how qpos becomes ctrl, ``config/hand`` for the keys of
+a hand. ``opposable bench dexgraspbench`` runs that evaluation on an export.
+"""
+
+from planner.exchange.dexgraspbench.export import Exported, export_dexgraspbench, grasp_dict
+from planner.exchange.dexgraspbench.hand_file import export_name
+from planner.exchange.dexgraspbench.object_files import benchmark_pieces
+from planner.exchange.dexgraspbench.squeeze import Squeeze, plan_squeeze
+
+__all__ = [
+    "Exported",
+    "Squeeze",
+    "benchmark_pieces",
+    "export_dexgraspbench",
+    "export_name",
+    "grasp_dict",
+    "plan_squeeze",
+]

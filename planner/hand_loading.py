@@ -1,0 +1,91 @@
+"""``load_hand``: a hand by name or path, described by a file or by the structure of its model.
+
+It stands above ``planner.hands`` and ``planner.describe``: where no description is given,
+``planner.describe`` proposes one.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from planner.bridge import load_spec, spec_from_model
+from planner.describe import propose, proposed_description
+from planner.description import HandDescription
+from planner.hands.arm import read_mount
+from planner.hands.build import build_hand, described_hand, hand_on_arm
+from planner.hands.catalog import find_hand, hand_reference
+from planner.hands.description_files import DescribedHand, read_description
+from planner.hands.hand import Hand
+
+__all__ = ["hand_from_model", "hand_from_spec", "load_hand"]
+
+
+def load_hand(name_or_path: str | Path, *, download: bool = True) -> Hand:
+    """Load a hand by name or path.
+
+    Args:
+        name_or_path: A shipped hand (``catalog.hand_names()``), a description (``hand.toml``)
+            or its folder; or a model, which is then described by its structure alone: a file
+            (MJCF, URDF), ``PACKAGE:NAME`` out of ``catalog.FOREIGN_HANDS``,
+            ``menagerie:NAME``, ``robot_descriptions:ID`` or ``package:PACKAGE/PATH``.
+        download: Whether models of ``menagerie:`` and ``robot_descriptions:`` may be fetched
+            where they are not cached. Readers of files say no: a file is not to make this
+            machine fetch anything.
+
+    Raises:
+        NotFoundError: No such hand, or the description names what the model does not have.
+        ModelError: The model file is missing or not usable.
+        HandError: Description and model do not fit.
+    """
+    path = find_hand(name_or_path, download=download)
+    reference = hand_reference(name_or_path)
+    if path.suffix == ".toml":
+        mount = read_mount(path)
+        if mount is not None:
+            return hand_on_arm(load_hand(mount.hand_path), mount, reference)
+        described = read_description(path)
+    else:
+        described = DescribedHand(
+            description=proposed_description(name_or_path),
+            model_path=path,
+            mirror_axis=None,
+            described_in=path,
+            files=(),
+        )
+    return build_hand(
+        load_spec(described.model_path),
+        described.description,
+        mirror_axis=described.mirror_axis,
+        path=path,
+        where=str(described.described_in),
+        model=str(described.model_path),
+        reference=reference,
+        digest=described.digest,
+    )
+
+
+def hand_from_spec(spec: Any, description: HandDescription | None = None) -> Hand:
+    """A hand from a ``mujoco.MjSpec`` made in Python; the spec itself is left as it is.
+
+    Args:
+        spec: The model; what is outside the base's subtree is dropped.
+        description: The description; one proposed from the structure if None.
+
+    Raises:
+        NotFoundError: The description names what the model does not have.
+        ModelError: The model is not usable.
+        HandError: Description and model do not fit.
+    """
+    return described_hand(spec, description or propose(spec).description)
+
+
+def hand_from_model(model: Any, description: HandDescription | None = None) -> Hand:
+    """A hand from a compiled ``mujoco.MjModel``; see ``hand_from_spec``.
+
+    Raises:
+        NotFoundError: The description names what the model does not have.
+        ModelError: The model has parts that cannot be turned back into a spec; or as above.
+        HandError: Description and model do not fit.
+    """
+    return hand_from_spec(spec_from_model(model), description)

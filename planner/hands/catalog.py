@@ -1,0 +1,208 @@
+"""From a name or a path to the files of a hand on disk: shipped, in a package, or downloaded.
+
+The models travel inside the wheel (``planner/_models``) and stand at the top of a checkout
+(``models``); both are found from any working directory. Hands of other projects stay in the Python
+packages that ship them and are looked up there.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import os
+import re
+import sys
+from importlib import metadata
+from pathlib import Path
+
+from planner.errors import ModelError, NotFoundError
+from planner.hands.downloads import menagerie_model, robot_descriptions_model
+
+__all__ = [
+    "FOREIGN_HANDS",
+    "MODEL_SUFFIXES",
+    "PACKAGE_SCHEME",
+    "find_hand",
+    "foreign_hand_model",
+    "foreign_hand_names",
+    "hand_names",
+    "hand_reference",
+    "model_file",
+    "models_dir",
+]
+
+DESCRIPTION_FILE = "hand.toml"
+
+MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
+"""How the name of a file ends that is a model and not its description."""
+
+PACKAGE_SCHEME = "package:"
+"""``package:PACKAGE/PATH`` is a file inside an installed Python package."""
+
+ASSETS_HINT = 'install it, for example with pip install "opposable[assets]"'
+
+_GYM = "package:gymnasium_robotics/envs/assets"
+_ALLEGRO = "package:example-robot-data/robots/allegro_hand_description/urdf"
+_SUITE = "package:robosuite/models/assets/grippers"
+
+FOREIGN_HANDS = {
+    "gymnasium-robotics:adroit": f"{_GYM}/adroit_hand/adroit_pen.xml",
+    "gymnasium-robotics:shadow": f"{_GYM}/hand/reach.xml",
+    "example-robot-data:allegro_left": f"{_ALLEGRO}/allegro_left_hand.urdf",
+    "example-robot-data:allegro_right": f"{_ALLEGRO}/allegro_right_hand.urdf",
+    "robosuite:fourier_left": f"{_SUITE}/fourier_left_hand.xml",
+    "robosuite:fourier_right": f"{_SUITE}/fourier_right_hand.xml",
+    "robosuite:inspire_left": f"{_SUITE}/inspire_left_hand.xml",
+    "robosuite:inspire_right": f"{_SUITE}/inspire_right_hand.xml",
+    "robosuite:jaco_three_finger": f"{_SUITE}/jaco_three_finger_gripper.xml",
+    "robosuite:robotiq_3f": f"{_SUITE}/robotiq_gripper_s.xml",
+}
+"""Hands that others ship in packages, ``PACKAGE:NAME`` -> model. The fragment ``hand/robot.xml`` of
+gymnasium-robotics is empty by itself, so a scene that includes it stands here."""
+
+_PACKAGE_NAME = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def models_dir() -> Path:
+    """Folder that holds ``hands/NAME/``.
+
+    Raises:
+        ModelError: Neither an installed nor a checked-out model folder exists.
+    """
+    here = Path(__file__).resolve().parent
+    for folder in (here / "_models", here.parent / "models"):
+        if (folder / "hands").is_dir():
+            return folder
+    raise ModelError(f"the models are missing beside {here}; install Opposable again")
+
+
+def hand_names() -> tuple[str, ...]:
+    """Names of the hands that come with Opposable, sorted."""
+    folders = (models_dir() / "hands").iterdir()
+    return tuple(sorted(f.name for f in folders if (f / DESCRIPTION_FILE).is_file()))
+
+
+def foreign_hand_names() -> tuple[str, ...]:
+    """Names ``PACKAGE:NAME`` of known hands in packages of others, installed or not, sorted."""
+    return tuple(sorted(FOREIGN_HANDS))
+
+
+def foreign_hand_model(name: str) -> str | None:
+    """The ``model`` line of a known hand of others; None if a name ``PACKAGE:NAME`` is none.
+
+    The package may be spelt with underscores, as it is imported.
+    """
+    package, _, inside = name.partition(":")
+    return FOREIGN_HANDS.get(f"{package.replace('_', '-')}:{inside}")
+
+
+def find_hand(name_or_path: str | Path, *, download: bool = True) -> Path:
+    """Path of a hand's description file, or of its model where there is no description.
+
+    Args:
+        name_or_path: A name out of ``hand_names()`` or ``foreign_hand_names()``; ``menagerie:NAME``
+            or ``menagerie:NAME/ENTRY``; ``robot_descriptions:ID``; ``package:PACKAGE/PATH``; a
+            description file (``hand.toml``) or a folder that holds one; a model file.
+        download: Whether ``menagerie:`` and ``robot_descriptions:`` may fetch what is not cached.
+
+    Raises:
+        NotFoundError: It is neither a known name nor an existing path.
+        ModelError: The path exists but is neither a description nor a model, or the package or
+            download that has the model is missing.
+    """
+    text = str(name_or_path)
+    if text in hand_names():
+        return models_dir() / "hands" / text / DESCRIPTION_FILE
+    if text.startswith(PACKAGE_SCHEME):
+        return model_file(text, Path())
+    source, _, name = text.partition(":")
+    if source == "menagerie":
+        return menagerie_model(name, download=download)
+    if source == "robot_descriptions":
+        return robot_descriptions_model(name, download=download)
+    foreign = foreign_hand_model(text)
+    if foreign is not None:
+        return model_file(foreign, Path())
+    path = Path(name_or_path)
+    if os.path.isdir(path):  # False, not an error, where the name is too long or the way is barred
+        path = path / DESCRIPTION_FILE
+    if os.path.isfile(path):
+        if path.suffix != ".toml" and path.suffix.lower() not in MODEL_SUFFIXES:
+            raise ModelError(
+                f"{path} is neither a hand description nor a model; give a hand.toml or a model "
+                f"that ends in {', '.join(MODEL_SUFFIXES)}"
+            )
+        return path
+    looks_like_path = path.suffix or len(path.parts) > 1
+    hint = "Or give the path of a hand.toml or of a model." + (
+        " That path does not exist." * bool(looks_like_path)
+    )
+    names = (*hand_names(), *(foreign_hand_names() if name else ()))
+    raise NotFoundError("hand", text, names, hint)
+
+
+def hand_reference(name_or_path: str | Path) -> str:
+    """What finds the same hand again from any folder: the name, or the path made absolute."""
+    text = str(name_or_path)
+    is_name = text in hand_names() or (":" in text and not os.path.exists(text))
+    return text if is_name else str(Path(name_or_path).absolute())
+
+
+def model_file(model: str, folder: Path) -> Path:
+    """The file that the ``model`` line of a description means.
+
+    Args:
+        model: A path, relative to ``folder`` or absolute, or ``package:PACKAGE/PATH``.
+        folder: Folder of the description.
+
+    Raises:
+        ModelError: The package is not installed, or has no such file.
+    """
+    if not model.startswith(PACKAGE_SCHEME):
+        return folder / model
+    package, _, inside = model.removeprefix(PACKAGE_SCHEME).partition("/")
+    if not _PACKAGE_NAME.fullmatch(package):
+        raise ModelError(
+            f"{model!r}: {package!r} is not the name of a package; give package:PACKAGE/PATH, the "
+            "package by letters, digits, _ and -"
+        )
+    roots = _package_folders(package)
+    if not roots:
+        raise ModelError(f"{model}: the package {package!r} {_how_to_install(package)}")
+    for root in roots:
+        if inside and os.path.isfile(root / inside):
+            return root / inside
+    raise ModelError(
+        f"{model}: the installed package {package!r} has no file {inside!r}; correct the path, or "
+        "install another version of the package"
+    )
+
+
+def _how_to_install(package: str) -> str:
+    """What is said of a package without files: a command for those that we know, else none.
+
+    The name may come out of a file that somebody else wrote; a command to install it would run
+    whatever anybody uploaded under that name.
+    """
+    if package in sys.stdlib_module_names:
+        return "is a module of Python itself, which has no models; correct the name"
+    known = {name.partition(":")[0] for name in FOREIGN_HANDS}
+    if package.replace("_", "-") in known:
+        return f"is not installed; {ASSETS_HINT} or pip install {package.replace('_', '-')}"
+    return (
+        "is not installed, and it is none of those that Opposable knows "
+        f"({', '.join(sorted(known))}); install it if you know where it comes from, or "
+        "give the path of the model"
+    )
+
+
+def _package_folders(package: str) -> list[Path]:
+    """Where a package keeps its data: beside its modules, or as a share of a cmeel wheel."""
+    found = importlib.util.find_spec(package) if package.isidentifier() else None
+    folders = [Path(f) for f in (found.submodule_search_locations or ())] if found else []
+    try:
+        wheel = metadata.distribution(package)
+    except metadata.PackageNotFoundError:
+        return folders
+    share = Path(str(wheel.locate_file(f"cmeel.prefix/share/{package}")))
+    return [*folders, share] if share.is_dir() else folders

@@ -1,0 +1,265 @@
+"""``Hand``: the parts of a hand, checked against each other, and what follows from them.
+
+All joints are hinges or slides, so that Pinocchio's q and v, MuJoCo's qpos and qvel and
+``joint_names`` share one order within the hand. The raw models stay reachable as ``pin_model`` and
+``mj_model``; the frame of reference of ``pin_model`` is the base, the root body that the mount
+carries. How a hand is made is in ``planner.hands.build``; ``planner.hand_loading`` finds one
+by its name.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.actuation import Actuation
+from planner.bridge import LinkGeometry
+from planner.couplings import Coupling, nearest_on_couplings
+from planner.description import HandDescription
+from planner.errors import HandError, NotFoundError, TaskError
+from planner.hands.arm import Arm
+from planner.hands.fingers import Finger
+from planner.spatial import FloatArray, IntArray
+
+__all__ = ["Hand"]
+
+POSTURE_TOL = 1e-9
+"""How far (rad or m) a described posture may leave the joint range before it is an error."""
+
+COUPLING_TOL = 1e-6
+"""How far (rad) a posture may violate a coupling by rounding; beyond, it is moved onto it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Hand:
+    """A hand that the planner can use; ``planner.hand_loading`` makes one.
+
+    Attributes:
+        name: Name from the description.
+        description: The validated description.
+        path: The description file, the model file if the hand is described by its structure, or
+            None if it was made in Python.
+        reference: What ``load_hand`` takes to get the same hand again, from any folder; None if
+            the hand was made in Python.
+        digest: SHA-256 over what determines the hand: its description, the one that this mirrors
+            if it does, the model and what that includes. A plan keeps it.
+        spec: ``mujoco.MjSpec`` of the hand alone, repaired; ``new_spec`` gives copies of it. If the
+            hand mirrors another one, it is reflected, and keeps the other's names of joints, frames
+            and geometries.
+        mj_model: Compiled ``mujoco.MjModel`` of the hand alone, base fixed to the world.
+        pin_model: ``pinocchio.Model`` of the same.
+        fingers: Name -> Finger, in the description's order.
+        geometries: Every colliding geometry.
+        allowed_pairs: Pairs of geometry names that may touch.
+        actuation: Transmission, actuator laws, ranges and stops.
+        couplings: Kinematic couplings that hold in a grasp.
+        arm: What carries the hand: its joints are part of q, and the base is its root, which stands
+            fixed; None for a hand alone.
+        rolls: Whether its pads have the cones within which contacts may roll (``rolling``).
+    """
+
+    name: str
+    description: HandDescription
+    path: Path | None
+    reference: str | None
+    digest: str
+    spec: Any
+    mj_model: Any
+    pin_model: Any
+    fingers: Mapping[str, Finger]
+    geometries: tuple[LinkGeometry, ...]
+    allowed_pairs: frozenset[frozenset[str]]
+    actuation: Actuation
+    couplings: tuple[Coupling, ...]
+    arm: Arm | None = None
+    rolls: bool = False
+
+    @cached_property
+    def rolling(self) -> Self:
+        """The same hand with pads as wide as the tips are round, for objects that are turned.
+
+        Faces turn with an object, so the contacts of a turn wander over the tips: a block is turned
+        by 94 degrees by the Shadow-type hand with these pads, by 85 with those of a grasp.
+        """
+        if self.rolls:
+            return self
+        fingers = {name: replace(f, pad=f.pad.rolling) for name, f in self.fingers.items()}
+        digest = hashlib.sha256(f"{self.digest} rolling".encode()).hexdigest()
+        return replace(self, fingers=MappingProxyType(fingers), digest=digest, rolls=True)
+
+    def new_spec(self) -> Any:
+        """A fresh ``mujoco.MjSpec`` of the hand, to be edited or attached to a scene."""
+        return self.spec.copy()
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Joint names in the order of q."""
+        return tuple(self.pin_model.names)[1:]
+
+    @property
+    def nq(self) -> int:
+        """Number of joints."""
+        return int(self.pin_model.nq)
+
+    @property
+    def q_lower(self) -> FloatArray:
+        """Lower joint limits (nq,), rad or m."""
+        return np.array(self.pin_model.lowerPositionLimit)
+
+    @property
+    def q_upper(self) -> FloatArray:
+        """Upper joint limits (nq,), rad or m."""
+        return np.array(self.pin_model.upperPositionLimit)
+
+    @property
+    def neutral(self) -> FloatArray:
+        """Joints (nq,) at zero, or at the end of their range that is nearest to it."""
+        return np.clip(np.zeros(self.nq), self.q_lower, self.q_upper)
+
+    @cached_property
+    def wrist_index(self) -> IntArray:
+        """Where the wrist's joints stand in q."""
+        return np.array([self.joint_index(j) for j in self.description.wrist_joints], dtype=int)
+
+    @cached_property
+    def finger_of_body(self) -> Mapping[str, str]:
+        """Name of a body -> name of the finger that it belongs to; other bodies are left out."""
+        return MappingProxyType(
+            {body: finger.name for finger in self.fingers.values() for body in finger.bodies}
+        )
+
+    @cached_property
+    def arm_index(self) -> IntArray:
+        """Where the joints of the arm that carries the hand stand in q; empty without one."""
+        return np.zeros(0, dtype=int) if self.arm is None else self.arm.index
+
+    @cached_property
+    def moved_by(self) -> NDArray[np.bool_]:
+        """Whether joint j moves what is fixed to Pinocchio joint i, (nq + 1, nq)."""
+        model = self.pin_model
+        table = np.zeros((model.njoints, self.nq), dtype=bool)
+        for i in range(model.njoints):
+            table[i, [int(j) - 1 for j in model.supports[i] if j > 0]] = True
+        return table
+
+    @property
+    def palm_frame_id(self) -> int:
+        """Number of the palm's body frame in ``pin_model.frames``."""
+        return int(self.pin_model.getBodyId(self.description.palm_body))
+
+    @property
+    def palm_normal(self) -> FloatArray:
+        """Direction the palm faces (3,), unit, in the palm's frame."""
+        return np.array(self.description.palm_normal)
+
+    @property
+    def coupling_matrix(self) -> tuple[FloatArray, FloatArray]:
+        """C (m, nq) and d (m,) of the kinematic couplings C q = d."""
+        rows = [c.row for c in self.couplings]
+        return np.array(rows).reshape(-1, self.nq), np.array([c.value for c in self.couplings])
+
+    def joint_index(self, name: str) -> int:
+        """Where a joint stands in q.
+
+        Raises:
+            NotFoundError: No such joint.
+        """
+        if name not in self.joint_names:
+            raise NotFoundError(f"joint of {self.name}", name, self.joint_names)
+        return self.joint_names.index(name)
+
+    def posture(self, name: str) -> FloatArray:
+        """A described posture as q (nq,); joints that it does not name are at 0 or their limit.
+
+        Where it violates couplings by more than rounding, it is the nearest posture that keeps
+        them: who ties two joints need not write all postures anew. ``check_hand`` says by how much
+        and what to write. The arm that carries a hand is at its ready posture.
+
+        Raises:
+            NotFoundError: No such posture, or it names a joint that does not exist.
+            HandError: It leaves a joint's range, or nothing near it keeps the couplings.
+        """
+        q = self.described_posture(name)
+        matrix, value = self.coupling_matrix
+        if (np.abs(matrix @ q - value) <= COUPLING_TOL).all():
+            return q
+        kept = nearest_on_couplings(q, self.couplings, self.q_lower, self.q_upper)
+        if kept is None:
+            names = [c.name for c in self.couplings]
+            raise HandError(
+                f"posture {name!r} of {self.name}: no joints within their ranges keep the "
+                f"couplings {names}; correct the couplings or the ranges"
+            )
+        return kept
+
+    def described_posture(self, name: str) -> FloatArray:
+        """A posture as q (nq,) to the letter of the description, whatever the couplings say.
+
+        Raises:
+            NotFoundError: No such posture, or it names a joint that does not exist.
+            HandError: It leaves a joint's range.
+        """
+        postures = self.description.postures
+        if name not in postures:
+            raise NotFoundError(f"posture of {self.name}", name, postures)
+        q = self.neutral
+        if self.arm is not None:
+            q[self.arm.index] = self.arm.ready
+        for joint, angle in postures[name].items():
+            q[self.joint_index(joint)] = angle
+        return self.checked_q(q, f"posture {name!r}")
+
+    def checked_q(self, q: Any, what: str = "q") -> FloatArray:
+        """Joints q as a float array (nq,) after checking its shape, finiteness and joint limits.
+
+        Raises:
+            HandError: Wrong shape, NaN, or a joint outside its range (named with the range).
+        """
+        try:
+            joints: FloatArray = np.array(q, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise HandError(f"{what} is {q!r}; give {self.nq} numbers") from None
+        if joints.shape != (self.nq,):
+            raise HandError(f"{what} has shape {joints.shape}; {self.name} needs ({self.nq},)")
+        if not np.isfinite(joints).all():
+            raise HandError(f"{what} holds NaN or infinity")
+        outside = np.maximum(self.q_lower - joints, joints - self.q_upper)
+        worst = int(np.argmax(outside))
+        if outside[worst] > POSTURE_TOL:
+            low, high = self.q_lower[worst], self.q_upper[worst]
+            raise HandError(
+                f"{what}: joint {self.joint_names[worst]} is at {joints[worst]:.4f}, outside its "
+                f"range [{low:.4f}, {high:.4f}]; bring it inside"
+            )
+        return joints
+
+    def choose_fingers(self, names: Sequence[str] | None = None) -> tuple[Finger, ...]:
+        """Fingers by name; the description's default where none is given.
+
+        Raises:
+            NotFoundError: A name that the hand does not have.
+            TaskError: No finger, or a finger named twice.
+        """
+        chosen = tuple(names if names is not None else self.description.default_fingers)
+        if names is None and not chosen:
+            chosen = tuple(self.fingers)
+        if not chosen:
+            raise TaskError(f"no finger is named; name some of {list(self.fingers)}")
+        for name in chosen:
+            if name not in self.fingers:
+                raise NotFoundError(f"finger of {self.name}", name, self.fingers)
+        if len(set(chosen)) != len(chosen):
+            raise TaskError(f"a finger is named twice in {list(chosen)}; name each once")
+        return tuple(self.fingers[name] for name in chosen)
+
+    def __repr__(self) -> str:
+        """One line; ``opposable inspect`` prints the rest."""
+        return f"<Hand: {self.name}, {self.nq} joints, fingers {', '.join(self.fingers)}>"

@@ -1,0 +1,1 @@
+"""Forward kinematics in numbers and in symbols, and inverse kinematics of an arm."""

@@ -1,0 +1,152 @@
+"""``GaitPlan``: an object turned or moved in the hand by strokes, with fingers that move on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner.contacts import Contact, ContactSet
+from planner.immutable import freeze
+from planner.motion.plan import Knot, MotionPlan, MotionRecord
+from planner.spatial import SE3, FloatArray
+
+__all__ = ["GaitPlan", "Relocation", "Stroke"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stroke:
+    """The object goes along a piece of its path while all fingers hold it.
+
+    Attributes:
+        cycle: Its number, from 0.
+        knots: In order, each verified like a grasp.
+    """
+
+    cycle: int
+    knots: tuple[Knot, ...]
+
+    @property
+    def postures(self) -> FloatArray:
+        """Joints (m, nq) at the knots."""
+        return np.array([knot.q for knot in self.knots])
+
+    def __str__(self) -> str:
+        """One line."""
+        least = min(knot.closure.normalised_min_weight for knot in self.knots)
+        return f"stroke {self.cycle + 1}: {len(self.knots)} knots, least closure {least:.3f}"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Relocation:
+    """One finger moves on while the others hold the object still.
+
+    Attributes:
+        cycle: Number of the stroke before it.
+        finger: Name of the finger.
+        T_world_object: Where the object is held.
+        postures: Joints (m, nq) along the finger's way; the first and the last touch.
+        before: All contacts with the forces that they have first, world.
+        during: The contacts that hold, with the forces to which loads are shifted before the lift.
+        after: All contacts once it has landed, with the forces that they have then.
+        margin: Normalised min-weight (-) of the contacts that hold.
+        grip: Least normal force (N) that they are asked for.
+    """
+
+    cycle: int
+    finger: str
+    T_world_object: SE3
+    postures: FloatArray
+    before: ContactSet
+    during: ContactSet
+    after: ContactSet
+    margin: float
+    grip: float
+
+    def __post_init__(self) -> None:
+        """Keep copies that nobody changes."""
+        freeze(self, poses=("T_world_object",), arrays=("postures",))
+
+    @property
+    def landing(self) -> Contact:
+        """Where the finger lands, world."""
+        return self.after[self.after.fingers.index(self.finger)]
+
+    def __str__(self) -> str:
+        """One line."""
+        strongest = float(self.during.forces[:, 0].max())
+        return (
+            f"{self.finger} moves on: the others close with {self.margin:.3f} and press with up to "
+            f"{strongest:.2f} N"
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GaitPlan:
+    """Strokes and relocations in turn; the base stands where the grasp has it.
+
+    As with a motion, hand and object are lifted first, which is left out here.
+
+    Attributes:
+        motion: The first stroke, with the grasp and its way in.
+        cycles: Number of strokes.
+        phases: Strokes and relocations in their order, beginning and ending with a stroke.
+        record: Where the plan comes from.
+    """
+
+    motion: MotionPlan
+    cycles: int
+    phases: tuple[Stroke | Relocation, ...]
+    record: MotionRecord
+
+    @property
+    def angle(self) -> float:
+        """Turn of all strokes together, rad."""
+        return self.cycles * self.motion.path.angle
+
+    @property
+    def shift(self) -> FloatArray:
+        """Translation of all strokes together (3,), m, world."""
+        return self.cycles * self.motion.path.shift
+
+    @property
+    def T_world_base(self) -> SE3:
+        """Pose of the hand's base throughout."""
+        return self.motion.T_world_base
+
+    @property
+    def strokes(self) -> tuple[Stroke, ...]:
+        """The strokes alone."""
+        return tuple(p for p in self.phases if isinstance(p, Stroke))
+
+    @property
+    def relocations(self) -> tuple[Relocation, ...]:
+        """The relocations alone."""
+        return tuple(p for p in self.phases if isinstance(p, Relocation))
+
+    @property
+    def order(self) -> tuple[str, ...]:
+        """Names of the fingers in the order in which they move on."""
+        return tuple(r.finger for r in self.relocations if r.cycle == 0)
+
+    @property
+    def margin(self) -> float:
+        """Least normalised min-weight (-) over all strokes and lifts."""
+        lifts = [r.margin for r in self.relocations]
+        return min([self.motion.margin, *lifts])
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"<GaitPlan of {self.motion.grasp.task!r}: {self.cycles} x {self.motion.path}>"
+
+    def __str__(self) -> str:
+        """Strokes, the order in which fingers move on, and the margins."""
+        task = self.motion.grasp.task
+        lines = [
+            f"{task.hand.name} ({', '.join(task.finger_names)}), {task.object.shape.spec}: "
+            f"{self.cycles} stroke{'s' if self.cycles > 1 else ''} of {self.motion.path}",
+            f"  strokes: least closure {self.motion.margin:.3f}, clearance "
+            f"{1e3 * self.motion.clearance:.2f} mm",
+        ]
+        lines += [f"  after each, {r}" for r in self.relocations if r.cycle == 0]
+        return "\n".join(lines)

@@ -1,0 +1,221 @@
+"""The way of one finger from contact to contact while the others hold: up, over, and down.
+
+The pad's centre is led in the object's frame: along the outward normal to one of ``HEIGHTS``, at
+that height over the surface to above the landing, and down along the normal there. Its joints
+follow by steps, each a quadratic programme over the joints of that finger,
+
+    min  |J dq - (wanted - c)|^2 / height^2 + POSTURE_WEIGHT |q + dq - q_even|^2 + DAMPING |dq|^2
+    s.t. what is near stays ``ROOM`` apart as far as it can; couplings; joint limits
+
+with q_even the even way between both postures. What comes of it is judged by coal at every place
+and half-way between: nothing may penetrate, and the pad stays clear of the object while it is up.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.collision.pad_contact import touching_geometries
+from planner.collision.world import CollisionWorld
+from planner.hands.fingers import Finger
+from planner.kinematics.state import MovingHand
+from planner.numerics.programme import programme
+from planner.spatial import SE3, FloatArray, IntArray
+from planner.task import GraspTask
+from planner.tolerances import PENETRATION_TOL
+
+__all__ = ["FingerPaths"]
+
+HEIGHTS = (0.012, 0.006, 0.02)
+"""Heights (m) to which a pad is lifted, the usual one first: more than it may be off by the
+compliance of the hand; a lower one where fingers are close together, a higher one over what stands
+out."""
+
+UP, OVER = 4, 6
+"""Places on the way up, and over; down is like up."""
+
+STEPS = 4
+"""Most steps of the joints at a place; two are usual."""
+
+SETTLED = 0.01
+"""Step (rad) from which on nothing changes that matters: half a millimetre at a pad."""
+
+LARGEST = 0.3
+"""Longest step of a joint (rad), since pads move on arcs."""
+
+POSTURE_WEIGHT, DAMPING = 0.05, 0.02
+"""Cost of a radian off the even way, and of a step of one radian, against missing the pad's place
+by its height (-)."""
+
+SEEN = 0.02
+"""Distance (m) up to which pairs are looked at."""
+
+ROOM = 1e-3
+"""Distance (m) that the finger keeps from what is near, where it can."""
+
+MISSED = 100.0
+"""Cost of missing that by one height (-)."""
+
+STILL = 1e-3
+"""Rate of a distance (m/rad) below which the finger can do nothing about it."""
+
+CLEAR = 5e-4
+"""Least distance (m) of a lifted pad from the object: as far as a touching one may be off it."""
+
+JUMP = 0.6
+"""Largest change (rad) of a joint from place to place: a way that needs more goes through a posture
+from which the finger does not come back evenly."""
+
+
+class FingerPaths:
+    """Ways of single fingers, for one task.
+
+    Attributes:
+        world: Hand and object alone.
+    """
+
+    def __init__(self, task: GraspTask) -> None:
+        """Collect the geometry.
+
+        Args:
+            task: Without table and obstacles: the object is lifted.
+        """
+        self._task = task
+        self.world = CollisionWorld(task)
+        self._moving = MovingHand(task.hand, task.hand.q_lower)
+
+    def path(
+        self, finger: Finger, T_object_base: SE3, q: FloatArray, landed: FloatArray
+    ) -> FloatArray | str:
+        """Joints (m, nq) from q to where one finger has landed; or what is in the way.
+
+        Args:
+            finger: The finger that moves on.
+            T_object_base: Pose of the base in the object's frame; both stand still.
+            q: Joints (nq,) before.
+            landed: Joints (nq,) after; of other fingers those that may move along.
+        """
+        why = ""
+        for height in HEIGHTS:
+            postures = self._led(finger, T_object_base, q, landed, height)
+            told = self.fault(finger, T_object_base, postures)
+            if not told:
+                return postures
+            why = why or told
+        return why
+
+    def _led(
+        self, finger: Finger, base: SE3, q: FloatArray, landed: FloatArray, height: float
+    ) -> FloatArray:
+        """Joints (m, nq) along the way, at a height over the object."""
+        ends = [base.act(self._moving.move(p).pad_center(finger)) for p in (q, landed)]
+        raised = height * np.linspace(0.0, 1.0, UP + 1)
+        over = np.linspace(0.0, 1.0, OVER + 1)[1:-1]
+        shares = np.concatenate([np.zeros(UP + 1), over, np.ones(UP + 1)])
+        heights = np.concatenate([raised, np.full(OVER - 1, height), raised[::-1]])
+        line = ends[0] + shares[:, None] * (ends[1] - ends[0])
+        points, outward = self._task.object.shape.closest_point(line)
+        centers = points + (finger.pad.radius + heights)[:, None] * outward
+        even = np.linspace(0.0, 1.0, len(shares))
+        out = [q]
+        for share, center in zip(even[1:-1], centers[1:-1], strict=True):
+            guess = q + share * (landed - q)
+            guess[finger.q_index] = out[-1][finger.q_index]
+            out.append(self._follow(finger, base, guess, center, q + share * (landed - q), height))
+        return np.array([*out, landed])
+
+    def _follow(
+        self,
+        finger: Finger,
+        base: SE3,
+        q: FloatArray,
+        center: FloatArray,
+        even: FloatArray,
+        height: float,
+    ) -> FloatArray:
+        """Joints (nq,) near q with the finger's pad at a place (3,) of the object's frame."""
+        hand, index = self._task.hand, finger.q_index
+        inverse, T_world_base = base.inverse(), self._task.T_world_object * base
+        wanted, n = inverse.act(center), len(index)
+        matrix, value = hand.coupling_matrix
+        coupled = np.flatnonzero(np.abs(matrix[:, index]).max(axis=1, initial=0.0))
+        q = q.copy()
+        for _ in range(STEPS):
+            self._moving.move(q)
+            now = self._moving.pad_center(finger)
+            rows = self._moving.point_jacobian(finger.pad.joint_id, now)[:3, index] / height
+            rates, short = self._near(T_world_base, q, index)
+            hessian = np.zeros((n + 1, n + 1))
+            hessian[:n, :n] = rows.T @ rows + (POSTURE_WEIGHT + DAMPING) * np.eye(n)
+            hessian[n, n] = 1.0
+            gradient = np.append(
+                rows.T @ (now - wanted) / height + POSTURE_WEIGHT * (q - even)[index], MISSED
+            )
+            table = np.zeros((len(coupled) + len(short), n + 1))
+            table[: len(coupled), :n] = matrix[np.ix_(coupled, index)]
+            table[len(coupled) :, :n], table[len(coupled) :, n] = rates, height
+            off = (value - matrix @ q)[coupled]
+            found = programme("daqp", n + 1, len(table)).solve(
+                h=hessian,
+                g=gradient,
+                a=table,
+                lba=np.concatenate([off, short]),
+                uba=np.concatenate([off, np.full(len(short), np.inf)]),
+                lbx=np.append(np.clip(hand.q_lower - q, -LARGEST, 0.0)[index], 0.0),
+                ubx=np.append(np.clip(hand.q_upper - q, 0.0, LARGEST)[index], np.inf),
+            )
+            if found is None:
+                break
+            q[index] = np.clip(q[index] + found[:n], hand.q_lower[index], hand.q_upper[index])
+            if np.abs(found[:n]).max() < SETTLED:
+                break
+        return q
+
+    def _near(
+        self, T_world_base: SE3, q: FloatArray, index: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Rates (k, n) of distances that a finger's joints change, and what they lack (k,), m."""
+        near = self.world.near(T_world_base, q, SEEN)
+        ahead = self._moving.point_rates(near.joints[:, 1], near.points_b, near.normals)
+        behind = self._moving.point_rates(near.joints[:, 0], near.points_a, near.normals)
+        rates = (ahead - behind)[:, index]
+        moving = np.abs(rates).max(axis=1, initial=0.0) > STILL
+        return rates[moving], (ROOM - near.distances)[moving]
+
+    def fault(self, finger: Finger, T_object_base: SE3, postures: FloatArray) -> str:
+        """What is wrong with a way (m, nq) of one finger, "" for nothing."""
+        jump = np.abs(np.diff(postures[:, finger.q_index], axis=0)).max()
+        if jump > JUMP:
+            return f"{finger.name} turns a joint by {np.rad2deg(jump):.0f} degrees at once"
+        hand, T_world_base = self._task.hand, self._task.T_world_object * T_object_base
+        mine = {g.name for g in touching_geometries(hand, finger)}
+        holding = {
+            g.name
+            for f in self._task.fingers
+            for g in touching_geometries(hand, f)
+            if f is not finger
+        }
+        halves = (postures[1:] + postures[:-1]) / 2
+        places = np.empty((2 * len(postures) - 1, postures.shape[1]))
+        places[::2], places[1::2] = postures, halves
+        near = 2  # the first and last places, where the pad only just leaves the surface or lands
+        for k, q in enumerate(places[1:-1], start=1):
+            leaving = k <= near or k >= len(places) - 1 - near
+            touching = holding | (mine if leaving else set())
+            found = self.world.closest(T_world_base, q, 1, touching=touching)
+            if found and found[0].distance < (-PENETRATION_TOL if leaving else 0.0):
+                return f"the way of {finger.name} is blocked at {_share(k, places)}: {found[0]}"
+            gap = self._gap(finger, T_object_base, q)
+            if not leaving and gap < CLEAR:
+                return f"{finger.name} is lifted by {1e3 * gap:.2f} mm only at {_share(k, places)}"
+        return ""
+
+    def _gap(self, finger: Finger, base: SE3, q: FloatArray) -> float:
+        """Signed distance (m) of the pad's sphere from the object."""
+        center = base.act(self._moving.move(q).pad_center(finger))
+        points, outward = self._task.object.shape.closest_point(center[None])
+        return float((center - points[0]) @ outward[0]) - finger.pad.radius
+
+
+def _share(k: int, places: FloatArray) -> str:
+    return f"{100 * k / (len(places) - 1):.0f} % of its way"

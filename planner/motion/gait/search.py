@@ -1,0 +1,212 @@
+"""``plan_gait``: strokes of a motion, and between them an order in which the fingers move on.
+
+A stroke is a motion (``planner.motion``) that ends with the object on its path, planned such that
+the opposing finger can be lifted while those that trail in the sense of the turn have moved on and
+those that lead have not: then they reach around more of the object than at any other time. Then all
+orders are searched (``planner.motion.gait.order``). The hand goes through the same postures in
+every cycle, so the object must look the same to it after a stroke: a round one about its axis, or
+one that is moved along itself. Whether it does is not assumed but judged, cycle by cycle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from planner.attempts import Attempt, nothing_found, numbered
+from planner.errors import NoGraspFoundError, TaskError
+from planner.kinematics.state import HandState
+from planner.motion.gait.check import GaitJudge
+from planner.motion.gait.order import NO_ORDER
+from planner.motion.gait.plan import GaitPlan
+from planner.motion.ground import Ground
+from planner.motion.holds import Hold
+from planner.motion.path import ObjectPath, check_shift
+from planner.motion.search import MOTION_OPTIONS, TUBE, UP, check_task
+from planner.spatial import FloatArray
+from planner.synthesis.options import SynthesisOptions
+from planner.synthesis.seeds.draw import frame_of
+from planner.synthesis.seeds.mesh import seeder_for
+from planner.task import GraspTask
+
+__all__ = ["plan_gait"]
+
+STROKES = tuple(np.deg2rad([30.0, 24.0, 36.0, 20.0]))
+"""Turns (rad) of a stroke that attempts take turns between. Longer ones need fewer cycles, shorter
+ones leave the fingers more room to reach around the object while one of them is away. A full turn
+of cylinders with five fingers of the Shadow-type hand, friction 0.7: found in the first attempt, of
+12 strokes, for 12 of 12 cylinders between 50 and 70 mm wide."""
+
+STROKE_SHIFT = 0.01
+"""Translation (m) of a stroke: a third of what fingertips cover."""
+
+N_KNOTS = 3
+"""Knots of the solver in a stroke: 18 degrees apart at most, 20 where one stroke does it all."""
+
+MAX_ATTEMPTS = 30
+"""Attempts before giving up."""
+
+
+def plan_gait(
+    task: GraspTask,
+    *,
+    axis: Sequence[float] | FloatArray = UP,
+    angle: float = 0.0,
+    shift: Sequence[float] | FloatArray = (0.0, 0.0, 0.0),
+    tube: float = TUBE,
+    seed: int = 0,
+    max_attempts: int = MAX_ATTEMPTS,
+    options: SynthesisOptions = MOTION_OPTIONS,
+) -> GaitPlan:
+    """A motion of the object in the hand that is longer than one grasp allows, by regrasping.
+
+    May be called from any number of threads, like ``plan_grasp``.
+
+    Args:
+        task: What is grasped, with what, where it stands at the start; the base is free. All
+            fingers of the hand take part where the task leaves the choice, and contacts may be
+            wherever tips are round (``Hand.rolling``).
+        axis: Axis of the turn through the object's centre of mass (3,), world.
+        angle: Turn, rad, with its sign, of any size.
+        shift: Translation (3,), m, world.
+        tube: Radius within which the object may leave its path during a stroke, m.
+        seed: Same seed, same plan.
+        max_attempts: Budget in attempts.
+        options: Margins and weights at each knot.
+
+    Raises:
+        NoGraspFoundError: The budget ended; carries every attempt and its reason.
+        TaskError: The task or the path cannot work, found out before solving.
+    """
+    if max_attempts < 1:
+        raise TaskError(f"max_attempts is {max_attempts}; give at least 1")
+    # with the pads of a grasp the index comes to the rim of its pad on cylinders below 56 mm
+    task = _with_all(replace(task, hand=task.hand.rolling))
+    check_task(task, tube, seed)
+    _check_fingers(task)
+    shift = np.asarray(shift, dtype=np.float64)
+    made: list[Attempt[GaitPlan]] = []
+    pieces = _pieces(np.asarray(axis, dtype=np.float64), angle, shift)
+    judge = GaitJudge(task)
+
+    @cache
+    def ground(number: int) -> Ground:
+        path, cycles, held = pieces[number]
+        return Ground.of(
+            task,
+            path,
+            options,
+            n_knots=N_KNOTS,
+            whole=True,
+            tube=tube,
+            rounds=0,
+            exact_end=True,
+            holds=_holds(task, path) if held and cycles > 1 else (),
+        )
+
+    def make(index: int) -> GaitPlan | str:
+        number = index % len(pieces)
+        stroke = ground(number).attempt(np.random.default_rng([seed, index]))
+        return stroke if isinstance(stroke, str) else judge.judge(stroke, pieces[number][1])
+
+    def record(plan: GaitPlan, index: int, cpu_s: float) -> GaitPlan:
+        told = replace(plan.record, seed=seed, attempt=index, attempts=index + 1, cpu_s=cpu_s)
+        return replace(plan, record=told)
+
+    for attempt in numbered(make, record, prepare=lambda index: ground(index % len(pieces))):
+        made.append(attempt)
+        if attempt.plan is not None:
+            return attempt.plan
+        if len(made) >= max_attempts:
+            break
+    raise _nothing_found(task, pieces[0], made)
+
+
+def _with_all(task: GraspTask) -> GraspTask:
+    """The task with all fingers of the hand where it leaves the choice."""
+    names = tuple(task.hand.fingers)
+    if not task.may_spare_fingers or set(names) == set(task.finger_names):
+        return task
+    return task.with_fingers(names)
+
+
+def _check_fingers(task: GraspTask) -> None:
+    n = len(task.fingers)
+    if n - 1 < task.fingers_needed:
+        raise TaskError(
+            f"lifting one of {n} fingers leaves {n - 1} {task.contact_model} contacts, which never "
+            f"close a grasp: it takes {task.fingers_needed}; give at least "
+            f"{task.fingers_needed + 1} fingers"
+        )
+
+
+def _nothing_found(
+    task: GraspTask, piece: tuple[ObjectPath, int, bool], made: list[Attempt[GaitPlan]]
+) -> NoGraspFoundError:
+    """The error of an exhausted budget; it tells what stands against lifting, if that was tried."""
+    path, cycles, _ = piece
+    told = [a.reason for a in made if a.reason.startswith(NO_ORDER)]
+    rare = 2 * len(told) < len(made)  # else it is the example already
+    why = f"Of a stroke that was found, {told[-1]}\n" if told and rare else ""
+    return nothing_found(
+        f"regrasping of {task.object.name} with {task.hand.name} "
+        f"({', '.join(task.finger_names)}) for {cycles} strokes of {path}",
+        made,
+        f"{why}Try more friction, another object, other fingers or more attempts",
+    )
+
+
+def _pieces(
+    axis: FloatArray, angle: float, shift: FloatArray
+) -> list[tuple[ObjectPath, int, bool]]:
+    """What attempts take turns between: a stroke, how many of it, and whether lifts are asked for.
+
+    The last asks for none, so that there is a stroke to tell of where lifts cannot be had.
+    """
+    if not np.isfinite(angle):
+        raise TaskError(f"angle is {angle} rad; give a finite number")
+    check_shift(shift)
+    counts: list[int] = []
+    for turn in STROKES:
+        pieces = max(abs(angle) / turn, float(np.linalg.norm(shift)) / STROKE_SHIFT)
+        count = max(1, int(np.ceil(pieces - LONGER)))
+        if count not in counts:
+            counts.append(count)
+    paths = [(ObjectPath(axis=axis, angle=angle / n, shift=shift / n), n) for n in counts]
+    held = [(path, n, True) for path, n in paths]
+    return held if counts == [1] else [*held, (*paths[0], False)]
+
+
+SMALL = 1e-6
+"""Length (-) below which a vector has no direction."""
+
+LONGER = 0.1
+"""A path longer than a whole number of strokes by this (-) has that number, each a little longer:
+who needs a degree more than a full turn is not to pay for it with a whole cycle."""
+
+
+def _holds(task: GraspTask, path: ObjectPath) -> tuple[Hold, ...]:
+    """The opposing finger away, those that trail moved on; none on a mesh, which has no formula."""
+    seeder = seeder_for(task)
+    if seeder.surface.field_of(task.object.shape) is not None:
+        return ()
+    n, opposer = len(task.fingers), seeder.pinch.opposer
+    others = [i for i in range(n) if i != opposer]
+    moved: set[int] = set()
+    if path.angle:
+        # as the hand comes from above, if nothing is noisy
+        sideways = np.cross(path.axis, UP)
+        across = sideways if np.linalg.norm(sideways) > SMALL else np.eye(3)[0]
+        pinch = seeder.pinch
+        turn = frame_of(across / np.linalg.norm(across), np.array(UP))
+        turn = turn @ frame_of(pinch.axis, pinch.palm_side).T
+        ahead = turn.T @ np.cross(np.sign(path.angle) * path.axis, turn @ pinch.axis)
+        hand, state = task.hand, HandState(task.hand, seeder.posture)
+        knuckles = [hand.pin_model.getJointId(f.joints[0]) for f in task.fingers]
+        roots = [float(state.joint_pose(joint).translation @ ahead) for joint in knuckles]
+        others.sort(key=lambda i: roots[i])
+        moved = set(others[: len(others) // 2])
+    return (Hold(lifted=opposer, knots=tuple(0 if i in moved else -1 for i in range(n))),)

@@ -1,0 +1,1 @@
+"""Numerical methods without grasps: small LPs and QPs, least squares, CasADi functions."""

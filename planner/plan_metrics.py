@@ -1,0 +1,202 @@
+"""What a plan is worth by each objective of synthesis, by full definitions on the true geometry.
+
+The objectives (``planner.synthesis.objectives.registry``) work on smooth rows at a few directions;
+these are the figures that they stand for, from other code: Pinocchio's Jacobians, Qhull on
+primitive wrenches, the linear programme of closure, the planned forces. More is better for all of
+them.
+
+epsilon         (-)      Radius of the largest ball in the hull of unit contact wrenches, L1,
+                         8 edges (Ferrari and Canny 1992).
+min_weight      (-)      Normalised min-weight (FRoGGeR, Li et al. 2023), 8 edges.
+task            (1/N)    How much of every task wrench one newton of normal force, shared freely,
+                         resists: min over wrenches t of max {l: -l t in that hull}.
+robustness      (-)      Epsilon that is left when every contact point may err by 2 mm and every
+                         normal by 5 degrees: of the hull with friction narrowed, less what the
+                         torque may err (``planner.synthesis.objectives.wrench``).
+torque          (-)      1 less the largest share of its limit that an actuator of the fingers
+                         spends on the planned forces.
+manipulability  (m/rad)  Least over fingers of the geometric mean of the singular values of the
+                         contact's Jacobian (Yoshikawa 1985, per direction of motion).
+limits          (-)      Least distance of a finger's joint from a limit, as a share of its range.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import ConvexHull
+
+from planner.arrays import float_array
+from planner.contacts import ContactSet
+from planner.errors import ContactError
+from planner.hands.fingers import Finger
+from planner.kinematics.state import HandState
+from planner.plan import GraspPlan
+from planner.quality import epsilon_l1, min_weight, primitive_wrenches
+from planner.quality.ball import flat_direction
+from planner.spatial import FloatArray
+from planner.synthesis.objectives.joint import driving, free_velocities
+from planner.synthesis.objectives.task_wrenches import resisted_wrenches
+from planner.synthesis.objectives.wrench import NORMAL_ERROR, POSITION_ERROR, narrowed
+
+__all__ = [
+    "MEASURES",
+    "Measure",
+    "mean_singular_value",
+    "measured",
+    "resisted_per_newton",
+    "robust_epsilon",
+]
+
+EDGES = 8
+"""Edges of the friction pyramids."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measure:
+    """A figure of a plan, more of which is better.
+
+    Attributes:
+        unit: "-" for none.
+        value: From a plan and the task wrenches (k, 6), object frame.
+    """
+
+    unit: str
+    value: Callable[[GraspPlan, FloatArray], float]
+
+
+def measured(plan: GraspPlan, task_wrenches: ArrayLike = ()) -> dict[str, float]:
+    """Every measure of a plan, by name.
+
+    Args:
+        plan: The plan.
+        task_wrenches: What "task" is about (k, 6), object frame, N and N m; the object's weight in
+            any direction if there are none.
+    """
+    wrenches = resisted_wrenches(plan.task, task_wrenches)
+    return {name: measure.value(plan, wrenches) for name, measure in MEASURES.items()}
+
+
+def resisted_per_newton(contacts: ContactSet, wrenches: FloatArray, *, length: float) -> float:
+    """Largest l such that -l t is in the hull of unit contact wrenches for all t, 1/N.
+
+    0 where the contacts do not close the grasp.
+
+    Args:
+        contacts: n contacts.
+        wrenches: t (k, 6), in the contacts' frame about their centre, N and N m.
+        length: Torque is divided by it, m; a matter of conditioning alone.
+
+    Raises:
+        ContactError: ``wrenches`` are not finite (k, 6), or ``length`` is not positive.
+    """
+    faces = _faces(contacts, length)
+    wrenches = float_array("wrenches", wrenches)
+    if wrenches.ndim != 2 or wrenches.shape[1] != 6 or not np.isfinite(wrenches).all():
+        raise ContactError(f"wrenches have shape {wrenches.shape}; give finite numbers (k, 6)")
+    if (faces[:, 6] >= 0).any():
+        return 0.0  # the origin is not inside
+    against = -faces[:, :6] @ (wrenches / np.repeat([1.0, length], 3)).T
+    reach = np.maximum(-faces[:, 6:], 0.0)
+    met = against > 0
+    return float(np.min(np.where(met, reach / np.where(met, against, 1.0), np.inf), initial=np.inf))
+
+
+def robust_epsilon(
+    contacts: ContactSet, *, length: float, position_error: float, normal_error: float
+) -> float:
+    """Epsilon that is left under errors of every contact; negative where closure may be lost.
+
+    A face n . w <= d of the hull with narrowed friction moves in by what a force of unit normal
+    component can err in torque along it, r |f| |n_t| / length: exact for the hull eroded so.
+
+    Args:
+        contacts: n contacts.
+        length: Torque is divided by it, m.
+        position_error: r, m.
+        normal_error: rad.
+    """
+    mu = np.maximum(narrowed(contacts.mu, normal_error), 0.0)
+    faces = _faces(contacts.with_friction(mu), length)
+    lost = position_error / length * float(np.sqrt(1 + mu.max(initial=0.0) ** 2))
+    return float((-faces[:, 6] - lost * np.linalg.norm(faces[:, 3:6], axis=1)).min())
+
+
+def _faces(contacts: ContactSet, length: float) -> FloatArray:
+    """Faces (k, 7) of the hull of primitive wrenches: unit normal, minus its distance."""
+    wrenches = primitive_wrenches(contacts, EDGES, length=length).T
+    if len(wrenches) <= 6:  # a hull in six dimensions has seven corners or more: this one is flat
+        flat = flat_direction(wrenches)
+        assert flat is not None
+        offset = float(flat @ wrenches[0]) if len(wrenches) else 0.0
+        return np.array([[*flat, -offset], [*-flat, offset]])
+    # the option joggles points in special position, such as those of two opposed contacts
+    return np.asarray(ConvexHull(wrenches, qhull_options="QJ").equations)
+
+
+def _torque_margin(plan: GraspPlan) -> float:
+    hand, task = plan.task.hand, plan.task
+    used = driving(hand, task.fingers)
+    low, high = hand.actuation.force_limits(plan.q)[used].T
+    force = plan.forces.actuator_forces[used]
+    limit = np.where(force > 0, high, -low)
+    spent = np.abs(force) / np.where(limit > 0, limit, np.nan)
+    return 1.0 - float(np.nanmax(spent, initial=0.0))
+
+
+def _manipulability(plan: GraspPlan) -> float:
+    state = HandState(plan.task.hand, plan.q)
+    points = plan.contacts.transformed(plan.T_world_base.inverse()).positions
+    return min(
+        mean_singular_value(state, finger, point)
+        for finger, point in zip(plan.task.fingers, points, strict=True)
+    )
+
+
+def mean_singular_value(state: HandState, finger: Finger, point: FloatArray) -> float:
+    """Geometric mean (m/rad) of the singular values of a finger's Jacobian at a point (3,)."""
+    jacobian = state.point_jacobian(finger.pad.joint_id, point)[:3, finger.q_index]
+    values = np.linalg.svd(jacobian @ free_velocities(state.hand, finger), compute_uv=False)
+    return float(np.prod(values) ** (1 / len(values)))
+
+
+def _limit_distance(plan: GraspPlan) -> float:
+    hand = plan.task.hand
+    index = np.concatenate([f.q_index for f in plan.task.fingers])
+    lower, upper = hand.q_lower[index], hand.q_upper[index]
+    near = np.minimum(plan.q[index] - lower, upper - plan.q[index])
+    return float((near / np.where(upper > lower, upper - lower, np.inf))[upper > lower].min())
+
+
+def _length(plan: GraspPlan) -> float:
+    return plan.task.object.shape.bounding_radius
+
+
+MEASURES: Mapping[str, Measure] = {
+    "epsilon": Measure(
+        unit="-", value=lambda plan, _: epsilon_l1(plan.contacts, length=_length(plan))
+    ),
+    "min_weight": Measure(unit="-", value=lambda plan, _: min_weight(plan.contacts)),
+    "task": Measure(
+        unit="1/N",
+        value=lambda plan, wrenches: resisted_per_newton(
+            plan.contacts_in_object, wrenches, length=_length(plan)
+        ),
+    ),
+    "robustness": Measure(
+        unit="-",
+        value=lambda plan, _: robust_epsilon(
+            plan.contacts,
+            length=_length(plan),
+            position_error=POSITION_ERROR,
+            normal_error=NORMAL_ERROR,
+        ),
+    ),
+    "torque": Measure(unit="-", value=lambda plan, _: _torque_margin(plan)),
+    "manipulability": Measure(unit="m/rad", value=lambda plan, _: _manipulability(plan)),
+    "limits": Measure(unit="-", value=lambda plan, _: _limit_distance(plan)),
+}
+"""All measures by name, those of ``planner.synthesis.objectives.registry``."""

@@ -1,0 +1,1 @@
+"""Triangle meshes: reading, soundness, repair and nearest triangles."""

@@ -1,0 +1,162 @@
+"""Reading triangle meshes: a path and a scale become vertices in m and faces, or a named error."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner.errors import ObjectError
+from planner.shapes.meshes.repair import repaired
+from planner.shapes.meshes.soundness import MOST_TRIANGLES, Fault, faults_of, size_fault
+from planner.spatial import FloatArray, IntArray
+
+__all__ = ["CONVERTIBLE", "MESH_SUFFIXES", "check_solid", "read_mesh"]
+
+MESH_SUFFIXES = (".glb", ".obj", ".ply", ".stl")
+"""File formats that are read, by their suffix in lower case."""
+
+CONVERTIBLE = {
+    ".3mf": "networkx lxml",
+    ".dae": "pycollada",
+    ".gltf": "",
+    ".off": "",
+}
+"""Formats of meshes that trimesh converts, and the packages that it needs for that."""
+
+PLAIN_PATH = re.compile(r"[\w./ :+,@=~-]+")
+"""Paths that mean the same to every shell, between double quotes, and to Python."""
+
+
+def read_mesh(path: Path, scale: float) -> tuple[FloatArray, IntArray]:
+    """Vertices (n, 3), m, and faces (m, 3) of a file; seams of colours and normals are merged.
+
+    Args:
+        path: A GLB, OBJ, PLY or STL file; several objects in one file become one mesh, each where
+            the file places it. Axes are the file's: in a GLB file, y is up.
+        scale: Metres per unit of the file.
+
+    Raises:
+        ObjectError: Missing, unreadable, empty, too large, or not finite.
+    """
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise ObjectError(
+            f"{path.name!r} is not a mesh that can be read; give one of {', '.join(MESH_SUFFIXES)}"
+            f"{_conversion(path)}"
+        )
+    try:
+        there = path.is_file()
+    except (OSError, ValueError) as error:  # a name that no file can have
+        reason = getattr(error, "strerror", None) or error
+        raise ObjectError(f"there is no mesh file {str(path)[:60]!r}...: {reason}") from error
+    if not there:
+        raise ObjectError(f"there is no mesh file {str(path)!r}; check the path")
+    if not (np.isfinite(scale) and scale > 0):
+        raise ObjectError(f"{path.name}: scale is {scale}; give metres per unit of the file, > 0")
+    vertices, faces = _read(path)
+    if len(faces) == 0:
+        raise ObjectError(f"{path.name} holds no triangles; give a mesh of a closed surface")
+    if len(faces) > MOST_TRIANGLES:
+        raise ObjectError(
+            f"{path.name} has {len(faces)} triangles, more than {MOST_TRIANGLES}; simplify it "
+            "first, for example with trimesh's simplify_quadric_decimation or in MeshLab"
+        )
+    if not np.isfinite(vertices[np.unique(faces)]).all():
+        raise ObjectError(f"{path.name} has vertices that are NaN or infinite; export it again")
+    used, faces = np.unique(faces, return_inverse=True)
+    return vertices[used] * scale, faces.reshape(-1, 3).astype(np.int64)
+
+
+def _conversion(path: Path) -> str:
+    """How to make a file of another format one that is read; "" where we know no way."""
+    packages = CONVERTIBLE.get(path.suffix.lower())
+    if packages is None:
+        return ""
+    needed = f" (after pip install {packages})" if packages else ""
+    if not PLAIN_PATH.fullmatch(path.as_posix()):  # nobody is to paste what a file name says
+        return f". Convert it to .ply{needed}"
+    source, target = path.as_posix(), path.with_suffix(".ply").as_posix()
+    command = f"import trimesh; trimesh.load_mesh({source!r}).export({target!r})"
+    return f'. To convert it{needed}: python -c "{command}"'
+
+
+def _read(path: Path) -> tuple[FloatArray, IntArray]:
+    try:
+        # a vertex that is not finite is told later, by us
+        with np.errstate(invalid="ignore"):
+            mesh = _loaded(path)
+            vertices, faces = np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces)
+    except ImportError as fault:  # bytes of no known encoding send trimesh looking for a detector
+        raise ObjectError(
+            f"{path.name} cannot be read as {path.suffix.lower()}: it is neither binary nor text "
+            "of that format, or it is cut short; export it again"
+        ) from fault
+    except Exception as fault:  # the readers of trimesh raise what the bytes happen to provoke
+        raise ObjectError(
+            f"{path.name} cannot be read as {path.suffix.lower()} ({type(fault).__name__}: "
+            f"{fault}); export it again"
+        ) from fault
+    if vertices.ndim != 2 or vertices.shape[1] != 3:  # an OBJ line of two or seven numbers
+        raise ObjectError(
+            f"{path.name} has vertices of another number of coordinates than 3 (shape "
+            f"{vertices.shape}); export it again"
+        )
+    # merging may leave triangles with two equal corners, which are nothing
+    faces = faces.reshape(-1, 3)
+    return vertices, faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+
+
+def _loaded(path: Path) -> Any:
+    """As trimesh has it, equal vertices merged."""
+    # imported here, since it takes half a second and primitives need it not
+    import trimesh
+
+    mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
+    if isinstance(mesh, trimesh.Scene):
+        mesh = mesh.to_mesh()
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    return mesh
+
+
+def check_solid(
+    name: str, vertices: FloatArray, faces: IntArray, *, repair: bool
+) -> tuple[FloatArray, IntArray, tuple[str, ...]]:
+    """The surface of a solid, mended if asked for.
+
+    Args:
+        name: What to call it in messages.
+        vertices: (n, 3), m.
+        faces: (m, 3).
+        repair: Whether to mend what can be mended.
+
+    Returns:
+        Vertices, faces, and what was mended.
+
+    Raises:
+        ObjectError: It bounds no solid; says what is wrong, where, and what can be done.
+    """
+    wrong_size = size_fault(vertices)
+    if wrong_size:
+        raise ObjectError(_message(name, [wrong_size]))
+    done: tuple[str, ...] = ()
+    faults = faults_of(vertices, faces)
+    if faults and repair:
+        vertices, faces, done = repaired(vertices, faces)
+        faults = faults_of(vertices, faces)
+        if faults:
+            tried = "; ".join(done) if done else "nothing could be mended"
+            raise ObjectError(f"{_message(name, faults)} Repair was tried: {tried}.")
+    if faults:
+        raise ObjectError(_message(name, faults))
+    return vertices, faces, done
+
+
+def _message(name: str, faults: Sequence[Fault]) -> str:
+    what = "; ".join(fault.what for fault in faults)
+    remedies = dict.fromkeys(fault.remedy for fault in faults if fault.remedy)
+    if all(fault.repairable for fault in faults):
+        remedies["try repair=True (--repair), or mend it in the program that made it"] = None
+    return f"{name} is not the surface of a solid: {what}; {'; '.join(remedies)}."

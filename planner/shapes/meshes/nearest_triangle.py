@@ -1,0 +1,157 @@
+"""Nearest points of a triangle mesh, exactly, with the outward normals that tell in from out.
+
+coal's bounding volume tree finds the triangle (5 to 40 us per point from Python, whatever the
+mesh); it and all that share a corner with it are then measured in closed form, so that coal's
+tolerance of 1e-6 m does not choose the wrong side of an edge.
+
+The sign comes from the normal of the feature that the nearest point is on: of the face, the sum of
+two faces' on an edge, the sum weighted by angles at a vertex (Baerentzen and Aanaes, "Signed
+distance computation using the angle weighted pseudonormal", 2005), exact for closed meshes.
+"""
+
+from __future__ import annotations
+
+from itertools import chain
+from typing import Any
+
+import coal
+import numpy as np
+from scipy.spatial import cKDTree
+
+from planner.shapes.meshes.triangles import COVERED, FACE, cover, nearest_on_triangles
+from planner.spatial import FloatArray, IntArray
+
+__all__ = ["NearestTriangles", "coal_tree", "edge_table"]
+
+COVER_POINTS = 5_000
+"""Points on the surface, about, by which the triangles around a point are found."""
+
+
+class NearestTriangles:
+    """Nearest points of a closed, consistently wound mesh.
+
+    Attributes:
+        faces: (m, 3), indices of the vertices.
+        corners: (m, 3 corners, 3), m.
+        areas: (m,), m2.
+        normals: Outward unit normals (m, 3) of the faces; zero where a face has no area.
+        neighbours: (m, 3), see ``edge_table``.
+    """
+
+    def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
+        """Build coal's tree and the normals of faces, edges and vertices."""
+        self.faces = faces
+        self.corners = vertices[faces]
+        cross = np.cross(
+            self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0]
+        )
+        twice = np.linalg.norm(cross, axis=1)
+        self.areas = twice / 2
+        self.normals = cross / np.where(twice > 0, twice, 1.0)[:, None]
+        self.neighbours = edge_table(faces)
+        self._feature_normals = self._all_feature_normals(len(vertices))
+        # the triangles at each vertex, one vertex after the other
+        order = np.argsort(faces.ravel(), kind="stable")
+        self._at_vertex = order // 3
+        self._start = np.searchsorted(faces.ravel()[order], np.arange(len(vertices) + 1))
+        self._tree, self._probe = coal_tree(vertices, faces), coal.Sphere(0.0)
+        self._distance = coal.ComputeDistance(self._tree, self._probe)
+        self._step = float(np.sqrt(self.areas.sum() / COVER_POINTS))
+        points, self._cover_owner = cover(self.corners, self._step)
+        self._cover_tree = cKDTree(points)
+
+    def _all_feature_normals(self, n_vertices: int) -> FloatArray:
+        """Normals (m, 7 features, 3), not of unit length."""
+        out = np.empty((len(self.faces), FACE + 1, 3))
+        edges = np.roll(self.corners, -1, axis=1) - self.corners
+        length = np.linalg.norm(edges, axis=2, keepdims=True)
+        unit = edges / np.where(length > 0, length, 1.0)
+        cosines = -np.einsum("mkd,mkd->mk", unit, np.roll(unit, 1, axis=1))
+        angles = np.arccos(np.clip(cosines, -1.0, 1.0))
+        at_vertex = np.zeros((n_vertices, 3))
+        for k in range(3):
+            np.add.at(at_vertex, self.faces[:, k], angles[:, k, None] * self.normals)
+        out[:, :3] = at_vertex[self.faces]
+        out[:, 3:FACE] = self.normals[:, None] + self.normals[self.neighbours]
+        out[:, FACE] = self.normals
+        return out
+
+    def nearest(self, points: FloatArray) -> tuple[FloatArray, IntArray, FloatArray]:
+        """Nearest surface points (n, 3), m, their triangles (n,), outward normals (n, 3) there.
+
+        The normals are those of face, edge or vertex, not of unit length.
+
+        Args:
+            points: (n, 3), m, finite.
+        """
+        return self.nearest_around(points, self._by_coal(points))
+
+    def nearest_around(
+        self, points: FloatArray, guess: IntArray
+    ) -> tuple[FloatArray, IntArray, FloatArray]:
+        """As ``nearest``, among a triangle (n,) for each point and all that share a corner."""
+        corners = self.faces[guess]
+        counts = self._start[corners + 1] - self._start[corners]  # (n, 3)
+        begin = np.repeat(self._start[corners].ravel(), counts.ravel())
+        offset = np.arange(len(begin)) - np.repeat(
+            np.cumsum(counts.ravel()) - counts.ravel(), counts.ravel()
+        )
+        candidate = self._at_vertex[begin + offset]
+        row = np.repeat(np.arange(len(points)), counts.sum(axis=1))
+        q, feature = nearest_on_triangles(points[row], self.corners[candidate])
+        squares = ((points[row] - q) ** 2).sum(axis=1)
+        order = np.lexsort((candidate, squares, row))
+        best = order[np.searchsorted(row[order], np.arange(len(points)))]
+        triangle = candidate[best]
+        return q[best], triangle, self._feature_normals[triangle, feature[best]]
+
+    def _by_coal(self, points: FloatArray) -> IntArray:
+        request, result = coal.DistanceRequest(), coal.DistanceResult()
+        identity, pose = coal.Transform3s.Identity(), coal.Transform3s.Identity()
+        out = np.empty(len(points), dtype=np.int64)
+        for i, p in enumerate(points):
+            pose.setTranslation(p)
+            result.clear()
+            self._distance(identity, pose, request, result)
+            out[i] = result.b1
+        return out
+
+    def within(self, points: FloatArray, radius: float) -> tuple[IntArray, IntArray]:
+        """Triangles that come within a distance (m) of points (n, 3): numbers of both, (k,) each.
+
+        Sorted by point, then by triangle.
+        """
+        found = self._cover_tree.query_ball_point(points, radius + COVERED * self._step)
+        counts = [len(row) for row in found]
+        owner = np.repeat(np.arange(len(points)), counts)
+        covers = np.fromiter(chain.from_iterable(found), dtype=np.int64, count=sum(counts))
+        pairs = np.unique(owner * len(self.faces) + self._cover_owner[covers])
+        owner, candidate = np.divmod(pairs, len(self.faces))
+        q, _ = nearest_on_triangles(points[owner], self.corners[candidate])
+        near = ((q - points[owner]) ** 2).sum(axis=1) <= radius**2
+        return owner[near], candidate[near]
+
+
+def coal_tree(vertices: FloatArray, faces: IntArray) -> Any:
+    """The triangles as a ``coal.BVHModelOBBRSS``, which has no inside."""
+    points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    points.extend(list(np.asarray(vertices, dtype=np.float64)))
+    triangles.extend([coal.Triangle(*face) for face in faces.tolist()])
+    tree = coal.BVHModelOBBRSS()
+    tree.beginModel(len(faces), len(vertices))
+    tree.addSubModel(points, triangles)
+    tree.endModel()
+    return tree
+
+
+def edge_table(faces: IntArray) -> IntArray:
+    """The triangle across each edge, (m, 3): of the edge from corner k to corner k + 1.
+
+    Every edge must be of exactly two triangles that run through it in opposite directions.
+    """
+    n = int(faces.max()) + 1
+    tail, head = faces, np.roll(faces, -1, axis=1)
+    forward, backward = (tail * n + head).ravel(), (head * n + tail).ravel()
+    order = np.argsort(forward)
+    across: IntArray = (order[np.searchsorted(forward[order], backward)] // 3).reshape(-1, 3)
+    return across

@@ -1,0 +1,161 @@
+"""Objectives that are a matter of contacts alone: min-weight, task wrenches, robustness.
+
+Each is the least, over directions u of wrench, of something that the support function h of the unit
+contact wrenches says (normal forces sum to 1, torques over the characteristic length; h(u) = max
+u . w). Where it is least is looked for once per round on the faces of the hull with coarse
+pyramids; the rows are then exact functions of the grasp for the true cones, in up to ``CUTS`` of
+those directions. So the inner problem is solved numerically and its envelope is differentiated, as
+for epsilon.
+
+min_weight   The normalised min-weight s = m l* is where the ray from the origin against the mean
+             w0 of the primitive wrenches leaves their hull: a = l* + b with b >= 0 and W a = 0 say
+             that -s / (1 - s) w0 is in the hull. By duality s = min_u h(u) / (h(u) - u . w0). The
+             mean of a cone's edges is its normal.
+task         The multiple of the task wrench t that one newton of normal force resists is where the
+             ray along -t leaves the hull: min_u h(u) over all u with -u . t = 1.
+robustness   With every contact point off by up to r and every normal by up to a, forces in the cone
+             narrowed by a stay in the true one, and their torque errs by at most r |f|. So
+             min_u h'(u) - r / length sqrt(1 + mu'^2) |u_t| over unit u, with mu' = tan(atan(mu) -
+             a), is a ball of wrenches that is left whatever the error. Both sizes are constants.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from planner.quality.weakest import first_apart, wrench_faces
+from planner.spatial import FloatArray
+from planner.synthesis.objectives.linearisation import GraspSymbols, Moment
+from planner.synthesis.wrenches import support
+
+__all__ = [
+    "NORMAL_ERROR",
+    "POSITION_ERROR",
+    "aim_min_weight",
+    "aim_robustness",
+    "aim_task",
+    "min_weight_rows",
+    "narrowed",
+    "robustness_rows",
+    "task_rows",
+]
+
+CUTS = 12
+"""Directions of wrench in which a round works on one objective. Those of the hull with 4 edges do
+as well as those with 8, which take 4 ms more a round."""
+
+POSITION_ERROR = 2e-3
+"""Error of a contact's position that "robustness" allows for, m: good calibration and vision."""
+
+NORMAL_ERROR = float(np.deg2rad(5.0))
+"""Error of a contact's normal that "robustness" allows for, rad."""
+
+WEIGHT_AIM = 0.85
+"""Min-weight that is aimed at (-); 1 is the most there is."""
+
+ROBUST_AIM = 0.15
+"""Robustness that is aimed at (-), little more than grasps reach, so that the weakest directions
+count most: on four pairs of hand and primitive it rises by 0.05 in the median, with twice as much
+by 0.03."""
+
+TASK_AIM = 0.6
+"""What is aimed at for the largest task wrench, per sum of normal forces (-). With 0.5 the least
+that is resisted rises by 30 % in the median, with 0.6 by 50 %, with 1 by 35 %."""
+
+
+def narrowed(mu: Any, angle: float) -> Any:
+    """Friction tan(atan(mu) - angle) of the cone that every tilt by up to ``angle`` (rad) holds."""
+    tangent = float(np.tan(angle))
+    return (mu - tangent) / (1 + mu * tangent)
+
+
+def min_weight_rows(g: GraspSymbols) -> tuple[Any, Any]:
+    """The min-weight that each direction allows, less what is aimed at."""
+    u = ca.SX.sym("u_min_weight", 6, CUTS)
+    n = len(g.points)
+    mean = ca.vertcat(
+        -sum(g.outward[1:], g.outward[0]) / n,
+        -sum((ca.cross(p, o) for p, o in zip(g.points, g.outward, strict=True)), ca.SX.zeros(3))
+        / (n * g.length),
+    )
+    rows = []
+    for k in range(CUTS):
+        reach = support(u[:, k], g.points, g.outward, g.mu, g.length)
+        rows.append(reach / (reach - ca.dot(u[:, k], mean)) - WEIGHT_AIM)
+    return ca.vertcat(*rows), ca.vec(u)
+
+
+def aim_min_weight(moment: Moment) -> FloatArray:
+    """The directions that bound the min-weight most (6 CUTS,)."""
+    faces = wrench_faces(moment.points, moment.inward, moment.task.mu, moment.length)
+    torque = np.cross(moment.points, moment.inward).mean(axis=0) / moment.length
+    along = faces[:, :6] @ np.concatenate([moment.inward.mean(axis=0), torque])
+    bound = -faces[:, 6] / (-faces[:, 6] - along)
+    faces = faces[np.argsort(bound, kind="stable"), :6]
+    return _filled(faces[first_apart(faces, CUTS)])
+
+
+def task_rows(g: GraspSymbols) -> tuple[Any, Any]:
+    """What is resisted of each task wrench, less what is aimed at."""
+    u = ca.SX.sym("u_task", 6, CUTS)
+    on = ca.SX.sym("on_task", CUTS)
+    rows = [
+        support(u[:, k], g.points, g.outward, g.mu, g.length) - TASK_AIM * on[k]
+        for k in range(CUTS)
+    ]
+    return ca.vertcat(*rows), ca.vertcat(ca.vec(u), on)
+
+
+def aim_task(moment: Moment) -> FloatArray:
+    """The directions that bound the worst task wrenches most, and which are used (7 CUTS,)."""
+    wrenches = moment.wrenches / np.repeat([1.0, moment.length], 3)
+    wrenches = wrenches / np.linalg.norm(wrenches, axis=1).max()
+    faces = wrench_faces(moment.points, moment.inward, moment.task.mu, moment.length)
+    against = -faces[:, :6] @ wrenches.T  # (faces, wrenches)
+    face, wrench = np.nonzero(against > FACING)
+    reach = -faces[face, 6]
+    # beyond which the origin lies: nothing is resisted yet, whatever the ray
+    scale = np.where(reach > 0, against[face, wrench], 1.0)
+    order = np.argsort(reach / scale, kind="stable")
+    face, scale = face[order], scale[order]
+    chosen = first_apart(faces[face, :6], CUTS)
+    directions = faces[face[chosen], :6] / scale[chosen, None]
+    return np.concatenate([_filled(directions), np.arange(CUTS) < len(chosen)])
+
+
+FACING = 1e-3
+"""Faces of the hull turned less than this against a wrench (-) are nowhere near its ray."""
+
+
+def robustness_rows(g: GraspSymbols) -> tuple[Any, Any]:
+    """What is resisted in each direction whatever the error, less what is aimed at."""
+    u = ca.SX.sym("u_robustness", 6, CUTS)
+    mu = ca.fmax(narrowed(g.mu, NORMAL_ERROR), 0)
+    lost = POSITION_ERROR / g.length * ca.sqrt(1 + mu**2)
+    rows = [
+        support(u[:, k], g.points, g.outward, mu, g.length)
+        - lost * ca.norm_2(u[3:, k])
+        - ROBUST_AIM * ca.norm_2(u[:, k])
+        for k in range(CUTS)
+    ]
+    return ca.vertcat(*rows), ca.vec(u)
+
+
+def aim_robustness(moment: Moment) -> FloatArray:
+    """The directions in which errors leave least (6 CUTS,)."""
+    mu = max(float(narrowed(moment.task.mu, NORMAL_ERROR)), 0.0)
+    faces = wrench_faces(moment.points, moment.inward, mu, moment.length)
+    lost = POSITION_ERROR / moment.length * np.sqrt(1 + mu**2)
+    left = -faces[:, 6] - lost * np.linalg.norm(faces[:, 3:6], axis=1)
+    faces = faces[np.argsort(left, kind="stable"), :6]
+    return _filled(faces[first_apart(faces, CUTS)])
+
+
+def _filled(directions: FloatArray) -> FloatArray:
+    """Directions (k, 6) as parameters (6 CUTS,); those that are missing are zero."""
+    out = np.zeros(6 * CUTS)
+    out[: directions.size] = directions.ravel()
+    return out

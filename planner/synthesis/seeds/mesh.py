@@ -1,0 +1,216 @@
+"""Starts on a mesh: the hand's opposition axis through a pair of opposed surface points.
+
+Pairs are drawn from ``planner.synthesis.seeds.opposed_points``, near the centre of mass by
+preference; the fingers are opened a little wider than each is
+(``planner.synthesis.seeds.postures``). Of a few turns of the hand about each axis those are kept at
+which pads are near the surface and the rest of the hand is not in it, nor in the table; and of
+these the one is taken whose nearest surface points would resist most in the direction in which they
+resist least.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from planner.errors import TaskError
+from planner.shapes import Mesh
+from planner.spatial import SE3, FloatArray
+from planner.synthesis.clearance import link_balls
+from planner.synthesis.resistance import least_resisted
+from planner.synthesis.seeds.draw import STEEPEST, Seeder, opposition
+from planner.synthesis.seeds.opposed_points import opposed_pairs
+from planner.synthesis.seeds.postures import Postures, measure_postures
+from planner.task import GraspTask
+
+__all__ = ["MeshSeeder", "TurningSeeder", "seeder_for", "turning_seeder_for"]
+
+POSTURES, NOISES = 128, (0.03, 0.1)
+"""Postures that starts are made of, and least and largest standard deviation of their joints, in
+shares of their range."""
+
+PLACES, TURNS = 12, 4
+"""Pairs that are looked at for one start, and turns of the hand about the axis of each."""
+
+LOOKED_AT = 16
+"""Of these places, with most room and nearest pads, so many are compared by what they resist."""
+
+RESISTANCE_WORTH = 0.3
+"""Room (m) that counts like one unit of resistance (normal forces sum to 1): a grasp that is
+stronger by 0.05 may start 15 mm worse."""
+
+TURN_NOISE = 0.8
+"""Standard deviation (rad) of these turns about straight from above; any turn without a table."""
+
+SPARE = 0.02
+"""Fingers are opened by up to this much (m) wider than the pair."""
+
+POSITION_NOISE = 0.004
+"""Standard deviation (m) of the hand's position about the pair's middle."""
+
+NEAR_CENTER = 0.6
+"""Distance from the centre of mass, in bounding radii, at which a pair is taken 1/e as often."""
+
+ROOM = 0.004
+"""Clearance (m) of links beyond which more is no better."""
+
+ABOVE_TABLE = 0.004
+"""Height (m) over the table, on top of a pad's radius, that a pair's middle needs."""
+
+
+class MeshSeeder(Seeder):
+    """Draws starts for a task with a mesh.
+
+    Attributes:
+        near_center: See ``NEAR_CENTER``.
+        turn_noise: See ``TURN_NOISE``.
+        steepest: Largest cosine between a pair's line and the vertical, for an object on a table.
+    """
+
+    near_center = NEAR_CENTER
+    turn_noise = TURN_NOISE
+    steepest = STEEPEST
+
+    def _prepare(self) -> None:
+        """Find the pairs that the hand can close on.
+
+        Raises:
+            TaskError: There is none.
+        """
+        task = self.task
+        mesh = task.object.shape
+        if not isinstance(mesh, Mesh):
+            raise TaskError(f"{task.object.name} is not a mesh; use seeder_for(task)")
+        self._mesh = mesh
+        pairs = opposed_pairs(mesh)
+        T = task.T_world_object
+        able = pairs.widths < self.widest
+        if task.object.touch is not None:
+            half = pairs.widths[:, None] / 2 * pairs.directions
+            able &= task.object.touch.permits(pairs.centers + half)
+            able &= task.object.touch.permits(pairs.centers - half)
+        if task.table_height is not None:
+            level = np.abs(pairs.directions @ T.rotation[2]) < self.steepest
+            height = pairs.centers @ T.rotation[2] + T.translation[2] - task.table_height
+            pad = max(f.pad.radius for f in task.fingers)
+            # a flat object has none that high: then any of them
+            high = height > pad + ABOVE_TABLE
+            able &= level & (high if (able & level & high).any() else True)
+        if not able.any():
+            least = float(pairs.widths.min(initial=np.inf))
+            places = (
+                f"{len(pairs.widths)} places with opposed faces, the narrowest {1e3 * least:.0f} "
+                "mm wide, none of them level enough, within reach and where it may be touched"
+                if len(pairs.widths)
+                else "no places with opposed faces"
+            )
+            raise TaskError(
+                f"{task.hand.name} finds nowhere to close on {task.object.name}: its pads open "
+                f"{1e3 * self.widest:.0f} mm; the object has {places}; try another pose, other "
+                "fingers or a larger hand"
+            )
+        far = np.linalg.norm(pairs.centers, axis=1) / (self.near_center * mesh.bounding_radius)
+        weight = np.where(able, np.exp(-(far**2)), 0.0)
+        self._pairs, self._chance = pairs, weight / weight.sum()
+        arm = task.hand.arm.geometries if task.hand.arm is not None else frozenset()
+        self._balls = [b for b in link_balls(task.hand) if b.geometry not in arm]
+        self._radii = np.array([b.radius for b in self._balls])
+        self._touching = np.array([b.is_pad and b.finger in task.finger_names for b in self._balls])
+        self._widest_stretch = float(self.stretches[np.argmax(self.gaps)])
+        self._postures = self._drawn_postures()
+
+    def _place(self, rng: np.random.Generator) -> tuple[SE3, FloatArray]:
+        """Of some places the one where the hand has room, and its pads would resist most."""
+        task, postures, mesh = self.task, self._postures, self._mesh
+        numbers = rng.choice(len(self._chance), size=PLACES, p=self._chance)
+        gaps = self._pairs.widths[numbers] + rng.uniform(0.0, SPARE, PLACES)
+        which = np.array([postures.draw(float(gap), rng) for gap in gaps])
+        if task.T_world_base is not None and task.hand.arm is None:
+            return task.T_world_base, self._with_noise(postures.q[which[0]], rng)
+        axes = self._pairs.directions[numbers] * rng.choice([-1.0, 1.0], (PLACES, 1))
+        centers = self._pairs.centers[numbers] + rng.normal(0, POSITION_NOISE, (PLACES, 3))
+        axes, centers, which = (np.repeat(v, TURNS, axis=0) for v in (axes, centers, which))
+        turns = _frames(axes, self._sides(axes, rng)) @ postures.frames[which].transpose(0, 2, 1)
+        shifts = centers - (turns @ postures.centers[which][:, :, None])[:, :, 0]
+        merits = self._merits(turns, shifts, postures.balls[which])
+        best = np.argsort(-merits, kind="stable")[:LOOKED_AT]
+        pads = postures.pads[which[best]] @ turns[best].transpose(0, 2, 1) + shifts[best, None]
+        found = mesh.field().taylor(pads.reshape(-1, 3), 1)
+        outward = found[:, 1:4] / np.maximum(np.linalg.norm(found[:, 1:4], axis=1), TINY)[:, None]
+        resisted = least_resisted(
+            (pads.reshape(-1, 3) - found[:, :1] * outward).reshape(pads.shape),
+            outward.reshape(pads.shape),
+            mu=task.mu,
+            length=mesh.bounding_radius,
+        )
+        k = best[int(np.argmax(merits[best] + RESISTANCE_WORTH * resisted))]
+        return task.T_world_object * SE3(turns[k], shifts[k]), postures.q[which[k]]
+
+    def _drawn_postures(self) -> Postures:
+        """Postures of the hand; the same for every seed."""
+        task, rng = self.task, np.random.default_rng(0)
+        span = task.hand.q_upper - task.hand.q_lower
+        drawn = []
+        for stretch in np.linspace(0.0, self._widest_stretch, POSTURES):
+            q = self._stretched(stretch) + rng.normal(0, rng.uniform(*NOISES), len(span)) * span
+            q = np.clip(q, task.hand.q_lower, task.hand.q_upper)
+            drawn.append(self._with_wrist(q))
+        opposed = partial(opposition, task)
+        return measure_postures(task.hand, task.fingers, self._balls, drawn, opposed)
+
+    def _sides(self, axes: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Directions across axes (n, 3) for the palm: from above, with much noise, over a table."""
+        up = rng.normal(size=axes.shape)
+        if self.task.table_height is not None:
+            up = np.tile(self.task.T_world_object.rotation[2], (len(axes), 1))
+        up -= axes * np.einsum("ij,ij->i", axes, up)[:, None]
+        up /= np.linalg.norm(up, axis=1, keepdims=True)
+        turn = rng.normal(0, self.turn_noise, (len(axes), 1))
+        return np.cos(turn) * up + np.sin(turn) * np.cross(axes, up)
+
+    def _merits(self, turns: FloatArray, shifts: FloatArray, balls: FloatArray) -> FloatArray:
+        """How well bases at (n, 3, 3), (n, 3) in the object suit, (n,), m: room less pads' gaps."""
+        task = self.task
+        points = balls @ turns.transpose(0, 2, 1) + shifts[:, None]
+        gaps = self._mesh.field().rough_value(points.reshape(-1, 3)).reshape(points.shape[:2])
+        gaps -= self._radii
+        room = np.where(self._touching, ROOM, gaps)
+        if task.table_height is not None:
+            T = task.T_world_object
+            heights = points @ T.rotation[2] + T.translation[2] - task.table_height
+            room = np.minimum(room, heights - self._radii)
+        off = np.abs(gaps[:, self._touching]).mean(axis=1)
+        merit: FloatArray = np.minimum(room.min(axis=1), ROOM) - off
+        return merit
+
+
+def _frames(axes: FloatArray, sides: FloatArray) -> FloatArray:
+    """Rotations (n, 3, 3): columns axis, side, and their product."""
+    return np.stack([axes, sides, np.cross(axes, sides)], axis=2)
+
+
+class TurningSeeder(MeshSeeder):
+    """Draws starts from which a mesh is turned: level, near its centre, from above.
+
+    What is pinched beside the centre of mass hangs on one side of the fingers, and wanders on a
+    circle as it turns; what is pinched askew makes tips pivot.
+    """
+
+    near_center = 0.45
+    turn_noise = 0.6
+    steepest = 0.3
+
+
+TINY = 1e-9
+"""A gradient shorter than this has no direction."""
+
+
+def seeder_for(task: GraspTask) -> Seeder:
+    """The source of starts that suits the task's object."""
+    return MeshSeeder(task) if isinstance(task.object.shape, Mesh) else Seeder(task)
+
+
+def turning_seeder_for(task: GraspTask) -> Seeder:
+    """The source of starts from which the task's object is turned or moved in the hand."""
+    return TurningSeeder(task) if isinstance(task.object.shape, Mesh) else Seeder(task)

@@ -1,0 +1,154 @@
+"""The verdict on a candidate: the true geometry, by Pinocchio and coal.
+
+What the NLP solved is recomputed here with other code on other geometry: Pinocchio's kinematics,
+coal's distances between the real shapes (no balls, no softened edges), contact points and normals
+from the true surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from planner.collision.pad_contact import PadTouch, pad_touches, touching_of
+from planner.collision.world import CollisionWorld
+from planner.contacts import ContactSet
+from planner.plan import Verification
+from planner.shapes import Mesh
+from planner.spatial import SE3, FloatArray
+from planner.task import GraspTask
+from planner.tolerances import ANGLE_TOL, FLAT_ANGLE_TOL, JOINT_TOL, PENETRATION_TOL, TOUCH_TOL
+
+__all__ = ["contacts_at", "contacts_of", "edge_faults", "verify"]
+
+LISTED = 5
+"""Clearances that a verification keeps."""
+
+
+EDGE_RADIUS = 0.002
+"""How far (m) around a contact normals are looked at: what a pad creeps and rolls in a grasp. On an
+edge a pad that creeps by a millimetre meets another normal."""
+
+EDGE_SPREAD = float(np.deg2rad(25.0))
+"""Largest dispersion of normals there (rad); it is 45 degrees on a right-angled edge."""
+
+
+def edge_faults(task: GraspTask, points: FloatArray) -> list[str]:
+    """Which contacts, at points (n, 3) of the object's frame, m, are on an edge of a mesh.
+
+    Primitives need no look: their contacts keep away from edges by construction.
+    """
+    shape = task.object.shape
+    if not isinstance(shape, Mesh):
+        return []
+    spreads = shape.normal_dispersion(points, EDGE_RADIUS)
+    return [
+        f"{finger} is on an edge: normals differ by {np.rad2deg(angle):.0f} degrees within "
+        f"{1e3 * EDGE_RADIUS:.0f} mm"
+        for finger, angle in zip(task.finger_names, spreads, strict=True)
+        if angle > EDGE_SPREAD
+    ]
+
+
+def _given_faults(task: GraspTask, T_world_base: SE3, q: FloatArray) -> list[str]:
+    """Whether base and wrist are where the task fixes them."""
+    faults = []
+    if task.T_world_base is not None:
+        off = task.T_world_base.inverse() * T_world_base
+        if not np.allclose(off.homogeneous, np.eye(4), atol=JOINT_TOL):
+            faults.append("the base is not where the task fixes it")
+    wrist = q[task.hand.wrist_index]
+    if not task.wrist_free and np.abs(wrist - task.wrist_q).max(initial=0.0) > JOINT_TOL:
+        faults.append("the wrist is not where the task holds it")
+    return faults
+
+
+def contacts_at(task: GraspTask, T_world_base: SE3, q: FloatArray) -> ContactSet:
+    """Contacts of the task's pads with the true surface, in the world, forces unknown.
+
+    A contact is the surface point nearest to the pad (``planner.collision.pad_contact``).
+    """
+    return contacts_of(task, pad_touches(task, T_world_base, q))
+
+
+def contacts_of(task: GraspTask, touches: Sequence[PadTouch]) -> ContactSet:
+    """The same from the touches of all fingers, if they are at hand."""
+    return ContactSet.from_arrays(
+        np.array([touch.point for touch in touches]),
+        -np.array([touch.outward for touch in touches]),
+        mu=task.mu,
+        mu_torsion=task.mu_torsion,
+        model=task.contact_model,
+        fingers=task.finger_names,
+    ).transformed(task.T_world_object)
+
+
+def verify(
+    world: CollisionWorld,
+    T_world_base: SE3,
+    q: FloatArray,
+    touches: Sequence[PadTouch] | None = None,
+) -> Verification:
+    """Recompute everything that must hold of a grasp, on the true geometry.
+
+    Args:
+        world: True geometry of the task.
+        T_world_base: Base pose.
+        q: Joints (nq,).
+        touches: The touch of every finger there, if it is at hand.
+    """
+    task = world.task
+    hand = task.hand
+    if touches is None:
+        touches = pad_touches(task, T_world_base, q)
+    gaps = np.array([t.pad_gap for t in touches])
+    whole = np.array([t.gap for t in touches])
+    angles = np.array([t.angle for t in touches])
+
+    others = world.closest(T_world_base, q, LISTED, touching=touching_of(task).names)
+
+    matrix, value = hand.coupling_matrix
+    coupling = float(np.abs(matrix @ q - value).max(initial=0.0))
+    limits = float(np.maximum(hand.q_lower - q, q - hand.q_upper).max(initial=0.0))
+    faults = [
+        f"{f.name} pad is {1e3 * gap:.2f} mm from the surface (allowed {1e3 * TOUCH_TOL:.1f})"
+        for f, gap in zip(task.fingers, gaps, strict=True)
+        if not abs(gap) <= TOUCH_TOL
+    ]
+    faults += [
+        f"{f.pad.geom} is {1e3 * gap:.2f} mm from the surface although its pad touches"
+        for f, gap in zip(task.fingers, whole, strict=True)
+        if not abs(gap) <= TOUCH_TOL
+    ]
+    faults += [
+        f"{f.name} touches {np.rad2deg(angle):.0f} degrees off its pad axis, outside the pad"
+        for f, touch, angle in zip(task.fingers, touches, angles, strict=True)
+        if angle > f.pad.half_angle + (ANGLE_TOL if touch.round else FLAT_ANGLE_TOL)
+    ]
+    points = np.array([touch.point for touch in touches])
+    region = task.object.touch
+    if region is not None:
+        faults += [
+            f"{f.name} touches where it may not, at {np.round(point, 4)} m of the object"
+            for f, point, good in zip(
+                task.fingers, points, region.permits(points, task.finger_names), strict=True
+            )
+            if not good
+        ]
+    faults += edge_faults(task, points)
+    faults += [f"penetration, {c}" for c in others if c.distance < -PENETRATION_TOL]
+    if coupling > JOINT_TOL:
+        faults.append(f"a coupling is violated by {coupling:.1e} rad")
+    if limits > JOINT_TOL:
+        faults.append(f"a joint limit is violated by {limits:.1e} rad")
+    faults += _given_faults(task, T_world_base, q)
+    return Verification(
+        pad_gaps=gaps,
+        pad_geometry_gaps=whole,
+        pad_angles=angles,
+        closest=tuple(others[:LISTED]),
+        coupling_error=coupling,
+        limit_error=limits,
+        faults=tuple(faults),
+    )

@@ -1,0 +1,167 @@
+"""``judge_grasp``: a base pose and joints become a plan if everything holds, or a reason why not.
+
+The search asks it about what the NLP found, and whoever reads a plan from a file asks it again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from planner.approach.pregrasp import Approach, approach_fault, find_approach
+from planner.collision.pad_contact import pad_touches
+from planner.collision.world import CollisionWorld
+from planner.contacts import ContactSet
+from planner.forces import (
+    QUICK_SOLVER,
+    ForceArguments,
+    ForceSolution,
+    distribute_forces,
+    gravity_wrench,
+)
+from planner.kinematics.state import HandState
+from planner.plan import GraspPlan, SolveRecord
+from planner.quality import force_closure
+from planner.spatial import SE3, FloatArray
+from planner.system.stage_times import stage
+from planner.task import GraspTask
+from planner.tolerances import CLOSURE_EDGES, FRICTION_SHARE
+from planner.verification.geometry import contacts_of, verify
+
+__all__ = ["force_arguments", "judge_grasp", "plan_forces", "with_grip"]
+
+
+def judge_grasp(
+    task: GraspTask,
+    T_world_base: SE3,
+    q: FloatArray,
+    *,
+    record: SolveRecord,
+    approach: Approach | None = None,
+    world: CollisionWorld | None = None,
+) -> GraspPlan | str:
+    """A plan out of a base pose and joints if everything holds on the true geometry; else why not.
+
+    Args:
+        task: The task.
+        T_world_base: Base pose at the grasp.
+        q: Joints (nq,), within their limits.
+        record: Where the candidate comes from.
+        approach: Pre-grasp and way in, checked; searched for if None.
+        world: True geometry of the task, if it is at hand already.
+    """
+    world = world or CollisionWorld(task)
+    with stage("verify"):
+        touches = pad_touches(task, T_world_base, q)
+        verification = verify(world, T_world_base, q, touches)
+    if not verification.ok:
+        return f"true geometry: {'; '.join(verification.faults)}"
+    contacts = contacts_of(task, touches)
+    with stage("closure"):
+        closure = force_closure(contacts, edges=CLOSURE_EDGES)
+    if not closure.closed:
+        return f"no force closure: {closure.reason}"
+    with stage("forces"):
+        forces = plan_forces(task, contacts, T_world_base, q)
+    if not forces.found:
+        return f"forces: with {task.grip_force:.3g} N per finger, {forces.reason}"
+    with stage("approach"):
+        way = _way_in(world, T_world_base, q, contacts, approach)
+    if isinstance(way, str):
+        return f"approach: {way}"
+    return GraspPlan(
+        task=task,
+        T_world_base=T_world_base,
+        T_world_base_start=way.T_world_base_start,
+        q=q,
+        q_pregrasp=way.q,
+        opening=way.opening,
+        arm=way.arm,
+        contacts=forces.contacts,
+        forces=forces,
+        verification=verification,
+        record=record,
+    )
+
+
+def _way_in(
+    world: CollisionWorld,
+    T_world_base: SE3,
+    q: FloatArray,
+    contacts: ContactSet,
+    given: Approach | None,
+) -> Approach | str:
+    """The given approach if nothing is wrong with it, one that is found where none is given."""
+    if given is None:
+        return find_approach(world, T_world_base, q, contacts.normals)
+    return approach_fault(world, T_world_base, q, given) or given
+
+
+def plan_forces(
+    task: GraspTask, contacts: ContactSet, T_world_base: SE3, q: FloatArray, **options: Any
+) -> ForceSolution:
+    """Contact forces (world) that carry the object's weight, within torque limits, at a grasp.
+
+    Args:
+        task: Gives weight, friction and grip.
+        contacts: One contact per finger of the task, world.
+        T_world_base: Base pose.
+        q: Joints (nq,).
+        **options: Passed to ``distribute_forces``.
+    """
+    given: dict[str, Any] = {**force_arguments(task, contacts, T_world_base, q), **options}
+    quick = distribute_forces(contacts, **{"solver": QUICK_SOLVER, **given})
+    if quick.found or quick.fraction < 1.0 or "solver" in options:
+        return quick
+    return distribute_forces(contacts, **given)  # forces exist: the default solver has its turn
+
+
+def with_grip(plan: GraspPlan, grip_force: float) -> GraspPlan:
+    """The same grasp pressed with another least normal force.
+
+    Its ``forces`` tell whether the hand's actuators have that much; where not, ``found`` is False
+    and the reason is with them.
+
+    Args:
+        plan: The grasp.
+        grip_force: N per finger.
+
+    Raises:
+        TaskError: The grip is negative or not finite.
+    """
+    task = replace(plan.task, grip_force=grip_force)
+    forces = plan_forces(task, plan.contacts, plan.T_world_base, plan.q)
+    return replace(plan, task=task, forces=forces, contacts=forces.contacts)
+
+
+def force_arguments(
+    task: GraspTask, contacts: ContactSet, T_world_base: SE3, q: FloatArray
+) -> ForceArguments:
+    """What ``build_force_problem`` needs for a task's weight, grip and hand at a grasp.
+
+    Args:
+        task: Gives weight, friction and grip.
+        contacts: One contact per finger of the task, world.
+        T_world_base: Base pose.
+        q: Joints (nq,).
+    """
+    state = HandState(task.hand, q)
+    inverse = T_world_base.inverse()
+    rotation = T_world_base.rotation
+    jacobians = np.array(
+        [
+            rotation @ state.point_jacobian(f.pad.joint_id, inverse.act(p)).reshape(2, 3, -1)
+            for f, p in zip(task.fingers, contacts.positions, strict=True)
+        ]
+    ).reshape(len(contacts), 6, -1)
+    return {
+        "wrench": gravity_wrench(task.object.mass, task.gravity),
+        "min_normal": task.grip_force,
+        "friction_scale": FRICTION_SHARE,
+        "jacobians": jacobians,
+        "actuation": task.hand.actuation,
+        "q": q,
+        "gravity_torque": state.gravity_torque(rotation.T @ task.gravity),
+    }

@@ -1,0 +1,85 @@
+"""The last step onto the true surface.
+
+The NLP's solution touches a model of the object (the smooth field of a mesh) with a model of the
+pad (a sphere). Both are right to some tenths of a millimetre. Here the fingers' own joints are
+moved by the least amount that brings every pad onto the true surface and closes the couplings,
+
+    min |dq|  s.t.  n_i' J_i dq = -gap_i,   C dq = d - C q,   wrist and base as they are,
+
+repeated until gaps and couplings are met. A joint that would leave its range stays at its end, and
+the others do its share.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.collision.pad_contact import touching_of
+from planner.spatial import SE3, FloatArray, IntArray
+from planner.task import GraspTask
+
+__all__ = ["settle"]
+
+SETTLED = 2e-5
+"""Gap (m) that counts as none: a twenty-fifth of what counts as touching."""
+
+COUPLED = 1e-7
+"""Violation of a coupling (rad) that counts as none: a tenth of what is allowed in the verdict."""
+
+STEPS = 8
+"""Most steps; two or three are usual."""
+
+FARTHEST = 0.006
+"""Largest gap (m) that is still a matter of models; more than that is no solution."""
+
+
+def settle(task: GraspTask, T_world_base: SE3, q: FloatArray) -> FloatArray:
+    """Joints (nq,) near q with every pad on the true surface, as far as limits let them.
+
+    What is left is for ``planner.verification.geometry`` to judge; q itself if it touches already,
+    or is too far off.
+    """
+    hand, touching = task.hand, touching_of(task)
+    matrix, value = hand.coupling_matrix
+    index = _moved(task, matrix)
+    lower, upper = hand.q_lower[index], hand.q_upper[index]
+    turn = T_world_base.rotation.T @ task.T_world_object.rotation
+    q = q.copy()
+    for _ in range(STEPS):
+        found = touching.gaps(T_world_base, q)
+        missing = value - matrix @ q
+        worst = np.abs(found.gaps).max()
+        settled = worst <= SETTLED and np.abs(missing).max(initial=0.0) <= COUPLED
+        if settled or worst > FARTHEST:
+            break
+        rates = np.einsum("ni,nij->nj", found.outward @ turn.T, found.jacobians)
+        rows = np.vstack([rates, matrix])[:, index]
+        wanted = np.concatenate([-found.gaps, missing])
+        q[index] = _step(rows, wanted, q[index], lower, upper)
+    return q
+
+
+def _moved(task: GraspTask, matrix: FloatArray) -> IntArray:
+    """Joints (k,) that may move: the task's fingers, and what is coupled on fingers left out."""
+    coupled = np.flatnonzero(np.abs(matrix).sum(axis=0))
+    carried = np.concatenate([task.hand.wrist_index, task.hand.arm_index])
+    mine = np.concatenate([f.q_index for f in task.fingers])
+    return np.union1d(mine, np.setdiff1d(coupled, carried))
+
+
+def _step(
+    rows: FloatArray, wanted: FloatArray, q: FloatArray, lower: FloatArray, upper: FloatArray
+) -> FloatArray:
+    """Joints (k,) within their range after the least step dq from q with rows @ dq = wanted."""
+    free = np.ones(len(q), dtype=bool)
+    while True:
+        step = np.zeros(len(q))
+        step[free] = np.linalg.lstsq(rows[:, free], wanted, rcond=RCOND)[0]
+        beyond = free & (((q + step < lower) & (q <= lower)) | ((q + step > upper) & (q >= upper)))
+        if not beyond.any():
+            return np.clip(q + step, lower, upper)
+        free &= ~beyond
+
+
+RCOND = 1e-6
+"""Singular values below this share of the largest count as zero (couplings may repeat)."""

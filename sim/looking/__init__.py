@@ -1,0 +1,1 @@
+"""Pictures and windows: what a person sees of a simulation."""

@@ -1,0 +1,19 @@
+"""Physics of the simulation: options with a reason each, and presets by name."""
+
+from sim.physics.named import SUFFIXES, named_physics, physics_for, read_physics
+from sim.physics.options import PRESETS, PhysicsOptions, register_physics
+from sim.physics.presets import dexgraspbench, menagerie, mujoco_default, ours
+
+__all__ = [
+    "PRESETS",
+    "SUFFIXES",
+    "PhysicsOptions",
+    "dexgraspbench",
+    "menagerie",
+    "mujoco_default",
+    "named_physics",
+    "ours",
+    "physics_for",
+    "read_physics",
+    "register_physics",
+]

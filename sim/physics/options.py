@@ -1,0 +1,268 @@
+"""How MuJoCo computes: solver, integrator, cone, friction and contact stiffness, with reasons.
+
+Named sets of these numbers are in ``sim.physics.presets``; a file holds one too::
+
+    named_physics("mujoco-default")
+    physics_for("my_scene.toml")
+
+What the numbers do to a held object is derived in ``sim.creep``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from types import MappingProxyType
+from typing import Any, Literal
+
+import mujoco
+
+from planner.contacts import MOST_FRICTION
+from planner.errors import TaskError
+from planner.spatial import FloatArray
+
+__all__ = [
+    "CONTACT_SOLIMP",
+    "CONTACT_SOLREF",
+    "MU_ROLLING",
+    "OURS",
+    "PRESETS",
+    "PhysicsOptions",
+    "register_physics",
+]
+
+OURS = "ours"
+"""Name of the defaults."""
+
+CONTACT_SOLREF = (0.005, 1.0)
+"""Time constant (s) and damping ratio (-) of contacts: 2.5 time steps, about as stiff as the step
+allows (MuJoCo needs at least two)."""
+
+CONTACT_SOLIMP = (0.5, 0.99, 0.0001, 0.5, 2.0)
+"""Impedance of contacts: from 0.5 at touch to 0.99 at 0.1 mm of penetration, as published for the
+Shadow hand. Pads sink in by some hundredths of a millimetre under the usual forces."""
+
+MU_ROLLING = 0.001
+"""Rolling friction (m) of the object on table and obstacles: a ball of 35 mm radius starts to roll
+at a push of 3 % of its weight. It resembles felt more than glass, and lets an object stand still
+until the fingers have closed."""
+
+Cone = Literal["elliptic", "pyramidal"]
+Integrator = Literal["euler", "implicit", "implicitfast"]
+
+CONES: Mapping[str, int] = MappingProxyType(
+    {
+        "elliptic": int(mujoco.mjtCone.mjCONE_ELLIPTIC),
+        "pyramidal": int(mujoco.mjtCone.mjCONE_PYRAMIDAL),
+    }
+)
+INTEGRATORS: Mapping[str, int] = MappingProxyType(
+    {
+        "euler": int(mujoco.mjtIntegrator.mjINT_EULER),
+        "implicit": int(mujoco.mjtIntegrator.mjINT_IMPLICIT),
+        "implicitfast": int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST),
+    }
+)
+"""By MuJoCo's names. Runge-Kutta is left out: it ignores the servos' damping, and MuJoCo advises
+against it where there are contacts."""
+
+CONDIMS = (3, 4, 6)
+"""Dimensions of a contact that a grasp can live with: sliding; and torsion; and rolling. 1 has no
+friction."""
+
+TIMESTEPS = (1e-6, 0.1)
+"""Range of a time step, s: below it a trial takes hours, above it no contact is met in time."""
+
+IMPRATIOS = (1e-6, 1e6)
+"""Range of ``impratio`` (-): the solver's matrices lose their digits beyond it."""
+
+MOST_ITERATIONS = 10_000
+"""Most iterations of a solver per step (-): MuJoCo's own limit is 100, and 20 to 50 are usual."""
+
+TIME_CONSTANTS = (1e-9, 1e3)
+"""Range of the time constant of contacts, s; MuJoCo raises what is below two time steps."""
+
+DAMPING_RATIOS = (1e-9, 1e6)
+"""Range of the damping ratio of contacts (-)."""
+
+LARGEST_DEPTH, LARGEST_POWER = 1e3, 1e3
+"""Largest depth (m) and power (-) in ``solimp``."""
+
+LARGEST_NUMBER = 1e6
+"""Largest number of ``solref`` and ``solimp`` that is looked at."""
+
+SAFE_STEPS = 2.0
+"""Least time constant of a contact in time steps; MuJoCo silently raises what is shorter."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhysicsOptions:
+    """How MuJoCo computes. The defaults state their reason; a report repeats what was used.
+
+    Solref, solimp, condim and friction are those of every contact of the object. The constraint
+    Jacobian is always dense: mujoco 4.0.0 factorises sparse Hessians wrongly.
+
+    Attributes:
+        name: What the set of numbers is called in reports.
+        timestep: s. Twice as short as DexGraspBench's 4 ms; the servo loop runs at the same rate.
+        integrator: "implicitfast" takes the servos' damping implicitly; "euler" only the joints'.
+        cone: "elliptic" is Coulomb's; "pyramidal" has four or six facets, and creeps faster.
+        condim: Dimensions of contacts between object and hand: 3 slides, 4 also twists, 6 also
+            rolls.
+        mu: Sliding friction between hand, object, table and obstacles (-). 0.6 where planning
+            relies on 0.5 is the margin that a plan has.
+        mu_torsion: Torsional friction (m): MuJoCo's default, at every mu. It is generous: a patch
+            of radius a under Hertz's pressure resists turning by 3 pi / 16 mu a per newton (2/3 mu
+            a under an even pressure; Johnson, Contact Mechanics, 1985), so at mu 0.6 these 5 mm are
+            a patch of 14 mm (12.5 mm), wider than a fingertip of 8 mm. Soft rubber (1.3 MPa) on a
+            tip of 8 mm under 5 N has 2.8 mm, or 1.0 mm of torsional friction. Planning counts on
+            none.
+        mu_rolling: Rolling friction (m), where contacts have 6 dimensions: those of table and
+            obstacles always have.
+        impratio: Ratio of frictional to normal impedance (-): 10 makes friction hold instead of
+            creep, and is what the peers use.
+        noslip_iterations: Extra iterations that take the rest of the creep out of friction. A ball
+            held by four fingers creeps 100 um/s with 0, 22 with 2, 6 with 5 or 10; the time is the
+            same.
+        iterations: Limit of solver iterations per step.
+        solref: Time constant (s) and damping ratio (-) of contacts.
+        solimp: Impedance of contacts: at touch (-), at depth (-), the depth (m), midpoint (-),
+            power (-).
+    """
+
+    name: str = OURS
+    timestep: float = 0.002
+    integrator: Integrator = "implicitfast"
+    cone: Cone = "elliptic"
+    condim: int = 4
+    mu: float = 0.6
+    mu_torsion: float = 0.005
+    mu_rolling: float = MU_ROLLING
+    impratio: float = 10.0
+    noslip_iterations: int = 10
+    iterations: int = 100
+    solref: tuple[float, float] = CONTACT_SOLREF
+    solimp: tuple[float, float, float, float, float] = CONTACT_SOLIMP
+
+    def __post_init__(self) -> None:
+        """Check every number."""
+        _number("timestep", self.timestep, *TIMESTEPS, "s")
+        _number("impratio", self.impratio, *IMPRATIOS)
+        for name in ("mu", "mu_torsion", "mu_rolling"):
+            _number(f"{name} in simulation", getattr(self, name), 0.0, MOST_FRICTION)
+        for name, lowest in (("noslip_iterations", 0), ("iterations", 1)):
+            value = getattr(self, name)
+            whole = isinstance(value, int) and not isinstance(value, bool)
+            if not whole or not lowest <= value <= MOST_ITERATIONS:
+                raise TaskError(
+                    f"{name} is {value!r}; give {name} >= {lowest}, a whole number up to "
+                    f"{MOST_ITERATIONS}"
+                )
+        for name, allowed in (("integrator", INTEGRATORS), ("cone", CONES), ("condim", CONDIMS)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, str | int) or value not in allowed:
+                known = ", ".join(str(a) for a in allowed)
+                raise TaskError(f"{name} is {value!r}; give one of {known}")
+        if not isinstance(self.name, str) or not self.name:
+            raise TaskError(f"name is {self.name!r}; give a text for reports")
+        object.__setattr__(self, "solref", _numbers("solref", self.solref, 2))
+        object.__setattr__(self, "solimp", _numbers("solimp", self.solimp, 5))
+        _number("the time constant, solref[0],", self.solref[0], *TIME_CONSTANTS, "s")
+        _number("the damping ratio, solref[1],", self.solref[1], *DAMPING_RATIOS)
+        low, high, width, middle, power = self.solimp
+        impedances = 0 < low < 1 and 0 < high < 1 and 0 < middle < 1
+        if not (impedances and 0 < width <= LARGEST_DEPTH and 1 <= power <= LARGEST_POWER):
+            raise TaskError(
+                f"solimp is {list(self.solimp)}; give impedances in (0, 1) at touch and at depth, "
+                f"the depth in m > 0, up to {LARGEST_DEPTH:g}, a midpoint in (0, 1), and a power "
+                f">= 1, up to {LARGEST_POWER:g}"
+            )
+
+    @property
+    def friction(self) -> tuple[float, float, float]:
+        """Sliding, torsional and rolling friction as MuJoCo writes them: -, m, m."""
+        return (self.mu, self.mu_torsion, self.mu_rolling)
+
+    @property
+    def time_constant(self) -> float:
+        """Time constant (s) of contacts that MuJoCo uses: never below two time steps."""
+        return max(self.solref[0], SAFE_STEPS * self.timestep)
+
+    @property
+    def label(self) -> str:
+        """Its name; of a preset that was changed with what differs: "ours with mu 0.8"."""
+        preset = PRESETS.get(self.name, self)
+        changed = [
+            f"{name} {_listed(value) if isinstance(value, tuple) else value}"
+            for name, value in asdict(self).items()
+            if value != getattr(preset, name)
+        ]
+        return f"{self.name} with {', '.join(changed)}" if changed else self.name
+
+    def to_dict(self) -> dict[str, Any]:
+        """Label (as "name") and all numbers as plain data, by the names of the fields."""
+        data = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+        return {**data, "name": self.label}
+
+    def __str__(self) -> str:
+        """One line with every number that decides whether a grasp holds."""
+        return (
+            f"{self.label} ({self.timestep:g} s, {self.integrator}, {self.cone} cones, condim "
+            f"{self.condim}, impratio {self.impratio:g}, noslip {self.noslip_iterations}, friction "
+            f"{self.mu:g} and {self.mu_torsion:g} m, solref {_listed(self.solref)}, solimp "
+            f"{_listed(self.solimp[:3])})"
+        )
+
+    def apply(self, spec: Any, gravity: FloatArray) -> None:
+        """Write the options into a ``mujoco.MjSpec``, with gravity (3,) in m/s2."""
+        option = spec.option
+        option.timestep = self.timestep
+        option.gravity = gravity
+        option.integrator = mujoco.mjtIntegrator(INTEGRATORS[self.integrator])
+        option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+        option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+        option.cone = mujoco.mjtCone(CONES[self.cone])
+        option.impratio = self.impratio
+        option.noslip_iterations = self.noslip_iterations
+        option.iterations = self.iterations
+        option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+
+
+PRESETS: dict[str, PhysicsOptions] = {}
+"""Presets by name; ``register_physics`` fills it."""
+
+
+def register_physics(options: PhysicsOptions) -> PhysicsOptions:
+    """Make a set of options known by its name, and return it.
+
+    Raises:
+        TaskError: Another preset has that name.
+    """
+    if options != PRESETS.setdefault(options.name, options):
+        raise TaskError(f"there are physics named {options.name!r} already; give another name")
+    return options
+
+
+FIELDS = tuple(field.name for field in fields(PhysicsOptions))
+"""Names that a file may set."""
+
+
+def _number(name: str, value: Any, least: float, most: float, unit: str = "") -> None:
+    good = isinstance(value, int | float) and not isinstance(value, bool)
+    if not (good and least <= value <= most):  # False for NaN
+        raise TaskError(
+            f"{name} is {value!r}; give a finite number from {least:g} to {most:g}"
+            f"{unit and ' '}{unit}"
+        )
+
+
+def _numbers(name: str, value: Any, count: int) -> tuple[float, ...]:
+    if not isinstance(value, list | tuple) or len(value) != count:
+        raise TaskError(f"{name} is {value!r}; give {count} finite numbers")
+    for number in value:
+        _number(f"a number of {name}", number, -LARGEST_NUMBER, LARGEST_NUMBER)
+    return tuple(float(number) for number in value)
+
+
+def _listed(values: tuple[float, ...]) -> str:
+    return " ".join(f"{v:g}" for v in values)

@@ -1,0 +1,1 @@
+"""Sets of physics that ship, a file each; each registers itself by its name."""
