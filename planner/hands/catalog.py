@@ -69,7 +69,7 @@ def models_dir() -> Path:
     Raises:
         ModelError: Neither an installed nor a checked-out model folder exists.
     """
-    here = Path(__file__).resolve().parent
+    here = Path(__file__).resolve().parents[1]
     for folder in (here / "_models", here.parent / "models"):
         if (folder / "hands").is_dir():
             return folder
