@@ -645,7 +645,7 @@ def test_leading_keeps_the_ends_and_lets_pads_roll(
     assert np.array_equal(led[0], ends[0].q) and np.array_equal(led[-1], ends[1].q)
     slid = _slid(task, bases, led)
     assert np.ptp(slid, axis=0).max() < 5e-5  # what the ends are apart by, in even parts
-    monkeypatch.setattr("planner.motion.between.MOST_LAPS", 1)
+    monkeypatch.setattr("planner.motion.interpolation.MOST_LAPS", 1)
     straight = _slid(task, bases, interpolate_rolling(task, bases, ends[0].q, ends[1].q))
     assert slid.max() < 0.6 * straight.max() and np.ptp(straight, axis=0).max() > 2e-4
 

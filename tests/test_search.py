@@ -262,11 +262,11 @@ def test_fingers_are_spared_only_where_the_choice_was_left_open(
 ) -> None:
     tried: list[int] = []
 
-    def nothing(ground: Any, rng: Any, options: Any) -> str:
-        tried.append(len(ground.task.fingers))
-        return "nothing: for the test"
+    def nothing(context: Any, rng: Any) -> Failure:
+        tried.append(len(context.problem.task.fingers))
+        return Failure(kind="nothing", text="nothing: for the test")
 
-    monkeypatch.setattr("planner.search._attempt", nothing)
+    monkeypatch.setattr("planner.search._GraspContext.attempt", nothing)
     task = GraspTask.create(allegro, "sphere", fingers=fingers)
     with pytest.raises(NoGraspFoundError):
         plan_grasp(task, max_attempts=SPARE_AFTER + 4)
@@ -279,14 +279,14 @@ def test_a_finger_of_which_a_region_is_required_is_not_spared(
 ) -> None:
     tried: list[int] = []
 
-    def nothing(ground: Any, rng: Any, options: Any) -> str:
-        tried.append(len(ground.task.fingers))
-        return "nothing: for the test"
+    def nothing(context: Any, rng: Any) -> Failure:
+        tried.append(len(context.problem.task.fingers))
+        return Failure(kind="nothing", text="nothing: for the test")
 
     task = GraspTask.create(allegro, "sphere")
     (spared,) = set(task.finger_names) - set(seeder_for(task).tripod)
     item = replace(task.object, touch=TouchRegion(required={spared: Region(name="anywhere")}))
-    monkeypatch.setattr("planner.search._attempt", nothing)
+    monkeypatch.setattr("planner.search._GraspContext.attempt", nothing)
     with pytest.raises(NoGraspFoundError):
         plan_grasp(replace(task, object=item), max_attempts=SPARE_AFTER + 2)
     assert tried == [4] * (SPARE_AFTER + 2)
