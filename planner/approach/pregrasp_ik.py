@@ -19,7 +19,7 @@ import numpy as np
 
 from planner.collision.world import CollisionWorld, NearPairs
 from planner.hands.hand import Hand
-from planner.numerics.programme import programme
+from planner.numerics.ik_step import Barrier, Task, constrained_ik_step
 from planner.spatial import SE3, FloatArray, IntArray
 
 __all__ = ["OPENED_SHARE", "Opener", "undetermined_joints"]
@@ -180,9 +180,7 @@ class Opener:
 
     def _near(self, q: FloatArray, near: NearPairs) -> tuple[FloatArray, FloatArray]:
         """By how much distances that can be changed are too small (k,), m, and rates (k, nq)."""
-        ahead = self._state.point_rates(near.joints[:, 1], near.points_b, near.normals)
-        behind = self._state.point_rates(near.joints[:, 0], near.points_a, near.normals)
-        rates = ahead - behind
+        rates = near.rates(self._state)
         short = np.where(near.outward, OPEN_CLEARANCE, FINGER_CLEARANCE) - near.distances
         moving = np.abs(rates[:, self._free]).max(axis=1, initial=0.0) > STILL
         return short[moving], rates[moving]
@@ -200,31 +198,21 @@ class Opener:
 
         None where limits and couplings contradict each other.
         """
-        free, m = self._free, len(self._value)
-        n = len(free)
-        size = n + 2  # the last unknowns: by how much shares, and clearances, are missed
-        hessian, gradient = np.zeros((size, size)), np.zeros(size)
-        mine = rows[:, free]
-        hessian[:n, :n] = mine.T @ mine
-        hessian[np.arange(n), np.arange(n)] += POSTURE_WEIGHT + DAMPING
-        gradient[:n] = mine.T @ misses + POSTURE_WEIGHT * (q - self._grasp)[free]
-        hessian[[n, n + 1], [n, n + 1]], gradient[n:] = 1.0, MISSED
-        table = np.zeros((m + len(least), size))
-        table[:m, :n], table[m:, :n] = self._matrix[:, free], rates[:, free]
-        pads = m + len(self._fingers)
-        table[m:pads, n], table[pads:, n + 1] = 1.0, 1.0
+        free, n = self._free, len(self._fingers)
         off = self._value - self._matrix @ q
-        found = programme("daqp", size, len(table)).solve(
-            h=hessian,
-            g=gradient,
-            a=table,
-            lba=np.concatenate([off, least]),
-            uba=np.concatenate([off, np.full(len(least), np.inf)]),
-            lbx=np.append(np.clip(self._lower - q, -reach, 0.0)[free], [0.0, 0.0]),
-            ubx=np.append(np.clip(self._upper - q, 0.0, reach)[free], [np.inf, np.inf]),
+        found = constrained_ik_step(
+            Task(rows[:, free], -misses),
+            [Barrier(rates[:n, free], least[:n]), Barrier(rates[n:, free], least[n:])],
+            np.clip(self._lower - q, -reach, 0.0)[free],
+            np.clip(self._upper - q, 0.0, reach)[free],
+            equality=Task(self._matrix[:, free], off),
+            posture=(self._grasp - q)[free],
+            posture_weight=POSTURE_WEIGHT,
+            damping=DAMPING,
+            price=MISSED,
         )
         if found is None:
             return None
         step = np.zeros(len(q))
-        step[free] = found[:n]
+        step[free] = found
         return step

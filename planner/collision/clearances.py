@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.kinematics.state import HandState
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["Clearance", "NearPairs"]
@@ -54,3 +55,9 @@ class NearPairs:
     points_a: FloatArray
     points_b: FloatArray
     normals: FloatArray
+
+    def rates(self, hand: HandState) -> FloatArray:
+        """How the distances change with the joints, (k, nq), of a hand where the pairs are."""
+        ahead = hand.point_rates(self.joints[:, 1], self.points_b, self.normals)
+        behind = hand.point_rates(self.joints[:, 0], self.points_a, self.normals)
+        return ahead - behind
