@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.kinematics.state import HandState
+from planner.kinematics.state import HandKinematics
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["Clearance", "NearPairs"]
@@ -56,7 +56,7 @@ class NearPairs:
     points_b: FloatArray
     normals: FloatArray
 
-    def rates(self, hand: HandState) -> FloatArray:
+    def rates(self, hand: HandKinematics) -> FloatArray:
         """How the distances change with the joints, (k, nq), of a hand where the pairs are."""
         ahead = hand.point_rates(self.joints[:, 1], self.points_b, self.normals)
         behind = hand.point_rates(self.joints[:, 0], self.points_a, self.normals)
