@@ -72,10 +72,10 @@ def check(plan: GraspPlan) -> None:
     for finger, normal in zip(task.fingers, plan.contacts.normals, strict=True):
         moved = opened.pad_center(finger) - grasp.pad_center(finger)
         moved = plan.T_world_base.rotation @ moved
-        assert -moved @ normal >= OPENED_SHARE * plan.opening - 1e-6
-        off.append(float(np.linalg.norm(moved + plan.opening * normal)))
+        assert -moved @ normal >= OPENED_SHARE * plan.pregrasp_distance - 1e-6
+        off.append(float(np.linalg.norm(moved + plan.pregrasp_distance * normal)))
     if not task.obstacles:  # which may stand where fingers open to
-        assert np.median(off) < 0.2 * plan.opening
+        assert np.median(off) < 0.2 * plan.pregrasp_distance
 
 
 def same(a: GraspPlan, b: GraspPlan) -> bool:
@@ -326,7 +326,7 @@ def test_the_verdict_on_a_grasp_turns_with_the_world(allegro: Hand) -> None:
     )
     approach = Approach(
         q=plan.q_pregrasp,
-        opening=plan.opening,
+        pregrasp_distance=plan.pregrasp_distance,
         T_world_base_start=move * plan.T_world_base_start,
     )
     base = move * plan.T_world_base

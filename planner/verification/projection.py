@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.collision.pad_contact import touching_of
+from planner.collision.pad_contact import pad_contact_queries
 from planner.numerics.ik_step import Task, ik_step
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
@@ -39,7 +39,7 @@ def project_onto_surface(task: GraspTask, T_world_base: SE3, q: FloatArray) -> F
     What is left is for ``planner.verification.geometry`` to judge; q itself if it touches already,
     or is too far off.
     """
-    hand, touching = task.hand, touching_of(task)
+    hand, touching = task.hand, pad_contact_queries(task)
     matrix, value = hand.coupling_matrix
     index = _moved(task, matrix)
     lower, upper = hand.q_lower[index], hand.q_upper[index]

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.collision.pad_contact import touching_geometries
+from planner.collision.pad_contact import contact_geometries
 from planner.collision.world import CollisionWorld
 from planner.failure import Failure
 from planner.hands.fingers import Finger
@@ -184,11 +184,11 @@ class FingerPaths:
                 numbers={"jump": float(jump)},
             )
         hand, T_world_base = self._task.hand, self._task.T_world_object * T_object_base
-        mine = {g.name for g in touching_geometries(hand, finger)}
+        mine = {g.name for g in contact_geometries(hand, finger)}
         holding = {
             g.name
             for f in self._task.fingers
-            for g in touching_geometries(hand, f)
+            for g in contact_geometries(hand, f)
             if f is not finger
         }
         halves = (postures[1:] + postures[:-1]) / 2
@@ -198,7 +198,7 @@ class FingerPaths:
         for k, q in enumerate(places[1:-1], start=1):
             leaving = k <= near or k >= len(places) - 1 - near
             touching = holding | (mine if leaving else set())
-            found = self.world.closest(T_world_base, q, 1, touching=touching)
+            found = self.world.closest(T_world_base, q, 1, may_touch=touching)
             if found and found[0].distance < (-PENETRATION_TOL if leaving else 0.0):
                 return Failure(
                     kind="swing_collision",
