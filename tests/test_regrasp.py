@@ -12,9 +12,11 @@ from conftest import noting_leads
 
 from planner.errors import NoGraspFoundError, TaskError
 from planner.hand_loading import load_hand
-from planner.motion.gait import GaitPlan, cut_motion, plan_back, plan_others
+from planner.motion.gait import GaitPlan, Relocation, cut_motion, plan_back, plan_others
 from planner.objects import parse_object
+from planner.quality import force_closure
 from planner.spatial import SE3
+from planner.tolerances import CLOSURE_EDGES
 from sim.bench.conditions import FRICTION, REGRASP_FRICTION
 from sim.bench.manipulate import Turn
 from sim.bench.star_hand import write_star_hand
@@ -141,10 +143,23 @@ def test_fingers_land_back_around_the_object(report: ManipulationReport) -> None
             assert check.numbers["margin"] > regrasping.MEASURED_MARGIN
 
 
+def test_the_gate_measures_the_margin_of_the_others(
+    gait: GaitPlan, report: ManipulationReport
+) -> None:
+    """Three contacts close with 0.6 to 0.7, all four with 0.9 and more."""
+    planned = {phase.finger: phase for phase in gait.phases if isinstance(phase, Relocation)}
+    measured = {c.about: c.numbers["margin"] for c in report.checks if c.step == "regrasp"}
+    assert set(measured) == set(planned)
+    for finger, move in planned.items():
+        others = force_closure(move.during, edges=CLOSURE_EDGES).normalised_min_weight
+        assert measured[finger] == pytest.approx(others, abs=0.03)
+        assert force_closure(move.before, edges=CLOSURE_EDGES).normalised_min_weight > others + 0.2
+
+
 def test_a_lift_is_refused_while_the_others_do_not_close(
     plan: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(regrasping, "MEASURED_MARGIN", 2.0)  # more than there can be
+    monkeypatch.setattr(regrasping, "MEASURED_MARGIN", 0.8)  # all four have it, no three of them
     told = manipulate(plan, pace=replace(QUICK, lift_wait=0.1))
     assert not told.complete
     assert not told.dropped
