@@ -31,9 +31,7 @@ def exists(name: str) -> bool:
         for part in parts[k:]:
             if not hasattr(found, part):
                 fields = getattr(found, "__annotations__", {})
-                if part not in fields:
-                    return False
-                return True
+                return part in fields
             found = getattr(found, part)
         return True
     return False
