@@ -29,7 +29,9 @@ class Failure:
     numbers: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        """Keep the numbers as they are given."""
         object.__setattr__(self, "numbers", MappingProxyType(dict(self.numbers)))
 
     def __str__(self) -> str:
+        """The sentence."""
         return self.text

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planner.attempts import Attempt, nothing_found, numbered
+from planner.attempt import Attempt, nothing_found, numbered
 from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
 from planner.plan import GraspPlan, SolveRecord

@@ -1,8 +1,8 @@
-"""``planner.attempts``: what is said when a budget ends."""
+"""``planner.attempt``: what is said when a budget ends."""
 
 from __future__ import annotations
 
-from planner.attempts import Attempt, nothing_found
+from planner.attempt import Attempt, nothing_found
 
 
 def failed(*reasons: str) -> list[Attempt[None]]:

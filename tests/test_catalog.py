@@ -367,7 +367,7 @@ def test_readers_of_files_download_nothing(monkeypatch: pytest.MonkeyPatch) -> N
         asked.append((name, download))
         raise ModelError("asked")
 
-    monkeypatch.setattr("planner.hands.hand.find_hand", asks)
+    monkeypatch.setattr("planner.hand_loading.find_hand", asks)
     with pytest.raises(ModelError, match="asked"):
         plan_from_dict(data, "plan.json")
     with pytest.raises(ModelError, match="asked"):

@@ -97,7 +97,7 @@ def test_same_seed_same_plan_in_a_fresh_process_that_built_other_problems_first(
     allegro: Hand,
 ) -> None:
     script = (
-        "from planner.hands.hand import Hand\n"
+        "from planner.hand_loading import load_hand\n"
         "from planner.search import plan_grasp\n"
         "from planner.synthesis.problems import problems_for\n"
         "from planner.task import GraspTask\n"

@@ -303,7 +303,7 @@ def test_threads_that_build_their_first_problems_at_once() -> None:
 import sys, threading
 sys.setswitchinterval(1e-6)
 from planner import GraspTask, plan_grasp
-from planner.hands.hand import Hand
+from planner.hand_loading import load_hand
 hand = load_hand("allegro_hand")
 names = ("box", "sphere", "capsule", "ellipsoid")
 found = {}

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from planner.attempts import Attempt, nothing_found, numbered
+from planner.attempt import Attempt, nothing_found, numbered
 from planner.errors import NoGraspFoundError, TaskError
 from planner.motion.ground import Ground, finger_sets, rank, with_rolling_pads
 from planner.motion.path import LARGEST_TURN, ObjectPath

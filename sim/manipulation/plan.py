@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from planner.approach.pregrasp import Approach
-from planner.attempts import nothing_found
+from planner.attempt import nothing_found
 from planner.errors import TaskError
 from planner.motion import MotionAttempt, MotionPlan, ObjectPath, motion_attempts
 from planner.motion.gait import GaitPlan

@@ -16,7 +16,7 @@ from functools import cache
 
 import numpy as np
 
-from planner.attempts import Attempt, nothing_found, numbered
+from planner.attempt import Attempt, nothing_found, numbered
 from planner.errors import NoGraspFoundError, TaskError
 from planner.kinematics.state import HandState
 from planner.motion.gait.check import GaitJudge
