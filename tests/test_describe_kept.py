@@ -14,8 +14,8 @@ from planner.describe import kept, propose, proposed_description
 from planner.description import HandDescription
 from planner.errors import HandError, ModelError, NotFoundError
 from planner.hand_loading import load_hand
-from planner.hands.catalog import models_dir
 from planner.system.disk_cache import CACHE_VARIABLE, write_text
+from planner.system.models import models_dir
 
 ALLEGRO = models_dir() / "hands" / "allegro_hand" / "allegro_hand.xml"
 
