@@ -16,15 +16,14 @@ from scipy.spatial import ConvexHull
 
 from planner.errors import ObjectError
 from planner.shapes.base import Shape, checked_points
+from planner.shapes.closest_point import ON_SURFACE, unit
 from planner.shapes.convex import convex_geometry
 from planner.shapes.field.distance_field import DistanceField
-from planner.shapes.field.grid_distance import FIELD_VERSION, fit_mesh_field
-from planner.shapes.field.kept_fits import field_fits
+from planner.shapes.field.grid_distance import FIELD_VERSION, field_fits, fit_mesh_field
 from planner.shapes.meshes.io import check_solid, read_mesh
 from planner.shapes.meshes.nearest_triangle import NearestTriangles, coal_tree
 from planner.shapes.meshes.polyhedron import Polyhedron, checked_triangles, digest_of
 from planner.shapes.meshes.triangles import winding_number
-from planner.shapes.nearest import ON_SURFACE, unit
 from planner.shapes.stable import StablePose, stable_poses
 from planner.spatial import FloatArray, IntArray
 from planner.system.disk_cache import read_arrays, write_arrays
@@ -246,9 +245,9 @@ class Mesh(Shape):
         return convex_geometry(self.hull_vertices)
 
     def mujoco_geom(self) -> tuple[str, tuple[float, ...]]:
-        """None fits: see ``planner.shapes.decomposition.solid``."""
+        """None fits: see ``planner.shapes.decomposition.pieces``."""
         raise ObjectError(
-            "a mesh is no single MuJoCo geom; use planner.shapes.decomposition.solid.solid_geoms"
+            "a mesh is no single MuJoCo geom; use planner.shapes.decomposition.pieces.solid_geoms"
         )
 
     def closest_point(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
