@@ -15,7 +15,7 @@ from planner.description import HandDescription
 from planner.hands.arm import read_mount
 from planner.hands.build import build_hand, described_hand, hand_on_arm
 from planner.hands.catalog import find_hand, hand_reference
-from planner.hands.description_files import DescribedHand, read_description
+from planner.hands.description_toml import DescribedHand, read_description
 from planner.hands.hand import Hand
 
 __all__ = ["hand_from_model", "hand_from_spec", "load_hand"]

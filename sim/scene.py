@@ -27,7 +27,7 @@ from planner.collision.world import TABLE_SIZE
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.shapes import Mesh
-from planner.shapes.decomposition.solid import solid_deviation, solid_geoms
+from planner.shapes.decomposition.pieces import solid_deviation, solid_geoms
 from planner.spatial import SE3, FloatArray, IntArray, pose_to_wxyz
 from planner.task import GraspTask
 from sim.gantry import MOUNT, Mount, add_mount, tuned_mount

@@ -20,8 +20,8 @@ import joblib
 from planner.arrays import checked_count
 from planner.batch.jobs import Job, plan_row
 from planner.batch.rows import failed_row
-from planner.batch.safe_path import safe_path
 from planner.errors import TaskError
+from planner.system.environment import safe_path
 
 __all__ = ["check_backend", "finished", "planned_rows"]
 

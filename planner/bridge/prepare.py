@@ -13,8 +13,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from planner.bridge.joint_rows import tendon_row
 from planner.bridge.load import RIGID_SOLIMP, RIGID_SOLREF, compile_spec
-from planner.bridge.moments import tendon_row
 from planner.bridge.numbers import check_repeated_names, check_sizes
 from planner.description import ActuatorDescription, HandDescription
 from planner.errors import HandError, NotFoundError

@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 
 from planner.bridge.decompile import spec_from_model
+from planner.bridge.joint_rows import actuator_row, is_fixed_tendon, tendon_row
 from planner.bridge.load import load_spec
-from planner.bridge.moments import actuator_row, is_fixed_tendon, tendon_row
 from planner.bridge.pinocchio_model import body_name
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 

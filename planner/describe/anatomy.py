@@ -9,7 +9,7 @@ import numpy as np
 from planner.bridge.structure import ModelStructure
 from planner.describe.fingertips import Fingertip, Skeleton, fingertip_of
 from planner.describe.pads import FIT_TOL, PadFit, fit_pad
-from planner.describe.proposal import Notes
+from planner.describe.reasons import Notes
 from planner.describe.tree import Branch, HandTree
 from planner.description import FingerDescription, PadDescription, TipDescription
 from planner.errors import HandError

@@ -9,9 +9,8 @@ import pinocchio as pin
 
 from planner.bridge.measure import body_positions, geom_distance, touching_geoms
 from planner.bridge.pinocchio_model import body_name
-from planner.describe.gaps import TOUCHING
 from planner.describe.grip import check_pads, check_postures
-from planner.describe.overlaps import check_overlaps
+from planner.describe.overlaps import TOUCHING, check_overlaps
 from planner.describe.report import CheckReport, Finding, JointRow, TouchRow, WorkspaceRow
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState

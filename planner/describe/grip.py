@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from planner.describe.convex_links import ConvexLink, cone_directions
-from planner.describe.gaps import TOUCHING
+from planner.describe.overlaps import TOUCHING
 from planner.describe.postures import PostureSolver
 from planner.describe.report import Finding, PadRow, PostureRow
 from planner.hands.fingers import Finger

@@ -30,7 +30,7 @@ from planner.describe.fingertips import Fingertip, Skeleton
 from planner.describe.overlaps import frequent_overlaps
 from planner.describe.pads import PadFit
 from planner.describe.postures import OPEN_RADII, PINCH_RADII, PosturePart, PostureSolver
-from planner.describe.proposal import Notes, Proposal
+from planner.describe.reasons import Notes, Proposal
 from planner.describe.repairs import (
     prepared_model,
     repair_and_base,

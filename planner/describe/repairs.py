@@ -14,8 +14,8 @@ from planner.bridge.pinocchio_model import pinocchio_from_mujoco
 from planner.bridge.prepare import name_parts, prepare_spec
 from planner.bridge.structure import structure_of
 from planner.describe.drive import impossible_couplings
-from planner.describe.gaps import TOUCHING
-from planner.describe.proposal import Notes
+from planner.describe.overlaps import TOUCHING
+from planner.describe.reasons import Notes
 from planner.describe.tree import find_base
 from planner.description import HandDescription, RepairDescription
 from planner.hands.build import described_hand

@@ -12,7 +12,7 @@ import numpy as np
 
 from planner.bridge.structure import ModelStructure
 from planner.describe.drive import Drive, in_span
-from planner.describe.proposal import Reason
+from planner.describe.reasons import Reason
 from planner.description import ActuatorDescription, JointDefaults
 from planner.spatial import FloatArray
 

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from planner.describe.proposal import Proposal, Reason
+from planner.describe.reasons import Proposal, Reason
 from planner.description import HandDescription
 from planner.errors import FileFormatError
 from planner.hands.catalog import PACKAGE_SCHEME

@@ -15,8 +15,7 @@ from pydantic import Field
 
 from planner.errors import FileFormatError
 from planner.files.data import ContactData, Finite
-from planner.files.head import checked_file
-from planner.files.json_csv import read_json, write_json
+from planner.files.json_csv import checked_file, read_json, write_json
 from planner.files.motions import MotionFile, motion_from_dict, motion_to_dict
 from planner.files.plans import CONTACT_TOL, contact_data, numbers_of
 from planner.hands.hand import Hand

@@ -27,7 +27,7 @@ from planner.couplings import check_held
 from planner.description import HandDescription
 from planner.errors import HandError
 from planner.hands.arm import Mount
-from planner.hands.description_files import MirrorAxis, reflection_signs
+from planner.hands.description_toml import MirrorAxis, reflection_signs
 from planner.hands.fingers import Resolver
 from planner.hands.hand import Hand
 

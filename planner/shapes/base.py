@@ -23,6 +23,7 @@ __all__ = [
     "checked_extents",
     "checked_length",
     "checked_points",
+    "sized_spec",
 ]
 
 LARGEST = 2.0
@@ -85,7 +86,7 @@ class Shape(ABC):
 
         Every digit is kept: the shape read back is equal to this one.
         """
-        return f"{self.kind}:" + "x".join(repr(v) for v in self.sizes)
+        return sized_spec(self.kind, self.sizes)
 
     @property
     @abstractmethod
@@ -210,6 +211,11 @@ class Shape(ABC):
         rotation = poses[index].rotation
         height = self.support(-rotation[2])
         return SE3(rotation, np.array([0.0, 0.0, table_height + height]))
+
+
+def sized_spec(kind: str, sizes: Sequence[float]) -> str:
+    """The specification of a kind and sizes (m) with every digit: "box:0.05x0.05x0.08"."""
+    return f"{kind}:" + "x".join(repr(v) for v in sizes)
 
 
 def checked_length(kind: str, name: str, value: object) -> float:

@@ -13,6 +13,7 @@ decomposition: CoACD 1.0.14 took 55 s for a mug, and neither it nor V-HACD bound
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from heapq import heappop, heappush
@@ -20,15 +21,27 @@ from heapq import heappop, heappush
 import numpy as np
 from scipy.spatial import cKDTree
 
+from planner.shapes.base import Shape
 from planner.shapes.decomposition.cutting import Guards, cut
 from planner.shapes.decomposition.hulls import Hull, hull_of
-from planner.shapes.field.kept_fits import pieces_fit
 from planner.shapes.mesh import Mesh
+from planner.shapes.meshes.polyhedron import moments
 from planner.shapes.meshes.triangles import cover
-from planner.spatial import FloatArray, IntArray
+from planner.shapes.triangulation import surface_triangles
+from planner.spatial import SE3, FloatArray, IntArray
 from planner.system.disk_cache import read_arrays, write_arrays
 
-__all__ = ["TOLERANCE", "Pieces", "convex_pieces", "deviation", "merge"]
+__all__ = [
+    "MESH",
+    "TOLERANCE",
+    "Pieces",
+    "SolidGeom",
+    "convex_pieces",
+    "deviation",
+    "merge",
+    "solid_deviation",
+    "solid_geoms",
+]
 
 TOLERANCE = 0.001
 """How far (m) a piece may reach out of the solid, about: what it does is measured. Half of it
@@ -181,3 +194,92 @@ def _from_arrays(arrays: dict[str, FloatArray]) -> Pieces:
         faces=tuple(arrays[f"faces_{k}"].astype(np.int64) for k in range(int(number))),
         deviation=float(deviation),
     )
+
+
+EXACT = 1e-6
+"""Distance (m), or share of a volume (-), by which what is computed again may differ."""
+
+
+def pieces_fit(
+    mesh: Shape,
+    corners: FloatArray,
+    pieces: Sequence[tuple[FloatArray, IntArray]],
+    deviation: float,
+) -> bool:
+    """Whether pieces are convex, cover a mesh, and reach out of it no farther than they say.
+
+    Args:
+        mesh: The mesh.
+        corners: Its vertices (n, 3), m.
+        pieces: Vertices (k, 3), m, and faces (m, 3) of each.
+        deviation: How far (m) they are said to reach out of it.
+    """
+    if len(pieces) == 0 or not 0 <= deviation <= mesh.bounding_radius:
+        return False
+    covered = np.full(len(corners), np.inf)
+    volume = 0.0
+    for vertices, faces in pieces:
+        if not _is_polyhedron(vertices, faces):
+            return False
+        hull = hull_of(vertices)
+        if hull is None or abs(moments(vertices[faces])[0] / hull.volume - 1) > EXACT:
+            return False
+        if mesh.signed_distance(vertices).max() > deviation + EXACT:
+            return False
+        covered = np.minimum(covered, -hull.depths(corners))
+        volume += hull.volume
+    return bool(covered.max() <= EXACT and volume >= mesh.volume * (1 - EXACT))
+
+
+def _is_polyhedron(vertices: FloatArray, faces: IntArray) -> bool:
+    """Whether arrays are of the form of a polyhedron, with finite numbers."""
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
+        return False
+    if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) < 4:
+        return False
+    return bool(faces.min() >= 0 and faces.max() < len(vertices))
+
+
+MESH = "mesh"
+"""Kind of a geom that is given by its vertices and faces."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SolidGeom:
+    """One convex geom of an object.
+
+    Attributes:
+        kind: MuJoCo's geom type, for example "box"; "mesh" for a convex polyhedron.
+        size: Half lengths and radii, m, one to three; empty for a mesh.
+        T_object_geom: Its pose in the shape's frame.
+        vertices: (n, 3), m, in the geom's frame; None unless a mesh.
+        faces: (m, 3), counter-clockwise seen from outside; None unless a mesh.
+    """
+
+    kind: str
+    size: tuple[float, ...]
+    T_object_geom: SE3
+    vertices: FloatArray | None = None
+    faces: IntArray | None = None
+
+
+def solid_geoms(shape: Shape) -> tuple[SolidGeom, ...]:
+    """The geoms that together stand for a shape in MuJoCo."""
+    here = SE3(np.eye(3), np.zeros(3))
+    if isinstance(shape, Mesh):
+        pieces = convex_pieces(shape)
+        return tuple(
+            SolidGeom(kind=MESH, size=(), T_object_geom=here, vertices=v, faces=f)
+            for v, f in zip(pieces.vertices, pieces.faces, strict=True)
+        )
+    geom = shape.mujoco_geom()
+    if geom is None:
+        vertices, faces = surface_triangles(shape)
+        return (SolidGeom(kind=MESH, size=(), T_object_geom=here, vertices=vertices, faces=faces),)
+    kind, size = geom
+    return (SolidGeom(kind=kind, size=size, T_object_geom=here),)
+
+
+def solid_deviation(shape: Shape) -> float:
+    """How far (m) those geoms reach out of the true shape at most; 0 for others."""
+    return convex_pieces(shape).deviation if isinstance(shape, Mesh) else 0.0

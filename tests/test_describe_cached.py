@@ -1,4 +1,4 @@
-"""Proposals kept on disk: the same to the last bit, and made anew for whatever they follow from."""
+"""Proposals cached on disk: the same to the last bit, made anew when their inputs change."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planner.describe import kept, propose, proposed_description
+from planner.describe import cached, propose, proposed_description
 from planner.description import HandDescription
 from planner.errors import HandError, ModelError, NotFoundError
 from planner.hand_loading import load_hand
-from planner.hands.catalog import models_dir
 from planner.system.disk_cache import CACHE_VARIABLE, write_text
+from planner.system.models import models_dir
 
 ALLEGRO = models_dir() / "hands" / "allegro_hand" / "allegro_hand.xml"
 
@@ -55,7 +55,7 @@ def calls(own_cache: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
             made.append(model)
             self.description = described().model_copy(update={"model": str(model)})
 
-    monkeypatch.setattr(kept, "propose", Made)
+    monkeypatch.setattr(cached, "propose", Made)
     return made
 
 
@@ -84,7 +84,7 @@ def test_a_kept_proposal_is_the_same_to_the_last_bit(
     def never(*_: object) -> None:
         raise AssertionError("proposed again")
 
-    monkeypatch.setattr(kept, "propose", never)
+    monkeypatch.setattr(cached, "propose", never)
     again = load_hand(ALLEGRO)
     assert repr(again.description) == repr(first.description) == repr(fresh)
     assert again.description == fresh
@@ -139,22 +139,22 @@ def test_whatever_it_follows_from_makes_it_anew(
     elif changed == "name":
         model = model.rename(model.with_name("other.xml"))  # the hand is called after it
     else:
-        monkeypatch.setattr(kept, "_made_with", lambda: b"other code")
+        monkeypatch.setattr(cached, "_made_with", lambda: b"other code")
     proposed_description(model)
     assert len(calls) == 2
 
 
 def test_the_code_that_counts_is_all_of_the_planner(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = kept._made_with.__wrapped__()
-    monkeypatch.setattr(kept, "_version", lambda name: f"another {name}")
-    other_versions = kept._made_with.__wrapped__()
+    before = cached._made_with.__wrapped__()
+    monkeypatch.setattr(cached, "_version", lambda name: f"another {name}")
+    other_versions = cached._made_with.__wrapped__()
     read = Path.read_bytes
 
     def edited(path: Path) -> bytes:
         return read(path) + (b"#" if path.name == "postures.py" else b"")
 
     monkeypatch.setattr(Path, "read_bytes", edited)
-    assert len({before, other_versions, kept._made_with.__wrapped__()}) == 3
+    assert len({before, other_versions, cached._made_with.__wrapped__()}) == 3
 
 
 def test_a_model_whose_files_are_not_all_found_is_not_kept(model: Path, calls: list[Path]) -> None:
