@@ -38,6 +38,7 @@ def opposable(
     start = f"import sys; sys.path.insert(0, {str(site)!r}); import sim.cli; sim.cli.main()"
     run = subprocess.run(
         [sys.executable, "-c", start, *arguments],
+        check=False,
         cwd=folder,
         env=os.environ | {"COLUMNS": "200"},
         capture_output=True,
