@@ -22,6 +22,7 @@ from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from planner.verification.grasp import with_grip
+from sim.bench import planned
 from sim.bench.control import (
     control_tables,
     grasps_of,
@@ -29,12 +30,11 @@ from sim.bench.control import (
     parts,
     promise,
     push,
-    rate,
     run_control,
     slip_trial,
 )
 from sim.bench.control.jobs import PARTS, ROWS_PER_GRASP, Part, control_jobs
-from sim.bench.control.rate import rate_row
+from sim.bench.control.parts import rate_row
 from sim.bench.control.slip_trial import Watched, slip_row
 from sim.bench.objects import BenchObject
 from sim.contacts import hand_contacts
@@ -131,7 +131,7 @@ def test_a_file_goes_on_with_more_grasps_and_other_parts(
 def test_a_grasp_that_is_not_found_is_a_row_with_its_reason(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(jobs, "_plan", lambda *_: "too wide")
+    monkeypatch.setattr(planned, "_plan", lambda *_: "too wide")
     result = run(tmp_path / "x.jsonl", {"fc": 2})
     assert [r["error"] for r in result["rows"]] == ["too wide"] * 2
     (table,) = control_tables(result)
@@ -244,7 +244,7 @@ def test_a_grasp_holds_in_fc_and_is_timed(plan: GraspPlan, monkeypatch: pytest.M
     assert (row["held"], row["of"], row["reasons"]) == (1, 1, [])
     assert 0 <= row["start_penetration_mm"] <= 1.0
     assert 0 <= row["grasp_penetration_mm"] <= 1.0
-    monkeypatch.setattr(rate, "STRETCHES", 3)
+    monkeypatch.setattr(parts, "STRETCHES", 3)
     timed = {loop["loop"]: loop for loop in rate_row(plan, np.random.default_rng(0))["loops"]}
     assert timed["open"]["step_ms"] == 2.0
     for loop in timed.values():

@@ -202,7 +202,7 @@ def fake(wanted: Sample, check: Any) -> dict[str, Any]:
     return {
         "index": wanted.index,
         "hand": wanted.hand,
-        "label": wanted.label,
+        "object": wanted.label,
         "grade": wanted.grade,
         "condition": wanted.condition,
         "found": True,
