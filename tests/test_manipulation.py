@@ -16,6 +16,7 @@ from conftest import noting_leads, of_trimesh
 
 from planner.collision.world import CollisionWorld, shape_pair
 from planner.errors import TaskError
+from planner.failure import Failure
 from planner.motion import MotionAttempt
 from planner.motion.release import find_release
 from planner.objects import GraspObject, parse_object
@@ -43,7 +44,7 @@ from sim.manipulation.modes import measured_modes, mode_table, planned_modes
 from sim.manipulation.plan import _enough, _merit
 from sim.manipulation.rounds import rounds
 from sim.manipulation.stand import on_stand
-from sim.physics import PhysicsOptions
+from sim.physics.options import PhysicsOptions
 
 UP = np.array([0.0, 0.0, 1.0])
 DT = 0.002
@@ -307,7 +308,7 @@ def test_a_plan_knows_how_to_let_go(plan: ManipulationPlan) -> None:
     world = CollisionWorld(there)
     assert world.touching(motion.T_world_base, release.q, clearance=0.0005) is None
     again = find_release(motion)
-    assert not isinstance(again, str)
+    assert not isinstance(again, Failure)
     np.testing.assert_array_equal(again.q, release.q)
 
 
@@ -484,7 +485,7 @@ def test_a_weak_plan_is_taken_only_if_no_fingers_have_a_better_one(
         begun.append(len(chosen.finger_names))
         found = None if margin is None else with_margin(plan, margin).motion
         while True:
-            yield MotionAttempt(index=0, plan=found, reason="", cpu_s=record.cpu_s)
+            yield MotionAttempt(index=0, plan=found, failure=None, cpu_s=record.cpu_s)
 
     rows = [(task, 0.0, 1), (task, 0.0, 1), (task, 0.0, None)]
     monkeypatch.setattr("sim.manipulation.plan.rounds", lambda _: iter(rows))

@@ -30,11 +30,11 @@ from planner.plan import GraspPlan, SolveRecord
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GraspTask
-from planner.verification.grasp import judge_grasp
+from planner.verification.grasp import verify_grasp
 from sim.cli import main
 from sim.cli.test import _show
 from sim.controllers import Controller, GraspController, Observation, Phase
-from sim.physics import PhysicsOptions
+from sim.physics.options import PhysicsOptions
 from sim.protocols import FAILURES, Outcome, Settings, protocol_table, run_protocol, write_csv
 from sim.protocols.bounds import proven_bound
 from sim.protocols.cases import AXES, Conditions, MakeController
@@ -133,7 +133,7 @@ def pinch(hand: Hand, *, press: float = PRESS, mass: float = 0.1) -> GraspPlan:
         seed=0, attempt=0, attempts=1, iterations=0, status="by hand", cpu_s=0.0, build_s=0.0
     )
     above = SE3(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 0.4]))
-    plan = judge_grasp(task, above, np.full(2, 0.06 - HALF - PAD), record=record)
+    plan = verify_grasp(task, above, np.full(2, 0.06 - HALF - PAD), record=record)
     assert isinstance(plan, GraspPlan), plan
     return plan
 

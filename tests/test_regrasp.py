@@ -11,6 +11,7 @@ import pytest
 from conftest import noting_leads
 
 from planner.errors import NoGraspFoundError, TaskError
+from planner.failure import Failure
 from planner.hand_loading import load_hand
 from planner.motion.gait import GaitPlan, Relocation, cut_motion, plan_back, plan_others
 from planner.objects import parse_object
@@ -34,7 +35,7 @@ from sim.manipulation import (
     regrasping,
 )
 from sim.manipulation.prose import told_events
-from sim.physics import PhysicsOptions
+from sim.physics.options import PhysicsOptions
 
 DT = 0.002
 ANGLE = math.radians(40.0)
@@ -195,12 +196,12 @@ def test_another_finger_goes_first_where_a_lift_is_refused(
 def test_fingers_that_are_left_have_orders_of_their_own(gait: GaitPlan) -> None:
     stroke, names = gait.motion, gait.order
     found = plan_others(stroke, names[:1], names[1:2])
-    assert not isinstance(found, str)
+    assert not isinstance(found, Failure)
     assert sorted(r.finger for r in found) == sorted(names[1:])
     assert found[0].finger != names[1]
     told = plan_others(stroke, names[:1], names[1:])
-    assert isinstance(told, str)
-    assert "could not be lifted when it was tried" in told
+    assert isinstance(told, Failure)
+    assert "could not be lifted when it was tried" in told.text
 
 
 def test_a_reference_goes_on_from_an_object_that_was_turned(gait: GaitPlan) -> None:
@@ -237,7 +238,7 @@ def test_fingers_find_back_from_half_way(gait: GaitPlan) -> None:
     assert half.knots[-1].place == pytest.approx(0.5, abs=0.3)
     assert half.path.angle == pytest.approx(half.knots[-1].place * motion.path.angle)
     back = plan_back(motion, 1.0)
-    assert not isinstance(back, str)
+    assert not isinstance(back, Failure)
     assert sorted(r.finger for r in back) == sorted(motion.grasp.task.finger_names)
     q = back[-1].postures[-1]
     np.testing.assert_allclose(q, motion.knots[0].q, atol=1e-9)

@@ -22,7 +22,7 @@ from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
 from sim.contacts import hand_contacts
 from sim.controllers import Observation
-from sim.physics import PhysicsOptions
+from sim.physics.options import PhysicsOptions
 from sim.report import ReportFile, TrialReport
 from sim.timeline import Timeline
 from sim.trial import Trial, simulate

@@ -11,6 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from planner.errors import TaskError
+from planner.failure import Failure
 from planner.motion.path import tilts
 from planner.objects import parse_object
 from planner.spatial import SE3
@@ -28,7 +29,7 @@ from sim.manipulation import (
 from sim.manipulation.ending import object_at_target, planned_ending, stands, way_back
 from sim.manipulation.paths import MOST_PIVOT
 from sim.manipulation.stand import on_stand
-from sim.physics import PhysicsOptions
+from sim.physics.options import PhysicsOptions
 
 X, Y, Z = np.eye(3)
 DT = 0.002
@@ -108,7 +109,7 @@ def test_what_does_not_stand_is_put_down_as_it_was_picked_up(plan: ManipulationP
     np.testing.assert_allclose(plan.T_world_target.rotation, np.eye(3), atol=1e-12)
     np.testing.assert_array_equal(plan.release.q, grasp.q_pregrasp)
     ending = planned_ending(plan.motion, math.pi / 2, None)  # on its side it would stand
-    assert not isinstance(ending, str)
+    assert not isinstance(ending, Failure)
     if not ending.back:
         assert ending.T_world_target.rotation[2] @ Z == pytest.approx(0.0, abs=1e-12)
     assert way_back(plan.motion, None, "so").back == "so"

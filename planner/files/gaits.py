@@ -14,13 +14,14 @@ import numpy as np
 from pydantic import Field
 
 from planner.errors import FileFormatError
+from planner.failure import Failure
 from planner.files.data import ContactData, Finite
 from planner.files.json_csv import checked_file, read_json, write_json
 from planner.files.motions import MotionFile, motion_from_dict, motion_to_dict
 from planner.files.plans import CONTACT_TOL, contact_data, numbers_of
 from planner.hands.hand import Hand
 from planner.motion.gait import GaitPlan, Relocation
-from planner.motion.gait.check import GaitJudge
+from planner.motion.gait.verify import GaitVerifier
 from planner.schema import StrictData
 from planner.version import written_by
 
@@ -94,8 +95,8 @@ def read_gait(path: Path | str, *, hand: Hand | None = None) -> GaitPlan:
     data = read_json(path, "gait file")
     file = checked_file(GaitFile, data, str(path))
     stroke = motion_from_dict(data["stroke"], str(path), hand=hand)
-    plan = GaitJudge(stroke.grasp.task).judge(stroke, file.cycles)
-    if isinstance(plan, str):
+    plan = GaitVerifier(stroke.grasp.task).verify(stroke, file.cycles)
+    if isinstance(plan, Failure):
         raise FileFormatError(f"{path} holds a gait that fails its checks: {plan}")
     true = [_relocation(r) for r in plan.relocations if r.cycle == 0]
     if [r.finger for r in file.relocations] != [r.finger for r in true]:

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 
+from planner.attempts import SearchRecord
 from planner.contacts import ContactSet
 from planner.forces import ForceSolution
 from planner.immutable import freeze
@@ -65,26 +66,16 @@ class Knot:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotionRecord:
+class MotionRecord(SearchRecord):
     """Where a motion comes from.
 
     Attributes:
-        seed: Seed of the search.
-        attempt: Number of the attempt that gave it, from 0; seed and attempt fix the start.
-        attempts: How many were made.
-        iterations: Evaluations of the descents of its attempt.
+        iterations: Evaluations of the residuals in its attempt.
         worst: Largest weighted residual of a term of what was verified.
-        cpu_s: CPU time of the search until it ended, s, without building.
-        build_s: Time that building took, s.
     """
 
-    seed: int
-    attempt: int
-    attempts: int
     iterations: int
     worst: float
-    cpu_s: float
-    build_s: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,7 +89,7 @@ class MotionPlan:
         grasp: The grasp with which it begins, with its way in, on the table or where the object is.
         path: The path that the object goes; shorter than what was asked for if that was too long.
         knots: In order; the first is the grasp.
-        tube: Radius within which the object was allowed to leave the path, m.
+        path_tolerance: How far the object was allowed to leave the path, m.
         limits: What kept the path from being longer, where as much as there is was asked for.
         record: Where the motion comes from.
     """
@@ -106,7 +97,7 @@ class MotionPlan:
     grasp: GraspPlan
     path: ObjectPath
     knots: tuple[Knot, ...]
-    tube: float
+    path_tolerance: float
     limits: tuple[Limit, ...]
     record: MotionRecord
 
@@ -182,7 +173,8 @@ class MotionPlan:
             f"{task.hand.name} ({', '.join(task.finger_names)}), {task.object.shape.spec}: "
             f"{self.path}",
             f"  {len(self.knots)} knots, off the path by up to "
-            f"{1e3 * max(k.off_path for k in self.knots):.1f} mm (tube {1e3 * self.tube:.1f})",
+            f"{1e3 * max(k.off_path for k in self.knots):.1f} mm "
+            f"(tolerance {1e3 * self.path_tolerance:.1f})",
             f"  closure: least normalised min-weight {self.margin:.3f}",
             f"  clearance: least {1e3 * self.clearance:.2f} mm",
             f"  joints: {joint} comes within {100 * room:.1f} % of its range of an end, at "

@@ -14,6 +14,7 @@ import numpy as np
 from planner.approach.pregrasp import Approach, find_approach
 from planner.collision.resting import lift_to_rest
 from planner.collision.world import CollisionWorld
+from planner.failure import Failure
 from planner.motion.plan import MotionPlan
 
 __all__ = ["SINKS", "find_release"]
@@ -22,7 +23,7 @@ SINKS = 0.01
 """How much (m) higher or lower than at first a turned object may lie on what carries it."""
 
 
-def find_release(motion: MotionPlan) -> Approach | str:
+def find_release(motion: MotionPlan) -> Approach | Failure:
     """Opened fingers and a straight way out at the end of a motion; or why there are none.
 
     The poses are where the grasp is, like those of the motion: put down elsewhere, hand and object
@@ -40,9 +41,10 @@ def find_release(motion: MotionPlan) -> Approach | str:
             shape = task.object.shape
             lift = lift_to_rest(shape, end.T_world_object, carrying, -SINKS, SINKS)
             if lift is None:
-                return (
-                    f"turned like that the object does not lie on {carrying[0].name!r} and the "
-                    f"others that carried it: it is in them even {1e3 * SINKS:.0f} mm higher"
+                return Failure(
+                    kind="no_rest",
+                    text=f"turned like that the object does not lie on {carrying[0].name!r} and "
+                    f"the others that carried it: it is in them even {1e3 * SINKS:.0f} mm higher",
                 )
             carrying = tuple(o.moved(np.array([0.0, 0.0, -lift])) for o in carrying)
             table -= lift

@@ -28,7 +28,7 @@ from sim.bench.statistics import median_of, quantile_of
 from sim.bench.tables import number, share, summary_table, table_of
 from sim.controllers import named_controller
 from sim.creep import CREEP_BUDGET, least_creep, remedies
-from sim.physics import PRESETS, PhysicsOptions
+from sim.physics.options import PRESETS, PhysicsOptions
 from sim.protocols.creep import measure_creep
 from sim.runner import Check, Runner
 from sim.scene import build_scene

@@ -22,7 +22,7 @@ from planner.task import DEFAULT_MU
 from sim.bench.predictors import predictors_of
 from sim.bench.requests import Setting, task_for
 from sim.bench.run import Job, Row
-from sim.physics import PhysicsOptions
+from sim.physics.options import PhysicsOptions
 from sim.trial import Timeline, Trial
 
 __all__ = ["CONDITIONS", "GRADES", "Condition", "Grade", "Sample", "try_sample"]

@@ -167,7 +167,7 @@ def physics_of(text: str, sim_mu: float | None = None) -> Any:
         FileFormatError: A file that cannot be read.
         TaskError: A field that there is not, or a value out of range.
     """
-    from sim.physics import physics_for
+    from sim.physics.options import physics_for
 
     found = physics_for(text)
     return found if sim_mu is None else replace(found, mu=sim_mu)

@@ -15,6 +15,7 @@ import pinocchio as pin
 
 from planner.approach.pregrasp import Approach
 from planner.collision.resting import lift_to_rest
+from planner.failure import Failure
 from planner.motion import MotionPlan
 from planner.motion.release import SINKS, find_release
 from planner.spatial import SE3, FloatArray
@@ -54,7 +55,7 @@ class Ending:
 
 def planned_ending(
     motion: MotionPlan, angle: float, place: tuple[float, float] | None
-) -> Ending | str:
+) -> Ending | Failure:
     """How an object is put down after a motion; or why it cannot be.
 
     Args:
@@ -66,12 +67,12 @@ def planned_ending(
     if not stands(task, axis, angle):
         return way_back(motion, place, "turned so it does not stand")
     release = find_release(motion)
-    if not isinstance(release, str):
+    if not isinstance(release, Failure):
         target = object_at_target(task, axis, angle, place)
         return Ending(T_world_target=target, release=release, back="")
     if np.any(motion.path.shift):
         return way_back(motion, place, f"moved so the hand cannot let go: {release}")
-    return f"cannot let go at the end: {release}"
+    return release.at("cannot let go at the end")
 
 
 def way_back(motion: MotionPlan, place: tuple[float, float] | None, why: str) -> Ending:

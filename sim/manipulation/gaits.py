@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from planner.errors import NoGraspFoundError, PlannerError, TaskError
+from planner.failure import Failure
 from planner.motion.gait import plan_gait
 from planner.motion.path import LARGEST_TURN, tilts
 from planner.spatial import FloatArray
@@ -77,8 +78,8 @@ def plan_regrasping(
         )
         attempts, cpu_s = attempts + gait.record.attempts, cpu_s + gait.record.cpu_s
         ending = planned_ending(gait.motion, angle, place)
-        if isinstance(ending, str) or ending.back:
-            why = ending if isinstance(ending, str) else ending.back
+        if isinstance(ending, Failure) or ending.back:
+            why = str(ending) if isinstance(ending, Failure) else ending.back
             continue
         return ManipulationPlan(
             motion=gait.motion,

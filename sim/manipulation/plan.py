@@ -10,10 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from planner.attempts import nothing_found
 
 from planner.approach.pregrasp import Approach
-from planner.attempt import nothing_found
 from planner.errors import TaskError
+from planner.failure import Failure
 from planner.motion import MotionAttempt, MotionPlan, ObjectPath, motion_attempts
 from planner.motion.gait import GaitPlan
 from planner.spatial import SE3, FloatArray
@@ -139,7 +140,7 @@ def plan_manipulation(
         tried.append(chosen.finger_names)
         path = further(direction, angle, moved, more)
         most = max_attempts if attempts is None else min(max_attempts, len(made) + attempts)
-        for attempt in motion_attempts(chosen, path, tube=tube, seed=seed):
+        for attempt in motion_attempts(chosen, path, path_tolerance=tube, seed=seed):
             if len(made) >= most or _enough(found):
                 break
             made.append(attempt)
@@ -147,11 +148,12 @@ def plan_manipulation(
                 continue
             pivoted = pivots(attempt.plan)
             if pivoted:
-                made[-1] = replace(attempt, plan=None, reason=pivoted)
+                failure = Failure(kind="pivots", text=pivoted)
+                made[-1] = replace(attempt, plan=None, failure=failure)
                 continue
             ending = planned_ending(attempt.plan, angle, place)
-            if isinstance(ending, str):
-                made[-1] = replace(attempt, plan=None, reason=ending)
+            if isinstance(ending, Failure):
+                made[-1] = replace(attempt, plan=None, failure=ending)
                 continue
             found.append(
                 ManipulationPlan(

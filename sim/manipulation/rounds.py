@@ -12,10 +12,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from planner.motion.ground import tripods, with_rolling_pads
 
 from planner.errors import TaskError
 from planner.hands.hand import Hand
-from planner.motion.ground import tripods, with_rolling_pads
 from planner.objects import GraspObject
 from planner.synthesis.seeds.mesh import turning_seeder_for
 from planner.task import GraspTask

@@ -24,6 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from planner.errors import PlannerError
+from planner.failure import Failure
 from planner.motion.gait import cut_motion
 from planner.motion.release import find_release
 from planner.spatial import SE3, signed_twist
@@ -42,7 +43,7 @@ from sim.manipulation.report import ManipulationReport
 from sim.manipulation.samples import Track
 from sim.manipulation.stage import Push, Stage
 from sim.manipulation.turning import Part
-from sim.physics import PhysicsOptions
+from sim.physics.options import PhysicsOptions
 
 __all__ = ["ManipulationRun", "manipulate"]
 
@@ -184,8 +185,8 @@ class ManipulationRun:
             release, target, back = ending.release, ending.T_world_target, ending.back
         else:
             found = find_release(cut_motion(plan.motion, stage.driver.reference.place))
-            if isinstance(found, str):
-                return found
+            if isinstance(found, Failure):
+                return found.text
             release, target, back = found, object_at_target(task, axis, turned, (x, y)), ""
         self._phases.plan = replace(plan, T_world_target=target, release=release, back=back)
         self.put_down = True

@@ -15,7 +15,7 @@ from sim.manipulation.drive import BaseMover, MotionController
 from sim.manipulation.pace import IN_THE_AIR, Pace, Step
 from sim.manipulation.plan import ManipulationPlan
 from sim.manipulation.samples import Watch
-from sim.physics import PhysicsOptions
+from sim.physics.options import PhysicsOptions
 from sim.trial import Trial
 
 __all__ = ["PHASE_OF", "Push", "Stage"]

@@ -11,7 +11,7 @@ import numpy as np
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from sim.controllers import Controller
-from sim.physics import PhysicsOptions
+from sim.physics.options import PhysicsOptions
 from sim.protocols.outcome import Outcome
 
 __all__ = ["AXES", "Case", "Conditions", "MakeController", "axis_of"]

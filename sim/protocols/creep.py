@@ -17,7 +17,7 @@ import numpy as np
 from planner.plan import GraspPlan
 from sim.controllers import Controller, GraspController
 from sim.creep import CREEP_BUDGET, Remedy, least_creep, predicted_creep, remedies
-from sim.physics import PhysicsOptions
+from sim.physics.options import PhysicsOptions
 from sim.protocols.hold import Hold
 from sim.scene import build_scene
 

@@ -24,7 +24,7 @@ from sim.carrier import Carrier
 from sim.contacts import hand_contacts, normal_forces
 from sim.controllers import Controller, Event, Phase, ReportsEvents
 from sim.controllers.slip import SLIP_SPEED
-from sim.physics import PhysicsOptions
+from sim.physics.options import PhysicsOptions
 from sim.protocols.outcome import Failure, Fault
 from sim.scene import Scene
 from sim.timeline import Timeline

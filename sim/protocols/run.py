@@ -22,7 +22,7 @@ from planner.files import plan_from_dict, plan_to_dict
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from sim.controllers import named_controller
-from sim.physics import PhysicsOptions
+from sim.physics.options import PhysicsOptions
 from sim.protocols.cases import Case, Conditions, MakeController
 from sim.protocols.catalog import cases_of, trials_of, unsuitable
 from sim.protocols.fc_scene import fc_contacts, fc_physics

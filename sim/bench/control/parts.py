@@ -16,7 +16,7 @@ import numpy as np
 from planner.plan import GraspPlan
 from sim.bench.control.push import conditions
 from sim.controllers import CONTROLLERS
-from sim.physics import PhysicsOptions
+from sim.physics.options import PhysicsOptions
 from sim.protocols.fc import fc_cases
 from sim.protocols.hold import Hold
 from sim.protocols.robust import robust_cases

@@ -19,7 +19,7 @@ from planner.certify import smallest_breaking
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from sim.controllers import ObjectImpedance
-from sim.physics import PhysicsOptions
+from sim.physics.options import PhysicsOptions
 from sim.protocols.hold import LOST, Hold
 from sim.protocols.outcome import Fault
 

@@ -16,7 +16,7 @@ from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from planner.verification.grasp import with_grip
 from sim.controllers import CONTROLLERS
-from sim.physics import PhysicsOptions
+from sim.physics.options import PhysicsOptions
 from sim.protocols.cases import Conditions
 from sim.protocols.forces import PushCase
 from sim.protocols.outcome import Outcome
