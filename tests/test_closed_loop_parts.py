@@ -126,8 +126,8 @@ def test_energy_never_grows_without_input(seed: int) -> None:
 def test_gains_and_names_that_make_no_sense_are_refused() -> None:
     with pytest.raises(TaskError, match="stiffness is -1; give a finite number >= 0"):
         ImpedanceGains(stiffness=-1, damping=0, turning_stiffness=0, turning_damping=0)
-    with pytest.raises(NotFoundError, match="Did you mean 'closed'"):
-        named_controller("close")
+    with pytest.raises(NotFoundError, match="Did you mean 'impedance'"):
+        named_controller("impedence")
 
 
 def mobility(plan: GraspPlan, mass: float) -> FloatArray:

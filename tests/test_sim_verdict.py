@@ -199,7 +199,9 @@ def test_reasons_are_those_of_the_documentation() -> None:
         "hand collided",
         "torque limit reached",
         "infeasible forces",
+        "penetration",
         "interrupted",
+        "stopped",
         "diverged",
     }
 
