@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from sim.contacts import contacts_from_mujoco
     from sim.controllers import Controller, GraspController, ObjectImpedance, Observation, Sensing
     from sim.manipulation import ManipulationPlan, ManipulationReport, manipulate, plan_manipulation
-    from sim.physics.options import PhysicsOptions
+    from sim.physics import PhysicsOptions
     from sim.protocols import ProtocolReport, run_protocol
     from sim.report import TrialReport
     from sim.scene import Scene

@@ -49,7 +49,7 @@ from typing import Any
 import numpy as np
 
 from planner.errors import TaskError
-from sim.physics.options import PhysicsOptions
+from sim.physics import PhysicsOptions
 from sim.scene import Scene
 
 __all__ = [

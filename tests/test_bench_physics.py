@@ -20,7 +20,7 @@ from sim.bench.physics import (
     run_physics,
 )
 from sim.bench.physics_variants import VARIANTS
-from sim.physics.options import PRESETS, PhysicsOptions
+from sim.physics import PRESETS, PhysicsOptions
 from sim.runner import Runner
 
 BOX = bench_objects(["box"])

@@ -20,7 +20,7 @@ from planner.plan_metrics import resisted_per_newton, robust_epsilon
 from planner.quality import analyse
 from planner.shapes import Mesh, Sphere
 from sim.cli import main
-from sim.physics.options import PhysicsOptions
+from sim.physics import PhysicsOptions
 
 LONG = 5000 * "x"
 

@@ -527,7 +527,7 @@ def test_defaults_are_those_of_the_library() -> None:
     from planner.search import DEFAULT_MAX_ATTEMPTS
     from planner.task import DEFAULT_MU
     from sim.cli import grasp as cli
-    from sim.physics.options import PhysicsOptions, named_physics
+    from sim.physics import PhysicsOptions, named_physics
 
     defaults = {
         name: parameter.default for name, parameter in inspect.signature(cli.run).parameters.items()

@@ -44,7 +44,7 @@ from sim.manipulation.modes import measured_modes, mode_table, planned_modes
 from sim.manipulation.plan import _enough, _merit
 from sim.manipulation.rounds import rounds
 from sim.manipulation.stand import on_stand
-from sim.physics.options import PhysicsOptions
+from sim.physics import PhysicsOptions
 
 UP = np.array([0.0, 0.0, 1.0])
 DT = 0.002

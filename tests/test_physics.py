@@ -21,7 +21,7 @@ from planner.search import plan_grasp
 from planner.task import GraspTask
 from sim.cli import main
 from sim.creep import contact_drag, impedance, least_creep, predicted_creep, remedies
-from sim.physics.options import (
+from sim.physics import (
     CONES,
     FIELDS,
     INTEGRATORS,

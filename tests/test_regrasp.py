@@ -35,7 +35,7 @@ from sim.manipulation import (
     regrasping,
 )
 from sim.manipulation.prose import told_events
-from sim.physics.options import PhysicsOptions
+from sim.physics import PhysicsOptions
 
 DT = 0.002
 ANGLE = math.radians(40.0)

@@ -15,7 +15,7 @@ from planner.spatial import SE3
 from planner.task import GraspTask, Obstacle
 from sim.contacts import other_touches
 from sim.gantry import MOUNT_FREQUENCY, Mount
-from sim.physics.options import PhysicsOptions
+from sim.physics import PhysicsOptions
 from sim.scene import HAND_PREFIX, Scene, build_scene
 
 ABOVE = SE3(pin.exp3(np.array([0.2, np.pi - 0.3, 0.4])), np.array([0.03, -0.02, 0.7]))

@@ -29,7 +29,7 @@ from sim.manipulation import (
 from sim.manipulation.ending import object_at_target, planned_ending, stands, way_back
 from sim.manipulation.paths import MOST_PIVOT
 from sim.manipulation.stand import on_stand
-from sim.physics.options import PhysicsOptions
+from sim.physics import PhysicsOptions
 
 X, Y, Z = np.eye(3)
 DT = 0.002

@@ -15,7 +15,7 @@ import numpy as np
 
 from planner import distribute_forces, parse_object
 from sim.manipulation import Pace, Push, manipulate, manipulation_task, plan_manipulation
-from sim.physics.options import PhysicsOptions
+from sim.physics import PhysicsOptions
 
 HAND = "allegro_hand"
 OBJECT = "cylinder:0.03x0.08"

@@ -17,7 +17,7 @@ import pinocchio as pin
 from planner import parse_object
 from planner.spatial import signed_twist
 from sim.manipulation import Pace, manipulate, manipulation_task, plan_manipulation
-from sim.physics.options import PhysicsOptions
+from sim.physics import PhysicsOptions
 
 HAND = "allegro_hand"
 OBJECT = "cylinder:0.03x0.08"

@@ -16,7 +16,7 @@ import numpy as np
 
 from planner import SE3, parse_object
 from sim.manipulation import Pace, manipulate, manipulation_task, plan_manipulation
-from sim.physics.options import PhysicsOptions
+from sim.physics import PhysicsOptions
 
 HAND = "allegro_hand"
 OBJECT = "cylinder:0.03x0.08"

@@ -18,7 +18,7 @@ from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, task_for
 from sim.bench.run import Job, Row, grouped, measure
 from sim.bench.tables import share, table_of
-from sim.physics.options import PhysicsOptions
+from sim.physics import PhysicsOptions
 from sim.runner import Check, Runner
 from sim.trial import simulate
 

@@ -44,7 +44,7 @@ from sim.manipulation import Push, manipulate, manipulation_task, plan_turning
 from sim.manipulation.gaits import ONE_STROKE
 from sim.manipulation.stand import on_stand
 from sim.manipulation.standing import settled
-from sim.physics.options import PhysicsOptions
+from sim.physics import PhysicsOptions
 from sim.runner import Check, Runner
 
 __all__ = ["Turn", "run_manipulate", "run_turn"]

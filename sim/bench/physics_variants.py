@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
-from sim.physics.options import PRESETS, PhysicsOptions
+from sim.physics import PRESETS, PhysicsOptions
 
 __all__ = ["SOFT", "VARIANTS", "Variant"]
 

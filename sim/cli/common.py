@@ -99,7 +99,9 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machine
 ViewOption = Annotated[bool, typer.Option("--view", help="Show the run in MuJoCo's viewer.")]
 ControllerOption = Annotated[
     str,
-    typer.Option(help="open: the planned forces; closed: a loop that keeps the object in place."),
+    typer.Option(
+        help="feedforward: the planned forces; impedance: a loop that keeps the object in place."
+    ),
 ]
 SimMuOption = Annotated[
     float | None,
@@ -167,7 +169,7 @@ def physics_of(text: str, sim_mu: float | None = None) -> Any:
         FileFormatError: A file that cannot be read.
         TaskError: A field that there is not, or a value out of range.
     """
-    from sim.physics.options import physics_for
+    from sim.physics import physics_for
 
     found = physics_for(text)
     return found if sim_mu is None else replace(found, mu=sim_mu)

@@ -43,7 +43,7 @@ from sim.manipulation.report import ManipulationReport
 from sim.manipulation.samples import Track
 from sim.manipulation.stage import Push, Stage
 from sim.manipulation.turning import Part
-from sim.physics.options import PhysicsOptions
+from sim.physics import PhysicsOptions
 
 __all__ = ["ManipulationRun", "manipulate"]
 

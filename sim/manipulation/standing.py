@@ -20,7 +20,7 @@ from planner.errors import TaskError
 from planner.shapes import Mesh
 from planner.spatial import SE3, rotation_angle
 from planner.task import GraspTask
-from sim.physics.options import PhysicsOptions
+from sim.physics import PhysicsOptions
 from sim.scene import Scene, build_scene
 
 __all__ = ["rests", "settled"]

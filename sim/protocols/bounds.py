@@ -21,7 +21,7 @@ from planner.plan import GraspPlan
 from planner.quality import Interval
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.verification.grasp import plan_forces
-from sim.physics.options import PhysicsOptions
+from sim.physics import PhysicsOptions
 
 __all__ = ["distance_from_plan", "near_bound", "proven_bound"]
 

@@ -27,7 +27,7 @@ from planner.spatial import SE3, FloatArray, pose_to_wxyz
 from planner.task import GraspTask
 from sim.controllers.base import Phase
 from sim.gantry import Mount
-from sim.physics.options import PhysicsOptions
+from sim.physics import PhysicsOptions
 from sim.scene import HAND_PREFIX, OBJECT, Scene, drop_options, index_scene
 
 __all__ = ["HAND_SOLIMP", "HAND_SOLREF", "Welded", "fc_contacts", "fc_physics", "fc_scene"]
