@@ -11,12 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.approach.pregrasp import Approach, find_approach
+from planner.approach.pregrasp import Approach, approach_fault, find_approach
 from planner.collision.resting import lift_to_rest
 from planner.collision.world import CollisionWorld
 from planner.motion.plan import MotionPlan
+from planner.task import GraspTask
 
-__all__ = ["SINKS", "find_release"]
+__all__ = ["SINKS", "find_release", "release_fault"]
 
 SINKS = 0.01
 """How much (m) higher or lower than at first a turned object may lie on what carries it."""
@@ -27,6 +28,25 @@ def find_release(motion: MotionPlan) -> Approach | str:
 
     The poses are where the grasp is, like those of the motion: put down elsewhere, hand and object
     move together.
+    """
+    there, end = _standing(motion), motion.knots[-1]
+    if isinstance(there, str):
+        return there
+    return find_approach(CollisionWorld(there), motion.T_world_base, end.q, end.contacts.normals)
+
+
+def release_fault(motion: MotionPlan, release: Approach) -> str:
+    """What is wrong with a way out at the end of a motion, "" if nothing is."""
+    there, end = _standing(motion), motion.knots[-1]
+    if isinstance(there, str):
+        return there
+    return approach_fault(CollisionWorld(there), motion.T_world_base, end.q, release)
+
+
+def _standing(motion: MotionPlan) -> GraspTask | str:
+    """The task as it is where the object stands at the end of a motion; or why it stands nowhere.
+
+    The object stays where the motion has it, table and obstacles are below it.
     """
     end, task = motion.knots[-1], motion.grasp.task
     table, carrying = task.table_height, task.carrying
@@ -46,5 +66,4 @@ def find_release(motion: MotionPlan) -> Approach | str:
                 )
             carrying = tuple(o.moved(np.array([0.0, 0.0, -lift])) for o in carrying)
             table -= lift
-    there = replace(task, T_world_object=end.T_world_object, table_height=table, obstacles=carrying)
-    return find_approach(CollisionWorld(there), motion.T_world_base, end.q, end.contacts.normals)
+    return replace(task, T_world_object=end.T_world_object, table_height=table, obstacles=carrying)
