@@ -406,7 +406,7 @@ def test_commands_produce_the_torques_of_the_forces(plan: GraspPlan) -> None:
     length = a.moment @ plan.q + a.length0
     made = (a.gain * ctrl + a.bias[:, 0] + a.bias[:, 1] * length) @ a.moment
     np.testing.assert_allclose(made, plan.forces.joint_torques, atol=1e-6)
-    assert torques.limited_actuators() == ()
+    assert torques.saturated_actuators() == ()
 
 
 def test_the_grasp_matrix_is_that_of_the_contacts(plan: GraspPlan) -> None:

@@ -24,7 +24,6 @@ from sim.bench.journal import run_with_journal
 from sim.bench.objects import BenchObject
 from sim.bench.physics_variants import SOFT, VARIANTS
 from sim.bench.requests import Setting, check_tasks, task_for
-from sim.controllers import named_controller
 from sim.creep import CREEP_BUDGET, Remedy, least_creep, remedies
 from sim.physics import PRESETS, PhysicsOptions
 from sim.protocols.creep import measure_creep
@@ -70,11 +69,11 @@ class PhysicsJob:
 
 
 def _hold(plan: GraspPlan, case: str) -> dict[str, Any]:
-    return _trial(plan, PRESETS[case], "open")
+    return _trial(plan, PRESETS[case], "feedforward")
 
 
 def _closed(plan: GraspPlan, case: str) -> dict[str, Any]:
-    return _trial(plan, PRESETS[case], "closed")
+    return _trial(plan, PRESETS[case], "impedance")
 
 
 def _remedy(plan: GraspPlan, case: str) -> dict[str, Any]:
@@ -82,7 +81,7 @@ def _remedy(plan: GraspPlan, case: str) -> dict[str, Any]:
     changes = {change.kind: change for change in _changes(plan)}
     if case not in changes:
         return {"held": False, "reason": "there is no such remedy for this grasp"}
-    return {**_trial(plan, changes[case].physics, "open"), "what": changes[case].what}
+    return {**_trial(plan, changes[case].physics, "feedforward"), "what": changes[case].what}
 
 
 def _changes(plan: GraspPlan) -> tuple[Remedy, ...]:
@@ -92,7 +91,7 @@ def _changes(plan: GraspPlan) -> tuple[Remedy, ...]:
 
 
 def _trial(plan: GraspPlan, physics: PhysicsOptions, loop: str) -> dict[str, Any]:
-    report = simulate(plan, physics=physics, controller=named_controller(loop)(plan))
+    report = simulate(plan, physics=physics, controller=loop)
     moved, turned = report.largest_slip
     row: dict[str, Any] = finite(
         {

@@ -15,7 +15,7 @@ import numpy as np
 
 from planner.plan import GraspPlan
 from sim.controllers import CONTROLLERS
-from sim.protocols.hold import Hold
+from sim.protocols.disturbance import DisturbanceTrial
 
 __all__ = ["rate_row"]
 
@@ -31,19 +31,19 @@ def rate_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
     del rng
     loops: list[dict[str, Any]] = []
     for loop, make in CONTROLLERS.items():
-        hold = Hold(plan, controller=make(plan))
-        fault = hold.grip() or hold.endure(WARM_S)
+        hold = DisturbanceTrial(plan, controller=make(plan))
+        fault = hold.close_and_squeeze() or hold.hold_for(WARM_S)
         if fault is not None:
             loops.append({"loop": loop, "reason": fault.reason})
             continue
-        whole = _milliseconds(lambda hold=hold: hold.step("hold", 1.0))  # type: ignore[misc]
-        model, data = hold.scene.model, hold.data
+        whole = _milliseconds(lambda hold=hold: hold.simulation.step("hold", 1.0))  # type: ignore[misc]
+        model, data = hold.simulation.scene.model, hold.simulation.data
         bare = _milliseconds(lambda model=model, data=data: mujoco.mj_step(model, data))  # type: ignore[misc]
         loops.append(
             {
                 "loop": loop,
                 "reason": "",
-                "step_ms": 1e3 * hold.scene.physics.timestep,
+                "step_ms": 1e3 * hold.simulation.scene.physics.timestep,
                 "whole_ms": whole,
                 "bare_ms": bare,
             }

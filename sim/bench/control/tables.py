@@ -76,10 +76,10 @@ def _push(rows: Rows) -> Table:
         ("hand", "kind"),
         (
             "n",
-            "open",
+            "feedforward",
             "best open",
             "its grip",
-            "closed",
+            "impedance",
             "by open",
             "by best",
             "share",
@@ -100,22 +100,24 @@ def _push(rows: Rows) -> Table:
 
 def _push_cells(pushes: Rows) -> list[str]:
     units = {p["unit"] for p in pushes}
-    middle = {k: median_of(p[k]["borne"] for p in pushes) for k in ("open", "best", "closed")}
+    middle = {
+        k: median_of(p[k]["borne"] for p in pushes) for k in ("feedforward", "best", "impedance")
+    }
     bounded = [p for p in pushes if p["bound"]]
-    shares = [p["closed"]["borne"] / p["bound"] for p in bounded]
-    beyond = [p for p in pushes if p["bound_near"] and p["closed"]["borne"] > p["bound_near"]]
+    shares = [p["impedance"]["borne"] / p["bound"] for p in bounded]
+    beyond = [p for p in pushes if p["bound_near"] and p["impedance"]["borne"] > p["bound_near"]]
     # medians over newtons and newton metres together would say nothing
     alone = units.pop() if len(units) == 1 else ""
     told = {k: f"{v:.3g} {alone}" if alone and v is not None else "-" for k, v in middle.items()}
     return [
         str(len(pushes)),
-        told["open"],
+        told["feedforward"],
         told["best"],
         f"{number(median_of(p['best']['grip_N'] for p in pushes), 1)} N",
-        told["closed"],
+        told["impedance"],
         *(
-            number(ratio(middle["closed"] or 0.0, middle[k] or 0.0) if alone else None, 2)
-            for k in ("open", "best")
+            number(ratio(middle["impedance"] or 0.0, middle[k] or 0.0) if alone else None, 2)
+            for k in ("feedforward", "best")
         ),
         number(median_of(shares), 2),
         number(quantile_of(shares, 0.1), 2),
@@ -220,7 +222,7 @@ def _slip_cells(loops: Rows) -> list[str]:
 
 
 def _robust(rows: Rows) -> Table:
-    table = table_of("robust: held over the grid", ("hand", "what"), ("open", "closed"))
+    table = table_of("robust: held over the grid", ("hand", "what"), ("feedforward", "impedance"))
     flat = [t | {"hand": r["hand"]} for r in rows for t in r["trials"]]
     for name, unit in (("mass", "mass x"), ("friction", "friction x"), ("pose", "pose off by ")):
         for (level,), members in _grouped(flat, name):
@@ -234,7 +236,7 @@ def _robust(rows: Rows) -> Table:
 
 def _robust_cells(trials: Rows) -> list[str]:
     cells = []
-    for loop in ("open", "closed"):
+    for loop in ("feedforward", "impedance"):
         held = [t["held"] for t in trials if t["loop"] == loop]
         cells.append(f"{sum(held)}/{len(held)} {_percent(sum(held), len(held))}")
     return cells
