@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import box_mesh
-from planner.motion.ground import with_rolling_pads
 
 from planner.hands.hand import Hand
 from planner.motion import ObjectPath, motion_attempts
+from planner.motion.context import with_rolling_pads
 from planner.motion.problem import build_motion_problem
 from planner.motion.residuals import MotionResiduals
 from planner.motion.search import MOTION_OPTIONS

@@ -14,6 +14,13 @@ from planner.errors import NoGraspFoundError, TaskError
 from planner.failure import Failure
 from planner.hand_loading import load_hand
 from planner.motion.gait import GaitPlan, Relocation, cut_motion, plan_back, plan_others
+from planner.motion.manipulation import (
+    ManipulationPlan,
+    manipulation_task,
+    plan_manipulation,
+    plan_regrasping,
+    search,
+)
 from planner.objects import parse_object
 from planner.quality import force_closure
 from planner.spatial import SE3
@@ -24,14 +31,9 @@ from sim.bench.star_hand import write_star_hand
 from sim.controllers import Event
 from sim.controllers.follow import MotionReference
 from sim.manipulation import (
-    ManipulationPlan,
     ManipulationReport,
     Pace,
-    gaits,
     manipulate,
-    manipulation_task,
-    plan_regrasping,
-    plan_turning,
     regrasping,
 )
 from sim.manipulation.prose import told_events
@@ -252,12 +254,12 @@ def test_regrasps_are_planned_where_one_stroke_is_not_enough(
     def nothing(*_: object, **__: object) -> ManipulationPlan:
         raise NoGraspFoundError("too far for one stroke", ())
 
-    monkeypatch.setattr(gaits, "plan_manipulation", nothing)
-    monkeypatch.setattr(gaits, "plan_regrasping", lambda *_, **__: plan)
-    assert plan_turning(task, angle=ANGLE) is plan
-    monkeypatch.setattr(gaits, "plan_regrasping", nothing)
+    monkeypatch.setattr(search, "plan_single_stroke", nothing)
+    monkeypatch.setattr(search, "plan_regrasping", lambda *_, **__: plan)
+    assert plan_manipulation(task, angle=ANGLE) is plan
+    monkeypatch.setattr(search, "plan_regrasping", nothing)
     with pytest.raises(NoGraspFoundError, match=r"one stroke\. With regrasps: too far"):
-        plan_turning(task, angle=ANGLE)
+        plan_manipulation(task, angle=ANGLE)
     with pytest.raises(TaskError, match="no table"):
         plan_regrasping(replace(task, table_height=None), angle=ANGLE)
 
