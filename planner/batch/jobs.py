@@ -18,11 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from planner.batch.recipe import recipe_of, shape_key, task_of
+from planner.batch.recipe import recipe_of, task_of
 from planner.batch.rows import failed_row, found_row
 from planner.errors import NoGraspFoundError, PlannerError
 from planner.plan import GraspPlan
 from planner.search import Attempt, plan_grasp
+from planner.shapes import shape_key
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
 
@@ -36,7 +37,7 @@ class BatchObject:
     Attributes:
         label: What it is called; no two of a batch are called the same.
         recipe: Its task as text (``planner.batch.recipe``).
-        key: What identifies its shape, hexadecimal (``planner.batch.recipe.shape_key``).
+        key: What identifies its shape, hexadecimal (``planner.shapes.shape_key``).
     """
 
     label: str

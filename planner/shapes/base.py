@@ -39,8 +39,7 @@ SMALLEST = 1e-4
 class Shape(ABC):
     """A solid of uniform density; the origin of its frame is its centre of mass.
 
-    Lengths are in m, points and directions in the shape's frame. Symmetry axes are along z. The
-    primitives are convex; a mesh need not be.
+    Lengths are in m, points and directions in the shape's frame. Symmetry axes are along z.
 
     A new primitive is one file: a subclass with its ``surface``, and ``register_shape``.
 
@@ -49,6 +48,7 @@ class Shape(ABC):
         size_names: What the numbers of a specification are, in its order.
         pure_numbers: Those of ``size_names`` that are numbers, not lengths.
         default_sizes: The numbers of a specification that is the name alone.
+        convex: Whether every shape of this kind is; a mesh need not be.
         turns_tips: Whether a fingertip has to turn with the object all the way when it is turned
             in the hand: on a face, or on a ball, where a tip that does not turn with it pivots,
             against torsional friction. On a side that is round about z the contact may wander.
@@ -60,6 +60,7 @@ class Shape(ABC):
     size_names: ClassVar[tuple[str, ...]]
     pure_numbers: ClassVar[tuple[str, ...]] = ()
     default_sizes: ClassVar[tuple[float, ...]]
+    convex: ClassVar[bool] = True
     turns_tips: ClassVar[bool] = True
     ball_like: ClassVar[bool] = False
 

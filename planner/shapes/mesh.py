@@ -65,6 +65,7 @@ class Mesh(Shape):
     """
 
     kind: ClassVar[str] = "mesh"
+    convex: ClassVar[bool] = False
     size_names: ClassVar[tuple[str, ...]] = ()
     source: MeshSource | None
 
