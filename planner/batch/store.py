@@ -25,6 +25,7 @@ from planner.batch.manifest import MANIFEST, Manifest, read_manifest
 from planner.batch.rows import arrow, attempt_rows, attempt_schema
 from planner.errors import FileFormatError
 from planner.files import write_json
+from planner.files.whole import PART
 
 __all__ = ["ATTEMPTS", "GRASPS", "Store", "shard_file", "waiting_rows", "whole_shards"]
 
@@ -258,8 +259,8 @@ def _replace(folder: Path, target: Path, write: Callable[[Path], None]) -> None:
 
 
 BEGUN = {LOCK, GRASPS, ATTEMPTS, JOURNAL, PARTIAL}
-"""What a folder may hold where a batch was killed before its manifest was there, beside that file
-under another name."""
+"""What a folder may hold where a batch was killed before its manifest was there, beside the part of
+that file that was written (``files.whole_file``)."""
 
 
 def _locked(folder: Path) -> int:
@@ -273,7 +274,7 @@ def _locked(folder: Path) -> int:
         there = {p.name for p in folder.iterdir()}
         if MANIFEST not in there:
             _refuse_rows(folder)
-            if not all(name in BEGUN or name.startswith(MANIFEST) for name in there):
+            if not all(name in BEGUN or PART.fullmatch(name) for name in there):
                 raise FileFormatError(
                     f"{folder} holds files but no batch; name a new or an empty folder"
                 )

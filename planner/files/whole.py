@@ -12,10 +12,13 @@ from typing import BinaryIO
 
 from planner.errors import FileFormatError
 
-__all__ = ["LONGEST_NAME", "plain_name", "whole_file"]
+__all__ = ["LONGEST_NAME", "PART", "plain_name", "whole_file"]
 
 LONGEST_NAME = 100
 """Characters of a name in a file's name: file systems end at 255 bytes."""
+
+PART = re.compile(r"\.[0-9a-f]{16}\.part")
+"""Name of a file that is being written, or was when its process was killed."""
 
 
 @contextmanager
