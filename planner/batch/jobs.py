@@ -1,7 +1,7 @@
-"""What a batch consists of: requests with seeds of their own, and the function that plans one.
+"""The requests of a batch, each with its own seed, and the function that plans one.
 
 A request's seed follows from the batch's seed, the object's shape and the grasp's number alone.
-Which worker plans it, when, and what else is in the batch makes no difference.
+It does not depend on the worker, the order, or the rest of the batch.
 """
 
 from __future__ import annotations
@@ -154,7 +154,10 @@ def plan_row(job: Job) -> dict[str, Any]:
 
 @lru_cache(maxsize=1)
 def end_with(parent: int) -> None:
-    """End this worker when the process that started it is killed; idle ones would wait on."""
+    """End this worker when the process that started it is killed.
+
+    By hand: joblib's workers wait for their next job until they time out, minutes later.
+    """
 
     def watch() -> None:
         while os.getppid() == parent:

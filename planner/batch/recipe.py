@@ -29,7 +29,7 @@ __all__ = ["Recipe", "label_of", "recipe_of", "task_of", "with_fingers_of"]
 
 
 class Recipe(StrictData):
-    """A task as it is searched for: what a plan file says of it, and what the search needs beside.
+    """A task before its search: the task of a plan file, and what only the search needs.
 
     Attributes:
         task: As in plan files.
@@ -149,6 +149,6 @@ def _hand(name: str) -> Hand:
 
 
 def label_of(task: GraspTask) -> str:
-    """What an object is called in a batch: its name, or kind and sizes if it has no other name."""
+    """Label of an object in a batch: its name, or kind and sizes if it has no other name."""
     item = task.object
     return item.shape.spec if item.name == item.shape.kind else item.name

@@ -1,10 +1,10 @@
-"""A folder that grasps are added to one by one, and that survives being interrupted anywhere.
+"""The folder of a batch: grasps are added one by one, and an interruption anywhere loses none.
 
 A row is safe once ``add`` returns: it is a line of the journal. When all rows of a shard are there
 they become a Parquet file, which appears whole or not at all, and leave the journal. Shards divide
 the requests by their number, so the files of a finished batch do not depend on who finished when.
 Rows and files name the manifest that they were planned for, by its digest, so that no row is ever
-taken for that of another batch. What is in memory are the rows of unfinished shards.
+taken for that of another batch. Memory holds the rows of unfinished shards only.
 
     manifest.json             what was asked for
     grasps/part-000000.parquet    one row per requested grasp, sorted by object and k
@@ -35,7 +35,7 @@ GRASPS, ATTEMPTS = "grasps", "attempts"
 JOURNAL, LOCK, PARTIAL = "journal.jsonl", "lock", "partial.tmp"
 
 OWNER = "manifest_sha256"
-"""What the digest of a row's manifest is called, in the journal and in the files' metadata."""
+"""Key of the manifest's digest in the journal and in the files' metadata."""
 
 
 def shard_file(folder: Path, table: str, shard: int) -> Path:
@@ -235,7 +235,7 @@ def _refuse_rows(folder: Path) -> None:
     """Check that a folder without a manifest holds no rows either.
 
     Raises:
-        FileFormatError: It does; nobody can tell what they are.
+        FileFormatError: It does; without a manifest their tasks are unknown.
     """
     journal = folder / JOURNAL
     rows = [journal] if journal.exists() and journal.stat().st_size else []

@@ -115,9 +115,9 @@ class _Proposer:
         description = self._anatomy(description)
         description = without_overlaps(self.spec, description, self.notes)
         description = self._postures(description)
-        hand = described_hand(self.spec, description)  # what is proposed loads, or says why not
+        hand = described_hand(self.spec, description)  # a proposal loads, or the error says why not
         for overlap in frequent_overlaps(hand):
-            self.notes.ask(f"{overlap.told}; {overlap.remedy}")
+            self.notes.ask(f"{overlap.text}; {overlap.remedy}")
         return Proposal(
             description=description,
             reasons=tuple(self.notes.reasons),

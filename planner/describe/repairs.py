@@ -1,4 +1,4 @@
-"""What a model needs to be read rightly: units, inertias, couplings that cannot hold, overlaps."""
+"""Repairs of a model: units, inertias, couplings that cannot hold, overlaps."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ NEIGHBOURS = 2
 def repair_and_base(
     spec: Any, base_body: str | None, what: str, notes: Notes
 ) -> tuple[RepairDescription, str]:
-    """What the file needs to be read rightly, and the root of the hand in it."""
+    """Repairs that the file needs, and the root of the hand in it."""
     raw = spec.copy()
     name_parts(raw)
     check_sizes(raw, what)

@@ -25,8 +25,8 @@ PART = re.compile(r"\.[0-9a-f]{16}\.part")
 def whole_file(path: Path) -> Iterator[BinaryIO]:
     """A stream whose content becomes the file, if the block ends without an error.
 
-    Until then it is a new file beside it, of a random name. No link that somebody has put there
-    is followed, and what was at ``path`` before, a link too, is replaced.
+    Until then it is a new file beside it, of a random name. Links are not followed; a file or link
+    at ``path`` is replaced.
 
     Raises:
         FileFormatError: The folder does not exist or cannot be written, or a folder is in the way.

@@ -1,4 +1,4 @@
-"""A hand that an arm carries: its description, and ``Arm``, what the planner knows of the arm.
+"""A hand that an arm carries: its description, and ``Arm``, the planner's data of the arm.
 
 The description is a third kind of ``hand.toml``: it names a hand's description, an arm's model, and
 where on it the hand is put. The arm is any tree of hinges and slides, in MJCF, with its actuators.
@@ -181,7 +181,7 @@ def read_mount(path: Path) -> Mount | None:
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError):
-        return None  # told by whoever reads it as a hand
+        return None  # read_description names the fault
     if "arm" not in raw:
         return None
     try:

@@ -73,7 +73,7 @@ class MotorsDescription(StrictData):
 
 @dataclass(frozen=True, kw_only=True)
 class DescribedHand:
-    """What description files say about a hand.
+    """Contents of a hand's description files.
 
     Attributes:
         description: The description, reflected already if the hand is a mirror image; its ``model``

@@ -1,4 +1,4 @@
-"""What every shape can do: distances, mass properties, and its form in coal and in MuJoCo."""
+"""Interface of all shapes: distances, mass properties, and their form in coal and in MuJoCo."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ __all__ = [
 ]
 
 LARGEST = 2.0
-"""Largest size (m) that is believed: more is too large to grasp, or was given in millimetres."""
+"""Largest accepted size (m): more is too large to grasp, or was given in millimetres."""
 
 ALIGNED = 1e-9
-"""Components of a normal below this (-) are none: the normal is that of a flat face, or across."""
+"""Components of a normal below this (-) count as zero."""
 
 SMALLEST = 1e-4
-"""Smallest size (m) that is believed: thinner than a sheet of paper is no solid to grasp."""
+"""Smallest accepted size (m): the thickness of a sheet of paper."""
 
 
 class Shape(ABC):
@@ -228,7 +228,7 @@ def checked_length(kind: str, name: str, value: object) -> float:
         value: What was given.
 
     Raises:
-        ObjectError: Not a number, not finite, not positive, or not believed.
+        ObjectError: Not a number, not finite, not positive, or out of range.
     """
     if isinstance(value, bool) or not isinstance(value, Real):
         raise ObjectError(f"{kind}: {name} is {value!r}, not a number; give metres > 0")
