@@ -18,7 +18,7 @@ from planner.describe.overlaps import TOUCHING
 from planner.describe.reasons import Notes
 from planner.describe.tree import find_base
 from planner.description import HandDescription, RepairDescription
-from planner.hands.build import described_hand
+from planner.hands.build import build_from_spec
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.proximity.convex import DistancePair
@@ -109,7 +109,7 @@ def without_impossible_couplings(
 
 def without_overlaps(spec: Any, description: HandDescription, notes: Notes) -> HandDescription:
     """Exclude pairs of bodies that overlap nearly wherever the joints are."""
-    hand = described_hand(spec, description)
+    hand = build_from_spec(spec, description)
     always = _overlapping(hand)
     if not always:
         return description
