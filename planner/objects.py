@@ -32,7 +32,7 @@ DEFAULT_MASS = 0.1
 """Mass (kg) of an object for which neither mass nor density is given."""
 
 HEAVIEST = 100.0
-"""Largest mass (kg) that is believed: more is too heavy to lift, or was given in grams."""
+"""Largest accepted mass (kg): more is too heavy to lift, or was given in grams."""
 
 _MESH_FILE = re.compile(
     rf"(.*(?:{'|'.join(re.escape(s) for s in (*MESH_SUFFIXES, *CONVERTIBLE))}))(?:\*(.*))?", re.I

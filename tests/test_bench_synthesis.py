@@ -15,13 +15,12 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from planner.batch.jobs import grasp_seed
-from planner.batch.recipe import shape_key
 from planner.errors import HandError, NotFoundError, ObjectError
 from planner.failure import Failure
 from planner.hands.hand import Hand
 from planner.quality.ball import epsilon_frogger
 from planner.search import plan_grasp
-from planner.shapes import Box
+from planner.shapes import Box, shape_key
 from planner.task import GraspTask
 from sim.bench.baseline import BASELINE_EPSILON, BASELINE_RATE, against_baseline
 from sim.bench.objects import BenchObject, bench_objects

@@ -42,10 +42,10 @@ SURFACE_POINTS = 2000
 """Points, evenly spread by area, that stand for the surface: the share is right to 0.01."""
 
 NEIGHBOUR = 3
-"""Which nearest neighbour tells the density (-): further ones are steadier, but blur."""
+"""Which nearest neighbour estimates the density: a further one has less variance, more bias."""
 
 FINEST = 1e-3
-"""Distance (rad) below which postures count as this far apart: a servo does not tell them apart,
+"""Distance (rad) below which postures count as this far apart: a servo does not resolve them,
 and equal ones would have an entropy of minus infinity."""
 
 

@@ -1,4 +1,4 @@
-"""What grasps of one object are compared by: where the hand stands, touches, and how it is bent.
+"""Features by which grasps of one object are compared: base, contacts and joints.
 
 All in the object's frame, so that where the object lies in the world makes no difference.
 """

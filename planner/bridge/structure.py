@@ -1,7 +1,7 @@
-"""The structure of a compiled MuJoCo model as plain data: what a hand description is proposed from.
+"""The structure of a compiled MuJoCo model as plain data, from which descriptions are proposed.
 
-Bodies, joints, geoms, sites, actuators and fixed tendons with the numbers that tell a finger from
-a wrist, a pad from a shell, or a servo from a spring. No decision is made here.
+Bodies, joints, geoms, sites, actuators and fixed tendons with the numbers that distinguish a finger
+from a wrist, a pad from a shell, or a servo from a spring. No decision is made here.
 """
 
 from __future__ import annotations

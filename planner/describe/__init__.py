@@ -1,4 +1,4 @@
-"""Hand descriptions from a model's structure, and what is to be said of a description."""
+"""Hand descriptions proposed from a model's structure, and checks of descriptions."""
 
 from planner.describe.cached import proposed_description
 from planner.describe.check import check_hand

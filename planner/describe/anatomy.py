@@ -1,4 +1,4 @@
-"""Palm and fingers of a hand as lines of its description: which, what they are called, where."""
+"""Palm and fingers of a hand as lines of its description: their bodies, names and places."""
 
 from __future__ import annotations
 

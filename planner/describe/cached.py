@@ -1,7 +1,7 @@
-"""Proposals kept on disk: what describes a model by its structure need not be found out twice.
+"""Proposals cached on disk.
 
-A proposal takes seconds, most of them the search for postures. It follows from the model, the name
-of its file, our code and the libraries: those make the key.
+A proposal takes seconds, mostly for postures. It is determined by the model, the name of its file,
+our code and the libraries: those make the key.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def _read(key: str) -> HandDescription | None:
 
 
 def _key(path: Path, line: str) -> str | None:
-    """What identifies a proposal, wherever the model lies; None if not all files are known.
+    """Key of a proposal, wherever the model lies; None if not all files are known.
 
     The hand is called after the last part of its ``model`` line.
     """

@@ -1,4 +1,4 @@
-"""``check_hand``: what the planner will see of a hand, and what stands in its way."""
+"""``check_hand``: a hand as the planner sees it, and all that prevents or hinders planning."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from planner.spatial import SE3, FloatArray
 __all__ = ["check_hand"]
 
 SAMPLES = 500
-"""Random configurations from which a finger's workspace is told."""
+"""Random configurations that sample a finger's workspace."""
 
 STANDARD_GRAVITY = 9.81
 """m/s^2."""

@@ -2,7 +2,7 @@
 
 A start lies between the postures ``open`` and ``pinch``, or a little beyond, with every joint moved
 at random. Where two links overlap in a large share of such postures, that share of the attempts is
-lost before it begins, and nothing else says why.
+lost before it begins, without any other sign.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ TOUCHING = -5e-5
 """Signed distance (m) below which two parts of a hand overlap."""
 
 POSTURES = 200
-"""Postures that are looked at: a share of 20 % is told to 3 %."""
+"""Sampled postures: the standard error of a share of 20 % is 3 %."""
 
 BEYOND = 0.25
 """Share of the way from open to pinch by which postures go beyond either end."""
@@ -38,20 +38,19 @@ SPREAD = 0.1
 """Standard deviation of each joint about that way, in shares of its range."""
 
 OFTEN = 0.2
-"""Share of the postures from which on an overlap of a link with one that carries it is told: every
-fifth attempt."""
+"""Share of the postures from which on an overlap of a link with one that carries it is reported:
+every fifth attempt."""
 
 HALF = 0.5
-"""The same for links of two fingers, which a descent moves apart: with joints at random, neighbours
-of the shipped and the known foreign hands overlap in up to 28 %. From here on most attempts are
-lost."""
+"""The same for links of two fingers, which the solver moves apart: neighbours overlap in many
+random postures of a sound hand. From here on most attempts are lost."""
 
 ALWAYS = 0.9
-"""Share from which on an overlap is one by construction."""
+"""Share from which on an overlap is reported as built into the model."""
 
 
 class HandGaps:
-    """Signed distances by coal at joint placements that somebody else computed."""
+    """Signed distances by coal at joint placements that the caller computed."""
 
     def __init__(self, hand: Hand, near: float) -> None:
         """Collect the pairs that must not touch.
@@ -137,8 +136,8 @@ class Overlap:
     share: float
 
     @property
-    def told(self) -> str:
-        """What is wrong, in words."""
+    def text(self) -> str:
+        """The fault, in words."""
         return (
             f"{self.geoms[0]} and {self.geoms[1]} overlap in {100 * self.share:.0f} % of the "
             f"postures between open and pinch: so many attempts "
@@ -147,7 +146,7 @@ class Overlap:
 
     @property
     def remedy(self) -> str:
-        """What to do about it."""
+        """The remedy."""
         line = f'exclude = [["{self.bodies[0]}", "{self.bodies[1]}"]] under [repair]'
         if self.share >= ALWAYS:
             return f"they overlap by construction: write {line}"
@@ -199,6 +198,6 @@ def check_overlaps(hand: Hand, findings: list[Finding]) -> None:
     if not {"open", "pinch"} <= set(hand.description.postures):
         return  # the missing ones are an error already
     findings.extend(
-        Finding(level="warning", what=overlap.told, what_to_do=overlap.remedy)
+        Finding(level="warning", what=overlap.text, what_to_do=overlap.remedy)
         for overlap in frequent_overlaps(hand)
     )

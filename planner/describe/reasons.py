@@ -1,4 +1,4 @@
-"""What a proposal is: a description, why each guess was made, and what a person should look at."""
+"""A proposal: a description, a reason for each guess, and open questions for a person."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Proposal:
     """A hand description proposed from the structure of a model.
 
     Attributes:
-        description: The description; valid, and complete as far as the model tells.
+        description: The description; valid, and as complete as the model allows.
         reasons: One for every guess, in the order of the description.
-        open_questions: What the structure does not tell or contradicts, each with what to do.
+        open_questions: What the structure leaves open or contradicts, each with a remedy.
     """
 
     description: HandDescription
@@ -41,7 +41,7 @@ class Proposal:
 
 @dataclass(frozen=True)
 class Notes:
-    """What is noted down while a proposal is made.
+    """Notes taken while a proposal is made.
 
     Attributes:
         reasons: Why the lines say what they say.

@@ -129,7 +129,7 @@ def find_hand(name_or_path: str | Path, *, download: bool = True) -> Path:
 
 
 def hand_reference(name_or_path: str | Path) -> str:
-    """What finds the same hand again from any folder: the name, or the path made absolute."""
+    """Reference to the same hand from any folder: the name, or the absolute path."""
     text = str(name_or_path)
     is_name = text in hand_names() or (":" in text and not os.path.exists(text))
     return text if is_name else str(Path(name_or_path).absolute())

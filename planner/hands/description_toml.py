@@ -33,7 +33,9 @@ __all__ = [
     "MirrorDescription",
     "MotorsDescription",
     "read_description",
+    "read_toml",
     "reflection_signs",
+    "validated",
 ]
 
 MirrorAxis: TypeAlias = Literal["x", "y", "z"]
@@ -73,7 +75,7 @@ class MotorsDescription(StrictData):
 
 @dataclass(frozen=True, kw_only=True)
 class DescribedHand:
-    """What description files say about a hand.
+    """Contents of a hand's description files.
 
     Attributes:
         description: The description, reflected already if the hand is a mirror image; its ``model``
@@ -118,11 +120,11 @@ def read_description(path: Path) -> DescribedHand:
             hand that it is derived from is missing or itself derived where it must not be.
         ModelError: The model is in a package that is not installed.
     """
-    raw = _read_toml(path)
+    raw = read_toml(path)
     if "motors_of" in raw:
-        return _motorised(path, _validated(path, MotorsDescription, raw))
+        return _motorised(path, validated(path, MotorsDescription, raw))
     if "mirror_of" not in raw:
-        description = _validated(path, HandDescription, raw)
+        description = validated(path, HandDescription, raw)
         model = model_file(description.model, path.parent)
         return DescribedHand(
             description=description,
@@ -131,10 +133,10 @@ def read_description(path: Path) -> DescribedHand:
             described_in=path,
             files=(path,),
         )
-    mirror = _validated(path, MirrorDescription, raw)
+    mirror = validated(path, MirrorDescription, raw)
     other = path.parent / mirror.mirror_of
     _check_there(path, "mirror_of", other)
-    original_raw = _read_toml(other)
+    original_raw = read_toml(other)
     if "motors_of" in original_raw:
         raise HandError(
             f"{path}: mirror_of names {other}, a hand with motors in place of its own actuators; "
@@ -145,7 +147,7 @@ def read_description(path: Path) -> DescribedHand:
             f"{path}: mirror_of names {other}, which is a mirror image itself; name the hand that "
             f"it mirrors, {original_raw['mirror_of']!r} beside it"
         )
-    original = _validated(other, HandDescription, original_raw)
+    original = validated(other, HandDescription, original_raw)
     model = model_file(original.model, other.parent)
     return DescribedHand(
         description=_mirrored(original, mirror),
@@ -215,7 +217,12 @@ def _check_there(path: Path, field: str, other: Path) -> None:
         raise HandError(f"{path}: {field} names {other}, which does not exist; correct it")
 
 
-def _read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path) -> dict[str, Any]:
+    """The content of a TOML file.
+
+    Raises:
+        HandError: It is none.
+    """
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -225,8 +232,21 @@ def _read_toml(path: Path) -> dict[str, Any]:
 _Described = TypeVar("_Described", bound=StrictData)
 
 
-def _validated(path: Path, kind: type[_Described], raw: dict[str, Any]) -> _Described:
+def validated(
+    path: Path, kind: type[_Described], raw: dict[str, Any], what: str = "a hand"
+) -> _Described:
+    """The content of a description file as the description that it is.
+
+    Args:
+        path: The file, for the message.
+        kind: The schema.
+        raw: Its content.
+        what: What it describes, for the message.
+
+    Raises:
+        HandError: Fields are missing, unknown or out of range; names each.
+    """
     try:
         return kind.model_validate(raw)
     except ValidationError as error:
-        raise HandError(f"{path} does not describe a hand: {faults_of(error)}") from error
+        raise HandError(f"{path} does not describe {what}: {faults_of(error)}") from error

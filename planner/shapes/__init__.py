@@ -12,6 +12,7 @@ from planner.shapes.registry import (
     SIZED_SHAPES,
     register_shape,
     shape_from_dict,
+    shape_key,
     shape_to_dict,
 )
 from planner.shapes.sphere import Sphere
@@ -36,5 +37,6 @@ __all__ = [
     "Torus",
     "register_shape",
     "shape_from_dict",
+    "shape_key",
     "shape_to_dict",
 ]

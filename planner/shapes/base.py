@@ -1,4 +1,4 @@
-"""What every shape can do: distances, mass properties, and its form in coal and in MuJoCo."""
+"""Interface of all shapes: distances, mass properties, and their form in coal and in MuJoCo."""
 
 from __future__ import annotations
 
@@ -27,20 +27,19 @@ __all__ = [
 ]
 
 LARGEST = 2.0
-"""Largest size (m) that is believed: more is too large to grasp, or was given in millimetres."""
+"""Largest accepted size (m): more is too large to grasp, or was given in millimetres."""
 
 ALIGNED = 1e-9
-"""Components of a normal below this (-) are none: the normal is that of a flat face, or across."""
+"""Components of a normal below this (-) count as zero."""
 
 SMALLEST = 1e-4
-"""Smallest size (m) that is believed: thinner than a sheet of paper is no solid to grasp."""
+"""Smallest accepted size (m): the thickness of a sheet of paper."""
 
 
 class Shape(ABC):
     """A solid of uniform density; the origin of its frame is its centre of mass.
 
-    Lengths are in m, points and directions in the shape's frame. Symmetry axes are along z. The
-    primitives are convex; a mesh need not be.
+    Lengths are in m, points and directions in the shape's frame. Symmetry axes are along z.
 
     A new primitive is one file: a subclass with its ``surface``, and ``register_shape``.
 
@@ -49,6 +48,7 @@ class Shape(ABC):
         size_names: What the numbers of a specification are, in its order.
         pure_numbers: Those of ``size_names`` that are numbers, not lengths.
         default_sizes: The numbers of a specification that is the name alone.
+        convex: Whether every shape of this kind is; a mesh need not be.
         turns_tips: Whether a fingertip has to turn with the object all the way when it is turned
             in the hand: on a face, or on a ball, where a tip that does not turn with it pivots,
             against torsional friction. On a side that is round about z the contact may wander.
@@ -60,6 +60,7 @@ class Shape(ABC):
     size_names: ClassVar[tuple[str, ...]]
     pure_numbers: ClassVar[tuple[str, ...]] = ()
     default_sizes: ClassVar[tuple[float, ...]]
+    convex: ClassVar[bool] = True
     turns_tips: ClassVar[bool] = True
     ball_like: ClassVar[bool] = False
 
@@ -227,7 +228,7 @@ def checked_length(kind: str, name: str, value: object) -> float:
         value: What was given.
 
     Raises:
-        ObjectError: Not a number, not finite, not positive, or not believed.
+        ObjectError: Not a number, not finite, not positive, or out of range.
     """
     if isinstance(value, bool) or not isinstance(value, Real):
         raise ObjectError(f"{kind}: {name} is {value!r}, not a number; give metres > 0")

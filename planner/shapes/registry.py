@@ -11,6 +11,8 @@ back. A mesh without a file is its vertices and faces themselves.
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any, TypeVar
@@ -27,7 +29,14 @@ from planner.shapes.made import Hammer, Knot, LBracket, Mug, Superquadric, Torus
 from planner.shapes.mesh import Mesh
 from planner.shapes.sphere import Sphere
 
-__all__ = ["SHAPES", "SIZED_SHAPES", "register_shape", "shape_from_dict", "shape_to_dict"]
+__all__ = [
+    "SHAPES",
+    "SIZED_SHAPES",
+    "register_shape",
+    "shape_from_dict",
+    "shape_key",
+    "shape_to_dict",
+]
 
 _OWN: tuple[type[Shape], ...] = (
     *(Sphere, Box, Cylinder, Capsule, Ellipsoid),
@@ -84,6 +93,13 @@ def shape_to_dict(shape: Shape) -> dict[str, Any]:
         value = getattr(shape, name)
         data[key] = list(value) if isinstance(value, tuple) else value
     return data
+
+
+def shape_key(shape: Shape) -> str:
+    """What identifies a shape wherever its file is: SHA-256, hexadecimal."""
+    if type(shape) is Mesh:
+        return shape.digest
+    return hashlib.sha256(json.dumps(shape_to_dict(shape), sort_keys=True).encode()).hexdigest()
 
 
 def shape_from_dict(data: object) -> Shape:

@@ -18,7 +18,6 @@ import numpy as np
 from planner.approach.pregrasp import APPROACH_KINDS
 from planner.batch import GraspFeatures
 from planner.batch.jobs import grasp_seed
-from planner.batch.recipe import shape_key
 from planner.collision.world import OBJECT
 from planner.errors import PlannerError, TaskError
 from planner.hand_loading import load_hand
@@ -27,7 +26,7 @@ from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.quality.ball import epsilon_frogger, epsilon_l1
 from planner.search import DEFAULT_MAX_ATTEMPTS, Attempt, attempts
-from planner.shapes import Shape
+from planner.shapes import Shape, shape_key
 from planner.synthesis.options import SynthesisOptions
 from planner.system.stage_times import timed
 from planner.task import DEFAULT_MU, GraspTask

@@ -101,7 +101,7 @@ def write_hand(hand: Hand, folder: Path) -> str:
         folder: Where; made if it does not exist.
 
     Returns:
-        NAME, by which the benchmark is told the hand.
+        NAME, the benchmark's name of the hand.
 
     Raises:
         FileFormatError: Another hand of that name is there.

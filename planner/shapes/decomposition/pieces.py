@@ -1,14 +1,13 @@
 """A mesh as a few convex pieces that together cover it: MuJoCo collides convex geoms.
 
 The solid is cut by planes into cells (``planner.shapes.decomposition.cutting``), and a piece is the
-convex hull of the solid within its cell. So every point of the solid is in a piece, convex parts
-keep their true surface, and a piece is too large only where it bridges a concave part: by no more
-than the tolerance, where cutting succeeds. What other parts of the solid fill does not count
-against it. Afterwards pieces are merged where their common hull keeps the tolerance too.
+convex hull of the solid within its cell. Every point of the solid is in a piece, convex parts keep
+their true surface, and a piece exceeds the solid only where it bridges a concave part: by no more
+than the tolerance, where cutting succeeds. Afterwards pieces are merged where their common hull
+keeps the tolerance too.
 
-Why not one of MuJoCo's signed-distance geoms: a step of a hold by four fingertips took 10 ms with
-those (40 starting points) against 0.5 ms, and on a torus friction crept faster. Why not a library's
-decomposition: CoACD 1.0.14 took 55 s for a mug, and neither it nor V-HACD bounds the distance.
+MuJoCo's signed-distance geoms would need none of this, but search for contacts from many starting
+points at every step. CoACD and V-HACD decompose meshes too, but bound no distance.
 """
 
 from __future__ import annotations
@@ -44,8 +43,8 @@ __all__ = [
 ]
 
 TOLERANCE = 0.001
-"""How far (m) a piece may reach out of the solid, about: what it does is measured. Half of it
-nearly doubles the pieces of a mug (65 at 1 mm) and the time to make them."""
+"""How far (m) a piece may reach out of the solid, about; ``Pieces.deviation`` is measured. A
+smaller tolerance makes more pieces."""
 
 PIECES_VERSION = "v3"
 """Part of the key in the cache; changes whenever the result does."""
@@ -94,7 +93,7 @@ def convex_pieces(mesh: Mesh) -> Pieces:
             if pieces_fit(mesh, mesh.vertices, parts, known.deviation):
                 return known
         except (KeyError, ValueError, IndexError):
-            pass  # of another form: made anew
+            pass  # of another form: computed again
     made = _make(mesh, TOLERANCE)
     write_arrays("pieces", key, _to_arrays(made))
     return made
@@ -197,7 +196,7 @@ def _from_arrays(arrays: dict[str, FloatArray]) -> Pieces:
 
 
 EXACT = 1e-6
-"""Distance (m), or share of a volume (-), by which what is computed again may differ."""
+"""Rounding (m, or share of a volume) by which pieces from the disk may differ from their mesh."""
 
 
 def pieces_fit(
@@ -281,5 +280,5 @@ def solid_geoms(shape: Shape) -> tuple[SolidGeom, ...]:
 
 
 def solid_deviation(shape: Shape) -> float:
-    """How far (m) those geoms reach out of the true shape at most; 0 for others."""
+    """How far (m) ``solid_geoms`` reach out of the true shape at most; 0 where they are exact."""
     return convex_pieces(shape).deviation if isinstance(shape, Mesh) else 0.0

@@ -1,4 +1,4 @@
-"""What the objects that are made from sizes share."""
+"""Base class of the meshes that a few sizes determine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Polyhedra as bare arrays: checked, weighed, and told apart."""
+"""Polyhedra as bare arrays: input checks, moments, digest."""
 
 from __future__ import annotations
 
