@@ -92,7 +92,7 @@ class Column:
         head = f"{name}: {len(wrong)} of {len(self.cells)} quantities differ: {', '.join(wrong)}"
         return [
             head,
-            *_first(told, "differences"),
+            *_first(told, "faults"),
             *_first(known, "causes"),
             *_indented(self.notes),
         ]
