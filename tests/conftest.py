@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -51,6 +54,17 @@ def right_hand(request: pytest.FixtureRequest) -> Hand:
     )
     assert isinstance(hand, Hand)
     return hand
+
+
+@pytest.fixture(scope="session")
+def can_draw() -> bool:
+    """Whether this machine draws without a display, found out by MuJoCo's own renderer."""
+    program = "import mujoco as m; m.Renderer(m.MjModel.from_xml_string('<mujoco/>'), 8, 8)"
+    environment = {"MUJOCO_GL": "egl", **os.environ} if sys.platform == "linux" else os.environ
+    asked = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, check=False
+    )
+    return asked.returncode == 0
 
 
 @pytest.fixture

@@ -109,8 +109,8 @@ def test_what_does_not_stand_is_put_down_as_it_was_picked_up(plan: ManipulationP
     np.testing.assert_array_equal(plan.release.q, grasp.q_pregrasp)
     ending = planned_ending(plan.motion, math.pi / 2, None)  # on its side it would stand
     assert not isinstance(ending, str)
-    if not ending.back:
-        assert ending.T_world_target.rotation[2] @ Z == pytest.approx(0.0, abs=1e-12)
+    assert ending.back == ""
+    assert ending.T_world_target.rotation[2] @ Z == pytest.approx(0.0, abs=1e-12)
     assert way_back(plan.motion, None, "so").back == "so"
 
 
