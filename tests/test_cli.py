@@ -216,6 +216,7 @@ def test_bench_writes_its_table_and_repeats_nothing(
     assert "other arguments (different: mu_simulation)" in other.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "workers"), [(signal.SIGINT, 1), (signal.SIGTERM, 2)])
 def test_an_interrupted_bench_keeps_its_rows(
     number: signal.Signals, workers: int, tmp_path: Path

@@ -324,6 +324,7 @@ def test_the_thickness_of_walls() -> None:
 # --- the field ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["mug", "torus", "lbracket"])
 def test_the_field_of_a_mesh_is_its_distance(name: str) -> None:
     mesh = example(name)

@@ -43,6 +43,7 @@ def inside_of_some(pieces: Pieces, points: FloatArray, slack: float) -> np.ndarr
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mesh", MADE, ids=lambda m: m.kind)
 def test_pieces_cover_the_solid_and_stay_near_it(mesh: Mesh) -> None:
     pieces = convex_pieces(mesh)
@@ -145,6 +146,7 @@ def test_pieces_are_the_same_again_from_the_cache_and_anew(
             np.testing.assert_array_equal(again.faces[k], runs[0].faces[k])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "damage",
     ["larger", "smaller", "one left out", "flat", "no faces", "inside out", "no deviation"],

@@ -159,6 +159,7 @@ importlib.util.find_spec = lambda name, *more: None if name == "highspy" else tr
 """
 
 
+@pytest.mark.slow
 def test_what_else_is_installed_does_not_choose_the_solver() -> None:
     # CasADi's HiGHS and that of highspy bear one name, and a process with both dies
     told = [

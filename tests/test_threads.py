@@ -90,6 +90,7 @@ def bits_of_knots(knots: tuple[Knot, ...]) -> bytes:
 SEEDS = range(4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hand", "objects"),
     [
@@ -222,6 +223,7 @@ def test_loops_of_threads_do_not_share_a_solver(two_plans: list[GraspPlan]) -> N
     assert at_once(*[lambda plan=plan: loop(plan) for plan in two_plans]) == alone
 
 
+@pytest.mark.slow
 def test_certificates_of_threads_are_those_of_one(two_plans: list[GraspPlan]) -> None:
     def numbers(plan: GraspPlan) -> str:
         made = certify_contacts(plan.contacts, length=0.05, width=0.5, max_points=40)
