@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -35,6 +36,28 @@ def box_mesh(size: Sequence[float] | FloatArray, halvings: int = 0) -> Mesh:
     for _ in range(halvings):
         mesh = mesh.subdivide()
     return of_trimesh(mesh)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--write-missing",
+        metavar="FILE",
+        help="write the tests that are skipped for want of a package, one a line; pytest @FILE",
+    )
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Write which tests a missing package has skipped; alone or as the head of workers."""
+    path = config.getoption("--write-missing")
+    if path is None or hasattr(config, "workerinput"):
+        return
+    skipped = terminalreporter.stats.get("skipped", [])
+    names = [report.nodeid for report in skipped if MISSING.search(report.longrepr[2])]
+    Path(path).write_text("".join(f"{name}\n" for name in names), encoding="utf-8")
+
+
+MISSING = re.compile("could not import|not installed|no package")
+"""What the reason of a skip says if a package would help."""
 
 
 @pytest.fixture(scope="session")

@@ -107,6 +107,7 @@ def test_cutting_ends_where_a_plane_cuts_nothing_off(monkeypatch: pytest.MonkeyP
     assert [h.volume for h in hulls] == [pytest.approx(whole.volume)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mesh", MADE, ids=lambda m: m.kind)
 def test_deviation_is_what_measuring_every_point_gives(mesh: Mesh) -> None:
     """Of the hull alone, which bridges centimetres: the smooth field must hide none of it."""

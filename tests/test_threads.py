@@ -162,6 +162,7 @@ def test_a_search_within_the_progress_of_another_changes_neither(allegro: Hand) 
     assert set(within) == {alone[1]}
 
 
+@pytest.mark.slow
 def test_motions_of_threads_are_those_of_one(shadow: Hand) -> None:
     def turn(size: str, seed: int) -> bytes:
         task = GraspTask.create(shadow, size, fingers=["thumb", "index", "middle"])
@@ -177,6 +178,7 @@ def test_motions_of_threads_are_those_of_one(shadow: Hand) -> None:
     assert at_once(*[lambda one=one: turn(*one) for one in asked]) == alone
 
 
+@pytest.mark.slow
 def test_gaits_of_threads_are_those_of_one(allegro: Hand) -> None:
     def turn(seed: int) -> bytes:
         task = GraspTask.create(allegro, "cylinder:0.03x0.08")
@@ -299,6 +301,7 @@ def test_what_is_kept_by_a_thread_is_its_own_and_goes_with_it() -> None:
     assert solvers[0] is not solvers[1]
 
 
+@pytest.mark.slow
 def test_threads_that_build_their_first_problems_at_once() -> None:
     # in a process of its own, where nothing is built yet
     code = """
