@@ -115,8 +115,8 @@ def test_what_does_not_stand_is_put_down_as_it_was_picked_up(plan: ManipulationP
     np.testing.assert_array_equal(plan.ending.release.q, grasp.q_pregrasp)
     ending = planned_ending(plan.motion, math.pi / 2, None)  # on its side it would stand
     assert not isinstance(ending, Failure)
-    if not ending.back:
-        assert ending.T_world_target.rotation[2] @ Z == pytest.approx(0.0, abs=1e-12)
+    assert ending.back == ""
+    assert ending.T_world_target.rotation[2] @ Z == pytest.approx(0.0, abs=1e-12)
     assert backwards(plan.motion, None, "so").back == "so"
 
 
