@@ -1,4 +1,4 @@
-"""``FingerAway``: a finger that is off the object goes along its planned way and lands.
+"""``FingerSwing``: a finger that is off the object goes along its planned way and lands.
 
 The commands of its actuators are those of servos at the finger's way; what the contact forces would
 have them do does not count meanwhile. The way is that of a ``Relocation``, from where the finger
@@ -21,7 +21,7 @@ from sim.controllers import Observation
 from sim.controllers.grasp import SEARCH_DAMPING
 from sim.controllers.motors import motor_servo
 
-__all__ = ["FingerAway"]
+__all__ = ["FingerSwing"]
 
 LANDING_SPEED = 0.02
 """Speed (m/s) along the normal of a pad that has come to the end of its way without touching."""
@@ -42,7 +42,7 @@ QUICKEST = 0.15
 """Least time (s) for a way: what a servo of a finger follows."""
 
 
-class FingerAway:
+class FingerSwing:
     """Leads one finger; starts when first asked.
 
     Attributes:
