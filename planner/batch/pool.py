@@ -29,8 +29,8 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 DEATHS_ALONE = 2
-"""How often a job may kill a worker that has nothing else to do before it is given up: one
-death may be the work of the system, which ends a process when memory is short."""
+"""Deaths of a worker with this job alone before the job is given up: the system may have caused
+one, since it ends processes when memory is short."""
 
 MOST_WORKERS = 1024
 """Most processes of a pool: each takes some 200 MB."""
@@ -146,10 +146,10 @@ def _stream(
 
 @contextmanager
 def _deaf_children() -> Iterator[None]:
-    """Processes that are started meanwhile do not hear Ctrl-C, which is for this one to answer.
+    """Processes that are started meanwhile ignore Ctrl-C: this one ends them.
 
-    They inherit that it is ignored; one that still loads its libraries would end with a traceback.
-    This process does not hear it either, for the tenths of a second that starting them takes.
+    They inherit the handler; a child that is still loading libraries would print a traceback. This
+    process ignores Ctrl-C too while it starts them, for tenths of a second.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -11,7 +11,7 @@ __all__ = ["SAFE_PATH", "Held", "safe_path"]
 
 
 class Held:
-    """One variable with one value, for as long as anybody needs it.
+    """One variable with one value, set while at least one thread needs it.
 
     Args:
         variable: Its name.

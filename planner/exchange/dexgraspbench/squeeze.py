@@ -1,6 +1,6 @@
 """Squeeze pose for DexGraspBench: how far beyond the grasp its servos are commanded.
 
-The benchmark commands one posture and holds it, whatever happens: its servos are springs about that
+The benchmark commands one posture and holds it throughout: its servos are springs about that
 posture. So the forces on the object change by stiffness times displacement, and the squeeze must be
 large enough that after every change that the protocol brings, each contact still holds:
 
@@ -86,7 +86,7 @@ contact and weld give way by about this much."""
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Squeeze:
-    """A squeeze, or why there is none.
+    """A squeeze, or the reason why there is none.
 
     Attributes:
         reason: Why not; "" if there is one.
