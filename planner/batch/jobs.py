@@ -25,6 +25,7 @@ from planner.plan import GraspPlan
 from planner.search import Attempt, plan_grasp
 from planner.shapes import shape_key
 from planner.synthesis.options import SynthesisOptions
+from planner.system.environment import on_interrupt
 from planner.task import GraspTask
 
 __all__ = ["BatchObject", "Job", "batch_jobs", "end_with", "grasp_seed", "plan_row"]
@@ -185,15 +186,7 @@ def _undisturbed(parent: int) -> Iterator[Callable[[], None]]:
         if pressed:
             raise KeyboardInterrupt
 
-    if threading.current_thread() is not threading.main_thread():
-        yield check  # signals are handled by the main thread
-        return
     ours = os.getpid() == parent
-    old = signal.signal(
-        signal.SIGINT, (lambda *_: pressed.append(True)) if ours else signal.SIG_IGN
-    )
-    try:
+    with on_interrupt((lambda *_: pressed.append(True)) if ours else signal.SIG_IGN):
         yield check
-    finally:
-        signal.signal(signal.SIGINT, old)
     check()

@@ -9,10 +9,8 @@ its worker is found out.
 from __future__ import annotations
 
 import signal
-import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import joblib
@@ -21,7 +19,7 @@ from planner.arrays import checked_count
 from planner.batch.jobs import Job, plan_row
 from planner.batch.rows import failed_row
 from planner.errors import TaskError
-from planner.system.environment import safe_path
+from planner.system.environment import on_interrupt, safe_path
 
 __all__ = ["check_backend", "finished", "planned_rows"]
 
@@ -135,30 +133,14 @@ def _stream(
         active, n_workers = joblib.parallel.get_active_backend()
         if active.supports_return_generator:
             parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1)
-            with _deaf_children():
+            # children inherit it: one that is still loading libraries would print a traceback
+            with on_interrupt(signal.SIG_IGN):
                 results = parallel(call(work, *job) for job in jobs)
             yield from results
             return
         at_once = AT_ONCE * active.effective_n_jobs(n_workers)
         while wave := [job for _, job in zip(range(at_once), jobs, strict=False)]:
             yield from joblib.Parallel(batch_size=1)(call(work, *job) for job in wave)
-
-
-@contextmanager
-def _deaf_children() -> Iterator[None]:
-    """Processes that are started meanwhile ignore Ctrl-C: this one ends them.
-
-    They inherit the handler; a child that is still loading libraries would print a traceback. This
-    process ignores Ctrl-C too while it starts them, for tenths of a second.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _alone(
