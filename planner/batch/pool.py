@@ -31,7 +31,7 @@ DEATHS_ALONE = 2
 one, since it ends processes when memory is short."""
 
 MOST_WORKERS = 1024
-"""Most processes of a pool: each takes some 200 MB."""
+"""Most processes of a pool: each loads all libraries and models."""
 
 AT_ONCE = 4
 """Jobs per worker and wave for a backend without a stream of results."""

@@ -2,7 +2,7 @@
 
 Everything is in the object's frame, whose origin is its centre of mass; the tasks, which say where
 the object stands, are kept once per object in the manifest. A row holds what ``GraspSet.plan``
-needs to rebuild and verify the plan again: 1 kB against the 6.7 kB of a plan file.
+needs to rebuild and verify the plan again, less than a plan file.
 """
 
 from __future__ import annotations
