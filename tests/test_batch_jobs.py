@@ -19,6 +19,7 @@ from planner.batch import jobs
 from planner.batch.jobs import BatchObject, Job, batch_jobs, grasp_seed, plan_row
 from planner.batch.recipe import label_of, recipe_of, task_of
 from planner.errors import FileFormatError, TaskError
+from planner.failure import Failure
 from planner.forces import ExpectedLoad
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
@@ -168,7 +169,8 @@ def interrupting(
     """In place of planning: Ctrl-C while the solver runs, which goes on to the next attempt."""
     os.kill(os.getpid(), signal.SIGINT)
     for i in range(2):
-        progress(Attempt(index=i, plan=None, reason="solver: interrupted", cpu_s=0.0))
+        failure = Failure(kind="interrupted", text="solver: interrupted")
+        progress(Attempt(index=i, plan=None, failure=failure, cpu_s=0.0))
     raise TaskError("went on after Ctrl-C")
 
 

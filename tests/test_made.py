@@ -53,6 +53,7 @@ def genus(mesh: Mesh) -> int:
     return (2 - (v - 3 * f // 2 + f)) // 2
 
 
+@pytest.mark.slow
 @each_made
 def test_it_is_the_surface_of_one_solid(mesh: Mesh) -> None:
     assert faults_of(np.array(mesh.vertices), np.array(mesh.faces)) == ()

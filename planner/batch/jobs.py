@@ -147,7 +147,9 @@ def plan_row(job: Job) -> dict[str, Any]:
                 progress=note,
             )
         except NoGraspFoundError:
-            return failed_row(job.index, job.object.label, job.k, job.seed, made[-1].reason, made)
+            return failed_row(
+                job.index, job.object.label, job.k, job.seed, str(made[-1].failure), made
+            )
         except PlannerError as error:
             return failed_row(job.index, job.object.label, job.k, job.seed, str(error), made)
         return found_row(job.index, job.object.label, job.k, plan, made)

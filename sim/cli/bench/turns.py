@@ -1,4 +1,4 @@
-"""The command that measures turns and translations in the hand: ``bench manipulate``."""
+"""Commands that measure turns in the hand: planned (``bench motion``), made (``manipulate``)."""
 
 from __future__ import annotations
 
@@ -12,27 +12,58 @@ from sim.cli.bench.common import (
     HandsArgument,
     HeightOption,
     NumberOption,
-    OutOption,
+    ResultOptions,
     SamplesOption,
-    WorkersOption,
-    give,
-    measuring,
 )
 from sim.cli.common import (
     FingersOption,
-    JsonOption,
     PhysicsOption,
     SeedOption,
     StandOption,
-    check_folder,
     errors_for_people,
     names,
     physics_of,
 )
 from sim.cli.movement import NO_SHIFT, RotateOption, ShiftOption, movement
+from sim.cli.options import with_options
 
 
 @errors_for_people()
+@with_options
+def motion(
+    hands: HandsArgument,
+    objects: Annotated[
+        str, typer.Option(help="Comma separated: cylinder, block, sphere, ellipsoid.")
+    ] = "cylinder,block",
+    n: NumberOption = 20,
+    height: HeightOption = 0.08,
+    rotate: Annotated[
+        float, typer.Option(min=-170.0, max=170.0, help="Turn about the vertical, degrees.")
+    ] = 90.0,
+    seed: SeedOption = 0,
+    samples: SamplesOption = Path("motion.jsonl"),
+    *,
+    result: ResultOptions,
+) -> None:
+    """Plan turns in the hand: CPU time, and how often one is found of those that there are."""
+    from sim.bench.motion import motion_table, run_motion
+
+    with result.measuring(samples) as runner:
+        measured = run_motion(
+            hands,
+            names(objects),
+            n,
+            height=height,
+            angle=math.radians(rotate),
+            seed=seed,
+            file=samples,
+            runner=runner,
+        )
+    result.give(measured, motion_table)
+
+
+@errors_for_people()
+@with_options
 def manipulate(
     hands: HandsArgument,
     objects: Annotated[
@@ -50,10 +81,9 @@ def manipulate(
     stand: StandOption = 0.0,
     physics: PhysicsOption = "ours",
     seed: SeedOption = 0,
-    workers: WorkersOption = 1,
     samples: SamplesOption = Path("manipulate.jsonl"),
-    output: OutOption = None,
-    as_json: JsonOption = False,
+    *,
+    result: ResultOptions,
 ) -> None:
     """Pick, turn or move in the hand, place: randomised trials, strict and loose rates.
 
@@ -64,9 +94,8 @@ def manipulate(
 
     axis, degrees, moved = movement(rotate, shift)
     computed = physics_of(physics)
-    check_folder(samples)
-    with measuring(output, workers) as runner:
-        result = run_manipulate(
+    with result.measuring(samples) as runner:
+        measured = run_manipulate(
             hands,
             names(objects),
             n,
@@ -81,4 +110,4 @@ def manipulate(
             shift=moved,
             physics=computed,
         )
-    give(result, output, as_json, lambda console: console.print(manipulate_table(result)))
+    result.give(measured, manipulate_table)

@@ -2,7 +2,8 @@
 
 A hand that grasps from above needs room below the fingertips, 26 mm under the centre of an object
 with the Shadow-type hand and 38 mm with the Allegro; balls and small blocks on a table leave less.
-Round objects lie in the opening and cannot roll away, flat ones stand on the walls.
+Round objects lie in the opening and cannot roll away, flat ones stand on the walls. Whether an
+object stays as geometry puts it is for a simulation to tell (``sim.manipulation.settled``).
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ from planner.collision.resting import lift_to_rest
 from planner.errors import TaskError
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
-from sim.manipulation.standing import settled
 
 __all__ = ["on_stand"]
 
@@ -38,8 +38,7 @@ def on_stand(task: GraspTask, height: float) -> GraspTask:
         height: Of the walls, m.
 
     Returns:
-        The task with the object straight above where it was, as low as the walls let it; where it
-        would not stay like that, where it comes to rest on them.
+        The task with the object straight above where it was, as low as the walls let it.
 
     Raises:
         TaskError: No table, a height that is not positive, or an object that does not stand on it.
@@ -62,7 +61,7 @@ def on_stand(task: GraspTask, height: float) -> GraspTask:
             "give its pose with its lowest point on the table"
         )
     lifted = SE3(pose.rotation, pose.translation + np.array([0.0, 0.0, lift]))
-    return settled(replace(task, T_world_object=lifted, obstacles=walls))
+    return replace(task, T_world_object=lifted, obstacles=walls)
 
 
 def _walls(inner: float, height: float, foot: FloatArray) -> list[Obstacle]:

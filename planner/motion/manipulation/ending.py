@@ -1,27 +1,40 @@
 """``Ending``: how an object that was turned or moved in the hand is put down.
 
-It can be put down as it lies in the hand in the end where it stands so: turned about the vertical,
-looking as it did at first, or on another face that it is stable on. Then the hand must get away
-from it there. Where one or the other is not the case, the motion is made backwards before, and the
-object is put down as it was picked up.
+It is put down as it lies in the hand at the end where it stands so: turned about the vertical,
+looking as it did at first, or on another stable face. The hand must also get away from it there.
+Otherwise the motion is made backwards first, and the object is put down as it was picked up.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 import pinocchio as pin
 
 from planner.approach.pregrasp import Approach
 from planner.collision.resting import lift_to_rest
+from planner.failure import Failure
+from planner.immutable import freeze
 from planner.motion import MotionPlan
 from planner.motion.release import SINKS, find_release
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
-from sim.manipulation.standing import rests
 
-__all__ = ["Ending", "object_at_target", "planned_ending", "standing_under", "stands", "way_back"]
+__all__ = [
+    "Ending",
+    "Rests",
+    "backwards",
+    "object_at_target",
+    "planned_ending",
+    "standing_under",
+    "stands",
+]
+
+Rests: TypeAlias = Callable[[GraspTask], bool]
+"""Tells whether the object of a task stays where the task has it, as ``sim.manipulation.rests``."""
 
 FLAT = np.cos(np.deg2rad(0.5))
 """Least cosine (-) between two directions that are the same."""
@@ -51,31 +64,40 @@ class Ending:
     release: Approach
     back: str
 
+    def __post_init__(self) -> None:
+        """Keep copies that nobody changes."""
+        freeze(self, poses=("T_world_target",))
+
 
 def planned_ending(
-    motion: MotionPlan, angle: float, place: tuple[float, float] | None
-) -> Ending | str:
+    motion: MotionPlan,
+    angle: float,
+    place: tuple[float, float] | None,
+    *,
+    rests: Rests | None = None,
+) -> Ending | Failure:
     """How an object is put down after a motion; or why it cannot be.
 
     Args:
         motion: What was planned; it may go a little beyond the angle.
         angle: Turn that is asked for, rad.
         place: Where the object is to stand, x and y in m, world; where it was if None.
+        rests: As for ``stands``.
     """
     task, axis = motion.grasp.task, motion.path.axis
-    if not stands(task, axis, angle):
-        return way_back(motion, place, "turned so it does not stand")
+    if not stands(task, axis, angle, rests=rests):
+        return backwards(motion, place, "turned so it does not stand")
     release = find_release(motion)
-    if not isinstance(release, str):
+    if isinstance(release, Approach):
         target = object_at_target(task, axis, angle, place)
         return Ending(T_world_target=target, release=release, back="")
     if np.any(motion.path.shift):
-        return way_back(motion, place, f"moved so the hand cannot let go: {release}")
-    return f"cannot let go at the end: {release}"
+        return backwards(motion, place, f"moved so the hand cannot let go: {release}")
+    return release.at("cannot let go at the end")
 
 
-def way_back(motion: MotionPlan, place: tuple[float, float] | None, why: str) -> Ending:
-    """The object as it was picked up, let go like that."""
+def backwards(motion: MotionPlan, place: tuple[float, float] | None, why: str) -> Ending:
+    """The object brought back in the hand, and put down as it was picked up."""
     grasp, path = motion.grasp, motion.path
     release = Approach(
         q=grasp.q_pregrasp, opening=grasp.opening, T_world_base_start=grasp.T_world_base_start
@@ -84,16 +106,18 @@ def way_back(motion: MotionPlan, place: tuple[float, float] | None, why: str) ->
     return Ending(T_world_target=target, release=release, back=why)
 
 
-def stands(task: GraspTask, axis: FloatArray, angle: float) -> bool:
+def stands(task: GraspTask, axis: FloatArray, angle: float, *, rests: Rests | None = None) -> bool:
     """Whether an object stands as securely after a turn as before.
 
     On a table it does after any turn about the vertical, or on another stable face. On what carries
-    it above the table it does where it looks the same from all sides; else the simulation tells.
+    it above the table it does where it looks the same from all sides; else ``rests`` tells.
 
     Args:
         task: Where it stands before.
         axis: Axis of the turn (3,), unit, world.
         angle: The turn, rad.
+        rests: Tells whether an object stays where a task has it; None takes geometry alone, and an
+            object that only a simulation could judge counts as one that does not stand.
     """
     shape, before = task.object.shape, task.T_world_object.rotation
     turned = pin.exp3(angle * axis) @ before
@@ -107,7 +131,9 @@ def stands(task: GraspTask, axis: FloatArray, angle: float) -> bool:
     if np.abs(extents[0] - extents[1]).max() < ALIKE:
         return True
     if carried:
-        return upright and _rests_turned(task, axis, angle)
+        if not upright or rests is None:
+            return False
+        return rests(replace(task, T_world_object=object_at_target(task, axis, angle, None)))
     return any(turned[2] @ pose.rotation[2] > FLAT for pose in shape.resting_poses())
 
 
@@ -126,12 +152,6 @@ def object_at_target(
     lift = lift_to_rest(shape, pose, task.carrying, -SINKS, SINKS) if task.carrying else 0.0
     x, y = first.translation[:2] if place is None else place
     return SE3(turned, np.array([x, y, height + (lift or 0.0)]))
-
-
-def _rests_turned(task: GraspTask, axis: FloatArray, angle: float) -> bool:
-    """Whether an object that is turned about the vertical rests on what carries it."""
-    turned = object_at_target(task, axis, angle, None)
-    return rests(replace(task, T_world_object=turned))
 
 
 def standing_under(task: GraspTask, target: SE3) -> tuple[Obstacle, ...]:

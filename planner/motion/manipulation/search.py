@@ -1,7 +1,7 @@
-"""``plan_regrasping``: pick, turn by any angle in several strokes, place; ``plan_turning`` chooses.
+"""``plan_manipulation``: one stroke or several; ``plan_regrasping``: several with regrasps between.
 
-The turn is a ``planner.motion.gait.GaitPlan``: strokes of one motion, and between them the fingers
-move on one at a time. Way in, way out and target are those of any ``ManipulationPlan``.
+A turn by several strokes is a ``planner.motion.gait.GaitPlan``: strokes of one motion, between
+which the fingers move on one at a time. Way in and ending are those of any ``ManipulationPlan``.
 """
 
 from __future__ import annotations
@@ -12,20 +12,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from planner.errors import NoGraspFoundError, PlannerError, TaskError
+from planner.failure import Failure
 from planner.motion.gait import plan_gait
+from planner.motion.manipulation.ending import Rests, planned_ending, stands
+from planner.motion.manipulation.fallbacks import LEAST_OVERSHOOT
+from planner.motion.manipulation.plan import ManipulationPlan, torque_reserve
+from planner.motion.manipulation.single_stroke import MAX_ATTEMPTS, plan_single_stroke
 from planner.motion.path import LARGEST_TURN, tilts
 from planner.spatial import FloatArray
 from planner.task import GraspTask
-from sim.manipulation.ending import planned_ending, standing_under, stands
-from sim.manipulation.plan import (
-    MAX_ATTEMPTS,
-    ManipulationPlan,
-    plan_manipulation,
-    torque_reserve,
-)
-from sim.manipulation.rounds import LITTLE_MORE
 
-__all__ = ["ONE_STROKE", "plan_regrasping", "plan_turning"]
+__all__ = ["ONE_STROKE", "plan_manipulation", "plan_regrasping"]
 
 ONE_STROKE = math.radians(150.0)
 """Turn (rad) about the vertical beyond which regrasps are planned first: one stroke was found to
@@ -47,6 +44,7 @@ def plan_regrasping(
     place: tuple[float, float] | None = None,
     seed: int = 0,
     max_attempts: int = MAX_ATTEMPTS,
+    rests: Rests | None = None,
 ) -> ManipulationPlan:
     """Plan a turn by strokes and regrasps, with the way to the object and the way from it.
 
@@ -58,6 +56,7 @@ def plan_regrasping(
         place: Where the object is to stand, x and y in m, world; where it was if None.
         seed: Same seed, same plan.
         max_attempts: Budget in attempts, of each gait.
+        rests: As for ``plan_manipulation``.
 
     Raises:
         NoGraspFoundError: The budget ended.
@@ -71,21 +70,19 @@ def plan_regrasping(
         gait = plan_gait(
             task,
             axis=axis,
-            angle=math.copysign(abs(angle) + LITTLE_MORE, angle),
+            angle=math.copysign(abs(angle) + LEAST_OVERSHOOT, angle),
             seed=seed + again * SEEDS_APART,
             max_attempts=max_attempts,
         )
         attempts, cpu_s = attempts + gait.record.attempts, cpu_s + gait.record.cpu_s
-        ending = planned_ending(gait.motion, angle, place)
-        if isinstance(ending, str) or ending.back:
-            why = ending if isinstance(ending, str) else ending.back
+        ending = planned_ending(gait.motion, angle, place, rests=rests)
+        if isinstance(ending, Failure) or ending.back:
+            why = ending.text if isinstance(ending, Failure) else ending.back
             continue
         return ManipulationPlan(
             motion=gait.motion,
             angle=angle,
-            T_world_target=ending.T_world_target,
-            under_target=standing_under(task, ending.T_world_target),
-            release=ending.release,
+            ending=ending,
             reserve=torque_reserve(gait.motion),
             attempts=attempts,
             cpu_s=cpu_s,
@@ -98,7 +95,7 @@ def plan_regrasping(
     )
 
 
-def plan_turning(
+def plan_manipulation(
     task: GraspTask,
     *,
     axis: Sequence[float] | FloatArray = (0.0, 0.0, 1.0),
@@ -108,22 +105,29 @@ def plan_turning(
     seed: int = 0,
     max_attempts: int = MAX_ATTEMPTS,
     regrasp: bool = False,
+    rests: Rests | None = None,
 ) -> ManipulationPlan:
-    """A turn in one stroke if there is one, else with regrasps; beyond ``ONE_STROKE`` these first.
+    """Pick an object from a table, turn or move it in the hand, put it down: planned whole.
+
+    In one stroke if there is one, else with regrasps; beyond ``ONE_STROKE`` these come first.
 
     Args:
-        task: As for ``plan_manipulation``.
-        axis: As there.
-        angle: As there, of any size.
-        shift: As there; with one there are no regrasps.
-        place: As there.
-        seed: As there.
-        max_attempts: As there.
+        task: What stands where, on a table, and the hand, as from ``manipulation_task``. Where it
+            may spare fingers, plans are tried with one less too; the plan's task has the chosen.
+        axis: Axis of the turn (3,), world.
+        angle: Turn in the hand, rad, with its sign, of any size.
+        shift: Translation in the hand (3,), m, world, evenly along the turn; with one there are no
+            regrasps.
+        place: Where the object is to stand, x and y in m, world; where it was if None.
+        seed: Same seed, same plan.
+        max_attempts: Budget in attempts.
         regrasp: Whether to plan regrasps without looking for one stroke.
+        rests: Tells whether an object stays where a task has it, as ``sim.manipulation.rests``;
+            None takes geometry alone, by which fewer objects stand turned on a stand.
 
     Raises:
-        NoGraspFoundError: There is neither; it tells both reasons.
-        TaskError: As there; or a translation is asked for with regrasps.
+        NoGraspFoundError: The budget ended; it tells the reasons of strokes and of regrasps.
+        TaskError: No table; no turn and no translation; or a translation with regrasps.
     """
     moved = bool(np.any(shift))
     if moved and (regrasp or abs(angle) > LARGEST_TURN):
@@ -131,13 +135,10 @@ def plan_turning(
             "a translation in the hand is made in one stroke, without regrasps; leave the "
             "translation or the regrasps out, and turn by half a turn at most"
         )
-    if regrasp or abs(angle) > LARGEST_TURN:
-        return plan_regrasping(
-            task, axis=axis, angle=angle, place=place, seed=seed, max_attempts=max_attempts
-        )
+    direction = np.asarray(axis, dtype=np.float64)
 
     def stroke() -> ManipulationPlan:
-        return plan_manipulation(
+        return plan_single_stroke(
             task,
             axis=axis,
             angle=angle,
@@ -145,34 +146,42 @@ def plan_turning(
             place=place,
             seed=seed,
             max_attempts=max_attempts,
+            rests=rests,
         )
 
-    def regrasping() -> ManipulationPlan:
+    def strokes() -> ManipulationPlan:
         return plan_regrasping(
-            task, axis=axis, angle=angle, place=place, seed=seed, max_attempts=max_attempts
+            task,
+            axis=axis,
+            angle=angle,
+            place=place,
+            seed=seed,
+            max_attempts=max_attempts,
+            rests=rests,
         )
 
-    direction = np.asarray(axis, dtype=np.float64)
-    beyond = abs(angle) > ONE_STROKE and not moved and not tilts(direction)
-    if beyond:
+    if regrasp or abs(angle) > LARGEST_TURN:
+        return strokes()
+    if abs(angle) > ONE_STROKE and not moved and not tilts(direction):
         try:
-            return regrasping()
+            return strokes()
         except PlannerError as error:
-            reason = error
+            no_regrasps = error
         try:
             return stroke()
         except NoGraspFoundError as error:
-            raise _neither(error, reason) from reason
+            raise _neither(error, no_regrasps) from no_regrasps
     try:
         return stroke()
     except NoGraspFoundError as error:
-        one_stroke = error
-    if moved or not stands(task, direction / np.linalg.norm(direction), angle):
-        raise one_stroke
+        no_stroke = error
+    unit = direction / np.linalg.norm(direction)
+    if moved or not stands(task, unit, angle, rests=rests):
+        raise no_stroke
     try:
-        return regrasping()
+        return strokes()
     except PlannerError as error:
-        raise _neither(one_stroke, error) from error
+        raise _neither(no_stroke, error) from error
 
 
 def _neither(one_stroke: NoGraspFoundError, regrasps: PlannerError) -> NoGraspFoundError:

@@ -16,13 +16,14 @@ from itertools import pairwise
 import numpy as np
 
 from planner.errors import TaskError
-from planner.motion.check import MotionJudge
+from planner.failure import Failure
 from planner.motion.holds import Hold
 from planner.motion.path import ObjectPath
 from planner.motion.plan import MotionPlan, MotionRecord
 from planner.motion.problems import motion_problem_for
-from planner.motion.solve import WORTH_A_LOOK, MotionCandidate, MotionSolver
+from planner.motion.solve import MotionCandidate, MotionSolver
 from planner.motion.starts import on_opposed_sides
+from planner.motion.verify import MotionVerifier
 from planner.plan import SolveRecord
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.seeds.draw import TRIPOD, Seeder
@@ -30,7 +31,7 @@ from planner.synthesis.seeds.mesh import turning_seeder_for
 from planner.system.threads import kept_by_thread, made_once
 from planner.task import GraspTask
 
-__all__ = ["Ground", "finger_sets", "rank", "tripods", "with_rolling_pads"]
+__all__ = ["MotionContext", "finger_sets", "merit", "tripods", "with_rolling_pads"]
 
 LEAST_SHARE = 0.02
 """Share of a path (-) below which nothing of it is reached."""
@@ -39,8 +40,8 @@ LEAST_SHARE = 0.02
 def with_rolling_pads(task: GraspTask) -> GraspTask:
     """The task with pads as wide as the tips are round, where its object has faces or is a ball.
 
-    Of 8 starts for 94 degrees on blocks of 5, 6 and 7 cm, 60 mm high, tube 30 mm, 3, 3 and 2 hold
-    with thumb, index and middle of the Shadow-type hand; none with the pads of a grasp.
+    Of 8 starts for 94 degrees on blocks of 5, 6 and 7 cm, 60 mm high, path tolerance 30 mm, 3, 3
+    and 2 hold with thumb, index and middle of the Shadow-type hand; none with the pads of a grasp.
     Torsional friction of tips that pivot turns balls of 55 to 70 mm with 0 to 3 mN m in an
     Allegro-type hand (9 plans), with the pads of a grasp with up to 23 (4 plans).
     """
@@ -87,25 +88,25 @@ def _alone(task: GraspTask, names: tuple[str, ...]) -> GraspTask | None:
 
 
 @kept_by_thread(8)
-def _judge(task: GraspTask) -> MotionJudge:
-    """The judge of a task, of which every thread keeps its last few."""
-    return MotionJudge(task)
+def _verifier(task: GraspTask) -> MotionVerifier:
+    """The verifier of a task, of which every thread keeps its last few."""
+    return MotionVerifier(task)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Ground:
+class MotionContext:
     """What all attempts with one set of fingers share.
 
     Attributes:
         seeder: Draws starts.
         solver: Solves from them.
-        whole: Whether all of the path is asked for.
+        full: Whether all of the path is asked for, else as much of it as there is.
         build_s: Time that building the problem took, s.
     """
 
     seeder: Seeder
     solver: MotionSolver
-    whole: bool
+    full: bool
     build_s: float
 
     @classmethod
@@ -116,12 +117,12 @@ class Ground:
         options: SynthesisOptions,
         *,
         n_knots: int,
-        whole: bool,
-        tube: float,
-        rounds: int,
-        exact_end: bool,
-        holds: tuple[Hold, ...],
-    ) -> Ground:
+        full: bool,
+        path_tolerance: float,
+        rounds: int = 0,
+        exact_end: bool = False,
+        holds: tuple[Hold, ...] = (),
+    ) -> MotionContext:
         """Build it.
 
         Args:
@@ -129,9 +130,9 @@ class Ground:
             path: Where the object is to go.
             options: Margins and weights at each knot.
             n_knots: Knots of the solver.
-            whole: Whether all of the path is asked for, else as much of it as there is.
-            tube: Radius within which the object may leave the path, m.
-            rounds: How many rounds work on closure once a whole path is reached.
+            full: Whether all of the path is asked for, else as much of it as there is.
+            path_tolerance: How far the object may leave the path, m.
+            rounds: How many rounds work on closure once all of the path is reached.
             exact_end: Whether the object ends on its path.
             holds: What must hold while a finger is away.
         """
@@ -142,78 +143,69 @@ class Ground:
             task,
             path,
             options,
-            tube=tube,
+            path_tolerance=path_tolerance,
             posture=seeder.posture,
             rounds=rounds,
             exact_end=exact_end,
         )
-        _judge(task)  # refuses what stands in something else, before anything is solved
-        return cls(seeder=seeder, solver=solver, whole=whole, build_s=build_s)
+        _verifier(task)  # refuses what stands in something else, before anything is solved
+        return cls(seeder=seeder, solver=solver, full=full, build_s=build_s)
 
-    def attempt(self, rng: np.random.Generator) -> MotionPlan | str:
+    def attempt(self, rng: np.random.Generator) -> MotionPlan | Failure:
         """What comes of a start: the best candidate that holds, or why the last one does not.
 
-        Of a whole path that is the one with the largest margin, else the longest, which comes
-        first.
+        Where all of the path is asked for that is the one with the largest margin, else the
+        longest, which comes first.
         """
         start = self.seeder.draw(rng)
-        if isinstance(start, str):
+        if isinstance(start, Failure):
             return start
         start = on_opposed_sides(start, self.seeder)
+        solve = self.solver.solve_path if self.full else self.solver.maximise_path
         best: MotionPlan | None = None
-        reason = ""
-        for candidate in self.solver.reach(start) if self.whole else self.solver.stretch(start):
-            found = self._judged(candidate)
-            if isinstance(found, str):
-                reason = found
-            elif best is None or rank(found, self.whole) > rank(best, self.whole):
+        failure: Failure | None = None
+        for candidate in solve(start):
+            found = self._verified(candidate)
+            if isinstance(found, Failure):
+                failure = found
+            elif best is None or merit(found, self.full) > merit(best, self.full):
                 best = found
-            if best is not None and not self.whole:
+            if best is not None and not self.full:
                 break
-        return reason if best is None else best
+        if best is not None:
+            return best
+        assert failure is not None  # a solver gives at least one candidate
+        return failure
 
-    def _judged(self, candidate: MotionCandidate) -> MotionPlan | str:
+    def _verified(self, candidate: MotionCandidate) -> MotionPlan | Failure:
         """A plan out of what the solver found, or why not."""
-        if candidate.worst > WORTH_A_LOOK:
-            return f"not solved: {candidate.worst_term}"
+        if candidate.failure is not None:
+            return candidate.failure.at("not solved")
         if candidate.share < LEAST_SHARE:
-            return f"only {100 * candidate.share:.1f} % of the path are reached"
+            return Failure(
+                kind="path_too_short",
+                text=f"only {100 * candidate.share:.1f} % of the path are reached",
+                numbers={"share": candidate.share},
+            )
         covered = self.solver.path.cut(candidate.share)
-        record = SolveRecord(
-            seed=0,
-            attempt=0,
-            attempts=1,
-            iterations=candidate.iterations,
-            status="motion",
-            cpu_s=candidate.cpu_s,
-            build_s=0.0,
-            objective="motion",
-        )
-        judge = _judge(self.solver.task)  # that of the thread which asks now
-        found = judge.judge(candidate, covered, self.solver.tube, record)
-        if isinstance(found, str):
+        record = SolveRecord(iterations=candidate.iterations, status="motion", objective="motion")
+        verifier = _verifier(self.solver.task)  # that of the thread which asks now
+        found = verifier.verify(candidate, covered, self.solver.path_tolerance, record)
+        if isinstance(found, Failure):
             return found
         grasp, knots = found
         return MotionPlan(
             grasp=grasp,
             path=covered,
             knots=knots,
-            tube=self.solver.tube,
+            path_tolerance=self.solver.path_tolerance,
             limits=candidate.limits,
-            record=MotionRecord(
-                seed=0,
-                attempt=0,
-                attempts=1,
-                iterations=candidate.iterations,
-                worst=candidate.worst,
-                cpu_s=0.0,
-                build_s=self.build_s,
-            ),
+            record=MotionRecord(iterations=candidate.iterations, worst=candidate.worst),
         )
 
 
-def rank(plan: MotionPlan, whole: bool) -> float:
+def merit(plan: MotionPlan, full: bool) -> float:
     """What makes one motion better than another: margin, or length of the path."""
-    if whole:
+    if full:
         return plan.margin
     return abs(plan.path.angle) + float(np.linalg.norm(plan.path.shift))

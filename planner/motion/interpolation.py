@@ -22,7 +22,7 @@ from planner.kinematics.state import MovingHand
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 
-__all__ = ["lead"]
+__all__ = ["interpolate_rolling"]
 
 STEPS = 6
 """Most steps of the joints; two or three are usual."""
@@ -40,7 +40,7 @@ often than that. Three laps do; without mixing a thumb with a joint to spare, wh
 way each time, needs eight, and slid by 0.5 mm between knots after two."""
 
 
-def lead(
+def interpolate_rolling(
     task: GraspTask, bases: Sequence[SE3], first: FloatArray, last: FloatArray
 ) -> list[FloatArray]:
     """Joints (nq,) at places between two knots, and at the knots themselves.

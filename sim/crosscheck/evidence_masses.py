@@ -1,4 +1,4 @@
-"""Known causes for wrong masses, inertias and geometries in Pinocchio's own reader.
+"""Evidence of the reader's mistakes with masses, inertias and geometries (``causes.toml``).
 
 A mistake with masses is made on purpose in a copy of the model, which MuJoCo then compiles: the
 cause is named if the reader's mass is the one that comes out.
@@ -6,7 +6,7 @@ cause is named if the reader's mass is the one that comes out.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -15,13 +15,12 @@ import numpy as np
 
 from planner.bridge.pinocchio_model import body_name
 from planner.spatial import pose_from_wxyz, skew
-from sim.crosscheck.cause_context import EQUAL, Context
+from sim.crosscheck.cause_context import EQUAL, ORIENTATIONS, Context
+from sim.crosscheck.evidence import Evidence, Reasons, when
 from sim.crosscheck.geometry import geom_name
 from sim.crosscheck.quantities import Difference
 
-__all__ = ["MASSES"]
-
-_ORIENTATIONS = ("quat", "axisangle", "euler", "xyaxes", "zaxis", "fromto")
+__all__ = ["EVIDENCE_OF_MASSES"]
 
 _SHOWN = 1e-4
 """Up to which sizes, as they are shown with six digits, are equal (relative)."""
@@ -74,46 +73,45 @@ def _total_mass(spec: Any, c: Context) -> set[str]:
     return set(c.layout.parents)
 
 
-_Mistake: TypeAlias = tuple[str, Callable[[Any, Context], set[str]]]
-_MISTAKES: tuple[_Mistake, ...] = (
-    ("a body of meshes without <inertial> weighs 1 kg there", _mesh_mass),
-    ("mass of a geom from a default class is ignored there", _class_mass),
-    ("inertiagrouprange is ignored there", _group_range),
-    ("settotalmass is ignored there", _total_mass),
-)
+_Mistake: TypeAlias = Callable[[Any, Context], set[str]]
+_MISTAKES: Mapping[str, _Mistake] = {
+    "mesh": _mesh_mass,
+    "class": _class_mass,
+    "group": _group_range,
+    "total": _total_mass,
+}
 
 
-def _mass(d: Difference, c: Context) -> str:
+def _mass(d: Difference, c: Context) -> Reasons:
     """The mistakes that explain the mass of a link, one alone or all of the file together."""
     if c.source.spec is None or d.part not in c.there.links:
-        return ""
+        return {}
     links = {b for b, root in c.layout.roots.items() if root == d.part}
-    for trial in (*((mistake,) for mistake in _MISTAKES), _MISTAKES):
+    for trial in (*((name,) for name in _MISTAKES), tuple(_MISTAKES)):
         touched, masses = _twin(c, trial)
         predicted = sum(masses[b] for b in links)
         weighed = c.there.links[d.part].mass
         if touched & links and abs(predicted - weighed) <= EQUAL * predicted:
-            return "; ".join(m[0] for m in trial if _twin(c, (m,))[0] & links)
-    return ""
+            return {name: {} for name in trial if _twin(c, (name,))[0] & links}
+    return {}
 
 
-def _twin(c: Context, mistakes: tuple[_Mistake, ...]) -> tuple[frozenset[str], dict[str, float]]:
+def _twin(c: Context, mistakes: tuple[str, ...]) -> tuple[frozenset[str], dict[str, float]]:
     """Bodies that mistakes touch, and the masses of all bodies, kg, that come out."""
-    key = tuple(why for why, _ in mistakes)
-    if key not in c.twins:
+    if mistakes not in c.twins:
         spec = c.source.spec.copy()
-        touched = frozenset().union(*(mistake(spec, c) for _, mistake in mistakes))
+        touched = frozenset().union(*(_MISTAKES[name](spec, c) for name in mistakes))
         model = spec.compile() if touched else c.model
         names = ["world", *c.layout.parents]
-        c.twins[key] = touched, {n: float(model.body_mass[i]) for i, n in enumerate(names)}
-    return c.twins[key]
+        c.twins[mistakes] = touched, {n: float(model.body_mass[i]) for i, n in enumerate(names)}
+    return c.twins[mistakes]
 
 
-def _balanced(d: Difference, c: Context) -> str:
+def _not_balanced(d: Difference, c: Context) -> Reasons:
     """The inertia as it is written, impossible as it may be, is the reader's."""
     spec = c.source.spec
     if spec is None or not spec.compiler.balanceinertia or d.part not in c.there.links:
-        return ""
+        return {}
     theirs = c.there.links[d.part]
     names = ["world", *c.layout.parents]
     total = np.zeros((3, 3))
@@ -133,34 +131,30 @@ def _balanced(d: Difference, c: Context) -> str:
         turn = local.rotation @ turn
         arm = skew(local.act(np.array(body.ipos)) - theirs.center)
         total += turn @ tensor @ turn.T - body.mass * arm @ arm
-    if np.allclose(total, theirs.inertia, rtol=0, atol=EQUAL * np.abs(total).max()):
-        return "an impossible inertia is kept as it is written there, and balanced by MuJoCo"
-    return ""
+    return when(np.allclose(total, theirs.inertia, rtol=0, atol=EQUAL * np.abs(total).max()))
 
 
-def _geometry(d: Difference, c: Context) -> str:
+def _geometry(d: Difference, c: Context) -> Reasons:
     """Wrong size or place of a geometry."""
     g = next(g for g in range(c.model.ngeom) if geom_name(c.model, g) == d.part)
     element = _element(c, g)
     if c.text is None or element is None or not d.value:
-        return ""
+        return {}
     inherited = c.text.inherited(element)
     attributes = inherited | element.attrib
     here, there = (np.array(v.strip("()").split(), dtype=float) for v in (d.reference, d.value))
     if "mesh" in attributes and attributes.get("type", "sphere") != "mesh":
-        return "a primitive fitted to a mesh has no size there" if there.max() < EQUAL else ""
+        return when(there.max() < EQUAL, "fitted")
     asset = _asset(c, attributes.get("mesh"))
     if asset is not None:
         scale = c.text.inherited(asset).get("scale")
         if scale is not None and "scale" not in asset.attrib:
             factors = np.abs(np.array(scale.split(), dtype=float))
             if np.allclose(there * factors, here, rtol=_SHOWN, atol=EQUAL):
-                return "scale of a mesh from a default class is ignored there"
+                return when(True, "scale")
         if {"refpos", "refquat"} & asset.attrib.keys():
-            return "refpos and refquat of a mesh are ignored there"
-    if {"pos", *_ORIENTATIONS} & (inherited.keys() - element.attrib.keys()):
-        return "its pose comes from a default class, and is ignored there"
-    return ""
+            return when(True, "refpos")
+    return when({"pos", *ORIENTATIONS} & (inherited.keys() - element.attrib.keys()), "class")
 
 
 def _asset(c: Context, name: str | None) -> Any:
@@ -186,9 +180,9 @@ def _element(c: Context, g: int) -> Any:
     return written[order] if order < len(written) else None
 
 
-MASSES = (
-    ("mass", ("mass", "link centre", "inertia"), _mass),
-    ("balanced inertia", ("inertia",), _balanced),
-    ("geometry", ("geometry",), _geometry),
-)
-"""Key, quantities and check of each cause; a check gives the reason in words, or ""."""
+EVIDENCE_OF_MASSES: Mapping[str, Evidence] = {
+    "mass": _mass,
+    "not_balanced": _not_balanced,
+    "geometry": _geometry,
+}
+"""By the names that ``causes.toml`` gives them."""
