@@ -25,14 +25,13 @@ __all__ = [
 ]
 
 RANK_TOL = 1e-8
-"""A coupling whose row, by unit length, leaves less than this outside the rows before it repeats
-them (-)."""
+"""A coupling repeats earlier ones if its unit row has less than this (-) outside their span."""
 
 LOOSE_TOL = 1e-6
 """Share of a joint (-) that neither actuators nor couplings hold: rounding is below."""
 
 VALUE_TOL = 1e-6
-"""How far (rad, for a row of unit length) a repeated coupling may ask for another value."""
+"""Largest difference (rad, for a unit row) between the values of a repeated coupling."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +41,7 @@ class Coupling:
     Attributes:
         name: What it is called in the model or the description.
         row: (nq,), coefficients.
-        value: rad (m), or whatever the row makes of it.
+        value: rad (m), in the unit of row @ q.
         one_sided: Whether it is a stop that only pushes row @ q upwards, and is active in a grasp;
             an equality holds always and both ways.
     """
