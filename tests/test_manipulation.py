@@ -282,7 +282,7 @@ def test_a_plan_knows_how_to_let_go(plan: ManipulationPlan) -> None:
     end, task = motion.knots[-1], motion.grasp.task
     there = replace(task, T_world_object=end.T_world_object, table_height=None)
     world = CollisionWorld(there)
-    assert world.touching(motion.T_world_base, release.q, clearance=0.0005) is None
+    assert world.nearest_below(motion.T_world_base, release.q, clearance=0.0005) is None
     again = find_release(motion)
     assert not isinstance(again, Failure)
     np.testing.assert_array_equal(again.q, release.q)

@@ -87,7 +87,7 @@ def found_row(
         "approach_object": (T_object_palm.rotation @ task.hand.palm_normal).tolist(),
         "q_rad": plan.q.tolist(),
         "q_pregrasp_rad": plan.q_pregrasp.tolist(),
-        "opening_m": plan.opening,
+        "opening_m": plan.pregrasp_distance,
         "contact_positions_object_m": contacts.positions.tolist(),
         "contact_normals_object": contacts.normals.tolist(),
         "contact_forces_object_N": contacts.forces_in_axes().tolist(),

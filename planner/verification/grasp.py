@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from planner.approach.pregrasp import Approach, find_approach, verify_approach
-from planner.collision.pad_contact import pad_touches
+from planner.collision.pad_contact import pad_contacts
 from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
 from planner.failure import Failure
@@ -62,7 +62,7 @@ def verify_grasp(
     """
     world = world or CollisionWorld(task)
     with stage("verify"):
-        touches = pad_touches(task, T_world_base, q)
+        touches = pad_contacts(task, T_world_base, q)
         verification = verify_geometry(world, T_world_base, q, touches)
     if verification.failure is not None:
         return verification.failure
@@ -85,7 +85,7 @@ def verify_grasp(
         T_world_base_start=way.T_world_base_start,
         q=q,
         q_pregrasp=way.q,
-        opening=way.opening,
+        pregrasp_distance=way.pregrasp_distance,
         arm=way.arm,
         contacts=forces.contacts,
         forces=forces,

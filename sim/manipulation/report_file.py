@@ -6,10 +6,9 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from planner.files.json_csv import checked_file
 from pydantic import create_model
 
-from planner.files.json_csv import read_json
+from planner.files.json_csv import checked_file, read_json
 from planner.schema import StrictData
 from sim.manipulation.log import ManipulationLog
 from sim.manipulation.timeline import ManipulationPhase

@@ -14,9 +14,8 @@ from scipy.interpolate import PchipInterpolator
 
 from planner.kinematics.state import MovingHand
 from planner.motion.gait import Relocation
-from planner.paths import smooth
 from planner.plan import GraspPlan
-from planner.spatial import FloatArray
+from planner.spatial import FloatArray, minimum_jerk
 from sim.controllers import Observation
 from sim.controllers.grasp import SEARCH_DAMPING
 from sim.controllers.motors import motor_servo
@@ -88,7 +87,7 @@ class FingerSwing:
     @property
     def over(self) -> bool:
         """Whether it is half-way at least: lifted, and near where it goes down."""
-        return float(smooth(np.asarray(self.share))) >= self._middle
+        return float(minimum_jerk(np.asarray(self.share))) >= self._middle
 
     def command(self, observation: Observation) -> FloatArray:
         """Commands (nu,) of which the finger's count."""
@@ -113,5 +112,5 @@ class FingerSwing:
 
     def _at(self, share: float, bent: FloatArray) -> FloatArray:
         """Joints (k,) at a share of the time, with what is left there of a difference (k,)."""
-        s = float(smooth(np.asarray(min(1.0, share))))
+        s = float(minimum_jerk(np.asarray(min(1.0, share))))
         return np.asarray(self._way(s) + (1.0 - s) * bent)
