@@ -19,7 +19,7 @@ import numpy as np
 
 from planner.collision.world import CollisionWorld, NearPairs
 from planner.hands.hand import Hand
-from planner.numerics.programme import programme
+from planner.numerics.qp import solve_qp
 from planner.spatial import SE3, FloatArray, IntArray
 
 __all__ = ["OPENED_SHARE", "Opener", "undetermined_joints"]
@@ -214,14 +214,14 @@ class Opener:
         pads = m + len(self._fingers)
         table[m:pads, n], table[pads:, n + 1] = 1.0, 1.0
         off = self._value - self._matrix @ q
-        found = programme("daqp", size, len(table)).solve(
-            h=hessian,
-            g=gradient,
-            a=table,
-            lba=np.concatenate([off, least]),
-            uba=np.concatenate([off, np.full(len(least), np.inf)]),
-            lbx=np.append(np.clip(self._lower - q, -reach, 0.0)[free], [0.0, 0.0]),
-            ubx=np.append(np.clip(self._upper - q, 0.0, reach)[free], [np.inf, np.inf]),
+        found = solve_qp(
+            hessian,
+            gradient,
+            table,
+            low=np.concatenate([off, least]),
+            high=np.concatenate([off, np.full(len(least), np.inf)]),
+            lower=np.append(np.clip(self._lower - q, -reach, 0.0)[free], [0.0, 0.0]),
+            upper=np.append(np.clip(self._upper - q, 0.0, reach)[free], [np.inf, np.inf]),
         )
         if found is None:
             return None

@@ -19,7 +19,7 @@ from planner.collision.pad_contact import touching_geometries
 from planner.collision.world import CollisionWorld
 from planner.hands.fingers import Finger
 from planner.kinematics.state import MovingHand
-from planner.numerics.programme import programme
+from planner.numerics.qp import solve_qp
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 from planner.tolerances import PENETRATION_TOL
@@ -155,14 +155,14 @@ class FingerPaths:
             table[: len(coupled), :n] = matrix[np.ix_(coupled, index)]
             table[len(coupled) :, :n], table[len(coupled) :, n] = rates, height
             off = (value - matrix @ q)[coupled]
-            found = programme("daqp", n + 1, len(table)).solve(
-                h=hessian,
-                g=gradient,
-                a=table,
-                lba=np.concatenate([off, short]),
-                uba=np.concatenate([off, np.full(len(short), np.inf)]),
-                lbx=np.append(np.clip(hand.q_lower - q, -LARGEST, 0.0)[index], 0.0),
-                ubx=np.append(np.clip(hand.q_upper - q, 0.0, LARGEST)[index], np.inf),
+            found = solve_qp(
+                hessian,
+                gradient,
+                table,
+                low=np.concatenate([off, short]),
+                high=np.concatenate([off, np.full(len(short), np.inf)]),
+                lower=np.append(np.clip(hand.q_lower - q, -LARGEST, 0.0)[index], 0.0),
+                upper=np.append(np.clip(hand.q_upper - q, 0.0, LARGEST)[index], np.inf),
             )
             if found is None:
                 break
