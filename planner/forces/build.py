@@ -138,6 +138,9 @@ def build_force_problem(
     length = arm if arm > MIN_LENGTH else 1.0
     joint_map, gravity = _joint_map(contacts, jacobians, gravity_torque)
     limits = _torque_limits(actuation, joint_map, q, gravity, jacobians is not None)
+    torques = np.zeros((2, len(joint_map) if limits else 0))
+    if limits is not None and q is not None:
+        limits.at(np.asarray(q, dtype=np.float64), torques)
     nf, excess = len(part.names), n if edge_cost else 0
     z = np.zeros((0, nf)) if limits is None else limits.case.rows @ joint_map
     extra = np.zeros((0, 0)) if limits is None else limits.case.extra_rows
@@ -148,9 +151,8 @@ def build_force_problem(
     rows[:6, :nf] = contacts.grasp_map()
     rows[6 : 6 + mf, : nf + excess] = part.faces
     rows[6 + mf :, :nf], rows[6 + mf :, nx - ne :] = z[torque_rows], extra[torque_rows]
-    torques = np.zeros((2, 0)) if limits is None else _row_limits(limits)[:, torque_rows]
-    low = np.concatenate([-balance, np.full(mf, -np.inf), torques[0]])
-    high = np.concatenate([-balance, np.zeros(mf), torques[1]])
+    low = np.concatenate([-balance, np.full(mf, -np.inf), torques[0, torque_rows]])
+    high = np.concatenate([-balance, np.zeros(mf), torques[1, torque_rows]])
     extra_low, extra_high = np.zeros((2, 0)) if limits is None else limits.extra_limits
     column_scale = np.concatenate([part.unit, np.ones(excess), np.full(ne, length)])
     quadratic = np.diag(
@@ -171,7 +173,7 @@ def build_force_problem(
         rows=rows,
         low=low,
         high=high,
-        row_names=(*_WRENCH_ROWS, *part.face_names, *_torque_names(limits, torque_rows)),
+        row_names=(*_WRENCH_ROWS, *part.face_names, *_torque_names(limits, torque_rows.tolist())),
         n_faces=mf,
         torque_rows=torque_rows,
         cones=np.hstack([part.cones, np.zeros((len(part.cones), ne))]),
@@ -182,7 +184,7 @@ def build_force_problem(
         column_names=(
             *part.names,
             *(f"{label} excess" for label in contact_names(contacts)[:excess]),
-            *(() if limits is None else _made_names(limits, limits.case.extra)),
+            *(() if limits is None else _made_names(limits, limits.case.extra.tolist())),
         ),
         column_scale=column_scale,
         row_scale=np.concatenate(
@@ -298,7 +300,7 @@ def _torque_limits(
     gravity: FloatArray,
     with_jacobians: bool,
 ) -> TorqueLimits | None:
-    """The limits at q in N m, None without an actuation.
+    """The limits in N m, None without an actuation.
 
     Raises:
         ContactError: ``actuation`` without ``q`` or Jacobians, q without ``actuation``, or their
@@ -319,15 +321,7 @@ def _torque_limits(
         )
     limits = TorqueLimits(actuation, 1.0)
     limits.gravity[:] = gravity
-    limits.at(at, np.zeros((2, nv)))
     return limits
-
-
-def _row_limits(limits: TorqueLimits) -> FloatArray:
-    """Limits (2, nv) of the rows at the last q, N m."""
-    out = np.zeros_like(limits.made_limits)
-    limits.at(limits.q, out)
-    return out
 
 
 def _made_names(limits: TorqueLimits, columns: Sequence[int]) -> list[str]:

@@ -30,7 +30,7 @@ from planner.forces.least_violation import Relaxation
 from planner.forces.torque_limits import TorqueCase, TorqueLimits, loaded_rows
 from planner.forces.workspace import ContactWorkspace
 from planner.numerics.dense_qp import DenseQp
-from planner.numerics.qp_workspace import DEFAULT_SOLVER, qp_workspace
+from planner.numerics.qp_workspace import DEFAULT_SOLVER, QpWorkspace, qp_workspace
 from planner.spatial import FloatArray
 
 __all__ = ["ForceLoop", "ForceStep"]
@@ -81,6 +81,13 @@ class ForceLoop:
         solver: The solver of ``qp``, with its last answer and multipliers.
         result: The last step.
     """
+
+    qp: DenseQp
+    contacts: ContactWorkspace
+    solver: QpWorkspace
+    _relaxation: Relaxation | None
+    _balance: FloatArray
+    _met: FloatArray
 
     def __init__(
         self,
@@ -136,11 +143,9 @@ class ForceLoop:
         self._minus_row_scale, self._row_unit = -p.row_scale[:6], 1.0 / p.row_scale[:6]
         self._case: TorqueCase | None = None
         self._lay_out(0)
-        base, shape = p.dense_qp(), (6 + p.n_faces, len(p.column_names))
-        qp = self.qp
-        qp.p[:], qp.a[: shape[0]] = base.p, base.a
+        base, qp, m = p.dense_qp(), self.qp, 6 + p.n_faces
+        qp.p[:], qp.a[:m], qp.low[:m], qp.high[:m] = base.p, base.a, base.low, base.high
         qp.p[range(nf), range(nf)] += change_cost
-        qp.low[: shape[0]], qp.high[: shape[0]] = base.low, base.high
         qp.lower[:], qp.upper[:] = base.lower, base.upper
         self._plain_p, self._own_q = qp.p[:nf, :nf].copy(), np.zeros(nf)
         if costs:
@@ -262,7 +267,7 @@ class ForceLoop:
         self.qp.p[range(before, nx), range(before, nx)] = EXTRA_COST
         self.qp.lower[before:] = self.qp.upper[before:] = 0.0
         self.solver = qp_workspace(self._solver_name, self.qp)
-        self._relaxation: Relaxation | None = None  # made when it is first needed
+        self._relaxation = None  # made when it is first needed
         self.contacts = ContactWorkspace(p.contacts, p.length, unit, self.qp.a[:6], nv)
         self._balance = self.qp.limits[:, nx : nx + 6]
         self._met = self.qp.value[nx : nx + 6]
@@ -274,8 +279,9 @@ class ForceLoop:
 
     def _make_room(self, extra: int) -> None:
         """Lay out anew with more unknowns; what was written stays."""
-        old, was, n = self.qp, self.contacts, len(self.qp.q)
+        old, was, x, n = self.qp, self.contacts, self._x, len(self.qp.q)
         self._lay_out(extra)
+        self._x[:n] = x
         qp, now = self.qp, self.contacts
         qp.p[:n, :n], qp.q[:n], qp.a[:, :n] = old.p, old.q, old.a
         qp.lower[:n], qp.upper[:n], qp.low[:], qp.high[:] = old.lower, old.upper, old.low, old.high

@@ -156,8 +156,8 @@ class ForceProblem:
         qp.p[:] = self.quadratic * np.outer(scale, scale)
         qp.q[:] = self.linear * scale / unit
         qp.a[:] = self.row_scale[:, None] * self.rows * scale
-        qp.low[:], qp.high[:] = (self.row_scale * s / unit for s in (self.low, self.high))
-        qp.lower[:], qp.upper[:] = (s / (scale * unit) for s in (self.lower, self.upper))
+        qp.low[:], qp.high[:] = self.row_scale * (self.low, self.high) / unit
+        qp.lower[:], qp.upper[:] = (self.lower, self.upper) / (scale * unit)
         qp.cones, qp.cone_sizes = self.cones * scale, self.cone_sizes
         return qp
 
@@ -198,13 +198,13 @@ class ForceProblem:
         qp, unit = self.dense_qp(), self.column_scale
         value = qp.a @ (x / unit)
         off = value - np.clip(value, qp.low, qp.high)
-        _, faces, torque = np.split(off, [6, 6 + self.n_faces])
+        faces, torque = off[6 : 6 + self.n_faces], off[6 + self.n_faces :]
         missing = np.zeros(len(self.gravity_torque))
         if self.torque_limits is not None:
             rows = self.torque_limits.case.rows  # square: what is off in them is off in the joints
             by_row = np.zeros(len(rows))
-            by_row[self.torque_rows] = torque
-            missing = np.linalg.solve(rows, by_row)
+            by_row[self.torque_rows] = self.length * torque
+            missing = np.asarray(np.linalg.solve(rows, by_row))
         outside = np.maximum(self.lower - x, x - self.upper) / unit
         blocks = np.split(self.cones @ x, np.cumsum(self.cone_sizes, dtype=int)[:-1])
         round_cones = [float(np.linalg.norm(b[1:]) - b[0]) for b in blocks if len(b)]

@@ -117,11 +117,6 @@ class TorqueLimits:
         return case
 
     @property
-    def q(self) -> FloatArray:
-        """The last q (nv,)."""
-        return self._q
-
-    @property
     def made_limits(self) -> FloatArray:
         """Limits (2, nv) of the actuator and stop forces that rows are about, at the last q."""
         return self._of_rows

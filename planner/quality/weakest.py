@@ -50,9 +50,9 @@ def wrench_faces(points: FloatArray, inward: FloatArray, mu: float, length: floa
     first = np.cross(inward, np.eye(3)[least])
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = np.cross(inward, first)
-    _, *tangential, _ = cone_edges(mu, 0.0, EDGES)
+    _, *tangential, _ = cone_edges(1.0, 0.0, EDGES)
     one, two = (side[:, None, None] for side in tangential)
-    force = inward + one * first + two * second
+    force = inward + mu * (one * first + two * second)
     wrenches = np.concatenate([force, np.cross(points / length, force)], axis=2).reshape(-1, 6)
     try:
         faces = np.asarray(ConvexHull(wrenches).equations)
