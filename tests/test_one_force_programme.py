@@ -1,4 +1,4 @@
-"""``distribute_forces`` and ``ForceLoop`` accept and refuse the same problems, by the same forces."""
+"""``distribute_forces`` and ``ForceLoop`` accept the same problems, with the same forces."""
 
 from __future__ import annotations
 
@@ -12,12 +12,17 @@ from hypothesis import strategies as st
 from planner.actuation import Actuation
 from planner.contacts import ContactSet
 from planner.forces import ForceLoop, distribute_forces
+from planner.forces.problem import RESIDUAL_TOL
 from planner.hand_loading import load_hand
 from planner.spatial import FloatArray
 
 MODELS = ("frictionless", "point", "soft")
 NEAR = (1e-2, 1e-3, 1e-4, 1e-5)
 """Shares of the wrench (-) by which problems are this side and that of what can be held."""
+
+
+CLEAR = 1e-3
+"""Share (-) from which what is left over exceeds the tolerance."""
 
 
 def drawn_contacts(rng: np.random.Generator) -> ContactSet:
@@ -84,10 +89,14 @@ def drawn_problem(seed: int) -> tuple[ContactSet, dict[str, Any], dict[str, Any]
 
 
 def both(
-    contacts: ContactSet, wrench: FloatArray, made: dict[str, Any], state: dict[str, Any]
+    contacts: ContactSet,
+    wrench: FloatArray,
+    made: dict[str, Any],
+    state: dict[str, Any],
+    tolerance: float = RESIDUAL_TOL,
 ) -> tuple[bool, bool]:
     """What the loop and the single programme say; forces are compared where both hold."""
-    step = ForceLoop(contacts, **made).step(wrench, **state)
+    step = ForceLoop(contacts, tolerance=tolerance, **made).step(wrench, **state)
     anew = distribute_forces(contacts, wrench=wrench, **made, **state)
     if step.balanced and anew.found:
         size = max(1.0, float(np.abs(anew.forces).max()))
@@ -112,11 +121,15 @@ def test_both_agree_next_to_the_largest_wrench_that_can_be_held(seed: int) -> No
     wrench = np.random.default_rng([seed, 1]).normal(size=6) * [1, 1, 1, 0.01, 0.01, 0.01]
     wrench /= np.abs(wrench[:3]).max()
     fraction = distribute_forces(contacts, wrench=30.0 * wrench, **made, **state).fraction
-    assume(1.0 < 30.0 * fraction < 30.0)  # below 1 N the tolerance of a loop is absolute
+    assume(1e-2 < fraction < 1.0)
+    tolerance = RESIDUAL_TOL * min(1.0, 30.0 * fraction)  # below 1 N that of a loop is absolute
     for share in NEAR:
         for sign, held in ((-1, True), (1, False)):
             edge = 30.0 * fraction * (1.0 + sign * share) * wrench
-            assert both(contacts, edge, made, state) == (held, held), (share, sign)
+            looped, once = both(contacts, edge, made, state, tolerance)
+            assert looped == once, (share, sign)
+            # what is left over of a hair too much can be within the tolerance
+            assert once == held or (share < CLEAR and not held), (share, sign)
 
 
 @pytest.mark.parametrize("name", ["shadow_hand", "allegro_hand"])
