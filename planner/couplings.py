@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from planner.errors import HandError
-from planner.numerics.programme import programme
+from planner.numerics.qp import solve_qp
 from planner.spatial import FloatArray
 
 __all__ = [
@@ -141,15 +141,7 @@ def nearest_on_couplings(
     size = np.maximum(np.linalg.norm(matrix, axis=1), LEAST_SPAN)
     value = np.array([c.value for c in couplings]) / size
     matrix = matrix / size[:, None]
-    found = programme("daqp", len(q), len(couplings)).solve(
-        h=np.eye(len(q)),
-        g=-q / span,
-        a=matrix,
-        lba=value,
-        uba=value,
-        lbx=lower / span,
-        ubx=upper / span,
-    )
+    found = solve_qp(np.eye(len(q)), -q / span, matrix, value, value, lower / span, upper / span)
     return None if found is None else np.clip(found * span, lower, upper)
 
 
