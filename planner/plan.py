@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from planner.approach.arm_path import ArmPath
-from planner.attempts import SearchRecord
+from planner.attempt import SearchRecord
 from planner.collision.world import Clearance
 from planner.contacts import ContactSet
 from planner.failure import Failure

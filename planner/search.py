@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.attempts import Attempt, check_seed, nothing_found, run_attempts, search
+from planner.attempt import Attempt, check_seed, nothing_found, run_attempts, search
 from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
 from planner.failure import Failure

@@ -28,6 +28,7 @@ __all__ = [
     "fixed_array",
     "interpolate_path",
     "minimum_jerk",
+    "pose_change",
     "pose_from_wxyz",
     "pose_to_wxyz",
     "rotation_angle",
@@ -126,6 +127,12 @@ def pose_to_wxyz(pose: SE3) -> tuple[FloatArray, FloatArray]:
 def rotation_angle(rotation: FloatArray) -> float:
     """Angle in rad, in [0, pi], by which a rotation matrix (3, 3) turns."""
     return float(np.linalg.norm(_pinocchio().log3(np.asarray(rotation, dtype=np.float64))))
+
+
+def pose_change(before: SE3, after: SE3) -> tuple[float, float]:
+    """How far a pose has moved: distance of the origins, mm, and angle of the rotation, degrees."""
+    moved = 1e3 * float(np.linalg.norm(after.translation - before.translation))
+    return moved, float(np.rad2deg(rotation_angle(before.rotation.T @ after.rotation)))
 
 
 def signed_twist(rotation: FloatArray, axis: FloatArray, *, near: float = 0.0) -> float:

@@ -1,4 +1,4 @@
-"""``planner.attempts``: the loop of a search, and what is said when a budget ends."""
+"""``planner.attempt``: the loop of a search, and what is said when a budget ends."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from planner.attempts import (
+from planner.attempt import (
     Attempt,
     SearchContext,
     SearchRecord,

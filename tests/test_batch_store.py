@@ -230,7 +230,7 @@ def test_grasps_without_a_manifest_are_not_adopted(kit: Kit, tmp_path: Path, n_r
 def test_a_batch_that_was_killed_before_its_manifest_begins_again(kit: Kit, tmp_path: Path) -> None:
     with kit.store(tmp_path):
         pass
-    (tmp_path / "manifest.json").rename(tmp_path / "manifest.json.part")
+    (tmp_path / "manifest.json").rename(tmp_path / ".0123456789abcdef.part")
     with kit.store(tmp_path, seed=99) as store:
         assert len(store) == 0
 

@@ -128,6 +128,7 @@ def test_postures_leave_about_the_gap_that_is_asked_and_know_where_links_are(
     assert postures.draw(-1.0, rng) < 8
 
 
+@pytest.mark.slow
 def test_starts_of_which_one_is_chosen_resist_more(
     allegro: Hand, monkeypatch: pytest.MonkeyPatch
 ) -> None:

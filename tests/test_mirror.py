@@ -22,7 +22,7 @@ from planner.errors import HandError
 from planner.failure import Failure
 from planner.hand_loading import load_hand
 from planner.hands.catalog import find_hand
-from planner.hands.description_files import MirrorAxis, read_description, reflection_signs
+from planner.hands.description_toml import MirrorAxis, read_description, reflection_signs
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan

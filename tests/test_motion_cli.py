@@ -11,8 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 import planner.motion.gait.search
+import planner.motion.manipulation.single_stroke
 import planner.motion.search
-import sim.manipulation.plan
 from planner.files import read_motion
 from planner.task import DEFAULT_MU
 from sim.bench.conditions import BELIEVED_MU
@@ -93,7 +93,7 @@ def test_a_gait_of_one_stroke_is_written(tmp_path: Path) -> None:
     [
         (plan_motion, DEFAULT_MU, planner.motion.search.MAX_ATTEMPTS),
         (plan_gait, DEFAULT_MU, planner.motion.gait.search.MAX_ATTEMPTS),
-        (manipulate, BELIEVED_MU, sim.manipulation.plan.MAX_ATTEMPTS),
+        (manipulate, BELIEVED_MU, planner.motion.manipulation.single_stroke.MAX_ATTEMPTS),
     ],
 )
 def test_commands_believe_and_spend_what_the_library_does(

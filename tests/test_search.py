@@ -94,6 +94,7 @@ def test_same_seed_same_plan_to_the_last_bit_and_other_seeds_differ(allegro: Han
     assert (first.record.seed, other.record.seed) == (3, 4)
 
 
+@pytest.mark.slow
 def test_same_seed_same_plan_in_a_fresh_process_that_built_other_problems_first(
     allegro: Hand,
 ) -> None:

@@ -72,7 +72,7 @@ class GraspSet:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """What the objects are called."""
+        """Labels of the objects."""
         return tuple(item.label for item in self.manifest.objects)
 
     @property
@@ -185,7 +185,7 @@ class GraspSet:
             first += table.num_rows
 
     def features(self, label: str, *, most: int = MOST_COMPARED) -> GraspFeatures:
-        """What grasps of an object are compared by: the first found ones, in order of k."""
+        """Features of an object's first found grasps, in order of k."""
         rows = [row for _, row in islice(self.found(label), most)]
         return self._compared(label, rows)
 

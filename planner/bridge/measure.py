@@ -1,4 +1,4 @@
-"""What MuJoCo finds at one configuration of a model: places, contacts, distances, inertias."""
+"""MuJoCo at one configuration of a model: body positions, contacts, distances, inertias."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from planner.spatial import FloatArray
 __all__ = ["body_positions", "geom_distance", "joint_inertia", "touching_geoms"]
 
 FURTHEST = 1.0
-"""Distance (m) beyond which MuJoCo is not asked how far apart two geoms are."""
+"""Largest distance (m) that MuJoCo measures between two geoms."""
 
 
 def joint_inertia(model: Any, q: FloatArray) -> FloatArray:
-    """Diagonal (nv,) of the mass matrix at q (nv,), kg m^2 (kg): what each servo has to move."""
+    """Diagonal (nv,) of the mass matrix at q (nv,), kg m^2 (kg): the inertia at each servo."""
     data = mujoco.MjData(model)
     data.qpos[:] = q
     mujoco.mj_forward(model, data)

@@ -1,7 +1,7 @@
 """``check_numbers``: every number of a compiled hand is finite and of a size that a hand can have.
 
-MuJoCo compiles ``inf``, ``nan`` and links of 1e11 kg without a word. What is measured on such a
-model afterwards is NaN, or no least squares ends.
+MuJoCo compiles ``inf``, ``nan`` and links of 1e11 kg without a warning. Results on such a model are
+NaN, or least squares do not end.
 """
 
 from __future__ import annotations
@@ -16,8 +16,7 @@ from planner.errors import ModelError
 __all__ = ["check_numbers", "check_repeated_names", "check_sizes"]
 
 MOST_LENGTH = 10.0
-"""Size or offset (m) above which a part is none of a hand, nor of the arm that carries it: files in
-millimetres are above."""
+"""Largest size or offset (m) of a part of a hand or its arm: files in millimetres exceed it."""
 
 MOST_MASS = 1e3
 """Mass (kg) of a body above which it is a filler: links of the largest arms weigh some 300 kg."""
@@ -40,7 +39,7 @@ MOST_GAIN = 1e9
 
 @dataclass(frozen=True)
 class _Quantity:
-    """What is looked at: arrays of ``mujoco.MjModel`` by the kind of part that they belong to."""
+    """One check: arrays of ``mujoco.MjModel`` by the kind of part that they belong to."""
 
     kind: str
     field: str

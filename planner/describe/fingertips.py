@@ -28,7 +28,7 @@ LEAST_LEVER = 0.5
 twists or spreads it."""
 
 ONE_SIDED = 1.25
-"""A range tells the closing side if one side is this many times the other."""
+"""Ratio of the two sides of a joint's range from which on the longer one is the closing side."""
 
 
 class Skeleton:
@@ -65,7 +65,7 @@ class Skeleton:
         return [SE3(pose) for pose in self._data.oMi]
 
     def axis(self, joint: int) -> FloatArray:
-        """Axis (3,) of joint ``joint`` of the structure in its own frame: what q turns or moves."""
+        """Axis (3,) of a joint of the structure, in its own frame: of turning or of sliding."""
         model = self.pin_model.joints[joint + 1]
         data = model.createData()
         model.calc(data, np.zeros(1))
@@ -87,7 +87,7 @@ class Fingertip:
         flexion: (3,), unit, orthogonal to the bone: the way the end moves when the finger closes.
         end: (3,), m: the middle of the end.
         flexion_joint: Number of the joint that bends the end.
-        certain: Whether the joint's range told the sign.
+        certain: Whether the joint's range decides the sign.
     """
 
     joint_id: int
@@ -124,11 +124,11 @@ def fingertip_of(skeleton: Skeleton, branch: Branch, others: FloatArray | None) 
             break
     way /= np.linalg.norm(way)
     low, high = skeleton.q_lower[joint], skeleton.q_upper[joint]
-    tells = skeleton.is_hinge(joint) and max(abs(low), abs(high)) > ONE_SIDED * min(
+    decides = skeleton.is_hinge(joint) and max(abs(low), abs(high)) > ONE_SIDED * min(
         abs(low), abs(high)
     )
     sign = 1.0 if abs(high) >= abs(low) else -1.0
-    if not tells and others is not None:
+    if not decides and others is not None:
         toward = poses[joint_id].actInv(others) - end
         sign = 1.0 if toward @ way >= 0 else -1.0
     return Fingertip(
@@ -137,7 +137,7 @@ def fingertip_of(skeleton: Skeleton, branch: Branch, others: FloatArray | None) 
         flexion=sign * way,
         end=end,
         flexion_joint=joint,
-        certain=tells,
+        certain=decides,
     )
 
 
@@ -165,7 +165,7 @@ def _bone(
 
 
 def _across(v: FloatArray, axis: FloatArray) -> FloatArray:
-    """Unit vector of what of v is orthogonal to an axis; of v itself where nothing is left."""
+    """Unit vector of the part of v orthogonal to an axis; of v itself where that is zero."""
     flat = v - axis * (axis @ v)
     flat = flat if np.linalg.norm(flat) > 1e-6 else v
     length = float(np.linalg.norm(flat))

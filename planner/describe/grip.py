@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from planner.describe.convex_links import ConvexLink, cone_directions
-from planner.describe.gaps import TOUCHING
+from planner.describe.overlaps import TOUCHING
 from planner.describe.postures import PostureSolver
 from planner.describe.report import Finding, PadRow, PostureRow
 from planner.hands.fingers import Finger
@@ -18,25 +18,24 @@ from planner.spatial import FloatArray
 __all__ = ["check_pads", "check_postures"]
 
 LEAST_PRESS = 1.5
-"""Force (N) that a pad should be able to press with in the pinch posture: what a default grasp of
-100 g asks of each finger."""
+"""Force (N) that a pad should reach in the pinch posture: the share of each finger in a default
+grasp of 100 g."""
 
 MOST_PRESS = 100.0
-"""Force (N) up to which pressing is looked at."""
+"""Largest pressing force (N) that is considered."""
 
 LEAST_GAP, LEAST_OPENING = 0.01, 0.03
-"""Free width (m) between the pads below which pinch does not hold anything, and open is not wide
-enough for what people grasp."""
+"""Least free width (m) between the pads: in pinch, and in open for household objects."""
 
 MOVED = 1e-4
 """Change of a joint (rad, m) above which a posture counts as moved onto the couplings."""
 
 ROUND_TOL = 2e-3
-"""How far (m) a pad's geom may stand out before its sphere within the cone without a word."""
+"""How far (m) a pad's geom may stand out before its sphere within the cone without a finding."""
 
 
 def check_pads(hand: Hand, findings: list[Finding]) -> tuple[PadRow, ...]:
-    """Every pad against its geom, and whether its finger can press; what is wrong is noted."""
+    """Every pad against its geom, and whether its finger can press; faults are noted."""
     solids = {g.name: ConvexLink(g) for g in hand.geometries}
     taking_part = {f.name for f in hand.choose_fingers()}
     joint = {g.name: g.joint_id for g in hand.geometries}
@@ -86,7 +85,7 @@ def check_pads(hand: Hand, findings: list[Finding]) -> tuple[PadRow, ...]:
                 findings.append(
                     Finding(
                         level="error",
-                        what=f"it cannot be told how hard {finger.name} presses",
+                        what=f"the pressing force of {finger.name} is unknown",
                         what_to_do="pads of the pinch posture must lie apart, and every actuator "
                         "needs finite forces",
                     )
@@ -160,7 +159,7 @@ def _opposer(fingers: Sequence[Finger], state: HandState) -> int:
 def check_postures(
     hand: Hand, fingers: Sequence[Finger], findings: list[Finding]
 ) -> tuple[PostureRow, ...]:
-    """Every posture: free width, how pads face each other, overlaps; what is wrong is noted."""
+    """Every posture: free width, how pads face each other, overlaps; faults are noted."""
     missing = [name for name in ("pinch", "open") if name not in hand.description.postures]
     for name in missing:
         findings.append(
@@ -217,7 +216,7 @@ def check_postures(
 
 
 def _check_moved(hand: Hand, name: str, q: FloatArray, findings: list[Finding]) -> None:
-    """Note a posture that was moved onto the couplings, by how much, and what to write instead."""
+    """Note a posture that was moved onto the couplings, by how much, and the corrected lines."""
     moved = np.abs(q - hand.described_posture(name))
     changed = np.flatnonzero(moved > MOVED)
     if changed.size:

@@ -231,7 +231,7 @@ _WORDS = {
     "ring": rf"(?<![a-z])ring|(?<![a-z])rf{_SHORT}",
     "little": rf"little|pinky|pinkie|(?<![a-z])lf{_SHORT}",
 }
-"""What names of bodies and joints say of a finger: whole words, and the abbreviations of
+"""Words in names of bodies and joints that name a finger: whole words, and the abbreviations of
 Shadow-type hands where a part of a finger follows."""
 
 
@@ -258,5 +258,5 @@ def finger_names(
             reasons.append(f"{count} of {total} names of its bodies and joints say so")
         else:
             names.append(f"finger{i + 1}")
-            reasons.append("the names of its bodies and joints do not tell one; rename it freely")
+            reasons.append("the names of its bodies and joints suggest none; rename it freely")
     return names, reasons

@@ -14,8 +14,7 @@ import numpy as np
 from planner.errors import FileFormatError, TaskError
 from planner.failure import Failure
 from planner.files.data import ContactData, Finite, NotNegative, PlanFile, PoseData, Vector3
-from planner.files.head import checked_file
-from planner.files.json_csv import read_json, write_json
+from planner.files.json_csv import checked_file, read_json, write_json
 from planner.files.plans import (
     CONTACT_TOL,
     contact_data,

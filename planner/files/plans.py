@@ -27,8 +27,7 @@ from planner.files.data import (
     PoseData,
     RecordData,
 )
-from planner.files.head import checked_file
-from planner.files.json_csv import read_json, write_json
+from planner.files.json_csv import checked_file, read_json, write_json
 from planner.files.tasks import task_data, task_from_data
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand

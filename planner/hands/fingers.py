@@ -26,7 +26,7 @@ from planner.spatial import SE3, FloatArray, IntArray
 __all__ = ["Finger", "Pad", "Resolver"]
 
 PAD_TOL = 5e-4
-"""How far (m) a pad's sphere may be from the surface of its geometry: what counts as touching."""
+"""How far (m) a pad's sphere may be from the surface of its geometry: the tolerance of touch."""
 
 _POINT = 1e-6
 """Radius (m) of the ball that stands for a point."""
@@ -44,7 +44,8 @@ class Pad:
         radius: m.
         half_angle: rad; contact points lie within this cone about the axis.
         rolling_axis: (3,), unit: middle of the cone within which contacts may roll.
-        rolling_half_angle: rad; of that cone. Both are those above where none is described.
+        rolling_half_angle: rad; of that cone. Without a description, both equal ``axis`` and
+            ``half_angle``.
     """
 
     geom: str

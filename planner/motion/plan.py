@@ -8,14 +8,15 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 
-from planner.attempts import SearchRecord
+from planner.attempt import SearchRecord
 from planner.contacts import ContactSet
 from planner.forces import ForceSolution
 from planner.immutable import freeze
 from planner.kinematics.state import HandState
 from planner.motion.limits import Limit
 from planner.motion.path import ObjectPath
-from planner.plan import GraspPlan, Verification
+from planner.motion.trajectory import JOINT_RATE, TURN_RATE, TrajectoryBuilder
+from planner.plan import GraspPlan, JointTrajectory, Verification
 from planner.quality import ClosureResult
 from planner.spatial import SE3, FloatArray
 
@@ -160,6 +161,46 @@ class MotionPlan:
         share = float(np.clip((place - places[i]) / (places[i + 1] - places[i]), 0.0, 1.0))
         a, b = self.knots[i], self.knots[i + 1]
         return SE3.Interpolate(a.T_world_object, b.T_world_object, share), a.q + share * (b.q - a.q)
+
+    def joint_trajectory(
+        self,
+        *,
+        approach_s: float = 1.5,
+        close_s: float = 1.0,
+        joint_rate: float = JOINT_RATE,
+        turn_rate: float = TURN_RATE,
+        rate_hz: float = 50.0,
+    ) -> JointTrajectory:
+        """Approach, closing and the motion as joint positions by name, for a real hand.
+
+        Squeeze and lift are not part of it. Joints go through the knots and stay between them.
+
+        Args:
+            approach_s: As for ``GraspPlan.joint_trajectory``.
+            close_s: As there.
+            joint_rate: Largest rate of a joint in the motion, rad/s or m/s.
+            turn_rate: Largest rate of the object's turn, rad/s.
+            rate_hz: Samples per second.
+
+        Raises:
+            TaskError: A duration or a rate that is not positive.
+        """
+        builder = TrajectoryBuilder(
+            self.grasp,
+            approach_s=approach_s,
+            close_s=close_s,
+            joint_rate=joint_rate,
+            turn_rate=turn_rate,
+            rate_hz=rate_hz,
+        )
+        self.add_to(builder, "turn")
+        return builder.built()
+
+    def add_to(self, builder: TrajectoryBuilder, phase: str, until: float = 1.0) -> None:
+        """Append the motion up to a place of its path, in (0, 1], to a trajectory."""
+        places = np.array([k.place for k in self.knots if k.place < until] + [until])
+        postures = np.array([self.at(place)[1] for place in places])
+        builder.turn(phase, postures, places, until * self.path.angle)
 
     def __repr__(self) -> str:
         """One line."""

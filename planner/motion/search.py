@@ -8,7 +8,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from planner.attempts import Attempt, check_seed, nothing_found, run_attempts, search
+from planner.attempt import Attempt, check_seed, nothing_found, run_attempts, search
 from planner.errors import NoGraspFoundError, TaskError
 from planner.motion.context import MotionContext, finger_sets, merit, with_rolling_pads
 from planner.motion.path import LARGEST_TURN, ObjectPath

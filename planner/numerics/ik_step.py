@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.numerics.programme import programme
+from planner.numerics.qp import solve_qp
 from planner.spatial import FloatArray
 
 __all__ = ["Barrier", "Task", "constrained_ik_step", "ik_step"]
@@ -136,14 +136,14 @@ def constrained_ik_step(
         rows = slice(row, row + len(barrier.least))
         table[rows, :n], table[rows, n + i] = barrier.rates, barrier.unit
         row = rows.stop
-    found = programme("daqp", size, len(table)).solve(
-        h=hessian,
-        g=gradient,
-        a=table,
-        lba=np.concatenate([equality.error, least]),
-        uba=np.concatenate([equality.error, np.full(len(least), np.inf)]),
-        lbx=np.append(lower, np.zeros(k)),
-        ubx=np.append(upper, np.full(k, np.inf)),
+    found = solve_qp(
+        hessian,
+        gradient,
+        table,
+        low=np.concatenate([equality.error, least]),
+        high=np.concatenate([equality.error, np.full(len(least), np.inf)]),
+        lower=np.append(lower, np.zeros(k)),
+        upper=np.append(upper, np.full(k, np.inf)),
     )
     return None if found is None else found[:n]
 

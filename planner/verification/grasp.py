@@ -16,7 +16,6 @@ from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
 from planner.failure import Failure
 from planner.forces import (
-    QUICK_SOLVER,
     ForceArguments,
     ForceSolution,
     distribute_forces,
@@ -138,10 +137,7 @@ def plan_forces(
         **options: Passed to ``distribute_forces``.
     """
     given: dict[str, Any] = {**force_arguments(task, contacts, T_world_base, q), **options}
-    quick = distribute_forces(contacts, **{"solver": QUICK_SOLVER, **given})
-    if quick.found or quick.fraction < 1.0 or "solver" in options:
-        return quick
-    return distribute_forces(contacts, **given)  # forces exist: the default solver has its turn
+    return distribute_forces(contacts, **given)
 
 
 def with_grip(plan: GraspPlan, grip_force: float) -> GraspPlan:

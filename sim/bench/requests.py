@@ -18,7 +18,6 @@ import numpy as np
 from planner.approach.pregrasp import APPROACH_KINDS
 from planner.batch import GraspFeatures
 from planner.batch.jobs import grasp_seed
-from planner.batch.recipe import shape_key
 from planner.collision.world import OBJECT
 from planner.errors import PlannerError, TaskError
 from planner.hand_loading import load_hand
@@ -27,7 +26,7 @@ from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.quality.ball import epsilon_frogger, epsilon_l1
 from planner.search import DEFAULT_MAX_ATTEMPTS, Attempt, attempts
-from planner.shapes import Shape
+from planner.shapes import Shape, shape_key
 from planner.synthesis.options import SynthesisOptions
 from planner.system.stage_times import timed
 from planner.task import DEFAULT_MU, GraspTask
@@ -35,15 +34,15 @@ from sim.bench.objects import BenchObject
 
 __all__ = [
     "APPROACH",
-    "Outcome",
     "Request",
+    "RequestOutcome",
     "Setting",
     "check_tasks",
     "clearance_of",
     "half_longest_side",
     "loaded_hand",
-    "measure",
-    "measure_task",
+    "outcome_of",
+    "outcome_of_task",
     "task_for",
 ]
 
@@ -98,7 +97,7 @@ class Request:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class RequestOutcome:
     """What a request cost and gave.
 
     Attributes:
@@ -135,7 +134,7 @@ class Outcome:
     features: GraspFeatures | None = None
 
 
-def measure(request: Request, check: Callable[[], None] = lambda: None) -> Outcome:
+def outcome_of(request: Request, check: Callable[[], None] = lambda: None) -> RequestOutcome:
     """Make a request.
 
     Args:
@@ -146,15 +145,15 @@ def measure(request: Request, check: Callable[[], None] = lambda: None) -> Outco
     begin = time.process_time()
     task = task_for(request.hand, request.spec, request.setting)
     if isinstance(task, str):
-        return Outcome(k=request.k, error=task)
+        return RequestOutcome(k=request.k, error=task)
     made = time.process_time() - begin
-    outcome = measure_task(task, request.k, request.setting, check)
+    outcome = outcome_of_task(task, request.k, request.setting, check)
     return replace(outcome, prepare_s=outcome.prepare_s + made)
 
 
-def measure_task(
+def outcome_of_task(
     task: GraspTask, k: int, setting: Setting, check: Callable[[], None] = lambda: None
-) -> Outcome:
+) -> RequestOutcome:
     """Make request k of a task.
 
     Args:
@@ -179,9 +178,9 @@ def measure_task(
                 if plan is not None or len(made) >= setting.max_attempts:
                     break
         except PlannerError as error:
-            return Outcome(k=k, error=str(error))
+            return RequestOutcome(k=k, error=str(error))
     cpu = sum(a.cpu_s for a in made)
-    outcome = Outcome(
+    outcome = RequestOutcome(
         k=k,
         attempts=len(made),
         cpu_s=cpu,

@@ -1,4 +1,4 @@
-"""A hand as DexGraspBench reads it: model, meshes, and what its ``config/hand`` says.
+"""A hand as DexGraspBench reads it: model, meshes, and its entry of ``config/hand``.
 
 The base stands where the hand's own model file puts it, so that a grasp's qpos, which places the
 world of that file, is right for the exported model and for the original one alike.
@@ -19,7 +19,7 @@ from planner.bridge import compile_spec, load_spec
 from planner.errors import FileFormatError
 from planner.exchange.dexgraspbench.pinned_mjcf import pinned_mjcf
 from planner.files import plain_name
-from planner.hands.description_files import read_description
+from planner.hands.description_toml import read_description
 from planner.hands.hand import Hand
 from planner.spatial import SE3, pose_from_wxyz, pose_to_wxyz
 
@@ -46,7 +46,7 @@ def file_name(label: str) -> str:
 
 
 def export_name(hand: Hand) -> str:
-    """What a hand is called in an export.
+    """Name of a hand in an export.
 
     The name in its description; for a model without one, the model's own name, or folder and file
     where it has none: "right_hand.xml" is the file name of most hands. Letters, digits, ``_`` and
@@ -101,7 +101,7 @@ def write_hand(hand: Hand, folder: Path) -> str:
         folder: Where; made if it does not exist.
 
     Returns:
-        NAME, by which the benchmark is told the hand.
+        NAME, the benchmark's name of the hand.
 
     Raises:
         FileFormatError: Another hand of that name is there.

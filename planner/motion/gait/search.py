@@ -16,7 +16,7 @@ from functools import cache
 
 import numpy as np
 
-from planner.attempts import Attempt, nothing_found, run_attempts, search
+from planner.attempt import Attempt, nothing_found, run_attempts, search
 from planner.errors import NoGraspFoundError, TaskError
 from planner.failure import Failure
 from planner.kinematics.state import HandState
