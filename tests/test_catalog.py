@@ -20,8 +20,9 @@ from planner.errors import HandError, ModelError, NotFoundError, PlannerError
 from planner.files import plan_from_dict, plan_to_dict
 from planner.hand_loading import load_hand
 from planner.hands import catalog
-from planner.hands.catalog import find_hand, hand_names, hand_reference, model_file, models_dir
+from planner.hands.catalog import find_hand, hand_names, hand_reference, model_file
 from planner.hands.hand import Hand
+from planner.system.models import models_dir
 
 EditHand = Callable[..., Path]
 

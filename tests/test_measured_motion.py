@@ -20,7 +20,7 @@ from planner.task import GraspTask
 from sim.contacts import hand_contacts
 from sim.controllers import GraspController, ImpedanceGains
 from sim.controllers.impedance import ImpedanceLaw
-from sim.protocols.hold import Hold
+from sim.protocols.disturbance import DisturbanceTrial
 from sim.scene import HAND_PREFIX, Scene
 from sim.trial import Trial
 
@@ -59,16 +59,16 @@ def bend_wrist(scene: Scene, data: Any) -> None:
 def test_an_object_that_goes_along_with_the_palm_does_not_slip(shadow_plan: GraspPlan) -> None:
     """A wrist that bends takes palm and object along; only what moves in the palm slips."""
     trial = Trial(shadow_plan)
-    scene, data = trial.scene, trial.data
+    scene, data = trial.simulation.scene, trial.simulation.data
     put(scene, data, IN_PALM)
-    trial.recorder.mark_reference(data)
-    trial.recorder.record(data, "hold", ())
+    trial.recorder.mark_reference()
+    trial.recorder.record()
     T_base_object = scene.body_pose(data, scene.base_body).inverse() * scene.body_pose(
         data, scene.object_body
     )
     bend_wrist(scene, data)
     put(scene, data, IN_PALM)
-    trial.recorder.record(data, "hold", ())
+    trial.recorder.record()
     now = scene.body_pose(data, scene.base_body).inverse() * scene.body_pose(
         data, scene.object_body
     )
@@ -78,18 +78,18 @@ def test_an_object_that_goes_along_with_the_palm_does_not_slip(shadow_plan: Gras
         IN_PALM.translation + np.array([0.002, 0.0, -0.001]),
     )
     put(scene, data, slipped)
-    trial.recorder.record(data, "hold", ())
+    trial.recorder.record()
     samples = trial.recorder.samples()
     np.testing.assert_allclose(samples.slip_mm, [0.0, 0.0, 5**0.5], atol=1e-9)
     np.testing.assert_allclose(samples.slip_deg, [0.0, 0.0, np.rad2deg(0.1)], atol=1e-5)
 
 
 def test_a_held_object_is_where_it_is_in_the_palm(shadow_plan: GraspPlan) -> None:
-    hold = Hold(shadow_plan, controller=GraspController(shadow_plan))
-    bend_wrist(hold.scene, hold.data)
-    put(hold.scene, hold.data, IN_PALM)
-    assert hold.T_palm_object.isApprox(IN_PALM, 1e-9)
-    assert not hold.T_base_object.isApprox(IN_PALM, 1e-2)
+    hold = DisturbanceTrial(shadow_plan, controller=GraspController(shadow_plan))
+    bend_wrist(hold.simulation.scene, hold.simulation.data)
+    put(hold.simulation.scene, hold.simulation.data, IN_PALM)
+    assert hold.simulation.T_palm_object.isApprox(IN_PALM, 1e-9)
+    assert not hold.simulation.T_base_object.isApprox(IN_PALM, 1e-2)
 
 
 # --- twists ------------------------------------------------------------------------------------
@@ -98,13 +98,13 @@ def test_a_held_object_is_where_it_is_in_the_palm(shadow_plan: GraspPlan) -> Non
 @pytest.mark.parametrize("seed", range(3))
 def test_a_twist_is_the_rate_of_the_pose_in_world_axes(allegro_plan: GraspPlan, seed: int) -> None:
     trial = Trial(allegro_plan)
-    scene, data = trial.scene, trial.data
+    scene, data = trial.simulation.scene, trial.simulation.data
     rng = np.random.default_rng(seed)
     pose = SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3))
     data.qpos[scene.object_qpos] = np.concatenate(pose_to_wxyz(pose))
     data.qvel[scene.object_dof] = rng.normal(size=6)
     mujoco.mj_forward(scene.model, data)
-    observed = trial.observe("hold", 0.0).object_twist
+    observed = trial.simulation.observe("hold", 0.0).object_twist
     before, dt = scene.body_pose(data, scene.object_body), 1e-6
     mujoco.mj_integratePos(scene.model, data.qpos, data.qvel, dt)
     mujoco.mj_kinematics(scene.model, data)
@@ -132,7 +132,7 @@ def test_pads_feel_only_what_moves_along_the_surface(allegro_plan: GraspPlan, fi
     """Sliding is the velocity of object over pad without its part along the normal."""
     rng = np.random.default_rng(5)
     trial = Trial(allegro_plan)
-    scene, data = trial.scene, trial.data
+    scene, data = trial.simulation.scene, trial.simulation.data
     scene.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)  # no servo lets go
     k = allegro_plan.task.finger_names.index(finger)
     data.qpos[scene.hand_qpos] = allegro_plan.q
@@ -146,7 +146,7 @@ def test_pads_feel_only_what_moves_along_the_surface(allegro_plan: GraspPlan, fi
     data.qvel[:] = 0.02 * rng.normal(size=len(data.qvel))
     data.qvel[scene.object_dof[:3]] = 0.02 * rng.normal(size=3) - 0.1 * into
     mujoco.mj_forward(scene.model, data)
-    pads, contacts = trial.observe("hold", 0.0).pads, hand_contacts(scene, data)
+    pads, contacts = trial.simulation.observe("hold", 0.0).pads, hand_contacts(scene, data)
     assert contacts.fingers.count(finger) == 1
     contact = contacts[contacts.fingers.index(finger)]
     geom = scene.model.geom(HAND_PREFIX + allegro_plan.task.hand.fingers[finger].pad.geom)

@@ -132,7 +132,7 @@ def test_iterators_of_attempts_may_be_mixed_and_moved(allegro: Hand) -> None:
     tasks = [GraspTask.create(allegro, name) for name in ("sphere", "sphere:0.03")]
 
     def outcome(attempt: Any) -> bytes:
-        return attempt.reason.encode() if attempt.plan is None else bits_of(attempt.plan)
+        return str(attempt.failure).encode() if attempt.plan is None else bits_of(attempt.plan)
 
     def first(task: GraspTask) -> list[bytes]:
         return [outcome(a) for a, _ in zip(attempts(task, seed=3), range(4), strict=False)]

@@ -90,7 +90,7 @@ def _plan(
 
         def show(attempt: Attempt[GraspPlan]) -> None:
             check()
-            outcome = escape(attempt.reason[:70] or "found")
+            outcome = escape(str(attempt.failure or "found")[:70])
             status.update(f"planning: attempt {attempt.index + 1}: {outcome}")
 
         return plan_grasp(
@@ -143,7 +143,7 @@ def run(
     mu: MuOption = 0.5,
     sim_mu: SimMuOption = None,
     physics: PhysicsOption = "ours",
-    controller: ControllerOption = "open",
+    controller: ControllerOption = "feedforward",
     mass: MassOption = None,
     density: DensityOption = None,
     repair: RepairOption = False,
@@ -276,7 +276,7 @@ def simulate(
     picture: Annotated[Path | None, typer.Option(help="Write a picture (PNG) here.")] = None,
     sim_mu: SimMuOption = None,
     physics: PhysicsOption = "ours",
-    controller: ControllerOption = "open",
+    controller: ControllerOption = "feedforward",
     view: ViewOption = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -38,8 +38,7 @@ def physics(
     held object while one number changes, beside the formula of sim.creep.
     """
     from sim.bench.objects import bench_objects
-    from sim.bench.physics import run_physics
-    from sim.bench.physics_tables import physics_tables
+    from sim.bench.physics import physics_tables, run_physics
 
     check_folder(samples)
     with measuring(output, workers) as runner:

@@ -53,7 +53,7 @@ def synthesis(
     from sim.bench.objects import bench_objects
     from sim.bench.requests import Setting
     from sim.bench.synthesis import run_synthesis
-    from sim.bench.tables import print_synthesis
+    from sim.bench.synthesis_tables import print_synthesis
 
     setting = Setting(
         mu=mu,
