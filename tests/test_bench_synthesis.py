@@ -27,7 +27,7 @@ from sim.bench.objects import BenchObject, bench_objects
 from sim.bench.requests import Request, RequestOutcome, Setting, half_longest_side, outcome_of
 from sim.bench.statistics import power_law
 from sim.bench.synthesis import run_synthesis, summary_of, total_of
-from sim.bench.synthesis_tables import print_synthesis
+from sim.bench.synthesis_tables import synthesis_tables
 from sim.cli import app
 from sim.runner import Runner
 
@@ -198,7 +198,7 @@ def test_a_mesh_of_a_folder_that_bounds_no_solid_is_a_row(folder: Path) -> None:
     assert "not the surface of a solid" in cell["error"]
     assert cell["requested"] == 0
     text = StringIO()
-    print_synthesis(result, Console(width=140, file=text))
+    Console(width=140, file=text).print(*synthesis_tables(result))
     assert "not tried" in text.getvalue()
 
 

@@ -226,7 +226,7 @@ def test_a_finger_with_tendons_that_leaves_asks_nothing_of_the_others(
         held.append(in_base(trial))
 
     run(shadow_plan, controller, on_hold, timeline=replace(SHORT, hold=0.3))
-    lever = controller._loop.placed.lever.reshape(len(shadow_plan.task.finger_names), 3, -1)
+    lever = controller._loop.contacts.lever.reshape(len(shadow_plan.task.finger_names), 3, -1)
     asks = np.abs(lever).max(axis=(1, 2)) > 0.0
     left = [name == fingers[-1] for name in shadow_plan.task.finger_names]
     assert asks.tolist() == [not away for away in left]

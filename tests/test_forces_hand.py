@@ -310,8 +310,8 @@ def test_no_contacts_resist_nothing() -> None:
 
 def test_a_solver_that_fails_is_not_an_infeasible_task(monkeypatch: pytest.MonkeyPatch) -> None:
     options = {"osqp": {"max_iter": 1, "polishing": False}}
-    monkeypatch.setattr("planner.forces.minimise.SOLVER_OPTIONS", options)
-    solution = distribute_forces(opposed(), wrench=WEIGHT)
+    monkeypatch.setattr("planner.numerics.qp_workspace._OPTIONS", options)
+    solution = distribute_forces(opposed(), wrench=WEIGHT, solver="osqp")
     assert not solution.found
     assert "forces exist, but solver 'osqp' missed them" in solution.reason
     assert solution.fraction == 1.0
@@ -323,5 +323,5 @@ def test_a_found_solution_passes_through() -> None:
     solution = jaws(2.0)
     assert solution.raise_if_infeasible() is solution
     assert solution.status == "solved"
-    assert solution.solver == "osqp"
+    assert solution.solver == "daqp"
     assert solution.solve_time_s > 0

@@ -38,7 +38,12 @@ def modules_of(*rooms: str) -> list[str]:
 def test_the_verdict_on_a_grasp_never_asks_the_solver() -> None:
     """What CasADi has solved is recomputed by Pinocchio and coal."""
     solver = ("casadi", "planner.synthesis", "planner.kinematics.symbolic")
-    rooms = ("planner.verification", "planner.collision", "planner.proximity", "planner.approach")
+    rooms = (
+        "planner.verification",
+        "planner.collision.world",
+        "planner.proximity.convex",
+        "planner.approach",
+    )
     for module in modules_of(*rooms):
         asked = {i for i in imports_of(module) for s in solver if within(i, s)}
         assert not asked, module

@@ -19,6 +19,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.kinematics.state import MovingHand
+from planner.numerics.ik_step import Task, ik_step
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 
@@ -150,6 +151,6 @@ def _follow(
             moving.point_jacobian(f.pad.joint_id, c)[:3]
             for f, c in zip(task.fingers, now, strict=True)
         ]
-        step = np.linalg.lstsq(np.vstack([*rows, matrix])[:, index], missing, rcond=RCOND)[0]
-        q[index] = np.clip(q[index] + step, hand.q_lower[index], hand.q_upper[index])
+        reach = Task(np.vstack([*rows, matrix])[:, index], missing)
+        q[index] = ik_step(reach, q[index], hand.q_lower[index], hand.q_upper[index], rcond=RCOND)
     return q

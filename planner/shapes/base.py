@@ -45,7 +45,7 @@ class Shape(ABC):
 
     Attributes:
         kind: Name of the kind, for example "box".
-        size_names: What the numbers of a specification are, in its order.
+        size_names: Names of the numbers of a specification, in its order.
         pure_numbers: Those of ``size_names`` that are numbers, not lengths.
         default_sizes: The numbers of a specification that is the name alone.
         convex: Whether every shape of this kind is; a mesh need not be.

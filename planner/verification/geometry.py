@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from planner.collision.pad_contact import PadTouch, pad_touches, touching_of
+from planner.collision.pad_contact import PadContact, pad_contact_queries, pad_contacts
 from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
 from planner.failure import Failure
@@ -76,10 +76,10 @@ def contacts_at(task: GraspTask, T_world_base: SE3, q: FloatArray) -> ContactSet
 
     A contact is the surface point nearest to the pad (``planner.collision.pad_contact``).
     """
-    return contacts_of(task, pad_touches(task, T_world_base, q))
+    return contacts_of(task, pad_contacts(task, T_world_base, q))
 
 
-def contacts_of(task: GraspTask, touches: Sequence[PadTouch]) -> ContactSet:
+def contacts_of(task: GraspTask, touches: Sequence[PadContact]) -> ContactSet:
     """The same from the touches of all fingers, if they are at hand."""
     return ContactSet.from_arrays(
         np.array([touch.point for touch in touches]),
@@ -95,7 +95,7 @@ def verify_geometry(
     world: CollisionWorld,
     T_world_base: SE3,
     q: FloatArray,
-    touches: Sequence[PadTouch] | None = None,
+    touches: Sequence[PadContact] | None = None,
 ) -> Verification:
     """Recompute everything that must hold of a grasp, on the true geometry.
 
@@ -108,12 +108,12 @@ def verify_geometry(
     task = world.task
     hand = task.hand
     if touches is None:
-        touches = pad_touches(task, T_world_base, q)
+        touches = pad_contacts(task, T_world_base, q)
     gaps = np.array([t.pad_gap for t in touches])
     whole = np.array([t.gap for t in touches])
     angles = np.array([t.angle for t in touches])
 
-    others = world.closest(T_world_base, q, LISTED, touching=touching_of(task).names)
+    others = world.closest(T_world_base, q, LISTED, may_touch=pad_contact_queries(task).names)
 
     matrix, value = hand.coupling_matrix
     coupling = float(np.abs(matrix @ q - value).max(initial=0.0))

@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from sim.bench.baseline import BASELINE_EPSILON, BASELINE_RATE
 from sim.bench.run import Row
 from sim.bench.tables import number, percent, table_of
 
-__all__ = ["print_synthesis"]
+__all__ = ["synthesis_tables"]
 
 
-def print_synthesis(result: Row, console: Console) -> None:
-    """Print all tables, and what could not be tried."""
-    console.print(_speed(result))
-    console.print(_stages(result))
-    console.print(_quality(result))
-    for cell in result["cells"]:
-        if cell["error"]:
-            text = f"{cell['object']}: {cell['error']}"
-            console.print(escape(text), highlight=False, soft_wrap=True)
-    against = result["baseline"]
-    if against is not None:
-        console.print(
+def synthesis_tables(result: Row) -> list[Table | str]:
+    """All tables, what could not be tried, and the comparison with the baseline."""
+    refused = [f"{c['object']}: {c['error']}" for c in result["cells"] if c["error"]]
+    tables = _speed(result), _stages(result), _quality(result)
+    shown: list[Table | str] = [*tables, *refused]
+    if against := result["baseline"]:
+        shown.append(
             f"against FRoGGeR (corrected): {number(against['rate_ratio'], 1)} times its "
             f"{BASELINE_RATE} per CPU second; epsilon ratio median "
             f"{number(against['epsilon_ratio_median'], 2)}, least "
-            f"{number(against['epsilon_ratio_least'], 2)}",
-            highlight=False,
-            soft_wrap=True,
+            f"{number(against['epsilon_ratio_least'], 2)}"
         )
+    return shown
 
 
 def _speed(result: Row) -> Table:

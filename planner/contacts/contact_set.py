@@ -1,0 +1,340 @@
+"""``Contact``, ``ContactSet`` and the grasp map.
+
+A ``ContactSet`` is what planning and simulation have in common: planned contacts and the contacts
+that MuJoCo reports are both one, and everything in ``planner.quality`` and ``planner.forces`` is a
+function of it. It works on bare arrays, with no hand and no simulator::
+
+    contacts = ContactSet.from_arrays(positions, normals, mu=0.5, center=[0, 0, 0])
+
+Friction law of contact i, in its own frame (f_n along the normal, into the object, >= 0):
+
+    frictionless    f = [f_n]
+    point           f = [f_n, f_t1, f_t2],         f_t1^2 + f_t2^2 <= mu^2 f_n^2
+    soft            f = [f_n, f_t1, f_t2, tau_n],  (f_t1^2 + f_t2^2)/mu^2 + (tau_n/mu_torsion)^2
+                                                   <= f_n^2
+
+The last is MuJoCo's elliptic cone with condim 4. mu has no unit, mu_torsion is in metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from planner.arrays import float_array, per_item
+from planner.contacts.friction import cone_utilisation
+from planner.errors import ContactError
+from planner.spatial import FloatArray, contact_frames, skew
+
+if TYPE_CHECKING:
+    from planner.spatial import SE3
+
+__all__ = [
+    "CONTACT_DIM",
+    "MOST_FRICTION",
+    "Contact",
+    "ContactModel",
+    "ContactSet",
+    "check_frames",
+]
+
+ContactModel: TypeAlias = Literal["frictionless", "point", "soft"]
+
+CONTACT_DIM: dict[str, int] = {"frictionless": 1, "point": 3, "soft": 4}
+"""Number of force components that each contact model transmits."""
+
+FARTHEST = 1e6
+"""Largest coordinate (m): beyond it torques lose the digits that a verdict needs."""
+
+MOST_FRICTION = 1e3
+"""Largest sliding friction (-) and torsional friction (m): a force may be 89.94 degrees off the
+normal. Beyond it the normal parts drown in the tangential ones, and rank is misjudged."""
+
+_IDENTITY = np.eye(3)
+
+_ORTHONORMAL_TOL = 1e-6
+"""How far a given frame may be from a rotation matrix (-)."""
+
+
+def check_frames(frames: FloatArray) -> None:
+    """Refuse contact frames (n, 3, 3) that are not right-handed rotation matrices.
+
+    Raises:
+        ContactError: So, or they hold NaN.
+    """
+    if len(frames) == 0:
+        return
+    error = frames.transpose(0, 2, 1) @ frames
+    error -= _IDENTITY
+    if not (
+        max(error.max(), -error.min()) <= _ORTHONORMAL_TOL and np.linalg.det(frames).min() > 0.0
+    ):
+        raise ContactError(
+            "a contact frame is not a right-handed rotation matrix; give [normal, tangent1, "
+            "tangent2] in its columns, as contact_frames makes them"
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contact:
+    """One contact on the object.
+
+    Attributes:
+        position: Point on the object's surface, (3,), m.
+        frame: Rotation matrix (3, 3), columns [normal into the object, tangent1, tangent2].
+        model: Friction law, see the module.
+        mu: Sliding friction (-).
+        mu_torsion: Torsional friction (m); used by ``soft`` only.
+        force: What the hand does to the object in the contact frame, (4,): f_n, f_t1, f_t2 in N
+            and tau_n in N m; NaN where unknown.
+        finger: Name of the finger that touches, "" where none is known.
+    """
+
+    position: FloatArray
+    frame: FloatArray
+    model: ContactModel = "point"
+    mu: float = 0.5
+    mu_torsion: float = 0.0
+    force: FloatArray = field(default_factory=lambda: np.full(4, np.nan))
+    finger: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactSet:
+    """Contacts on one object, all in one frame of reference.
+
+    Attributes:
+        positions: (n, 3), m.
+        frames: (n, 3, 3), columns [normal into the object, tangent1, tangent2].
+        models: n friction laws.
+        mu: (n,), sliding friction (-).
+        mu_torsion: (n,), torsional friction (m).
+        forces: (n, 4), f_n, f_t1, f_t2 (N) and tau_n (N m) on the object, in the contact frames;
+            NaN where unknown.
+        fingers: n names, "" where unknown.
+        center: (3,), the object's centre of mass in the same frame, m. Torques are about it.
+    """
+
+    positions: FloatArray
+    frames: FloatArray
+    models: tuple[ContactModel, ...]
+    mu: FloatArray
+    mu_torsion: FloatArray
+    forces: FloatArray
+    fingers: tuple[str, ...]
+    center: FloatArray
+
+    def __post_init__(self) -> None:
+        """Check shapes, finiteness and ranges; freeze the arrays."""
+        n = len(self.models)
+        shapes = {
+            "positions": (n, 3),
+            "frames": (n, 3, 3),
+            "mu": (n,),
+            "mu_torsion": (n,),
+            "forces": (n, 4),
+            "center": (3,),
+        }
+        for name, shape in shapes.items():
+            value = float_array(name, getattr(self, name), copy=True)
+            if value.shape != shape:
+                raise ContactError(f"{name} has shape {value.shape}, but {n} contacts need {shape}")
+            if name != "forces" and not np.isfinite(value).all():
+                raise ContactError(f"{name} holds NaN or infinity; give finite numbers")
+            value.flags.writeable = False
+            object.__setattr__(self, name, value)
+        if len(self.fingers) != n:
+            raise ContactError(f"{len(self.fingers)} finger names for {n} contacts")
+        if np.isinf(self.forces).any():
+            raise ContactError("forces hold infinity; give finite numbers, NaN where unknown")
+        if max(np.abs(self.positions).max(initial=0.0), np.abs(self.center).max()) > FARTHEST:
+            raise ContactError(f"a position is farther than {FARTHEST:g} m away; give metres")
+        if (self.mu < 0).any() or (self.mu_torsion < 0).any():
+            raise ContactError("friction is negative; mu and mu_torsion must be >= 0")
+        if max(self.mu.max(initial=0.0), self.mu_torsion.max(initial=0.0)) > MOST_FRICTION:
+            raise ContactError(f"friction is above {MOST_FRICTION:g}; give mu and mu_torsion below")
+        if not all(isinstance(m, str) for m in self.models):
+            raise ContactError(f"contact models are names; use some of {list(CONTACT_DIM)}")
+        unknown = sorted({m for m in self.models if m not in CONTACT_DIM})
+        if unknown:
+            raise ContactError(f"unknown contact model {unknown}; use one of {list(CONTACT_DIM)}")
+        check_frames(self.frames)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        positions: ArrayLike,
+        normals: ArrayLike,
+        *,
+        mu: ArrayLike = 0.5,
+        mu_torsion: ArrayLike = 0.0,
+        model: ContactModel | Sequence[ContactModel] = "point",
+        center: ArrayLike = (0.0, 0.0, 0.0),
+        forces: ArrayLike | None = None,
+        fingers: Sequence[str] | None = None,
+    ) -> ContactSet:
+        """Contacts from bare arrays; tangents are chosen by ``spatial.contact_frames``.
+
+        Args:
+            positions: (n, 3), m.
+            normals: (n, 3), into the object, any positive length.
+            mu: Sliding friction, a number or (n,).
+            mu_torsion: Torsional friction in m, a number or (n,).
+            model: One friction law for all, or n of them.
+            center: Centre of mass (3,), m.
+            forces: (n, 4) in the contact frames, or None where unknown.
+            fingers: n names, or None.
+
+        Raises:
+            ContactError: Shapes do not fit, NaN, a normal without length, negative friction.
+        """
+        p = float_array("positions", positions)
+        p = p.reshape(0, 3) if p.size == 0 else p
+        if p.ndim != 2 or p.shape[1] != 3:
+            raise ContactError(f"positions have shape {p.shape}; give an array of shape (n, 3)")
+        n = len(p)
+        given = float_array("normals", normals)
+        given = given.reshape(0, 3) if given.size == 0 else given
+        if given.shape != (n, 3):
+            raise ContactError(
+                f"normals have shape {given.shape}; {n} positions need {(n, 3)}, a row per contact"
+            )
+        return cls(
+            positions=p,
+            frames=contact_frames(given) if n else np.zeros((0, 3, 3)),
+            models=(model,) * n if isinstance(model, str) else _listed("model", model),
+            mu=per_item("mu", mu, n),
+            mu_torsion=per_item("mu_torsion", mu_torsion, n),
+            forces=np.full((n, 4), np.nan) if forces is None else float_array("forces", forces),
+            fingers=("",) * n if fingers is None else _listed("fingers", fingers),
+            center=float_array("center", center),
+        )
+
+    @classmethod
+    def from_contacts(cls, contacts: Sequence[Contact], *, center: ArrayLike) -> ContactSet:
+        """A set from single contacts that share a frame of reference.
+
+        Raises:
+            ContactError: As ``from_arrays`` does.
+        """
+        n = len(contacts)
+
+        def stacked(what: str, values: list[Any], shape: tuple[int, ...]) -> FloatArray:
+            array = float_array(what, values)
+            return array if n else array.reshape(0, *shape)
+
+        return cls(
+            positions=stacked("positions", [c.position for c in contacts], (3,)),
+            frames=stacked("frames", [c.frame for c in contacts], (3, 3)),
+            models=tuple(c.model for c in contacts),
+            mu=stacked("mu", [c.mu for c in contacts], ()),
+            mu_torsion=stacked("mu_torsion", [c.mu_torsion for c in contacts], ()),
+            forces=stacked("forces", [c.force for c in contacts], (4,)),
+            fingers=tuple(c.finger for c in contacts),
+            center=float_array("center", center),
+        )
+
+    def __len__(self) -> int:
+        """Number of contacts."""
+        return len(self.models)
+
+    def __getitem__(self, i: int) -> Contact:
+        """Contact number i."""
+        return Contact(
+            position=self.positions[i],
+            frame=self.frames[i],
+            model=self.models[i],
+            mu=float(self.mu[i]),
+            mu_torsion=float(self.mu_torsion[i]),
+            force=self.forces[i],
+            finger=self.fingers[i],
+        )
+
+    @property
+    def normals(self) -> FloatArray:
+        """Unit normals into the object, (n, 3)."""
+        return self.frames[:, :, 0]
+
+    @property
+    def dims(self) -> tuple[int, ...]:
+        """Number of force components per contact: 1, 3 or 4."""
+        return tuple(CONTACT_DIM[m] for m in self.models)
+
+    def with_forces(self, forces: ArrayLike) -> ContactSet:
+        """The same contacts with forces (n, 4) in the contact frames."""
+        return replace(self, forces=float_array("forces", forces))
+
+    def with_friction(self, mu: ArrayLike, mu_torsion: ArrayLike | None = None) -> ContactSet:
+        """The same contacts with another friction, a number or (n,) each."""
+        n = len(self)
+        torsion = self.mu_torsion if mu_torsion is None else mu_torsion
+        return replace(
+            self,
+            mu=per_item("mu", mu, n),
+            mu_torsion=per_item("mu_torsion", torsion, n),
+        )
+
+    def transformed(self, T_new_old: SE3) -> ContactSet:
+        """The same contacts seen from another frame; forces stay, their frames turn along.
+
+        Args:
+            T_new_old: Pose of the present frame of reference in the new one.
+        """
+        rotation, shift = T_new_old.rotation, T_new_old.translation
+        return replace(
+            self,
+            positions=self.positions @ rotation.T + shift,
+            frames=rotation @ self.frames,
+            center=rotation @ self.center + shift,
+        )
+
+    def grasp_map(self) -> FloatArray:
+        """Grasp map G, shape (6, sum of dims): contact force components -> wrench on the object.
+
+        Columns run contact by contact in the order f_n, f_t1, f_t2, tau_n as far as the model has
+        them; rows are [force; torque about ``center``] in the set's axes, unscaled (N, N m).
+        (Murray, Li, Sastry 1994, section 5.2.)
+        """
+        arms = skew(self.positions - self.center)
+        columns = [np.zeros((6, 0))]
+        for frame, arm, dim in zip(self.frames, arms, self.dims, strict=True):
+            linear = frame[:, : min(dim, 3)]
+            columns.append(np.vstack([linear, arm @ linear]))
+            if dim == 4:
+                columns.append(np.concatenate([np.zeros(3), frame[:, 0]])[:, None])
+        return np.hstack(columns)
+
+    def forces_in_axes(self) -> FloatArray:
+        """Contact forces turned into the set's axes, (n, 3), N."""
+        return np.asarray(np.einsum("nij,nj->ni", self.frames, self.forces[:, :3]))
+
+    def wrench(self) -> FloatArray:
+        """Sum of the contact forces as a wrench (6,) about ``center``; NaN if a force is unknown.
+
+        Components that a contact's model does not transmit are left out.
+        """
+        parts = [f[:d] for f, d in zip(self.forces, self.dims, strict=True)]
+        return np.asarray(self.grasp_map() @ np.concatenate([np.zeros(0), *parts]))
+
+    def friction_utilisation(self) -> FloatArray:
+        """Share of the friction cone in use, (n,): 0 on the normal, 1 on the cone, above 1 outside.
+
+        Infinite where a tangential force meets no friction or no normal force.
+        """
+        torsion = np.where([m == "soft" for m in self.models], self.mu_torsion, np.nan)
+        return cone_utilisation(self.forces, self.mu, torsion)
+
+
+def _listed(what: str, value: Any) -> tuple[Any, ...]:
+    """A sequence of names as a tuple; their number is checked later.
+
+    Raises:
+        ContactError: Something else.
+    """
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise ContactError(f"{what} is {value!r}; give a list of names, one per contact")
+    return tuple(value)

@@ -1,0 +1,140 @@
+"""What drives a manipulation: the fingers over all phases, and the way of the base.
+
+Up to the lowering the fingers are those of an ``InHandController``, which a ``MotionReference``
+gives targets to during the turn; then its forces go down, and the fingers open to the planned
+posture.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import TaskError
+from planner.motion.manipulation import ManipulationPlan
+from planner.motion.manipulation.idle_fingers import out_of_the_way
+from planner.motion.path import tilts
+from planner.spatial import SE3, FloatArray
+from sim.controllers import Event, Observation, Phase
+from sim.controllers.follow import MotionReference
+from sim.controllers.opening import PostureServo
+from sim.gantry import Mount
+from sim.manipulation.in_hand import InHandController
+from sim.manipulation.swing import FingerSwing
+from sim.timeline import Timeline
+
+__all__ = ["BaseMover", "ManipulationDriver"]
+
+BEYOND, TILTED_BEYOND = np.deg2rad(0.5), np.deg2rad(1.0)
+"""Turn (rad) beyond what is asked for, so that at least that is made whatever little comes back;
+and about an axis that is not vertical, where the weight pulls some of it back."""
+
+
+class ManipulationDriver:
+    """Drives the hand through a ``ManipulationPlan``: closes, holds, turns, lets go.
+
+    Attributes:
+        holding: What holds and turns the object.
+        reference: What gives it targets during the turn, or during the stroke that it is in.
+        swing: What leads a finger that is off the object; None while there is none.
+    """
+
+    def __init__(self, plan: ManipulationPlan, holding: InHandController, *, rate: float) -> None:
+        """Prepare.
+
+        Args:
+            plan: What to execute.
+            holding: What holds and turns the object.
+            rate: Largest rate of the turn, rad/s.
+        """
+        self.holding = holding
+        self.swing: FingerSwing | None = None
+        self._plan, self._rate = plan, rate
+        self._motion = out_of_the_way(plan.motion)
+        self.reference = self.begin_stroke(plan.angle)
+        self._opening = PostureServo(plan.grasp, plan.ending.release.q)
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What was noticed, in order."""
+        return self.holding.events
+
+    def begin_stroke(self, left: float) -> MotionReference:
+        """Begin a stroke: a reference along the planned motion, from where the object is.
+
+        Args:
+            left: Turn that is still to be made, rad, with its sign; as much of it is made as a
+                stroke has.
+        """
+        motion = self._motion
+        beyond = TILTED_BEYOND if tilts(motion.path.axis) else BEYOND
+        most = min(abs(left) + beyond, abs(motion.path.angle))
+        angle = math.copysign(most, self._plan.angle)
+        self.reference = MotionReference(motion, angle=angle, rate=self._rate)
+        self.holding.reference = self.reference
+        return self.reference
+
+    def begin_back(self) -> MotionReference:
+        """Begin the way back: a reference to where the motion began, from where the object is."""
+        self.reference = MotionReference(
+            self._motion, rate=self._rate, back_from=self.reference.place
+        )
+        self.holding.reference = self.reference
+        return self.reference
+
+    @property
+    def off(self) -> NDArray[np.bool_]:
+        """Which fingers (n,) are to be off the object: told to leave, or on their way."""
+        swinging = "" if self.swing is None else self.swing.finger
+        names = np.array(self._plan.task.finger_names)
+        return np.asarray(~self.holding.schedule.wanted | (names == swinging))
+
+    def step(self, observation: Observation) -> FloatArray:
+        """Commands (nu,) for the hand's actuators."""
+        if observation.phase in ("open", "retreat"):
+            share = observation.progress if observation.phase == "open" else 1.0
+            return self._opening.command(observation, share)
+        ctrl = self.holding.step(observation)
+        if self.swing is None:
+            return ctrl
+        return np.where(self.swing.actuators, self.swing.command(observation), ctrl)
+
+    def saturated_actuators(self) -> tuple[str, ...]:
+        """Names of the actuators that could not give what the last step wanted."""
+        return self.holding.saturated_actuators()
+
+
+class BaseMover:
+    """Moves the mount from pose to pose: a ``sim.carrier.Carrier``."""
+
+    def __init__(self, mount: Mount | None, T_world_base: SE3) -> None:
+        """Stay at a pose.
+
+        Raises:
+            TaskError: There is no mount: the hand is on an arm.
+        """
+        if mount is None:
+            raise TaskError("the hand is on an arm; a manipulation needs a hand whose base is free")
+        self._mount = mount
+        self._from = self._to = mount.coordinates(T_world_base)
+        self._duration = 1.0
+
+    def stay(self) -> None:
+        """Stay where it was sent last."""
+        self._from = self._to
+
+    def go(self, T_world_base: SE3, duration: float) -> None:
+        """From where it was sent last to a pose, in a time (s) that is the phase's own."""
+        self._from, self._to = self._to, self._mount.coordinates(T_world_base)
+        self._duration = duration
+
+    def drive(self, data: Any, phase: Phase, share: float) -> None:
+        """Set the mount's commands for a share of the way."""
+        del phase
+        s, rate = Timeline.profile(share)
+        way = self._to - self._from
+        target, velocity = self._from + s * way, rate / self._duration * way
+        data.ctrl[self._mount.ctrl] = self._mount.command(data, target, velocity)
