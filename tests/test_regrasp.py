@@ -22,18 +22,19 @@ from planner.motion.manipulation import (
     search,
 )
 from planner.quality import force_closure
-from planner.spatial import SE3
+from planner.spatial import SE3, FloatArray
 from planner.tolerances import CLOSURE_EDGES
 from sim.bench.conditions import FRICTION, REGRASP_FRICTION
 from sim.bench.manipulate import Turn
 from sim.bench.star_hand import write_star_hand
-from sim.controllers import Event
+from sim.controllers import Event, Observation
 from sim.controllers.follow import MotionReference
 from sim.manipulation import (
     ManipulationReport,
     manipulate,
     regrasping,
 )
+from sim.manipulation.away import FingerAway
 from sim.manipulation.prose import told_events
 from sim.physics import PhysicsOptions
 
@@ -226,6 +227,44 @@ def test_a_reference_goes_on_from_an_object_that_was_turned(gait: GaitPlan) -> N
         again, tips_again = led(about)
         assert again.isApprox(pose, 1e-9)
         np.testing.assert_allclose(tips_again, tips, atol=1e-9)
+
+
+def test_a_finger_goes_from_where_it_was_to_where_it_lands(
+    plan: ManipulationPlan, gait: GaitPlan
+) -> None:
+    """Its servos pull at nothing when it sets off, and at its way alone when it is there."""
+    grasp = plan.motion.grasp
+    move = next(phase for phase in gait.phases if isinstance(phase, Relocation))
+    hand, index = grasp.task.hand, grasp.task.hand.fingers[move.finger].q_index
+    model = hand.pin_model.copy()
+    model.gravity.linear = grasp.T_world_base.rotation.T @ grasp.task.gravity
+    away = FingerAway(grasp, move, QUICK.finger_rate)
+
+    def commands(time: float, q: FloatArray) -> FloatArray:
+        observation = Observation(
+            time=time,
+            phase="hold",
+            progress=0.0,
+            q=q,
+            v=np.zeros_like(q),
+            T_world_base=grasp.T_world_base,
+            T_world_object=move.T_world_object,
+            normal_forces=np.zeros(len(grasp.task.fingers)),
+            read_twist=lambda: np.zeros(6),
+            read_contacts=lambda: move.during,
+        )
+        return away.command(observation)[away.actuators]
+
+    def resting(q: FloatArray) -> FloatArray:
+        """Commands that bear the weight of the finger alone, where it is."""
+        torque = pin.computeGeneralizedGravity(model, model.createData(), q)
+        return hand.actuation.ctrl_for_torque(q, np.zeros_like(q), torque)[0][away.actuators]
+
+    begin = move.postures[0].copy()
+    begin[index] += [0.05, -0.1, 0.1, 0.15]  # the grip has bent it
+    np.testing.assert_allclose(commands(1.0, begin), resting(begin), atol=1e-3)
+    end = move.postures[-1].copy()
+    np.testing.assert_allclose(commands(1.0 + away.duration, end), resting(end), atol=1e-3)
 
 
 def test_fingers_find_back_from_half_way(gait: GaitPlan) -> None:
