@@ -55,7 +55,7 @@ def manipulate(
     output: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Pick, turn or move in the hand, place: randomised trials, strict and loose rates.
+    """Pick, turn or move in the hand, place: randomised trials, rates of success and closure.
 
     Friction is drawn, whatever --physics says.
     """
