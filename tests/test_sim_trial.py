@@ -128,8 +128,9 @@ def test_report_is_plain_json_that_follows_its_schema(report: TrialReport) -> No
     assert read.physics["mu"] == 0.6
     assert read.timeline["hold"] == 2.0
     assert read.thresholds["slip_mm"] == 5.0
-    assert len(read.samples.time_s) == len(report.samples)
-    assert read.samples.object_in_palm_moved_mm[0] is None
+    over_time = read.samples.model_dump()
+    assert len(over_time["time_s"]) == len(report.samples)
+    assert over_time["object_in_palm_moved_mm"][0] is None
 
 
 def test_picture_is_there_or_its_absence_is_explained(report: TrialReport) -> None:

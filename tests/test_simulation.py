@@ -210,11 +210,11 @@ def test_what_is_no_controller_is_refused(plan: GraspPlan) -> None:
         simulate(plan, controller="closed")
     for call in (simulate, partial(run_protocol, protocol="forces")):
         with pytest.raises(TaskError, match="controller is 3; give one of feedforward, impedance"):
-            call(plan, controller=3)  # type: ignore[operator]
+            call(plan, controller=3)  # type: ignore[arg-type]
         with pytest.raises(TaskError, match="Limp is a class that does not take the plan alone"):
-            call(plan, controller=Limp)  # type: ignore[operator]
+            call(plan, controller=Limp)  # type: ignore[arg-type]
     with pytest.raises(TaskError, match=r"made \[1\] of the plan, which has no method step"):
-        simulate(plan, controller=lambda plan: [1])  # type: ignore[arg-type, return-value]
+        simulate(plan, controller=lambda plan: [1])  # type: ignore[arg-type]
 
 
 def test_every_trial_of_a_protocol_gets_its_own_copy_of_a_controller(plan: GraspPlan) -> None:

@@ -25,11 +25,12 @@ from sim.controllers import AnyController, Phase
 from sim.controllers.slip import SLIP_SPEED
 from sim.physics import PhysicsOptions
 from sim.recorder import Recorder
+from sim.samples import Samples
 from sim.scene import Scene
 from sim.simulation import Simulation
 from sim.timeline import Timeline
 from sim.trial import run_grasp_phase
-from sim.verdict import DropCriteria, Fault, Reason, Samples, lost, put_down_to_actuators
+from sim.verdict import DropCriteria, Fault, Reason, lost, put_down_to_actuators
 
 __all__ = ["DROPPED", "GRIP", "DisturbanceTrial"]
 

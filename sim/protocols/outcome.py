@@ -1,6 +1,6 @@
 """``Outcome``: what became of one trial of a protocol, with what was recorded on the way.
 
-The samples are those of any other trial (``sim.verdict.Samples``): force closure of the contacts
+The samples are those of any other trial (``sim.samples.Samples``): force closure of the contacts
 that happened is decided by the code that judged the plan.
 """
 
@@ -17,7 +17,8 @@ from planner.certify import NEAR, Neighbourhood
 from planner.plain import finite
 from planner.spatial import FloatArray
 from sim.controllers import Event
-from sim.verdict import Fault, Reason, Samples
+from sim.samples import Samples
+from sim.verdict import Fault, Reason
 
 __all__ = ["Outcome"]
 
@@ -146,22 +147,10 @@ class Outcome:
 
     def to_dict(self) -> dict[str, Any]:
         """The row, and everything over time."""
-        s = self.samples
         return {
             **self.to_row(),
             "wrench_per_load": self.wrench.tolist(),
             "fingers": list(self.fingers),
             "events": [asdict(event) for event in self.events],
-            "over_time": {
-                "time_s": finite(s.time),
-                "phase": list(s.phase),
-                "load": finite(self.load),
-                "object_in_palm_moved_mm": finite(s.slip_mm),
-                "object_in_palm_turned_deg": finite(s.slip_deg),
-                "normal_force_N": finite(s.normal_force),
-                "friction_utilisation": finite(s.friction_utilisation),
-                "closed": [bool(c) for c in s.closed],
-                "epsilon": finite(s.epsilon),
-                "actuators_at_limit": [list(names) for names in s.saturated],
-            },
+            "over_time": {**self.samples.to_dict(), "load": finite(self.load)},
         }
