@@ -37,7 +37,8 @@ NEARBY = "of every posture near the planned one"
 def test(
     plans: Annotated[list[Path], typer.Argument(help="Plan files.", metavar="PLAN...")],
     protocol: Annotated[
-        str, typer.Option(help="What to do to the grasp: fc, forces, shake, robust, or all.")
+        str,
+        typer.Option(help="What to do to the grasp: dexgraspbench, forces, shake, robust, or all."),
     ] = "all",
     controller: ControllerOption = "feedforward",
     physics: PhysicsOption = "ours",
@@ -51,11 +52,11 @@ def test(
     seed: SeedOption = 0,
     as_json: JsonOption = False,
 ) -> None:
-    """Test plans in MuJoCo by named protocols: fc, forces, shake, robust.
+    """Test plans in MuJoCo by named protocols: dexgraspbench, forces, shake, robust.
 
     Ends with 0 if every grasp held in every trial without a growing load and bore the first load at
     rest in every direction. Of all protocols, those that a hand cannot take are skipped. The
-    protocol fc has the physics of its original, whatever --physics says.
+    protocol dexgraspbench has the physics of its original, whatever --physics says.
     """
     from planner.errors import TaskError
     from planner.files import read_plan, write_json
@@ -137,13 +138,13 @@ def _show(report: Any, table: Any) -> None:
         say(out, f"held in {s['held']} of {s['of']}")
     for reason, count in s["reasons"].items():
         say(out, f"ended by {reason}: {count}")
-    if s["median_borne_N"] is not None:
+    if s["median_load_held_N"] is not None:
         share = s["median_share_of_bound"]
         of_bound = "" if share is None else f"; {100 * share:.0f} % of {ALLOWED}"
         say(
             out,
-            f"borne: median {s['median_borne_N']:.3g} N, least {s['least_borne_N']:.3g} N"
-            + of_bound,
+            f"load held: median {s['median_load_held_N']:.3g} N, "
+            f"least {s['least_load_held_N']:.3g} N{of_bound}",
         )
     for name in s["contradictions"]:
         say(out, f"[bold red]contradiction:[/] {escape(name)}: more than is proven {NEARBY}")

@@ -92,7 +92,7 @@ class Stage(Simulation):
         super().__init__(replace(grasp, task=there), physics=physics, controller=self.driver)
         self._push = push
         self._turn_began: float | None = None
-        self.mover = BaseMover(self.scene.mount, grasp.T_world_base_start)
+        self.mover = BaseMover(self.scene.gantry, grasp.T_world_base_start)
         self.carrier = self.mover
         self.watch = Watch(self.scene, self.driver.reference.axis)
         self._sample_steps = max(1, round(SAMPLE_EVERY / self.scene.physics.timestep))

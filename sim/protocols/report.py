@@ -20,6 +20,9 @@ from sim.protocols.outcome import Outcome
 
 __all__ = ["ProtocolReport", "protocol_table", "write_csv"]
 
+PROTOCOL_VERSION = 2
+"""Version of the JSON form; version 1 called the loads borne and broke, and one protocol fc."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ProtocolReport:
@@ -78,7 +81,7 @@ class ProtocolReport:
 
         All trials must have been finished; to bear a load is to come to rest under the first one.
         """
-        held = all(o.held for o in self.fixed) and all(o.borne > 0 for o in self.loaded)
+        held = all(o.held for o in self.fixed) and all(o.largest_load_held > 0 for o in self.loaded)
         return self.complete and held
 
     @property
@@ -87,21 +90,25 @@ class ProtocolReport:
         return dict(Counter(o.reason for o in self.outcomes if o.reason).most_common())
 
     def breaking(self, unit: str) -> tuple[float, float]:
-        """Median and least load that was borne, over directions with this unit ("N", "N m")."""
-        borne = [o.borne for o in self.loaded if o.unit == unit]
-        if not borne:
+        """Median and least of the largest loads held, over directions with a unit ("N", "N m")."""
+        held = [o.largest_load_held for o in self.loaded if o.unit == unit]
+        if not held:
             return float("nan"), float("nan")
-        return float(np.median(borne)), float(np.min(borne))
+        return float(np.median(held)), float(np.min(held))
 
     @property
     def share_of_bound(self) -> float:
-        """Median over directions of the load borne over the proven bound; NaN without loads."""
-        shares = [o.borne / o.bound for o in self.loaded if np.isfinite(o.bound) and o.bound > 0]
+        """Median over directions of the load held over the proven bound; NaN without loads."""
+        shares = [
+            o.largest_load_held / o.bound
+            for o in self.loaded
+            if np.isfinite(o.bound) and o.bound > 0
+        ]
         return float(np.median(shares)) if shares else float("nan")
 
     @property
     def contradictions(self) -> tuple[str, ...]:
-        """Directions in which more was borne than is proven of every posture near the plan's."""
+        """Directions in which more was held than is proven of every posture near the plan's."""
         return tuple(o.name for o in self.loaded if o.contradicts)
 
     def summary(self) -> dict[str, Any]:
@@ -123,10 +130,10 @@ class ProtocolReport:
             "held": sum(o.held for o in self.fixed),
             "of": len(self.fixed),
             "reasons": self.reasons,
-            "median_borne_N": force,
-            "least_borne_N": least_force,
-            "median_borne_Nm": torque,
-            "least_borne_Nm": least_torque,
+            "median_load_held_N": force,
+            "least_load_held_N": least_force,
+            "median_load_held_Nm": torque,
+            "least_load_held_Nm": least_torque,
             "median_share_of_bound": self.share_of_bound,
             "contradictions": list(self.contradictions),
             "largest_drift_mm": max(drift, default=float("nan")),
@@ -142,7 +149,7 @@ class ProtocolReport:
         """Everything as plain data; what is not a finite number becomes None."""
         return {
             "format": "opposable-protocol",
-            "version": 1,
+            "version": PROTOCOL_VERSION,
             "written_by": written_by(),
             **self.summary(),
             "trials": [o.to_dict() for o in self.outcomes],
@@ -158,7 +165,7 @@ def protocol_table(report: ProtocolReport) -> Table:
     )
     columns = ["trial", "held"]
     if loaded:
-        columns += ["borne", "broke", "bound", "share", "near"]
+        columns += ["load held", "failed at", "bound", "share", "near"]
     columns += ["drift mm", "deg", "closed", "friction", "at s", "reason"]
     for name in columns:
         left = name in ("trial", "reason")
@@ -167,10 +174,10 @@ def protocol_table(report: ProtocolReport) -> Table:
         cells = [o.name, "" if o.grows else "yes" if o.held else "no"]
         if loaded:
             cells += [
-                _number(o.borne, 3, o.unit),
-                _number(o.broke, 3),
+                _number(o.largest_load_held, 3, o.unit),
+                _number(o.failure_load, 3),
                 _number(o.bound, 3),
-                _percent(o.borne / o.bound if o.bound > 0 else float("nan")),
+                _percent(o.largest_load_held / o.bound if o.bound > 0 else float("nan")),
                 _number(o.bound_near, 3),
             ]
         cells += [

@@ -1,4 +1,4 @@
-"""Exports batches, has DexGraspBench evaluate them, and runs our own ``fc`` on the same grasps."""
+"""Exports batches, has DexGraspBench evaluate them, and runs our protocol of that name on them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from planner.errors import PlannerError, TaskError
 from planner.exchange.dexgraspbench import export_dexgraspbench
 from planner.exchange.dexgraspbench.hand_file import file_name
 from sim.bench.dexgraspbench.checkout import Installed
-from sim.protocols.fc import fc_cases
+from sim.protocols.dexgraspbench import dexgraspbench_cases
 from sim.runner import Runner, made_with
 
 __all__ = ["SETTINGS", "BenchGrasp", "run_dexgraspbench"]
@@ -35,7 +35,7 @@ class BenchGrasp:
         moved_mm: Setting -> movement of the object against what was asked, mm.
         turned_deg: Setting -> its turn, degrees.
         penetration_mm: Hand in object at the grasp, mm, as the benchmark measures.
-        ours: Whether ``--protocol fc`` says that it holds; None if it was not asked.
+        ours: Whether ``--protocol dexgraspbench`` says that it holds; None if it was not asked.
     """
 
     hand: str
@@ -74,7 +74,7 @@ def run_dexgraspbench(
         batches: Folders of batches, whose hands have different names or are the same.
         home: Folder for the export and the benchmark's own results.
         settings: Which of ``SETTINGS``.
-        compare: Whether our protocol ``fc`` judges the same grasps.
+        compare: Whether our protocol ``dexgraspbench`` judges the same grasps.
         runner: Who works, and in how many processes.
 
     Raises:
@@ -127,7 +127,7 @@ def run_dexgraspbench(
         whole = runner.run(
             _judge,
             jobs,
-            title="protocol fc",
+            title="protocol dexgraspbench",
             keep=lambda pair: grasps.update(
                 {pair[0]: BenchGrasp(**{**asdict(grasps[pair[0]]), "ours": pair[1]})}
             ),
@@ -180,7 +180,7 @@ def _judge(job: _Job, check: Callable[[], None]) -> tuple[tuple[str, str, int], 
     """Our verdict on a grasp: held in all six directions; it ends at the first that fails."""
     plan = GraspSet(job.batch).plan(job.row)
     held = True
-    for case in fc_cases():
+    for case in dexgraspbench_cases():
         held = held and case.run(plan).held
         check()
         if not held:

@@ -16,7 +16,7 @@ def dexgraspbench_table(result: dict[str, Any]) -> Table:
     """Shares that hold, penetration and agreement per hand and object, and per hand."""
     table = table_of(
         "DexGraspBench: grasps that hold; mm of hand in object, median and worst; same verdict as "
-        "our --protocol fc",
+        "our --protocol dexgraspbench",
         ("hand", "object"),
         ("grasps", *(f"{name} %" for name in result["settings"]), "mm", "worst", "same"),
     )
