@@ -7,6 +7,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
 
 from planner.contacts import ContactSet
 from planner.plain import finite
@@ -16,12 +20,16 @@ from planner.spatial import FloatArray
 from planner.version import written_by
 from sim.controllers.events import Event, EventKind
 from sim.samples import SampleData, Samples
+from sim.screen import OnScreen, table
 from sim.verdict import Reason, Thresholds, Verdict, largest
 
 __all__ = ["REPORT_VERSION", "FingerComparison", "ReportFile", "TrialReport"]
 
 REPORT_VERSION: Literal[1] = 1
 """Version of ``ReportFile``; another number means another schema."""
+
+MOST_EVENTS = 8
+"""Events of the controller on the screen; the file has all of them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,7 +58,7 @@ class FingerComparison:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TrialReport:
+class TrialReport(OnScreen):
     """A trial from beginning to end.
 
     Attributes:
@@ -129,6 +137,69 @@ class TrialReport:
     def largest_slip(self) -> tuple[float, float]:
         """Largest movement (mm) and rotation (degrees) of the object relative to the palm."""
         return largest(self.samples.slip_mm), largest(self.samples.slip_deg)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """The verdict, and planned against measured contacts."""
+        if self.success:
+            moved, turned = self.largest_slip
+            verdict = (
+                f"[bold green]held[/]: the object moved {moved:.2f} mm and {turned:.2f} degrees in "
+                "the hand after the squeeze"
+            )
+        else:
+            verdict = f"[bold red]not held, {self.reason}[/]: {escape(self.verdict.detail)}"
+        yield Text.from_markup(
+            f"[bold]trial[/]: {verdict} ({self.simulated_s:.1f} s simulated in {self.wall_s:.1f} s)"
+        )
+        yield Text(
+            f"{self.hand}, {self.object}, {1e3 * self.mass_kg:.0f} g, carried by the "
+            f"{self.carried_by}, control {self.controller}"
+        )
+        yield Text(
+            f"physics: {self.physics['name']}; friction gives way by {self.least_creep_mm_s:.2g} "
+            "mm/s however firm the grip, before "
+            f"{self.physics['noslip_iterations']} noslip iterations"
+        )
+        if self.remedies:
+            yield Text("each of these keeps the object from creeping:")
+        for remedy in self.remedies:
+            yield Text(f"  {remedy}", no_wrap=True, overflow="ignore")
+        for event in self.events[:MOST_EVENTS]:
+            who = f" {event.finger}" if event.finger else ""
+            yield Text(f"  {event.time:.3f} s: {event.kind}{who}: {event.detail}")
+        if len(self.events) > MOST_EVENTS:
+            yield Text(f"  and {len(self.events) - MOST_EVENTS} more events of the controller")
+        if self.comparison:
+            yield self._comparison_table()
+        holding = self.samples.during("hold")
+        if not len(holding):
+            return
+        yield Text(
+            f"force closure of the measured contacts in {self.samples.closed[holding].sum()} of "
+            f"{len(holding)} samples of the hold"
+        )
+        if self.quality_measured is not None:
+            yield Text(
+                f"epsilon of the true cones: planned {self.quality_planned.epsilon_round}, "
+                f"measured {self.quality_measured.epsilon_round} (both with the plan's friction, "
+                f"mu {self.quality_mu:g})"
+            )
+
+    def _comparison_table(self) -> Table:
+        made = table(
+            "planned and measured contacts while holding",
+            ("finger", "off by (mm)", "planned (N)", "measured (N)", "error"),
+            left=("finger",),
+        )
+        for c in self.comparison:
+            made.add_row(
+                c.finger,
+                f"{c.position_error_mm:.2f}",
+                f"{c.planned_normal_force:.2f}",
+                f"{c.measured_normal_force:.2f}",
+                f"{c.force_error_percent:.1f} %",
+            )
+        return made
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data that follows ``ReportFile``; what is not a finite number becomes None."""

@@ -32,7 +32,6 @@ from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GraspTask
 from planner.verification.grasp import judge_grasp
 from sim.cli import main
-from sim.cli.test import _show
 from sim.controllers import Controller, GraspController, MakeController, Observation, Phase
 from sim.physics import PhysicsOptions
 from sim.protocols import Outcome, Settings, protocol_table, run_protocol, write_csv
@@ -634,18 +633,32 @@ def test_of_all_protocols_those_that_a_hand_cannot_take_are_skipped(
     assert "nothing was tested" in text
 
 
-def test_without_bounds_loads_are_told_without_a_share(
-    pinched: GraspPlan, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_bounds_loads_are_told_without_a_share(pinched: GraspPlan) -> None:
     coarse = Settings(random=0, growth=4.0, step_s=0.1)
     report = run_protocol(pinched, "forces", settings=coarse, only=["force +y"])
-    _show(report, protocol_table(report))
-    assert "of what the certificate allows" in " ".join(capsys.readouterr().out.split())
+    assert "of what the certificate allows" in " ".join(str(report).split())
     boundless = tuple(replace(o, bound=float("nan")) for o in report.outcomes)
-    _show(replace(report, outcomes=boundless), protocol_table(report))
-    told = " ".join(capsys.readouterr().out.split())
+    told = " ".join(str(replace(report, outcomes=boundless)).split())
     assert "load held: median" in told
     assert "certificate" not in told
+
+
+def test_a_report_prints_as_a_screen(pinched: GraspPlan) -> None:
+    """With every trial of the longest protocol on it."""
+    coarse = Settings(random=0, growth=4.0, step_s=0.1, hold_s=0.1)
+    report = run_protocol(pinched, "forces", settings=coarse)
+    text = str(report)
+    assert len(text) < 3000
+    assert "forces: not held: jaw" in text and "control feedforward" in text
+    first = report.failed[0]
+    assert first.fault is not None
+    assert f"not held: {first.name}: {first.reason}, {first.fault.detail}" in " ".join(text.split())
+    held = replace(report, outcomes=tuple(o for o in report.outcomes if o not in report.failed))
+    held = replace(held, asked=len(held.outcomes))
+    assert held.success and "forces: held: jaw" in str(held)
+    assert f"ended by slipped: {report.reasons['slipped']}" in text
+    heavy = replace(report, outcomes=report.outcomes[:3])
+    assert "forces: not held, 3 of 18 trials finished" in str(heavy)
 
 
 def test_the_help_names_every_protocol(capsys: pytest.CaptureFixture[str]) -> None:

@@ -139,6 +139,29 @@ def test_picture_is_there_or_its_absence_is_explained(report: TrialReport) -> No
         assert report.picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
+def test_a_report_prints_as_a_screen(report: TrialReport, plan: GraspPlan) -> None:
+    """Whether it was held, and if not why; no dump of arrays."""
+    held = str(report)
+    assert len(held) < 3000
+    assert held.startswith("trial: held: the object moved")
+    assert all(name in held for name in report.fingers)
+    assert "force closure of the measured contacts in 100 of 100 samples" in held
+    slippery = PhysicsOptions(mu=0.02, mu_torsion=0.0)
+    failed = simulate(plan, timeline=QUICK, physics=slippery, controller="impedance")
+    text = " ".join(str(failed).split())
+    assert len(text) < 3000
+    assert f"trial: not held, {failed.reason}: {failed.verdict.detail}" in text
+    assert len(failed.events) > 8 and f"and {len(failed.events) - 8} more events" in text
+
+
+def test_a_plan_prints_as_a_screen(plan: GraspPlan) -> None:
+    text = str(plan)
+    assert len(text) < 3000
+    assert "allegro_hand grasps sphere:0.035 (100 g), seed 0: found at attempt" in text
+    assert "force closure yes, epsilon" in text
+    assert [line.split()[0] for line in text.splitlines()[2:-1]] == list(plan.task.finger_names)
+
+
 def test_the_same_trial_twice_gives_the_same_numbers(plan: GraspPlan) -> None:
     first, second = (simulate(plan, timeline=QUICK).samples for _ in range(2))
     np.testing.assert_array_equal(first.normal_force, second.normal_force)

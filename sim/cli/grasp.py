@@ -163,7 +163,6 @@ def run(
     from planner.files import plain_name, plan_to_dict, write_json, write_plan
     from sim.controllers import named_controller
     from sim.looking.viewer import check_display
-    from sim.summary import print_plan, print_report
 
     make_controller = named_controller(controller)
     computed = physics_of(physics, sim_mu)
@@ -199,7 +198,7 @@ def run(
         (folder / old).unlink(missing_ok=True)
     write_plan(plan, folder / "plan.json")
     if not as_json:
-        print_plan(plan, out)
+        say(out, escape(str(plan)))
     report = _simulate(
         plan, make=make_controller, physics=computed, view=view, picture=folder / "held.png"
     )
@@ -207,7 +206,7 @@ def run(
     if as_json:
         print_json({"plan": plan_to_dict(plan), "report": report.to_dict()})
     else:
-        print_report(report, out)
+        out.print(report)
         note = ", held.png" if report.picture else f" (no picture: {report.picture_reason})"
         say(out, escape(f"written to {folder}: plan.json, report.json{note}"))
     exit_for(report)
@@ -237,7 +236,6 @@ def plan(
 ) -> None:
     """Plan a grasp and write it to a file."""
     from planner.files import plan_to_dict, write_plan
-    from sim.summary import print_plan
 
     check_folder(output)
     found = _plan(
@@ -263,7 +261,7 @@ def plan(
     if as_json:
         print_json(plan_to_dict(found))
     else:
-        print_plan(found, out)
+        say(out, escape(str(found)))
         say(out, escape(f"written to {output}"))
 
 
@@ -283,7 +281,6 @@ def simulate(
     """Execute a plan file in MuJoCo: approach, close, squeeze, lift, hold; and judge it."""
     from planner.files import read_plan, write_json
     from sim.controllers import named_controller
-    from sim.summary import print_report
 
     make_controller = named_controller(controller)
     computed = physics_of(physics, sim_mu)
@@ -297,7 +294,7 @@ def simulate(
     if as_json:
         print_json(report.to_dict())
     else:
-        print_report(report, out)
+        out.print(report)
         if picture is not None:
             note = report.picture_reason or f"written to {picture}"
             say(out, escape(f"picture: {note}"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -28,9 +28,6 @@ from sim.cli.common import (
 
 TABLE_WIDTH = 120
 """Characters that the table needs."""
-
-ALLOWED = "what the certificate allows any control in the planned posture"
-NEARBY = "of every posture near the planned one"
 
 
 @errors_for_people()
@@ -105,7 +102,9 @@ def test(
                 write_json(report.to_dict(), folder / f"{stem}.json")
                 write_csv(reports, folder / "trials.csv")
                 if not as_json:
-                    _show(report, protocol_table(report))
+                    # a narrow terminal breaks its lines
+                    Console(width=max(out.width, TABLE_WIDTH)).print(protocol_table(report))
+                    out.print(report)
                 if not report.complete:
                     break
             if reports and not reports[-1].complete:
@@ -121,33 +120,6 @@ def test(
         raise typer.Exit(EXIT_INTERRUPTED)
     if not all(report.success for report in reports):
         raise typer.Exit(EXIT_NO)
-
-
-def _show(report: Any, table: Any) -> None:
-    """Table, physics and what it comes to."""
-    # the table does not fit into 80 columns; a narrow terminal breaks its lines
-    Console(width=max(out.width, TABLE_WIDTH)).print(table)
-    p, s = report.physics, report.summary()
-    say(
-        out,
-        f"physics: {p['name']} ({p['timestep_s']:g} s, {p['integrator']}, {p['solver']}, "
-        f"{p['cone']} cones, impratio {p['impratio']:g}, noslip {p['noslip_iterations']}, "
-        f"friction {p['friction']:g} and {p['torsional_friction_m']:g} m)",
-    )
-    if s["of"]:
-        say(out, f"held in {s['held']} of {s['of']}")
-    for reason, count in s["reasons"].items():
-        say(out, f"ended by {reason}: {count}")
-    if s["median_load_held_N"] is not None:
-        share = s["median_share_of_bound"]
-        of_bound = "" if share is None else f"; {100 * share:.0f} % of {ALLOWED}"
-        say(
-            out,
-            f"load held: median {s['median_load_held_N']:.3g} N, "
-            f"least {s['least_load_held_N']:.3g} N{of_bound}",
-        )
-    for name in s["contradictions"]:
-        say(out, f"[bold red]contradiction:[/] {escape(name)}: more than is proven {NEARBY}")
 
 
 def register(app: typer.Typer) -> None:
