@@ -34,7 +34,7 @@ from sim.verdict import DropCriteria, Fault, Reason, lost, put_down_to_actuators
 
 __all__ = ["DROPPED", "GRIP", "DisturbanceTrial"]
 
-GRIP = Timeline(approach=0.1, close=0.3, close_wait=0.5, squeeze=0.4, settle=0.2, lift=0.4)
+GRIP = Timeline.quick(approach=0.1, close_wait=0.5, lift=0.4)
 """Durations; there is no approach, and "lift" is the time to come to rest when the object is let
 go."""
 
