@@ -133,6 +133,14 @@ def test_report_is_plain_json_that_follows_its_schema(report: TrialReport) -> No
     assert over_time["object_in_palm_moved_mm"][0] is None
 
 
+def test_files_that_were_written_with_older_names_are_read(report: TrialReport) -> None:
+    old = report.to_dict()
+    old["carried_by"] = "mount"
+    old["thresholds"]["limited_share"] = old["thresholds"].pop("saturated_share")
+    read = ReportFile.model_validate(old)
+    assert (read.carried_by, read.thresholds["limited_share"]) == ("mount", 0.5)
+
+
 def test_picture_is_there_or_its_absence_is_explained(report: TrialReport) -> None:
     assert (report.picture is None) == bool(report.picture_reason)
     if report.picture is not None:
