@@ -55,7 +55,7 @@ print(np.array2string(1e3 * np.deg2rad(jacobian[:3]), precision=3, suppress_smal
 print(f"largest difference to finite differences: {np.abs(jacobian[:3] - numeric).max():.1e} m/rad")
 
 # Where each joint stands: in q (and Pinocchio), in the hand's model, in a scene; what drives it.
-# In a scene the mount's joints come first, so the places differ: use the index maps, never numbers.
+# In a scene the gantry's joints come first: use the index maps, never numbers.
 scene = build_scene(GraspTask.create(hand, "sphere"), T_world_base=SE3.Identity())
 print(f"\n{'joint':8} {'q':>3} {'pin':>4} {'hand qpos':>10} {'scene qpos':>11}   driven by")
 for i, name in enumerate(hand.joint_names):

@@ -33,7 +33,7 @@ RATE = 15.0  # growth of the push, N/s
 LARGEST = 30.0  # push at which it ends in any case, N
 LIMIT_MM, LIMIT_DEG = 5.0, 5.0  # movement in the hand that counts as broken
 PUSHES = {"up": (0, 0, 1), "down": (0, 0, -1), "sideways": (0, 1, 0)}  # world axes
-QUICK = Timeline(approach=0.3, close=0.3, squeeze=0.3, settle=0.1, lift=0.2, lift_height=0.02)
+QUICK = Timeline.quick(settle=0.1, lift=0.2, lift_height=0.02)
 PICTURE = "open_and_closed_loop.png"
 
 matplotlib.use("Agg")  # draws into files, without a display

@@ -1,6 +1,6 @@
 """Test a grasp: a benchmark's protocol, then pushes that grow until the object is lost.
 
-Runs DexGraspBench's `fc` test, and two directions of our `forces` under the planned forces alone
+Runs DexGraspBench's test, and two directions of our `forces` under the planned forces alone
 and under the closed loop. Beside each stands what the certificate proves: no control could bear
 more with these contacts and motors. Prints a table, and tells if the simulation contradicts it.
 """
@@ -16,9 +16,11 @@ SETTINGS = Settings(growth=1.5)  # coarse: a load is half as large again as the 
 
 plan = plan_grasp(GraspTask.create("allegro_hand", OBJECT), seed=0)
 
-fc = run_protocol(plan, "fc")
-physics = fc.physics
-print(f"fc: held {sum(o.held for o in fc.outcomes)} of {fc.asked} directions")
+benchmark = run_protocol(plan, "dexgraspbench")
+physics = benchmark.physics
+print(
+    f"dexgraspbench: held {sum(o.held for o in benchmark.outcomes)} of {benchmark.asked} directions"
+)
 print(f"  time step {physics['timestep_s']} s, {physics['cone']} cones", end=", ")
 print(f"impratio {physics['impratio']:g}, noslip {physics['noslip_iterations']}")
 
@@ -28,7 +30,10 @@ opened, closed = (
 )
 print(f"{'':>10} {'open':>7} {'closed':>7} {'proven':>7}")
 for a, b in zip(opened.outcomes, closed.outcomes, strict=True):
-    print(f"{a.name:>10} {a.borne:7.3g} {b.borne:7.3g} {a.bound:7.3g} {a.unit}")
+    print(
+        f"{a.name:>10} {a.largest_load_held:7.3g} {b.largest_load_held:7.3g} "
+        f"{a.bound:7.3g} {a.unit}"
+    )
     print(f"{'':>10} {a.reason}; {b.reason}")
 contradictions = (*opened.contradictions, *closed.contradictions)
 print("contradictions:", ", ".join(contradictions) or "none")

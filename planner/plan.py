@@ -133,6 +133,31 @@ class GraspPlan:
         """One line; the attributes hold the rest."""
         return f"<GraspPlan of {self.task!r}, seed {self.record.seed}>"
 
+    def __str__(self) -> str:
+        """A screen: contacts with their forces, and the quality."""
+        task, record, closure = self.task, self.record, self.quality.closure
+        at, used = self.contacts_in_object.positions, self.contacts.friction_utilisation()
+        rows = [
+            f"{name:10} {' '.join(f'{1e3 * v:7.1f}' for v in at[i])} "
+            f"{self.contacts.forces[i, 0]:10.2f} {100 * used[i]:12.0f} % "
+            f"{1e6 * self.verification.pad_gaps[i]:13.2f}"
+            for i, name in enumerate(task.finger_names)
+        ]
+        return "\n".join(
+            [
+                f"plan: {task.hand.name} grasps {task.object.shape.spec} "
+                f"({1e3 * task.object.mass:.0f} g), seed {record.seed}: found at attempt "
+                f"{record.attempt + 1} in {record.cpu_s:.2f} s of CPU "
+                f"(building {record.build_s:.2f} s)",
+                "finger       contact in object (mm)  force (N)  friction used  pad gap (um)",
+                *rows,
+                f"force closure {'yes' if closure.closed else 'no'}, "
+                f"epsilon {self.quality.epsilon:.4f}, "
+                f"min-weight {closure.normalised_min_weight:.3f} (of 1); nearest other pair: "
+                f"{self.verification.closest[0]}",
+            ]
+        )
+
     @cached_property
     def quality(self) -> QualityReport:
         """Metrics of the contacts, computed when first asked for (tens of milliseconds)."""

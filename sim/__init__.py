@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from sim.protocols import ProtocolReport, run_protocol
     from sim.report import TrialReport
     from sim.scene import Scene
+    from sim.simulation import Simulation
     from sim.timeline import Timeline
     from sim.trial import Trial, simulate
 
@@ -36,6 +37,7 @@ __all__ = [
     "ProtocolReport",
     "Scene",
     "Sensing",
+    "Simulation",
     "Timeline",
     "Trial",
     "TrialReport",
@@ -56,6 +58,7 @@ _HOMES = {
     "ProtocolReport": "sim.protocols",
     "Scene": "sim.scene",
     "Sensing": "sim.controllers",
+    "Simulation": "sim.simulation",
     "Timeline": "sim.timeline",
     "Trial": "sim.trial",
     "TrialReport": "sim.report",

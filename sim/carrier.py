@@ -1,4 +1,4 @@
-"""What carries the hand through a trial: the scene's driven mount, or the arm that the hand is on.
+"""What carries the hand through a trial: the scene's driven gantry, or the arm that the hand is on.
 
 The arm follows its paths of the plan by its own actuators. Their commands solve each actuator's
 affine law at the posture and the rates that are wanted now, for the torque that carries arm and
@@ -22,7 +22,7 @@ from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from sim.controllers.base import Phase
 from sim.controllers.motors import motor_servo
-from sim.gantry import MountCarrier
+from sim.gantry import GantryCarrier
 from sim.scene import Scene
 from sim.timeline import Timeline
 
@@ -87,8 +87,8 @@ class ArmCarrier:
 
 def carrier_of(plan: GraspPlan, scene: Scene, timeline: Timeline) -> Carrier:
     """What carries the hand of a plan."""
-    if scene.mount is not None:
-        return MountCarrier(plan, scene.mount, timeline)
+    if scene.gantry is not None:
+        return GantryCarrier(plan, scene.gantry, timeline)
     if plan.arm is None:
         raise TaskError(f"the plan holds no way of the arm of {plan.task.hand.name}; plan again")
     return ArmCarrier(plan, plan.arm, scene, timeline)

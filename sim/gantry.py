@@ -1,4 +1,4 @@
-"""The mount that a hand without an arm hangs on: six driven joints, and what drives them.
+"""The gantry that a hand without an arm hangs on: six driven joints, and what drives them.
 
 All six read zero at the planned base pose: three slides along the world's axes, then three hinges
 about them, so that
@@ -22,32 +22,32 @@ from sim.controllers.base import Phase
 from sim.timeline import Timeline
 
 __all__ = [
-    "MOUNT",
-    "MOUNT_AXES",
-    "MOUNT_FREQUENCY",
-    "Mount",
-    "MountCarrier",
-    "add_mount",
-    "tuned_mount",
+    "GANTRY",
+    "GANTRY_AXES",
+    "GANTRY_FREQUENCY",
+    "Gantry",
+    "GantryCarrier",
+    "add_gantry",
+    "tuned_gantry",
 ]
 
-MOUNT = "mount"
-"""Name of the mount's body; its joints and servos are ``mount_x`` and so on."""
+GANTRY = "gantry"
+"""Name of the gantry's body; its joints and servos are ``gantry_x`` and so on."""
 
-MOUNT_AXES = ("x", "y", "z", "rx", "ry", "rz")
-"""The mount's joints, in order."""
+GANTRY_AXES = ("x", "y", "z", "rx", "ry", "rz")
+"""The gantry's joints, in order."""
 
-MOUNT_FREQUENCY = 60.0
-"""Undamped natural frequency of each mount axis under the mass it carries, rad/s: an arm of about
+GANTRY_FREQUENCY = 60.0
+"""Undamped natural frequency of each gantry axis under the mass it carries, rad/s: an arm of about
 10 Hz, which a payload of 0.1 kg lets sag by less than 0.3 mm."""
 
-MOUNT_DAMPING = 1.0
-"""Damping ratio of each mount axis (-): no overshoot."""
+GANTRY_DAMPING = 1.0
+"""Damping ratio of each gantry axis (-): no overshoot."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Mount:
-    """The mount in a compiled model; rows in the order of ``MOUNT_AXES``.
+class Gantry:
+    """The gantry in a compiled model; rows in the order of ``GANTRY_AXES``.
 
     Attributes:
         T_world_base: Base pose at which all joints read zero.
@@ -76,9 +76,9 @@ class Mount:
         return np.concatenate([shift, [rx, ry, rz]])
 
     def command(self, data: Any, target: FloatArray, velocity: FloatArray) -> FloatArray:
-        """Servo commands (6,) that move the mount.
+        """Servo commands (6,) that move the gantry.
 
-        The servos' law is F = kp (ctrl - q) - kd v. The command adds what makes the mount follow
+        The servos' law is F = kp (ctrl - q) - kd v. The command adds what makes the gantry follow
         without lag, kd velocity, and what carries the hand, MuJoCo's bias force.
 
         Args:
@@ -91,21 +91,21 @@ class Mount:
         return np.asarray(target + forward / kp)
 
 
-class MountCarrier:
-    """Moves the hand by the mount: a ``sim.carrier.Carrier``."""
+class GantryCarrier:
+    """Moves the hand by the gantry: a ``sim.carrier.Carrier``."""
 
-    def __init__(self, plan: GraspPlan, mount: Mount, timeline: Timeline) -> None:
+    def __init__(self, plan: GraspPlan, gantry: Gantry, timeline: Timeline) -> None:
         """Note where the approach begins."""
-        self._mount, self._timeline = mount, timeline
-        self._start = mount.coordinates(plan.T_world_base_start)
+        self._gantry, self._timeline = gantry, timeline
+        self._start = gantry.coordinates(plan.T_world_base_start)
 
     def drive(self, data: Any, phase: Phase, share: float) -> None:
-        """Set the mount's commands."""
+        """Set the gantry's commands."""
         target, velocity = self.motion(phase, share)
-        data.ctrl[self._mount.ctrl] = self._mount.command(data, target, velocity)
+        data.ctrl[self._gantry.ctrl] = self._gantry.command(data, target, velocity)
 
     def motion(self, phase: Phase, share: float) -> tuple[FloatArray, FloatArray]:
-        """Mount joints (6,) and their rates at a share in [0, 1] of a phase; at rest at its ends.
+        """Gantry joints (6,) and their rates at a share in [0, 1] of a phase; at rest at its ends.
 
         Those of the grasp are zero.
         """
@@ -119,10 +119,10 @@ class MountCarrier:
         return (lifted if phase == "hold" else np.zeros(6)), np.zeros(6)
 
 
-def add_mount(spec: Any, body: Any) -> None:
+def add_gantry(spec: Any, body: Any) -> None:
     """Give a body of a ``mujoco.MjSpec``, which stands where the base is, the joints and servos."""
-    for k, axis in enumerate(MOUNT_AXES):
-        name = f"{MOUNT}_{axis}"
+    for k, axis in enumerate(GANTRY_AXES):
+        name = f"{GANTRY}_{axis}"
         kind = mujoco.mjtJoint.mjJNT_SLIDE if k < 3 else mujoco.mjtJoint.mjJNT_HINGE
         body.add_joint(name=name, type=kind, axis=np.eye(3)[k % 3])
         servo = spec.add_actuator(name=name, target=name)
@@ -131,7 +131,7 @@ def add_mount(spec: Any, body: Any) -> None:
         servo.biastype = mujoco.mjtBias.mjBIAS_AFFINE
 
 
-def tuned_mount(model: Any, T_world_base: SE3, payload: float, payload_body: str) -> Mount:
+def tuned_gantry(model: Any, T_world_base: SE3, payload: float, payload_body: str) -> Gantry:
     """Set the servos' gains in a compiled model, from the inertia that each axis carries.
 
     Args:
@@ -140,22 +140,22 @@ def tuned_mount(model: Any, T_world_base: SE3, payload: float, payload_body: str
         payload: Mass that will be carried, kg.
         payload_body: Name of its body.
     """
-    names = [f"{MOUNT}_{axis}" for axis in MOUNT_AXES]
+    names = [f"{GANTRY}_{axis}" for axis in GANTRY_AXES]
     dof = np.array([int(model.joint(name).dofadr[0]) for name in names])
     ctrl = np.array([int(model.actuator(name).id) for name in names])
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     mass_matrix = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass_matrix)
-    arm = np.array(data.body(payload_body).xpos - data.body(MOUNT).xpos)
+    arm = np.array(data.body(payload_body).xpos - data.body(GANTRY).xpos)
     lever2 = arm @ arm - arm**2
     carried = np.diag(mass_matrix)[dof] + payload * np.concatenate([np.ones(3), lever2])
-    kp = carried * MOUNT_FREQUENCY**2
-    kd = 2.0 * MOUNT_DAMPING * MOUNT_FREQUENCY * carried
+    kp = carried * GANTRY_FREQUENCY**2
+    kd = 2.0 * GANTRY_DAMPING * GANTRY_FREQUENCY * carried
     model.actuator_gainprm[ctrl, 0] = kp
     model.actuator_biasprm[ctrl, 1] = -kp
     model.actuator_biasprm[ctrl, 2] = -kd
-    return Mount(
+    return Gantry(
         T_world_base=T_world_base,
         qpos=np.array([int(model.joint(name).qposadr[0]) for name in names]),
         dof=dof,

@@ -12,8 +12,8 @@ from planner.quality.report import QUICK_EDGES
 from planner.spatial import SE3, FloatArray, pose_change
 from sim.contacts import hand_collision, hand_contacts, merge_per_finger
 from sim.report import FingerComparison
+from sim.samples import Samples
 from sim.simulation import Simulation
-from sim.verdict import Samples
 
 __all__ = ["Recorder"]
 
@@ -88,30 +88,7 @@ class Recorder:
 
     def samples(self) -> Samples:
         """Everything recorded so far."""
-        n = len(self._fingers)
-
-        def column(name: str, *shape: int, kind: type = float) -> Any:
-            return np.array([row[name] for row in self._rows], dtype=kind).reshape(-1, *shape)
-
-        return Samples(
-            time=column("time"),
-            phase=tuple(row["phase"] for row in self._rows),
-            contacts=column("contacts", n, kind=int),
-            palm_contacts=column("palm_contacts", kind=int),
-            normal_force=column("normal_force", n),
-            friction_utilisation=column("friction_utilisation", n),
-            closed=column("closed", kind=bool),
-            closed_unmerged=column("closed_unmerged", kind=bool),
-            epsilon=column("epsilon"),
-            slip_mm=column("slip_mm"),
-            slip_deg=column("slip_deg"),
-            moved_mm=column("moved_mm"),
-            turned_deg=column("turned_deg"),
-            lift_mm=column("lift_mm"),
-            collision_N=column("collision_N"),
-            collision=tuple(row["collision"] for row in self._rows),
-            saturated=tuple(row["saturated"] for row in self._rows),
-        )
+        return Samples.from_rows(self._rows, len(self._fingers))
 
     def comparison(self) -> tuple[FingerComparison, ...]:
         """Planned against measured contacts while holding; empty if it never came to that."""

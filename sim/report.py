@@ -7,6 +7,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
 
 from planner.contacts import ContactSet
 from planner.plain import finite
@@ -15,12 +19,17 @@ from planner.schema import StrictData
 from planner.spatial import FloatArray
 from planner.version import written_by
 from sim.controllers.events import Event, EventKind
-from sim.verdict import Reason, Samples, Thresholds, Verdict, largest
+from sim.samples import SampleData, Samples
+from sim.screen import OnScreen, table
+from sim.verdict import Reason, Thresholds, Verdict, largest
 
 __all__ = ["REPORT_VERSION", "FingerComparison", "ReportFile", "TrialReport"]
 
 REPORT_VERSION: Literal[1] = 1
 """Version of ``ReportFile``; another number means another schema."""
+
+MOST_EVENTS = 8
+"""Events of the controller on the screen; the file has all of them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,7 +58,7 @@ class FingerComparison:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TrialReport:
+class TrialReport(OnScreen):
     """A trial from beginning to end.
 
     Attributes:
@@ -129,9 +138,71 @@ class TrialReport:
         """Largest movement (mm) and rotation (degrees) of the object relative to the palm."""
         return largest(self.samples.slip_mm), largest(self.samples.slip_deg)
 
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """The verdict, and planned against measured contacts."""
+        if self.success:
+            moved, turned = self.largest_slip
+            verdict = (
+                f"[bold green]held[/]: the object moved {moved:.2f} mm and {turned:.2f} degrees in "
+                "the hand after the squeeze"
+            )
+        else:
+            verdict = f"[bold red]not held, {self.reason}[/]: {escape(self.verdict.detail)}"
+        yield Text.from_markup(
+            f"[bold]trial[/]: {verdict} ({self.simulated_s:.1f} s simulated in {self.wall_s:.1f} s)"
+        )
+        yield Text(
+            f"{self.hand}, {self.object}, {1e3 * self.mass_kg:.0f} g, carried by the "
+            f"{self.carried_by}, control {self.controller}"
+        )
+        yield Text(
+            f"physics: {self.physics['name']}; friction gives way by {self.least_creep_mm_s:.2g} "
+            "mm/s however firm the grip, before "
+            f"{self.physics['noslip_iterations']} noslip iterations"
+        )
+        if self.remedies:
+            yield Text("each of these keeps the object from creeping:")
+        for remedy in self.remedies:
+            yield Text(f"  {remedy}", no_wrap=True, overflow="ignore")
+        for event in self.events[:MOST_EVENTS]:
+            who = f" {event.finger}" if event.finger else ""
+            yield Text(f"  {event.time:.3f} s: {event.kind}{who}: {event.detail}")
+        if len(self.events) > MOST_EVENTS:
+            yield Text(f"  and {len(self.events) - MOST_EVENTS} more events of the controller")
+        if self.comparison:
+            yield self._comparison_table()
+        holding = self.samples.during("hold")
+        if not len(holding):
+            return
+        yield Text(
+            f"force closure of the measured contacts in {self.samples.closed[holding].sum()} of "
+            f"{len(holding)} samples of the hold"
+        )
+        if self.quality_measured is not None:
+            yield Text(
+                f"epsilon of the true cones: planned {self.quality_planned.epsilon_round}, "
+                f"measured {self.quality_measured.epsilon_round} (both with the plan's friction, "
+                f"mu {self.quality_mu:g})"
+            )
+
+    def _comparison_table(self) -> Table:
+        made = table(
+            "planned and measured contacts while holding",
+            ("finger", "off by (mm)", "planned (N)", "measured (N)", "error"),
+            left=("finger",),
+        )
+        for c in self.comparison:
+            made.add_row(
+                c.finger,
+                f"{c.position_error_mm:.2f}",
+                f"{c.planned_normal_force:.2f}",
+                f"{c.measured_normal_force:.2f}",
+                f"{c.force_error_percent:.1f} %",
+            )
+        return made
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data that follows ``ReportFile``; what is not a finite number becomes None."""
-        s = self.samples
         return ReportFile(
             written_by=written_by(),
             success=self.success,
@@ -180,25 +251,7 @@ class TrialReport:
             ],
             picture=None if self.picture is None else self.picture.name,
             picture_reason=self.picture_reason,
-            samples=SampleData(
-                time_s=finite(s.time),
-                phase=list(s.phase),
-                contacts_per_finger=s.contacts.tolist(),
-                palm_contacts=s.palm_contacts.tolist(),
-                normal_force_N=finite(s.normal_force),
-                friction_utilisation=finite(s.friction_utilisation),
-                closed=[bool(c) for c in s.closed],
-                closed_unmerged=[bool(c) for c in s.closed_unmerged],
-                epsilon=finite(s.epsilon),
-                object_in_palm_moved_mm=finite(s.slip_mm),
-                object_in_palm_turned_deg=finite(s.slip_deg),
-                object_moved_mm=finite(s.moved_mm),
-                object_turned_deg=finite(s.turned_deg),
-                lift_mm=finite(s.lift_mm),
-                collision_N=finite(s.collision_N),
-                collision=list(s.collision),
-                actuators_at_limit=[list(names) for names in s.saturated],
-            ),
+            samples=SampleData.model_validate(self.samples.to_dict()),
         ).model_dump(mode="json")
 
 
@@ -222,28 +275,6 @@ class EventData(StrictData):
     kind: EventKind
     finger: str
     detail: str
-
-
-class SampleData(StrictData):
-    """Recorded over time; lists per finger follow ``fingers``."""
-
-    time_s: list[float | None]
-    phase: list[str]
-    contacts_per_finger: list[list[int]]
-    palm_contacts: list[int]
-    normal_force_N: list[list[float | None]]
-    friction_utilisation: list[list[float | None]]
-    closed: list[bool]
-    closed_unmerged: list[bool]
-    epsilon: list[float | None]
-    object_in_palm_moved_mm: list[float | None]
-    object_in_palm_turned_deg: list[float | None]
-    object_moved_mm: list[float | None]
-    object_turned_deg: list[float | None]
-    lift_mm: list[float | None]
-    collision_N: list[float | None]
-    collision: list[str]
-    actuators_at_limit: list[list[str]]
 
 
 class ReportFile(StrictData):

@@ -1,7 +1,7 @@
-"""``Scene``: the MuJoCo world of a ``GraspTask``: driven mount, hand, table, obstacles, object.
+"""``Scene``: the MuJoCo world of a ``GraspTask``: driven gantry, hand, table, obstacles, object.
 
-The hand hangs on a mount of six driven joints (``sim.gantry``). A hand on an arm has no mount: the
-arm's root stands fixed, and its own servos carry the hand (``sim.carrier``).
+The hand hangs on a gantry of six driven joints (``sim.gantry``). A hand on an arm has no gantry:
+the arm's root stands fixed, and its own servos carry the hand (``sim.carrier``).
 
 Friction is explicit. MuJoCo mixes the friction of two geoms by their maximum unless one has the
 higher priority; here the object decides against the hand (condim 4 unless the physics says
@@ -31,7 +31,7 @@ from planner.shapes.decomposition.pieces import solid_deviation, solid_geoms
 from planner.shapes.triangulation import surface_triangles
 from planner.spatial import SE3, FloatArray, IntArray, pose_to_wxyz
 from planner.task import GraspTask
-from sim.gantry import MOUNT, Mount, add_mount, tuned_mount
+from sim.gantry import GANTRY, Gantry, add_gantry, tuned_gantry
 from sim.looking.picture import add_scenery
 from sim.physics.options import CONTACT_SOLREF, PhysicsOptions
 
@@ -84,7 +84,7 @@ class Scene:
         hand_ctrl: (nu,), where the hand's actuators, in the order of ``hand.actuation.names``,
             stand in ``data.ctrl``.
         arm_ctrl: (n,), those of them that drive the joints of the arm that carries the hand.
-        mount: What carries the hand; None for a hand on an arm.
+        gantry: What carries the hand; None for a hand on an arm.
         object_qpos: (7,), the object's pose in ``data.qpos``: position, quaternion w, x, y, z.
         object_dof: (6,), its velocity in ``data.qvel``: linear in world axes, angular in its own.
         object_body: Body id of the object.
@@ -104,7 +104,7 @@ class Scene:
     hand_dof: IntArray
     hand_ctrl: IntArray
     arm_ctrl: IntArray
-    mount: Mount | None
+    gantry: Gantry | None
     object_qpos: IntArray
     object_dof: IntArray
     object_body: int
@@ -118,8 +118,8 @@ class Scene:
         """Fresh ``mujoco.MjData`` at rest: hand at q (nq,) and a base pose, object at its place."""
         data = mujoco.MjData(self.model)
         data.qpos[self.hand_qpos] = q
-        if self.mount is not None:
-            data.qpos[self.mount.qpos] = self.mount.coordinates(T_world_base)
+        if self.gantry is not None:
+            data.qpos[self.gantry.qpos] = self.gantry.coordinates(T_world_base)
         data.qpos[self.object_qpos] = np.concatenate(pose_to_wxyz(self.task.T_world_object))
         mujoco.mj_forward(self.model, data)
         return data
@@ -150,7 +150,7 @@ def build_scene(
 
     Args:
         task: Hand, object and its pose, table, obstacles, gravity.
-        T_world_base: Base pose at which the mount's joints read zero: that of the grasp.
+        T_world_base: Base pose at which the gantry's joints read zero: that of the grasp.
         q: Joints (nq,) at the grasp, from which the camera takes its place; zero if None.
         physics: How MuJoCo computes; defaults if None.
 
@@ -177,15 +177,15 @@ def build_scene(
         1.0 if hand.arm is None else ARM_VIEW,
     )
     model = compile_spec(spec, f"the scene of {spec.modelname}")
-    mount = None
+    gantry = None
     if hand.arm is None:
-        mount = tuned_mount(model, T_world_base, task.object.mass, OBJECT)
-    return index_scene(task, physics, T_world_base, model, mount)
+        gantry = tuned_gantry(model, T_world_base, task.object.mass, OBJECT)
+    return index_scene(task, physics, T_world_base, model, gantry)
 
 
 def _add_hand(spec: Any, task: GraspTask, T_world_base: SE3, physics: PhysicsOptions) -> None:
     position, quaternion = pose_to_wxyz(T_world_base)
-    mount = spec.worldbody.add_body(name=MOUNT, pos=position)
+    gantry = spec.worldbody.add_body(name=GANTRY, pos=position)
     child = task.hand.new_spec()
     drop_options(child)
     physics.apply(child, task.gravity)
@@ -197,9 +197,9 @@ def _add_hand(spec: Any, task: GraspTask, T_world_base: SE3, physics: PhysicsOpt
         if geom.contype or geom.conaffinity:
             geom.contype &= ~WORLD_BIT
             geom.conaffinity |= WORLD_BIT
-    spec.attach(child, prefix=HAND_PREFIX, frame=mount.add_frame(quat=quaternion))
+    spec.attach(child, prefix=HAND_PREFIX, frame=gantry.add_frame(quat=quaternion))
     if task.hand.arm is None:
-        add_mount(spec, mount)
+        add_gantry(spec, gantry)
 
 
 def drop_options(spec: Any) -> None:
@@ -285,7 +285,7 @@ def _solid(geom: Any, kind: str, size: tuple[float, ...], physics: PhysicsOption
 
 
 def index_scene(
-    task: GraspTask, physics: PhysicsOptions, T_world_base: SE3, model: Any, mount: Mount | None
+    task: GraspTask, physics: PhysicsOptions, T_world_base: SE3, model: Any, gantry: Gantry | None
 ) -> Scene:
     """Find the parts of a compiled scene, whose hand has the prefix, by their names."""
     hand = task.hand
@@ -301,7 +301,7 @@ def index_scene(
         hand_dof=np.array([int(j.dofadr[0]) for j in hand_joints]),
         hand_ctrl=hand_ctrl,
         arm_ctrl=hand_ctrl[hand.actuation.moment[:, hand.arm_index].any(axis=1)],
-        mount=mount,
+        gantry=gantry,
         object_qpos=int(free.qposadr[0]) + np.arange(7),
         object_dof=int(free.dofadr[0]) + np.arange(6),
         object_body=int(model.body(OBJECT).id),

@@ -13,11 +13,10 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.errors import TaskError
-from planner.spatial import FloatArray, IntArray
-from sim.controllers.base import Phase
+from planner.spatial import FloatArray
+from sim.samples import Samples
 
 __all__ = [
     "COLLISION_N",
@@ -25,7 +24,6 @@ __all__ = [
     "DropCriteria",
     "Fault",
     "Reason",
-    "Samples",
     "Thresholds",
     "Verdict",
     "first_collision",
@@ -34,8 +32,6 @@ __all__ = [
     "lost",
     "put_down_to_actuators",
 ]
-
-BoolArray: TypeAlias = NDArray[np.bool_]
 
 Reason: TypeAlias = Literal[
     "",
@@ -91,59 +87,6 @@ class Thresholds:
             value = getattr(self, field.name)
             if not value > 0:
                 raise TaskError(f"threshold {field.name} is {value}; give a number > 0")
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Samples:
-    """What was recorded over time, m samples, n fingers that take part.
-
-    Attributes:
-        time: (m,), s.
-        phase: m phases.
-        contacts: (m, n), number of contacts that MuJoCo reports per finger.
-        palm_contacts: (m,), contacts of the object with the rest of the hand.
-        normal_force: (m, n), N.
-        friction_utilisation: (m, n), share of the friction cone in use, merged per finger (-); NaN
-            without contact.
-        closed: (m,), force closure of the contacts merged per finger.
-        closed_unmerged: (m,), force closure of all contacts as they are.
-        epsilon: (m,), L1 epsilon of the merged contacts (-).
-        slip_mm: (m,), movement of the object relative to the palm since the end of the squeeze;
-            NaN before.
-        slip_deg: (m,), rotation likewise.
-        moved_mm: (m,), movement of the object in the world since the start.
-        turned_deg: (m,), rotation likewise.
-        lift_mm: (m,), rise of the object's centre of mass.
-        collision_N: (m,), largest normal force of hand on table, obstacle or itself.
-        collision: m names of the pair with that force, "" without.
-        saturated: m tuples with the names of actuators at their limit.
-    """
-
-    time: FloatArray
-    phase: tuple[Phase, ...]
-    contacts: IntArray
-    palm_contacts: IntArray
-    normal_force: FloatArray
-    friction_utilisation: FloatArray
-    closed: BoolArray
-    closed_unmerged: BoolArray
-    epsilon: FloatArray
-    slip_mm: FloatArray
-    slip_deg: FloatArray
-    moved_mm: FloatArray
-    turned_deg: FloatArray
-    lift_mm: FloatArray
-    collision_N: FloatArray
-    collision: tuple[str, ...]
-    saturated: tuple[tuple[str, ...], ...]
-
-    def __len__(self) -> int:
-        """Number of samples."""
-        return len(self.phase)
-
-    def during(self, *phases: Phase) -> IntArray:
-        """Numbers of the samples that belong to some phases."""
-        return np.flatnonzero(np.isin(np.array(self.phase, dtype=str), phases))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -316,9 +316,9 @@ def test_the_trajectory_moves_the_arm_in(
     assert np.abs(np.diff(trajectory.positions, axis=0)).max() < 0.1
 
 
-def test_the_scene_has_no_mount(plan: GraspPlan) -> None:
+def test_the_scene_has_no_gantry(plan: GraspPlan) -> None:
     scene = build_scene(plan.task, T_world_base=plan.T_world_base, q=plan.q)
-    assert scene.mount is None
+    assert scene.gantry is None
     assert scene.model.nq == plan.task.hand.nq + 7
     names = [scene.model.actuator(int(i)).name for i in scene.arm_ctrl]
     assert names == [f"hand/arm/A_joint{k}" for k in range(1, 8)]

@@ -41,8 +41,8 @@ from sim.contacts import hand_contacts
 from sim.controllers import CONTROLLERS, GraspController, Observation, PadReading, Sensing
 from sim.controllers.slip import SLIP_SPEED
 from sim.pads import read_pads
+from sim.protocols.dexgraspbench import dexgraspbench_cases
 from sim.protocols.disturbance import DROPPED, DisturbanceTrial
-from sim.protocols.fc import fc_cases
 from sim.protocols.forces import PushCase
 from sim.protocols.outcome import Outcome
 from sim.protocols.robust import RobustCase
@@ -154,7 +154,14 @@ def test_both_loops_meet_the_same_pushes(plan: GraspPlan, monkeypatch: pytest.Mo
     def borne(self: PushCase, plan: GraspPlan, conditions: Any) -> Outcome:
         grip = plan.task.grip_force
         met.append((conditions.controller, self.direction, grip))
-        return outcome(self, borne=grip, broke=np.inf, bound=4.0, bound_near=np.inf, unit="N")
+        return outcome(
+            self,
+            largest_load_held=grip,
+            failure_load=np.inf,
+            bound=4.0,
+            bound_near=np.inf,
+            unit="N",
+        )
 
     monkeypatch.setattr(PushCase, "run", borne)
     row = push.push_row(plan, np.random.default_rng(0))
@@ -246,7 +253,7 @@ def test_the_grid_is_seen_by_a_latin_square(
 
 
 def test_a_grasp_holds_in_fc_and_is_timed(plan: GraspPlan, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parts, "fc_cases", lambda: fc_cases()[:1])
+    monkeypatch.setattr(parts, "dexgraspbench_cases", lambda: dexgraspbench_cases()[:1])
     row = parts.fc_row(plan, np.random.default_rng(0))
     assert (row["held"], row["of"], row["reasons"]) == (1, 1, [])
     assert 0 <= row["start_penetration_mm"] <= 1.0

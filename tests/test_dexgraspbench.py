@@ -36,7 +36,7 @@ from planner.shapes.decomposition.pieces import Pieces
 from planner.spatial import SE3, pose_from_wxyz
 from planner.system.models import models_dir
 from planner.task import GraspTask
-from sim.protocols.fc_scene import fc_contacts, fc_scene
+from sim.protocols.dexgraspbench_scene import benchmark_contacts, benchmark_scene
 
 pytest.importorskip("pyarrow")
 
@@ -334,7 +334,7 @@ def test_a_squeeze_stays_off_the_force_that_turns_the_object_aside(
 
 def test_the_world_of_fc_is_the_benchmarks(jaw: Hand) -> None:
     plan = pinch(jaw)
-    scene, welded = fc_scene(plan.task, plan.T_world_base)
+    scene, welded = benchmark_scene(plan.task, plan.T_world_base)
     model = scene.model
     assert model.neq == 1
     assert model.eq_solimp[0] == pytest.approx([0.9, 0.95, 0.001, 0.5, 2])
@@ -352,8 +352,8 @@ def test_the_world_of_fc_is_the_benchmarks(jaw: Hand) -> None:
         # the hand's 5 ms and MuJoCo's default of 20 ms for the object, mixed
         assert contact.solref == pytest.approx([0.0125, 1.0])
         assert contact.solimp[:3] == pytest.approx([0.7, 0.97, 0.00055])
-        assert contact.solref == pytest.approx(fc_contacts()["solref"])
-        assert contact.solimp == pytest.approx(fc_contacts()["solimp"])
+        assert contact.solref == pytest.approx(benchmark_contacts()["solref"])
+        assert contact.solimp == pytest.approx(benchmark_contacts()["solimp"])
         assert contact.friction[:3] == pytest.approx([0.6, 0.6, 0.02])
     assert model.body_mass[scene.object_body] == pytest.approx(0.1)
     assert model.body_mass[scene.object_body] == pytest.approx(plan.task.object.mass)

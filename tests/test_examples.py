@@ -88,7 +88,7 @@ EXPECTED: dict[str, tuple[str, ...]] = {
     "16_delay": ("0 60", "100 24", "delay.png"),
     "17_servo_and_torque": ("500 servos", "500 motors", "torque.png"),
     "18_protocols": (
-        "fc: held 6 of 6 directions",
+        "dexgraspbench: held 6 of 6 directions",
         "time step 0.004 s, elliptic cones, impratio 10, noslip 2",
         "force -z",
         "torque +x",

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from manipulations import task_of
 
+from planner.failure import Failure
 from planner.motion.gait import GaitPlan, Relocation, Stroke
 from planner.motion.manipulation import Ending, ManipulationPlan, plan_single_stroke
 from sim.manipulation.machine import StateMachine
@@ -53,9 +54,9 @@ class Script:
 
     lefts: list[float] = field(default_factory=lambda: [0.0])
     touched: bool = True
-    back: tuple[Relocation, ...] | str = "too few fingers"
-    others: tuple[Relocation, ...] | str = "no other order"
-    down: Ending | str = "it stands nowhere"
+    back: tuple[Relocation, ...] | Failure = Failure(kind="few_fingers", text="too few fingers")
+    others: tuple[Relocation, ...] | Failure = Failure(kind="no_order", text="no other order")
+    down: Ending | Failure = Failure(kind="falls", text="it stands nowhere")
     moved: list[tuple[str, ...]] = field(default_factory=list)
 
     @property
@@ -63,14 +64,14 @@ class Script:
         """What is left of the turn after each stroke in turn; then always the last."""
         return self.lefts.pop(0) if len(self.lefts) > 1 else self.lefts[0]
 
-    def fingers_back(self) -> tuple[Relocation, ...] | str:
+    def fingers_back(self) -> tuple[Relocation, ...] | Failure:
         return self.back
 
-    def other_order(self, moved: Iterable[str]) -> tuple[Relocation, ...] | str:
+    def other_order(self, moved: Iterable[str]) -> tuple[Relocation, ...] | Failure:
         self.moved.append(tuple(moved))
         return self.others
 
-    def put_down(self) -> Ending | str:
+    def put_down(self) -> Ending | Failure:
         return self.down
 
 

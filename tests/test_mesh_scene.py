@@ -42,10 +42,10 @@ def scene_of(hand: Hand, mesh: Mesh, pose: SE3 | None = None, *, table: bool = T
 def rest(scene: Scene, seconds: float) -> Any:
     """Simulate with the hand held away."""
     data = scene.start(scene.task.hand.posture("open"), AWAY)
-    mount = scene.mount
-    assert mount is not None
+    gantry = scene.gantry
+    assert gantry is not None
     for _ in range(round(seconds / scene.physics.timestep)):
-        data.ctrl[mount.ctrl] = mount.command(data, np.zeros(6), np.zeros(6))
+        data.ctrl[gantry.ctrl] = gantry.command(data, np.zeros(6), np.zeros(6))
         mujoco.mj_step(scene.model, data)
     return data
 

@@ -32,15 +32,19 @@ from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GraspTask
 from planner.verification.grasp import verify_grasp
 from sim.cli import main
-from sim.cli.test import _show
 from sim.controllers import Controller, GraspController, MakeController, Observation, Phase
 from sim.physics import PhysicsOptions
 from sim.protocols import Outcome, Settings, protocol_table, run_protocol, write_csv
 from sim.protocols.bounds import proven_bound
 from sim.protocols.cases import AXES, Conditions
 from sim.protocols.catalog import PROTOCOLS, cases_of, trials_of, unsuitable
+from sim.protocols.dexgraspbench import (
+    DexGraspBenchCase,
+    Replay,
+    benchmark_physics,
+    dexgraspbench_cases,
+)
 from sim.protocols.disturbance import DisturbanceTrial
-from sim.protocols.fc import FcCase, Replay, fc_cases, fc_physics
 from sim.protocols.forces import GravityCase, PushCase, forces_cases
 from sim.protocols.robust import RobustCase, displaced, robust_cases
 from sim.protocols.run import physics_of
@@ -176,11 +180,11 @@ def push(name: str, how: Settings = FINE) -> PushCase:
 def test_a_pinched_cube_breaks_at_twice_mu_n(pinched: GraspPlan) -> None:
     outcome = push("force -z").run(pinched, under())
     answer = 2 * PHYSICS.mu * PRESS
-    assert outcome.borne <= 1.005 * answer
-    assert outcome.broke >= 0.995 * answer
+    assert outcome.largest_load_held <= 1.005 * answer
+    assert outcome.failure_load >= 0.995 * answer
     # a load that is hardly too large needs longer than a step to carry the cube away
-    assert outcome.broke <= FINE.growth**2 * answer
-    assert outcome.borne >= answer / FINE.growth**2
+    assert outcome.failure_load <= FINE.growth**2 * answer
+    assert outcome.largest_load_held >= answer / FINE.growth**2
     assert (outcome.reason, outcome.unit) == ("slipped", "N")
     np.testing.assert_allclose(outcome.wrench, [0, 0, -1, 0, 0, 0])
 
@@ -190,10 +194,10 @@ def test_about_the_line_between_its_fingers_it_breaks_at_twice_mu_torsion_n(
 ) -> None:
     outcome = push("torque +x", replace(FINE, first_load=0.4)).run(pinched, under())
     answer = 2 * PHYSICS.mu_torsion * PRESS
-    assert outcome.borne <= 1.005 * answer
-    assert outcome.broke >= 0.995 * answer
-    assert outcome.broke <= FINE.growth**2 * answer
-    assert outcome.borne >= answer / FINE.growth**2
+    assert outcome.largest_load_held <= 1.005 * answer
+    assert outcome.failure_load >= 0.995 * answer
+    assert outcome.failure_load <= FINE.growth**2 * answer
+    assert outcome.largest_load_held >= answer / FINE.growth**2
     assert outcome.unit == "N m"
     np.testing.assert_allclose(outcome.wrench, [0, 0, 0, 1, 0, 0])
 
@@ -212,7 +216,7 @@ def test_simulation_never_bears_more_than_is_proven(grasped: GraspPlan) -> None:
     coarse = Settings(growth=1.5)
     for name in ("force +z", "torque -x", "wrench 7"):
         outcome = push(name, coarse).run(grasped, under())
-        assert 0 < outcome.borne < outcome.bound, name
+        assert 0 < outcome.largest_load_held < outcome.bound, name
         assert outcome.bound < outcome.bound_near < np.inf
         assert not outcome.contradicts
         assert not outcome.held
@@ -220,18 +224,18 @@ def test_simulation_never_bears_more_than_is_proven(grasped: GraspPlan) -> None:
         hold = outcome.samples.during("hold")
         assert outcome.load[hold[0]] == 0
         assert (np.diff(outcome.load) >= 0).all()
-        assert outcome.load[-1] <= outcome.broke + 1e-12
+        assert outcome.load[-1] <= outcome.failure_load + 1e-12
 
 
 def test_a_contradiction_is_told(pinched: GraspPlan) -> None:
     outcome = push("force +y", replace(FINE, growth=1.5)).run(pinched, under())
     assert not outcome.contradicts
     assert outcome.stood is not None and NEAR.holds(outcome.stood)
-    assert replace(outcome, bound_near=0.9 * outcome.borne).contradicts
+    assert replace(outcome, bound_near=0.9 * outcome.largest_load_held).contradicts
     # more than the planned posture could bear is none: another posture has borne it
-    assert not replace(outcome, bound=0.9 * outcome.borne).contradicts
+    assert not replace(outcome, bound=0.9 * outcome.largest_load_held).contradicts
     far = replace(outcome.stood, turn=2.0 * NEAR.turn)
-    assert not replace(outcome, bound_near=0.9 * outcome.borne, stood=far).contradicts
+    assert not replace(outcome, bound_near=0.9 * outcome.largest_load_held, stood=far).contradicts
 
 
 def test_gravity_is_borne_up_to_the_friction_there_is(jaw: Hand) -> None:
@@ -251,7 +255,9 @@ def test_fc_holds_one_newton_where_friction_does(
 ) -> None:
     # 2 x 0.6 x 1.0 = 1.2 N is more than 1 N, 2 x 0.6 x 0.7 = 0.84 N is less
     servos = SERVOS.replace('"-20 20"', f'"{-strongest} {strongest}"')
-    outcome = FcCase(index=AXES.index("-y")).run(pinch(make_jaw(tmp_path, servos), press=0.7))
+    outcome = DexGraspBenchCase(index=AXES.index("-y")).run(
+        pinch(make_jaw(tmp_path, servos), press=0.7)
+    )
     assert outcome.held == held
     assert outcome.reason in (("",) if held else ("slipped", "dropped", "torque limit reached"))
 
@@ -282,12 +288,12 @@ def test_fc_is_a_sequence_of_stages(servo_jaw: Hand) -> None:
 
 
 def test_fc_has_its_own_physics_and_times(grasped: GraspPlan) -> None:
-    stated = physics_of(grasped, fc_physics())
+    stated = physics_of(grasped, benchmark_physics())
     assert stated["timestep_s"] == 0.004
     assert (stated["integrator"], stated["cone"]) == ("implicitfast", "elliptic")
     assert (stated["impratio"], stated["noslip_iterations"]) == (10, 2)
     assert (stated["friction"], stated["torsional_friction_m"]) == (0.6, 0.02)
-    outcome = FcCase(index=0).run(grasped, under())
+    outcome = DexGraspBenchCase(index=0).run(grasped, under())
     assert outcome.held
     s = outcome.samples
     assert set(s.phase) == {"close", "squeeze", "hold"}
@@ -299,16 +305,16 @@ def test_fc_has_its_own_physics_and_times(grasped: GraspPlan) -> None:
 
 def test_fc_needs_servos(pinched: GraspPlan) -> None:
     with pytest.raises(TaskError, match=r"commands postures, and left, right of jaw are no posi"):
-        run_protocol(pinched, "fc")
+        run_protocol(pinched, "dexgraspbench")
 
 
 # shaking
 
 
 def test_a_shaker_is_at_rest_at_both_ends_and_reaches_its_amplitude(pinched: GraspPlan) -> None:
-    mount = DisturbanceTrial(pinched, controller=GraspController).simulation.scene.mount
-    assert mount is not None
-    shaker = Shaker(mount, 0, 0.01, 5.0, 2.0)
+    gantry = DisturbanceTrial(pinched, controller=GraspController).simulation.scene.gantry
+    assert gantry is not None
+    shaker = Shaker(gantry, 0, 0.01, 5.0, 2.0)
     times = np.linspace(0.0, 2.0, 2001)
     path = np.array([shaker.coordinate(t) for t in times])
     assert np.abs(path).max() == pytest.approx(0.01, rel=1e-3)
@@ -438,13 +444,13 @@ def test_pressed_with_all_there_is_it_bears_what_is_proven(jaw: Hand) -> None:
     strong = pinch(jaw, press=STRONGEST)
     outcome = push("force +y", replace(FINE, first_load=20.0)).run(strong, under())
     assert outcome.bound == pytest.approx(2 * PHYSICS.mu * STRONGEST, rel=2e-3)
-    assert FINE.growth**-2 < outcome.borne / outcome.bound < 1.0
+    assert FINE.growth**-2 < outcome.largest_load_held / outcome.bound < 1.0
     assert not outcome.contradicts
 
 
 def test_penetration(servo_jaw: Hand) -> None:
     plan = pinch(servo_jaw)
-    deep = FcCase(index=0).run(replace(plan, q_pregrasp=plan.q + 0.011), under())
+    deep = DexGraspBenchCase(index=0).run(replace(plan, q_pregrasp=plan.q + 0.011), under())
     assert deep.reason == "penetration"
     assert deep.conditions["start_penetration_mm"] == pytest.approx(11.0, abs=1e-6)
     assert deep.conditions["grasp_penetration_mm"] == pytest.approx(0.0, abs=1e-3)
@@ -502,8 +508,8 @@ def test_a_report_is_a_table_json_and_csv(pinched: GraspPlan, tmp_path: Path) ->
     assert len(data["trials"]) == report.asked
     over_time = data["trials"][-1]["over_time"]
     assert len(over_time["load"]) == len(over_time["normal_force_N"]) == len(over_time["closed"])
-    least = min(o.borne for o in report.outcomes if o.unit == "N")
-    assert data["least_borne_N"] == least
+    least = min(o.largest_load_held for o in report.outcomes if o.unit == "N")
+    assert data["least_load_held_N"] == least
     write_csv([report], tmp_path / "trials.csv")
     with (tmp_path / "trials.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
@@ -526,11 +532,11 @@ def test_every_protocol_has_cases_in_order(pinched: GraspPlan) -> None:
         assert [c.index for c in cases_of(name, Settings(), 0)] == list(
             range(len(cases_of(name, Settings(), 0)))
         )
-    assert len(fc_cases()) == len(shake_cases(Settings())) == 6
+    assert len(dexgraspbench_cases()) == len(shake_cases(Settings())) == 6
     with pytest.raises(NotFoundError, match="protocol"):
         run_protocol(pinched, "push")
     with pytest.raises(NotFoundError, match="trial"):
-        run_protocol(pinched, "fc", only=["shake x"])
+        run_protocol(pinched, "dexgraspbench", only=["shake x"])
     with pytest.raises(NotFoundError, match="trial"):
         run_protocol(pinched, "shake", only=["shake w"])
     with pytest.raises(NotFoundError, match="controller"):
@@ -560,7 +566,16 @@ def test_the_command(
 ) -> None:
     file, out = tmp_path / "plan.json", tmp_path / "out"
     write_plan(grasped, file)
-    arguments = ["test", str(file), "--protocol", "fc", "--workers", "1", "--out", str(out)]
+    arguments = [
+        "test",
+        str(file),
+        "--protocol",
+        "dexgraspbench",
+        "--workers",
+        "1",
+        "--out",
+        str(out),
+    ]
     with pytest.raises(SystemExit) as ended:
         main([*arguments, "--json"])
     assert ended.value.code == 0
@@ -568,17 +583,17 @@ def test_the_command(
     assert (summary["held"], summary["of"], summary["success"]) == (6, 6, True)
     assert summary["physics"]["timestep_s"] == 0.004
     names = {path.name for path in out.iterdir()}
-    assert names == {"000-plan-fc.jsonl", "000-plan-fc.json", "trials.csv"}
-    assert len((out / "000-plan-fc.jsonl").read_text().splitlines()) == 6
-    lines = (out / "000-plan-fc.jsonl").read_text().splitlines()
+    assert names == {"000-plan-dexgraspbench.jsonl", "000-plan-dexgraspbench.json", "trials.csv"}
+    assert len((out / "000-plan-dexgraspbench.jsonl").read_text().splitlines()) == 6
+    lines = (out / "000-plan-dexgraspbench.jsonl").read_text().splitlines()
     assert {json.loads(line)["controller"] for line in lines} == {"replay"}
     assert summary["controller"] == "replay"
 
 
 def test_trials_are_looked_for_in_every_protocol() -> None:
-    asked = ["shake x", "fc +z", "shake rz"]
+    asked = ["shake x", "dexgraspbench +z", "shake rz"]
     assert trials_of(PROTOCOLS, asked, Settings(), 0) == {
-        "fc": ("fc +z",),
+        "dexgraspbench": ("dexgraspbench +z",),
         "shake": ("shake x", "shake rz"),
     }
     assert tuple(trials_of(PROTOCOLS, [], Settings(), 0)) == tuple(PROTOCOLS)
@@ -588,7 +603,7 @@ def test_trials_are_looked_for_in_every_protocol() -> None:
 
 def test_a_protocol_says_which_hands_it_is_not_for(jaw: Hand, servo_jaw: Hand) -> None:
     of_motors, of_servos = pinch(jaw).task, pinch(servo_jaw).task
-    assert "left, right of jaw are no position servos" in unsuitable("fc", of_motors)
+    assert "left, right of jaw are no position servos" in unsuitable("dexgraspbench", of_motors)
     assert [unsuitable(name, of_servos) for name in PROTOCOLS] == [""] * len(PROTOCOLS)
     on_arm = GraspTask.create("allegro_on_arm7", "sphere")
     assert "allegro_on_arm7 is on an arm" in unsuitable("shake", on_arm)
@@ -608,29 +623,43 @@ def test_of_all_protocols_those_that_a_hand_cannot_take_are_skipped(
         told = capsys.readouterr()
         return int(ended.value.code or 0), json.loads(told.out or "{}"), told.err
 
-    code, told, text = run("fc +x", "shake x")
+    code, told, text = run("dexgraspbench +x", "shake x")
     assert code == 0
     assert [report["protocol"] for report in told["reports"]] == ["shake"]
-    assert [each["protocol"] for each in told["skipped"]] == ["fc"]
+    assert [each["protocol"] for each in told["skipped"]] == ["dexgraspbench"]
     assert "skipped: " in text
     assert "left, right of jaw are no position servos" in text
-    code, told, text = run("fc +x")
+    code, told, text = run("dexgraspbench +x")
     assert (code, told) == (3, {})
     assert "nothing was tested" in text
 
 
-def test_without_bounds_loads_are_told_without_a_share(
-    pinched: GraspPlan, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_bounds_loads_are_told_without_a_share(pinched: GraspPlan) -> None:
     coarse = Settings(random=0, growth=4.0, step_s=0.1)
     report = run_protocol(pinched, "forces", settings=coarse, only=["force +y"])
-    _show(report, protocol_table(report))
-    assert "of what the certificate allows" in " ".join(capsys.readouterr().out.split())
+    assert "of what the certificate allows" in " ".join(str(report).split())
     boundless = tuple(replace(o, bound=float("nan")) for o in report.outcomes)
-    _show(replace(report, outcomes=boundless), protocol_table(report))
-    told = " ".join(capsys.readouterr().out.split())
-    assert "borne: median" in told
+    told = " ".join(str(replace(report, outcomes=boundless)).split())
+    assert "load held: median" in told
     assert "certificate" not in told
+
+
+def test_a_report_prints_as_a_screen(pinched: GraspPlan) -> None:
+    """With every trial of the longest protocol on it."""
+    coarse = Settings(random=0, growth=4.0, step_s=0.1, hold_s=0.1)
+    report = run_protocol(pinched, "forces", settings=coarse)
+    text = str(report)
+    assert len(text) < 3000
+    assert "forces: not held: jaw" in text and "control feedforward" in text
+    first = report.failed[0]
+    assert first.fault is not None
+    assert f"not held: {first.name}: {first.reason}, {first.fault.detail}" in " ".join(text.split())
+    held = replace(report, outcomes=tuple(o for o in report.outcomes if o not in report.failed))
+    held = replace(held, asked=len(held.outcomes))
+    assert held.success and "forces: held: jaw" in str(held)
+    assert f"ended by slipped: {report.reasons['slipped']}" in text
+    heavy = replace(report, outcomes=report.outcomes[:3])
+    assert "forces: not held, 3 of 18 trials finished" in str(heavy)
 
 
 def test_the_help_names_every_protocol(capsys: pytest.CaptureFixture[str]) -> None:

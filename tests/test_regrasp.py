@@ -10,7 +10,6 @@ import pinocchio as pin
 import pytest
 from conftest import noting_leads
 from manipulations import DT, QUICK, task_of
-from sim.manipulation.away import FingerAway
 
 from planner.errors import NoGraspFoundError, TaskError
 from planner.failure import Failure
@@ -35,6 +34,7 @@ from sim.manipulation import (
 )
 from sim.manipulation.prose import told_events
 from sim.manipulation.regrasping import margin_without
+from sim.manipulation.swing import FingerSwing
 from sim.physics import PhysicsOptions
 
 ANGLE = math.radians(40.0)
@@ -258,7 +258,7 @@ def test_a_finger_goes_from_where_it_was_to_where_it_lands(
     hand, index = grasp.task.hand, grasp.task.hand.fingers[move.finger].q_index
     model = hand.pin_model.copy()
     model.gravity.linear = grasp.T_world_base.rotation.T @ grasp.task.gravity
-    away = FingerAway(grasp, move, QUICK.finger_rate)
+    away = FingerSwing(grasp, move, QUICK.finger_rate)
 
     def commands(time: float, q: FloatArray) -> FloatArray:
         observation = Observation(

@@ -1,4 +1,4 @@
-"""The scene: options, index maps, friction of pairs, the mount."""
+"""The scene: options, index maps, friction of pairs, the gantry."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from planner.kinematics.state import HandState
 from planner.spatial import SE3
 from planner.task import GraspTask, Obstacle
 from sim.contacts import other_touches
-from sim.gantry import MOUNT_FREQUENCY, Mount
+from sim.gantry import GANTRY_FREQUENCY, Gantry
 from sim.physics import PhysicsOptions
 from sim.scene import HAND_PREFIX, Scene, build_scene
 
@@ -31,9 +31,9 @@ def scene(hand: Hand) -> Scene:
     return build_scene(GraspTask.create(hand, "box"), T_world_base=ABOVE)
 
 
-def mount_of(scene: Scene) -> Mount:
-    assert scene.mount is not None
-    return scene.mount
+def gantry_of(scene: Scene) -> Gantry:
+    assert scene.gantry is not None
+    return scene.gantry
 
 
 def random_q(hand: Hand, rng: np.random.Generator) -> np.ndarray:
@@ -99,9 +99,9 @@ def test_velocity_and_command_addresses(scene: Scene) -> None:
         assert (joint.qposadr[0], joint.dofadr[0]) == (address, dof)
     for i, name in zip(scene.hand_ctrl, hand.actuation.names, strict=True):
         assert model.actuator(int(i)).name == HAND_PREFIX + name
-    all_dof = np.concatenate([scene.hand_dof, mount_of(scene).dof, scene.object_dof])
+    all_dof = np.concatenate([scene.hand_dof, gantry_of(scene).dof, scene.object_dof])
     assert sorted(all_dof) == list(range(model.nv))
-    all_ctrl = np.concatenate([scene.hand_ctrl, mount_of(scene).ctrl])
+    all_ctrl = np.concatenate([scene.hand_ctrl, gantry_of(scene).ctrl])
     assert sorted(all_ctrl) == list(range(model.nu))
 
 
@@ -114,8 +114,8 @@ def test_every_colliding_geom_of_the_hand_has_its_finger(scene: Scene) -> None:
     assert "" in scene.finger_of_geom.values()
 
 
-def test_mount_is_at_zero_at_the_grasp(scene: Scene) -> None:
-    np.testing.assert_allclose(mount_of(scene).coordinates(ABOVE), 0.0, atol=1e-12)
+def test_gantry_is_at_zero_at_the_grasp(scene: Scene) -> None:
+    np.testing.assert_allclose(gantry_of(scene).coordinates(ABOVE), 0.0, atol=1e-12)
 
 
 def test_object_has_the_mass_and_inertia_of_its_shape(hand: Hand) -> None:
@@ -164,7 +164,7 @@ def test_ball_stays_where_it_is_put_and_rolls_when_pushed() -> None:
         data = scene.start(scene.task.hand.posture("open"), ABOVE)
         data.xfrc_applied[scene.object_body, 0] = push
         for _ in range(200):
-            data.ctrl[mount_of(scene).ctrl] = mount_of(scene).command(
+            data.ctrl[gantry_of(scene).ctrl] = gantry_of(scene).command(
                 data, np.zeros(6), np.zeros(6)
             )
             mujoco.mj_step(scene.model, data)
@@ -173,10 +173,10 @@ def test_ball_stays_where_it_is_put_and_rolls_when_pushed() -> None:
     assert moved[0.2] > 0.01
 
 
-def test_mount_carries_the_hand_and_follows_without_lag(scene: Scene) -> None:
+def test_gantry_carries_the_hand_and_follows_without_lag(scene: Scene) -> None:
     hand = scene.task.hand
     start = SE3(pin.exp3(np.array([0.1, 0.2, -0.1])) @ ABOVE.rotation, ABOVE.translation + 0.05)
-    begin = mount_of(scene).coordinates(start)
+    begin = gantry_of(scene).coordinates(start)
     q = hand.posture("open")
     data = scene.start(q, start)
     assert scene.body_pose(data, scene.base_body).isApprox(start, 1e-9)
@@ -186,14 +186,14 @@ def test_mount_carries_the_hand_and_follows_without_lag(scene: Scene) -> None:
         s = min(1.0, data.time / duration)
         share, rate = s**3 * (10 + s * (6 * s - 15)), 30 * s**2 * (1 - s) ** 2 / duration
         target = (1 - share) * begin
-        worst = max(worst, np.abs(data.qpos[mount_of(scene).qpos] - target)[:3].max())
+        worst = max(worst, np.abs(data.qpos[gantry_of(scene).qpos] - target)[:3].max())
         gravity = HandState(hand, q).gravity_torque(ABOVE.rotation.T @ [0, 0, -9.81])
         data.ctrl[scene.hand_ctrl], _ = hand.actuation.ctrl_for_torque(q, still, gravity)
-        data.ctrl[mount_of(scene).ctrl] = mount_of(scene).command(data, target, -rate * begin)
+        data.ctrl[gantry_of(scene).ctrl] = gantry_of(scene).command(data, target, -rate * begin)
         mujoco.mj_step(scene.model, data)
     assert worst < 0.001
-    sag_without_feed_forward = 9.81 / MOUNT_FREQUENCY**2  # 2.7 mm
-    left = np.abs(data.qpos[mount_of(scene).qpos[:3]]).max()
+    sag_without_feed_forward = 9.81 / GANTRY_FREQUENCY**2  # 2.7 mm
+    left = np.abs(data.qpos[gantry_of(scene).qpos[:3]]).max()
     assert left < 0.1 * sag_without_feed_forward
 
 
@@ -224,7 +224,7 @@ def test_touches_that_are_not_hand_on_object_are_sorted_by_who_touches_whom(hand
     scene = build_scene(task, T_world_base=ABOVE)
     data = scene.start(hand.posture("open"), ABOVE)
     for _ in range(100):
-        data.ctrl[mount_of(scene).ctrl] = mount_of(scene).command(data, np.zeros(6), np.zeros(6))
+        data.ctrl[gantry_of(scene).ctrl] = gantry_of(scene).command(data, np.zeros(6), np.zeros(6))
         mujoco.mj_step(scene.model, data)
     resting = [t for t in other_touches(scene, data) if t.kind == "object-table"]
     assert {(t.first, t.second) for t in resting} == {("object", "table")}

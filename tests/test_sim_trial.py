@@ -127,8 +127,17 @@ def test_report_is_plain_json_that_follows_its_schema(report: TrialReport) -> No
     assert read.physics["mu"] == 0.6
     assert read.timeline["hold"] == 2.0
     assert read.thresholds["slip_mm"] == 5.0
-    assert len(read.samples.time_s) == len(report.samples)
-    assert read.samples.object_in_palm_moved_mm[0] is None
+    over_time = read.samples.model_dump()
+    assert len(over_time["time_s"]) == len(report.samples)
+    assert over_time["object_in_palm_moved_mm"][0] is None
+
+
+def test_files_that_were_written_with_older_names_are_read(report: TrialReport) -> None:
+    old = report.to_dict()
+    old["carried_by"] = "mount"
+    old["thresholds"]["limited_share"] = old["thresholds"].pop("saturated_share")
+    read = ReportFile.model_validate(old)
+    assert (read.carried_by, read.thresholds["limited_share"]) == ("mount", 0.5)
 
 
 def test_picture_is_there_or_its_absence_is_explained(report: TrialReport, can_draw: bool) -> None:
@@ -136,6 +145,29 @@ def test_picture_is_there_or_its_absence_is_explained(report: TrialReport, can_d
     assert bool(report.picture_reason) != can_draw
     if report.picture is not None:
         assert report.picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def test_a_report_prints_as_a_screen(report: TrialReport, plan: GraspPlan) -> None:
+    """Whether it was held, and if not why; no dump of arrays."""
+    held = str(report)
+    assert len(held) < 3000
+    assert held.startswith("trial: held: the object moved")
+    assert all(name in held for name in report.fingers)
+    assert "force closure of the measured contacts in 100 of 100 samples" in held
+    slippery = PhysicsOptions(mu=0.02, mu_torsion=0.0)
+    failed = simulate(plan, timeline=QUICK, physics=slippery, controller="impedance")
+    text = " ".join(str(failed).split())
+    assert len(text) < 3000
+    assert f"trial: not held, {failed.reason}: {failed.verdict.detail}" in text
+    assert len(failed.events) > 8 and f"and {len(failed.events) - 8} more events" in text
+
+
+def test_a_plan_prints_as_a_screen(plan: GraspPlan) -> None:
+    text = str(plan)
+    assert len(text) < 3000
+    assert "allegro_hand grasps sphere:0.035 (100 g), seed 0: found at attempt" in text
+    assert "force closure yes, epsilon" in text
+    assert [line.split()[0] for line in text.splitlines()[2:-1]] == list(plan.task.finger_names)
 
 
 def test_the_same_trial_twice_gives_the_same_numbers(plan: GraspPlan) -> None:

@@ -9,7 +9,8 @@ import pytest
 
 from planner.errors import TaskError
 from sim.controllers.base import PHASES, Phase
-from sim.verdict import REASONS, Samples, Thresholds, Verdict, judge
+from sim.samples import Samples
+from sim.verdict import REASONS, Thresholds, Verdict, judge
 
 FINGERS = ("thumb", "index", "middle")
 EACH = 5  # samples per phase

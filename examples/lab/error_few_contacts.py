@@ -24,7 +24,7 @@ OBJECT = "cylinder:0.03x0.10"
 GHOST = "thumb"  # the finger that passes through the object
 BESIDE = np.array([0.0, 0.035, 0.0])  # where the object really stands, m
 SLIPPERY = 0.2  # friction (-); planning relies on 0.5
-QUICK = Timeline(approach=0.5, close=0.4, squeeze=0.4, lift=0.4, hold=0.4, lift_height=0.05)
+QUICK = Timeline.quick()
 
 plan = plan_grasp(GraspTask.create(HAND, OBJECT), seed=0)
 pose = plan.task.T_world_object

@@ -21,7 +21,7 @@ HAND = "shadow_hand"
 OBJECT = "box"
 CROSSING = {"FFJ4": 0.34, "MFJ4": -0.34}  # sideways joints of two fingers, rad
 COUNT = 3  # pairs that are printed
-QUICK = Timeline(approach=0.5, close=0.5, squeeze=0.3, settle=0.1, lift=0.2, hold=0.2)
+QUICK = Timeline.quick()
 
 
 class Crossing:

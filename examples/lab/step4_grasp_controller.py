@@ -59,7 +59,7 @@ for title, contacts in (("towards the centre", lab), ("internal forces", found.c
     used = 100 * contacts.friction_utilisation().max()
     print(f"{title:18}: {left:.3f} N are left over, up to {used:.0f} % of a friction cone is used")
 
-quick = Timeline(lift=0.5, hold=1.0)
+quick = Timeline.quick()
 controllers: dict[str, Controller] = {
     "the lab's squeeze": TowardsCentre(plan),
     "ours": GraspController(plan),

@@ -81,9 +81,7 @@ CONDITIONS = {
 """All but the first are as hard as it takes to fail a part of the grasps, for another reason each.
 """
 
-TIMELINE = Timeline(
-    approach=0.3, close=0.3, close_wait=0.3, squeeze=0.4, settle=0.1, lift=0.5, hold=1.2
-)
+TIMELINE = Timeline.quick(settle=0.1, hold=1.2)
 """Shorter than a trial that is looked at: 0.7 s of CPU instead of 2."""
 
 RECORD_EVERY = 0.05

@@ -48,7 +48,6 @@ def run(
 ) -> None:
     """Plan a grasp, distribute its forces, execute it, judge it; writes plan, report, picture."""
     from planner.files import plain_name, plan_to_dict, write_json, write_plan
-    from sim.summary import print_plan, print_report
 
     execute = trial.trial()
     if out_dir is not None:
@@ -61,13 +60,13 @@ def run(
         (folder / old).unlink(missing_ok=True)
     write_plan(plan, folder / "plan.json")
     if not as_json:
-        print_plan(plan, out)
+        say(out, escape(str(plan)))
     report = execute(plan, folder / "held.png")
     write_json(report.to_dict(), folder / "report.json")
     if as_json:
         print_json({"plan": plan_to_dict(plan), "report": report.to_dict()})
     else:
-        print_report(report, out)
+        out.print(report)
         note = ", held.png" if report.picture else f" (no picture: {report.picture_reason})"
         say(out, escape(f"written to {folder}: plan.json, report.json{note}"))
     exit_for(report)
@@ -85,7 +84,6 @@ def plan(
 ) -> None:
     """Plan a grasp and write it to a file."""
     from planner.files import plan_to_dict, write_plan
-    from sim.summary import print_plan
 
     check_folder(output)
     found = request.plan(hand, object)
@@ -93,7 +91,7 @@ def plan(
     if as_json:
         print_json(plan_to_dict(found))
     else:
-        print_plan(found, out)
+        say(out, escape(str(found)))
         say(out, escape(f"written to {output}"))
 
 
@@ -111,7 +109,6 @@ def simulate(
 ) -> None:
     """Execute a plan file in MuJoCo: approach, close, squeeze, lift, hold; and judge it."""
     from planner.files import read_plan, write_json
-    from sim.summary import print_report
 
     check_folder(report_file)
     check_folder(picture)
@@ -121,7 +118,7 @@ def simulate(
     if as_json:
         print_json(report.to_dict())
     else:
-        print_report(report, out)
+        out.print(report)
         if picture is not None:
             note = report.picture_reason or f"written to {picture}"
             say(out, escape(f"picture: {note}"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -29,15 +29,13 @@ from sim.cli.common import (
 TABLE_WIDTH = 120
 """Characters that the table needs."""
 
-ALLOWED = "what the certificate allows any control in the planned posture"
-NEARBY = "of every posture near the planned one"
-
 
 @errors_for_people()
 def test(
     plans: Annotated[list[Path], typer.Argument(help="Plan files.", metavar="PLAN...")],
     protocol: Annotated[
-        str, typer.Option(help="What to do to the grasp: fc, forces, shake, robust, or all.")
+        str,
+        typer.Option(help="What to do to the grasp: dexgraspbench, forces, shake, robust, or all."),
     ] = "all",
     controller: ControllerOption = "feedforward",
     physics: PhysicsOption = "ours",
@@ -51,11 +49,11 @@ def test(
     seed: SeedOption = 0,
     as_json: JsonOption = False,
 ) -> None:
-    """Test plans in MuJoCo by named protocols: fc, forces, shake, robust.
+    """Test plans in MuJoCo by named protocols: dexgraspbench, forces, shake, robust.
 
     Ends with 0 if every grasp held in every trial without a growing load and bore the first load at
     rest in every direction. Of all protocols, those that a hand cannot take are skipped. The
-    protocol fc has the physics of its original, whatever --physics says.
+    protocol dexgraspbench has the physics of its original, whatever --physics says.
     """
     from planner.errors import TaskError
     from planner.files import read_plan, write_json
@@ -104,7 +102,9 @@ def test(
                 write_json(report.to_dict(), folder / f"{stem}.json")
                 write_csv(reports, folder / "trials.csv")
                 if not as_json:
-                    _show(report, protocol_table(report))
+                    # a narrow terminal breaks its lines
+                    Console(width=max(out.width, TABLE_WIDTH)).print(protocol_table(report))
+                    out.print(report)
                 if not report.complete:
                     break
             if reports and not reports[-1].complete:
@@ -120,33 +120,6 @@ def test(
         raise typer.Exit(EXIT_INTERRUPTED)
     if not all(report.success for report in reports):
         raise typer.Exit(EXIT_NO)
-
-
-def _show(report: Any, table: Any) -> None:
-    """Table, physics and what it comes to."""
-    # the table does not fit into 80 columns; a narrow terminal breaks its lines
-    Console(width=max(out.width, TABLE_WIDTH)).print(table)
-    p, s = report.physics, report.summary()
-    say(
-        out,
-        f"physics: {p['name']} ({p['timestep_s']:g} s, {p['integrator']}, {p['solver']}, "
-        f"{p['cone']} cones, impratio {p['impratio']:g}, noslip {p['noslip_iterations']}, "
-        f"friction {p['friction']:g} and {p['torsional_friction_m']:g} m)",
-    )
-    if s["of"]:
-        say(out, f"held in {s['held']} of {s['of']}")
-    for reason, count in s["reasons"].items():
-        say(out, f"ended by {reason}: {count}")
-    if s["median_borne_N"] is not None:
-        share = s["median_share_of_bound"]
-        of_bound = "" if share is None else f"; {100 * share:.0f} % of {ALLOWED}"
-        say(
-            out,
-            f"borne: median {s['median_borne_N']:.3g} N, least {s['least_borne_N']:.3g} N"
-            + of_bound,
-        )
-    for name in s["contradictions"]:
-        say(out, f"[bold red]contradiction:[/] {escape(name)}: more than is proven {NEARBY}")
 
 
 def register(app: typer.Typer) -> None:

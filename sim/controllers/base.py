@@ -100,7 +100,7 @@ class Observation:
 
 
 class Controller(Protocol):
-    """Anything with this method can drive the hand in a trial; the trial moves the mount.
+    """Anything with this method can drive the hand in a trial; the trial moves the gantry.
 
     The trial also moves an arm that carries the hand: commands for its actuators are not used.
     """

@@ -19,7 +19,7 @@ What it notices and what it does then:
     infeasible      the forces that come nearest within all limits are given, and fingers that only
                     press on each other ease off: the wrench comes before the grip
     gave up         fewer fingers than can hold the object, or infeasible, for too long
-                    (``sim.controllers.patience``): nothing is learned or tightened any more, and
+                    (``InfeasibilityMonitor``): nothing is learned or tightened any more, and
                     the reason is kept, until it is over
 """
 
@@ -38,8 +38,8 @@ from sim.controllers.events import Event, EventKind
 from sim.controllers.gains import ImpedanceGains, felt_inertia
 from sim.controllers.grasp import FIRST_SHARE, GraspController
 from sim.controllers.impedance import ImpedanceLaw
+from sim.controllers.infeasibility import InfeasibilityMonitor
 from sim.controllers.pads import PadReading
-from sim.controllers.patience import Patience
 from sim.controllers.reference import Reference
 from sim.controllers.schedule import TOUCH_FORCE, ContactSchedule
 from sim.controllers.sensing import Senses, Sensing
@@ -160,7 +160,7 @@ class ObjectImpedance:
         self._frames = np.array(self._contacts.frames)
         self._loop = self._make_loop()
         self._time = 0.0
-        self._patience = Patience(task.fingers_needed)
+        self._infeasibility = InfeasibilityMonitor(task.fingers_needed)
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -170,7 +170,7 @@ class ObjectImpedance:
     @property
     def gave_up(self) -> str:
         """Why it gave up, "" while it has not."""
-        return self._patience.gave_up
+        return self._infeasibility.gave_up
 
     def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last step wanted."""
@@ -254,7 +254,7 @@ class ObjectImpedance:
     ) -> FloatArray:
         """Take over where object and fingers should be now; returns the wanted twist (6,)."""
         target = reference.advance(
-            elapsed, in_palm, self._torques.tips_in_palm, q, missed=self._patience.missed
+            elapsed, in_palm, self._torques.tips_in_palm, q, missed=self._infeasibility.missed
         )
         self.T_palm_wanted = target.T_palm_object
         self._torques.aim(target.tips, target.q, target.v)
@@ -297,7 +297,7 @@ class ObjectImpedance:
     ) -> FloatArray:
         """Find the contact forces for a wrench (6,); returns what they give less that (6,)."""
         share = np.where(self.schedule.holding, self.schedule.share, 0.0)
-        grip = self.grip * max(LEAST_GRIP, self._grip * self._patience.given)
+        grip = self.grip * max(LEAST_GRIP, self._grip * self._infeasibility.given)
         # what a finger without force needs of its actuators is no concern of the others
         loaded = np.where((share > 0.0)[:, None, None], self._torques.jacobians, 0.0)
         step = self._loop.step(
@@ -326,7 +326,7 @@ class ObjectImpedance:
         weight = self._loop.problem.row_scale[:6]
         short, asked = (math.sqrt(w @ w) for w in (weight * missed, weight * wrench))
         holding = int(self.schedule.holding.sum())
-        for kind, detail in self._patience.update(
+        for kind, detail in self._infeasibility.update(
             elapsed, short=short, asked=asked, holding=holding
         ):
             self._note(kind, None, detail)

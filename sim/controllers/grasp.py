@@ -28,7 +28,7 @@ from sim.controllers.base import Observation
 from sim.controllers.motors import MotorServo
 from sim.controllers.schedule import TOUCH_FORCE
 
-__all__ = ["GraspController", "limited"]
+__all__ = ["GraspController", "saturated"]
 
 CLOSE_RATE = 4.0
 """Fastest change (1/s) of a finger's share of the closing motion, for one that lost touch."""
@@ -103,7 +103,7 @@ class GraspController:
 
     def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last step wanted."""
-        return limited(self._hand.actuation, self.q_ref, self._torque)
+        return saturated(self._hand.actuation, self.q_ref, self._torque)
 
     def _close(self, observation: Observation, elapsed: float) -> None:
         """Advance every finger that does not touch."""
@@ -158,7 +158,7 @@ class GraspController:
         return out
 
 
-def limited(actuation: Actuation, q: FloatArray, torque: FloatArray) -> tuple[str, ...]:
+def saturated(actuation: Actuation, q: FloatArray, torque: FloatArray) -> tuple[str, ...]:
     """Names of the actuators whose limits at q (nq,) are below what a joint torque (nq,) takes."""
     force, _ = actuation.split_torque(q, torque)
     low, high = actuation.force_limits(q).T

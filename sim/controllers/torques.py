@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from planner.kinematics.state import MovingHand
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, skew
-from sim.controllers.grasp import limited
+from sim.controllers.grasp import saturated
 from sim.controllers.motors import FULL_FRICTION_RATE, joint_drag, motor_servo
 
 __all__ = ["HoldingTorques", "grasp_matrix"]
@@ -188,7 +188,7 @@ class HoldingTorques:
 
     def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last command wanted."""
-        return limited(self._hand.actuation, self._law_q, self._torque)
+        return saturated(self._hand.actuation, self._law_q, self._torque)
 
     def _in_palm(self, points: FloatArray) -> FloatArray:
         """Points (n, 3) of the base in the palm."""

@@ -21,7 +21,7 @@ from planner.spatial import SE3, FloatArray
 from sim.controllers import Event, Observation, Phase
 from sim.controllers.follow import MotionReference
 from sim.controllers.opening import PostureServo
-from sim.gantry import Mount
+from sim.gantry import Gantry
 from sim.manipulation.in_hand import InHandController
 from sim.manipulation.swing import FingerSwing
 from sim.timeline import Timeline
@@ -108,18 +108,18 @@ class ManipulationDriver:
 
 
 class BaseMover:
-    """Moves the mount from pose to pose: a ``sim.carrier.Carrier``."""
+    """Moves the gantry from pose to pose: a ``sim.carrier.Carrier``."""
 
-    def __init__(self, mount: Mount | None, T_world_base: SE3) -> None:
+    def __init__(self, gantry: Gantry | None, T_world_base: SE3) -> None:
         """Stay at a pose.
 
         Raises:
-            TaskError: There is no mount: the hand is on an arm.
+            TaskError: There is no gantry: the hand is on an arm.
         """
-        if mount is None:
+        if gantry is None:
             raise TaskError("the hand is on an arm; a manipulation needs a hand whose base is free")
-        self._mount = mount
-        self._from = self._to = mount.coordinates(T_world_base)
+        self._gantry = gantry
+        self._from = self._to = gantry.coordinates(T_world_base)
         self._duration = 1.0
 
     def stay(self) -> None:
@@ -128,13 +128,13 @@ class BaseMover:
 
     def go(self, T_world_base: SE3, duration: float) -> None:
         """From where it was sent last to a pose, in a time (s) that is the phase's own."""
-        self._from, self._to = self._to, self._mount.coordinates(T_world_base)
+        self._from, self._to = self._to, self._gantry.coordinates(T_world_base)
         self._duration = duration
 
     def drive(self, data: Any, phase: Phase, share: float) -> None:
-        """Set the mount's commands for a share of the way."""
+        """Set the gantry's commands for a share of the way."""
         del phase
         s, rate = Timeline.profile(share)
         way = self._to - self._from
         target, velocity = self._from + s * way, rate / self._duration * way
-        data.ctrl[self._mount.ctrl] = self._mount.command(data, target, velocity)
+        data.ctrl[self._gantry.ctrl] = self._gantry.command(data, target, velocity)

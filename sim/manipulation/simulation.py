@@ -77,7 +77,7 @@ class ManipulationSim:
         self.simulation = Simulation(
             replace(grasp, task=there), physics=physics, controller=self.driver
         )
-        self.mover = BaseMover(self.simulation.scene.mount, grasp.T_world_base_start)
+        self.mover = BaseMover(self.simulation.scene.gantry, grasp.T_world_base_start)
         self.simulation.carrier = self.mover
         self.recorder = ManipulationRecorder(self.simulation, self.driver.reference.axis)
         self._push = push

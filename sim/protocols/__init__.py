@@ -1,9 +1,9 @@
 """Protocols: named tests of a plan in simulation, each of many trials.
 
-``fc``      DexGraspBench's test, so that figures can be compared with its users'
-``forces``  gravity from six sides, then forces and torques that grow until the object is lost
-``shake``   the mount shaken in six degrees of freedom
-``robust``  another mass, friction and object pose than planned
+``dexgraspbench``  DexGraspBench's test, so that figures can be compared with its users'
+``forces``         gravity from six sides, then forces and torques that grow until it is lost
+``shake``          the gantry shaken in six degrees of freedom
+``robust``         another mass, friction and object pose than planned
 
 ``run_protocol(plan, "forces")`` runs one; ``opposable test PLAN`` does on the command line.
 """

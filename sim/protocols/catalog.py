@@ -9,7 +9,7 @@ from typing import TypeAlias
 from planner.errors import NotFoundError
 from planner.task import GraspTask
 from sim.protocols.cases import Case
-from sim.protocols.fc import fc_cases, unsuitable_for_fc
+from sim.protocols.dexgraspbench import dexgraspbench_cases, unsuitable_for_dexgraspbench
 from sim.protocols.forces import forces_cases
 from sim.protocols.robust import robust_cases
 from sim.protocols.settings import Settings
@@ -21,7 +21,7 @@ MakeCases: TypeAlias = Callable[[Settings, int], Sequence[Case]]
 
 PROTOCOLS: Mapping[str, MakeCases] = MappingProxyType(
     {
-        "fc": lambda settings, seed: fc_cases(),
+        "dexgraspbench": lambda settings, seed: dexgraspbench_cases(),
         "forces": forces_cases,
         "shake": lambda settings, seed: shake_cases(settings),
         "robust": robust_cases,
@@ -30,7 +30,7 @@ PROTOCOLS: Mapping[str, MakeCases] = MappingProxyType(
 """Name -> what makes the trials out of settings and the seed of random directions and errors."""
 
 _UNSUITABLE: Mapping[str, Callable[[GraspTask], str]] = {
-    "fc": lambda task: unsuitable_for_fc(task.hand),
+    "dexgraspbench": lambda task: unsuitable_for_dexgraspbench(task.hand),
     "shake": lambda task: on_an_arm(task.hand),
 }
 """Name -> why the protocol cannot take a task, of those that cannot take every one."""

@@ -25,15 +25,16 @@ from sim.controllers import AnyController, Phase
 from sim.controllers.slip import SLIP_SPEED
 from sim.physics import PhysicsOptions
 from sim.recorder import Recorder
+from sim.samples import Samples
 from sim.scene import Scene
 from sim.simulation import Simulation
 from sim.timeline import Timeline
 from sim.trial import run_grasp_phase
-from sim.verdict import DropCriteria, Fault, Reason, Samples, lost, put_down_to_actuators
+from sim.verdict import DropCriteria, Fault, Reason, lost, put_down_to_actuators
 
 __all__ = ["DROPPED", "GRIP", "DisturbanceTrial"]
 
-GRIP = Timeline(approach=0.1, close=0.3, close_wait=0.5, squeeze=0.4, settle=0.2, lift=0.4)
+GRIP = Timeline.quick(approach=0.1, close_wait=0.5, lift=0.4)
 """Durations; there is no approach, and "lift" is the time to come to rest when the object is let
 go."""
 

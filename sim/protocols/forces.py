@@ -94,7 +94,7 @@ class PushCase:
             physics=conditions.physics,
             dropped=settings.dropped,
         )
-        borne, broke, before = 0.0, np.inf, 0.0
+        held, failed, before = 0.0, np.inf, 0.0
         stood = None
         fault = hold.close_and_squeeze()
         if fault is None:
@@ -103,20 +103,20 @@ class PushCase:
             while fault is None and level <= settings.most_load * weight:
                 fault = _load(hold, wrench, before, level, settings.step_s, unit)
                 if fault is not None:
-                    broke = level
+                    failed = level
                 elif hold.at_rest():
-                    borne = level
+                    held = level
                     stood = distance_from_plan(
                         plan, hold.simulation.q, hold.simulation.T_base_object
                     )
                 before, level = level, settings.growth * level
         else:
-            broke = 0.0
+            failed = 0.0
         return replace(
             _outcome(self.index, self.name, hold, fault),
             unit="N m" if only_torque else "N",
-            borne=unit * borne,
-            broke=unit * broke,
+            largest_load_held=unit * held,
+            failure_load=unit * failed,
             bound=unit * proven_bound(plan, conditions.physics, wrench).upper,
             bound_near=unit * near_bound(plan, conditions.physics, wrench).factor,
             stood=stood,

@@ -1,6 +1,6 @@
 """``Outcome``: what became of one trial of a protocol, with what was recorded on the way.
 
-The samples are those of any other trial (``sim.verdict.Samples``): force closure of the contacts
+The samples are those of any other trial (``sim.samples.Samples``): force closure of the contacts
 that happened is decided by the code that judged the plan.
 """
 
@@ -17,7 +17,8 @@ from planner.certify import NEAR, Neighbourhood
 from planner.plain import finite
 from planner.spatial import FloatArray
 from sim.controllers import Event
-from sim.verdict import Fault, Reason, Samples
+from sim.samples import Samples
+from sim.verdict import Fault, Reason
 
 __all__ = ["Outcome"]
 
@@ -30,14 +31,14 @@ class Outcome:
         index: Number of the trial in its protocol.
         name: What was done: "force +x", "shake rz".
         held: Whether the object was held to the end; a load that grows without end never is, and
-            there ``borne`` counts.
+            there ``largest_load_held`` counts.
         fault: Why and when it was not; None if it was.
         fingers: Names of the columns of ``samples``, n.
         samples: What was recorded, m samples.
         load: (m,), size of the disturbance at each sample: N, or N m for a pure torque; 0 without.
         unit: Unit of ``load``, "" where nothing is loaded.
-        borne: Largest load under which the object came to rest; NaN where no load grows.
-        broke: Load under which it failed; infinite where the largest one was held.
+        largest_load_held: Largest load under which the object came to rest; NaN where none grows.
+        failure_load: Load under which it failed; infinite where the largest one was held.
         bound: What no control whatever could bear along this direction in the planned posture, by
             the certificate, with the friction of the simulation; NaN where none was worked out.
         bound_near: The same in any posture within ``planner.certify.NEAR`` of the planned one;
@@ -59,8 +60,8 @@ class Outcome:
     samples: Samples
     load: FloatArray
     unit: str = ""
-    borne: float = float("nan")
-    broke: float = float("nan")
+    largest_load_held: float = float("nan")
+    failure_load: float = float("nan")
     bound: float = float("nan")
     bound_near: float = float("nan")
     stood: Neighbourhood | None = None
@@ -76,7 +77,7 @@ class Outcome:
     @property
     def grows(self) -> bool:
         """Whether the load grew until the object was lost."""
-        return math.isfinite(self.borne)
+        return math.isfinite(self.largest_load_held)
 
     @property
     def contradicts(self) -> bool:
@@ -86,7 +87,7 @@ class Outcome:
         of which nothing is proven.
         """
         near = self.stood is not None and NEAR.holds(self.stood)
-        return bool(near and self.borne > self.bound_near)
+        return bool(near and self.largest_load_held > self.bound_near)
 
     @property
     def drift(self) -> tuple[float, float]:
@@ -118,8 +119,8 @@ class Outcome:
             "held": self.held,
             "reason": self.reason,
             "time_s": None if self.fault is None else self.fault.time,
-            "borne": self.borne,
-            "broke": self.broke,
+            "largest_load_held": self.largest_load_held,
+            "failure_load": self.failure_load,
             "bound": self.bound,
             "bound_near": self.bound_near,
             **self._stood_row(),
@@ -146,22 +147,10 @@ class Outcome:
 
     def to_dict(self) -> dict[str, Any]:
         """The row, and everything over time."""
-        s = self.samples
         return {
             **self.to_row(),
             "wrench_per_load": self.wrench.tolist(),
             "fingers": list(self.fingers),
             "events": [asdict(event) for event in self.events],
-            "over_time": {
-                "time_s": finite(s.time),
-                "phase": list(s.phase),
-                "load": finite(self.load),
-                "object_in_palm_moved_mm": finite(s.slip_mm),
-                "object_in_palm_turned_deg": finite(s.slip_deg),
-                "normal_force_N": finite(s.normal_force),
-                "friction_utilisation": finite(s.friction_utilisation),
-                "closed": [bool(c) for c in s.closed],
-                "epsilon": finite(s.epsilon),
-                "actuators_at_limit": [list(names) for names in s.saturated],
-            },
+            "over_time": {**self.samples.to_dict(), "load": finite(self.load)},
         }

@@ -10,19 +10,31 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich import box
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from planner.errors import FileFormatError
 from planner.plain import finite
 from planner.version import written_by
 from sim.protocols.outcome import Outcome
+from sim.screen import OnScreen, number, percent, table
 
 __all__ = ["ProtocolReport", "protocol_table", "write_csv"]
 
+PROTOCOL_VERSION = 2
+"""Version of the JSON form; version 1 called the loads borne and broke, and one protocol fc."""
+
+ALLOWED = "what the certificate allows any control in the planned posture"
+NEARBY = "of every posture near the planned one"
+
+MOST_FAILED = 3
+"""Trials that were not held on the screen; the table has all of them."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ProtocolReport:
+class ProtocolReport(OnScreen):
     """What became of all trials.
 
     Attributes:
@@ -78,8 +90,14 @@ class ProtocolReport:
 
         All trials must have been finished; to bear a load is to come to rest under the first one.
         """
-        held = all(o.held for o in self.fixed) and all(o.borne > 0 for o in self.loaded)
-        return self.complete and held
+        return self.complete and not self.failed
+
+    @property
+    def failed(self) -> tuple[Outcome, ...]:
+        """Trials in which the object was not held, or came to rest under no load."""
+        return tuple(
+            o for o in self.outcomes if not (o.largest_load_held > 0 if o.grows else o.held)
+        )
 
     @property
     def reasons(self) -> dict[str, int]:
@@ -87,21 +105,25 @@ class ProtocolReport:
         return dict(Counter(o.reason for o in self.outcomes if o.reason).most_common())
 
     def breaking(self, unit: str) -> tuple[float, float]:
-        """Median and least load that was borne, over directions with this unit ("N", "N m")."""
-        borne = [o.borne for o in self.loaded if o.unit == unit]
-        if not borne:
+        """Median and least of the largest loads held, over directions with a unit ("N", "N m")."""
+        held = [o.largest_load_held for o in self.loaded if o.unit == unit]
+        if not held:
             return float("nan"), float("nan")
-        return float(np.median(borne)), float(np.min(borne))
+        return float(np.median(held)), float(np.min(held))
 
     @property
     def share_of_bound(self) -> float:
-        """Median over directions of the load borne over the proven bound; NaN without loads."""
-        shares = [o.borne / o.bound for o in self.loaded if np.isfinite(o.bound) and o.bound > 0]
+        """Median over directions of the load held over the proven bound; NaN without loads."""
+        shares = [
+            o.largest_load_held / o.bound
+            for o in self.loaded
+            if np.isfinite(o.bound) and o.bound > 0
+        ]
         return float(np.median(shares)) if shares else float("nan")
 
     @property
     def contradictions(self) -> tuple[str, ...]:
-        """Directions in which more was borne than is proven of every posture near the plan's."""
+        """Directions in which more was held than is proven of every posture near the plan's."""
         return tuple(o.name for o in self.loaded if o.contradicts)
 
     def summary(self) -> dict[str, Any]:
@@ -123,10 +145,10 @@ class ProtocolReport:
             "held": sum(o.held for o in self.fixed),
             "of": len(self.fixed),
             "reasons": self.reasons,
-            "median_borne_N": force,
-            "least_borne_N": least_force,
-            "median_borne_Nm": torque,
-            "least_borne_Nm": least_torque,
+            "median_load_held_N": force,
+            "least_load_held_N": least_force,
+            "median_load_held_Nm": torque,
+            "least_load_held_Nm": least_torque,
             "median_share_of_bound": self.share_of_bound,
             "contradictions": list(self.contradictions),
             "largest_drift_mm": max(drift, default=float("nan")),
@@ -138,11 +160,46 @@ class ProtocolReport:
         }
         return dict(finite(data))
 
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """What it comes to; ``protocol_table`` has a row for every trial."""
+        p, s = self.physics, self.summary()
+        held = "[bold green]held[/]" if self.success else "[bold red]not held[/]"
+        if not self.complete:
+            held += f", {len(self.outcomes)} of {self.asked} trials finished"
+        yield Text.from_markup(
+            f"[bold]{self.protocol}[/]: {held}: {escape(self.hand)}, {escape(self.object)}, "
+            f"control {self.controller}"
+        )
+        yield Text(
+            f"physics: {p['name']} ({p['timestep_s']:g} s, {p['integrator']}, {p['solver']}, "
+            f"{p['cone']} cones, impratio {p['impratio']:g}, noslip {p['noslip_iterations']}, "
+            f"friction {p['friction']:g} and {p['torsional_friction_m']:g} m)"
+        )
+        if s["of"]:
+            yield Text(f"held in {s['held']} of {s['of']}")
+        for o in self.failed[:MOST_FAILED]:
+            why = "" if o.fault is None else f": {o.reason}, {o.fault.detail}"
+            yield Text(f"not held: {o.name}{why}")
+        if len(self.failed) > MOST_FAILED:
+            yield Text(f"and {len(self.failed) - MOST_FAILED} more")
+        for reason, count in s["reasons"].items():
+            yield Text(f"ended by {reason}: {count}")
+        for unit, key in (("N", "N"), ("N m", "Nm")):
+            if s[f"median_load_held_{key}"] is not None:
+                median, least = s[f"median_load_held_{key}"], s[f"least_load_held_{key}"]
+                yield Text(f"load held: median {median:.3g} {unit}, least {least:.3g} {unit}")
+        if s["median_share_of_bound"] is not None:
+            yield Text(f"that is {percent(s['median_share_of_bound'])} of {ALLOWED}, in the median")
+        for name in s["contradictions"]:
+            yield Text.from_markup(
+                f"[bold red]contradiction:[/] {escape(name)}: more than is proven {NEARBY}"
+            )
+
     def to_dict(self) -> dict[str, Any]:
         """Everything as plain data; what is not a finite number becomes None."""
         return {
             "format": "opposable-protocol",
-            "version": 1,
+            "version": PROTOCOL_VERSION,
             "written_by": written_by(),
             **self.summary(),
             "trials": [o.to_dict() for o in self.outcomes],
@@ -152,37 +209,37 @@ class ProtocolReport:
 def protocol_table(report: ProtocolReport) -> Table:
     """One row per trial."""
     loaded = bool(report.loaded)
-    table = Table(
-        title=f"{report.protocol}: {report.hand}, {report.object}, control {report.controller}",
-        box=box.SIMPLE_HEAD,
-    )
     columns = ["trial", "held"]
     if loaded:
-        columns += ["borne", "broke", "bound", "share", "near"]
+        columns += ["load held", "failed at", "bound", "share", "near"]
     columns += ["drift mm", "deg", "closed", "friction", "at s", "reason"]
-    for name in columns:
-        left = name in ("trial", "reason")
-        table.add_column(name, justify="left" if left else "right", no_wrap=name != "reason")
+    made = table(
+        f"{report.protocol}: {report.hand}, {report.object}, control {report.controller}",
+        columns,
+        left=("trial", "reason"),
+    )
+    for column in made.columns[:-1]:
+        column.no_wrap = True
     for o in report.outcomes:
         cells = [o.name, "" if o.grows else "yes" if o.held else "no"]
         if loaded:
             cells += [
-                _number(o.borne, 3, o.unit),
-                _number(o.broke, 3),
-                _number(o.bound, 3),
-                _percent(o.borne / o.bound if o.bound > 0 else float("nan")),
-                _number(o.bound_near, 3),
+                number(o.largest_load_held, 3, o.unit),
+                number(o.failure_load, 3),
+                number(o.bound, 3),
+                percent(o.largest_load_held / o.bound if o.bound > 0 else float("nan")),
+                number(o.bound_near, 3),
             ]
         cells += [
-            _number(o.drift[0], 2),
-            _number(o.drift[1], 2),
-            _percent(o.share_closed),
-            _percent(o.largest_utilisation),
+            number(o.drift[0], 2),
+            number(o.drift[1], 2),
+            percent(o.share_closed),
+            percent(o.largest_utilisation),
             "" if o.fault is None else f"{o.fault.time:.2f}",
             o.reason,
         ]
-        table.add_row(*cells)
-    return table
+        made.add_row(*cells)
+    return made
 
 
 def write_csv(reports: Iterable[ProtocolReport], path: Path) -> None:
@@ -204,14 +261,3 @@ def write_csv(reports: Iterable[ProtocolReport], path: Path) -> None:
             writer.writerows(rows)
     except OSError as error:
         raise FileFormatError(f"cannot write {path}: {error.strerror}") from error
-
-
-def _number(value: float, digits: int, unit: str = "") -> str:
-    """Significant digits and unit, "" for NaN."""
-    if value != value:
-        return ""
-    return f"{value:.{digits}g}{' ' if unit else ''}{unit}" if np.isfinite(value) else "-"
-
-
-def _percent(value: float) -> str:
-    return "" if value != value else f"{100 * value:.0f} %"

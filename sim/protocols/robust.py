@@ -23,11 +23,6 @@ from sim.trial import Trial
 
 __all__ = ["RobustCase", "displaced", "robust_cases"]
 
-TIMELINE = Timeline(
-    approach=0.3, close=0.3, close_wait=0.3, squeeze=0.4, settle=0.2, lift=0.5, hold=1.0
-)
-"""Shorter than a trial that is looked at."""
-
 RECORD_EVERY = 0.05
 """Time between samples, s."""
 
@@ -64,7 +59,7 @@ class RobustCase:
         """Execute it all."""
         physics, task = conditions.physics, plan.task
         rng = np.random.default_rng([self.seed, self.index])
-        really = replace(
+        true_task = replace(
             task,
             object=replace(task.object, mass=self.mass * task.object.mass),
             T_world_object=displaced(
@@ -76,14 +71,14 @@ class RobustCase:
             ),
         )
         trial = Trial(
-            replace(plan, task=really),
+            replace(plan, task=true_task),
             physics=replace(
                 physics,
                 mu=self.friction * physics.mu,
                 mu_torsion=self.friction * physics.mu_torsion,
             ),
             controller=conditions.controller(plan),
-            timeline=TIMELINE,
+            timeline=Timeline.quick(),
             record_every=RECORD_EVERY,
         )
         report = trial.run()

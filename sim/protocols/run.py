@@ -25,7 +25,7 @@ from sim.controllers import AnyController, controller_maker, controller_name
 from sim.physics import PhysicsOptions
 from sim.protocols.cases import Case, Conditions
 from sim.protocols.catalog import cases_of, trials_of, unsuitable
-from sim.protocols.fc_scene import fc_contacts, fc_physics
+from sim.protocols.dexgraspbench_scene import benchmark_contacts, benchmark_physics
 from sim.protocols.outcome import Outcome
 from sim.protocols.report import ProtocolReport
 from sim.protocols.settings import Settings
@@ -66,8 +66,8 @@ def run_protocol(
         protocol: One of ``PROTOCOLS``.
         controller: A name ("feedforward", "impedance"), a controller, of which every trial gets a
             copy, or a class or function that makes one from the plan; "feedforward" if None.
-            ``fc`` is always run by replayed postures.
-        physics: How MuJoCo computes; defaults if None. ``fc`` has its own.
+            ``dexgraspbench`` is always run by replayed postures.
+        physics: How MuJoCo computes; defaults if None. ``dexgraspbench`` has its own.
         settings: Numbers of the protocols; defaults if None.
         seed: Of random directions and pose errors.
         workers: Processes; 1 for this one, -1 for one per core. With more than one, the hand
@@ -90,13 +90,13 @@ def run_protocol(
     if workers == 0:
         raise TaskError("workers is 0; give the number of processes, or -1 for one per core")
     settings = settings or Settings()
-    physics = fc_physics() if protocol == "fc" else physics or PhysicsOptions()
+    physics = benchmark_physics() if protocol == "dexgraspbench" else physics or PhysicsOptions()
     (names,) = trials_of([protocol], only, settings, seed).values()
     cases = [case for case in cases_of(protocol, settings, seed) if case.name in names]
     make = controller_maker(controller)
     if reason := unsuitable(protocol, plan.task):
         raise TaskError(reason)
-    label = "replay" if protocol == "fc" else controller_name(controller)
+    label = "replay" if protocol == "dexgraspbench" else controller_name(controller)
     text = json.dumps(plan_to_dict(plan))
     conditions = Conditions(physics=physics, controller=make)
     jobs = [_Job(plan=text, case=case, conditions=conditions) for case in cases]
@@ -115,8 +115,10 @@ def run_protocol(
             workers=(os.cpu_count() or 1) if workers < 0 else workers,
         ).run(_run, jobs, title=f"{protocol} {name}".strip(), keep=keep, given_up=_given_up)
     task = plan.task
-    own = {} if protocol == "fc" else asdict(settings)
-    stated = physics_of(plan, physics) | (fc_contacts() if protocol == "fc" else {})
+    own = {} if protocol == "dexgraspbench" else asdict(settings)
+    stated = physics_of(plan, physics) | (
+        benchmark_contacts() if protocol == "dexgraspbench" else {}
+    )
     return ProtocolReport(
         protocol=protocol,
         plan=name,

@@ -15,7 +15,7 @@ __all__ = ["Settings"]
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What ``forces``, ``shake`` and ``robust`` ask for; ``fc`` is another's and fixed.
+    """What ``forces``, ``shake`` and ``robust`` ask for; ``dexgraspbench`` is another's and fixed.
 
     Attributes:
         hold_s: How long each direction of gravity is held, s: as long as DexGraspBench's push.

@@ -1,9 +1,9 @@
-"""``shake``: the mount is shaken along and about three axes, one after the other.
+"""``shake``: the gantry is shaken along and about three axes, one after the other.
 
     x(t) = e(t) A sin(2 pi f t),    e from 0 to 1 within the first period and back within the last
 
 along the world's axes, or about them through the origin of the hand's base. Gravity stays on. The
-servos of the mount are told rate and acceleration too, so that they follow; what they reached is
+servos of the gantry are told rate and acceleration too, so that they follow; what they reached is
 reported.
 """
 
@@ -19,7 +19,7 @@ from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.spatial import minimum_jerk
 from sim.controllers import Phase
-from sim.gantry import MOUNT_AXES, MOUNT_FREQUENCY, Mount
+from sim.gantry import GANTRY_AXES, GANTRY_FREQUENCY, Gantry
 from sim.protocols.cases import Conditions
 from sim.protocols.disturbance import DisturbanceTrial
 from sim.protocols.outcome import Outcome
@@ -33,10 +33,10 @@ TINY = 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class ShakeCase:
-    """Shaking of one axis of the mount.
+    """Shaking of one axis of the gantry.
 
     Attributes:
-        index: Number of the axis in ``MOUNT_AXES``.
+        index: Number of the axis in ``GANTRY_AXES``.
         settings: Amplitudes, frequency and thresholds.
     """
 
@@ -46,13 +46,13 @@ class ShakeCase:
     @property
     def name(self) -> str:
         """The axis."""
-        return f"shake {MOUNT_AXES[self.index]}"
+        return f"shake {GANTRY_AXES[self.index]}"
 
     def run(self, plan: GraspPlan, conditions: Conditions) -> Outcome:
         """Grip, then shake.
 
         Raises:
-            TaskError: The hand is on an arm and has no mount.
+            TaskError: The hand is on an arm and has no gantry.
         """
         settings = self.settings
         hold = DisturbanceTrial(
@@ -61,12 +61,12 @@ class ShakeCase:
             physics=conditions.physics,
             dropped=settings.dropped,
         )
-        mount = hold.simulation.scene.mount
-        if mount is None:
+        gantry = hold.simulation.scene.gantry
+        if gantry is None:
             raise TaskError(on_an_arm(plan.task.hand))
         linear = self.index < 3
         asked = 1e-3 * settings.shake_mm if linear else np.deg2rad(settings.shake_deg)
-        shaker = Shaker(mount, self.index, asked, settings.shake_hz, settings.shake_s)
+        shaker = Shaker(gantry, self.index, asked, settings.shake_hz, settings.shake_s)
         fault = hold.close_and_squeeze()
         if fault is None:
             hold.simulation.carrier = shaker
@@ -91,40 +91,40 @@ class ShakeCase:
 
 
 def shake_cases(settings: Settings) -> tuple[ShakeCase, ...]:
-    """One for every axis of the mount."""
-    return tuple(ShakeCase(index=i, settings=settings) for i in range(len(MOUNT_AXES)))
+    """One for every axis of the gantry."""
+    return tuple(ShakeCase(index=i, settings=settings) for i in range(len(GANTRY_AXES)))
 
 
 def on_an_arm(hand: Hand) -> str:
-    """Why a hand's mount cannot be shaken; "" if it can."""
+    """Why a hand's gantry cannot be shaken; "" if it can."""
     if hand.arm is None:
         return ""
     return (
-        f"protocol shake shakes the mount, and {hand.name} is on an arm; plan with the hand "
+        f"protocol shake shakes the gantry, and {hand.name} is on an arm; plan with the hand "
         "without its arm"
     )
 
 
 class Shaker:
-    """Moves the mount to and fro: a ``sim.carrier.Carrier``.
+    """Moves the gantry to and fro: a ``sim.carrier.Carrier``.
 
     Attributes:
         reached: Largest coordinate of the shaken axis so far, m or rad.
     """
 
     def __init__(
-        self, mount: Mount, axis: int, amplitude: float, frequency: float, duration: float
+        self, gantry: Gantry, axis: int, amplitude: float, frequency: float, duration: float
     ) -> None:
         """Prepare.
 
         Args:
-            mount: What is shaken.
-            axis: Number in ``MOUNT_AXES``.
+            gantry: What is shaken.
+            axis: Number in ``GANTRY_AXES``.
             amplitude: m or rad.
             frequency: 1/s.
             duration: s.
         """
-        self._mount, self._axis = mount, axis
+        self._gantry, self._axis = gantry, axis
         self._amplitude, self._frequency, self._duration = amplitude, frequency, duration
         self._begin = 0.0
         self.reached = 0.0
@@ -134,17 +134,17 @@ class Shaker:
         self._begin = time
 
     def drive(self, data: Any, phase: Phase, share: float) -> None:
-        """Set the mount's commands."""
+        """Set the gantry's commands."""
         del phase, share
         time = float(data.time) - self._begin
         target, velocity = np.zeros(6), np.zeros(6)
         before, now, after = (self.coordinate(time + d) for d in (-TINY, 0.0, TINY))
         acceleration = (after - 2.0 * now + before) / TINY**2
-        # servos have the stiffness inertia * MOUNT_FREQUENCY^2
-        target[self._axis] = now + acceleration / MOUNT_FREQUENCY**2
+        # servos have the stiffness inertia * GANTRY_FREQUENCY^2
+        target[self._axis] = now + acceleration / GANTRY_FREQUENCY**2
         velocity[self._axis] = (after - before) / (2.0 * TINY)
-        data.ctrl[self._mount.ctrl] = self._mount.command(data, target, velocity)
-        self.reached = max(self.reached, abs(float(data.qpos[self._mount.qpos[self._axis]])))
+        data.ctrl[self._gantry.ctrl] = self._gantry.command(data, target, velocity)
+        self.reached = max(self.reached, abs(float(data.qpos[self._gantry.qpos[self._axis]])))
 
     def coordinate(self, time: float) -> float:
         """Wanted coordinate (m or rad) at a time since the beginning, s."""

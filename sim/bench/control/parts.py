@@ -17,8 +17,8 @@ from planner.plan import GraspPlan
 from sim.bench.control.push import conditions
 from sim.controllers import CONTROLLERS
 from sim.physics import PhysicsOptions
+from sim.protocols.dexgraspbench import dexgraspbench_cases
 from sim.protocols.disturbance import DisturbanceTrial
-from sim.protocols.fc import fc_cases
 from sim.protocols.robust import robust_cases
 from sim.protocols.settings import Settings
 
@@ -41,7 +41,7 @@ WARM_S = 0.2
 def fc_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
     """The six pushes of DexGraspBench's test; it draws nothing."""
     del rng
-    outcomes = [case.run(plan, conditions("feedforward")) for case in fc_cases()]
+    outcomes = [case.run(plan, conditions("feedforward")) for case in dexgraspbench_cases()]
     return {
         "held": sum(o.held for o in outcomes),
         "of": len(outcomes),

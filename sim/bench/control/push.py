@@ -53,7 +53,7 @@ def push_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
         case = PushCase(index=0, name=kind, direction=direction, settings=settings)
         opened = [case.run(tight, conditions("feedforward")) for tight in pressed]
         closed = case.run(plan, conditions("impedance"))
-        best = max(range(len(grips)), key=lambda k: opened[k].borne)
+        best = max(range(len(grips)), key=lambda k: opened[k].largest_load_held)
         pushes.append(
             {
                 "kind": kind,
@@ -106,4 +106,12 @@ def conditions(loop: str) -> Conditions:
 
 
 def _told(outcome: Outcome) -> dict[str, Any]:
-    return dict(finite({"borne": outcome.borne, "broke": outcome.broke, "reason": outcome.reason}))
+    return dict(
+        finite(
+            {
+                "borne": outcome.largest_load_held,
+                "broke": outcome.failure_load,
+                "reason": outcome.reason,
+            }
+        )
+    )

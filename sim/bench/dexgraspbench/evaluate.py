@@ -1,4 +1,4 @@
-"""Exports batches, has DexGraspBench evaluate them, and runs our own ``fc`` on the same grasps."""
+"""Exports batches, has DexGraspBench evaluate them, and runs our protocol of that name on them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from planner.exchange.dexgraspbench.hand_file import file_name
 from sim.bench.dexgraspbench.checkout import Installed
 from sim.bench.run import Job, Row, grouped, measure
 from sim.bench.tables import share, table_of
-from sim.protocols.fc import fc_cases
+from sim.protocols.dexgraspbench import dexgraspbench_cases
 from sim.runner import Check, Runner
 
 __all__ = ["SETTINGS", "dexgraspbench_table", "run_dexgraspbench"]
@@ -69,7 +69,7 @@ def run_dexgraspbench(
         batches: Folders of batches, whose hands have different names or are the same.
         home: Folder for the export and the benchmark's own results.
         settings: Which of ``SETTINGS``.
-        compare: Whether our protocol ``fc`` judges the same grasps.
+        compare: Whether our protocol ``dexgraspbench`` judges the same grasps.
         runner: Who works, and in how many processes.
 
     Raises:
@@ -125,7 +125,7 @@ def run_dexgraspbench(
         _judge,
         jobs,
         kind="opposable-dexgraspbench",
-        title="protocol fc",
+        title="protocol dexgraspbench",
         lost=_GraspJob.lost,
         version=2,
         settings=list(settings),
@@ -171,7 +171,7 @@ def _judge(job: _GraspJob, check: Check) -> Row:
         return job.row(ours=None)
     plan = GraspSet(job.batch).plan(job.number)
     held = True
-    for case in fc_cases():
+    for case in dexgraspbench_cases():
         held = held and case.run(plan).held
         check()
         if not held:
@@ -184,7 +184,7 @@ def dexgraspbench_table(result: Row) -> Table:
     settings = result["settings"]
     table = table_of(
         "DexGraspBench: grasps that hold; mm of hand in object, median and worst; same verdict as "
-        "our --protocol fc",
+        "our --protocol dexgraspbench",
         ("hand", "object"),
         ("grasps", *(f"{name} %" for name in settings), "mm", "worst", "same"),
     )

@@ -1,6 +1,6 @@
 """The world of DexGraspBench, built as its ``src/util/hand_util.py`` builds it.
 
-What differs from our own scene, each with its share of the verdicts (see ``sim.protocols.fc``):
+What differs from our own scene, each with its share of the verdicts:
 
 - The hand's base is free and hangs on a weld to a mocap body, MuJoCo's defaults but for solimp: it
   gives way by millimetres under the forces of the fingers.
@@ -26,11 +26,18 @@ from planner.exchange.dexgraspbench.hand_file import T_model_base
 from planner.spatial import SE3, FloatArray, pose_to_wxyz
 from planner.task import GraspTask
 from sim.controllers.base import Phase
-from sim.gantry import Mount
+from sim.gantry import Gantry
 from sim.physics import PhysicsOptions
 from sim.scene import HAND_PREFIX, OBJECT, Scene, drop_options, index_scene
 
-__all__ = ["HAND_SOLIMP", "HAND_SOLREF", "Welded", "fc_contacts", "fc_physics", "fc_scene"]
+__all__ = [
+    "HAND_SOLIMP",
+    "HAND_SOLREF",
+    "Welded",
+    "benchmark_contacts",
+    "benchmark_physics",
+    "benchmark_scene",
+]
 
 HAND_SOLREF, HAND_SOLIMP = (0.005, 1.0), (0.5, 0.99, 0.0001)
 """Contact parameters that the benchmark gives to all geoms of a hand."""
@@ -45,12 +52,12 @@ HANGER = "mocap"
 """Name of the body that the hand is welded to."""
 
 
-def fc_physics() -> PhysicsOptions:
+def benchmark_physics() -> PhysicsOptions:
     """The benchmark's options."""
     return PhysicsOptions(timestep=0.004, mu=0.6, mu_torsion=0.02, impratio=10, noslip_iterations=2)
 
 
-def fc_contacts() -> dict[str, list[float]]:
+def benchmark_contacts() -> dict[str, list[float]]:
     """Contact parameters between hand and object, as a report states them."""
     solimp = [float(x) for x in np.mean([HAND_SOLIMP, OBJECT_SOLIMP], axis=0)]
     return {
@@ -60,7 +67,7 @@ def fc_contacts() -> dict[str, list[float]]:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Welded(Mount):
+class Welded(Gantry):
     """A free hand that a weld keeps at a pose; no servos.
 
     Attributes:
@@ -77,7 +84,7 @@ class Welded(Mount):
         """Nothing: the mocap body stands where the grasp is."""
 
 
-def fc_scene(task: GraspTask, T_world_base: SE3) -> tuple[Scene, Welded]:
+def benchmark_scene(task: GraspTask, T_world_base: SE3) -> tuple[Scene, Welded]:
     """The benchmark's world for a task, without table; the second carries the hand.
 
     Args:
@@ -87,7 +94,7 @@ def fc_scene(task: GraspTask, T_world_base: SE3) -> tuple[Scene, Welded]:
     Raises:
         ModelError: MuJoCo refuses the scene.
     """
-    physics = fc_physics()
+    physics = benchmark_physics()
     spec = mujoco.MjSpec()
     spec.modelname = f"{task.hand.name}, {task.object.name}"
     physics.apply(spec, np.zeros(3))

@@ -1,4 +1,4 @@
-"""``fc``: DexGraspBench's force-closure test, open loop, so that figures stand beside its users'.
+"""DexGraspBench's force-closure test, open loop, so that figures stand beside its users'.
 
 Read from https://github.com/JYChen18/DexGraspBench at commit 1e7a5a6 (2025-06-05): ``config/task/
 eval.yaml``, ``src/task/eval_func``, ``src/util/hand_util.py``. For each of six directions: from the
@@ -7,7 +7,7 @@ times the object's mass at its centre for 2 s. Every 0.2 s the object must be wi
 degrees of its first pose. There is no gravity, the object weighs 0.1 kg, a time step is 4 ms,
 friction is 0.6 and 0.02 m, contacts of 4 dimensions, impratio 10, two noslip iterations, and a
 hand that begins more than 10 mm inside the object or itself fails. The world is that of
-``sim.protocols.fc_scene``; hand, pieces and squeeze are those of the export of a batch.
+``sim.protocols.dexgraspbench_scene``; hand, pieces and squeeze are those of the export of a batch.
 
 ``opposable bench dexgraspbench`` compares the verdicts with those of the benchmark itself.
 """
@@ -28,13 +28,19 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, pose_change
 from sim.controllers import Observation
 from sim.protocols.cases import AXES, Conditions, axis_of
+from sim.protocols.dexgraspbench_scene import benchmark_physics, benchmark_scene
 from sim.protocols.disturbance import DisturbanceTrial
-from sim.protocols.fc_scene import fc_physics, fc_scene
 from sim.protocols.outcome import Outcome
 from sim.timeline import Timeline
 from sim.verdict import DropCriteria, Fault, lost
 
-__all__ = ["FcCase", "Replay", "fc_cases", "fc_physics", "unsuitable_for_fc"]
+__all__ = [
+    "DexGraspBenchCase",
+    "Replay",
+    "benchmark_physics",
+    "dexgraspbench_cases",
+    "unsuitable_for_dexgraspbench",
+]
 
 STAGES, CHECK_S, CHECKS = 10, 0.2, 10
 """Stages of a motion; time between checks (s), and how many there are."""
@@ -52,7 +58,7 @@ DEEP_MM = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class FcCase:
+class DexGraspBenchCase:
     """A push along one direction.
 
     Attributes:
@@ -64,7 +70,7 @@ class FcCase:
     @property
     def name(self) -> str:
         """The direction."""
-        return f"fc {AXES[self.index]}"
+        return f"dexgraspbench {AXES[self.index]}"
 
     def run(self, plan: GraspPlan, conditions: Conditions | None = None) -> Outcome:
         """Execute it; physics and controller are the benchmark's, whatever the conditions."""
@@ -75,7 +81,7 @@ class FcCase:
             object=replace(plan.task.object, mass=MASS),
         )
         floating = replace(plan, task=task)
-        test = _FcTrial(floating)
+        test = _BenchmarkTest(floating)
         force = np.append(PUSH * MASS * axis_of(self.index), np.zeros(3))
         fault = test.test(force)
         return Outcome(
@@ -92,20 +98,23 @@ class FcCase:
         )
 
 
-def fc_cases() -> tuple[FcCase, ...]:
+def dexgraspbench_cases() -> tuple[DexGraspBenchCase, ...]:
     """The six directions."""
-    return tuple(FcCase(index=i) for i in range(len(AXES)))
+    return tuple(DexGraspBenchCase(index=i) for i in range(len(AXES)))
 
 
-def unsuitable_for_fc(hand: Hand) -> str:
+def unsuitable_for_dexgraspbench(hand: Hand) -> str:
     """Why a hand cannot be tested by this protocol; "" if it can."""
     if hand.arm is not None:
         return (
-            f"protocol fc carries the hand alone, by a weld, and {hand.name} is on an arm; use the "
-            "protocols forces and robust, or plan with the hand without its arm"
+            f"protocol dexgraspbench carries the hand alone, by a weld, and {hand.name} is on an "
+            "arm; use the protocols forces and robust, or plan with the hand without its arm"
         )
     if reason := without_servos(hand):
-        return f"protocol fc commands postures, and {reason}; use the protocols forces and shake"
+        return (
+            f"protocol dexgraspbench commands postures, and {reason}; use the protocols forces and "
+            "shake"
+        )
     return ""
 
 
@@ -119,7 +128,7 @@ class Replay:
             TaskError: The hand has actuators that follow no position.
         """
         hand, actuation = plan.task.hand, plan.task.hand.actuation
-        if reason := unsuitable_for_fc(hand):
+        if reason := unsuitable_for_dexgraspbench(hand):
             raise TaskError(reason)
         squeeze = plan_squeeze(plan.task, plan.contacts, plan.T_world_base, plan.q)
         self.fault = squeeze.reason
@@ -142,7 +151,7 @@ def _deepest(data: Any) -> float:
     return 1e3 * max((-float(contact.dist) for contact in data.contact), default=0.0)
 
 
-class _FcTrial:
+class _BenchmarkTest:
     """The benchmark's sequence of events.
 
     Attributes:
@@ -154,7 +163,7 @@ class _FcTrial:
     def __init__(self, plan: GraspPlan) -> None:
         """The object is free from the beginning."""
         self._replay = Replay(plan)
-        scene, welded = fc_scene(plan.task, plan.T_world_base)
+        scene, welded = benchmark_scene(plan.task, plan.T_world_base)
         self.trial = DisturbanceTrial(
             plan,
             controller=self._replay,

@@ -1,10 +1,10 @@
-"""``Patience``: what is made of wrenches that cannot be had: when it is said, and when given up."""
+"""``InfeasibilityMonitor``: when a wrench that no forces give is noted, and when it is given up."""
 
 from __future__ import annotations
 
 from sim.controllers.events import EventKind
 
-__all__ = ["Patience"]
+__all__ = ["InfeasibilityMonitor"]
 
 MISSED_TOL = 0.05
 """A wrench counts as missed when more than this share of it, or this many N, is left over."""
@@ -23,8 +23,8 @@ INFEASIBLE_TIME, PATIENCE = 0.006, 0.5
 """How long (s) a wrench must be missed to be called infeasible, and to give up."""
 
 
-class Patience:
-    """How long a wrench has been missed, and what follows.
+class InfeasibilityMonitor:
+    """How long a wrench has been missed, and what follows from it.
 
     Attributes:
         missed: Share of the last wrench that is missed (-).

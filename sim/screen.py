@@ -1,0 +1,47 @@
+"""Reports as a screen that a person reads: the one place of their numbers and tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from io import StringIO
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+__all__ = ["OnScreen", "number", "percent", "table"]
+
+WIDTH = 100
+"""Characters of a line of a report that is printed as text."""
+
+
+class OnScreen:
+    """A report that prints as a screen; ``__rich_console__`` says what stands on it."""
+
+    def __str__(self) -> str:
+        """The screen as plain text."""
+        console = Console(width=WIDTH, file=StringIO(), color_system=None, highlight=False)
+        with console.capture() as captured:
+            console.print(self)
+        return "\n".join(line.rstrip() for line in captured.get().splitlines())
+
+
+def table(title: str | None, columns: Iterable[str], *, left: Iterable[str] = ()) -> Table:
+    """An empty table whose columns are flush right, except some."""
+    made = Table(title=title, box=box.SIMPLE_HEAD)
+    for name in columns:
+        made.add_column(name, justify="left" if name in left else "right")
+    return made
+
+
+def number(value: float, digits: int, unit: str = "") -> str:
+    """Significant digits and unit; "" for NaN, "-" for what is infinite."""
+    if math.isnan(value):
+        return ""
+    return f"{value:.{digits}g} {unit}".rstrip() if math.isfinite(value) else "-"
+
+
+def percent(value: float) -> str:
+    """A share in percent; "" for NaN."""
+    return "" if math.isnan(value) else f"{100 * value:.0f} %"
