@@ -15,7 +15,8 @@ from planner.schema import StrictData
 from planner.spatial import FloatArray
 from planner.version import written_by
 from sim.controllers.events import Event, EventKind
-from sim.verdict import Reason, Samples, Thresholds, Verdict, largest
+from sim.samples import SampleData, Samples
+from sim.verdict import Reason, Thresholds, Verdict, largest
 
 __all__ = ["REPORT_VERSION", "FingerComparison", "ReportFile", "TrialReport"]
 
@@ -79,7 +80,7 @@ class TrialReport:
         simulated_s: Simulated time.
         wall_s: Time it took.
         supported: Whether the object was held by a constraint until the lift, for want of a table.
-        carried_by: What carried the hand: "mount", six driven axes, or "arm".
+        carried_by: What carried the hand: "gantry", six driven axes, or "arm".
         object_deviation_mm: How far convex pieces that stood for a mesh reach out of it at most.
         controller: Name of the controller's class.
         events: What the controller noticed and did, in order; empty for one that notices nothing.
@@ -107,7 +108,7 @@ class TrialReport:
     simulated_s: float
     wall_s: float
     supported: bool
-    carried_by: Literal["mount", "arm"] = "mount"
+    carried_by: Literal["gantry", "arm"] = "gantry"
     object_deviation_mm: float = 0.0
     controller: str = ""
     events: tuple[Event, ...] = ()
@@ -131,7 +132,6 @@ class TrialReport:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data that follows ``ReportFile``; what is not a finite number becomes None."""
-        s = self.samples
         return ReportFile(
             written_by=written_by(),
             success=self.success,
@@ -180,25 +180,7 @@ class TrialReport:
             ],
             picture=None if self.picture is None else self.picture.name,
             picture_reason=self.picture_reason,
-            samples=SampleData(
-                time_s=finite(s.time),
-                phase=list(s.phase),
-                contacts_per_finger=s.contacts.tolist(),
-                palm_contacts=s.palm_contacts.tolist(),
-                normal_force_N=finite(s.normal_force),
-                friction_utilisation=finite(s.friction_utilisation),
-                closed=[bool(c) for c in s.closed],
-                closed_unmerged=[bool(c) for c in s.closed_unmerged],
-                epsilon=finite(s.epsilon),
-                object_in_palm_moved_mm=finite(s.slip_mm),
-                object_in_palm_turned_deg=finite(s.slip_deg),
-                object_moved_mm=finite(s.moved_mm),
-                object_turned_deg=finite(s.turned_deg),
-                lift_mm=finite(s.lift_mm),
-                collision_N=finite(s.collision_N),
-                collision=list(s.collision),
-                actuators_at_limit=[list(names) for names in s.limited],
-            ),
+            samples=SampleData.model_validate(self.samples.to_dict()),
         ).model_dump(mode="json")
 
 
@@ -222,28 +204,6 @@ class EventData(StrictData):
     kind: EventKind
     finger: str
     detail: str
-
-
-class SampleData(StrictData):
-    """Recorded over time; lists per finger follow ``fingers``."""
-
-    time_s: list[float | None]
-    phase: list[str]
-    contacts_per_finger: list[list[int]]
-    palm_contacts: list[int]
-    normal_force_N: list[list[float | None]]
-    friction_utilisation: list[list[float | None]]
-    closed: list[bool]
-    closed_unmerged: list[bool]
-    epsilon: list[float | None]
-    object_in_palm_moved_mm: list[float | None]
-    object_in_palm_turned_deg: list[float | None]
-    object_moved_mm: list[float | None]
-    object_turned_deg: list[float | None]
-    lift_mm: list[float | None]
-    collision_N: list[float | None]
-    collision: list[str]
-    actuators_at_limit: list[list[str]]
 
 
 class ReportFile(StrictData):
@@ -275,7 +235,7 @@ class ReportFile(StrictData):
     simulated_s: float
     wall_s: float
     supported_until_lift: bool
-    carried_by: Literal["mount", "arm"] = "mount"
+    carried_by: Literal["gantry", "mount", "arm"] = "gantry"
     object_deviation_mm: float = 0.0
     controller: str = ""
     events: list[EventData] = Field(default_factory=list)

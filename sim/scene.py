@@ -127,6 +127,11 @@ class Scene:
         """Pose of a body in the world."""
         return SE3(data.xmat[body].reshape(3, 3), data.xpos[body])
 
+    def T_palm_object(self, data: Any) -> SE3:
+        """Pose of the object in the palm."""
+        T_world_palm = self.body_pose(data, self.palm_body)
+        return T_world_palm.inverse() * self.body_pose(data, self.object_body)
+
     def release(self, data: Any) -> None:
         """Let go of an object that no table carries."""
         if self.support >= 0:

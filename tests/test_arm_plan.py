@@ -347,7 +347,7 @@ def test_the_arm_holds_the_object_up(plan: GraspPlan) -> None:
     # and the palm is where the plan has it, to the servos' accuracy
     assert plan.arm is not None
     q = with_arm(plan, plan.q, plan.arm.lift[-1])
-    at = trial.scene.body_pose(trial.data, trial.scene.palm_body)
+    at = trial.simulation.scene.body_pose(trial.simulation.data, trial.simulation.scene.palm_body)
     assert np.linalg.norm(at.translation - palm_by_mujoco(plan, q).translation) < 5e-4
 
 

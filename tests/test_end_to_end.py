@@ -70,7 +70,7 @@ def test_the_object_is_held(run: Run) -> None:
 
 def test_mujoco_itself_has_the_object_in_the_air_and_at_rest(run: Run) -> None:
     """From the state alone, without the recorder or the verdict."""
-    data, scene = run.trial.data, run.trial.scene
+    data, scene = run.trial.simulation.data, run.trial.simulation.scene
     body = data.body(int(scene.object_body))
     rest = run.plan.task.T_world_object.translation
     assert body.xpos[2] - rest[2] == pytest.approx(0.1, abs=0.005)
@@ -81,7 +81,7 @@ def test_mujoco_itself_has_the_object_in_the_air_and_at_rest(run: Run) -> None:
 
 
 def test_measured_contact_forces_carry_the_weight(run: Run) -> None:
-    measured = hand_contacts(run.trial.scene, run.trial.data)
+    measured = hand_contacts(run.trial.simulation.scene, run.trial.simulation.data)
     weight = run.plan.task.object.mass * run.plan.task.gravity
     # the servos leave the object at rest to about a hundredth of a g
     np.testing.assert_allclose(measured.wrench()[:3], -weight, atol=0.05 * 0.981)

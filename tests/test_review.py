@@ -18,7 +18,7 @@ from planner.spatial import SE3
 from planner.task import GraspTask, Obstacle
 from planner.verification.grasp import judge_grasp
 from sim.recorder import Recorder
-from sim.scene import build_scene
+from sim.simulation import Simulation
 from sim.trial import Trial
 
 
@@ -28,16 +28,16 @@ def plan() -> GraspPlan:
 
 
 def test_slip_is_in_millimetres_and_degrees(plan: GraspPlan) -> None:
-    scene = build_scene(plan.task, T_world_base=plan.T_world_base)
-    data = scene.start(plan.q, plan.T_world_base)
-    recorder = Recorder(plan, scene)
-    recorder.mark_reference(data)
+    simulation = Simulation(plan, q=plan.q, T_world_base=plan.T_world_base)
+    scene, data = simulation.scene, simulation.data
+    recorder = Recorder(simulation, 0.02)
+    recorder.mark_reference()
     moved = SE3(pin.exp3(np.deg2rad(7.0) * np.array([0.6, 0.0, 0.8])), np.array([0.0, 0.003, 0.0]))
     data.xpos[scene.object_body] += moved.translation
     turned = moved.rotation @ data.xmat[scene.object_body].reshape(3, 3)
     data.xmat[scene.object_body] = turned.ravel()
     data.xquat[scene.object_body] = pin.Quaternion(turned).coeffs()[[3, 0, 1, 2]]
-    recorder.record(data, "hold", ())
+    recorder.record()
     samples = recorder.samples()
     assert samples.slip_mm[-1] == pytest.approx(3.0, abs=1e-6)
     assert samples.slip_deg[-1] == pytest.approx(7.0, abs=1e-6)

@@ -26,7 +26,6 @@ from sim.bench.planned import PlannedJob, ask, run_parts
 from sim.bench.run import Row, grouped
 from sim.bench.statistics import median_of, quantile_of
 from sim.bench.tables import number, share, summary_table, table_of
-from sim.controllers import named_controller
 from sim.creep import CREEP_BUDGET, least_creep, remedies
 from sim.physics import PRESETS, PhysicsOptions
 from sim.protocols.creep import measure_creep
@@ -62,11 +61,11 @@ class PhysicsJob(PlannedJob):
 
 
 def _hold(plan: GraspPlan, case: str) -> Row:
-    return _trial(plan, PRESETS[case], "open")
+    return _trial(plan, PRESETS[case], "feedforward")
 
 
 def _closed(plan: GraspPlan, case: str) -> Row:
-    return _trial(plan, PRESETS[case], "closed")
+    return _trial(plan, PRESETS[case], "impedance")
 
 
 def _remedy(plan: GraspPlan, case: str) -> Row:
@@ -76,12 +75,12 @@ def _remedy(plan: GraspPlan, case: str) -> Row:
     found = remedies(SOFT, lambda physics: least_creep(scene, names, physics), CREEP_BUDGET)
     for change in found:
         if change.kind == case:
-            return {**_trial(plan, change.physics, "open"), "what": change.what}
+            return {**_trial(plan, change.physics, "feedforward"), "what": change.what}
     return {"held": False, "reason": "there is no such remedy for this grasp"}
 
 
 def _trial(plan: GraspPlan, physics: PhysicsOptions, loop: str) -> Row:
-    report = simulate(plan, physics=physics, controller=named_controller(loop)(plan))
+    report = simulate(plan, physics=physics, controller=loop)
     moved, turned = report.largest_slip
     outcome = {"physics": physics.label, "held": report.success, "reason": report.reason}
     return outcome | {"slip_mm": moved, "slip_deg": turned}

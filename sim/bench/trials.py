@@ -23,6 +23,7 @@ from sim.bench.predictors import predictors_of
 from sim.bench.requests import Setting, task_for
 from sim.bench.run import Job, Row
 from sim.physics import PhysicsOptions
+from sim.simulation import Simulation
 from sim.trial import Timeline, Trial
 
 __all__ = ["CONDITIONS", "GRADES", "Condition", "Grade", "Sample", "try_sample"]
@@ -169,22 +170,23 @@ def _execute(plan: GraspPlan, condition: Condition, rng: np.random.Generator) ->
     )
     angle = rng.uniform(0.0, 2 * np.pi)
     aside = condition.shift * np.array([np.cos(angle), np.sin(angle)])
-    trial.data.qpos[trial.scene.object_qpos[:2]] += aside
-    mujoco.mj_forward(trial.scene.model, trial.data)
+    scene, data = trial.simulation.scene, trial.simulation.data
+    data.qpos[scene.object_qpos[:2]] += aside
+    mujoco.mj_forward(scene.model, data)
     weight = item.mass * float(np.linalg.norm(plan.task.gravity))
     return trial.run(on_step=_pusher(condition.push * weight * DIRECTIONS)).verdict
 
 
-def _pusher(forces: FloatArray) -> Callable[[Trial], None]:
+def _pusher(forces: FloatArray) -> Callable[[Simulation], None]:
     """Push with forces (6, 3), N, at the centre of mass, one after the other during the hold."""
     steps = 0
 
-    def push(trial: Trial) -> None:
+    def push(simulation: Simulation) -> None:
         nonlocal steps
-        if trial.phase == "hold":
-            total = TIMELINE.hold / trial.scene.physics.timestep
+        if simulation.phase == "hold":
+            total = TIMELINE.hold / simulation.scene.physics.timestep
             k = min(len(forces) - 1, int(len(forces) * steps / total))
-            trial.data.xfrc_applied[trial.scene.object_body, :3] = forces[k]
+            simulation.data.xfrc_applied[simulation.scene.object_body, :3] = forces[k]
             steps += 1
 
     return push

@@ -99,7 +99,9 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machine
 ViewOption = Annotated[bool, typer.Option("--view", help="Show the run in MuJoCo's viewer.")]
 ControllerOption = Annotated[
     str,
-    typer.Option(help="open: the planned forces; closed: a loop that keeps the object in place."),
+    typer.Option(
+        help="feedforward: the planned forces; impedance: a loop that keeps the object in place."
+    ),
 ]
 SimMuOption = Annotated[
     float | None,

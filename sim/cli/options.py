@@ -207,7 +207,7 @@ class TrialOptions:
 
     sim_mu: SimMuOption = None
     physics: PhysicsOption = "ours"
-    controller: ControllerOption = "open"
+    controller: ControllerOption = "feedforward"
     view: ViewOption = False
 
     def trial(self) -> Callable[[GraspPlan, Path | None], TrialReport]:

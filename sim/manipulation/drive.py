@@ -115,9 +115,9 @@ class MotionController:
             return ctrl
         return np.where(self.away.actuators, self.away.command(observation), ctrl)
 
-    def limited_actuators(self) -> tuple[str, ...]:
+    def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last step wanted."""
-        return self.holding.limited_actuators()
+        return self.holding.saturated_actuators()
 
 
 class BaseMover:

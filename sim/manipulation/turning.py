@@ -153,7 +153,7 @@ class Turning:
     def _obstacle(self) -> str:
         """What the controller says about why the object does not follow."""
         driver = self._stage.driver
-        limited = ", ".join(driver.limited_actuators())
+        limited = ", ".join(driver.saturated_actuators())
         why = driver.holding.gave_up
         return why or (f"{limited} had no more to give" if limited else "it did not follow")
 

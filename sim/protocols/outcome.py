@@ -1,6 +1,6 @@
 """``Outcome``: what became of one trial of a protocol, with what was recorded on the way.
 
-The samples are those of any other trial (``sim.verdict.Samples``): force closure of the contacts
+The samples are those of any other trial (``sim.samples.Samples``): force closure of the contacts
 that happened is decided by the code that judged the plan.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -17,29 +17,10 @@ from planner.certify import NEAR, Neighbourhood
 from planner.plain import finite
 from planner.spatial import FloatArray
 from sim.controllers import Event
-from sim.verdict import Reason, Samples
+from sim.samples import Samples
+from sim.verdict import Fault, Reason
 
-__all__ = ["FAILURES", "Failure", "Fault", "Outcome"]
-
-Failure: TypeAlias = Reason | Literal["penetration"]
-
-FAILURES: tuple[str, ...] = (*Reason.__args__, "penetration")  # type: ignore[attr-defined]
-"""Every reason an outcome can have; "" where the object was held."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Fault:
-    """Why a trial ended early.
-
-    Attributes:
-        reason: One of ``FAILURES``, not "".
-        detail: What happened, in words with numbers.
-        time: When, s of simulated time since the trial began.
-    """
-
-    reason: Failure
-    detail: str
-    time: float
+__all__ = ["Outcome"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,7 +70,7 @@ class Outcome:
     conditions: Mapping[str, float] = field(default_factory=dict)
 
     @property
-    def reason(self) -> Failure:
+    def reason(self) -> Reason:
         """Why not held; "" if held."""
         return "" if self.fault is None else self.fault.reason
 
@@ -166,22 +147,10 @@ class Outcome:
 
     def to_dict(self) -> dict[str, Any]:
         """The row, and everything over time."""
-        s = self.samples
         return {
             **self.to_row(),
             "wrench_per_load": self.wrench.tolist(),
             "fingers": list(self.fingers),
             "events": [asdict(event) for event in self.events],
-            "over_time": {
-                "time_s": finite(s.time),
-                "phase": list(s.phase),
-                "load": finite(self.load),
-                "object_in_palm_moved_mm": finite(s.slip_mm),
-                "object_in_palm_turned_deg": finite(s.slip_deg),
-                "normal_force_N": finite(s.normal_force),
-                "friction_utilisation": finite(s.friction_utilisation),
-                "closed": [bool(c) for c in s.closed],
-                "epsilon": finite(s.epsilon),
-                "actuators_at_limit": [list(names) for names in s.limited],
-            },
+            "over_time": {**self.samples.to_dict(), "load": finite(self.load)},
         }

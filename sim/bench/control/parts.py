@@ -17,8 +17,8 @@ from planner.plan import GraspPlan
 from sim.bench.control.push import conditions
 from sim.controllers import CONTROLLERS
 from sim.physics import PhysicsOptions
+from sim.protocols.disturbance import DisturbanceTrial
 from sim.protocols.fc import fc_cases
-from sim.protocols.hold import Hold
 from sim.protocols.robust import robust_cases
 from sim.protocols.settings import Settings
 
@@ -41,7 +41,7 @@ WARM_S = 0.2
 def fc_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
     """The six pushes of DexGraspBench's test; it draws nothing."""
     del rng
-    outcomes = [case.run(plan, conditions("open")) for case in fc_cases()]
+    outcomes = [case.run(plan, conditions("feedforward")) for case in fc_cases()]
     return {
         "held": sum(o.held for o in outcomes),
         "of": len(outcomes),
@@ -57,10 +57,10 @@ def drift_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
     holds = []
     for loop, make in CONTROLLERS.items():
         for noslip in NOSLIP:
-            hold = Hold(
+            hold = DisturbanceTrial(
                 plan, controller=make(plan), physics=PhysicsOptions(noslip_iterations=noslip)
             )
-            fault = hold.grip() or hold.endure(DRIFT_S)
+            fault = hold.close_and_squeeze() or hold.hold_for(DRIFT_S)
             seen = hold.samples.during("hold")
             moved, turned = hold.samples.slip_mm[seen], hold.samples.slip_deg[seen]
             holds.append(
@@ -116,19 +116,19 @@ def rate_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
     del rng
     loops: list[dict[str, Any]] = []
     for loop, make in CONTROLLERS.items():
-        hold = Hold(plan, controller=make(plan))
-        fault = hold.grip() or hold.endure(WARM_S)
+        hold = DisturbanceTrial(plan, controller=make(plan))
+        fault = hold.close_and_squeeze() or hold.hold_for(WARM_S)
         if fault is not None:
             loops.append({"loop": loop, "reason": fault.reason})
             continue
-        whole = _milliseconds(lambda hold=hold: hold.step("hold", 1.0))  # type: ignore[misc]
-        model, data = hold.scene.model, hold.data
+        whole = _milliseconds(lambda hold=hold: hold.simulation.step("hold", 1.0))  # type: ignore[misc]
+        model, data = hold.simulation.scene.model, hold.simulation.data
         bare = _milliseconds(lambda model=model, data=data: mujoco.mj_step(model, data))  # type: ignore[misc]
         loops.append(
             {
                 "loop": loop,
                 "reason": "",
-                "step_ms": 1e3 * hold.scene.physics.timestep,
+                "step_ms": 1e3 * hold.simulation.scene.physics.timestep,
                 "whole_ms": whole,
                 "bare_ms": bare,
             }

@@ -71,11 +71,11 @@ def _push(rows: Rows) -> Table:
     )
     columns: Columns = {
         "n": lambda rows: str(len(rows)),
-        "open": lambda rows: _borne(rows, "open"),
+        "feedforward": lambda rows: _borne(rows, "feedforward"),
         "best open": lambda rows: _borne(rows, "best"),
         "its grip": lambda rows: f"{number(median_of(p['best']['grip_N'] for p in rows), 1)} N",
-        "closed": lambda rows: _borne(rows, "closed"),
-        "by open": lambda rows: _by(rows, "open"),
+        "impedance": lambda rows: _borne(rows, "impedance"),
+        "by open": lambda rows: _by(rows, "feedforward"),
         "by best": lambda rows: _by(rows, "best"),
         "share": lambda rows: number(median_of(_of_bound(rows)), 2),
         "p10": lambda rows: number(quantile_of(_of_bound(rows), 0.1), 2),
@@ -103,13 +103,13 @@ def _borne(pushes: Rows, loop: str) -> str:
 
 def _by(pushes: Rows, loop: str) -> str:
     """What the closed loop bears over what another bears."""
-    closed, other = _median_borne(pushes, "closed"), _median_borne(pushes, loop)
+    closed, other = _median_borne(pushes, "impedance"), _median_borne(pushes, loop)
     return number(None if closed is None else ratio(closed, other or 0.0), 2)
 
 
 def _of_bound(pushes: Rows, bound: str = "bound") -> list[float]:
     """Largest load of the closed loop over a bound, where there is one."""
-    return [p["closed"]["borne"] / p[bound] for p in pushes if p[bound]]
+    return [p["impedance"]["borne"] / p[bound] for p in pushes if p[bound]]
 
 
 def _promise(rows: Rows) -> Table:
@@ -196,8 +196,8 @@ def _robust(rows: Rows) -> Table:
         return f"{share(mine)} {percent(sum(mine), len(mine))}"
 
     columns: Columns = {
-        "open": lambda rows: held(rows, "open"),
-        "closed": lambda rows: held(rows, "closed"),
+        "feedforward": lambda rows: held(rows, "feedforward"),
+        "impedance": lambda rows: held(rows, "impedance"),
     }
     flat = _flat(rows, "trials")
     table = summary_table("robust: held over the grid", [], ("hand", "what"), columns)
