@@ -5,5 +5,5 @@ project's own, and they need its version of everything. They stand in ``sim`` an
 their own since types, imports and tests are then checked like any other code's.
 
 A measurement is a function from a job to a row of plain data (``run``), and a summary of the rows:
-what a table shows (``tables``).
+what a table shows (``sim.tables``).
 """

@@ -33,10 +33,10 @@ from planner.forces import (
     solver_names,
 )
 from planner.spatial import FloatArray
-from sim.bench.run import Job, Row, measure
+from sim.bench.run import Job, measure
 from sim.bench.statistics import median_of, quantile_of
-from sim.bench.tables import number, table_of
 from sim.runner import Check, Runner
+from sim.tables import Row, number, table_of
 
 __all__ = ["force_tables", "run_forces"]
 

@@ -16,10 +16,10 @@ from planner.search import plan_grasp
 from planner.synthesis.problems import problems_for
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, task_for
-from sim.bench.run import Job, Row, grouped, measure
-from sim.bench.tables import share, table_of
+from sim.bench.run import Job, measure
 from sim.physics import PhysicsOptions
 from sim.runner import Check, Runner
+from sim.tables import Row, grouped, share, table_of
 from sim.trial import simulate
 
 __all__ = ["GraspJob", "grasps_table", "plan_and_execute", "run_grasps"]

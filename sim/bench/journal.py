@@ -9,13 +9,12 @@ from __future__ import annotations
 import fcntl
 import json
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 from planner.errors import FileFormatError
+from sim.tables import Row
 
-__all__ = ["Journal", "Row"]
-
-Row = dict[str, Any]
+__all__ = ["Journal"]
 
 
 class Journal:

@@ -16,10 +16,10 @@ from sim.bench.auc import auc
 from sim.bench.objects import BenchObject
 from sim.bench.predictors import PREDICTORS
 from sim.bench.requests import check_tasks
-from sim.bench.run import Row, grouped, measure
-from sim.bench.tables import share, table_of
+from sim.bench.run import measure
 from sim.bench.trials import CONDITIONS, GRADES, Sample, try_sample
 from sim.runner import Runner
+from sim.tables import Row, grouped, share, table_of
 
 __all__ = ["metrics_table", "run_metrics", "samples_for", "summary_of_trials"]
 

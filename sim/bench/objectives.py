@@ -21,10 +21,10 @@ from planner.search import attempts
 from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, loaded_hand, task_for
-from sim.bench.run import Job, Row, grouped, measure
+from sim.bench.run import Job, measure
 from sim.bench.statistics import median_of, ratio
-from sim.bench.tables import number, percent, table_of
 from sim.runner import Check, Runner
+from sim.tables import Row, grouped, number, percent, table_of
 
 __all__ = ["objective_tables", "run_objectives", "summary_of_objective"]
 

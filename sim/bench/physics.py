@@ -23,14 +23,13 @@ from planner.verification.grasp import plan_forces
 from sim.bench.objects import BenchObject
 from sim.bench.physics_variants import SOFT, VARIANTS
 from sim.bench.planned import PlannedJob, ask, run_parts
-from sim.bench.run import Row, grouped
 from sim.bench.statistics import median_of, quantile_of
-from sim.bench.tables import number, share, summary_table, table_of
 from sim.creep import CREEP_BUDGET, least_creep, remedies
 from sim.physics import PRESETS, PhysicsOptions
 from sim.protocols.creep import measure_creep
 from sim.runner import Check, Runner
 from sim.scene import build_scene
+from sim.tables import Row, grouped, number, share, summary_table, table_of
 from sim.trial import simulate
 
 __all__ = [

@@ -13,8 +13,9 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, loaded_hand, task_for
-from sim.bench.run import Job, Row, measure
+from sim.bench.run import Job, measure
 from sim.runner import Check, Runner
+from sim.tables import Row
 
 __all__ = ["PlannedJob", "ask", "run_parts"]
 

@@ -40,11 +40,11 @@ from sim.bench.requests import (
     outcome_of,
     outcome_of_task,
 )
-from sim.bench.run import Job, Row, measure
+from sim.bench.run import Job, measure
 from sim.bench.star_hand import write_star_hand
 from sim.bench.statistics import median_of, power_law, ratio
-from sim.bench.tables import number, table_of
 from sim.runner import Check, Runner
+from sim.tables import Row, number, table_of
 
 __all__ = ["CURVES", "curve", "points_of", "run_scaling", "scaling_tables"]
 

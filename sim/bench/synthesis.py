@@ -22,9 +22,10 @@ from sim.bench.requests import (
     outcome_of,
     task_for,
 )
-from sim.bench.run import Job, Row, grouped, measure
+from sim.bench.run import Job, measure
 from sim.bench.statistics import median_of, quantile_of, ratio, summed
 from sim.runner import Check, Runner
+from sim.tables import Row, grouped
 
 __all__ = ["run_synthesis", "summary_of", "total_of"]
 

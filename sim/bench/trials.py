@@ -21,9 +21,10 @@ from planner.synthesis.options import SynthesisOptions
 from planner.task import DEFAULT_MU
 from sim.bench.predictors import predictors_of
 from sim.bench.requests import Setting, task_for
-from sim.bench.run import Job, Row
+from sim.bench.run import Job
 from sim.physics import PhysicsOptions
 from sim.simulation import Simulation
+from sim.tables import Row
 from sim.trial import Timeline, Trial
 
 __all__ = ["CONDITIONS", "GRADES", "Condition", "Grade", "Sample", "try_sample"]

@@ -23,8 +23,8 @@ from sim.bench.control.push import push_row
 from sim.bench.control.slip_trial import slip_row
 from sim.bench.objects import BenchObject
 from sim.bench.planned import PlannedJob, ask, run_parts
-from sim.bench.run import Row
 from sim.runner import Check, Runner
+from sim.tables import Row
 
 __all__ = ["PARTS", "ControlJob", "Part", "control_jobs", "control_row", "grasps_of", "run_control"]
 

@@ -8,9 +8,8 @@ from types import MappingProxyType
 from rich.table import Table
 
 from sim.bench.control.promise import MOST
-from sim.bench.run import Row, grouped
 from sim.bench.statistics import median_of, quantile_of, ratio, summed
-from sim.bench.tables import Columns, number, percent, share, summary_table
+from sim.tables import Columns, Row, grouped, number, percent, share, summary_table
 
 __all__ = ["control_tables"]
 
