@@ -213,8 +213,8 @@ def _dearer(one: Row, other: Row) -> bool:
 
 def _gap(soft: bool, cone: str, sides: int, rows: Sequence[Row]) -> Row:
     """One pyramid beside the cone; more sides bring soft contacts no nearer to it in torsion."""
-    of_kind = [(r, p) for r in rows if r["soft"] == soft for p in r["pyramids"]]
-    mine = [(r, p) for r, p in of_kind if (p["cone"], p["sides"]) == (cone, sides)]
+    pairs = [(r, p) for r in rows if r["soft"] == soft for p in r["pyramids"]]
+    mine = [(r, p) for r, p in pairs if (p["cone"], p["sides"]) == (cone, sides)]
     off = [abs(p["cost"] / r["cost"] - 1) for r, p in mine if r["holds"] and p["holds"]]
     return {
         "contacts": "soft" if soft else "point",
@@ -230,9 +230,8 @@ def _gap(soft: bool, cone: str, sides: int, rows: Sequence[Row]) -> Row:
 
 def _solver(name: str, tolerance: float, rows: Sequence[Row]) -> Row:
     """One solver at one tolerance, over all programmes."""
-    mine = [
-        s for r in rows for s in r["solvers"] if (s["solver"], s["tolerance"]) == (name, tolerance)
-    ]
+    every = [s for r in rows for s in r["solvers"]]
+    mine = [s for s in every if (s["solver"], s["tolerance"]) == (name, tolerance)]
     solved = [s for s in mine if s["solved"]]
     return {
         "solver": name,
@@ -256,17 +255,15 @@ def force_tables(result: Row) -> list[Table]:
         ("contacts", "pyramid"),
         ("sides", "compared", "one holds", "median %", "90 % below", "worst %"),
     )
-    for g in result["gaps"]:
-        costs = (number(g[key], 3, 100.0) for key in ("cost_median", "cost_p90", "cost_worst"))
-        counts = (str(g[key]) for key in ("sides", "compared", "held_by_one"))
-        gaps.add_row(g["contacts"], g["cone"], *counts, *costs)
+    for contacts, cone, *counts in ([*g.values()] for g in result["gaps"]):
+        costs = (number(cost, 3, 100.0) for cost in counts[3:])
+        gaps.add_row(contacts, cone, *map(str, counts[:3]), *costs)
     solvers = table_of(
         f"solvers, {LOOP_SIDES} sides",
         ("solver",),
         ("asked N", "solved", "refused", "failed", "by a hair", "violation N", "missed N"),
     )
-    for s in result["solvers"]:
-        counts = (str(s[key]) for key in ("solved", "refused", "failed", "only_within_tolerance"))
-        sizes = ("-" if s[key] is None else f"{s[key]:.1e}" for key in ("violation", "missed"))
-        solvers.add_row(s["solver"], f"{s['tolerance']:g}", *counts, *sizes)
+    for name, tolerance, *counts in ([*s.values()] for s in result["solvers"]):
+        sizes = ("-" if size is None else f"{size:.1e}" for size in counts[4:])
+        solvers.add_row(name, f"{tolerance:g}", *map(str, counts[:4]), *sizes)
     return [theory, gaps, solvers]

@@ -154,20 +154,7 @@ def run_physics(
     file: Path,
     runner: Runner,
 ) -> Row:
-    """Measure what the file does not have yet.
-
-    Args:
-        hands: Names or paths.
-        objects: The objects; of every hand and object the grasp of seed 0 is taken.
-        parts: Out of ``PARTS``.
-        file: Of the rows; made if it is not there.
-        runner: Who works on them.
-
-    Raises:
-        NotFoundError: There is no such part.
-        FileFormatError: The file is not one of these, or was begun with other arguments.
-        PlannerError: A hand or an object that was named cannot be used.
-    """
+    """Ask the grasp of seed 0 of every hand and object, part by part (``sim.bench``)."""
     return run_parts(
         runner,
         physics_row,

@@ -19,7 +19,7 @@ from sim.bench.journal import Journal
 from sim.runner import Check, Runner, made_with
 from sim.tables import Row, grouped
 
-__all__ = ["Job", "by_cell", "measure"]
+__all__ = ["Job", "ObjectJob", "by_cell", "measure"]
 
 
 class _Numbered(Protocol):
@@ -56,6 +56,21 @@ class Job:
     def lost(self, reason: str) -> Row:
         """The row of a job that could not be done."""
         return self.row(error=reason)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectJob(Job):
+    """A job about a hand and an object.
+
+    Attributes:
+        hand: Name or path of the hand.
+        spec: The object.
+        label: What it is called.
+    """
+
+    hand: str
+    spec: str
+    label: str
 
 
 def measure(

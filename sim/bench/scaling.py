@@ -236,14 +236,14 @@ def run_scaling(
     most_grasps: int,
     runner: Runner,
 ) -> Row:
-    """Measure curves point by point; Ctrl-C keeps the points that are finished.
+    """Measure curves point by point, in this process, whose memory and time are asked for.
 
     Args:
         hand: Name or path; the curve of contacts has hands of its own.
         curves: Names out of ``CURVES``.
         n: Requests per point of contacts and triangles; workers plan ten times as many.
         most_grasps: Where the curve of grasps ends.
-        runner: Who measures; in this process, whose memory and time are asked for.
+        runner: Who works.
 
     Raises:
         NotFoundError: There is no such curve.

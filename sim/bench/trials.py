@@ -21,7 +21,7 @@ from planner.synthesis.options import SynthesisOptions
 from planner.task import DEFAULT_MU
 from sim.bench.predictors import predictors_of
 from sim.bench.requests import Setting, task_for
-from sim.bench.run import Job
+from sim.bench.run import ObjectJob
 from sim.physics import PhysicsOptions
 from sim.simulation import Simulation
 from sim.tables import Row
@@ -98,13 +98,10 @@ MAX_ATTEMPTS = 20
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sample(Job):
+class Sample(ObjectJob):
     """What is to be tried.
 
     Attributes:
-        hand: Name or path.
-        spec: The object.
-        label: What it is called.
         grade: Name out of ``GRADES``.
         condition: Name out of ``CONDITIONS``.
         seed: Seed of the measurement; what is drawn depends on it and on ``index``.
@@ -112,9 +109,6 @@ class Sample(Job):
 
     SHOWN: ClassVar = ("hand", "label", "grade", "condition")
 
-    hand: str
-    spec: str
-    label: str
     grade: str
     condition: str
     seed: int

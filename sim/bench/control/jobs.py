@@ -95,14 +95,7 @@ def grasps_of(names: Iterable[str], n: int | None) -> dict[str, int]:
 def control_jobs(
     hands: Sequence[str], objects: Sequence[BenchObject], parts: Mapping[str, int], seed: int
 ) -> list[ControlJob]:
-    """The jobs, cell by cell, so that what a cell prepares serves all of its grasps.
-
-    Args:
-        hands: Names or paths.
-        objects: The objects.
-        parts: Name -> number of grasps.
-        seed: Of the measurement.
-    """
+    """The jobs, cell by cell, so that what a cell prepares serves all of its grasps."""
     cells = [(item, hand) for item in objects for hand in hands]
     jobs = []
     for part, n in parts.items():
@@ -138,20 +131,7 @@ def run_control(
     file: Path,
     runner: Runner,
 ) -> Row:
-    """Measure what the file does not have yet.
-
-    Args:
-        hands: Names or paths.
-        objects: The objects.
-        parts: Name -> number of grasps.
-        seed: Of plans, directions and errors.
-        file: Of the rows; made if it is not there.
-        runner: Who works on them.
-
-    Raises:
-        FileFormatError: The file is not one of these, or was begun with other arguments.
-        PlannerError: A hand or an object that was named cannot be used.
-    """
+    """Ask so many grasps, name of a part -> number, of what is drawn by seed (``sim.bench``)."""
     return run_parts(
         runner,
         control_row,
