@@ -44,7 +44,7 @@ class Case(Protocol):
         ...
 
     def draw(self) -> Conditions:
-        """What there is; the same at every call."""
+        """True conditions; the same at every call."""
         ...
 
 

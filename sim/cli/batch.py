@@ -26,7 +26,7 @@ from sim.cli.common import (
 from sim.cli.options import PlanOptions, with_options
 
 TABLE_WIDTH = 110
-"""Characters that the table needs."""
+"""Width of the table, characters."""
 
 
 class Export(StrEnum):

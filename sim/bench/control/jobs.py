@@ -1,8 +1,8 @@
-"""``run_control``: every part of the measurement for hands x objects, kept as it comes.
+"""``run_control``: all parts of the measurement for hands x objects.
 
-Grasp k of a part is that of cell k modulo their number, a cell being a hand and an object; all
-parts see the same grasps. Rows have numbers that do not depend on how many are asked for, so that a
-file can be gone on with for more grasps or other parts.
+A cell is a hand and an object. Grasp k belongs to cell k modulo the number of cells; all parts use
+the same grasps. The number of a row depends on grasp and part alone: a file can be continued with
+more grasps or other parts.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ class Part:
     """One question that is asked of many grasps.
 
     Attributes:
-        number: Its own, part of the numbers of its rows.
-        measure: What is done with a grasp, and the directions it draws: plain data.
+        number: Its place among the row numbers of a grasp.
+        measure: Measures a grasp; draws directions from the generator; gives plain data.
         grasps: How many grasps are asked by default.
         whole_hand: Whether all fingers of the hand must take part.
     """
@@ -57,10 +57,10 @@ PARTS: Mapping[str, Part] = MappingProxyType(
         "promise": Part(number=6, measure=promise_row, grasps=20),
     }
 )
-"""By name; more than these may come, and numbers stay."""
+"""By name. A new part takes a new number."""
 
 ROWS_PER_GRASP = 16
-"""Numbers that a grasp has for its parts."""
+"""Row numbers reserved for each grasp."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +131,7 @@ def run_control(
     file: Path,
     runner: Runner,
 ) -> Row:
-    """Ask so many grasps, name of a part -> number, of what is drawn by seed (``sim.bench``)."""
+    """Measure parts, name -> number of grasps; one seed for plans and draws (``sim.bench``)."""
     return run_parts(
         runner,
         control_row,
