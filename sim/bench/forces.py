@@ -1,15 +1,15 @@
-"""Random force programmes: what theory says of pyramids and cones, and what solvers give.
+"""Random force programmes: theory of pyramids and cones checked, and solvers compared.
 
-Each programme has two to five contacts on a ball, a third of the times soft ones, and a wrench of
-about 1 N. What is checked on it:
+Each programme has two to five contacts on a ball, 30 % of them soft, and a wrench of about 1 N.
+Checked are
 
-cone      What an inscribed pyramid holds the cone holds, what the cone holds a circumscribed one
-          holds, and costs fall in that order. Point contacts hold no less, and no dearer, with
-          twice the sides. Every pyramid that holds nothing is proven so by a linear programme.
-solvers   Every solver at tolerances of 1e-3 and 1e-6 N: what it calls solved is recomputed from
-          the contacts, what it refuses is put to the linear programme.
+cone      Feasible with an inscribed pyramid implies feasible with the cone, and that with a
+          circumscribed pyramid; costs fall in this order. With point contacts, twice the sides
+          stay feasible at no higher cost. A linear programme proves every infeasible pyramid so.
+solvers   Every solver at tolerances of 1e-3 and 1e-6 N: solutions are recomputed from the contacts,
+          refusals are compared with the linear programme.
 
-Clarabel has the cones, DAQP the pyramids, HiGHS the proofs: three libraries.
+Clarabel solves the cones, DAQP the pyramids, HiGHS the proofs: three libraries.
 """
 
 from __future__ import annotations
@@ -41,25 +41,25 @@ from sim.tables import Row, number, table_of
 __all__ = ["force_tables", "run_forces"]
 
 SIDES = (4, 8, 16, 32)
-"""Sides of the pyramids (-); doubled, so that every edge of one is an edge of the next."""
+"""Sides of the pyramids (-); each doubles the last, so that its edges are a subset of the next."""
 
 LOOP_SIDES = 8
 """Sides of the pyramids that solvers are compared on (-)."""
 
 TOLERANCES = (1e-3, 1e-6)
-"""What solvers are asked for, N, torques divided by the length."""
+"""Tolerances asked of the solvers, N; torques divided by the length."""
 
 RADIUS = 0.03
 """Of the ball, m."""
 
 MAX_NORMAL = 30.0
-"""Greatest normal force, N; without it nearly everything has an answer, if a large one."""
+"""Largest normal force, N; without a limit nearly every programme is feasible with large forces."""
 
 SOFT_SHARE, TORSION = 0.3, 0.005
-"""How often contacts are soft (-), and their torsional friction (m)."""
+"""Share of soft contacts (-), and their torsional friction (m)."""
 
 COST_TOL = 1e-5
-"""By how much (-) costs may miss their order: Clarabel's gaps."""
+"""Tolerance (relative) of the order of costs: duality gaps of Clarabel."""
 
 
 def run_forces(n: int, *, seed: int, runner: Runner) -> Row:
@@ -102,7 +102,7 @@ class _Programme(Job):
 
 
 def _work(job: _Programme, check: Check) -> Row:
-    """One programme: who holds it and at what cost, and what solvers say."""
+    """One programme: which cones are feasible at what cost, and what each solver returns."""
     contacts, wrench = _draw(job.seed, job.index)
     given: ForceArguments = {"wrench": wrench, "max_normal": MAX_NORMAL}
     true_cone: ForceArguments = {**given, "cone": "round"}
@@ -179,7 +179,7 @@ def _solved(contacts: ContactSet, given: ForceArguments, check: Check) -> list[R
 
 
 def _theory(rows: Sequence[Row]) -> Row:
-    """How many programmes there were of each kind, and how many contradict theory: 0."""
+    """Counts of programmes by kind, and of contradictions to theory: 0."""
     inner = [(r, p) for r in rows for p in r["pyramids"] if p["cone"] == "inscribed"]
     outer = [(r, p) for r in rows for p in r["pyramids"] if p["cone"] == "circumscribed"]
     pairs = [

@@ -63,7 +63,7 @@ class GraspJob(ObjectJob):
 
 
 def plan_and_execute(job: GraspJob, check: Check) -> Row:
-    """What became of a seed; what ``check`` raises between attempts ends it."""
+    """Plan and execute one seed; ``check`` is called between attempts and may raise."""
     task = task_for(job.hand, job.spec, Setting())
     if isinstance(task, str):
         return job.lost(task)

@@ -117,7 +117,7 @@ PARTS: Mapping[str, tuple[Callable[[GraspPlan, str], Row], tuple[str, ...]]] = M
         "creep": (_creep, tuple(VARIANTS)),
     }
 )
-"""Name -> what measures a case, and the cases."""
+"""Name -> function that measures a case, and the cases."""
 
 
 def physics_jobs(
@@ -154,7 +154,7 @@ def run_physics(
     file: Path,
     runner: Runner,
 ) -> Row:
-    """Ask the grasp of seed 0 of every hand and object, part by part (``sim.bench``)."""
+    """Measure the grasp of seed 0 of every hand and object, part by part (``sim.bench``)."""
     return run_parts(
         runner,
         physics_row,
