@@ -15,12 +15,12 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from planner.batch.jobs import grasp_seed
-from planner.batch.recipe import shape_key
 from planner.errors import HandError, NotFoundError, ObjectError
+from planner.failure import Failure
 from planner.hands.hand import Hand
 from planner.quality.ball import epsilon_frogger
 from planner.search import plan_grasp
-from planner.shapes import Box
+from planner.shapes import Box, shape_key
 from planner.task import GraspTask
 from sim.bench.baseline import BASELINE_EPSILON, BASELINE_RATE, against_baseline
 from sim.bench.objects import BenchObject, bench_objects
@@ -140,11 +140,12 @@ def test_grasps_that_come_too_near_count_as_failed() -> None:
 
 
 def test_attempts_that_only_lack_a_way_in_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("planner.verification.grasp.find_approach", lambda *_, **__: "blocked")
+    blocked = Failure(kind="closing_collision", text="blocked")
+    monkeypatch.setattr("planner.verification.grasp.find_approach", lambda *_, **__: blocked)
     setting = Setting(max_attempts=3)
     made = outcome_of(Request(hand="allegro_hand", spec="sphere", k=0, setting=setting))
     assert not made.found
-    assert made.without_approach == made.reasons["approach"] >= 1
+    assert made.without_approach == made.reasons["closing_collision"] >= 1
 
 
 def test_half_the_longest_side_is_of_the_box_not_about_the_centre_of_mass() -> None:

@@ -157,6 +157,7 @@ def test_nowhere_else_it_is_the_bound_of_the_planned_posture() -> None:
         assert bound_nearby(plan, wrench, near=NOWHERE).factor == pytest.approx(upper, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_no_member_bears_more(plan: GraspPlan) -> None:
     for wrench in (FORCE, TORQUE):
         planned = breaking_along(plan.forces.problem, wrench).upper

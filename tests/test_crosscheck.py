@@ -16,7 +16,8 @@ from typer.testing import CliRunner
 import sim.crosscheck.check as check_module
 from planner.bridge import pinocchio_from_mujoco
 from planner.errors import ModelError, NotFoundError, PlannerError, TaskError
-from planner.hands.catalog import find_hand, models_dir
+from planner.hands.catalog import find_hand
+from planner.system.models import models_dir
 from sim.cli.crosscheck import register
 from sim.crosscheck import (
     BRIDGE,

@@ -24,13 +24,14 @@ from planner.describe.drive import impossible_couplings
 from planner.describe.tree import finger_names, read_tree
 from planner.errors import FileFormatError, HandError, ModelError, NotFoundError
 from planner.hand_loading import hand_from_spec, load_hand
-from planner.hands.catalog import find_hand, models_dir
-from planner.hands.description_files import read_description
+from planner.hands.catalog import find_hand
+from planner.hands.description_toml import read_description
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.proximity.convex import DistancePair
 from planner.spatial import SE3
 from planner.synthesis.seeds.draw import opposition
+from planner.system.models import models_dir
 from planner.task import GraspTask
 
 FINGER = """
@@ -615,6 +616,7 @@ FOREIGN: dict[str, dict[str, Any]] = {
 """What the makers' files say, read by hand."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FOREIGN)
 def test_hands_of_others_are_described_from_structure_alone(name: str) -> None:
     try:

@@ -29,12 +29,12 @@ from planner.exchange.dexgraspbench.hand_file import T_model_base, file_name, wr
 from planner.exchange.dexgraspbench.pinned_mjcf import pinned_mjcf
 from planner.exchange.dexgraspbench.squeeze import plan_squeeze
 from planner.hand_loading import load_hand
-from planner.hands.catalog import models_dir
 from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.shapes import Mesh
 from planner.shapes.decomposition.pieces import Pieces
 from planner.spatial import SE3, pose_from_wxyz
+from planner.system.models import models_dir
 from planner.task import GraspTask
 from sim.protocols.fc_scene import fc_contacts, fc_scene
 
@@ -164,6 +164,7 @@ def test_meshes_travel_with_the_hand(tmp_path: Path) -> None:
     assert mujoco.MjModel.from_xml_path(str(moved / name / f"{name}.xml")).nmesh == 1
 
 
+@pytest.mark.slow
 def test_every_hand_has_its_own_name_and_none_is_overwritten(tmp_path: Path) -> None:
     text = _allegro_model().read_text(encoding="utf-8")
     hands = []

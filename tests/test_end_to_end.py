@@ -14,17 +14,20 @@ import numpy as np
 import pytest
 
 from planner.errors import NoGraspFoundError
+from planner.failure import Failure
 from planner.files import read_plan, write_plan
 from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.task import GraspTask
-from planner.verification.grasp import judge_grasp
+from planner.verification.grasp import verify_grasp
 from sim.contacts import hand_contacts
 from sim.physics import PhysicsOptions
 from sim.report import TrialReport
 from sim.trial import Trial, simulate
+
+pytestmark = pytest.mark.slow
 
 SLIP_MM, SLIP_DEG = 5.0, 5.0
 """Largest movement of the object relative to the palm after the squeeze."""
@@ -141,6 +144,7 @@ def test_an_object_too_heavy_for_the_motors_is_refused_at_planning(right_hand: H
     with pytest.raises(NoGraspFoundError, match="3 x forces"):
         plan_grasp(heavy, max_attempts=3)
     light = plan_grasp(GraspTask.create(right_hand, "box"), seed=0)
-    outcome = judge_grasp(heavy, light.T_world_base, light.q, record=light.record)
-    assert isinstance(outcome, str)
-    assert outcome.startswith("forces: ") and "at its greatest force" in outcome
+    outcome = verify_grasp(heavy, light.T_world_base, light.q, record=light.record)
+    assert isinstance(outcome, Failure)
+    assert outcome.text.startswith("forces: ")
+    assert "at its greatest force" in outcome.text

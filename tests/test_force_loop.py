@@ -188,6 +188,7 @@ TIGHT = 0.06
 KINDS = ["moves", "shifts", "bends", "hangs", "presses", "leaves", "turns"]
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None, derandomize=True)  # one in a thousand is a hair off
 @given(seed=st.integers(0, 2**31), kinds=st.lists(st.sampled_from(KINDS), min_size=3, max_size=12))
 @pytest.mark.parametrize("torque_cost", [0.0, 0.3])

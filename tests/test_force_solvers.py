@@ -291,6 +291,7 @@ def answer(contacts: ContactSet, cone: Any, **options: Any) -> tuple[bool, float
     return problem.residuals(x).worst <= 2e-6 * problem.force_scale, problem.value(x)
 
 
+@pytest.mark.slow
 def test_a_thousand_problems_as_theory_says() -> None:
     """Inscribed implies round implies circumscribed; costs fall in that order."""
     pytest.importorskip("clarabel")

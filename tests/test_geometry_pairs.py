@@ -53,6 +53,7 @@ def exact(task: GraspTask, base: SE3, q: FloatArray, names: tuple[str, str]) -> 
     return pair.distance(pose, task.T_world_object)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("item", ["sphere", "ellipsoid", *MESHES])
 def test_all_quick_answers_are_those_of_single_queries(right_hand: Hand, item: str) -> None:
     task = GraspTask.create(right_hand, item, table_height=None)

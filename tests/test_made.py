@@ -51,6 +51,7 @@ def genus(mesh: Mesh) -> int:
     return (2 - (v - 3 * f // 2 + f)) // 2
 
 
+@pytest.mark.slow
 @each_made
 def test_it_is_the_surface_of_one_solid(mesh: Mesh) -> None:
     assert faults_of(np.array(mesh.vertices), np.array(mesh.faces)) == ()
@@ -91,7 +92,9 @@ def test_outer_sizes_are_those_asked_for() -> None:
     assert extents(Torus(0.035, 0.015)) == [100, 100, 30]
     assert extents(Superquadric(0.06, 0.07, 0.09, 1.0, 1.0)) == [60, 70, 90]
     assert extents(Hammer(0.2, 0.09, 0.02)) == [90, 40, 200]
+    assert extents(Hammer(0.3, 0.1, 0.015)) == [100, 30, 300]
     assert extents(Mug(0.04, 0.09))[1:] == [80, 90]
+    assert extents(Mug(0.03, 0.16))[1:] == [60, 160]
     # a trefoil of radius R: x of sin t + 2 sin 2t is at most 2.74 R/3
     assert extents(Knot(0.04, 0.007))[2] == pytest.approx(2 * (40 / 3 + 7), abs=0.1)
 

@@ -12,8 +12,7 @@ import pytest
 from planner.hands.hand import Hand
 from planner.objects import GraspObject
 from planner.shapes import Mesh
-from planner.shapes.decomposition.pieces import convex_pieces
-from planner.shapes.decomposition.solid import solid_deviation, solid_geoms
+from planner.shapes.decomposition.pieces import convex_pieces, solid_deviation, solid_geoms
 from planner.shapes.made import LBracket, Torus
 from planner.spatial import SE3
 from planner.system.disk_cache import CACHE_VARIABLE
@@ -51,6 +50,7 @@ def rest(scene: Scene, seconds: float) -> Any:
     return data
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mesh", MADE, ids=lambda m: m.kind)
 def test_object_stays_where_it_stands_in_its_stable_poses(allegro: Hand, mesh: Mesh) -> None:
     poses = [p for p in mesh.resting_poses() if (p.margin_deg or 0.0) > 10][:2]

@@ -11,8 +11,14 @@ import pytest
 from planner.shapes import Box, Mesh, Sphere
 from planner.shapes.decomposition.cutting import Cell, Guards, cut, half_of
 from planner.shapes.decomposition.hulls import clip, crossing_points, hull_of
-from planner.shapes.decomposition.pieces import TOLERANCE, Pieces, convex_pieces, deviation
-from planner.shapes.decomposition.solid import solid_deviation, solid_geoms
+from planner.shapes.decomposition.pieces import (
+    TOLERANCE,
+    Pieces,
+    convex_pieces,
+    deviation,
+    solid_deviation,
+    solid_geoms,
+)
 from planner.shapes.made import LBracket, Superquadric, Torus
 from planner.shapes.meshes.triangles import cover
 from planner.spatial import FloatArray
@@ -43,6 +49,7 @@ def inside_of_some(pieces: Pieces, points: FloatArray, slack: float) -> np.ndarr
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mesh", MADE, ids=lambda m: m.kind)
 def test_pieces_cover_the_solid_and_stay_near_it(mesh: Mesh) -> None:
     pieces = convex_pieces(mesh)
@@ -106,6 +113,7 @@ def test_cutting_ends_where_a_plane_cuts_nothing_off(monkeypatch: pytest.MonkeyP
     assert [h.volume for h in hulls] == [pytest.approx(whole.volume)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mesh", MADE, ids=lambda m: m.kind)
 def test_deviation_is_what_measuring_every_point_gives(mesh: Mesh) -> None:
     """Of the hull alone, which bridges centimetres: the smooth field must hide none of it."""
@@ -145,6 +153,7 @@ def test_pieces_are_the_same_again_from_the_cache_and_anew(
             np.testing.assert_array_equal(again.faces[k], runs[0].faces[k])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "damage",
     ["larger", "smaller", "one left out", "flat", "no faces", "inside out", "no deviation"],

@@ -30,7 +30,7 @@ from planner.plan import GraspPlan, SolveRecord
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GraspTask
-from planner.verification.grasp import judge_grasp
+from planner.verification.grasp import verify_grasp
 from sim.cli import main
 from sim.cli.test import _show
 from sim.controllers import Controller, GraspController, MakeController, Observation, Phase
@@ -134,7 +134,7 @@ def pinch(hand: Hand, *, press: float = PRESS, mass: float = 0.1) -> GraspPlan:
         seed=0, attempt=0, attempts=1, iterations=0, status="by hand", cpu_s=0.0, build_s=0.0
     )
     above = SE3(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 0.4]))
-    plan = judge_grasp(task, above, np.full(2, 0.06 - HALF - PAD), record=record)
+    plan = verify_grasp(task, above, np.full(2, 0.06 - HALF - PAD), record=record)
     assert isinstance(plan, GraspPlan), plan
     return plan
 
@@ -460,6 +460,7 @@ def test_every_reason_is_one_of_those_listed() -> None:
 # running
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_workers(pinched: GraspPlan) -> None:
     quick = Settings(shake_s=0.2)
     some = ("shake x", "shake rz")

@@ -8,15 +8,16 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.approach.pregrasp import Approach, approach_fault
+from planner.approach.pregrasp import Approach, verify_approach
 from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
+from planner.failure import Failure
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3
 from planner.task import GraspTask, Obstacle
-from planner.verification.grasp import judge_grasp
+from planner.verification.grasp import verify_grasp
 from sim.recorder import Recorder
 from sim.simulation import Simulation
 from sim.trial import Trial
@@ -59,9 +60,9 @@ def test_nothing_small_hides_between_samples_of_the_approach(plan: GraspPlan, sh
     approach = Approach(
         q=plan.q_pregrasp, opening=plan.opening, T_world_base_start=plan.T_world_base_start
     )
-    fault = approach_fault(CollisionWorld(task), plan.T_world_base, plan.q, approach)
-    assert "rod" in fault
-    assert approach_fault(CollisionWorld(plan.task), plan.T_world_base, plan.q, approach) == ""
+    fault = verify_approach(CollisionWorld(task), plan.T_world_base, plan.q, approach)
+    assert "rod" in str(fault)
+    assert verify_approach(CollisionWorld(plan.task), plan.T_world_base, plan.q, approach) is None
 
 
 def test_joint_torques_are_the_contacts_and_the_hands_own_weight(plan: GraspPlan) -> None:
@@ -84,19 +85,19 @@ def test_joint_torques_are_the_contacts_and_the_hands_own_weight(plan: GraspPlan
 def test_a_grasp_keeps_what_the_task_fixes(plan: GraspPlan) -> None:
     elsewhere = SE3(np.eye(3), np.array([1.0, 0.0, 0.0])) * plan.T_world_base
     task = replace(plan.task, T_world_base=elsewhere)
-    judged = judge_grasp(task, plan.T_world_base, plan.q, record=plan.record)
-    assert isinstance(judged, str)
-    assert "the base is not where the task fixes it" in judged
+    judged = verify_grasp(task, plan.T_world_base, plan.q, record=plan.record)
+    assert isinstance(judged, Failure)
+    assert "the base is not where the task fixes it" in judged.text
 
 
 def test_a_pregrasp_outside_its_limits_is_refused(plan: GraspPlan) -> None:
     q = plan.q_pregrasp.copy()
     q[0] = plan.task.hand.q_upper[0] + 0.1
     approach = Approach(q=q, opening=0.02, T_world_base_start=plan.T_world_base_start)
-    judged = judge_grasp(
+    judged = verify_grasp(
         plan.task, plan.T_world_base, plan.q, record=plan.record, approach=approach
     )
-    assert judged == "approach: the pre-grasp violates a joint limit or a coupling"
+    assert str(judged) == "approach: the pre-grasp violates a joint limit or a coupling"
 
 
 def test_an_obstacle_in_the_object_is_refused(plan: GraspPlan) -> None:

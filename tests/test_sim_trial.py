@@ -133,8 +133,9 @@ def test_report_is_plain_json_that_follows_its_schema(report: TrialReport) -> No
     assert over_time["object_in_palm_moved_mm"][0] is None
 
 
-def test_picture_is_there_or_its_absence_is_explained(report: TrialReport) -> None:
-    assert (report.picture is None) == bool(report.picture_reason)
+def test_picture_is_there_or_its_absence_is_explained(report: TrialReport, can_draw: bool) -> None:
+    assert (report.picture is not None) == can_draw
+    assert bool(report.picture_reason) != can_draw
     if report.picture is not None:
         assert report.picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 

@@ -24,6 +24,7 @@ def least_on_way(world: CollisionWorld, base: SE3, q: FloatArray, way: FloatArra
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("item", ["box", "ellipsoid", "lbracket", "torus"])
 def test_a_way_is_free_if_and_only_if_it_is_everywhere(allegro: Hand, item: str) -> None:
     wall = Obstacle(

@@ -90,6 +90,7 @@ def bits_of_knots(knots: tuple[Knot, ...]) -> bytes:
 SEEDS = range(4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hand", "objects"),
     [
@@ -131,7 +132,7 @@ def test_iterators_of_attempts_may_be_mixed_and_moved(allegro: Hand) -> None:
     tasks = [GraspTask.create(allegro, name) for name in ("sphere", "sphere:0.03")]
 
     def outcome(attempt: Any) -> bytes:
-        return attempt.reason.encode() if attempt.plan is None else bits_of(attempt.plan)
+        return str(attempt.failure).encode() if attempt.plan is None else bits_of(attempt.plan)
 
     def first(task: GraspTask) -> list[bytes]:
         return [outcome(a) for a, _ in zip(attempts(task, seed=3), range(4), strict=False)]
@@ -161,6 +162,7 @@ def test_a_search_within_the_progress_of_another_changes_neither(allegro: Hand) 
     assert set(within) == {alone[1]}
 
 
+@pytest.mark.slow
 def test_motions_of_threads_are_those_of_one(shadow: Hand) -> None:
     def turn(size: str, seed: int) -> bytes:
         task = GraspTask.create(shadow, size, fingers=["thumb", "index", "middle"])
@@ -176,6 +178,7 @@ def test_motions_of_threads_are_those_of_one(shadow: Hand) -> None:
     assert at_once(*[lambda one=one: turn(*one) for one in asked]) == alone
 
 
+@pytest.mark.slow
 def test_gaits_of_threads_are_those_of_one(allegro: Hand) -> None:
     def turn(seed: int) -> bytes:
         task = GraspTask.create(allegro, "cylinder:0.03x0.08")
@@ -222,6 +225,7 @@ def test_loops_of_threads_do_not_share_a_solver(two_plans: list[GraspPlan]) -> N
     assert at_once(*[lambda plan=plan: loop(plan) for plan in two_plans]) == alone
 
 
+@pytest.mark.slow
 def test_certificates_of_threads_are_those_of_one(two_plans: list[GraspPlan]) -> None:
     def numbers(plan: GraspPlan) -> str:
         made = certify_contacts(plan.contacts, length=0.05, width=0.5, max_points=40)
@@ -297,13 +301,14 @@ def test_what_is_kept_by_a_thread_is_its_own_and_goes_with_it() -> None:
     assert solvers[0] is not solvers[1]
 
 
+@pytest.mark.slow
 def test_threads_that_build_their_first_problems_at_once() -> None:
     # in a process of its own, where nothing is built yet
     code = """
 import sys, threading
 sys.setswitchinterval(1e-6)
 from planner import GraspTask, plan_grasp
-from planner.hands.hand import Hand
+from planner.hand_loading import load_hand
 hand = load_hand("allegro_hand")
 names = ("box", "sphere", "capsule", "ellipsoid")
 found = {}

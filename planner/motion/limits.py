@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from planner.failure import Failure
 from planner.motion.residuals import MotionResiduals
 from planner.motion.rows import described
 from planner.motion.unknowns import SHARE, TUBE
@@ -144,15 +145,19 @@ def _terms(
         )
 
 
-def worst_term(residuals: MotionResiduals, z: FloatArray) -> str:
-    """The term with the largest weighted residual at z, in words."""
+def worst_term(residuals: MotionResiduals, z: FloatArray) -> Failure:
+    """The term with the largest weighted residual at z; terms of one name are of one kind."""
     r, jacobian = residuals(z)
     rows = described(residuals, z, jacobian.dense())
     k = int(np.abs(r[: len(rows)]).argmax())
     step, unit = WORDS[rows[k].unit]
     place = 100 * residuals.numbers.places[rows[k].knot]
     off = abs(float(r[k])) / rows[k].weight / step
-    return f"{rows[k].what} at {place:.0f} % of the path, off by {off:.2g}{unit}"
+    return Failure(
+        kind=f"unsolved_{rows[k].what.replace(' ', '_')}",
+        text=f"{rows[k].what} at {place:.0f} % of the path, off by {off:.2g}{unit}",
+        numbers={"place": residuals.numbers.places[rows[k].knot], "off": off * step},
+    )
 
 
 WORDS = {"m": (1e-3, " mm"), "rad": (np.pi / 180, " degrees"), "m2": (1e-6, " mm2"), "-": (1.0, "")}

@@ -1,4 +1,4 @@
-"""Smooth patches of a surface, for contact synthesis: what a shape adds to the problem.
+"""Smooth patches of a surface, for contact synthesis.
 
 A contact point is a decision variable that lies exactly on the true surface. Edges need no
 rounding, because the surface is cut along them into smooth patches (the faces of a box; side and
@@ -44,7 +44,7 @@ EDGE_MARGIN = 0.004
 a few millimetres must not reach the edge. At most a quarter of the patch's half width."""
 
 SIZE_DIM = 3
-"""Numbers that describe a shape's size in the NLP."""
+"""Numbers that describe a shape's size in the synthesis problem."""
 
 CODE_DIM = 3
 """Numbers that say which patch a finger touches."""
@@ -56,7 +56,7 @@ class Patch:
 
     Attributes:
         name: For people, for example "+x".
-        code: (3,), which patch, as numbers for the NLP.
+        code: (3,), which patch, as numbers for the problem.
         lower: (3,), lower bounds of a contact point in the object's frame, m.
         upper: (3,), upper bounds.
     """
@@ -68,7 +68,7 @@ class Patch:
 
 
 class Surface(ABC):
-    """How one kind of shape enters the NLP. All expressions are in the object's frame, m."""
+    """One kind of shape in the synthesis problem; expressions are in the object's frame, m."""
 
     kind: ClassVar[str]
     field: Any = None
@@ -88,7 +88,7 @@ class Surface(ABC):
 
     @abstractmethod
     def size(self, shape: Any) -> FloatArray:
-        """NLP parameters (3,) of a shape's size, m."""
+        """Parameters (3,) of the problem for a shape's size, m."""
 
     @abstractmethod
     def patches(self, shape: Any) -> tuple[Patch, ...]:

@@ -14,10 +14,10 @@ import numpy as np
 from rich.table import Table
 
 from planner.batch.jobs import grasp_seed
-from planner.batch.recipe import shape_key
 from planner.errors import PlannerError
 from planner.plan_metrics import MEASURES, measured
 from planner.search import attempts
+from planner.shapes import shape_key
 from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, loaded_hand, task_for

@@ -15,9 +15,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from planner.approach.pregrasp import APPROACH_KINDS
 from planner.batch import GraspFeatures
 from planner.batch.jobs import grasp_seed
-from planner.batch.recipe import shape_key
 from planner.collision.world import OBJECT
 from planner.errors import PlannerError, TaskError
 from planner.hand_loading import load_hand
@@ -26,7 +26,7 @@ from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.quality.ball import epsilon_frogger, epsilon_l1
 from planner.search import DEFAULT_MAX_ATTEMPTS, Attempt, attempts
-from planner.shapes import Shape
+from planner.shapes import Shape, shape_key
 from planner.synthesis.options import SynthesisOptions
 from planner.system.stage_times import timed
 from planner.task import DEFAULT_MU, GraspTask
@@ -47,7 +47,7 @@ __all__ = [
 ]
 
 APPROACH = "approach"
-"""Last check of an attempt: its stage, and how its reasons begin."""
+"""The stage that is the last check of an attempt."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +110,7 @@ class RequestOutcome:
         stages: CPU time of the attempts by stage, s.
         without_approach: Attempts that passed every check but the way in, or that one too; None
             where a clearance is asked for, which only whole plans tell.
-        reasons: How many attempts failed for which reason, by its first words.
+        reasons: How many attempts failed for which reason, by the kind of their failure.
         n_fingers: Fingers of the grasp found, 0 without.
         epsilon: L1 epsilon, 8 edges, torque over the bounding radius; None without a grasp.
         epsilon_frogger: In the baseline's definition.
@@ -187,7 +187,7 @@ def outcome_of_task(
         prepare_s=max(0.0, time.process_time() - begin - cpu),
         stages=dict(stages),
         without_approach=(
-            sum(r in ("", APPROACH) for r in reasons) if setting.clearance == 0 else None
+            sum(r == "" or r in APPROACH_KINDS for r in reasons) if setting.clearance == 0 else None
         ),
         reasons=dict(Counter(r for r in reasons if r)),
     )
@@ -205,9 +205,9 @@ def outcome_of_task(
 
 
 def _cleared(attempt: Attempt[GraspPlan], clearance: float) -> tuple[GraspPlan | None, str]:
-    """The plan of an attempt if it keeps its distance, and the first words of why there is none."""
+    """The plan of an attempt if it keeps its distance, and the kind of failure if there is none."""
     if attempt.plan is None:
-        return None, attempt.reason.split(":")[0].split(",")[0]
+        return None, "" if attempt.failure is None else attempt.failure.kind
     if clearance > 0 and clearance_of(attempt.plan) < clearance:
         return None, "clearance"
     return attempt.plan, ""

@@ -169,7 +169,7 @@ class PlanOptions:
 
             def show(attempt: Attempt[GraspPlan]) -> None:
                 check()
-                outcome = escape(attempt.reason[:70] or "found")
+                outcome = escape(str(attempt.failure or "found")[:70])
                 status.update(f"planning: attempt {attempt.index + 1}: {outcome}")
 
             return plan_grasp(

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from planner.motion.manipulation import ManipulationPlan
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.contacts import hand_contacts
 from sim.controllers import Observation, Phase, Sensing
 from sim.manipulation.drive import BaseMover, MotionController
 from sim.manipulation.pace import IN_THE_AIR, Pace, Step
-from sim.manipulation.plan import ManipulationPlan
 from sim.manipulation.samples import Watch
 from sim.physics import PhysicsOptions
 from sim.simulation import Simulation
