@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 
 import pytest
 from pydantic import ValidationError
@@ -17,6 +18,10 @@ def test_a_failure_reads_as_its_sentence_and_keeps_its_numbers() -> None:
     numbers["margin"] = 1.0
     assert str(why) == "closure has a margin of 0.03"
     assert dict(why.numbers) == {"margin": 0.03}
+    there = pickle.loads(pickle.dumps(why))  # as it comes from a worker
+    assert there == why
+    assert dict(there.numbers) == {"margin": 0.03}
+    assert str(why.at("at 50 % of the path")) == f"at 50 % of the path: {why}"
     with pytest.raises(TypeError):
         why.numbers["margin"] = 2.0  # type: ignore[index]
     with pytest.raises(AttributeError):

@@ -22,7 +22,7 @@ from planner.hands.hand import Hand
 from planner.motion import ObjectPath, motion_attempts
 from planner.search import attempts, plan_grasp
 from planner.task import GraspTask
-from planner.verification.geometry import verify
+from planner.verification.geometry import verify_geometry
 from sim.physics import PhysicsOptions
 
 
@@ -54,13 +54,13 @@ def test_joints_that_the_solver_did_not_mean_are_found_out(allegro: Hand, finger
     """A joint that is 4 degrees off moves its pad by half a millimetre and more."""
     plan = plan_grasp(GraspTask.create(allegro, "sphere", fingers=[*allegro.fingers]))
     world = CollisionWorld(plan.task)
-    assert verify(world, plan.T_world_base, plan.q).ok
+    assert verify_geometry(world, plan.T_world_base, plan.q).ok
     for sign in (-1.0, 1.0):
         q = plan.q.copy()
         q[allegro.fingers[finger].q_index[1]] += sign * math.radians(4.0)
-        found = verify(world, plan.T_world_base, q)
+        found = verify_geometry(world, plan.T_world_base, q)
         assert not found.ok
-        assert any(finger in fault for fault in map(str, found.faults)), found.faults
+        assert any(finger in fault for fault in map(str, found.failures)), found.failures
 
 
 # --- attempts by seed and number ---------------------------------------------------------------
@@ -75,7 +75,7 @@ def test_attempts_are_numbered_streams_of_their_seed(allegro: Hand) -> None:
         for s in (4, 4, 5)
     )
     assert [a.index for a in first] == [0, 1]
-    assert [str(a.reason) for a in first] == [str(a.reason) for a in again]
+    assert [str(a.failure) for a in first] == [str(a.failure) for a in again]
     found = [a.plan.knots[-1].q for a in (*first, *again, *other) if a.plan is not None]
     assert len(found) == 6
     np.testing.assert_array_equal(found[0], found[2])

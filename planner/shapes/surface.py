@@ -79,7 +79,7 @@ class Surface(ABC):
     """How far (m) ``clearance`` may be from the true one; links keep that much more away."""
 
     def anew(self) -> Surface:
-        """The same for another programme: it has collected no field points yet."""
+        """A new one of the same kind for another problem, without field points."""
         return type(self)()
 
     def field_of(self, shape: Any) -> Any:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.collision.pad_contact import touching_of
+from planner.collision.pad_contact import pad_contact_queries
 from planner.collision.world import CollisionWorld
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
@@ -73,20 +73,20 @@ def find_gaps(
         task.T_world_object * T_object_base,
         q,
         farthest,
-        touching=touching_of(task).names,
+        may_touch=pad_contact_queries(task).names,
         meshes=False,
     )
     pads = np.isin(near.joints[:, 0], [f.pad.joint_id for f in task.fingers])
     outward = np.where(pads, options.clear_tip, ROOM)
-    asked = np.where(near.outward, outward, options.clear_fingers)
+    asked = np.where(near.hand_environment, outward, options.clear_fingers)
     values = near.distances - asked
     short = values < AHEAD
     if hand.arm is not None:
-        short &= ~near.outward
+        short &= ~near.hand_environment
     if not short.any():
         return None
     joints, normals = near.joints[short], near.normals[short]
-    points, out = near.points_a[short], near.outward[short][:, None]
+    points, out = near.points_a[short], near.hand_environment[short][:, None]
     state = world.moving.move(q)
     rows = np.zeros((len(joints), unknowns.size))
     unknowns.q(rows.T)[:] = (

@@ -116,10 +116,15 @@ class ManipulationPlan:
         builder.move_base("retreat", self.way_out(to_target), RETREAT_S)
         return builder.built()
 
-    def way_out(self, T_world_base: SE3) -> SE3:
-        """Where the base is to go straight after the fingers have opened, from where it is then."""
-        planned = self.motion.T_world_base
-        way = self.ending.release.T_world_base_start.translation - planned.translation
+    def way_out(self, T_world_base: SE3, ending: Ending | None = None) -> SE3:
+        """Where the base goes straight after the fingers have opened.
+
+        Args:
+            T_world_base: Where it is then.
+            ending: How the object is put down; the plan's if None.
+        """
+        planned, release = self.motion.T_world_base, (ending or self.ending).release
+        way = release.T_world_base_start.translation - planned.translation
         return _moved(T_world_base, T_world_base.rotation @ planned.rotation.T @ way)
 
     def _turned(self, builder: TrajectoryBuilder) -> tuple[SE3, FloatArray]:
