@@ -19,6 +19,7 @@ from rich.progress import (
 from rich.table import Table
 
 from planner.batch import BatchProgress, GraspSet
+from sim.tables import number
 
 __all__ = ["BatchBar", "batch_summary", "batch_table"]
 
@@ -124,16 +125,12 @@ def batch_table(summary: dict[str, Any]) -> Table:
         table.add_row(
             item["object"],
             f"{item['found']}/{item['requested']}",
-            _number(item["attempts_per_found"], 1),
-            _number(item["cpu_s_per_found"], 3),
-            _number(item["epsilon_median"], 3),
+            number(item["attempts_per_found"], 1),
+            number(item["cpu_s_per_found"], 3),
+            number(item["epsilon_median"], 3),
             str(spread["n_distinct"]),
             f"{100 * spread['approach_share']:.0f} %, {spread['approach_entropy']:.1f}",
             f"{100 * spread['surface_share']:.0f} %",
             "-" if width is None else f"{math.degrees(width):.1f} deg",
         )
     return table
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"

@@ -1,7 +1,9 @@
-"""``with_options``: a group of options as one parameter of a command."""
+"""Options of commands in groups, and that none is paid for before a command runs."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -67,3 +69,9 @@ def test_the_same_options_make_the_same_task() -> None:
     assert (task.expected_load.force, task.expected_load.torque) == (5.0, 0.1)
     assert given.synthesis() == PlanOptions().synthesis()
     assert PlanOptions(rounds=0).synthesis().rounds == 0
+
+
+def test_the_command_line_loads_no_engine_before_a_command_runs() -> None:
+    code = "import sim.cli, sys; print(*sys.modules)"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not {"mujoco", "pinocchio", "coal", "casadi", "numpy"} & set(run.stdout.split())

@@ -48,15 +48,20 @@ def _move(plan: ManipulationPlan, finger: str) -> Relocation:
     )
 
 
+FEW = Failure(kind="few_fingers", text="too few fingers")
+NO_ORDER = Failure(kind="no_order", text="no other order")
+FALLS = Failure(kind="falls", text="it stands nowhere")
+
+
 @dataclass
 class Script:
     """A situation that is told in advance."""
 
     lefts: list[float] = field(default_factory=lambda: [0.0])
     touched: bool = True
-    back: tuple[Relocation, ...] | Failure = Failure(kind="few_fingers", text="too few fingers")
-    others: tuple[Relocation, ...] | Failure = Failure(kind="no_order", text="no other order")
-    down: Ending | Failure = Failure(kind="falls", text="it stands nowhere")
+    back: tuple[Relocation, ...] | Failure = FEW
+    others: tuple[Relocation, ...] | Failure = NO_ORDER
+    down: Ending | Failure = FALLS
     moved: list[tuple[str, ...]] = field(default_factory=list)
 
     @property

@@ -13,9 +13,9 @@ from typing import Any, Protocol, TypeVar
 
 from planner.plain import finite
 from sim.bench.conditions import Conditions
-from sim.bench.journal import Row
 from sim.bench.run import by_cell, measure
 from sim.runner import Check, Runner
+from sim.tables import Row
 
 __all__ = ["Case", "by_cell", "not_found", "row_of", "run_cases"]
 
@@ -44,7 +44,7 @@ class Case(Protocol):
         ...
 
     def draw(self) -> Conditions:
-        """What there is; the same at every call."""
+        """True conditions; the same at every call."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""What a trial of a turn in the hand meets: drawn at random, and not told to the planner."""
+"""Randomised conditions of a trial of a turn in the hand, hidden from the planner."""
 
 from __future__ import annotations
 
@@ -40,44 +40,45 @@ MASS = (0.05, 0.3)
 """Mass, kg."""
 
 BELIEVED_MU = 0.9 * FRICTION[0]
-"""Friction (-) that planner and controller rely on: a tenth below the least that there is."""
+"""Friction (-) that planner and controller rely on: 10 % below the least that is drawn."""
 
 SHIFT, HEADING = 0.003, np.deg2rad(5.0)
-"""Largest error of the place along either axis (m), and of the heading (rad)."""
+"""Largest position error along x and y (m) and heading error (rad) of the object on the table."""
 
 PUSH_FORCE, PUSH_TIME = 0.4, 0.3
-"""The push, N and s: horizontal, from any side, at some time of the turn."""
+"""Force (N) and duration (s) of the push: horizontal, in a random direction, at a random time of
+the turn."""
 
 PUSH_UNTIL, REGRASP_RATE = 1.2, 0.2
-"""Latest begin of the push, s since the turn began, unless the object is moved for a shorter time
-(``sim.bench.manipulate.Turn.draw``); and a rate (rad/s) that no turn by
-regrasps reaches: at the angle over it they are not over yet."""
+"""Latest start of the push (s after the turn began), unless the motion is shorter
+(``sim.bench.manipulate.Turn.draw``); and a turning rate (rad/s) that no turn by regrasps reaches:
+the turn lasts longer than its angle over this rate."""
 
 PLACE = 0.15
-"""Distance (m) from the object to where it is put, in any direction."""
+"""Distance (m) from the object to the place where it is put down, in a random direction."""
 
 REGRASP_FRICTION = (0.7, 1.0)
-"""Sliding friction (-) where fingers move on between strokes; the planner knows the lower bound,
-and leaves a tenth of it itself while a finger is away."""
+"""Sliding friction (-) in turns by regrasps. The planner knows the lower bound, and keeps a margin
+of 10 % itself while a finger is away."""
 
 REGRASP_MASS = 0.1
-"""Mass (kg) that such turns are planned for: with the largest there is and the least friction no
-four fingers of the Shadow-type hand bear the weight within the planner's margins. What there really
-is stays ``MASS``."""
+"""Mass (kg) that turns by regrasps are planned for: at the largest mass and the least friction no
+four fingers of the Shadow-type hand carry the weight within the planner's margins. The true mass is
+drawn from ``MASS``."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions:
-    """What there really is in one trial.
+    """True conditions of one trial.
 
     Attributes:
         spec: The object.
         mass: kg.
         mu: Sliding friction (-).
-        shift: Where it stands beside its place, x and y, m.
-        heading: How it is turned there, rad.
+        shift: Position error on the table, x and y, m.
+        heading: Heading error, rad.
         push: Force (x, y) of the push, N.
-        push_after: When it begins, since the beginning of the turn, s.
+        push_after: Its start, s after the turn began.
         place: Where the object is to be put, x and y, m.
     """
 

@@ -1,15 +1,15 @@
-"""Random force programmes: what theory says of pyramids and cones, and what solvers give.
+"""Random force programmes: theory of pyramids and cones checked, and solvers compared.
 
-Each programme has two to five contacts on a ball, a third of the times soft ones, and a wrench of
-about 1 N. What is checked on it:
+Each programme has two to five contacts on a ball, 30 % of them soft, and a wrench of about 1 N.
+Checked are
 
-cone      What an inscribed pyramid holds the cone holds, what the cone holds a circumscribed one
-          holds, and costs fall in that order. Point contacts hold no less, and no dearer, with
-          twice the sides. Every pyramid that holds nothing is proven so by a linear programme.
-solvers   Every solver at tolerances of 1e-3 and 1e-6 N: what it calls solved is recomputed from
-          the contacts, what it refuses is put to the linear programme.
+cone      Feasible with an inscribed pyramid implies feasible with the cone, and that with a
+          circumscribed pyramid; costs fall in this order. With point contacts, twice the sides
+          stay feasible at no higher cost. A linear programme proves every infeasible pyramid so.
+solvers   Every solver at tolerances of 1e-3 and 1e-6 N: solutions are recomputed from the contacts,
+          refusals are compared with the linear programme.
 
-Clarabel has the cones, DAQP the pyramids, HiGHS the proofs: three libraries.
+Clarabel solves the cones, DAQP the pyramids, HiGHS the proofs: three libraries.
 """
 
 from __future__ import annotations
@@ -32,33 +32,33 @@ from planner.forces import (
     solver_names,
 )
 from planner.spatial import FloatArray
-from sim.bench.run import Job, Row, measure
+from sim.bench.run import Job, measure
 from sim.bench.statistics import median_of, quantile_of
-from sim.bench.tables import number, table_of
 from sim.runner import Check, Runner
+from sim.tables import Row, number, table_of
 
 __all__ = ["force_tables", "run_forces"]
 
 SIDES = (4, 8, 16, 32)
-"""Sides of the pyramids (-); doubled, so that every edge of one is an edge of the next."""
+"""Sides of the pyramids (-); each doubles the last, so that its edges are a subset of the next."""
 
 LOOP_SIDES = 8
 """Sides of the pyramids that solvers are compared on (-)."""
 
 TOLERANCES = (1e-3, 1e-6)
-"""What solvers are asked for, N, torques divided by the length."""
+"""Tolerances asked of the solvers, N; torques divided by the length."""
 
 RADIUS = 0.03
 """Of the ball, m."""
 
 MAX_NORMAL = 30.0
-"""Greatest normal force, N; without it nearly everything has an answer, if a large one."""
+"""Largest normal force, N; without a limit nearly every programme is feasible with large forces."""
 
 SOFT_SHARE, TORSION = 0.3, 0.005
-"""How often contacts are soft (-), and their torsional friction (m)."""
+"""Share of soft contacts (-), and their torsional friction (m)."""
 
 COST_TOL = 1e-5
-"""By how much (-) costs may miss their order: Clarabel's gaps."""
+"""Tolerance (relative) of the order of costs: duality gaps of Clarabel."""
 
 
 def run_forces(n: int, *, seed: int, runner: Runner) -> Row:
@@ -101,7 +101,7 @@ class _Programme(Job):
 
 
 def _work(job: _Programme, check: Check) -> Row:
-    """One programme: who holds it and at what cost, and what solvers say."""
+    """One programme: which cones are feasible at what cost, and what each solver returns."""
     contacts, wrench = _draw(job.seed, job.index)
     given: ForceArguments = {"wrench": wrench, "max_normal": MAX_NORMAL}
     true_cone: ForceArguments = {**given, "cone": "round"}
@@ -178,7 +178,7 @@ def _solved(contacts: ContactSet, given: ForceArguments, check: Check) -> list[R
 
 
 def _theory(rows: Sequence[Row]) -> Row:
-    """How many programmes there were of each kind, and how many contradict theory: 0."""
+    """Counts of programmes by kind, and of contradictions to theory: 0."""
     inner = [(r, p) for r in rows for p in r["pyramids"] if p["cone"] == "inscribed"]
     outer = [(r, p) for r in rows for p in r["pyramids"] if p["cone"] == "circumscribed"]
     pairs = [
@@ -212,8 +212,8 @@ def _dearer(one: Row, other: Row) -> bool:
 
 def _gap(soft: bool, cone: str, sides: int, rows: Sequence[Row]) -> Row:
     """One pyramid beside the cone; more sides bring soft contacts no nearer to it in torsion."""
-    of_kind = [(r, p) for r in rows if r["soft"] == soft for p in r["pyramids"]]
-    mine = [(r, p) for r, p in of_kind if (p["cone"], p["sides"]) == (cone, sides)]
+    pairs = [(r, p) for r in rows if r["soft"] == soft for p in r["pyramids"]]
+    mine = [(r, p) for r, p in pairs if (p["cone"], p["sides"]) == (cone, sides)]
     off = [abs(p["cost"] / r["cost"] - 1) for r, p in mine if r["holds"] and p["holds"]]
     return {
         "contacts": "soft" if soft else "point",
@@ -229,9 +229,8 @@ def _gap(soft: bool, cone: str, sides: int, rows: Sequence[Row]) -> Row:
 
 def _solver(name: str, tolerance: float, rows: Sequence[Row]) -> Row:
     """One solver at one tolerance, over all programmes."""
-    mine = [
-        s for r in rows for s in r["solvers"] if (s["solver"], s["tolerance"]) == (name, tolerance)
-    ]
+    every = [s for r in rows for s in r["solvers"]]
+    mine = [s for s in every if (s["solver"], s["tolerance"]) == (name, tolerance)]
     solved = [s for s in mine if s["solved"]]
     return {
         "solver": name,
@@ -255,17 +254,15 @@ def force_tables(result: Row) -> list[Table]:
         ("contacts", "pyramid"),
         ("sides", "compared", "one holds", "median %", "90 % below", "worst %"),
     )
-    for g in result["gaps"]:
-        costs = (number(g[key], 3, 100.0) for key in ("cost_median", "cost_p90", "cost_worst"))
-        counts = (str(g[key]) for key in ("sides", "compared", "held_by_one"))
-        gaps.add_row(g["contacts"], g["cone"], *counts, *costs)
+    for contacts, cone, *counts in ([*g.values()] for g in result["gaps"]):
+        costs = (number(cost, 3, 100.0) for cost in counts[3:])
+        gaps.add_row(contacts, cone, *map(str, counts[:3]), *costs)
     solvers = table_of(
         f"solvers, {LOOP_SIDES} sides",
         ("solver",),
         ("asked N", "solved", "refused", "failed", "by a hair", "violation N", "missed N"),
     )
-    for s in result["solvers"]:
-        counts = (str(s[key]) for key in ("solved", "refused", "failed", "only_within_tolerance"))
-        sizes = ("-" if s[key] is None else f"{s[key]:.1e}" for key in ("violation", "missed"))
-        solvers.add_row(s["solver"], f"{s['tolerance']:g}", *counts, *sizes)
+    for name, tolerance, *counts in ([*s.values()] for s in result["solvers"]):
+        sizes = ("-" if size is None else f"{size:.1e}" for size in counts[4:])
+        solvers.add_row(name, f"{tolerance:g}", *map(str, counts[:4]), *sizes)
     return [theory, gaps, solvers]

@@ -16,10 +16,10 @@ from planner.search import plan_grasp
 from planner.synthesis.problems import problems_for
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, task_for
-from sim.bench.run import Job, Row, grouped, measure
-from sim.bench.tables import share, table_of
+from sim.bench.run import ObjectJob, measure
 from sim.physics import PhysicsOptions
 from sim.runner import Check, Runner
+from sim.tables import Row, grouped, share, table_of
 from sim.trial import simulate
 
 __all__ = ["GraspJob", "grasps_table", "plan_and_execute", "run_grasps"]
@@ -28,13 +28,10 @@ FORMAT = "opposable-bench-grasps"
 
 
 @dataclass(frozen=True, kw_only=True)
-class GraspJob(Job):
+class GraspJob(ObjectJob):
     """One seed of a hand and an object.
 
     Attributes:
-        hand: Name or path of the hand.
-        spec: The object.
-        label: What it is called.
         seed: Seed of planning.
         physics: How MuJoCo computes.
     """
@@ -53,9 +50,6 @@ class GraspJob(Job):
     largest movement and turn of the object in the hand after the squeeze; planned against measured
     contact position and normal force, per finger."""
 
-    hand: str
-    spec: str
-    label: str
     seed: int
     physics: PhysicsOptions
 
@@ -69,12 +63,7 @@ class GraspJob(Job):
 
 
 def plan_and_execute(job: GraspJob, check: Check) -> Row:
-    """What became of a seed.
-
-    Args:
-        job: Which.
-        check: Called between attempts and after the trial; what it raises ends it.
-    """
+    """Plan and execute one seed; ``check`` is called between attempts and may raise."""
     task = task_for(job.hand, job.spec, Setting())
     if isinstance(task, str):
         return job.lost(task)
@@ -117,23 +106,7 @@ def run_grasps(
     file: Path,
     runner: Runner,
 ) -> Row:
-    """Plan and execute the seeds that the file does not have yet.
-
-    Args:
-        hands: Names or paths.
-        objects: The objects.
-        seeds: Seeds for each hand and object, from 0.
-        physics: How MuJoCo computes.
-        file: Of the rows; made if it is not there.
-        runner: Who works on them.
-
-    Returns:
-        Plain data: all rows that the file has then, and what they were made with.
-
-    Raises:
-        FileFormatError: The file is not one of these, or was begun with other arguments.
-        PlannerError: A hand or an object that was named cannot be used.
-    """
+    """Plan and execute the seeds, from 0, that the file does not have yet (``sim.bench``)."""
     check_tasks(hands, objects)
     cells = [(hand, item, seed) for hand in hands for item in objects for seed in range(seeds)]
     jobs = [

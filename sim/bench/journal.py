@@ -1,7 +1,7 @@
-"""Rows of a measurement in a file of JSON lines, as they come, so that it can go on.
+"""Rows of a measurement in a file of JSON lines, each on disk as soon as it is made.
 
-The first line says what was asked for. A run that was interrupted or killed goes on with the same
-command and repeats no row that is there.
+The first line holds the arguments. The same command continues a run that was interrupted or killed,
+and repeats no finished row.
 """
 
 from __future__ import annotations
@@ -9,13 +9,12 @@ from __future__ import annotations
 import fcntl
 import json
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 from planner.errors import FileFormatError
+from sim.tables import Row
 
-__all__ = ["Journal", "Row"]
-
-Row = dict[str, Any]
+__all__ = ["Journal"]
 
 
 class Journal:
@@ -74,7 +73,7 @@ class Journal:
             ) from error
 
     def _read(self, asked: Row) -> list[Row]:
-        """Lock the file, and the rows that it has; what is asked for is written into a new one."""
+        """Lock the file and read its rows; begin a new file with the arguments."""
         file, kind = self._file, asked["format"]
         try:
             fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -38,13 +38,13 @@ from sim.bench.conditions import (
     REGRASP_RATE,
     Conditions,
 )
-from sim.bench.journal import Row
 from sim.bench.meshes import standing
 from sim.bench.objects import BenchObject, bench_objects
 from sim.controllers.follow import RATE, SPEED
 from sim.manipulation import Push, manipulate, rests, settled
 from sim.physics import PhysicsOptions
 from sim.runner import Check, Runner
+from sim.tables import Row
 
 __all__ = ["Turn", "run_manipulate", "run_turn"]
 

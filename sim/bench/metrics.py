@@ -16,10 +16,10 @@ from sim.bench.auc import auc
 from sim.bench.objects import BenchObject
 from sim.bench.predictors import PREDICTORS
 from sim.bench.requests import check_tasks
-from sim.bench.run import Row, grouped, measure
-from sim.bench.tables import share, table_of
+from sim.bench.run import measure
 from sim.bench.trials import CONDITIONS, GRADES, Sample, try_sample
 from sim.runner import Runner
+from sim.tables import Row, grouped, share, table_of
 
 __all__ = ["metrics_table", "run_metrics", "samples_for", "summary_of_trials"]
 
@@ -62,20 +62,7 @@ def run_metrics(
     file: Path,
     runner: Runner,
 ) -> Row:
-    """Try the samples that the file does not have yet, and sum up all that it has then.
-
-    Args:
-        hands: Names or paths.
-        objects: The objects.
-        n: Samples over all hands and objects.
-        seed: Same seed, same plans and conditions.
-        file: Of the samples; made if it is not there.
-        runner: Who works on them.
-
-    Raises:
-        FileFormatError: The file is not one of these, or was begun with other arguments.
-        PlannerError: A hand or an object that was named cannot be used.
-    """
+    """Try n samples over all hands and objects, and sum up all that the file has then."""
     check_tasks(hands, objects)
     asked = {
         "format": FORMAT,

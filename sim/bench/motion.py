@@ -24,8 +24,8 @@ from planner.task import GraspTask
 from sim.bench.cases import by_cell, row_of, run_cases
 from sim.bench.conditions import KINDS, Conditions, Kind
 from sim.bench.statistics import median_of
-from sim.bench.tables import number, table_of
 from sim.runner import Check, Runner
+from sim.tables import number, table_of
 
 __all__ = ["MANY", "MotionCase", "motion_table", "run_case", "run_motion"]
 

@@ -21,10 +21,10 @@ from planner.shapes import shape_key
 from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, loaded_hand, task_for
-from sim.bench.run import Job, Row, grouped, measure
+from sim.bench.run import ObjectJob, measure
 from sim.bench.statistics import median_of, ratio
-from sim.bench.tables import number, percent, table_of
 from sim.runner import Check, Runner
+from sim.tables import Row, grouped, number, percent, table_of
 
 __all__ = ["objective_tables", "run_objectives", "summary_of_objective"]
 
@@ -33,14 +33,11 @@ DIGITS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Request(Job):
+class _Request(ObjectJob):
     """Request k of a hand and an object with an objective."""
 
     SHOWN: ClassVar = ("hand", "label", "objective", "k")
 
-    hand: str
-    spec: str
-    label: str
     objective: str
     k: int
     seed: int
@@ -65,21 +62,7 @@ def run_objectives(
     max_attempts: int,
     runner: Runner,
 ) -> Row:
-    """Make n requests of every hand and object with every objective; Ctrl-C keeps what is done.
-
-    Args:
-        hands: Names or paths.
-        objects: The objects.
-        n: Requests for each hand, object and objective.
-        objectives: Texts of ``SynthesisOptions.objective``.
-        seed: Same seed, same requests.
-        max_attempts: Attempts of a request.
-        runner: Who works on them.
-
-    Raises:
-        PlannerError: A hand, an object that was named, or an objective cannot be used; an object
-            out of a folder may fail.
-    """
+    """Make n requests of every hand and object with every objective (``sim.bench``)."""
     check_tasks(hands, objects)
     asked = [str(SynthesisOptions(objective=text).objective) for text in objectives]
     every = [(h, o, text, k) for h in hands for o in objects for text in asked for k in range(n)]

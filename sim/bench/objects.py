@@ -1,4 +1,4 @@
-"""Objects of a measurement: specifications as they are, and the mesh files of folders."""
+"""Objects of a measurement: specifications, and the mesh files of folders."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class BenchObject:
     Attributes:
         label: What it is called in tables.
         spec: What ``planner.objects.parse_object`` reads.
-        may_fail: Whether it is out of a folder: then its errors are a row and not the end.
+        may_fail: Whether it comes from a folder: its errors then become a row.
     """
 
     label: str

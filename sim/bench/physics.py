@@ -23,14 +23,13 @@ from planner.verification.grasp import plan_forces
 from sim.bench.objects import BenchObject
 from sim.bench.physics_variants import SOFT, VARIANTS
 from sim.bench.planned import PlannedJob, ask, run_parts
-from sim.bench.run import Row, grouped
 from sim.bench.statistics import median_of, quantile_of
-from sim.bench.tables import number, share, summary_table, table_of
 from sim.creep import CREEP_BUDGET, least_creep, remedies
 from sim.physics import PRESETS, PhysicsOptions
 from sim.protocols.creep import measure_creep
 from sim.runner import Check, Runner
 from sim.scene import build_scene
+from sim.tables import Row, grouped, number, share, summary_table, table_of
 from sim.trial import simulate
 
 __all__ = [
@@ -113,12 +112,12 @@ def _gripped(plan: GraspPlan, factor: float) -> GraspPlan | None:
 PARTS: Mapping[str, tuple[Callable[[GraspPlan, str], Row], tuple[str, ...]]] = MappingProxyType(
     {
         "holds": (_hold, tuple(PRESETS)),
-        "impedance": (_closed, tuple(PRESETS)),
+        "closed": (_closed, tuple(PRESETS)),
         "remedies": (_remedy, ("noslip", "impratio", "contacts")),
         "creep": (_creep, tuple(VARIANTS)),
     }
 )
-"""Name -> what measures a case, and the cases."""
+"""Name -> function that measures a case, and the cases."""
 
 
 def physics_jobs(
@@ -155,20 +154,7 @@ def run_physics(
     file: Path,
     runner: Runner,
 ) -> Row:
-    """Measure what the file does not have yet.
-
-    Args:
-        hands: Names or paths.
-        objects: The objects; of every hand and object the grasp of seed 0 is taken.
-        parts: Out of ``PARTS``.
-        file: Of the rows; made if it is not there.
-        runner: Who works on them.
-
-    Raises:
-        NotFoundError: There is no such part.
-        FileFormatError: The file is not one of these, or was begun with other arguments.
-        PlannerError: A hand or an object that was named cannot be used.
-    """
+    """Measure the grasp of seed 0 of every hand and object, part by part (``sim.bench``)."""
     return run_parts(
         runner,
         physics_row,
@@ -185,7 +171,7 @@ def run_physics(
 
 TITLES = {
     "holds": "held in the open loop, by physics",
-    "impedance": "held in the closed loop, by physics",
+    "closed": "held in the closed loop, by physics",
     "remedies": "held under mujoco-default with one change",
 }
 

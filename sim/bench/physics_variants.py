@@ -11,7 +11,7 @@ from sim.physics import PRESETS, PhysicsOptions
 __all__ = ["SOFT", "VARIANTS", "Variant"]
 
 SOFT = PRESETS["mujoco-default"]
-"""What is varied."""
+"""The physics of which one number is varied."""
 
 ROUND = replace(SOFT, cone="elliptic")
 

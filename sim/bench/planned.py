@@ -13,28 +13,23 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, loaded_hand, task_for
-from sim.bench.run import Job, Row, measure
+from sim.bench.run import ObjectJob, measure
 from sim.runner import Check, Runner
+from sim.tables import Row
 
 __all__ = ["PlannedJob", "ask", "run_parts"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlannedJob(Job):
+class PlannedJob(ObjectJob):
     """A part of a measurement for one grasp.
 
     Attributes:
         part: Name of the part.
-        hand: Name or path of the hand.
-        spec: The object.
-        label: What it is called.
         plan_seed: Seed of planning.
     """
 
     part: str
-    hand: str
-    spec: str
-    label: str
     plan_seed: int = 0
 
 

@@ -15,10 +15,11 @@ from typing import Any, ClassVar, Protocol, TypeVar
 from rich.markup import escape
 
 from planner.plain import finite
-from sim.bench.journal import Journal, Row
+from sim.bench.journal import Journal
 from sim.runner import Check, Runner, made_with
+from sim.tables import Row, grouped
 
-__all__ = ["Job", "Row", "by_cell", "grouped", "measure"]
+__all__ = ["Job", "ObjectJob", "by_cell", "measure"]
 
 
 class _Numbered(Protocol):
@@ -55,6 +56,21 @@ class Job:
     def lost(self, reason: str) -> Row:
         """The row of a job that could not be done."""
         return self.row(error=reason)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectJob(Job):
+    """A job about a hand and an object.
+
+    Attributes:
+        hand: Name or path of the hand.
+        spec: The object.
+        label: What it is called.
+    """
+
+    hand: str
+    spec: str
+    label: str
 
 
 def measure(
@@ -122,14 +138,6 @@ def measure(
 
 def _say(runner: Runner, text: str) -> None:
     runner.console.print(escape(text), highlight=False, soft_wrap=True)
-
-
-def grouped(rows: Iterable[Row], *names: str) -> dict[tuple[Any, ...], list[Row]]:
-    """Rows that agree in some values, by these values, in the order of first appearance."""
-    out: dict[tuple[Any, ...], list[Row]] = {}
-    for row in rows:
-        out.setdefault(tuple(row[name] for name in names), []).append(row)
-    return out
 
 
 def by_cell(rows: Iterable[Row]) -> dict[tuple[Any, ...], list[Row]]:

@@ -40,11 +40,11 @@ from sim.bench.requests import (
     outcome_of,
     outcome_of_task,
 )
-from sim.bench.run import Job, Row, measure
+from sim.bench.run import Job, measure
 from sim.bench.star_hand import write_star_hand
 from sim.bench.statistics import median_of, power_law, ratio
-from sim.bench.tables import number, table_of
 from sim.runner import Check, Runner
+from sim.tables import Row, number, table_of
 
 __all__ = ["CURVES", "curve", "points_of", "run_scaling", "scaling_tables"]
 
@@ -236,14 +236,14 @@ def run_scaling(
     most_grasps: int,
     runner: Runner,
 ) -> Row:
-    """Measure curves point by point; Ctrl-C keeps the points that are finished.
+    """Measure curves point by point, in this process, whose memory and time are asked for.
 
     Args:
         hand: Name or path; the curve of contacts has hands of its own.
         curves: Names out of ``CURVES``.
         n: Requests per point of contacts and triangles; workers plan ten times as many.
         most_grasps: Where the curve of grasps ends.
-        runner: Who measures; in this process, whose memory and time are asked for.
+        runner: Who works.
 
     Raises:
         NotFoundError: There is no such curve.

@@ -22,9 +22,10 @@ from sim.bench.requests import (
     outcome_of,
     task_for,
 )
-from sim.bench.run import Job, Row, grouped, measure
+from sim.bench.run import Job, measure
 from sim.bench.statistics import median_of, quantile_of, ratio, summed
 from sim.runner import Check, Runner
+from sim.tables import Row, grouped
 
 __all__ = ["run_synthesis", "summary_of", "total_of"]
 
@@ -62,23 +63,7 @@ def run_synthesis(
     runner: Runner,
     baseline: bool,
 ) -> Row:
-    """Make n requests of every hand and object; Ctrl-C keeps what is finished.
-
-    Args:
-        hands: Names or paths.
-        objects: The objects.
-        n: Requests for each hand and object.
-        setting: What all requests share.
-        runner: Who works on them.
-        baseline: Whether to compare with FRoGGeR's figures.
-
-    Returns:
-        Plain data: a summary and the requests of every cell, and what they were made with.
-
-    Raises:
-        PlannerError: A hand or an object that was named cannot be used; one out of a folder gets a
-            row that says so.
-    """
+    """Make n requests of every hand and object, and sum them up (``sim.bench``)."""
     for hand in hands:
         loaded_hand(hand).choose_fingers(setting.fingers)  # bad input ends here
     pairs = [(hand, item) for hand in hands for item in objects]

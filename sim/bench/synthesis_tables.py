@@ -5,8 +5,7 @@ from __future__ import annotations
 from rich.table import Table
 
 from sim.bench.baseline import BASELINE_EPSILON, BASELINE_RATE
-from sim.bench.run import Row
-from sim.bench.tables import number, percent, table_of
+from sim.tables import Row, number, percent, table_of
 
 __all__ = ["synthesis_tables"]
 

@@ -21,9 +21,10 @@ from planner.synthesis.options import SynthesisOptions
 from planner.task import DEFAULT_MU
 from sim.bench.predictors import predictors_of
 from sim.bench.requests import Setting, task_for
-from sim.bench.run import Job, Row
+from sim.bench.run import ObjectJob
 from sim.physics import PhysicsOptions
 from sim.simulation import Simulation
+from sim.tables import Row
 from sim.trial import Timeline, Trial
 
 __all__ = ["CONDITIONS", "GRADES", "Condition", "Grade", "Sample", "try_sample"]
@@ -35,7 +36,7 @@ class Grade:
 
     Attributes:
         options: Of the search.
-        mu: Friction that it may rely on (-).
+        mu: Friction that planning relies on (-).
     """
 
     options: SynthesisOptions
@@ -50,8 +51,8 @@ GRADES = {
     "loose": Grade(options=_LOOSE),
     "reckless": Grade(options=_LOOSE, mu=1.0),
 }
-"""From the planner's best to plans that take any contacts and rely on friction that is not there.
-"""
+"""From the planner's best to plans that accept any contacts and rely on a friction of 1, where the
+trials have 0.6 or less."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,8 +61,8 @@ class Condition:
 
     Attributes:
         mu: Friction in simulation (-).
-        mass_factor: The object weighs this many times what was planned (-).
-        shift: How far the object stands aside, in a random horizontal direction, m.
+        mass_factor: True over planned mass (-).
+        shift: Position error of the object in a random horizontal direction, m.
         push: Force that pushes the held object along six directions in turn, over its weight (-).
     """
 
@@ -78,30 +79,27 @@ CONDITIONS = {
     "displaced": Condition(shift=0.015),
     "pushed": Condition(push=2.3),
 }
-"""All but the first are as hard as it takes to fail a part of the grasps, for another reason each.
-"""
+"""All but the first make part of the grasps fail, each for another reason."""
 
 TIMELINE = Timeline.quick(settle=0.1, hold=1.2)
-"""Shorter than a trial that is looked at: 0.7 s of CPU instead of 2."""
+"""Shorter than the default timeline: 0.7 s of CPU per trial instead of 2 s
+(``bench metrics HAND``)."""
 
 RECORD_EVERY = 0.05
-"""Time between samples, s: a push of one direction is seen four times."""
+"""Time between samples, s: four samples for each direction of the push."""
 
 DIRECTIONS = np.concatenate([np.eye(3), -np.eye(3)])
-"""Of the push, world axes; each for a sixth of the hold."""
+"""Directions of the push, world axes; each for a sixth of the hold."""
 
 MAX_ATTEMPTS = 20
-"""Attempts at a plan; without one the sample counts for nothing."""
+"""Attempts at a plan; a sample without one is not counted."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sample(Job):
+class Sample(ObjectJob):
     """What is to be tried.
 
     Attributes:
-        hand: Name or path.
-        spec: The object.
-        label: What it is called.
         grade: Name out of ``GRADES``.
         condition: Name out of ``CONDITIONS``.
         seed: Seed of the measurement; what is drawn depends on it and on ``index``.
@@ -109,9 +107,6 @@ class Sample(Job):
 
     SHOWN: ClassVar = ("hand", "label", "grade", "condition")
 
-    hand: str
-    spec: str
-    label: str
     grade: str
     condition: str
     seed: int

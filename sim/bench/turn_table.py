@@ -8,7 +8,7 @@ from rich.table import Table
 
 from sim.bench.cases import by_cell
 from sim.bench.statistics import median_of
-from sim.bench.tables import number, table_of
+from sim.tables import number, table_of
 
 __all__ = ["manipulate_table"]
 

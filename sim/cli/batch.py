@@ -10,7 +10,6 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from planner.hand_loading import load_hand
 from sim.cli.common import (
     EXIT_INTERRUPTED,
     EXIT_NOT_FOUND,
@@ -26,7 +25,7 @@ from sim.cli.common import (
 from sim.cli.options import PlanOptions, with_options
 
 TABLE_WIDTH = 110
-"""Characters that the table needs."""
+"""Width of the table, characters."""
 
 
 class Export(StrEnum):
@@ -63,6 +62,7 @@ def batch(
     from planner.batch import plan_grasps
     from planner.exchange.dexgraspbench import export_dexgraspbench
     from planner.files import write_json
+    from planner.hand_loading import load_hand
     from sim.batch_report import BatchBar, batch_summary, batch_table
 
     loaded = load_hand(hand)

@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from planner.hand_loading import load_hand
 from sim.cli.common import (
     EXIT_NO,
     HandArgument,
@@ -78,6 +77,7 @@ def describe(
 def check_hand(hand: HandArgument, as_json: JsonOption = False) -> None:
     """What the planner will see of a hand, and what stands in its way."""
     from planner.describe import check_hand as check
+    from planner.hand_loading import load_hand
     from sim.inspection import print_check
 
     report = check(load_hand(hand))

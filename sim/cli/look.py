@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from planner.hand_loading import load_hand
 from sim.cli.common import (
     EXIT_NO,
     HandArgument,
@@ -21,6 +20,7 @@ from sim.cli.common import (
 @errors_for_people()
 def inspect(hand: HandArgument, as_json: JsonOption = False) -> None:
     """What a hand is made of: joints per finger with limits, actuators, tips, masses, torques."""
+    from planner.hand_loading import load_hand
     from sim.inspection import hand_tables, inspect_hand
 
     loaded = load_hand(hand)

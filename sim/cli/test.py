@@ -27,7 +27,7 @@ from sim.cli.common import (
 )
 
 TABLE_WIDTH = 120
-"""Characters that the table needs."""
+"""Width of the table, characters."""
 
 
 @errors_for_people()

@@ -1,7 +1,7 @@
-"""``bench control``: what grasps bear in either loop, how they drift, and slips that are noticed.
+"""``bench control``: loads that grasps hold under either controller, drift, slip detection.
 
-One part for one grasp is one job (``jobs``); ``parts`` and ``push`` run the protocols, ``promise``
-tests certificates, ``slip_trial`` makes slips that are known, ``tables`` counts.
+A job is one part for one grasp (``jobs``); ``parts`` and ``push`` run the protocols, ``promise``
+tests certificates, ``slip_trial`` makes known slips, ``tables`` counts.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""``run_control``: every part of the measurement for hands x objects, kept as it comes.
+"""``run_control``: all parts of the measurement for hands x objects.
 
-Grasp k of a part is that of cell k modulo their number, a cell being a hand and an object; all
-parts see the same grasps. Rows have numbers that do not depend on how many are asked for, so that a
-file can be gone on with for more grasps or other parts.
+A cell is a hand and an object. Grasp k belongs to cell k modulo the number of cells; all parts use
+the same grasps. The number of a row depends on grasp and part alone: a file can be continued with
+more grasps or other parts.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from sim.bench.control.push import push_row
 from sim.bench.control.slip_trial import slip_row
 from sim.bench.objects import BenchObject
 from sim.bench.planned import PlannedJob, ask, run_parts
-from sim.bench.run import Row
 from sim.runner import Check, Runner
+from sim.tables import Row
 
 __all__ = ["PARTS", "ControlJob", "Part", "control_jobs", "control_row", "grasps_of", "run_control"]
 
@@ -34,8 +34,8 @@ class Part:
     """One question that is asked of many grasps.
 
     Attributes:
-        number: Its own, part of the numbers of its rows.
-        measure: What is done with a grasp, and the directions it draws: plain data.
+        number: Its place among the row numbers of a grasp.
+        measure: Measures a grasp; draws directions from the generator; gives plain data.
         grasps: How many grasps are asked by default.
         whole_hand: Whether all fingers of the hand must take part.
     """
@@ -57,10 +57,10 @@ PARTS: Mapping[str, Part] = MappingProxyType(
         "promise": Part(number=6, measure=promise_row, grasps=20),
     }
 )
-"""By name; more than these may come, and numbers stay."""
+"""By name. A new part takes a new number."""
 
 ROWS_PER_GRASP = 16
-"""Numbers that a grasp has for its parts."""
+"""Row numbers reserved for each grasp."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,14 +95,7 @@ def grasps_of(names: Iterable[str], n: int | None) -> dict[str, int]:
 def control_jobs(
     hands: Sequence[str], objects: Sequence[BenchObject], parts: Mapping[str, int], seed: int
 ) -> list[ControlJob]:
-    """The jobs, cell by cell, so that what a cell prepares serves all of its grasps.
-
-    Args:
-        hands: Names or paths.
-        objects: The objects.
-        parts: Name -> number of grasps.
-        seed: Of the measurement.
-    """
+    """The jobs, cell by cell, so that what a cell prepares serves all of its grasps."""
     cells = [(item, hand) for item in objects for hand in hands]
     jobs = []
     for part, n in parts.items():
@@ -138,20 +131,7 @@ def run_control(
     file: Path,
     runner: Runner,
 ) -> Row:
-    """Measure what the file does not have yet.
-
-    Args:
-        hands: Names or paths.
-        objects: The objects.
-        parts: Name -> number of grasps.
-        seed: Of plans, directions and errors.
-        file: Of the rows; made if it is not there.
-        runner: Who works on them.
-
-    Raises:
-        FileFormatError: The file is not one of these, or was begun with other arguments.
-        PlannerError: A hand or an object that was named cannot be used.
-    """
+    """Measure parts, name -> number of grasps; one seed for plans and draws (``sim.bench``)."""
     return run_parts(
         runner,
         control_row,

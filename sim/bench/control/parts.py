@@ -1,7 +1,7 @@
 """Parts that run the protocols: ``fc``, drift, the grid and the time of a step.
 
-Every function takes a plan and a source of randomness, and gives plain data. Both loops, open and
-closed, meet the same directions and errors.
+Every function takes a plan and a random generator, and gives plain data. Feedforward and impedance
+control meet the same directions and errors.
 """
 
 from __future__ import annotations
@@ -31,11 +31,10 @@ NOSLIP = (10, 0)
 """Noslip iterations (-) with which drift is measured: the simulation's own, and none."""
 
 STRETCHES, STEPS = 20, 100
-"""Stretches of so many time steps each, for the time of a step: 0.2 s simulated, long beside the
-clock's 1 us."""
+"""Timed stretches, and time steps of each: 0.2 s simulated, long compared with the clock's 1 us."""
 
 WARM_S = 0.2
-"""Held before the clock runs (s): what is made on first use is made by then."""
+"""Hold before the measurement (s), so that first-use costs are over."""
 
 
 def fc_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
@@ -79,7 +78,7 @@ def robust_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
     """A third of the grid of masses, frictions and pose errors, by each loop.
 
     A Latin square: every mass, friction and error three times, every pair of them once. Three
-    grasps in the mean see the whole grid.
+    grasps cover the whole grid on average.
     """
     seed, shift = int(rng.integers(2**31)), int(rng.integers(3))
     settings = Settings()

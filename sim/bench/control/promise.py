@@ -1,12 +1,11 @@
-"""The part ``promise``: the share of what a certificate promises that the closed loop bears.
+"""The part ``promise``: the share of a certified load that the impedance controller holds.
 
-A certificate says that hand and contacts can bear any load up to a size, if the control is the
-best there is. Here the closed loop is the control. Friction is what the certificate reckons with,
-and the load acts along the direction that the certificate finds weakest:
+A certificate says which load hand and contacts can hold under the best control. Here the impedance
+controller is the control. Friction is the certified one; the load acts in the weakest direction of
+the certificate:
 
-slow    it grows by a hundredth of the promise every 0.1 s;
-sudden  it comes at once, lasts for ``SUDDEN_S`` and goes at once, by a tenth of the promise more
-        each time.
+slow    grows by 1 % of the certified load every 0.1 s;
+sudden  switched on for ``SUDDEN_S`` and off again, each time 10 % of the certified load larger.
 """
 
 from __future__ import annotations
@@ -26,22 +25,22 @@ from sim.verdict import Fault
 __all__ = ["MOST", "promise_row"]
 
 SLOW_FIRST, SLOW_STEP, SLOW_S = 0.7, 0.01, 0.1
-"""Share of the promise up to which the slow load comes within a second, and by which it grows from
-there (-); time (s) that each lasts."""
+"""Slow load: share of the certified load reached in the first second, and increments from there
+(-); duration of each increment (s)."""
 
 SUDDEN_FIRST, SUDDEN_STEP, SUDDEN_S, PAUSE_S = 0.3, 0.1, 0.3, 0.2
-"""First sudden load and what each is more than the one before, shares of the promise (-); how long
-it acts, and how long nothing does after it (s)."""
+"""Sudden load: first size and increments, shares of the certified load (-); duration of the load,
+and of the pause after it (s)."""
 
 MOST = 1.2
-"""Share of the promise (-) at which a load ends that nothing broke."""
+"""Share of the certified load (-) at which a trial ends."""
 
 LEAD_STEPS = 20
-"""Steps in which the slow load comes to ``SLOW_FIRST`` (-)."""
+"""Increments of the slow load up to ``SLOW_FIRST`` (-)."""
 
 
 def promise_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
-    """Shares of promised force and torque at which the object was lost; it draws nothing."""
+    """Shares of certified force and torque at which the object was lost; draws nothing."""
     del rng
     length = plan.task.object.shape.bounding_radius
     loads: list[dict[str, Any]] = []
@@ -69,7 +68,7 @@ def promise_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
 
 
 def _slow(plan: GraspPlan, wrench: FloatArray) -> tuple[float, Fault | None]:
-    """Share of a wrench (6,) at which a slowly growing one broke the grasp."""
+    """Share of a slowly growing wrench (6,) at which the grasp failed."""
     hold = _hold(plan)
     share, fault = 0.0, hold.close_and_squeeze()
     while fault is None and share < MOST:
@@ -80,7 +79,7 @@ def _slow(plan: GraspPlan, wrench: FloatArray) -> tuple[float, Fault | None]:
 
 
 def _sudden(plan: GraspPlan, wrench: FloatArray) -> tuple[float, Fault | None]:
-    """The same of one that comes and goes at once."""
+    """Share of a sudden wrench (6,) at which the grasp failed."""
     hold = _hold(plan)
     share, fault = SUDDEN_FIRST - SUDDEN_STEP, hold.close_and_squeeze()
     while fault is None and share < MOST:
@@ -94,7 +93,7 @@ def _sudden(plan: GraspPlan, wrench: FloatArray) -> tuple[float, Fault | None]:
 
 
 def _hold(plan: GraspPlan) -> DisturbanceTrial:
-    """The closed loop with the friction that the certificate reckons with."""
+    """Impedance control at the certified friction."""
     task = plan.task
     torsion = task.mu_torsion if task.contact_model == "soft" else 0.0
     return DisturbanceTrial(

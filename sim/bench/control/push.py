@@ -1,8 +1,8 @@
-"""The part ``push``: a load that grows until the object is lost, by either loop.
+"""The part ``push``: a growing load until the object is lost, under either controller.
 
-The open loop is measured twice: with the grip of the plan, and with the best of the grips that the
-plan's force programme allows. The closed loop begins with the grip of the plan: it takes what it
-needs. Where the load goes is the same for all.
+Feedforward control is measured twice: with the planned grip, and with the best grip that the plan's
+force problem allows. Impedance control starts from the planned grip and raises it as needed. All
+meet the same direction of load.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from sim.protocols.settings import Settings
 __all__ = ["conditions", "largest_grip", "push_row", "tried_grips", "unit"]
 
 GRIPS = 3
-"""Grips that are tried between that of the plan and the largest that is allowed (-)."""
+"""Grips tried between the planned and the largest feasible one (-)."""
 
 MOST_GRIP = 16.0
-"""Times the plan's grip beyond which none is looked for (-): 24 N of 1.5 N, more than the fingers
-of any hand in the catalogue press."""
+"""Search limit for the grip, in planned grips (-): 24 N for a planned 1.5 N, more than the fingers
+of any hand in the catalogue can press."""
 
 GRIP_TOL = 0.05
 """Relative width at which the search for the largest grip ends (-)."""
@@ -72,7 +72,7 @@ def push_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
 
 
 def tried_grips(plan: GraspPlan) -> list[float]:
-    """The plan's grip (N) first, then ``GRIPS`` evenly up to the largest; none where it is that."""
+    """Grips (N): the planned one, then ``GRIPS`` evenly up to the largest feasible, if any."""
     first, most = plan.task.grip_force, largest_grip(plan)
     if most <= (1.0 + GRIP_TOL) * first:
         return [first]
@@ -80,7 +80,7 @@ def tried_grips(plan: GraspPlan) -> list[float]:
 
 
 def largest_grip(plan: GraspPlan) -> float:
-    """The largest least normal force (N) for which a plan's force programme has forces."""
+    """Largest minimum normal force (N) for which the plan's force problem is feasible."""
     low = plan.task.grip_force
     high = MOST_GRIP * low
     if with_grip(plan, high).forces.found:
@@ -101,7 +101,7 @@ def unit(rng: np.random.Generator) -> FloatArray:
 
 
 def conditions(loop: str) -> Conditions:
-    """The default physics, and a loop by its name."""
+    """Default physics with a controller by name."""
     return Conditions(physics=PhysicsOptions(), controller=CONTROLLERS[loop])
 
 

@@ -1,10 +1,9 @@
-"""Trials with known slips: what a detector says beside what exact velocities say.
+"""Trials with known slips: a detector's alarms compared with exact velocities.
 
-The object is gripped and held in peace for a while; then it is provoked again and again, by turns
-with a push in a random direction that grows and with friction that dwindles, until a pad slips.
-Then the push ends, or the friction comes back, before the object is lost. The detector sees the
-pads with noise; it watches and does nothing. Both loops are watched: the closed one fights back
-and moves the fingers while it holds.
+The object is held undisturbed for a while. Then it is provoked repeatedly until a pad slips, by
+turns with a growing push in a random direction and with decreasing friction. Each provocation ends
+before the object is lost. The detector sees noisy pads and does not act. Both controllers are
+tested: impedance control reacts and moves the fingers while it holds.
 """
 
 from __future__ import annotations
@@ -31,29 +30,29 @@ SENSING = Sensing(force_noise=0.02, sliding_noise=0.002)
 """Noise of the pads: 20 mN and 2 mm/s at every step, of the order of a good optical pad."""
 
 PEACE_S = 10.0
-"""How long the object is held before anything happens, s."""
+"""Undisturbed hold, s."""
 
 PROVOCATIONS = 6
-"""How often it is made to slip."""
+"""Provocations per trial."""
 
 GROW_S, MOST_WEIGHTS = 2.0, 60.0
-"""A provocation grows for so long (s): a push up to so many weights of the object, which the closed
-loop seldom bears."""
+"""Duration of a provocation (s) and its largest push in weights of the object (-), which impedance
+control seldom holds."""
 
 LEAST_FRICTION = 0.02
-"""Share of the friction (-) that is left at the end of a provocation: nothing can be held then."""
+"""Share of the friction (-) left at the end of a provocation; nothing can be held with it."""
 
 SLIDING_S, REST_S = 0.06, 0.4
-"""A provocation ends so long (s) after a pad began to slide; then everything rests."""
+"""Sliding time that ends a provocation, and rest after it (s)."""
 
 
 class Watched:
     """A controller with a slip detector beside it that only watches.
 
     Attributes:
-        times: When it looked, s.
-        speeds: What the object's sliding speed over each pad really was, m/s.
-        forces: What the normal forces really were, N.
+        times: Of the samples, s.
+        speeds: True sliding speed of the object over each pad, m/s.
+        forces: True normal forces, N.
         alarms: Of the detector; the last ones may not have ended.
     """
 
@@ -109,7 +108,7 @@ class Watched:
 
 
 def slip_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
-    """Peace, then provocations, under each loop."""
+    """Undisturbed hold, then provocations, under each controller."""
     pushes = rng.normal(size=(PROVOCATIONS, 3))
     pushes /= np.linalg.norm(pushes, axis=1, keepdims=True)
     seed = int(rng.integers(2**31))
@@ -143,7 +142,7 @@ def slip_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
 
 
 def _provoke(hold: DisturbanceTrial, watched: Watched, push: FloatArray | None) -> Fault | None:
-    """Push harder and harder along a direction, or without one take the friction away."""
+    """Push with a growing force along a direction, or without one reduce the friction."""
     weight = -GRAVITY[2] * hold.plan.task.object.mass
     friction = hold.simulation.scene.model.geom_friction
     normal = friction.copy()

@@ -8,22 +8,21 @@ from types import MappingProxyType
 from rich.table import Table
 
 from sim.bench.control.promise import MOST
-from sim.bench.run import Row, grouped
 from sim.bench.statistics import median_of, quantile_of, ratio, summed
-from sim.bench.tables import Columns, number, percent, share, summary_table
+from sim.tables import Columns, Row, grouped, number, percent, share, summary_table
 
 __all__ = ["control_tables"]
 
 Rows = list[Row]
 
 ENOUGH = 0.7
-"""Share of the bound (-) that a closed loop should reach."""
+"""Share of the proven bound (-) that impedance control should hold."""
 
 KEPT, ROUNDING = 0.97, 1e-9
-"""Share of a promise (-) that a closed loop should bear, and what sums of steps are off."""
+"""Share of a certified load (-) that impedance control should hold; rounding of sums of steps."""
 
 STILL_MM = 0.5
-"""Drift in ten seconds (mm) that a hold should stay below."""
+"""Largest drift in ten seconds (mm) that counts as still."""
 
 
 def control_tables(result: Row) -> list[Table]:
@@ -88,7 +87,7 @@ def _push(rows: Rows) -> Table:
 
 
 def _median_borne(pushes: Rows, loop: str) -> float | None:
-    """None where forces and torques stand together: their median would say nothing."""
+    """Median of the largest load held; None where forces and torques are mixed."""
     return median_of(p[loop]["borne"] for p in pushes) if len(_units(pushes)) == 1 else None
 
 
@@ -102,13 +101,13 @@ def _borne(pushes: Rows, loop: str) -> str:
 
 
 def _by(pushes: Rows, loop: str) -> str:
-    """What the closed loop bears over what another bears."""
+    """Median load held under impedance control over that under another."""
     closed, other = _median_borne(pushes, "impedance"), _median_borne(pushes, loop)
     return number(None if closed is None else ratio(closed, other or 0.0), 2)
 
 
 def _of_bound(pushes: Rows, bound: str = "bound") -> list[float]:
-    """Largest load of the closed loop over a bound, where there is one."""
+    """Largest load held under impedance control over a bound, where there is one."""
     return [p["impedance"]["borne"] / p[bound] for p in pushes if p[bound]]
 
 
@@ -135,7 +134,7 @@ def _broke_at(loads: Rows) -> list[float]:
 
 
 def _lost(measured: Rows) -> str:
-    """When the object counts as lost, in words."""
+    """Drop criteria in words."""
     limits = {(m["lost_mm"], m["lost_deg"]) for m in measured}
     return "lost: " + (
         " or ".join(f"{mm:g} mm or {deg:g} degrees in the palm" for mm, deg in sorted(limits))

@@ -16,10 +16,10 @@ from planner.errors import PlannerError, TaskError
 from planner.exchange.dexgraspbench import export_dexgraspbench
 from planner.exchange.dexgraspbench.hand_file import file_name
 from sim.bench.dexgraspbench.checkout import Installed
-from sim.bench.run import Job, Row, grouped, measure
-from sim.bench.tables import share, table_of
+from sim.bench.run import Job, measure
 from sim.protocols.dexgraspbench import dexgraspbench_cases
 from sim.runner import Check, Runner
+from sim.tables import Row, grouped, share, table_of
 
 __all__ = ["SETTINGS", "dexgraspbench_table", "run_dexgraspbench"]
 

@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from sim.runner import Runner
 
 TABLE_WIDTH = 216
-"""Characters that the benchmark's tables need at least: columns of names are the first that give
-way, and those of ``bench manipulate`` were gone at 140."""
+"""Least width of the tables, characters: the text columns of ``bench manipulate`` vanish at 140."""
 
 HandsArgument = Annotated[
     list[str], typer.Argument(help="Names or paths of hands.", metavar="HAND...")

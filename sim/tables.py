@@ -8,9 +8,10 @@ from typing import Any, TypeAlias
 from rich import box
 from rich.table import Table
 
-from sim.bench.run import Row, grouped
+__all__ = ["Columns", "Row", "grouped", "number", "percent", "share", "summary_table", "table_of"]
 
-__all__ = ["Columns", "number", "percent", "share", "summary_table", "table_of"]
+Row: TypeAlias = dict[str, Any]
+"""Plain data by name."""
 
 Columns: TypeAlias = Mapping[str, Callable[[list[Row]], str]]
 """Header of a column -> its cell for the rows of a group."""
@@ -30,6 +31,14 @@ def share(chosen: Iterable[Any]) -> str:
     """How many of all are true: "3/4"."""
     every = [bool(one) for one in chosen]
     return f"{sum(every)}/{len(every)}"
+
+
+def grouped(rows: Iterable[Row], *names: str) -> dict[tuple[Any, ...], list[Row]]:
+    """Rows that agree in some values, by these values, in the order of first appearance."""
+    out: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        out.setdefault(tuple(row[name] for name in names), []).append(row)
+    return out
 
 
 def table_of(title: str, texts: Sequence[str], numbers: Sequence[str]) -> Table:
