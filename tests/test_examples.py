@@ -57,7 +57,7 @@ EXPECTED: dict[str, tuple[str, ...]] = {
         "NoGraspFoundError: no grasp of box with allegro_hand",
         "attempt 0: forces:",
     ),
-    "08_your_own_mesh": ("stable pose 0", "found at attempt", "allowed: 3 of 3; closed: rank 6"),
+    "08_your_own_mesh": ("stable pose 0", "found at attempt", "allowed: 4 of 4; closed: rank 6"),
     "09_crosscheck": (
         "bridge: agrees",
         "Pinocchio's reader: differs",
