@@ -232,7 +232,7 @@ def test_a_table_counts_over_all_trials() -> None:
     failed = {"hand": "allegro_hand", "kind": "block", "planning_cpu_s": 1.0}
     rows = [ROW, {**failed, "found": True, "dropped": True}, {**failed, "found": False}]
     cells = _cells({"angle_deg": 90.0, "rows": rows})
-    columns = ("planned", "with closure", "success", "complete", "drops")
+    columns = ("planned", "closed", "success", "complete", "drops")
     assert [cells[name] for name in columns] == ["2/3", "1/3", "1/3", "1/3", "1/3"]
     now = {**ROW, "success_with_closure": ROW["strict"], "success": ROW["loose"]}
     del now["strict"], now["loose"]

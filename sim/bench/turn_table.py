@@ -14,7 +14,7 @@ __all__ = ["manipulate_table"]
 
 COLUMNS = (
     "planned",
-    "with closure",
+    "closed",
     "success",
     "complete",
     "drops",
@@ -41,7 +41,7 @@ def manipulate_table(result: dict[str, Any]) -> Table:
     """Counts out of all trials, and medians, per hand and kind of object."""
     moves = "shift" in result
     table = table_of(
-        f"{_movement(result)}: counts out of all trials; medians of successes: time "
+        f"{_movement(result)}: counts out of all trials (closed: successes with closure); medians of successes: time "
         "until they had turned, how far the turn was off, largest tilt off the planned attitude, "
         "largest distance off the path; fewest fingers and largest force (N) of a finger in any; "
         "then of those placed; hits are runs in which the hand collided"
