@@ -34,8 +34,8 @@ from sim.manipulation import (
     manipulate,
     regrasping,
 )
-from sim.manipulation.away import FingerAway
 from sim.manipulation.prose import told_events
+from sim.manipulation.swing import FingerSwing
 from sim.physics import PhysicsOptions
 
 ANGLE = math.radians(40.0)
@@ -238,7 +238,7 @@ def test_a_finger_goes_from_where_it_was_to_where_it_lands(
     hand, index = grasp.task.hand, grasp.task.hand.fingers[move.finger].q_index
     model = hand.pin_model.copy()
     model.gravity.linear = grasp.T_world_base.rotation.T @ grasp.task.gravity
-    away = FingerAway(grasp, move, QUICK.finger_rate)
+    away = FingerSwing(grasp, move, QUICK.finger_rate)
 
     def commands(time: float, q: FloatArray) -> FloatArray:
         observation = Observation(
