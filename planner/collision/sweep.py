@@ -65,7 +65,7 @@ class Sweep:
         self._chosen = np.zeros(pairs.count, dtype=bool)
         self._chosen[convex] = True
 
-    def undercut(
+    def violation(
         self, q: FloatArray, fixed: list[SE3], way: FloatArray, clearance: float
     ) -> tuple[int | None, int, float] | None:
         """The first that comes nearer than a clearance (m) on a way, None if nothing does.

@@ -177,7 +177,7 @@ class CollisionWorld:
         """
         inverse = T_world_base.inverse()
         fixed = [inverse * pose for pose in self._table.fixed]
-        found = self._sweep.undercut(q, fixed, inverse.rotation @ way, clearance)
+        found = self._sweep.violation(q, fixed, inverse.rotation @ way, clearance)
         if found is None:
             return None
         pair, body, distance = found

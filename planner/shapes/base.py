@@ -152,6 +152,20 @@ class Shape(ABC):
         n = len(points)
         return np.zeros(n), np.full(n, np.inf)
 
+    def normal_dispersion(
+        self, points: FloatArray, radius: float, *, facing: FloatArray | None = None
+    ) -> FloatArray:
+        """How much the outward normals around contacts differ (n,), rad: large on an edge.
+
+        0 where patches keep contacts off edges (``surface``), as here.
+
+        Args:
+            points: Surface points (n, 3), m.
+            radius: How far around them, m.
+            facing: Outward normals (n, 3) at the points; normals of an opposite side do not count.
+        """
+        return np.zeros(len(points))
+
     @abstractmethod
     def closest_point(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Nearest surface points and outward normals.

@@ -1,8 +1,8 @@
 """The verdict on a candidate: the true geometry, by Pinocchio and coal.
 
-What the NLP solved is recomputed here with other code on other geometry: Pinocchio's kinematics,
-coal's distances between the real shapes (no balls, no softened edges), contact points and normals
-from the true surface.
+The solver's result is recomputed here by other code on other geometry: Pinocchio's kinematics,
+coal's distances between the true shapes (no spheres, no softened edges), contact points and normals
+of the true surface.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
 from planner.failure import Failure
 from planner.plan import Verification
-from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from planner.tolerances import ANGLE_TOL, FLAT_ANGLE_TOL, JOINT_TOL, PENETRATION_TOL, TOUCH_TOL
@@ -38,12 +37,9 @@ EDGE_SPREAD = float(np.deg2rad(25.0))
 def edge_failures(task: GraspTask, points: FloatArray) -> list[Failure]:
     """Which contacts, at points (n, 3) of the object's frame, m, are on an edge of a mesh.
 
-    Primitives need no look: their contacts keep away from edges by construction.
+    Contacts on primitives keep off edges by construction: their dispersion is 0.
     """
-    shape = task.object.shape
-    if not isinstance(shape, Mesh):
-        return []
-    spreads = shape.normal_dispersion(points, EDGE_RADIUS)
+    spreads = task.object.shape.normal_dispersion(points, EDGE_RADIUS)
     return [
         Failure(
             kind="edge",

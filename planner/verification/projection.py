@@ -1,4 +1,4 @@
-"""The last step onto the true surface.
+"""Projection of a solution onto the true surface of the object.
 
 The solver's solution touches a model of the object (the smooth field of a mesh) with a model of the
 pad (a sphere). Both are right to some tenths of a millimetre. Here the fingers' own joints are
@@ -36,8 +36,8 @@ FARTHEST = 0.006
 def project_onto_surface(task: GraspTask, T_world_base: SE3, q: FloatArray) -> FloatArray:
     """Joints (nq,) near q with every pad on the true surface, as far as limits let them.
 
-    What is left is for ``planner.verification.geometry`` to judge; q itself if it touches already,
-    or is too far off.
+    The verdict on it is ``planner.verification.geometry``'s; q itself if it touches already, or is
+    too far off.
     """
     hand, touching = task.hand, pad_contact_queries(task)
     matrix, value = hand.coupling_matrix
@@ -61,6 +61,6 @@ def project_onto_surface(task: GraspTask, T_world_base: SE3, q: FloatArray) -> F
 def _moved(task: GraspTask, matrix: FloatArray) -> IntArray:
     """Joints (k,) that may move: the task's fingers, and what is coupled on fingers left out."""
     coupled = np.flatnonzero(np.abs(matrix).sum(axis=0))
-    carried = np.concatenate([task.hand.wrist_index, task.hand.arm_index])
+    held = np.concatenate([task.hand.wrist_index, task.hand.arm_index])
     mine = np.concatenate([f.q_index for f in task.fingers])
-    return np.union1d(mine, np.setdiff1d(coupled, carried))
+    return np.union1d(mine, np.setdiff1d(coupled, held))

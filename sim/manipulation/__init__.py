@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from sim.manipulation.in_hand import InHandController, ManipulationObservation
+from sim.manipulation.in_hand import (
+    InHandController,
+    ManipulationObservation,
+    TurningController,
+)
 from sim.manipulation.log import ManipulationLog
 from sim.manipulation.report import ManipulationReport
 from sim.manipulation.report_file import ManipulationReportFile, read_manipulation_report
@@ -33,6 +37,7 @@ __all__ = [
     "PhaseResult",
     "Push",
     "SuccessCriteria",
+    "TurningController",
     "manipulate",
     "read_manipulation_report",
     "rests",

@@ -22,8 +22,9 @@ Whatever the controller, the commands of a finger that swings to another place a
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypeAlias, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,6 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from sim.controllers import (
     AnyController,
-    Controller,
     Event,
     ObjectImpedance,
     Observation,
@@ -49,9 +49,11 @@ from sim.controllers.closed import LED
 from sim.controllers.schedule import TOUCH_FORCE, ContactSchedule
 
 __all__ = [
+    "AnyTurningController",
     "GuidedController",
     "InHandController",
     "ManipulationObservation",
+    "TurningController",
     "in_hand_controller",
 ]
 
@@ -75,6 +77,20 @@ class ManipulationObservation(Observation):
     holding: NDArray[np.bool_]
     share: FloatArray
     grip: float
+
+
+class TurningController(Protocol):
+    """A controller of your own; every ``Controller`` is one."""
+
+    def step(self, observation: ManipulationObservation) -> FloatArray:
+        """Commands (nu,) for the hand's actuators, order of ``hand.actuation.names``."""
+        ...
+
+
+AnyTurningController: TypeAlias = (
+    AnyController | TurningController | Callable[[GraspPlan], TurningController]
+)
+"""What is accepted as a controller: a name, a controller, or what makes one from the grasp."""
 
 
 @runtime_checkable
@@ -126,7 +142,7 @@ class InHandController(Protocol):
 
 def in_hand_controller(
     plan: GraspPlan,
-    given: AnyController | None,
+    given: AnyTurningController | None,
     *,
     sensing: Sensing | None,
     max_normal: float,
@@ -150,7 +166,7 @@ def in_hand_controller(
             "sensing is for the default controller; give your own what it is to know when you make "
             "it: manipulate(plan, controller=ObjectImpedance(plan.grasp, sensing=...))"
         )
-    made = controller_for(plan, given)
+    made = cast(TurningController, controller_for(plan, cast(AnyController, given)))
     return made if isinstance(made, InHandController) else GuidedController(plan, made)
 
 
@@ -165,7 +181,7 @@ class GuidedController:
         T_palm_wanted: As there.
     """
 
-    def __init__(self, plan: GraspPlan, controller: Controller) -> None:
+    def __init__(self, plan: GraspPlan, controller: TurningController) -> None:
         """Prepare for a plan."""
         task = plan.task
         self.controller = controller

@@ -213,15 +213,15 @@ class ManipulationReport:
             numbers = self.numbers()
             lines += [
                 f"turned {numbers['turned_deg']:.2f} of {np.rad2deg(self.asked):.1f} degrees, "
-                f"reached after {numbers['time_to_angle_s']:.2f} s; tilt up to "
-                f"{numbers['largest_tilt_deg']:.2f} degrees off the planned attitude, centre up to "
-                f"{numbers['largest_off_path_mm']:.2f} mm off its path",
+                f"reached after {numbers['time_to_angle_s']:.2f} s",
+                f"tilt up to {numbers['largest_tilt_deg']:.2f} degrees off the planned attitude, "
+                f"centre up to {numbers['largest_off_path_mm']:.2f} mm off its path",
                 *self._moved(),
                 f"in the air: at least {self.least_fingers} fingers touched, "
                 f"{self.open_samples} samples without force closure",
             ]
         if self.log.during("squeeze").size:
-            lines.append(told_forces(self.forces, self.force_limit))
+            lines += told_forces(self.forces, self.force_limit)
         lines += [f"controller: {line}" for line in told_events(self.events)]
         verdict = "complete" if self.complete else f"failed in {self.reason}"
         return "\n".join([*lines, f"{verdict}; the turn: {self._judged()}"])

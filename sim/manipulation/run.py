@@ -22,9 +22,9 @@ from planner.motion.manipulation.ending import backwards, object_at_target, stan
 from planner.motion.release import find_release
 from planner.spatial import SE3, signed_twist
 from planner.task import GraspTask
-from sim.controllers import AnyController, Sensing
+from sim.controllers import Sensing
 from sim.looking.picture import save_picture
-from sim.manipulation.in_hand import GuidedController, in_hand_controller
+from sim.manipulation.in_hand import AnyTurningController, GuidedController, in_hand_controller
 from sim.manipulation.log import ManipulationLog
 from sim.manipulation.machine import PhaseCall, StateMachine
 from sim.manipulation.modes import measured_modes, planned_modes, planned_points
@@ -53,7 +53,7 @@ class ManipulationRun:
         self,
         plan: ManipulationPlan,
         *,
-        controller: AnyController | None = None,
+        controller: AnyTurningController | None = None,
         true_task: GraspTask | None = None,
         physics: PhysicsOptions | None = None,
         sensing: Sensing | None = None,
@@ -222,7 +222,7 @@ class _Album:
 def manipulate(
     plan: ManipulationPlan,
     *,
-    controller: AnyController | None = None,
+    controller: AnyTurningController | None = None,
     true_task: GraspTask | None = None,
     physics: PhysicsOptions | None = None,
     sensing: Sensing | None = None,
@@ -260,7 +260,7 @@ def manipulate(
 
     def run_of(
         plan: ManipulationPlan,
-        controller: AnyController | None,
+        controller: AnyTurningController | None,
         there: GraspTask | None,
         push: Push | None,
     ) -> ManipulationRun:

@@ -1,14 +1,14 @@
 """The way of one finger from contact to contact while the others hold: up, over, and down.
 
-The pad's centre is led in the object's frame: along the outward normal to one of ``HEIGHTS``, at
-that height over the surface to above the landing, and down along the normal there. Its joints
-follow by steps, each a quadratic programme over the joints of that finger,
+The path of the pad's centre is given in the object's frame: along the outward normal to one of
+``HEIGHTS``, at that height over the surface to above the landing, and down along the normal there.
+The joints of the finger follow by steps, each a quadratic programme (``planner.numerics.ik_step``),
 
     min  |J dq - (wanted - c)|^2 / height^2 + POSTURE_WEIGHT |q + dq - q_even|^2 + DAMPING |dq|^2
     s.t. what is near stays ``ROOM`` apart as far as it can; couplings; joint limits
 
-with q_even the even way between both postures. What comes of it is judged by coal at every place
-and half-way between: nothing may penetrate, and the pad stays clear of the object while it is up.
+with q_even evenly between both postures. The result is verified by coal at every place and half-way
+between: nothing may penetrate, and the pad stays clear of the object while it is lifted.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ SEEN = 0.02
 ROOM = 1e-3
 """Distance (m) that the finger keeps from what is near, where it can."""
 
-MISSED = 100.0
+PRICE = 100.0
 """Cost of missing that by one height (-)."""
 
 STILL = 1e-3
@@ -156,7 +156,7 @@ class FingerPaths:
                 posture=(even - q)[index],
                 posture_weight=POSTURE_WEIGHT,
                 damping=DAMPING,
-                price=MISSED,
+                price=PRICE,
             )
             if found is None:
                 break

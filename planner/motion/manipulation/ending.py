@@ -18,7 +18,7 @@ from planner.approach.pregrasp import Approach
 from planner.collision.resting import lift_to_rest
 from planner.failure import Failure
 from planner.immutable import freeze
-from planner.motion import MotionPlan
+from planner.motion.plan import MotionPlan
 from planner.motion.release import SINKS, find_release
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle

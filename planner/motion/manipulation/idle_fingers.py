@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.collision.world import CollisionWorld
 from planner.hands.hand import Hand
-from planner.motion import MotionPlan
+from planner.motion.plan import MotionPlan
 from planner.spatial import SE3, FloatArray
 
 __all__ = ["out_of_the_way"]
