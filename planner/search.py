@@ -15,13 +15,14 @@ from planner.attempts import Attempt, nothing_found, numbered
 from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
 from planner.plan import GraspPlan, SolveRecord
-from planner.synthesis.clearance import bones_are_true
+from planner.synthesis.link_capsules import capsules_are_true
 from planner.synthesis.optimize import NEARLY, descend_grasp
-from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.problems import Problems, problems_for
-from planner.synthesis.residuals import WEIGHTS
+from planner.synthesis.options import ProblemForm, SynthesisOptions
+from planner.synthesis.problem import GraspProblem
+from planner.synthesis.problem_cache import Problems, problems_for
 from planner.synthesis.seeds.draw import Seeder
 from planner.synthesis.seeds.mesh import seeder_for
+from planner.synthesis.symbols import GraspPoint
 from planner.system.stage_times import stage
 from planner.system.threads import kept_by_thread, made_once
 from planner.task import GraspTask
@@ -60,13 +61,13 @@ def attempts(
     if not isinstance(seed, int | np.integer) or seed < 0:
         raise TaskError(f"seed is {seed!r}; give an integer >= 0")
     options = options or SynthesisOptions()
-    whole = _ground(task, options.built)
+    whole = _ground(task, options.form)
 
     def ground(index: int) -> _Ground:
         past = index - SPARE_AFTER
         if not task.may_spare_fingers or past < 0 or past % 2:
             return whole
-        return _spared_ground(task, options.built)
+        return _spared_ground(task, options.form)
 
     def record(plan: GraspPlan, index: int, cpu_s: float) -> GraspPlan:
         made = replace(
@@ -152,7 +153,7 @@ class _Ground:
     @property
     def judges_links(self) -> CollisionWorld | None:
         """The true geometry where the fingers' bones are not it already."""
-        return None if bones_are_true(self.task.hand) else self.world
+        return None if capsules_are_true(self.task.hand) else self.world
 
 
 @kept_by_thread(8)
@@ -162,19 +163,19 @@ def _world(task: GraspTask) -> CollisionWorld:
 
 
 @made_once(8)
-def _ground(task: GraspTask, objectives: tuple[str, ...]) -> _Ground:
+def _ground(task: GraspTask, form: ProblemForm) -> _Ground:
     """Seeder and programmes of a task, made once for all who ask with the same one."""
     seeder = seeder_for(task)
     _world(task)  # refuses what stands in something else, before the programmes are built
-    return _Ground(task, problems_for(task, objectives), seeder)
+    return _Ground(task, problems_for(task, form), seeder)
 
 
 @made_once(8)
-def _spared_ground(task: GraspTask, objectives: tuple[str, ...]) -> _Ground:
+def _spared_ground(task: GraspTask, form: ProblemForm) -> _Ground:
     """The same with three fingers alone; with all where three cannot do what is asked."""
-    whole = _ground(task, objectives)
+    whole = _ground(task, form)
     try:
-        return _ground(task.with_fingers(whole.seeder.tripod), objectives)
+        return _ground(task.with_fingers(whole.seeder.tripod), form)
     except TaskError:  # a region is required of a spared finger, or three do not open as wide
         return whole
 
@@ -193,10 +194,9 @@ def _attempt(
         candidate = descend_grasp(
             problems.grasp, task, start, parameters, options, ground.judges_links
         )
-    worst = max(candidate.violation, key=lambda name: candidate.violation[name] * WEIGHTS[name])
-    violation = candidate.violation[worst]
-    if not violation * WEIGHTS[worst] <= NEARLY:
-        return f"not solved, term {worst}: violated by {violation:.1e}"
+    worst, weighted = problems.grasp.worst_violation(candidate.violation)
+    if not weighted <= NEARLY:
+        return f"not solved, term {worst.name}: violated by {candidate.violation[worst.name]:.1e}"
     record = SolveRecord(
         seed=0,
         attempt=0,
@@ -211,4 +211,21 @@ def _attempt(
     T_world_base = task.T_world_object * candidate.T_object_base
     with stage("settle"):
         q = settle(task, T_world_base, q)
-    return judge_grasp(task, T_world_base, q, record=record, world=ground.world)
+    plan = judge_grasp(task, T_world_base, q, record=record, world=ground.world)
+    return plan if isinstance(plan, str) else _judged_by_own_terms(plan, problems.grasp)
+
+
+def _judged_by_own_terms(plan: GraspPlan, problem: GraspProblem) -> GraspPlan | str:
+    """The plan if the terms of users that judge grasps are content, else the first one's reason."""
+    pose = plan.task.T_world_object
+    point = GraspPoint(
+        task=plan.task,
+        q=plan.q,
+        points=(plan.contacts.positions - pose.translation) @ pose.rotation,
+        inward=plan.contacts.normals @ pose.rotation,
+    )
+    for term in problem.own_terms:
+        failure = term.judge(point) if term.judge is not None else None
+        if failure is not None:
+            return str(failure)
+    return plan

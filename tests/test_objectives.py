@@ -31,6 +31,8 @@ from planner.quality import closure_of_wrenches, epsilon_l1, min_weight, primiti
 from planner.search import attempts
 from planner.spatial import FloatArray
 from planner.synthesis import SynthesisOptions, gravity_any_direction, tool_torque
+from planner.synthesis.formulation import Formulation, formulate
+from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.objectives.joint import (
     LIMIT_AIM,
     REACH_AIM,
@@ -38,7 +40,6 @@ from planner.synthesis.objectives.joint import (
     driving,
     free_velocities,
 )
-from planner.synthesis.objectives.linearisation import Moment
 from planner.synthesis.objectives.registry import EPSILON, OBJECTIVES, objective_parameters
 from planner.synthesis.objectives.task_wrenches import resisted_wrenches
 from planner.synthesis.objectives.wrench import (
@@ -49,11 +50,11 @@ from planner.synthesis.objectives.wrench import (
     WEIGHT_AIM,
     narrowed,
 )
+from planner.synthesis.options import ProblemForm
 from planner.synthesis.problem import Start
-from planner.synthesis.problems import problems_for
+from planner.synthesis.problem_cache import problems_for
 from planner.synthesis.seeds.mesh import seeder_for
-from planner.synthesis.surfaces import surface_of
-from planner.synthesis.terms import Formulation, formulate
+from planner.synthesis.symbols import GraspPoint
 from planner.task import GraspTask
 
 BUILT = tuple(name for name in OBJECTIVES if name != EPSILON)
@@ -62,10 +63,8 @@ BUILT = tuple(name for name in OBJECTIVES if name != EPSILON)
 @lru_cache
 def written(task: GraspTask) -> tuple[Formulation, Any]:
     """All objectives of a task as they are written, and rows and Jacobian as a function."""
-    f = formulate(
-        task.hand, task.fingers, surface_of(task.object.shape), 0, BUILT, clearances=False
-    )
-    rows = f.objective_rows
+    f = formulate(task.hand, task.fingers, surface_of(task.object.shape), 0, BUILT)
+    rows = ca.vertcat(*[w.expression for w in f.written if w.term.name in BUILT])
     return f, ca.Function("rows", [f.x, f.p], [rows, ca.jacobian(rows, f.x)])
 
 
@@ -108,10 +107,8 @@ class Place:
             "length": shape.bounding_radius,
             "posture": self.q,
             **SynthesisOptions().values(),
-            "aim": 0.0,
-            "directions": 0.0,
         }
-        self.moment = Moment(
+        self.moment = GraspPoint(
             task=task,
             q=self.q,
             points=self.points,
@@ -230,13 +227,18 @@ def test_rows_are_off_without_parameters_and_grow_with_the_root_of_their_weight(
 
 
 def test_residuals_count_objectives_while_they_are_on(cylinder: GraspTask) -> None:
-    problem, place = problems_for(cylinder, ("torque",)).grasp, Place(cylinder, "torque", 0)
+    problem, place = (
+        problems_for(cylinder, ProblemForm(objectives=("torque",))).grasp,
+        Place(cylinder, "torque", 0),
+    )
     seeder = seeder_for(cylinder)
     start = next(
         s for s in map(seeder.draw, repeat(np.random.default_rng(0))) if not isinstance(s, str)
     )
     residuals = problem.residuals
-    residuals.bind(problem.parameters(cylinder, start, seeder.posture, SynthesisOptions()), None)
+    residuals.set_parameters(
+        problem.parameters(cylinder, start, seeder.posture, SynthesisOptions()), None
+    )
     off = len(residuals(place.x)[0])
     residuals.set_objectives(objective_parameters(("torque",), {"torque": 1.0}, place.moment))
     values, jacobian = residuals(place.x)
@@ -525,11 +527,11 @@ def test_bad_task_wrenches_are_named() -> None:
 def test_the_default_has_no_rows_of_objectives_and_weights_do_not_rebuild(
     cylinder: GraspTask,
 ) -> None:
-    plain = problems_for(cylinder, SynthesisOptions().built).grasp
-    assert plain.formulation.objective_rows.numel() == 0
+    plain = problems_for(cylinder, SynthesisOptions().form).grasp
+    assert not {w.term.name for w in plain.terms} & set(BUILT)
     assert plain.formulation.parameters["objectives"].numel() == 0
-    first = problems_for(cylinder, SynthesisOptions(objective="limits:1").built).grasp
-    again = problems_for(cylinder, SynthesisOptions(objective="limits:7,epsilon").built).grasp
+    first = problems_for(cylinder, SynthesisOptions(objective="limits:1").form).grasp
+    again = problems_for(cylinder, SynthesisOptions(objective="limits:7,epsilon").form).grasp
     assert first is again
     assert first is not plain
 

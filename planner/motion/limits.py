@@ -17,9 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.motion.residuals import MotionResiduals
-from planner.motion.rows import described
-from planner.motion.unknowns import SHARE, TUBE
+from planner.motion.terms import REACH
+from planner.motion.unknowns import OFFSET, SHARE
 from planner.spatial import FloatArray
+from planner.synthesis.terms.term import Role
 
 __all__ = ["Limit", "what_limits", "worst_term"]
 
@@ -82,7 +83,7 @@ def what_limits(
         return ()
     scale = 1.0 / (residuals.pull * missing)
     found = [*_joints(residuals, z, jacobian.T @ r, lower, upper, scale)]
-    found += _terms(residuals, z, r, jacobian, scale)
+    found += _terms(residuals, r, scale)
     found.sort(key=lambda limit: -limit.gain)
     best: dict[str, Limit] = {}
     for limit in found:
@@ -103,7 +104,7 @@ def _joints(
     hand, u = problem.grasp.hand, problem.unknowns
     degree, unit = PER_UNIT["rad"]
     for k in range(u.n_knots):
-        at = u.columns(k).start + TUBE
+        at = u.columns(k).start + OFFSET
         for j, name in enumerate(hand.joint_names):
             i = at + j
             if upper[i] <= lower[i]:
@@ -122,37 +123,32 @@ def _joints(
                 )
 
 
-def _terms(
-    residuals: MotionResiduals,
-    z: FloatArray,
-    r: FloatArray,
-    jacobian: FloatArray,
-    scale: float,
-) -> Iterator[Limit]:
+def _terms(residuals: MotionResiduals, r: FloatArray, scale: float) -> Iterator[Limit]:
     """Violated inequalities."""
-    for row, value in zip(described(residuals, z, jacobian), r, strict=False):
-        if row.equality:
+    fingers = residuals.problem.grasp.hand.fingers
+    for row, value in zip(residuals.row_names(), r, strict=True):
+        if row.term.role is not Role.INEQUALITY:
             continue
-        step, unit = PER_UNIT[row.unit]
+        step, unit = PER_UNIT[row.term.unit]
         yield Limit(
-            what=row.what,
-            finger=row.finger,
+            what=str(row),
+            finger=next((name for name in row.about if name in fingers), ""),
             joint="",
             place=float(residuals.numbers.places[row.knot]),
-            gain=abs(float(value)) * row.weight * scale * step,
+            gain=abs(float(value)) * row.term.weight * scale * step,
             unit=unit,
         )
 
 
 def worst_term(residuals: MotionResiduals, z: FloatArray) -> str:
     """The term with the largest weighted residual at z, in words."""
-    r, jacobian = residuals(z)
-    rows = described(residuals, z, jacobian.dense())
+    r, _ = residuals(z)
+    rows = [row for row in residuals.row_names()[: residuals.n_terms] if row.term is not REACH]
     k = int(np.abs(r[: len(rows)]).argmax())
-    step, unit = WORDS[rows[k].unit]
-    place = 100 * residuals.numbers.places[rows[k].knot]
-    off = abs(float(r[k])) / rows[k].weight / step
-    return f"{rows[k].what} at {place:.0f} % of the path, off by {off:.2g}{unit}"
+    term, place = rows[k].term, 100 * residuals.numbers.places[rows[k].knot]
+    step, unit = WORDS[term.unit]
+    off = abs(float(r[k])) / term.weight / step
+    return f"{rows[k]} at {place:.0f} % of the path, off by {off:.2g}{unit}"
 
 
 WORDS = {"m": (1e-3, " mm"), "rad": (np.pi / 180, " degrees"), "m2": (1e-6, " mm2"), "-": (1.0, "")}

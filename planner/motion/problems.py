@@ -9,7 +9,7 @@ from planner.hands.hand import Hand
 from planner.motion.holds import Hold
 from planner.motion.problem import MotionProblem, build_motion_problem
 from planner.shapes import Shape
-from planner.synthesis.surfaces import surface_of
+from planner.synthesis.mesh_surface import surface_of
 from planner.system.threads import BUILDING, made_once
 from planner.task import GraspTask
 

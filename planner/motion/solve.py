@@ -23,7 +23,8 @@ import numpy as np
 from planner.motion.limits import Limit, what_limits, worst_term
 from planner.motion.path import ObjectPath
 from planner.motion.problem import MotionProblem
-from planner.motion.residuals import PULL, MotionResiduals
+from planner.motion.residuals import MotionResiduals
+from planner.motion.terms import REACH
 from planner.motion.unknowns import SHARE
 from planner.numerics.levenberg_marquardt import PATIENCE, STALLED, descend
 from planner.quality.weakest import weakest_directions
@@ -159,8 +160,10 @@ class MotionSolver:
         run.in_haste = not self.problem.holds
         run.fix(1.0)
         run.descend(REACHING)
-        if run.worst > WORTH_A_LOOK and run.residuals.numbers.pivot:  # a cost, not a term: drop it
-            run.residuals.numbers = replace(run.residuals.numbers, pivot=0.0)
+        if (
+            run.worst > WORTH_A_LOOK and run.residuals.numbers.pivoting_costs
+        ):  # a cost, not a term: drop it
+            run.residuals.numbers = replace(run.residuals.numbers, pivoting_costs=False)
             run.descend(HOLDING)
         yield run.candidate(())
         if run.worst <= WORTH_A_LOOK and self._rounds:
@@ -173,7 +176,7 @@ class MotionSolver:
     def stretch(self, start: Start) -> Iterator[MotionCandidate]:
         """As much of the path as there is, from a start in its middle; then less and less of it."""
         run = _Run(self, start)
-        run.residuals.pull = PULL * run.residuals.length
+        run.residuals.pull = REACH.weight * run.residuals.length
         run.descend(REACHING)
         limits = what_limits(run.residuals, run.z, run.lower, run.upper)
         run.residuals.pull = 0.0

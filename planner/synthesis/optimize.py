@@ -8,7 +8,7 @@ terms have suffered from that, a last descent without objectives mends them.
 
 Bars and hulls are wider in places than the balls and bones that stand for them. For hands with such
 links the true distances are looked at where a descent has come to, and those that are too small are
-kept from then on (``planner.synthesis.gaps``): on ten scans with a hand of bars
+kept from then on (``planner.synthesis.terms.link_distance``): on ten scans with a hand of bars
 1.5 attempts a grasp so 1.7, with four rounds 1.7 so 1.9.
 """
 
@@ -23,12 +23,12 @@ from planner.numerics.levenberg_marquardt import MAX_ITERATIONS, SLOW, SOLVED, D
 from planner.quality.weakest import wrench_faces
 from planner.shapes import Mesh, Shape
 from planner.spatial import FloatArray
-from planner.synthesis.gaps import find_gaps
-from planner.synthesis.objectives.registry import EPSILON, Moment, objective_parameters
+from planner.synthesis.objectives.registry import EPSILON, GraspPoint, objective_parameters
 from planner.synthesis.objectives.task_wrenches import resisted_wrenches
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start
-from planner.synthesis.terms import N_DIRECTIONS
+from planner.synthesis.terms.link_distance import find_link_distances
+from planner.synthesis.terms.resistance import N_DIRECTIONS
 from planner.system.stage_times import stage
 from planner.task import GraspTask
 
@@ -109,8 +109,8 @@ class _Run:
     def __init__(
         self, problem: GraspProblem, task: GraspTask, start: Start, parameters: FloatArray
     ) -> None:
-        self.residuals = problem.residuals.twin()
-        self.residuals.bind(parameters, problem.surface.field_of(task.object.shape))
+        self.residuals = problem.residuals.clone()
+        self.residuals.set_parameters(parameters, problem.surface.field_of(task.object.shape))
         self._problem, self._task, self._start = problem, task, start
         self._unknowns = problem.formulation.unknowns
         self._lower, self._upper = problem.bounds(start)
@@ -148,9 +148,16 @@ class _Run:
             return False
         with stage("links"):
             pose = self._problem.base_pose(self._start, self.x)
-            gaps = find_gaps(world, self._unknowns, self.x, pose, options)
-        self.residuals.keep_apart(gaps)
-        return gaps is not None and gaps.urgent
+            near = find_link_distances(
+                world,
+                self._unknowns,
+                self.x,
+                pose,
+                clear_tip=options.clear_tip,
+                clear_fingers=options.clear_fingers,
+            )
+        self.residuals.keep_apart(near)
+        return near is not None and near.urgent
 
     def aim(self, options: SynthesisOptions) -> None:
         """Tell the residuals where the objectives are to be worked on from here."""
@@ -164,7 +171,7 @@ class _Run:
             found = np.sqrt(weights[EPSILON]) * faces[:, :6]
             self.residuals.set_directions(found, least + GAIN)
         if problem.objectives:
-            moment = Moment(
+            moment = GraspPoint(
                 task=task,
                 q=self._unknowns.q(self.x),
                 points=points,

@@ -17,7 +17,7 @@ from rich.table import Table
 from planner.errors import NoGraspFoundError, PlannerError
 from planner.plain import finite
 from planner.search import plan_grasp
-from planner.synthesis.problems import problems_for
+from planner.synthesis.problem_cache import problems_for
 from sim.bench.journal import run_with_journal
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, task_for

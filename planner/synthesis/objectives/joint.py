@@ -24,8 +24,8 @@ from scipy.linalg import null_space
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.spatial import FloatArray, IntArray
-from planner.synthesis.objectives.linearisation import GraspSymbols, Moment
-from planner.synthesis.wrenches import contact_torque
+from planner.synthesis.contact_wrenches import contact_torque
+from planner.synthesis.symbols import GraspPoint, GraspSymbols
 
 __all__ = [
     "aim_torque",
@@ -92,7 +92,7 @@ def torque_rows(g: GraspSymbols) -> tuple[Any, Any]:
     return -(share**2), ca.vertcat(grip, weight, ca.vec(per_limit))
 
 
-def aim_torque(moment: Moment) -> FloatArray:
+def aim_torque(moment: GraspPoint) -> FloatArray:
     """Grip (N), weight in the object's frame (N), inverse limits of the actuators."""
     task = moment.task
     used = driving(task.hand, task.fingers)

@@ -22,7 +22,6 @@ from planner.synthesis.objectives.joint import (
     manipulability_rows,
     torque_rows,
 )
-from planner.synthesis.objectives.linearisation import GraspSymbols, Moment
 from planner.synthesis.objectives.wrench import (
     aim_min_weight,
     aim_robustness,
@@ -31,12 +30,13 @@ from planner.synthesis.objectives.wrench import (
     robustness_rows,
     task_rows,
 )
+from planner.synthesis.symbols import GraspPoint, GraspSymbols
 
 __all__ = [
     "EPSILON",
     "OBJECTIVES",
+    "GraspPoint",
     "GraspSymbols",
-    "Moment",
     "Objective",
     "objective_parameters",
     "objective_rows",
@@ -46,7 +46,7 @@ EPSILON = "epsilon"
 """The default; its rows are always there (``planner.synthesis.terms``)."""
 
 
-def _nothing(_moment: Moment) -> FloatArray:
+def _nothing(_moment: GraspPoint) -> FloatArray:
     """Parameters of rows that have none."""
     return np.zeros(0)
 
@@ -63,7 +63,7 @@ class Objective:
 
     share: float
     rows: Callable[[GraspSymbols], tuple[Any, Any]] | None = None
-    aim: Callable[[Moment], FloatArray] = _nothing
+    aim: Callable[[GraspPoint], FloatArray] = _nothing
 
 
 OBJECTIVES: Mapping[str, Objective] = {
@@ -79,22 +79,22 @@ OBJECTIVES: Mapping[str, Objective] = {
 attempts that succeed without an objective still do; with twice as much grasps are lost."""
 
 
-def objective_rows(names: tuple[str, ...], symbols: GraspSymbols) -> tuple[Any, Any]:
-    """Rows (m,) of objectives and their parameters (k,), for ``objective_parameters``."""
-    rows, parameters = [ca.SX(0, 1)], [ca.SX(0, 1)]
+def objective_rows(names: tuple[str, ...], symbols: GraspSymbols) -> tuple[dict[str, Any], Any]:
+    """Rows (m,) of each objective, and the parameters (k,) of all for ``objective_parameters``."""
+    rows, parameters = {}, [ca.SX(0, 1)]
     for name in names:
         objective = OBJECTIVES[name]
         if objective.rows is None:
             continue
         size = ca.SX.sym(f"size_{name}")
         expression, own = objective.rows(symbols)
-        rows.append(objective.share * size * expression)
+        rows[name] = objective.share * size * expression
         parameters += [size, own]
-    return ca.vertcat(*rows), ca.vertcat(*parameters)
+    return rows, ca.vertcat(*parameters)
 
 
 def objective_parameters(
-    names: tuple[str, ...], weights: Mapping[str, float], moment: Moment
+    names: tuple[str, ...], weights: Mapping[str, float], moment: GraspPoint
 ) -> FloatArray:
     """Parameters (k,) of the rows of objectives at a grasp.
 

@@ -28,8 +28,8 @@ import numpy as np
 
 from planner.quality.weakest import first_apart, wrench_faces
 from planner.spatial import FloatArray
-from planner.synthesis.objectives.linearisation import GraspSymbols, Moment
-from planner.synthesis.wrenches import support
+from planner.synthesis.contact_wrenches import support
+from planner.synthesis.symbols import GraspPoint, GraspSymbols
 
 __all__ = [
     "NORMAL_ERROR",
@@ -88,7 +88,7 @@ def min_weight_rows(g: GraspSymbols) -> tuple[Any, Any]:
     return ca.vertcat(*rows), ca.vec(u)
 
 
-def aim_min_weight(moment: Moment) -> FloatArray:
+def aim_min_weight(moment: GraspPoint) -> FloatArray:
     """The directions that bound the min-weight most (6 CUTS,)."""
     faces = wrench_faces(moment.points, moment.inward, moment.task.mu, moment.length)
     torque = np.cross(moment.points, moment.inward).mean(axis=0) / moment.length
@@ -109,7 +109,7 @@ def task_rows(g: GraspSymbols) -> tuple[Any, Any]:
     return ca.vertcat(*rows), ca.vertcat(ca.vec(u), on)
 
 
-def aim_task(moment: Moment) -> FloatArray:
+def aim_task(moment: GraspPoint) -> FloatArray:
     """The directions that bound the worst task wrenches most, and which are used (7 CUTS,)."""
     wrenches = moment.wrenches / np.repeat([1.0, moment.length], 3)
     wrenches = wrenches / np.linalg.norm(wrenches, axis=1).max()
@@ -144,7 +144,7 @@ def robustness_rows(g: GraspSymbols) -> tuple[Any, Any]:
     return ca.vertcat(*rows), ca.vec(u)
 
 
-def aim_robustness(moment: Moment) -> FloatArray:
+def aim_robustness(moment: GraspPoint) -> FloatArray:
     """The directions in which errors leave least (6 CUTS,)."""
     mu = max(float(narrowed(moment.task.mu, NORMAL_ERROR)), 0.0)
     faces = wrench_faces(moment.points, moment.inward, mu, moment.length)

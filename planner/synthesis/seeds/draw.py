@@ -19,8 +19,8 @@ from planner.kinematics.arm_ik import reach
 from planner.kinematics.state import HandState
 from planner.shapes.surface import Patch, Surface
 from planner.spatial import SE3, FloatArray
+from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.problem import Start
-from planner.synthesis.surfaces import surface_of
 from planner.task import GraspTask
 
 __all__ = ["Opposition", "Seeder", "frame_of", "opposition"]

@@ -11,7 +11,7 @@ import numpy as np
 from planner.shapes import Mesh, Shape
 from planner.shapes.surface import Patch, Surface, soft_norm, whole_surface
 from planner.spatial import FloatArray
-from planner.synthesis.nlp import Field, FieldPoints
+from planner.synthesis.field_points import Field, FieldPoints
 
 __all__ = ["mesh_surface", "surface_of"]
 
@@ -45,15 +45,6 @@ class _MeshSurface(Surface):
         self._steep, self._steep_on_walls = steep, steep_on_walls
         self._edge_worth = edge_worth
 
-    def anew(self) -> Surface:
-        return _MeshSurface(
-            self.normal_error,
-            self.distance_error,
-            self._steep,
-            self._steep_on_walls,
-            self._edge_worth,
-        )
-
     def field_of(self, shape: Mesh) -> Field:
         return shape.field()
 
@@ -68,18 +59,18 @@ class _MeshSurface(Surface):
         return self.patches(shape)[0]
 
     def outward_normal(self, size: Any, code: Any, p: Any) -> Any:
-        gradient = self.field.on_surface(p)[1]
+        gradient = self.field.at(p)[1]
         return gradient / soft_norm(gradient[0], gradient[1], gradient[2])
 
     def surface_error(self, size: Any, code: Any, p: Any) -> Any:
-        return self.field.on_surface(p)[0]
+        return self.field.at(p)[0]
 
     def flatness(self, size: Any, p: Any) -> Any:
-        gradient = self.field.on_surface(p)[1]
+        gradient = self.field.at(p)[1]
         return self._edge_worth * (ca.sumsqr(gradient) - size[0] ** 2) / (2 * size[0])
 
     def clearance(self, size: Any, c: Any) -> Any:
-        return self.field.value(c)
+        return self.field.at(c)[0]
 
 
 WALL = 0.006
