@@ -59,9 +59,9 @@ class SolveRecord:
         attempt: Number of the attempt that gave this plan, from 0; seed and attempt fix the start.
         attempts: How many attempts had been made when it was found.
         iterations: Evaluations of the residuals in its attempt.
-        status: Why the descent ended (informative only; the verdict is ``Verification``).
+        status: Why least squares ended (informative only; the verdict is ``Verification``).
         cpu_s: CPU time of the search until it was found, s, without building.
-        build_s: Time that building the NLPs took, s: once per hand, fingers and kind of shape.
+        build_s: Time that building the problems took, s: once per hand, fingers and kind of shape.
         objective: What the grasp was to be good at, as ``SynthesisOptions.objective``.
     """
 

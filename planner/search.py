@@ -16,7 +16,7 @@ from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
 from planner.plan import GraspPlan, SolveRecord
 from planner.synthesis.link_capsules import capsules_are_true
-from planner.synthesis.optimize import NEARLY, descend_grasp
+from planner.synthesis.optimize import NEARLY, optimize_grasp
 from planner.synthesis.options import ProblemForm, SynthesisOptions
 from planner.synthesis.problem import GraspProblem
 from planner.synthesis.problem_cache import Problems, problems_for
@@ -107,7 +107,7 @@ def plan_grasp(
         seed: Same seed, same plan.
         max_attempts: Budget in attempts.
         max_cpu_s: Budget in CPU seconds, looked at between attempts; None for no limit.
-        options: Margins and weights of the NLP.
+        options: Margins and weights of the problem.
         progress: Called after every attempt.
 
     Raises:
@@ -152,7 +152,7 @@ class _Ground:
 
     @property
     def judges_links(self) -> CollisionWorld | None:
-        """The true geometry where the fingers' bones are not it already."""
+        """The true geometry where the fingers' capsules are not it already."""
         return None if capsules_are_true(self.task.hand) else self.world
 
 
@@ -191,7 +191,7 @@ def _attempt(
         return start
     parameters = problems.grasp.parameters(task, start, seeder.posture, options)
     with stage("solve"):
-        candidate = descend_grasp(
+        candidate = optimize_grasp(
             problems.grasp, task, start, parameters, options, ground.judges_links
         )
     worst, weighted = problems.grasp.worst_violation(candidate.violation)
@@ -217,13 +217,8 @@ def _attempt(
 
 def _judged_by_own_terms(plan: GraspPlan, problem: GraspProblem) -> GraspPlan | str:
     """The plan if the terms of users that judge grasps are content, else the first one's reason."""
-    pose = plan.task.T_world_object
-    point = GraspPoint(
-        task=plan.task,
-        q=plan.q,
-        points=(plan.contacts.positions - pose.translation) @ pose.rotation,
-        inward=plan.contacts.normals @ pose.rotation,
-    )
+    contacts = plan.contacts_in_object
+    point = GraspPoint(task=plan.task, q=plan.q, points=contacts.positions, inward=contacts.normals)
     for term in problem.own_terms:
         failure = term.judge(point) if term.judge is not None else None
         if failure is not None:

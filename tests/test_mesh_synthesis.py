@@ -30,7 +30,7 @@ from planner.shapes import Box, Mesh, Shape, Torus
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import fill, link_spheres, span
 from planner.synthesis.mesh_surface import STEEP
-from planner.synthesis.optimize import descend_grasp
+from planner.synthesis.optimize import optimize_grasp
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Start, build_problem
 from planner.synthesis.resistance import least_resisted
@@ -307,7 +307,7 @@ def test_contacts_leave_edges_while_they_move(
         for start in starts:
             assert isinstance(start, Start)
             parameters = problem.parameters(task, start, seeder.posture, options)
-            end = descend_grasp(problem, task, start, parameters, options)
+            end = optimize_grasp(problem, task, start, parameters, options)
             slopes = np.linalg.norm(shape.field().taylor(end.points, 1)[:, 1:4], axis=1)
             count += int((slopes < STEEP - 0.03).sum())
         return count

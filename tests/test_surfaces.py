@@ -1,4 +1,4 @@
-"""The smooth surfaces of the NLP against the true shapes."""
+"""The smooth surfaces of the problem against the true shapes."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def value(shape: Shape, name: str, p: FloatArray, patch: Patch | None = None) ->
 
 @cache
 def points_of(shape: Shape, number: int) -> FloatArray:
-    """Points (60, 3) that the NLP admits: in the bounds of a patch, with surface error zero.
+    """Points (60, 3) that the problem admits: in the bounds of a patch, with surface error zero.
 
     Reached by Newton's method from random points within the bounds; those that leave are dropped.
     """
@@ -218,7 +218,7 @@ def outside(shape: Shape, nearest: float, farthest: float, count: int = 300) -> 
 
 @each_shape
 def test_clearance_never_promises_more_room_than_there_is(shape: Shape) -> None:
-    # What is in bounds for the NLP must be free in truth, but for the 0.08 mm that are stated.
+    # What is in bounds for the problem must be free in truth, but for the 0.08 mm that are stated.
     if isinstance(shape, Ellipsoid):
         pytest.skip("first-order accurate only: see the next test")
     points = outside(shape, NEAREST_BALL, 0.05)

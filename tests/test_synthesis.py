@@ -30,11 +30,11 @@ from planner.synthesis.terms.forces import LEVER, PRESS_MIN
 from planner.task import GraspTask, Obstacle
 
 SOFT = 4e-5
-"""How far (m) a ball that keeps its margin in the NLP may miss it: softened face distances."""
+"""How far (m) a ball that keeps its margin in the problem may miss it: softened face distances."""
 
 OPTIONS = SynthesisOptions()
 
-NLP_TOL = 1e-5
+SOLVED_TOL = 1e-5
 """Largest violation of a term (in its unit) that IPOPT may leave."""
 
 
@@ -96,7 +96,7 @@ def solve(task: GraspTask) -> Solved:
         start = seeder.draw(np.random.default_rng(seed))
         assert isinstance(start, Start)
         solution = programme.solve(task, start, parameters(start))
-        if max(solution.violation.values()) <= NLP_TOL:
+        if max(solution.violation.values()) <= SOLVED_TOL:
             here = replace(start, T_object_base=solution.T_object_base)
             return Solved(task, problem, solution, here, parameters(here))
     pytest.fail("no start of twenty leads to a solution")
@@ -121,7 +121,7 @@ def terms(case: Solved, x: FloatArray) -> dict[str, FloatArray]:
 
 
 class Reference:
-    """The same unknowns in numpy and Pinocchio: nothing of the NLP's own code."""
+    """The same unknowns in numpy and Pinocchio: nothing of the problem's own code."""
 
     def __init__(self, case: Solved, x: FloatArray) -> None:
         """Kinematics and contacts at x."""
@@ -208,7 +208,7 @@ def test_stop_torque_is_half_the_difference_of_the_two_joints_that_share_a_tendo
         torque = Reference(solved, x).torque()
         by_hand = [(torque[a] - torque[b]) / 2 / LEVER for a, b in pairs]
         np.testing.assert_allclose(terms(solved, x)["stop"], by_hand, rtol=0, atol=1e-9)
-    assert (terms(solved, solved.x)["stop"] >= -NLP_TOL).all()
+    assert (terms(solved, solved.x)["stop"] >= -SOLVED_TOL).all()
 
 
 def test_table_and_object_terms_are_clearances_of_the_right_balls(solved: Solved) -> None:
@@ -259,7 +259,7 @@ def test_a_solution_keeps_its_margins_on_the_true_shapes(solved: Solved) -> None
 def test_a_solution_satisfies_every_term_with_its_own_base_as_reference(solved: Solved) -> None:
     programme = Constrained(solved.problem)
     violations = programme.violations(solved.x, solved.parameters, solved.task)
-    assert max(violations.values()) <= NLP_TOL
+    assert max(violations.values()) <= SOLVED_TOL
     ref = Reference(solved, solved.x)
     check(terms(solved, solved.x), ref, tolerance=1e-6)
     np.testing.assert_allclose(ref.outward, solved.normals, atol=1e-6)

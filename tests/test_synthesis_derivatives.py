@@ -1,4 +1,4 @@
-"""Derivatives of the expressions, and the balls and bones that stand for links, against coal."""
+"""Derivatives of the expressions, and the spheres and capsules that stand for links, against coal."""
 
 from __future__ import annotations
 
@@ -124,24 +124,24 @@ def test_grasp_problem_has_exact_derivatives(task: GraspTask, seed: int) -> None
     check_derivatives(Derivatives(problem, x, parameters))
 
 
-def bone_geometry(bone: LinkCapsule, pose: SE3) -> tuple[Any, SE3]:
-    """A bone as a coal capsule and its pose in the base."""
-    inner, outer = pose.act(bone.inner), pose.act(bone.outer)
+def capsule_geometry(capsule: LinkCapsule, pose: SE3) -> tuple[Any, SE3]:
+    """A link capsule as coal's and its pose in the base."""
+    inner, outer = pose.act(capsule.inner), pose.act(capsule.outer)
     along = outer - inner
     length = float(np.linalg.norm(along))
     z = along / length if length > 0 else np.array([0.0, 0.0, 1.0])
     side = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
     side /= np.linalg.norm(side)
     rotation = np.column_stack([side, np.cross(z, side), z])
-    return coal.Capsule(bone.radius, length), SE3(rotation, (inner + outer) / 2)
+    return coal.Capsule(capsule.radius, length), SE3(rotation, (inner + outer) / 2)
 
 
-def between_bones(first: LinkCapsule, second: LinkCapsule, state: HandState) -> float:
-    """Signed distance (m) of two bones by coal."""
+def between_capsules(first: LinkCapsule, second: LinkCapsule, state: HandState) -> float:
+    """Signed distance (m) of two capsules by coal."""
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     placed = []
-    for bone in (first, second):
-        capsule, pose = bone_geometry(bone, state.joint_pose(bone.joint_id))
+    for capsule in (first, second):
+        capsule, pose = capsule_geometry(capsule, state.joint_pose(capsule.joint_id))
         placed += [capsule, coal.Transform3s(pose.rotation, pose.translation)]
     return float(coal.distance(*placed, request, result))
 
@@ -159,16 +159,16 @@ def test_fingers_term_is_the_distance_of_bones(right_hand: Hand) -> None:
     inputs = [f.x, f.symbols.reference, f.symbols.option["clear_fingers"]]
     rows = ca.Function("rows", inputs, [expression])
     x = np.zeros(f.unknowns.size)
-    bones = finger_capsules(right_hand)
+    capsules = finger_capsules(right_hand)
     apart_seen = 0
     for seed in range(5):
         state = random_state(right_hand, seed)
         f.unknowns.q(x)[:] = state.q
         squares = np.array(rows(x, np.eye(3), 0.002)).ravel()
         for (i, j), row in zip(collision_pairs(right_hand), squares, strict=True):
-            radii = bones[i].radius + bones[j].radius
+            radii = capsules[i].radius + capsules[j].radius
             apart = np.sqrt(row + (radii + 0.002) ** 2) - radii
-            theirs = between_bones(bones[i], bones[j], state)
+            theirs = between_capsules(capsules[i], capsules[j], state)
             if apart > 0.0:  # of what overlaps coal tells the way out instead
                 assert apart == pytest.approx(theirs, abs=3e-6)
                 apart_seen += 1
@@ -204,21 +204,21 @@ def test_meeting_bones_are_the_same_every_time_and_contain_pairs_that_often_meet
     found = collision_pairs(right_hand)
     collision_pairs.cache_clear()
     assert collision_pairs(right_hand) == found
-    bones = finger_capsules(right_hand)
+    capsules = finger_capsules(right_hand)
     times: Counter[tuple[int, int]] = Counter()
     for seed in range(100, 300):
         state = random_state(right_hand, seed)
-        places = [state.joint_pose(b.joint_id) for b in bones]
-        middles = [T.act((b.inner + b.outer) / 2) for T, b in zip(places, bones, strict=True)]
-        reach = [float(np.linalg.norm(b.outer - b.inner)) / 2 + b.radius for b in bones]
-        for i, j in combinations(range(len(bones)), 2):
+        places = [state.joint_pose(b.joint_id) for b in capsules]
+        middles = [T.act((b.inner + b.outer) / 2) for T, b in zip(places, capsules, strict=True)]
+        reach = [float(np.linalg.norm(b.outer - b.inner)) / 2 + b.radius for b in capsules]
+        for i, j in combinations(range(len(capsules)), 2):
             far = np.linalg.norm(middles[i] - middles[j]) > reach[i] + reach[j] + COLLISION_MARGIN
-            if not far and bones[i].finger != bones[j].finger:
-                times[i, j] += between_bones(bones[i], bones[j], state) < COLLISION_MARGIN
+            if not far and capsules[i].finger != capsules[j].finger:
+                times[i, j] += between_capsules(capsules[i], capsules[j], state) < COLLISION_MARGIN
     often = {pair for pair, count in times.items() if count >= 8}
     assert len(often) >= 3
     assert often <= set(found)
-    assert len(found) < sum(a.finger != b.finger for a, b in combinations(bones, 2))
+    assert len(found) < sum(a.finger != b.finger for a, b in combinations(capsules, 2))
 
 
 def relatives(hand: Hand, joint: int) -> set[int]:

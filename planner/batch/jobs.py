@@ -59,7 +59,7 @@ class Job:
         k: Number of the grasp among those of its object.
         seed: Seed of its search.
         max_attempts: Attempts before giving up.
-        options: Margins and weights of the NLP.
+        options: Margins and weights of the problem.
         parent: Process that started the batch.
         max_cpu_s: CPU seconds before giving up; None for no limit.
     """
@@ -101,7 +101,7 @@ def batch_jobs(
         seed: Seed of the batch.
         wanted: Whether a request's number is still to be planned.
         max_attempts: Attempts before giving up.
-        options: Margins and weights of the NLP.
+        options: Margins and weights of the problem.
         max_cpu_s: CPU seconds before giving up; None for no limit.
     """
     for number, item in enumerate(objects):

@@ -1,8 +1,8 @@
 """A grasp task as text that another process can make the task from again.
 
-Hands and NLPs cannot be sent between processes, and need not be: a worker makes each task once from
-its text and keeps it. The text is also what a stored batch remembers of its tasks. It gives the
-same task to the last bit, so that a request is planned as ``plan_grasp`` plans it.
+Hands and problems cannot be sent between processes, and need not be: a worker makes each task once
+from its text and keeps it. The text is also what a stored batch remembers of its tasks. It gives
+the same task to the last bit, so that a request is planned as ``plan_grasp`` plans it.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ def _with_fingers(task: GraspTask, names: tuple[str, ...]) -> GraspTask:
 
 @made_once(8)
 def _hand(name: str) -> Hand:
-    """One hand for all tasks with it, so that they share its NLPs."""
+    """One hand for all tasks with it, so that they share its problems."""
     return load_hand(name, download=False)
 
 

@@ -81,7 +81,7 @@ def plan_grasps(
         backend: joblib's name of a backend. Threads take turns, so they are no faster than one.
         out: Folder of the dataset; a batch that is there goes on. A temporary one if None, which
             lives as long as the result.
-        options: Margins and weights of the NLP.
+        options: Margins and weights of the problem.
         max_attempts: Attempts per grasp before it counts as not found.
         max_cpu_s: CPU seconds per grasp before it counts as not found, looked at between attempts;
             which grasps are found then depends on the machine. None for no limit.

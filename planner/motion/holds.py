@@ -52,7 +52,7 @@ class HoldRows:
         """Differentiate.
 
         Args:
-            surface: NLP form of the object's shape; one that needs no distance field.
+            surface: Form of the object's shape; one that needs no distance field.
             n_contacts: How many contacts hold.
         """
         m = n_contacts

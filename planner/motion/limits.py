@@ -1,4 +1,4 @@
-"""What keeps a path from being longer: multipliers of the descent that pulled at it.
+"""What keeps a path from being longer: multipliers of the least squares that pulled at it.
 
 Where the pull r0 = w (1 - share) and the violated terms r_i balance, least squares are stationary:
 
@@ -72,7 +72,7 @@ def what_limits(
 
     Args:
         residuals: With the pull on.
-        z: Where a descent ended.
+        z: Where least squares ended.
         lower: Least z.
         upper: Largest z.
     """

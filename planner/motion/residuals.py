@@ -127,7 +127,7 @@ class MotionResiduals:
         if self.pull:
             row = np.zeros((1, SHARED))
             row[0, SHARE] = -self.pull
-            # a term: as long as much of the path is missing, a descent goes on
+            # a term: as long as much of the path is missing, least squares go on
             missing = np.array([self.pull * (1.0 - z[SHARE])])
             at = slice(SHARED, SHARED)
             terms.append(Block(values=missing, rows=row, at=at, names=_just(REACH.row())))

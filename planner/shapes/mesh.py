@@ -1,6 +1,6 @@
 """Solids bounded by triangles: convex or not, of one body or several, with cavities.
 
-Every query is on the true triangles. ``Mesh.field`` is the smooth distance for the NLP.
+Every query is on the true triangles. ``Mesh.field`` is the smooth distance for synthesis.
 """
 
 from __future__ import annotations

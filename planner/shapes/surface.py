@@ -44,7 +44,7 @@ EDGE_MARGIN = 0.004
 a few millimetres must not reach the edge. At most a quarter of the patch's half width."""
 
 SIZE_DIM = 3
-"""Numbers that describe a shape's size in the NLP."""
+"""Numbers that describe a shape's size in the grasp problem."""
 
 CODE_DIM = 3
 """Numbers that say which patch a finger touches."""
@@ -56,7 +56,7 @@ class Patch:
 
     Attributes:
         name: For people, for example "+x".
-        code: (3,), which patch, as numbers for the NLP.
+        code: (3,), which patch, as numbers for the problem.
         lower: (3,), lower bounds of a contact point in the object's frame, m.
         upper: (3,), upper bounds.
     """
@@ -68,7 +68,7 @@ class Patch:
 
 
 class Surface(ABC):
-    """How one kind of shape enters the NLP. All expressions are in the object's frame, m."""
+    """How one kind of shape enters the grasp problem; expressions are in the object's frame, m."""
 
     kind: ClassVar[str]
     field: Any = None
@@ -84,7 +84,7 @@ class Surface(ABC):
 
     @abstractmethod
     def size(self, shape: Any) -> FloatArray:
-        """NLP parameters (3,) of a shape's size, m."""
+        """Parameters (3,) of a shape's size, m."""
 
     @abstractmethod
     def patches(self, shape: Any) -> tuple[Patch, ...]:

@@ -27,7 +27,7 @@ to 100 % of the others more."""
 
 
 class _MeshSurface(Surface):
-    """The zero level of a mesh's smooth distance field; one object per programme."""
+    """The zero level of a mesh's smooth distance field; one object per problem."""
 
     kind = "mesh"
 
@@ -39,7 +39,7 @@ class _MeshSurface(Surface):
         steep_on_walls: float,
         edge_worth: float,
     ) -> None:
-        """Begin to collect the points at which the programme needs the field."""
+        """Begin to collect the points at which the problem needs the field."""
         self.field: FieldPoints = FieldPoints()
         self.normal_error, self.distance_error = normal_error, distance_error
         self._steep, self._steep_on_walls = steep, steep_on_walls
@@ -96,7 +96,7 @@ def mesh_surface(
     steep_on_walls: float | None = None,
     edge_worth: float = 1.0,
 ) -> Surface:
-    """The NLP form of a mesh.
+    """The form of a mesh in the grasp problem.
 
     Args:
         normal_error: How far (rad) normals may be from the true ones.
@@ -111,7 +111,7 @@ def mesh_surface(
 
 
 def surface_of(shape: Shape) -> Surface:
-    """The NLP form of a shape.
+    """The form of a shape in the grasp problem.
 
     Raises:
         ObjectError: Synthesis does not know this kind of shape.

@@ -1,7 +1,7 @@
 """The verdict on a candidate: the true geometry, by Pinocchio and coal.
 
-What the NLP solved is recomputed here with other code on other geometry: Pinocchio's kinematics,
-coal's distances between the real shapes (no balls, no softened edges), contact points and normals
+What least squares solved is recomputed here with other code on other geometry: Pinocchio's
+kinematics, coal's distances between the real shapes (no balls, no softened edges), contact points and normals
 from the true surface.
 """
 

@@ -1,6 +1,6 @@
 """``judge_grasp``: a base pose and joints become a plan if everything holds, or a reason why not.
 
-The search asks it about what the NLP found, and whoever reads a plan from a file asks it again.
+The search asks it about what least squares found; whoever reads a plan from a file asks it again.
 """
 
 from __future__ import annotations

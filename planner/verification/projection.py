@@ -1,7 +1,7 @@
 """The last step onto the true surface.
 
-The NLP's solution touches a model of the object (the smooth field of a mesh) with a model of the
-pad (a sphere). Both are right to some tenths of a millimetre. Here the fingers' own joints are
+What least squares found touches a model of the object (the smooth field of a mesh) with a model of
+the pad (a sphere). Both are right to some tenths of a millimetre. Here the fingers' own joints are
 moved by the least amount that brings every pad onto the true surface and closes the couplings,
 
     min |dq|  s.t.  n_i' J_i dq = -gap_i,   C dq = d - C q,   wrist and base as they are,

@@ -64,7 +64,7 @@ class Outcome:
         found: Whether a plan was found.
         attempts: Attempts made.
         cpu_s: CPU time of planning without building, s.
-        build_s: Time of building the NLPs, s; 0 where they were at hand.
+        build_s: Time of building the problems, s; 0 where they were at hand.
         epsilon: Of the planned contacts; None if not found.
         held: Whether the object was held.
         reason: Why not.

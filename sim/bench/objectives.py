@@ -16,7 +16,7 @@ from rich.table import Table
 from planner.batch.jobs import grasp_seed
 from planner.batch.recipe import shape_key
 from planner.errors import PlannerError
-from planner.plan_metrics import MEASURES, measured
+from planner.plan_metrics import METRICS, evaluate_metrics
 from planner.search import attempts
 from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions
 from sim.bench.objects import BenchObject
@@ -92,7 +92,7 @@ def run_objectives(
         "max_attempts": max_attempts,
         "workers": runner.workers,
         "interrupted": not finished,
-        "units": {name: measure.unit for name, measure in MEASURES.items()},
+        "units": {name: metric.unit for name, metric in METRICS.items()},
         "objectives": [summary_of_objective(text, rows) for text in asked],
         "rows": rows,
     }
@@ -112,7 +112,7 @@ def _measure(request: _Request, check: Callable[[], None]) -> dict[str, Any]:
             cpu += attempt.cpu_s
             check()
             if attempt.plan is not None:
-                values = measured(attempt.plan)
+                values = evaluate_metrics(attempt.plan)
             if values is not None or made >= request.max_attempts:
                 break
     except PlannerError as error:
@@ -169,7 +169,7 @@ def summary_of_objective(objective: str, rows: Sequence[dict[str, Any]]) -> dict
                 sum(ours[name] > theirs[name] for ours, theirs in pairs if theirs is not None),
                 sum(theirs is not None for _, theirs in pairs),
             )
-            for name in MEASURES
+            for name in METRICS
         },
         "cells": [
             {
@@ -187,12 +187,12 @@ def _place(row: dict[str, Any]) -> tuple[str, str, int]:
 
 
 def _medians(found: Sequence[dict[str, Any]]) -> dict[str, float | None]:
-    return {name: median_of(row["measures"][name] for row in found) for name in MEASURES}
+    return {name: median_of(row["measures"][name] for row in found) for name in METRICS}
 
 
 def objective_tables(result: dict[str, Any]) -> list[Table]:
     """One row per objective over everything; then each objective's own measure by cell."""
-    names = tuple(MEASURES)
+    names = tuple(METRICS)
     units = [f"{name}" if u == "-" else f"{name} {u}" for name, u in result["units"].items()]
     whole = table_of(
         "medians over found grasps of all hands and objects; found per attempt; CPU ms per attempt "

@@ -1,4 +1,4 @@
-"""Starts for the NLP: put the hand where its fingers oppose each other across the object.
+"""Starts of grasp synthesis: put the hand where its fingers oppose each other across the object.
 
 In the pinch posture the finger whose pad faces the others is the opposer (a thumb). The line
 from its pad to the mean of the other pads is the hand's opposition axis. A start lays that axis

@@ -3,14 +3,8 @@
 Spheres and capsules stand for the links (``planner.synthesis.link_spheres``, ``.link_capsules``).
 Of some hundreds of clearances few are violated at a time. So CasADi computes the values of all, and
 the places of all points; the derivatives of those that are violated are made from the joints'
-Jacobians:
-
-    point = R0 M(s) b(q) + t,     row = direction . (d point / d unknowns),
-    d point / d s_k = R0 M(s) [rates_k x b],   d b / d q_k = v_k + omega_k x b,
-
-with b a point of the base, or of the arm's last link, and rates as in ``mrp_rates``. On a mesh a
-sphere that was far from the object is not looked up again until it may have come near: distances
-change no faster than points move.
+Jacobians (``planner.synthesis.terms.hand_points``). On a mesh a sphere that was far from the object
+is not looked up again until it may have come near: distances change no faster than points move.
 """
 
 from __future__ import annotations
@@ -23,7 +17,6 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.hands.hand import Hand
 from planner.shapes.surface import box_clearance
 from planner.spatial import FloatArray, IntArray
 from planner.synthesis.field_points import Field
@@ -42,6 +35,7 @@ from planner.synthesis.link_spheres import (
 )
 from planner.synthesis.symbols import GraspSymbols
 from planner.synthesis.terms.contact import PER_METRE
+from planner.synthesis.terms.hand_points import HandPoints, Placement
 from planner.synthesis.terms.source import ActiveRows
 from planner.synthesis.terms.term import Role, Row, Term
 from planner.synthesis.unknowns import mrp_rates
@@ -95,19 +89,6 @@ FINGERS = Term(
 )
 
 
-class _Points:
-    """Points that move with joints: which joints' columns count for each."""
-
-    def __init__(self, hand: Hand, joints: list[int]) -> None:
-        moved = hand.moved_by[np.array(joints, dtype=np.int64)]
-        self.moved = moved.reshape(len(joints), hand.nq).copy()
-        # what the arm carries is placed by the unknowns s and t, its other links by its joints
-        self.carried = np.ones((len(joints), 1), dtype=bool)
-        if hand.arm is not None:
-            self.carried = self.moved[:, hand.arm.chain[-1:]].copy()
-            self.moved[np.ix_(self.carried[:, 0], hand.arm.chain)] = False
-
-
 class Clearances:
     """The clearances of one hand, finger set and kind of shape: a ``RowSource``.
 
@@ -127,9 +108,9 @@ class Clearances:
         self._spheres = moving(hand, link_spheres(hand))
         self._hull = moving(hand, hull_spheres(hand))
         capsules = finger_capsules(hand)
-        self._on_spheres = _Points(hand, [b.joint_id for b in self._spheres])
-        self._on_hull = _Points(hand, [b.joint_id for b in self._hull])
-        self._on_capsules = _Points(hand, [b.joint_id for b in capsules])
+        self._on_spheres = HandPoints(hand, g.unknowns, [b.joint_id for b in self._spheres])
+        self._on_hull = HandPoints(hand, g.unknowns, [b.joint_id for b in self._hull])
+        self._on_capsules = HandPoints(hand, g.unknowns, [b.joint_id for b in capsules])
         self._pairs = np.array(collision_pairs(hand), dtype=np.int64).reshape(-1, 2)
         self._radii = np.array([b.radius for b in self._spheres])
         touching = [f.name for f in g.fingers]
@@ -214,37 +195,19 @@ class Clearances:
         self._reach[~self._avoids] = -np.inf
         self._seen = np.full((len(self._reach), 3), np.inf)
         self._gaps = np.where(self._avoids, -np.inf, np.inf)
-        if self._hand.arm is not None:
-            self._root = values["root"][:9].reshape(3, 3, order="F")
+        root = values["root"][:9]
+        self._root = root.reshape(3, 3, order="F") if len(root) else None
 
     def __call__(self, x: FloatArray) -> list[ActiveRows]:
         """See ``RowSource``."""
-        self._rates = mrp_rates(x[:3])
+        found = self._found
+        self._placement = Placement(
+            rotation=found["rotation"],
+            rates=mrp_rates(x[:3]),
+            columns=found["columns"],
+            root=self._root,
+        )
         return [*self._object(), *self._table(), *self._obstacles(), *self._fingers()]
-
-    def _rows(
-        self, points: _Points, which: IntArray, at: FloatArray, directions: FloatArray
-    ) -> FloatArray:
-        """Derivatives (k, n) of points b (k, 3) along directions (k, 3) of the object's frame."""
-        along = directions @ self._found["rotation"]
-        out = np.zeros((len(which), self._size))
-        moments = _cross(at, along)
-        out[:, :3], out[:, 3:6] = moments @ self._rates, directions
-        if self._hand.arm is not None:
-            carried = points.carried[which]
-            out[:, :6] *= carried
-            along = np.where(carried, along, directions @ self._root)
-            moments = _cross(at, along)
-        self._symbols.unknowns.q(out.T)[:] = self._turned(points, which, along, moments).T
-        return out
-
-    def _turned(
-        self, points: _Points, which: IntArray, along: FloatArray, moments: FloatArray
-    ) -> FloatArray:
-        """Derivatives (k, nq) by the joints, of points that move along directions."""
-        rates = np.hstack([along, moments]) @ self._found["columns"].T
-        rates *= points.moved[which]
-        return rates
 
     def _object(self) -> list[ActiveRows]:
         if self._surface.field is None:
@@ -255,7 +218,7 @@ class Clearances:
             gaps, bad, slopes = self._looked_up()
         if not len(bad):
             return []
-        rows = self._rows(self._on_spheres, bad, self._found["spheres"][bad], slopes)
+        rows = self._on_spheres.rows(self._placement, bad, self._found["spheres"][bad], slopes)
         return [ActiveRows(OBJECT, gaps[bad], rows, bad)]
 
     def _looked_up(self) -> tuple[FloatArray, IntArray, FloatArray]:
@@ -279,7 +242,7 @@ class Clearances:
         if not len(bad):
             return []
         normals = np.tile(self._values["table"][:3], (len(bad), 1))
-        rows = self._rows(self._on_hull, bad, self._found["hull"][bad], normals)
+        rows = self._on_hull.rows(self._placement, bad, self._found["hull"][bad], normals)
         return [ActiveRows(TABLE, heights[bad], rows, bad)]
 
     def _obstacles(self) -> list[ActiveRows]:
@@ -291,7 +254,7 @@ class Clearances:
             bad = np.flatnonzero(room < 0.0)
             if len(bad):
                 at = self._found["spheres"][bad]
-                rows = self._rows(self._on_spheres, bad, at, slopes[k * n + bad])
+                rows = self._on_spheres.rows(self._placement, bad, at, slopes[k * n + bad])
                 parts.append(ActiveRows(OBSTACLE, room[bad], rows, k * n + bad))
         return parts
 
@@ -304,8 +267,8 @@ class Clearances:
         inner, outer = self._found["inner"], self._found["outer"]
         end, foot = closest_on_segments(inner[first], outer[first], inner[second], outer[second])
         twice = 2.0 * (end - foot)
-        rates = self._turned(self._on_capsules, first, twice, _cross(end, twice))
-        rates -= self._turned(self._on_capsules, second, twice, _cross(foot, twice))
+        rates = self._on_capsules.joint_rows(self._placement, first, end, twice)
+        rates -= self._on_capsules.joint_rows(self._placement, second, foot, twice)
         rows = np.zeros((len(bad), self._size))
         self._symbols.unknowns.q(rows.T)[:] = rates.T
         return [ActiveRows(FINGERS, rooms[bad], rows, bad)]
@@ -349,11 +312,3 @@ def _from_box(box: Any, point: Any) -> Any:
 
 def _columns(points: list[Any]) -> Any:
     return ca.horzcat(*points) if points else ca.SX(3, 0)
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Row by row, (k, 3); numpy's own takes five times as long on short arrays."""
-    return a[:, NEXT] * b[:, AFTER] - a[:, AFTER] * b[:, NEXT]
-
-
-NEXT, AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from planner.hands.hand import Hand
-from planner.numerics.levenberg_marquardt import Descent, descend
+from planner.numerics.levenberg_marquardt import LMResult, levenberg_marquardt
 from planner.objects import parse_object
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.optimize import descend_grasp
+from planner.synthesis.optimize import optimize_grasp
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import GraspProblem, Start
 from planner.synthesis.problem_cache import problems_for
@@ -52,7 +52,7 @@ def run(
     equality: NDArray[np.bool_] | None = None,
     n_terms: int | None = None,
     **options: Any,
-) -> Descent:
+) -> LMResult:
     """Descend with every residual an equality of unit scale unless told otherwise."""
     free = {
         "lower": np.full(len(x), -np.inf),
@@ -60,7 +60,9 @@ def run(
         "scale": np.ones(len(x)),
         "max_iterations": 200,
     }
-    return descend(Given(function, equality, n_terms), np.array(x), **{**free, **options})
+    return levenberg_marquardt(
+        Given(function, equality, n_terms), np.array(x), **{**free, **options}
+    )
 
 
 def test_rosenbrock_ends_at_its_known_minimum() -> None:
@@ -284,7 +286,7 @@ def test_descent_and_ipopt_agree_that_a_start_leads_to_a_grasp(allegro: Hand) ->
         assert isinstance(start, Start)
         parameters = problem.parameters(task, start, seeder.posture, SynthesisOptions())
         quick, slow = (
-            descend_grasp(problem, task, start, parameters, SynthesisOptions(rounds=0)),
+            optimize_grasp(problem, task, start, parameters, SynthesisOptions(rounds=0)),
             Constrained(problem).solve(task, start, parameters),
         )
         good = max(v * TERMS[name].weight for name, v in quick.violation.items()) < 0.1

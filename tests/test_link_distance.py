@@ -13,7 +13,7 @@ from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_capsules import capsules_are_true
-from planner.synthesis.optimize import descend_grasp
+from planner.synthesis.optimize import optimize_grasp
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start
 from planner.synthesis.problem_cache import problems_for
@@ -104,8 +104,8 @@ def _ends(task: GraspTask, apart: float, k: int) -> tuple[Candidate, Candidate]:
     asked = replace(options, clear_fingers=apart)
     world = CollisionWorld(task)
     return (
-        descend_grasp(problem, task, start, parameters, options),
-        descend_grasp(problem, task, start, parameters, asked, world),
+        optimize_grasp(problem, task, start, parameters, options),
+        optimize_grasp(problem, task, start, parameters, asked, world),
     )
 
 
