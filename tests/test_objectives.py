@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from planner import plan_metrics as metrics
 from planner.contacts import ContactSet
 from planner.errors import NotFoundError, TaskError
 from planner.files import PlanFile, plan_to_dict, read_plan, write_plan

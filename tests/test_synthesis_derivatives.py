@@ -1,4 +1,4 @@
-"""Derivatives of the expressions, and the spheres and capsules that stand for links, against coal."""
+"""Derivatives of the expressions; spheres and capsules that stand for links, against coal."""
 
 from __future__ import annotations
 
@@ -141,8 +141,8 @@ def between_capsules(first: LinkCapsule, second: LinkCapsule, state: HandState) 
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     placed = []
     for capsule in (first, second):
-        capsule, pose = capsule_geometry(capsule, state.joint_pose(capsule.joint_id))
-        placed += [capsule, coal.Transform3s(pose.rotation, pose.translation)]
+        geometry, pose = capsule_geometry(capsule, state.joint_pose(capsule.joint_id))
+        placed += [geometry, coal.Transform3s(pose.rotation, pose.translation)]
     return float(coal.distance(*placed, request, result))
 
 
@@ -150,7 +150,7 @@ def random_state(hand: Hand, seed: int) -> HandState:
     return HandState(hand, np.random.default_rng(seed).uniform(hand.q_lower, hand.q_upper))
 
 
-def test_fingers_term_is_the_distance_of_bones(right_hand: Hand) -> None:
+def test_fingers_term_is_the_distance_of_capsules(right_hand: Hand) -> None:
     """By coal, to its tolerance of 1e-6 m, at random joints, through the squares of the term."""
     fingers, sphere = tuple(right_hand.fingers.values()), parse_object("sphere").shape
     problem = build_problem(right_hand, fingers, sphere)

@@ -1,8 +1,8 @@
 """The verdict on a candidate: the true geometry, by Pinocchio and coal.
 
 What least squares solved is recomputed here with other code on other geometry: Pinocchio's
-kinematics, coal's distances between the real shapes (no balls, no softened edges), contact points and normals
-from the true surface.
+kinematics, coal's distances between the real shapes (no spheres, no softened edges), contact points
+and normals from the true surface.
 """
 
 from __future__ import annotations
