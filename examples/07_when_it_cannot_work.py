@@ -44,7 +44,7 @@ for title, ask in cases.items():
         print(f"  {type(error).__name__}: {error}")
         if isinstance(error, NoGraspFoundError):
             for attempt in error.attempts:
-                print(f"    attempt {attempt.index}: {attempt.reason}")
+                print(f"    attempt {attempt.index}: {attempt.failure}")
     else:
         print(f"{title}: it worked after all")
     print()

@@ -19,9 +19,10 @@ import numpy as np
 
 from planner import GraspTask, plan_grasp
 from planner.certify.breaking import breaking_along
-from planner.spatial import SE3, FloatArray, rotation_angle
+from planner.spatial import SE3, FloatArray, pose_change
 from sim.controllers import CONTROLLERS
 from sim.scene import PhysicsOptions
+from sim.simulation import Simulation
 from sim.trial import Timeline, Trial
 
 HAND = "allegro_hand"
@@ -45,7 +46,7 @@ def push_until_it_breaks(controller: str, direction: FloatArray) -> FloatArray:
     """Push (N), movement (mm) and rotation (degrees) in the hand over time, (m, 3)."""
     trial = Trial(
         plan,
-        controller=CONTROLLERS[controller](plan),
+        controller=controller,
         physics=PhysicsOptions(mu=MU),
         timeline=replace(QUICK, hold=LARGEST / RATE),
         record_every=0.1,
@@ -53,20 +54,17 @@ def push_until_it_breaks(controller: str, direction: FloatArray) -> FloatArray:
     rows: list[tuple[float, float, float]] = []
     start: list[tuple[float, SE3]] = []
 
-    def on_step(t: Trial) -> None:
-        if t.phase != "hold":
+    def on_step(simulation: Simulation) -> None:
+        if simulation.phase != "hold":
             return
-        palm = t.scene.body_pose(t.data, t.scene.palm_body)
-        there = palm.actInv(t.scene.body_pose(t.data, t.scene.object_body))
-        start.append((t.data.time, there))
+        start.append((simulation.time, simulation.T_palm_object))
         begin, first = start[0]
-        push = RATE * (t.data.time - begin)
-        t.data.xfrc_applied[t.scene.object_body, :3] = push * direction
-        moved = 1e3 * float(np.linalg.norm(there.translation - first.translation))
-        turned = np.rad2deg(rotation_angle(first.rotation.T @ there.rotation))
+        push = RATE * (simulation.time - begin)
+        simulation.data.xfrc_applied[simulation.scene.object_body, :3] = push * direction
+        moved, turned = pose_change(first, simulation.T_palm_object)
         rows.append((push, moved, turned))
         if moved > LIMIT_MM or turned > LIMIT_DEG:
-            raise KeyboardInterrupt  # ends the trial
+            simulation.stop("the object has moved too far in the hand")
 
     trial.run(on_step=on_step)
     return np.array(rows)
@@ -75,16 +73,16 @@ def push_until_it_breaks(controller: str, direction: FloatArray) -> FloatArray:
 contacts = plan.contacts.with_friction(MU)
 figure, axes = plt.subplots(1, len(PUSHES), sharey=True, figsize=(11, 4))
 print(f"{HAND}, {OBJECT}: push (N) at {LIMIT_MM:.0f} mm or {LIMIT_DEG:.0f} degrees in the hand\n")
-print("direction    open   closed   closed / open   any controller")
+print("direction  feedforward  impedance  impedance / feedforward  any controller")
 for axis, (name, direction) in zip(axes, PUSHES.items(), strict=True):
     along = np.array(direction, dtype=np.float64)
     runs = {controller: push_until_it_breaks(controller, along) for controller in CONTROLLERS}
-    opened, closed = runs["open"][-1, 0], runs["closed"][-1, 0]
+    opened, closed = runs["feedforward"][-1, 0], runs["impedance"][-1, 0]
     problem = replace(plan.forces.problem, contacts=contacts)
     bound = breaking_along(problem, np.concatenate([along, np.zeros(3)])).upper
-    print(f"{name:10} {opened:6.1f} {closed:8.1f} {closed / opened:15.1f} {bound:16.1f}")
+    print(f"{name:10} {opened:11.1f} {closed:10.1f} {closed / opened:24.1f} {bound:15.1f}")
     for controller, run in runs.items():
-        axis.plot(run[:, 0], run[:, 1], label=f"{controller} loop")
+        axis.plot(run[:, 0], run[:, 1], label=controller)
     axis.set_title(f"push {name}")
     axis.set_xlabel("push (N)")
 axes[0].set_ylabel("movement in the hand (mm)")

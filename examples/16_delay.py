@@ -19,7 +19,7 @@ from planner import GraspTask, plan_grasp
 from planner.spatial import FloatArray
 from sim.controllers import ImpedanceGains, ObjectImpedance, Sensing
 from sim.controllers.gains import BANDWIDTH, LEARNING_RATE, felt_inertia
-from sim.protocols.hold import Hold
+from sim.protocols.disturbance import DisturbanceTrial
 
 HAND = "allegro_hand"
 OBJECT = "sphere"
@@ -48,18 +48,23 @@ def pushed(delay_ms: float, share: float) -> tuple[FloatArray, tuple[str, ...]]:
         ),
         sensing=Sensing(pose_delay=1e-3 * delay_ms),
     )
-    hold = Hold(plan, controller=controller, lost=None)
-    hold.grip()
-    first = hold.T_palm_object.translation
-    towards = hold.scene.body_pose(hold.data, hold.scene.palm_body).rotation.T @ PUSH
+    hold = DisturbanceTrial(plan, controller=controller, dropped=None)
+    hold.close_and_squeeze()
+    first = hold.simulation.T_palm_object.translation
+    towards = (
+        hold.simulation.scene.body_pose(
+            hold.simulation.data, hold.simulation.scene.palm_body
+        ).rotation.T
+        @ PUSH
+    )
     rows: list[tuple[float, float]] = []
 
     def look(since: float) -> None:
         hold.push(np.append(PUSH if BEGIN < since < END else np.zeros(3), np.zeros(3)))
-        moved = (hold.T_palm_object.translation - first) @ towards / np.linalg.norm(PUSH)
+        moved = (hold.simulation.T_palm_object.translation - first) @ towards / np.linalg.norm(PUSH)
         rows.append((since, 1e3 * float(moved)))
 
-    hold.endure(HOLD, each_step=look)
+    hold.hold_for(HOLD, each_step=look)
     return np.array(rows), tuple(event.kind for event in controller.events)
 
 

@@ -22,7 +22,8 @@ from planner import GraspPlan, GraspTask, Hand, plan_grasp
 from planner.hand_loading import hand_from_spec
 from planner.spatial import FloatArray
 from sim.controllers import ObjectImpedance, Observation
-from sim.protocols.hold import Hold, Lost
+from sim.protocols.disturbance import DisturbanceTrial
+from sim.verdict import DropCriteria
 
 HAND = "allegro_hand"
 OBJECT = "sphere"
@@ -30,7 +31,7 @@ SEED = 0
 PUSH = np.array([0.0, 3.0, 0.0])  # world axes, N: three times the object's weight
 BEGIN, HOLD = 0.2, 0.8  # of the push and the end, s since the hold began
 EVERY = (1, 2, 4, 10)  # a new command every so many time steps
-LOST = Lost(mm=8.0)  # movement in the hand that counts as lost
+DROPPED = DropCriteria(mm=8.0, deg=15.0)  # movement in the hand that counts as lost
 PICTURE = "servo_and_torque.png"
 
 matplotlib.use("Agg")  # draws into files, without a display
@@ -65,17 +66,17 @@ def with_motors(hand: Hand) -> Hand:
 def pushed(plan: GraspPlan, every: int) -> tuple[bool, FloatArray, FloatArray]:
     """Whether it was held, time (s) and movement (mm) (m, 2), and last normal forces (n,), N."""
     controller = Slower(ObjectImpedance(plan), every)
-    hold = Hold(plan, controller=controller, lost=LOST)
-    fault = hold.grip()
-    first = hold.T_palm_object.translation
+    hold = DisturbanceTrial(plan, controller=controller, dropped=DROPPED)
+    fault = hold.close_and_squeeze()
+    first = hold.simulation.T_palm_object.translation
     rows: list[tuple[float, float]] = []
 
     def look(since: float) -> None:
         hold.push(np.append(PUSH if since > BEGIN else np.zeros(3), np.zeros(3)))
-        moved = hold.T_palm_object.translation - first
+        moved = hold.simulation.T_palm_object.translation - first
         rows.append((since, 1e3 * float(np.linalg.norm(moved))))
 
-    fault = fault or hold.endure(HOLD, each_step=look)
+    fault = fault or hold.hold_for(HOLD, each_step=look)
     return fault is None, np.array(rows).reshape(-1, 2), controller.inner.forces[:, 0]
 
 

@@ -24,7 +24,7 @@ print(f"impratio {physics['impratio']:g}, noslip {physics['noslip_iterations']}"
 
 opened, closed = (
     run_protocol(plan, "forces", controller=name, settings=SETTINGS, only=PUSHES)
-    for name in ("open", "closed")
+    for name in ("feedforward", "impedance")
 )
 print(f"{'':>10} {'open':>7} {'closed':>7} {'proven':>7}")
 for a, b in zip(opened.outcomes, closed.outcomes, strict=True):

@@ -27,6 +27,11 @@ if TYPE_CHECKING:
     from planner.kinematics.symbolic import SymbolicHand
     from planner.motion import MotionPlan, plan_motion
     from planner.motion.gait import GaitPlan, plan_gait
+    from planner.motion.manipulation import (
+        ManipulationPlan,
+        manipulation_task,
+        plan_manipulation,
+    )
     from planner.objects import GraspObject, parse_object
     from planner.plan import GraspPlan
     from planner.quality import analyse, force_closure
@@ -45,6 +50,7 @@ __all__ = [
     "GraspTask",
     "Hand",
     "HandState",
+    "ManipulationPlan",
     "MotionPlan",
     "NoGraspFoundError",
     "Obstacle",
@@ -58,10 +64,12 @@ __all__ = [
     "hand_from_model",
     "hand_from_spec",
     "load_hand",
+    "manipulation_task",
     "parse_object",
     "plan_gait",
     "plan_grasp",
     "plan_grasps",
+    "plan_manipulation",
     "plan_motion",
     "read_plan",
     "write_plan",
@@ -80,6 +88,7 @@ _HOMES = {
     "hand_from_spec": "planner.hand_loading",
     "load_hand": "planner.hand_loading",
     "HandState": "planner.kinematics.state",
+    "ManipulationPlan": "planner.motion.manipulation",
     "MotionPlan": "planner.motion",
     "NoGraspFoundError": "planner.errors",
     "Obstacle": "planner.task",
@@ -90,10 +99,12 @@ _HOMES = {
     "attempts": "planner.search",
     "distribute_forces": "planner.forces",
     "force_closure": "planner.quality",
+    "manipulation_task": "planner.motion.manipulation",
     "parse_object": "planner.objects",
     "plan_gait": "planner.motion.gait",
     "plan_grasp": "planner.search",
     "plan_grasps": "planner.batch",
+    "plan_manipulation": "planner.motion.manipulation",
     "plan_motion": "planner.motion",
     "read_plan": "planner.files",
     "write_plan": "planner.files",

@@ -1,4 +1,4 @@
-"""``Actuation``: what a hand's actuators and stops can do to its joints, on bare arrays.
+"""``Actuation``: joint torques that a hand's actuators and stops can make, on bare arrays.
 
 Lengths, forces and joint torques are related by the transmission
 
@@ -268,7 +268,7 @@ class Actuation:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Tables:
-    """What ``Actuation`` computes once.
+    """Quantities that ``Actuation`` computes once.
 
     Attributes:
         linear, constant: (q, v, torque) -> [force at ctrl = 0 (nu); pinv(R^T) tau (nu);

@@ -1,7 +1,7 @@
-"""Numbers and arrays that a user gives, checked once where they come in.
+"""Checks of numbers and arrays that a user gives, once where they come in.
 
-NumPy answers a wrong shape or a text with ValueError, TypeError or a broadcast that nobody wanted.
-Here they become one error of ours, which says what was given and what is allowed.
+NumPy answers a wrong shape or a text with ValueError, TypeError or an unwanted broadcast. Here they
+become one error of ours, which names what was given and what is allowed.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def finite_array(
 
 
 def finite_given(what: str, value: Any, shape: tuple[int, ...]) -> FloatArray:
-    """The same as ``finite_array`` without a copy, for what is asked at every step of a loop."""
+    """As ``finite_array`` without a copy, for input at every step of a loop."""
     array = value if type(value) is np.ndarray else float_array(what, value)
     if array.dtype != np.float64:
         array = float_array(what, value)

@@ -1,4 +1,4 @@
-"""The hand description: a short TOML file that names what a model file does not say.
+"""The hand description: a short TOML file with what a model file does not contain.
 
 It lies beside the model and names fingers, tip frames, pads, palm, couplings and postures. See
 ``models/hands/shadow_hand/hand.toml`` for one with everything in it.

@@ -13,9 +13,9 @@ from planner.bridge import load_spec, spec_from_model
 from planner.describe import propose, proposed_description
 from planner.description import HandDescription
 from planner.hands.arm import read_mount
-from planner.hands.build import build_hand, described_hand, hand_on_arm
+from planner.hands.build import build_from_spec, build_hand, hand_on_arm
 from planner.hands.catalog import find_hand, hand_reference
-from planner.hands.description_files import DescribedHand, read_description
+from planner.hands.description_toml import DescribedHand, read_description
 from planner.hands.hand import Hand
 
 __all__ = ["hand_from_model", "hand_from_spec", "load_hand"]
@@ -77,7 +77,7 @@ def hand_from_spec(spec: Any, description: HandDescription | None = None) -> Han
         ModelError: The model is not usable.
         HandError: Description and model do not fit.
     """
-    return described_hand(spec, description or propose(spec).description)
+    return build_from_spec(spec, description or propose(spec).description)
 
 
 def hand_from_model(model: Any, description: HandDescription | None = None) -> Hand:

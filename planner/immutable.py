@@ -1,7 +1,7 @@
-"""Poses and arrays that nobody changes: what tasks and plans hold.
+"""Read-only poses and arrays, for tasks and plans.
 
-Caches are keyed by tasks, so what a task says must stay as it was: a caller who goes on with a pose
-of his own must not change the task by it.
+Caches are keyed by tasks, so a task must not change when its caller goes on with the pose that he
+gave.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ __all__ = ["FixedPose", "fixed_pose", "freeze", "is_pose"]
 
 
 class FixedPose(SE3):  # type: ignore[misc]
-    """A ``pinocchio.SE3`` that nobody changes: what tasks and plans hold.
+    """A read-only ``pinocchio.SE3``, held by tasks and plans.
 
-    It is one wherever a pose is asked for, and all that is computed from it is a plain ``SE3``.
+    It is accepted wherever a pose is, and products with it are plain ``SE3``.
     ``SE3(pose)`` is a copy that can be changed.
     """
 
@@ -66,11 +66,11 @@ class FixedPose(SE3):  # type: ignore[misc]
 
 
 CHANGE_A_COPY = "this pose belongs to a task or a plan; change a copy of it: pinocchio.SE3(pose)"
-"""What is said to whoever changes a ``FixedPose``."""
+"""Message of the refusal to change a ``FixedPose``."""
 
 
 def fixed_pose(pose: SE3) -> FixedPose:
-    """A copy of a pose that nobody changes; the pose itself if it is one already."""
+    """A read-only copy of a pose; the pose itself if it is read-only already."""
     return pose if isinstance(pose, FixedPose) else FixedPose(pose)
 
 
@@ -80,7 +80,7 @@ def is_pose(value: object) -> bool:
 
 
 def freeze(holder: object, *, poses: Iterable[str] = (), arrays: Iterable[str] = ()) -> None:
-    """Put copies that nobody changes in the place of a frozen dataclass's poses and arrays.
+    """Replace a frozen dataclass's poses and arrays by read-only copies.
 
     Args:
         holder: A frozen dataclass.

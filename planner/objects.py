@@ -5,8 +5,9 @@
     hammer:LENGTHxHEADxRADIUS   superquadric:XxYxZxE1xE2   knot:RADIUSxTUBE
     FILE.stl   FILE.obj*SCALE   FILE.xml#BODY
 
-All in metres; X, Y, Z and HEIGHT are full lengths, end to end. A name alone has default sizes. A
-mesh file (OBJ, STL, PLY) is in metres unless a scale says how many metres its unit is.
+All in metres; X, Y, Z and HEIGHT are full lengths, end to end. A name alone has default sizes; mug
+and hammer are meshes of ``models/objects``, scaled along their axes to others. A mesh file (GLB,
+OBJ, PLY, STL) is in metres unless a scale says how many metres its unit is.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ DEFAULT_MASS = 0.1
 """Mass (kg) of an object for which neither mass nor density is given."""
 
 HEAVIEST = 100.0
-"""Largest mass (kg) that is believed: more is too heavy to lift, or was given in grams."""
+"""Largest accepted mass (kg): more is too heavy to lift, or was given in grams."""
 
 _MESH_FILE = re.compile(
     rf"(.*(?:{'|'.join(re.escape(s) for s in (*MESH_SUFFIXES, *CONVERTIBLE))}))(?:\*(.*))?", re.I

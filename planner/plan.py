@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from planner.approach.arm_path import ArmPath
+from planner.attempt import SearchRecord
 from planner.collision.world import Clearance
 from planner.contacts import ContactSet
+from planner.failure import Failure
 from planner.forces import ForceSolution
 from planner.immutable import freeze
 from planner.kinematics.state import HandState
@@ -33,7 +35,7 @@ class Verification:
         closest: The smallest clearances that are not pad contacts, nearest first.
         coupling_error: Largest violation of a kinematic coupling, rad.
         limit_error: Largest violation of a joint limit, rad.
-        faults: What fails, in words; empty if the grasp holds geometrically.
+        failures: What fails; empty if the grasp holds geometrically.
     """
 
     pad_gaps: FloatArray
@@ -42,36 +44,34 @@ class Verification:
     closest: tuple[Clearance, ...]
     coupling_error: float
     limit_error: float
-    faults: tuple[str, ...]
+    failures: tuple[Failure, ...]
 
     @property
     def ok(self) -> bool:
         """Whether nothing failed."""
-        return not self.faults
+        return not self.failures
+
+    @property
+    def failure(self) -> Failure | None:
+        """All failures as one, of the kind of the first; None where nothing failed."""
+        if self.ok:
+            return None
+        text = "; ".join(f.text for f in self.failures)
+        return replace(self.failures[0], text=f"true geometry: {text}")
 
 
 @dataclass(frozen=True, kw_only=True)
-class SolveRecord:
-    """Where a plan comes from.
+class SolveRecord(SearchRecord):
+    """Where a grasp comes from.
 
     Attributes:
-        seed: Seed of the search.
-        attempt: Number of the attempt that gave this plan, from 0; seed and attempt fix the start.
-        attempts: How many attempts had been made when it was found.
         iterations: Evaluations of the residuals in its attempt.
         status: Why least squares ended (informative only; the verdict is ``Verification``).
-        cpu_s: CPU time of the search until it was found, s, without building.
-        build_s: Time that building the problems took, s: once per hand, fingers and kind of shape.
         objective: What the grasp was to be good at, as ``SynthesisOptions.objective``.
     """
 
-    seed: int
-    attempt: int
-    attempts: int
     iterations: int
     status: str
-    cpu_s: float
-    build_s: float
     objective: str = "epsilon"
 
 

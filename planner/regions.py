@@ -66,7 +66,7 @@ class TouchRegion:
     required: Mapping[str, Region] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Freeze the mapping and check that names are told apart."""
+        """Freeze the mapping and check that no region is both allowed and forbidden."""
         object.__setattr__(self, "allowed", tuple(self.allowed))
         object.__setattr__(self, "forbidden", tuple(self.forbidden))
         object.__setattr__(self, "required", MappingProxyType(dict(self.required)))

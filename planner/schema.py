@@ -1,6 +1,6 @@
-"""What every file we read and write has in common: strict data, and faults told in one sentence.
+"""Strict data of files, and the faults of a file in one sentence.
 
-Used by the hand descriptions, plan files and trial reports.
+Base of hand descriptions, plan files and trial reports.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 __all__ = ["StrictData", "faults_of"]
 
 MOST_FAULTS = 5
-"""Faults told of one file; the rest follow from these more often than not."""
+"""Most faults in one message; the rest usually follow from these."""
 
 
 class StrictData(BaseModel):

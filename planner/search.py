@@ -7,13 +7,14 @@ machine; budgets stop between attempts.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from planner.attempts import Attempt, nothing_found, numbered
+from planner.attempt import Attempt, check_seed, nothing_found, run_attempts, search
 from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
+from planner.failure import Failure
 from planner.plan import GraspPlan, SolveRecord
 from planner.synthesis.link_capsules import capsules_are_true
 from planner.synthesis.optimize import NEARLY, optimize_grasp
@@ -26,8 +27,8 @@ from planner.synthesis.symbols import GraspPoint
 from planner.system.stage_times import stage
 from planner.system.threads import kept_by_thread, made_once
 from planner.task import GraspTask
-from planner.verification.grasp import judge_grasp
-from planner.verification.projection import settle
+from planner.verification.grasp import verify_grasp
+from planner.verification.projection import project_onto_surface
 
 __all__ = [
     "Attempt",
@@ -58,33 +59,18 @@ def attempts(
     Raises:
         TaskError: The object cannot be grasped by this hand, found out before solving.
     """
-    if not isinstance(seed, int | np.integer) or seed < 0:
-        raise TaskError(f"seed is {seed!r}; give an integer >= 0")
+    check_seed(seed)
     options = options or SynthesisOptions()
-    whole = _ground(task, options.form)
+    _problem(task, options.form)
 
-    def ground(index: int) -> _Ground:
+    def context(index: int) -> _GraspContext:
         past = index - SPARE_AFTER
-        if not task.may_spare_fingers or past < 0 or past % 2:
-            return whole
-        return _spared_ground(task, options.form)
+        spares = task.may_spare_fingers and past >= 0 and past % 2 == 0
+        problem = (_spared_problem if spares else _problem)(task, options.form)
+        _world(problem.task)  # this thread's own is made before the attempt's time begins
+        return _GraspContext(problem, options)
 
-    def record(plan: GraspPlan, index: int, cpu_s: float) -> GraspPlan:
-        made = replace(
-            plan.record,
-            seed=seed,
-            attempt=index,
-            attempts=index + 1,
-            cpu_s=cpu_s,
-            build_s=ground(index).problems.build_s,
-        )
-        return replace(plan, record=made)
-
-    return numbered(
-        lambda index: _attempt(ground(index), np.random.default_rng([seed, index]), options),
-        record,
-        prepare=lambda index: ground(index).world,
-    )
+    return run_attempts(context, seed=seed)
 
 
 def plan_grasp(
@@ -111,49 +97,93 @@ def plan_grasp(
         progress: Called after every attempt.
 
     Raises:
-        NoGraspFoundError: The budget ended; carries every attempt and its reason.
+        NoGraspFoundError: The budget ended; carries every attempt and its failure.
         TaskError: The task cannot work, or a budget is not positive.
     """
     if max_attempts < 1:
         raise TaskError(f"max_attempts is {max_attempts}; give at least 1")
     if max_cpu_s is not None and not max_cpu_s > 0:
         raise TaskError(f"max_cpu_s is {max_cpu_s}; give seconds > 0")
-    made: list[Attempt[GraspPlan]] = []
-    used = 0.0
-    for attempt in attempts(task, seed=seed, options=options):
-        made.append(attempt)
-        used += attempt.cpu_s
-        if progress is not None:
-            progress(attempt)
-        if attempt.plan is not None:
-            return attempt.plan
-        if len(made) >= max_attempts or (max_cpu_s is not None and used >= max_cpu_s):
-            break
-    raise nothing_found(
-        f"grasp of {task.object.name} with {task.hand.name} ({', '.join(task.finger_names)})",
-        made,
-        "Try more attempts, other fingers, another pose or size of the object, more friction or "
-        "less grip",
+    plan, made = search(
+        attempts(task, seed=seed, options=options),
+        max_attempts=max_attempts,
+        max_cpu_s=max_cpu_s,
+        progress=progress,
     )
+    if plan is None:
+        raise nothing_found(
+            f"grasp of {task.object.name} with {task.hand.name} ({', '.join(task.finger_names)})",
+            made,
+            "Try more attempts, other fingers, another pose or size of the object, more friction "
+            "or less grip",
+        )
+    return plan
 
 
 @dataclass(frozen=True)
-class _Ground:
-    """What all attempts at a task share, in whatever thread they are made."""
+class _Problem:
+    """A task with its problems and seeder: made once, for whatever thread asks."""
 
     task: GraspTask
     problems: Problems
     seeder: Seeder
 
-    @property
-    def world(self) -> CollisionWorld:
-        """The true geometry, this thread's own."""
-        return _world(self.task)
+
+@dataclass(frozen=True)
+class _GraspContext:
+    """What all attempts at a task with the same fingers share."""
+
+    problem: _Problem
+    options: SynthesisOptions
 
     @property
-    def judges_links(self) -> CollisionWorld | None:
-        """The true geometry where the fingers' capsules are not it already."""
-        return None if capsules_are_true(self.task.hand) else self.world
+    def build_s(self) -> float:
+        """Time that building the problems took, s."""
+        return self.problem.problems.build_s
+
+    def attempt(self, rng: np.random.Generator) -> GraspPlan | Failure:
+        """Draw a start, solve, project onto the true surface, verify."""
+        task, problem, seeder = self.problem.task, self.problem.problems.grasp, self.problem.seeder
+        options, world = self.options, _world(task)
+        with stage("seed"):
+            start = seeder.draw(rng)
+        if isinstance(start, Failure):
+            return start
+        parameters = problem.parameters(task, start, seeder.posture, options)
+        with stage("solve"):
+            # the true links where the capsules of the terms are not exactly those
+            links = None if capsules_are_true(task.hand) else world
+            candidate = optimize_grasp(problem, task, start, parameters, options, links)
+        worst, weighted = problem.worst_violation(candidate.violation)
+        if not weighted <= NEARLY:
+            violation = candidate.violation[worst.name]
+            return Failure(
+                kind=f"unsolved_{worst.name}",
+                text=f"not solved, term {worst.name}: violated by {violation:.1e}",
+                numbers={"violation": violation},
+            )
+        record = SolveRecord(
+            iterations=candidate.iterations,
+            status=candidate.status,
+            objective=str(options.objective),
+        )
+        q = np.clip(candidate.q, task.hand.q_lower, task.hand.q_upper)
+        T_world_base = task.T_world_object * candidate.T_object_base
+        with stage("project"):
+            q = project_onto_surface(task, T_world_base, q)
+        plan = verify_grasp(task, T_world_base, q, record=record, world=world)
+        return plan if isinstance(plan, Failure) else _judged_by_own_terms(plan, problem)
+
+
+def _judged_by_own_terms(plan: GraspPlan, problem: GraspProblem) -> GraspPlan | Failure:
+    """The plan if the terms of users that judge grasps are content, else the first failure."""
+    contacts = plan.contacts_in_object
+    point = GraspPoint(task=plan.task, q=plan.q, points=contacts.positions, inward=contacts.normals)
+    for term in problem.own_terms:
+        failure = term.judge(point) if term.judge is not None else None
+        if failure is not None:
+            return failure
+    return plan
 
 
 @kept_by_thread(8)
@@ -163,64 +193,18 @@ def _world(task: GraspTask) -> CollisionWorld:
 
 
 @made_once(8)
-def _ground(task: GraspTask, form: ProblemForm) -> _Ground:
-    """Seeder and programmes of a task, made once for all who ask with the same one."""
+def _problem(task: GraspTask, form: ProblemForm) -> _Problem:
+    """Seeder and problems of a task, made once for all who ask with the same one."""
     seeder = seeder_for(task)
-    _world(task)  # refuses what stands in something else, before the programmes are built
-    return _Ground(task, problems_for(task, form), seeder)
+    _world(task)  # refuses what stands in something else, before the problems are built
+    return _Problem(task, problems_for(task, form), seeder)
 
 
 @made_once(8)
-def _spared_ground(task: GraspTask, form: ProblemForm) -> _Ground:
+def _spared_problem(task: GraspTask, form: ProblemForm) -> _Problem:
     """The same with three fingers alone; with all where three cannot do what is asked."""
-    whole = _ground(task, form)
+    full = _problem(task, form)
     try:
-        return _ground(task.with_fingers(whole.seeder.tripod), form)
+        return _problem(task.with_fingers(full.seeder.tripod), form)
     except TaskError:  # a region is required of a spared finger, or three do not open as wide
-        return whole
-
-
-def _attempt(
-    ground: _Ground, rng: np.random.Generator, options: SynthesisOptions
-) -> GraspPlan | str:
-    """One attempt: a plan, or why not."""
-    task, problems, seeder = ground.task, ground.problems, ground.seeder
-    with stage("seed"):
-        start = seeder.draw(rng)
-    if isinstance(start, str):
-        return start
-    parameters = problems.grasp.parameters(task, start, seeder.posture, options)
-    with stage("solve"):
-        candidate = optimize_grasp(
-            problems.grasp, task, start, parameters, options, ground.judges_links
-        )
-    worst, weighted = problems.grasp.worst_violation(candidate.violation)
-    if not weighted <= NEARLY:
-        return f"not solved, term {worst.name}: violated by {candidate.violation[worst.name]:.1e}"
-    record = SolveRecord(
-        seed=0,
-        attempt=0,
-        attempts=1,
-        iterations=candidate.iterations,
-        status=candidate.status,
-        cpu_s=0.0,
-        build_s=0.0,
-        objective=str(options.objective),
-    )
-    q = np.clip(candidate.q, task.hand.q_lower, task.hand.q_upper)
-    T_world_base = task.T_world_object * candidate.T_object_base
-    with stage("settle"):
-        q = settle(task, T_world_base, q)
-    plan = judge_grasp(task, T_world_base, q, record=record, world=ground.world)
-    return plan if isinstance(plan, str) else _judged_by_own_terms(plan, problems.grasp)
-
-
-def _judged_by_own_terms(plan: GraspPlan, problem: GraspProblem) -> GraspPlan | str:
-    """The plan if the terms of users that judge grasps are content, else the first one's reason."""
-    contacts = plan.contacts_in_object
-    point = GraspPoint(task=plan.task, q=plan.q, points=contacts.positions, inward=contacts.normals)
-    for term in problem.own_terms:
-        failure = term.judge(point) if term.judge is not None else None
-        if failure is not None:
-            return str(failure)
-    return plan
+        return full

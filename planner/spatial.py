@@ -26,6 +26,7 @@ __all__ = [
     "IntArray",
     "contact_frames",
     "fixed_array",
+    "pose_change",
     "pose_from_wxyz",
     "pose_to_wxyz",
     "rotation_angle",
@@ -124,6 +125,12 @@ def pose_to_wxyz(pose: SE3) -> tuple[FloatArray, FloatArray]:
 def rotation_angle(rotation: FloatArray) -> float:
     """Angle in rad, in [0, pi], by which a rotation matrix (3, 3) turns."""
     return float(np.linalg.norm(_pinocchio().log3(np.asarray(rotation, dtype=np.float64))))
+
+
+def pose_change(before: SE3, after: SE3) -> tuple[float, float]:
+    """How far a pose has moved: distance of the origins, mm, and angle of the rotation, degrees."""
+    moved = 1e3 * float(np.linalg.norm(after.translation - before.translation))
+    return moved, float(np.rad2deg(rotation_angle(before.rotation.T @ after.rotation)))
 
 
 def signed_twist(rotation: FloatArray, axis: FloatArray, *, near: float = 0.0) -> float:

@@ -17,7 +17,7 @@ from planner.system.lazy_names import lazy_names
 if TYPE_CHECKING:
     from sim.contacts import contacts_from_mujoco
     from sim.controllers import Controller, GraspController, ObjectImpedance, Observation, Sensing
-    from sim.manipulation import ManipulationPlan, ManipulationReport, manipulate, plan_manipulation
+    from sim.manipulation import ManipulationReport, manipulate
     from sim.physics import PhysicsOptions
     from sim.protocols import ProtocolReport, run_protocol
     from sim.report import TrialReport
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 __all__ = [
     "Controller",
     "GraspController",
-    "ManipulationPlan",
     "ManipulationReport",
     "ObjectImpedance",
     "Observation",
@@ -41,7 +40,6 @@ __all__ = [
     "TrialReport",
     "contacts_from_mujoco",
     "manipulate",
-    "plan_manipulation",
     "run_protocol",
     "simulate",
 ]
@@ -49,7 +47,6 @@ __all__ = [
 _HOMES = {
     "Controller": "sim.controllers",
     "GraspController": "sim.controllers",
-    "ManipulationPlan": "sim.manipulation",
     "ManipulationReport": "sim.manipulation",
     "ObjectImpedance": "sim.controllers",
     "Observation": "sim.controllers",
@@ -62,7 +59,6 @@ _HOMES = {
     "TrialReport": "sim.report",
     "contacts_from_mujoco": "sim.contacts",
     "manipulate": "sim.manipulation",
-    "plan_manipulation": "sim.manipulation",
     "run_protocol": "sim.protocols",
     "simulate": "sim.trial",
 }

@@ -7,14 +7,12 @@ from typing import Any
 import numpy as np
 
 from planner.contacts import ContactSet
-from planner.plan import GraspPlan
 from planner.quality import closure_and_epsilon, force_closure
 from planner.quality.report import QUICK_EDGES
-from planner.spatial import SE3, FloatArray, rotation_angle
+from planner.spatial import SE3, FloatArray, pose_change
 from sim.contacts import hand_collision, hand_contacts, merge_per_finger
-from sim.controllers.base import Phase
 from sim.report import FingerComparison
-from sim.scene import Scene
+from sim.simulation import Simulation
 from sim.verdict import Samples
 
 __all__ = ["Recorder"]
@@ -23,33 +21,45 @@ NAN = float("nan")
 
 
 class Recorder:
-    """Samples of one trial."""
+    """Samples of one simulation, taken at most every so often.
 
-    def __init__(self, plan: GraspPlan, scene: Scene) -> None:
-        """Start empty."""
-        self._plan, self._scene = plan, scene
-        self._fingers = plan.task.finger_names
-        self._length = plan.task.object.shape.bounding_radius
+    Attributes:
+        every: Time between samples, s.
+    """
+
+    def __init__(self, simulation: Simulation, every: float) -> None:
+        """Start empty.
+
+        Args:
+            simulation: What is watched.
+            every: Time between samples, s.
+        """
+        self.every = every
+        self._simulation = simulation
+        task = simulation.plan.task
+        self._fingers = task.finger_names
+        self._length = task.object.shape.bounding_radius
         self._reference: SE3 | None = None
         self._rows: list[dict[str, Any]] = []
         self._held: list[tuple[FloatArray, FloatArray]] = []
 
-    def mark_reference(self, data: Any) -> None:
+    def mark_reference(self) -> None:
         """From now on, slip is movement relative to how the object lies in the palm now."""
-        self._reference = self._in_palm(data)
+        self._reference = self._simulation.T_palm_object
 
-    def record(self, data: Any, phase: Phase, limited: tuple[str, ...]) -> None:
-        """Take a sample."""
-        scene = self._scene
+    def record(self) -> None:
+        """Take a sample of now."""
+        simulation = self._simulation
+        scene, data, phase = simulation.scene, simulation.data, simulation.phase
         raw = hand_contacts(scene, data)
         merged = merge_per_finger(raw)
         closed, epsilon = closure_and_epsilon(merged, length=self._length)
         unmerged = closed
         if len(raw) != len(merged):
             unmerged = force_closure(raw, QUICK_EDGES).closed
-        T_world_object = scene.body_pose(data, scene.object_body)
-        first = self._plan.task.T_world_object
-        slip = self._slip(data)
+        T_world_object, first = simulation.T_world_object, simulation.plan.task.T_world_object
+        moved, turned = pose_change(first, T_world_object)
+        slip = self.slip()
         collision, force = hand_collision(scene, data)
         normal, used = self._per_finger(merged)
         self._rows.append(
@@ -65,14 +75,12 @@ class Recorder:
                 "epsilon": epsilon,
                 "slip_mm": slip[0],
                 "slip_deg": slip[1],
-                "moved_mm": 1e3 * np.linalg.norm(T_world_object.translation - first.translation),
-                "turned_deg": np.rad2deg(
-                    rotation_angle(first.rotation.T @ T_world_object.rotation)
-                ),
+                "moved_mm": moved,
+                "turned_deg": turned,
                 "lift_mm": 1e3 * (T_world_object.translation[2] - first.translation[2]),
                 "collision_N": force,
                 "collision": collision,
-                "limited": limited,
+                "saturated": simulation.saturated_actuators(),
             }
         )
         if phase == "hold":
@@ -102,14 +110,14 @@ class Recorder:
             lift_mm=column("lift_mm"),
             collision_N=column("collision_N"),
             collision=tuple(row["collision"] for row in self._rows),
-            limited=tuple(row["limited"] for row in self._rows),
+            saturated=tuple(row["saturated"] for row in self._rows),
         )
 
     def comparison(self) -> tuple[FingerComparison, ...]:
         """Planned against measured contacts while holding; empty if it never came to that."""
         if not self._held:
             return ()
-        planned = self._plan.contacts_in_object
+        planned = self._simulation.plan.contacts_in_object
         position = np.array([p for p, _ in self._held])  # (m, n, 3)
         force = np.array([f for _, f in self._held])  # (m, n)
         out = []
@@ -132,18 +140,11 @@ class Recorder:
             )
         return tuple(out)
 
-    def _in_palm(self, data: Any) -> SE3:
-        scene = self._scene
-        T_world_palm = scene.body_pose(data, scene.palm_body)
-        return T_world_palm.inverse() * scene.body_pose(data, scene.object_body)
-
-    def _slip(self, data: Any) -> tuple[float, float]:
+    def slip(self) -> tuple[float, float]:
         """Movement (mm) and rotation (degrees) in the palm since the reference; NaN before."""
         if self._reference is None:
             return NAN, NAN
-        now, then = self._in_palm(data), self._reference
-        moved = 1e3 * float(np.linalg.norm(now.translation - then.translation))
-        return moved, float(np.rad2deg(rotation_angle(then.rotation.T @ now.rotation)))
+        return pose_change(self._reference, self._simulation.T_palm_object)
 
     def _per_finger(self, merged: ContactSet) -> tuple[list[float], list[float]]:
         """Normal force (N, 0 without contact) and friction utilisation (NaN) of each finger."""

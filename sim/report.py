@@ -79,7 +79,7 @@ class TrialReport:
         simulated_s: Simulated time.
         wall_s: Time it took.
         supported: Whether the object was held by a constraint until the lift, for want of a table.
-        carried_by: What carried the hand: "mount", six driven axes, or "arm".
+        carried_by: What carried the hand: "gantry", six driven axes, or "arm".
         object_deviation_mm: How far convex pieces that stood for a mesh reach out of it at most.
         controller: Name of the controller's class.
         events: What the controller noticed and did, in order; empty for one that notices nothing.
@@ -107,7 +107,7 @@ class TrialReport:
     simulated_s: float
     wall_s: float
     supported: bool
-    carried_by: Literal["mount", "arm"] = "mount"
+    carried_by: Literal["gantry", "arm"] = "gantry"
     object_deviation_mm: float = 0.0
     controller: str = ""
     events: tuple[Event, ...] = ()
@@ -197,7 +197,7 @@ class TrialReport:
                 lift_mm=finite(s.lift_mm),
                 collision_N=finite(s.collision_N),
                 collision=list(s.collision),
-                actuators_at_limit=[list(names) for names in s.limited],
+                actuators_at_limit=[list(names) for names in s.saturated],
             ),
         ).model_dump(mode="json")
 
@@ -275,7 +275,7 @@ class ReportFile(StrictData):
     simulated_s: float
     wall_s: float
     supported_until_lift: bool
-    carried_by: Literal["mount", "arm"] = "mount"
+    carried_by: Literal["gantry", "mount", "arm"] = "gantry"
     object_deviation_mm: float = 0.0
     controller: str = ""
     events: list[EventData] = Field(default_factory=list)

@@ -26,8 +26,9 @@ from planner.bridge import compile_spec
 from planner.collision.world import TABLE_SIZE
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
-from planner.shapes import Mesh
-from planner.shapes.decomposition.solid import solid_deviation, solid_geoms
+from planner.shapes import Shape
+from planner.shapes.decomposition.pieces import solid_deviation, solid_geoms
+from planner.shapes.triangulation import surface_triangles
 from planner.spatial import SE3, FloatArray, IntArray, pose_to_wxyz
 from planner.task import GraspTask
 from sim.gantry import MOUNT, Mount, add_mount, tuned_mount
@@ -126,6 +127,11 @@ class Scene:
     def body_pose(self, data: Any, body: int) -> SE3:
         """Pose of a body in the world."""
         return SE3(data.xmat[body].reshape(3, 3), data.xpos[body])
+
+    def T_palm_object(self, data: Any) -> SE3:
+        """Pose of the object in the palm."""
+        T_world_palm = self.body_pose(data, self.palm_body)
+        return T_world_palm.inverse() * self.body_pose(data, self.object_body)
 
     def release(self, data: Any) -> None:
         """Let go of an object that no table carries."""
@@ -226,7 +232,7 @@ def _add_object(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
             geom.meshname = name
             geom.group = PIECE_GROUP  # the true mesh is shown instead
         _solid(geom, part.kind, part.size, physics)
-    if isinstance(item.shape, Mesh):
+    if body.geoms[0].group == PIECE_GROUP:
         _add_picture(spec, body, item.shape)
     if task.table_height is None:
         weld = spec.add_equality(name=SUPPORT, type=mujoco.mjtEq.mjEQ_WELD)
@@ -242,10 +248,10 @@ def _add_mesh(spec: Any, name: str, vertices: FloatArray, faces: IntArray) -> No
     mesh.uservert, mesh.userface = vertices.ravel(), faces.ravel()
 
 
-def _add_picture(spec: Any, body: Any, mesh: Mesh) -> None:
+def _add_picture(spec: Any, body: Any, shape: Shape) -> None:
     """The true triangles, to be seen only."""
     name = f"{OBJECT}/seen"
-    _add_mesh(spec, name, mesh.vertices, mesh.faces)
+    _add_mesh(spec, name, *surface_triangles(shape))
     spec.mesh(name).inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
     geom = body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, rgba=OBJECT_COLOR)
     geom.meshname = name

@@ -7,6 +7,7 @@ that an object that ends on the ground was "dropped", however it began to move.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Literal, TypeAlias
@@ -21,12 +22,17 @@ from sim.controllers.base import Phase
 __all__ = [
     "COLLISION_N",
     "REASONS",
+    "DropCriteria",
+    "Fault",
     "Reason",
     "Samples",
     "Thresholds",
     "Verdict",
     "first_collision",
     "judge",
+    "largest",
+    "lost",
+    "put_down_to_actuators",
 ]
 
 BoolArray: TypeAlias = NDArray[np.bool_]
@@ -40,7 +46,9 @@ Reason: TypeAlias = Literal[
     "hand collided",
     "torque limit reached",
     "infeasible forces",
+    "penetration",
     "interrupted",
+    "stopped",
     "diverged",
 ]
 
@@ -65,8 +73,8 @@ class Thresholds:
         disturbed_deg: Rotation before the lift, degrees.
         lift_shortfall_mm: How far the object may end below the height asked for, mm.
         collision_N: Normal force between hand and table, obstacle or itself, N.
-        limited_share: Share of the samples under load in which an actuator stood at its limit, from
-            which on a failure is put down to that (-).
+        saturated_share: Share of the samples under load in which an actuator stood at its limit,
+            from which on a failure is put down to that (-).
     """
 
     slip_mm: float = 5.0
@@ -75,7 +83,7 @@ class Thresholds:
     disturbed_deg: float = 20.0
     lift_shortfall_mm: float = 5.0
     collision_N: float = COLLISION_N
-    limited_share: float = 0.5
+    saturated_share: float = 0.5
 
     def __post_init__(self) -> None:
         """Check that every threshold is positive."""
@@ -108,7 +116,7 @@ class Samples:
         lift_mm: (m,), rise of the object's centre of mass.
         collision_N: (m,), largest normal force of hand on table, obstacle or itself.
         collision: m names of the pair with that force, "" without.
-        limited: m tuples with the names of actuators at their limit.
+        saturated: m tuples with the names of actuators at their limit.
     """
 
     time: FloatArray
@@ -127,7 +135,7 @@ class Samples:
     lift_mm: FloatArray
     collision_N: FloatArray
     collision: tuple[str, ...]
-    limited: tuple[tuple[str, ...], ...]
+    saturated: tuple[tuple[str, ...], ...]
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -139,20 +147,97 @@ class Samples:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Fault:
+    """Why an object was not held.
+
+    Attributes:
+        reason: One of ``REASONS``, not "".
+        detail: What happened, in words with numbers.
+        time: When, s of simulated time.
+    """
+
+    reason: Reason
+    detail: str
+    time: float = 0.0
+
+
+@dataclass(frozen=True)
 class Verdict:
     """Success, or the reason why not.
 
     Attributes:
-        success: Whether the object was held.
-        reason: "" for success.
-        detail: What happened, in words with numbers; "" for success.
-        time: When it happened, s; NaN for success.
+        fault: Why the object was not held; None for success.
     """
 
-    success: bool
-    reason: Reason = ""
-    detail: str = ""
-    time: float = float("nan")
+    fault: Fault | None = None
+
+    @property
+    def success(self) -> bool:
+        """Whether the object was held."""
+        return self.fault is None
+
+    @property
+    def reason(self) -> Reason:
+        """Why not; "" for success."""
+        return "" if self.fault is None else self.fault.reason
+
+    @property
+    def detail(self) -> str:
+        """What happened, in words with numbers; "" for success."""
+        return "" if self.fault is None else self.fault.detail
+
+    @property
+    def time(self) -> float:
+        """When it happened, s; NaN for success."""
+        return float("nan") if self.fault is None else self.fault.time
+
+
+@dataclass(frozen=True, kw_only=True)
+class DropCriteria:
+    """When an object counts as lost: the one definition of every script.
+
+    Attributes:
+        fewest: Fewest fingers that hold it, the palm counted as one where the caller counts it.
+        mm: Movement from which on it is lost, mm: in the palm unless the caller measures another.
+        deg: Rotation likewise, degrees.
+    """
+
+    fewest: int = 1
+    mm: float = float("inf")
+    deg: float = float("inf")
+
+
+def lost(
+    criteria: DropCriteria, *, touching: int, moved: tuple[float, float] = (0.0, 0.0)
+) -> Literal["", "dropped", "slipped"]:
+    """Whether an object is lost, and how; "" if it is held.
+
+    Args:
+        criteria: When it counts as lost.
+        touching: How many fingers touch it.
+        moved: How far it has moved, mm and degrees; NaN where that is not known.
+    """
+    if touching < criteria.fewest:
+        return "dropped"
+    return "slipped" if moved[0] >= criteria.mm or moved[1] >= criteria.deg else ""
+
+
+def put_down_to_actuators(
+    fault: Fault, saturated: Sequence[tuple[str, ...]], share: float = 0.5
+) -> Fault:
+    """The same fault, or "torque limit reached" if an actuator had no more to give before it.
+
+    Args:
+        fault: What happened.
+        saturated: Names of the saturated actuators at each look before it.
+        share: Share of the looks from which on a saturated actuator is the reason (-).
+    """
+    counted = Counter(name for names in saturated for name in set(names))
+    often = sorted(name for name, looks in counted.items() if looks >= share * len(saturated))
+    if not often:
+        return fault
+    detail = f"{', '.join(often)} stood at the limit; then: {fault.reason}, {fault.detail}"
+    return Fault(reason="torque limit reached", detail=detail, time=fault.time)
 
 
 def judge(
@@ -163,6 +248,7 @@ def judge(
     lift_mm: float,
     thresholds: Thresholds,
     interrupted: bool = False,
+    stopped: str = "",
     diverged: str = "",
 ) -> Verdict:
     """The verdict on a trial.
@@ -173,17 +259,22 @@ def judge(
         needed: Fewest fingers that can hold the object.
         lift_mm: How far the object was to be lifted.
         thresholds: Where success ends.
-        interrupted: Whether a person ended the trial.
+        interrupted: Whether a person ended the trial (Ctrl-C).
+        stopped: Why the caller ended it, "" if not.
         diverged: What went wrong numerically, "" if nothing did.
     """
     end = float(samples.time[-1]) if len(samples) else 0.0
     if diverged:
-        return Verdict(success=False, reason="diverged", detail=diverged, time=end)
+        return Verdict(Fault(reason="diverged", detail=diverged, time=end))
+    if stopped:
+        detail = f"stopped by the caller after {end:.2f} s of simulated time: {stopped}"
+        return Verdict(Fault(reason="stopped", detail=detail, time=end))
     early = Verdict(
-        success=False,
-        reason="interrupted",
-        detail=f"ended after {end:.2f} s of simulated time, before the hold was over",
-        time=end,
+        Fault(
+            reason="interrupted",
+            detail=f"ended after {end:.2f} s of simulated time, before the hold was over",
+            time=end,
+        )
     )
     if interrupted:
         return early
@@ -200,14 +291,18 @@ def judge(
         if fault is not None
     ]
     if not faults:
-        return Verdict(success=True) if len(samples.during("hold")) else early
+        return Verdict() if len(samples.during("hold")) else early
     first = min(faults, key=lambda fault: fault.time)
-    return _blamed_on_torque(first, samples, thresholds)
+    if first.reason == "hand collided":
+        return Verdict(first)
+    under_load = samples.during("squeeze", "settle", "lift", "hold")
+    looks = [samples.saturated[i] for i in under_load if samples.time[i] <= first.time]
+    return Verdict(put_down_to_actuators(first, looks, thresholds.saturated_share))
 
 
 def first_collision(
     time: FloatArray, force: FloatArray, pairs: Sequence[str], limit: float
-) -> Verdict | None:
+) -> Fault | None:
     """The first collision of the hand with table, obstacle or itself; None if there is none.
 
     Args:
@@ -220,10 +315,10 @@ def first_collision(
     if i is None:
         return None
     detail = f"{pairs[i]} with {force[i]:.1f} N"
-    return Verdict(success=False, reason="hand collided", detail=detail, time=float(time[i]))
+    return Fault(reason="hand collided", detail=detail, time=float(time[i]))
 
 
-def _tipped(samples: Samples, thresholds: Thresholds) -> Verdict | None:
+def _tipped(samples: Samples, thresholds: Thresholds) -> Fault | None:
     before = np.isin(np.array(samples.phase), ("approach", "close", "squeeze", "settle"))
     far = samples.moved_mm > thresholds.disturbed_mm
     far |= samples.turned_deg > thresholds.disturbed_deg
@@ -237,7 +332,7 @@ def _tipped(samples: Samples, thresholds: Thresholds) -> Verdict | None:
     return _fault(samples, i, "tipped", detail)
 
 
-def _no_contact(samples: Samples, fingers: tuple[str, ...], needed: int) -> Verdict | None:
+def _no_contact(samples: Samples, fingers: tuple[str, ...], needed: int) -> Fault | None:
     index = samples.during("squeeze", "settle")
     if len(index) == 0:
         return None
@@ -256,60 +351,39 @@ def _lost(
     needed: int,
     lift_mm: float,
     thresholds: Thresholds,
-) -> Verdict | None:
+) -> Fault | None:
     """Dropped or slipped, in lift and hold."""
     index = samples.during("lift", "hold")
     if len(index) == 0:
         return None
+    holding = DropCriteria(fewest=needed)
+    staying = DropCriteria(fewest=0, mm=thresholds.slip_mm, deg=thresholds.slip_deg)
+    touching = (samples.contacts > 0).sum(axis=1)
+    loose = [int(i) for i in index if lost(holding, touching=touching[i])]
     last = int(index[-1])
-    touching = int((samples.contacts[last] > 0).sum())
     short = lift_mm - samples.lift_mm[last]
-    after = np.zeros(len(samples), dtype=bool)
-    after[index] = True
-    if touching < needed or short > lift_mm / 2:
-        loose = after & ((samples.contacts > 0).sum(axis=1) < needed)
-        i = _first(loose)
-        i = last if i is None else i
+    if last in loose or short > lift_mm / 2:
         detail = (
-            f"at the end {touching} of {len(fingers)} fingers touched, and the object had risen "
-            f"{samples.lift_mm[last]:.0f} of {lift_mm:.0f} mm"
+            f"at the end {touching[last]} of {len(fingers)} fingers touched, and the object had "
+            f"risen {samples.lift_mm[last]:.0f} of {lift_mm:.0f} mm"
         )
-        return _fault(samples, i, "dropped", detail)
-    moved = (samples.slip_mm > thresholds.slip_mm) | (samples.slip_deg > thresholds.slip_deg)
-    i = _first(after & moved)
-    if i is None and short <= thresholds.lift_shortfall_mm:
+        return _fault(samples, loose[0] if loose else last, "dropped", detail)
+    moved = [
+        int(i)
+        for i in index
+        if lost(staying, touching=touching[i], moved=(samples.slip_mm[i], samples.slip_deg[i]))
+    ]
+    if not moved and short <= thresholds.lift_shortfall_mm:
         return None
-    i = last if i is None else i
     detail = (
         f"the object moved up to {largest(samples.slip_mm):.1f} mm and "
         f"{largest(samples.slip_deg):.1f} degrees in the hand, and ended {short:.1f} mm low"
     )
-    return _fault(samples, i, "slipped", detail)
+    return _fault(samples, moved[0] if moved else last, "slipped", detail)
 
 
-def _blamed_on_torque(fault: Verdict, samples: Samples, thresholds: Thresholds) -> Verdict:
-    """The same fault, or "torque limit reached" if an actuator had no more to give."""
-    if fault.reason == "hand collided":
-        return fault
-    index = [
-        i
-        for i in samples.during("squeeze", "settle", "lift", "hold")
-        if samples.time[i] <= fault.time
-    ]
-    names = [name for i in index for name in set(samples.limited[i])]
-    often = sorted({n for n in names if names.count(n) >= thresholds.limited_share * len(index)})
-    if not often:
-        return fault
-    return Verdict(
-        success=False,
-        reason="torque limit reached",
-        detail=f"{', '.join(often)} stood at the limit; then: {fault.reason}, {fault.detail}",
-        time=fault.time,
-    )
-
-
-def _fault(samples: Samples, i: int, reason: Reason, detail: str) -> Verdict:
-    return Verdict(success=False, reason=reason, detail=detail, time=float(samples.time[i]))
+def _fault(samples: Samples, i: int, reason: Reason, detail: str) -> Fault:
+    return Fault(reason=reason, detail=detail, time=float(samples.time[i]))
 
 
 def _first(condition: Any) -> int | None:

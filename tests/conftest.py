@@ -12,10 +12,10 @@ import pytest
 import trimesh
 
 from planner.hand_loading import load_hand
-from planner.hands.catalog import models_dir
 from planner.hands.hand import Hand
 from planner.shapes import Mesh
 from planner.spatial import FloatArray
+from planner.system.models import models_dir
 from sim.controllers.follow import MotionReference
 from sim.controllers.reference import Target
 

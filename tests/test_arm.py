@@ -20,7 +20,6 @@ from planner.errors import (
     TaskError,
 )
 from planner.hand_loading import load_hand
-from planner.hands.catalog import models_dir
 from planner.hands.hand import Hand
 from planner.kinematics.arm_ik import (
     POSITION_TOL,
@@ -34,6 +33,7 @@ from planner.kinematics.state import HandState
 from planner.kinematics.symbolic import SymbolicHand
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, rotation_angle
+from planner.system.models import models_dir
 from planner.task import GraspTask
 
 # Craig's Denavit-Hartenberg parameters of the Panda: a (m), alpha (rad), d (m) of joints 1 to 7

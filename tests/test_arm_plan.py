@@ -12,8 +12,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.approach.arm_path import LIFT_HEIGHT, _Radii, lift_fault, path_fault
-from planner.approach.pregrasp import APPROACH_CLEARANCE, Approach, approach_fault
+from planner.approach.arm_path import LIFT_HEIGHT, _Radii, verify_arm_path, verify_lift
+from planner.approach.pregrasp import APPROACH_CLEARANCE, Approach, verify_approach
 from planner.collision.world import CollisionWorld
 from planner.errors import FileFormatError, TaskError
 from planner.files import read_plan, write_plan
@@ -136,8 +136,8 @@ def test_a_thin_wall_between_two_postures_is_found(
     for posture in path:
         at = with_arm(plan, q, posture)
         assert world.proximity(plan.T_world_base, at, "palm", "plate").distance > 0.05
-    assert path_fault(free, plan.T_world_base, q, path, clearance=0.001) == ""
-    assert "plate" in path_fault(world, plan.T_world_base, q, path, clearance=0.001)
+    assert verify_arm_path(free, plan.T_world_base, q, path, clearance=0.001) is None
+    assert "plate" in str(verify_arm_path(world, plan.T_world_base, q, path, clearance=0.001))
 
 
 def test_no_point_moves_farther_than_the_bound(plan: GraspPlan) -> None:
@@ -179,9 +179,9 @@ def test_a_lift_into_an_obstacle_is_refused(
         T_world_obstacle=SE3(np.eye(3), top.translation),
     )
     world = CollisionWorld(dataclasses.replace(plan.task, obstacles=(beam,)))
-    assert "beam" in lift_fault(world, plan.T_world_base, plan.q, paths[1])
+    assert "beam" in str(verify_lift(world, plan.T_world_base, plan.q, paths[1]))
     free = CollisionWorld(plan.task)
-    assert lift_fault(free, plan.T_world_base, plan.q, paths[1]) == ""
+    assert verify_lift(free, plan.T_world_base, plan.q, paths[1]) is None
 
 
 def test_an_object_too_heavy_for_the_arm_is_refused(
@@ -189,7 +189,7 @@ def test_an_object_too_heavy_for_the_arm_is_refused(
 ) -> None:
     heavy = GraspObject(name="lead", shape=plan.task.object.shape, mass=40.0)
     world = CollisionWorld(dataclasses.replace(plan.task, object=heavy))
-    fault = lift_fault(world, plan.T_world_base, plan.q, paths[1])
+    fault = str(verify_lift(world, plan.T_world_base, plan.q, paths[1]))
     assert "arm/A_joint" in fault
     assert "beyond its limits" in fault
 
@@ -222,7 +222,7 @@ def test_a_lift_that_is_none_is_refused(
     else:
         path = path.ravel()
     world = CollisionWorld(plan.task)
-    assert message in lift_fault(world, plan.T_world_base, plan.q, path)
+    assert message in str(verify_lift(world, plan.T_world_base, plan.q, path))
 
 
 def test_an_approach_by_arm_must_be_complete(plan: GraspPlan) -> None:
@@ -230,16 +230,20 @@ def test_an_approach_by_arm_must_be_complete(plan: GraspPlan) -> None:
     approach = Approach(
         q=plan.q_pregrasp, opening=plan.opening, T_world_base_start=plan.T_world_base, arm=plan.arm
     )
-    assert approach_fault(world, plan.T_world_base, plan.q, approach) == ""
+    assert verify_approach(world, plan.T_world_base, plan.q, approach) is None
     without = dataclasses.replace(approach, arm=None)
-    assert "missing" in approach_fault(world, plan.T_world_base, plan.q, without)
+    assert "missing" in str(verify_approach(world, plan.T_world_base, plan.q, without))
     q = plan.q_pregrasp.copy()
     q[1] += 0.01
     moved = dataclasses.replace(approach, q=q)
-    assert "while the fingers close" in approach_fault(world, plan.T_world_base, plan.q, moved)
+    assert "while the fingers close" in str(
+        verify_approach(world, plan.T_world_base, plan.q, moved)
+    )
     shifted = SE3(np.eye(3), plan.T_world_base.translation + np.array([0, 0, 0.1]))
     rolling = dataclasses.replace(approach, T_world_base_start=shifted)
-    assert "root of the arm moves" in approach_fault(world, plan.T_world_base, plan.q, rolling)
+    assert "root of the arm moves" in str(
+        verify_approach(world, plan.T_world_base, plan.q, rolling)
+    )
 
 
 def test_the_root_of_the_arm_may_stand_on_the_table_and_the_object_stays(plan: GraspPlan) -> None:
@@ -347,7 +351,7 @@ def test_the_arm_holds_the_object_up(plan: GraspPlan) -> None:
     # and the palm is where the plan has it, to the servos' accuracy
     assert plan.arm is not None
     q = with_arm(plan, plan.q, plan.arm.lift[-1])
-    at = trial.scene.body_pose(trial.data, trial.scene.palm_body)
+    at = trial.simulation.scene.body_pose(trial.simulation.data, trial.simulation.scene.palm_body)
     assert np.linalg.norm(at.translation - palm_by_mujoco(plan, q).translation) < 5e-4
 
 

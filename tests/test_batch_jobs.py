@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 
 from planner.batch import jobs
 from planner.batch.jobs import BatchObject, Job, batch_jobs, grasp_seed, plan_row
-from planner.batch.recipe import label_of, recipe_of, shape_key, task_of
+from planner.batch.recipe import label_of, recipe_of, task_of
 from planner.errors import FileFormatError, TaskError
+from planner.failure import Failure
 from planner.forces import ExpectedLoad
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
@@ -26,7 +27,7 @@ from planner.objects import GraspObject, parse_object
 from planner.plan import GraspPlan
 from planner.regions import TouchRegion, parse_region
 from planner.search import Attempt, plan_grasp
-from planner.shapes import Box, Mesh, Sphere
+from planner.shapes import Box, Mesh, Sphere, shape_key
 from planner.spatial import SE3
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask, Obstacle
@@ -168,7 +169,8 @@ def interrupting(
     """In place of planning: Ctrl-C while the solver runs, which goes on to the next attempt."""
     os.kill(os.getpid(), signal.SIGINT)
     for i in range(2):
-        progress(Attempt(index=i, plan=None, reason="solver: interrupted", cpu_s=0.0))
+        failure = Failure(kind="interrupted", text="solver: interrupted")
+        progress(Attempt(index=i, plan=None, failure=failure, cpu_s=0.0))
     raise TaskError("went on after Ctrl-C")
 
 

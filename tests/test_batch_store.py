@@ -17,6 +17,7 @@ from planner.batch.recipe import Recipe
 from planner.batch.rows import failed_row, grasp_schema
 from planner.batch.store import Store, shard_file
 from planner.errors import FileFormatError, NotFoundError, TaskError
+from planner.failure import Failure
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.search import Attempt
@@ -61,10 +62,11 @@ def kit(allegro: Hand) -> Kit:
 def row(index: int) -> dict[str, Any]:
     """The row of a request out of 2 objects x 5 grasps; requests make one to three attempts."""
     made: list[Attempt[GraspPlan]] = [
-        Attempt(index=i, plan=None, reason=f"reason {i}", cpu_s=0.1) for i in range(1 + index % 3)
+        Attempt(index=i, plan=None, failure=Failure(kind="none", text=f"reason {i}"), cpu_s=0.1)
+        for i in range(1 + index % 3)
     ]
     label = ("sphere", "box")[index // 5]
-    return failed_row(index, label, index % 5, 1000 + index, made[-1].reason, made)
+    return failed_row(index, label, index % 5, 1000 + index, str(made[-1].failure), made)
 
 
 def line(kit: Kit, index: int) -> str:
@@ -228,7 +230,7 @@ def test_grasps_without_a_manifest_are_not_adopted(kit: Kit, tmp_path: Path, n_r
 def test_a_batch_that_was_killed_before_its_manifest_begins_again(kit: Kit, tmp_path: Path) -> None:
     with kit.store(tmp_path):
         pass
-    (tmp_path / "manifest.json").rename(tmp_path / "manifest.json.part")
+    (tmp_path / "manifest.json").rename(tmp_path / ".0123456789abcdef.part")
     with kit.store(tmp_path, seed=99) as store:
         assert len(store) == 0
 

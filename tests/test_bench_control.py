@@ -22,6 +22,7 @@ from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from planner.verification.grasp import with_grip
+from sim.bench import planned
 from sim.bench.control import (
     control_tables,
     grasps_of,
@@ -29,24 +30,24 @@ from sim.bench.control import (
     parts,
     promise,
     push,
-    rate,
     run_control,
     slip_trial,
 )
 from sim.bench.control.jobs import PARTS, ROWS_PER_GRASP, Part, control_jobs
-from sim.bench.control.rate import rate_row
+from sim.bench.control.parts import rate_row
 from sim.bench.control.slip_trial import Watched, slip_row
 from sim.bench.objects import BenchObject
 from sim.contacts import hand_contacts
 from sim.controllers import CONTROLLERS, GraspController, Observation, PadReading, Sensing
 from sim.controllers.slip import SLIP_SPEED
 from sim.pads import read_pads
+from sim.protocols.disturbance import DROPPED, DisturbanceTrial
 from sim.protocols.fc import fc_cases
 from sim.protocols.forces import PushCase
-from sim.protocols.hold import LOST, Hold
-from sim.protocols.outcome import Fault, Outcome
+from sim.protocols.outcome import Outcome
 from sim.protocols.robust import RobustCase
 from sim.runner import Runner
+from sim.verdict import Fault
 
 SPHERE = BenchObject(label="sphere", spec="sphere")
 BOX = BenchObject(label="box", spec="box")
@@ -131,7 +132,7 @@ def test_a_file_goes_on_with_more_grasps_and_other_parts(
 def test_a_grasp_that_is_not_found_is_a_row_with_its_reason(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(jobs, "_plan", lambda *_: "too wide")
+    monkeypatch.setattr(planned, "_plan", lambda *_: "too wide")
     result = run(tmp_path / "x.jsonl", {"fc": 2})
     assert [r["error"] for r in result["rows"]] == ["too wide"] * 2
     (table,) = control_tables(result)
@@ -160,7 +161,7 @@ def test_both_loops_meet_the_same_pushes(plan: GraspPlan, monkeypatch: pytest.Mo
     grips = push.tried_grips(plan)
     assert grips[0] == plan.task.grip_force
     assert len(grips) == push.GRIPS + 1
-    once = [*[CONTROLLERS["open"]] * len(grips), CONTROLLERS["closed"]]
+    once = [*[CONTROLLERS["feedforward"]] * len(grips), CONTROLLERS["impedance"]]
     assert [made for made, *_ in met] == once * 2
     assert [grip for *_, grip in met] == [*grips, grips[0]] * 2
     for k, zero in ((0, slice(3, 6)), (len(once), slice(0, 3))):
@@ -170,9 +171,13 @@ def test_both_loops_meet_the_same_pushes(plan: GraspPlan, monkeypatch: pytest.Mo
         assert not met[k][1][zero].any()
     assert json.loads(json.dumps(row, allow_nan=False)) == row
     first = row["pushes"][0]
-    assert first["open"] == {"borne": grips[0], "broke": None, "reason": ""}
+    assert first["feedforward"] == {"borne": grips[0], "broke": None, "reason": ""}
     assert first["best"] == {"borne": grips[-1], "broke": None, "reason": "", "grip_N": grips[-1]}
-    assert (first["lost_mm"], first["lost_deg"], first["bound_near"]) == (LOST.mm, LOST.deg, None)
+    assert (first["lost_mm"], first["lost_deg"], first["bound_near"]) == (
+        DROPPED.mm,
+        DROPPED.deg,
+        None,
+    )
 
 
 def test_the_largest_grip_is_the_last_that_the_hand_has(plan: GraspPlan) -> None:
@@ -193,13 +198,13 @@ def test_a_promise_is_tested_along_its_weakest_direction(
     force = smallest_breaking(plan.forces.problem, "force", length=0.035)
     limit = 0.855 * force.bounds.lower
 
-    def endure(self: Hold, duration: float) -> Fault | None:
+    def hold_for(self: DisturbanceTrial, duration: float) -> Fault | None:
         beyond = np.linalg.norm(pushed[-1][:3]) > limit
         return Fault(reason="slipped", detail="", time=0.0) if beyond else None
 
-    monkeypatch.setattr(Hold, "grip", lambda self: None)
-    monkeypatch.setattr(Hold, "push", lambda self, wrench: pushed.append(wrench))
-    monkeypatch.setattr(Hold, "endure", endure)
+    monkeypatch.setattr(DisturbanceTrial, "close_and_squeeze", lambda self: None)
+    monkeypatch.setattr(DisturbanceTrial, "push", lambda self, wrench: pushed.append(wrench))
+    monkeypatch.setattr(DisturbanceTrial, "hold_for", hold_for)
     row = promise.promise_row(plan, np.random.default_rng(0))
     assert json.loads(json.dumps(row, allow_nan=False)) == row
     told = {(load["kind"], load["speed"]): load["broke_at"] for load in row["loads"]}
@@ -230,7 +235,9 @@ def test_the_grid_is_seen_by_a_latin_square(
     squares = set()
     for seed in range(10):
         trials = parts.robust_row(plan, np.random.default_rng(seed))["trials"]
-        cells = [(t["mass"], t["friction"], t["pose"]) for t in trials if t["loop"] == "open"]
+        cells = [
+            (t["mass"], t["friction"], t["pose"]) for t in trials if t["loop"] == "feedforward"
+        ]
         assert cells == [(t["mass"], t["friction"], t["pose"]) for t in trials[1::2]]
         for pair in ((0, 1), (0, 2), (1, 2)):
             assert len({tuple(c[i] for i in pair) for c in cells}) == len(cells) == 9
@@ -244,12 +251,12 @@ def test_a_grasp_holds_in_fc_and_is_timed(plan: GraspPlan, monkeypatch: pytest.M
     assert (row["held"], row["of"], row["reasons"]) == (1, 1, [])
     assert 0 <= row["start_penetration_mm"] <= 1.0
     assert 0 <= row["grasp_penetration_mm"] <= 1.0
-    monkeypatch.setattr(rate, "STRETCHES", 3)
+    monkeypatch.setattr(parts, "STRETCHES", 3)
     timed = {loop["loop"]: loop for loop in rate_row(plan, np.random.default_rng(0))["loops"]}
-    assert timed["open"]["step_ms"] == 2.0
+    assert timed["feedforward"]["step_ms"] == 2.0
     for loop in timed.values():
         assert 0 < np.median(loop["bare_ms"]) < np.median(loop["whole_ms"])
-    assert np.median(timed["open"]["whole_ms"]) < np.median(timed["closed"]["whole_ms"])
+    assert np.median(timed["feedforward"]["whole_ms"]) < np.median(timed["impedance"]["whole_ms"])
 
 
 # known slips
@@ -371,9 +378,9 @@ def test_pushes_are_compared_by_their_medians_and_with_the_bounds() -> None:
             "lost_deg": 15.0,
             "bound": bound,
             "bound_near": None if bound > 9 else 1.2 * bound,
-            "open": {"borne": opened},
+            "feedforward": {"borne": opened},
             "best": {"borne": best, "grip_N": 2.0 * best},
-            "closed": {"borne": closed},
+            "impedance": {"borne": closed},
         }
 
     rows = [
@@ -391,7 +398,7 @@ def test_pushes_are_compared_by_their_medians_and_with_the_bounds() -> None:
 def test_slips_and_peace_are_added_up() -> None:
     def loop(**values: Any) -> dict[str, Any]:
         numbers = {"slips": 10, "found": 9, "alarms": 12, "right": 11, "delay": 0.012}
-        return {"loop": "open", **numbers, "calm_s": 50.0, "calm_false": 1, **values}
+        return {"loop": "feedforward", **numbers, "calm_s": 50.0, "calm_false": 1, **values}
 
     rows = [row_of("slip", k, loops=[loop()]) for k in range(2)]
     last = cells({"rows": rows})[-1]
@@ -401,7 +408,7 @@ def test_slips_and_peace_are_added_up() -> None:
 def test_drift_grid_and_rate_are_counted() -> None:
     def hold(moved: float, reason: str = "") -> dict[str, Any]:
         return {
-            "loop": "open",
+            "loop": "feedforward",
             "noslip": 10,
             "reason": reason,
             "moved_mm": moved,
@@ -410,14 +417,14 @@ def test_drift_grid_and_rate_are_counted() -> None:
 
     rows = [row_of("drift", 0, seconds=10.0, holds=[hold(0.1), hold(0.9), hold(30.0, "dropped")])]
     (drift,) = cells({"rows": rows})
-    assert drift == ["open", "10", "2/3", "0.500", "0.820", "0.900", "1/3", "0.90"]
+    assert drift == ["feedforward", "10", "2/3", "0.500", "0.820", "0.900", "1/3", "0.90"]
     grid = [
         {"loop": loop, "mass": 1.0, "friction": 0.7, "pose": "none", "held": held}
-        for loop, held in (("open", True), ("open", False), ("closed", True))
+        for loop, held in (("feedforward", True), ("feedforward", False), ("impedance", True))
     ]
     assert cells({"rows": [row_of("robust", trials=grid)]})[-1][2:] == ["1/2 50.0 %", "1/1 100.0 %"]
     timed = {
-        "loop": "closed",
+        "loop": "impedance",
         "reason": "",
         "step_ms": 2.0,
         "whole_ms": [1.0, 0.8, 1.3],
@@ -430,19 +437,23 @@ def test_drift_grid_and_rate_are_counted() -> None:
 
 def test_pads_of_one_finger_are_summed(plan: GraspPlan) -> None:
     """Two pads that are called one: forces add, places and normals are weighted means."""
-    hold = Hold(plan, controller=GraspController(plan))
-    assert hold.grip() is None
-    found = hand_contacts(hold.scene, hold.data)
+    hold = DisturbanceTrial(plan, controller=GraspController(plan))
+    assert hold.close_and_squeeze() is None
+    found = hand_contacts(hold.simulation.scene, hold.simulation.data)
     apart = ContactSet.from_contacts(
         [found[i] for i, f in enumerate(found.fingers) if f in ("thumb", "index")],
         center=found.center,
     )
-    slid = read_pads(hold.scene, hold.data, apart.fingers).sliding
+    slid = read_pads(hold.simulation.scene, hold.simulation.data, apart.fingers).sliding
     names = {
         geom: "thumb" if name == "index" else name
-        for geom, name in hold.scene.finger_of_geom.items()
+        for geom, name in hold.simulation.scene.finger_of_geom.items()
     }
-    together = read_pads(replace(hold.scene, finger_of_geom=names), hold.data, ("thumb", "ring"))
+    together = read_pads(
+        replace(hold.simulation.scene, finger_of_geom=names),
+        hold.simulation.data,
+        ("thumb", "ring"),
+    )
     assert len(apart) == 2
     press = apart.forces[:, 0]
     weight = press / press.sum()

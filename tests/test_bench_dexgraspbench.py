@@ -87,8 +87,8 @@ def test_a_batch_is_exported_evaluated_read_back_and_compared(
     assert code == 0, err
     result = json.loads(out)
     assert result["exports"]["allegro_hand"]["written"] == 2
-    assert len(result["grasps"]) == 2
-    for grasp in result["grasps"]:
+    assert len(result["rows"]) == 2
+    for grasp in result["rows"]:
         assert grasp["verdicts"] == {"fc": True, "tabletop": False}
         assert grasp["penetration_mm"] == pytest.approx(0.4)
         assert grasp["ours"] is True

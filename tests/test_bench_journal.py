@@ -13,7 +13,8 @@ import pytest
 from rich.console import Console
 
 from planner.errors import FileFormatError
-from sim.bench.journal import Journal, run_with_journal
+from sim.bench.journal import Journal
+from sim.bench.run import measure
 from sim.runner import Check, Runner
 
 ASKED = {"format": "opposable-test", "version": 1, "seeds": 3}
@@ -44,10 +45,10 @@ def run(
     """Rows by their index, whether those are all, and what was said."""
     text = StringIO()
     runner = Runner(console=Console(file=text, width=200), check=check, workers=workers)
-    rows, whole = run_with_journal(
-        runner, work, jobs, file=file, asked=ASKED, title="", given_up=given_up
+    result = measure(
+        runner, work, jobs, kind="test", file=file, asked=ASKED, title="", lost=given_up
     )
-    return sorted(rows, key=lambda row: int(row["index"])), whole, text.getvalue()
+    return result["rows"], not result["interrupted"], text.getvalue()
 
 
 def test_rows_are_on_disk_as_soon_as_they_are_added(tmp_path: Path) -> None:

@@ -15,13 +15,14 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
+from planner import ManipulationPlan
 from planner.errors import FileFormatError, NotFoundError, TaskError
 from sim.bench.conditions import FRICTION, MASS, PUSH_UNTIL, SIZE, Conditions
 from sim.bench.manipulate import Turn, run_manipulate
 from sim.bench.turn_table import manipulate_table
 from sim.cli import app
 from sim.cli.bench.common import TABLE_WIDTH
-from sim.manipulation import ManipulationPlan, ManipulationReport, manipulate
+from sim.manipulation import ManipulationReport, manipulate
 from sim.runner import Runner
 
 RUN = CliRunner()

@@ -158,14 +158,14 @@ def test_a_condition_changes_the_trial_and_not_the_plan(
 
     def run(trial: Trial, *, on_step: Any) -> Report:
         seen.append(trial)
-        forces = []
-        trial.phase = "lift"
-        on_step(trial)
-        assert not trial.data.xfrc_applied.any()
-        trial.phase = "hold"
-        for _ in range(round(TIMELINE.hold / trial.scene.physics.timestep)):
-            on_step(trial)
-            forces.append(trial.data.xfrc_applied[trial.scene.object_body, :3].copy())
+        forces, simulation = [], trial.simulation
+        simulation.phase = "lift"
+        on_step(simulation)
+        assert not simulation.data.xfrc_applied.any()
+        simulation.phase = "hold"
+        for _ in range(round(TIMELINE.hold / simulation.timestep)):
+            on_step(simulation)
+            forces.append(simulation.data.xfrc_applied[simulation.scene.object_body, :3].copy())
         push = CONDITIONS[name].push * 0.981
         assert np.linalg.norm(forces, axis=1) == pytest.approx(push)
         assert np.abs(np.sum(forces, axis=0)).max() == pytest.approx(0.0, abs=1e-9)
@@ -176,10 +176,10 @@ def test_a_condition_changes_the_trial_and_not_the_plan(
     row = try_sample(sample(name), nothing)
     condition, (trial,) = CONDITIONS[name], seen
     assert row["success"] is True
-    scene, task = trial.scene, trial.plan.task
+    scene, task = trial.simulation.scene, trial.plan.task
     assert scene.physics.mu == condition.mu
     assert scene.model.body_mass[scene.object_body] == pytest.approx(0.1 * condition.mass_factor)
-    aside = trial.data.qpos[scene.object_qpos[:3]] - task.T_world_object.translation
+    aside = trial.simulation.data.qpos[scene.object_qpos[:3]] - task.T_world_object.translation
     assert np.linalg.norm(aside[:2]) == pytest.approx(condition.shift)
     assert aside[2] == pytest.approx(0.0, abs=1e-12)
     assert task.mu == 0.5
@@ -202,7 +202,7 @@ def fake(wanted: Sample, check: Any) -> dict[str, Any]:
     return {
         "index": wanted.index,
         "hand": wanted.hand,
-        "label": wanted.label,
+        "object": wanted.label,
         "grade": wanted.grade,
         "condition": wanted.condition,
         "found": True,

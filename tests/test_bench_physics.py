@@ -16,9 +16,9 @@ from sim.bench.physics import (
     PhysicsJob,
     physics_jobs,
     physics_row,
+    physics_tables,
     run_physics,
 )
-from sim.bench.physics_tables import physics_tables
 from sim.bench.physics_variants import VARIANTS
 from sim.physics import PRESETS, PhysicsOptions
 from sim.runner import Runner

@@ -15,19 +15,19 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from planner.batch.jobs import grasp_seed
-from planner.batch.recipe import shape_key
 from planner.errors import HandError, NotFoundError, ObjectError
+from planner.failure import Failure
 from planner.hands.hand import Hand
 from planner.quality.ball import epsilon_frogger
 from planner.search import plan_grasp
-from planner.shapes import Box
+from planner.shapes import Box, shape_key
 from planner.task import GraspTask
 from sim.bench.baseline import BASELINE_EPSILON, BASELINE_RATE, against_baseline
 from sim.bench.objects import BenchObject, bench_objects
-from sim.bench.requests import Outcome, Request, Setting, half_longest_side, measure
+from sim.bench.requests import Request, RequestOutcome, Setting, half_longest_side, outcome_of
 from sim.bench.statistics import power_law
 from sim.bench.synthesis import run_synthesis, summary_of, total_of
-from sim.bench.tables import print_synthesis
+from sim.bench.synthesis_tables import synthesis_tables
 from sim.cli import app
 from sim.runner import Runner
 
@@ -46,8 +46,8 @@ def run(objects: list[BenchObject], n: int, **options: Any) -> dict[str, Any]:
     return run_synthesis(["allegro_hand"], objects, n, setting, runner=runner, baseline=baseline)
 
 
-def outcome(k: int, cpu: float, *, found: bool = True, **values: Any) -> Outcome:
-    return Outcome(k=k, cpu_s=cpu, found=found, **{"attempts": 1, **values})
+def outcome(k: int, cpu: float, *, found: bool = True, **values: Any) -> RequestOutcome:
+    return RequestOutcome(k=k, cpu_s=cpu, found=found, **{"attempts": 1, **values})
 
 
 def test_a_summary_adds_up() -> None:
@@ -87,7 +87,7 @@ def test_without_a_stage_for_it_nothing_is_said_about_the_way_in() -> None:
 def test_totals_weigh_objects_by_their_time() -> None:
     fast = summary_of([outcome(k, 0.1) for k in range(4)], "no task")
     slow = summary_of([outcome(0, 3.6), outcome(1, 2.0, found=False)], "no task")
-    refused = summary_of([Outcome(k=0, error="open mesh")], "no task")
+    refused = summary_of([RequestOutcome(k=0, error="open mesh")], "no task")
     total = total_of([fast, slow, refused])
     assert total["found_per_cpu_s_without_approach"] is None
     assert (total["found"], total["requested"]) == (5, 6)
@@ -112,7 +112,7 @@ def test_the_comparison_with_the_baseline() -> None:
 
 def test_a_request_is_what_the_planner_does_with_that_seed(allegro: Hand) -> None:
     setting = Setting(mu=0.7, floating=True, fingers=("thumb", "index", "middle", "ring"), seed=5)
-    made = measure(Request(hand="allegro_hand", spec="box", k=1, setting=setting))
+    made = outcome_of(Request(hand="allegro_hand", spec="box", k=1, setting=setting))
     task = GraspTask.create(
         allegro, "box", mu=0.7, table_height=None, fingers=["thumb", "index", "middle", "ring"]
     )
@@ -132,7 +132,7 @@ def test_a_request_is_what_the_planner_does_with_that_seed(allegro: Hand) -> Non
 
 def test_grasps_that_come_too_near_count_as_failed() -> None:
     setting = Setting(clearance=0.5, max_attempts=3)  # m: no hand keeps away that far
-    made = measure(Request(hand="allegro_hand", spec="sphere", k=0, setting=setting))
+    made = outcome_of(Request(hand="allegro_hand", spec="sphere", k=0, setting=setting))
     assert not made.found
     assert made.attempts == 3
     assert made.reasons["clearance"] >= 1
@@ -140,11 +140,12 @@ def test_grasps_that_come_too_near_count_as_failed() -> None:
 
 
 def test_attempts_that_only_lack_a_way_in_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("planner.verification.grasp.find_approach", lambda *_, **__: "blocked")
+    blocked = Failure(kind="closing_collision", text="blocked")
+    monkeypatch.setattr("planner.verification.grasp.find_approach", lambda *_, **__: blocked)
     setting = Setting(max_attempts=3)
-    made = measure(Request(hand="allegro_hand", spec="sphere", k=0, setting=setting))
+    made = outcome_of(Request(hand="allegro_hand", spec="sphere", k=0, setting=setting))
     assert not made.found
-    assert made.without_approach == made.reasons["approach"] >= 1
+    assert made.without_approach == made.reasons["closing_collision"] >= 1
 
 
 def test_half_the_longest_side_is_of_the_box_not_about_the_centre_of_mass() -> None:
@@ -197,7 +198,7 @@ def test_a_mesh_of_a_folder_that_bounds_no_solid_is_a_row(folder: Path) -> None:
     assert "not the surface of a solid" in cell["error"]
     assert cell["requested"] == 0
     text = StringIO()
-    print_synthesis(result, Console(width=140, file=text))
+    Console(width=140, file=text).print(*synthesis_tables(result))
     assert "not tried" in text.getvalue()
 
 

@@ -20,8 +20,9 @@ from planner.errors import HandError, ModelError, NotFoundError, PlannerError
 from planner.files import plan_from_dict, plan_to_dict
 from planner.hand_loading import load_hand
 from planner.hands import catalog
-from planner.hands.catalog import find_hand, hand_names, hand_reference, model_file, models_dir
+from planner.hands.catalog import find_hand, hand_names, hand_reference, model_file
 from planner.hands.hand import Hand
+from planner.system.models import models_dir
 
 EditHand = Callable[..., Path]
 
@@ -367,7 +368,7 @@ def test_readers_of_files_download_nothing(monkeypatch: pytest.MonkeyPatch) -> N
         asked.append((name, download))
         raise ModelError("asked")
 
-    monkeypatch.setattr("planner.hands.hand.find_hand", asks)
+    monkeypatch.setattr("planner.hand_loading.find_hand", asks)
     with pytest.raises(ModelError, match="asked"):
         plan_from_dict(data, "plan.json")
     with pytest.raises(ModelError, match="asked"):

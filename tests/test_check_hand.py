@@ -16,10 +16,10 @@ from planner.describe import CheckReport, check_hand
 from planner.describe.overlaps import frequent_overlaps
 from planner.errors import TaskError
 from planner.hand_loading import load_hand
-from planner.hands.catalog import models_dir
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.synthesis.seeds.draw import opposition
+from planner.system.models import models_dir
 from planner.task import GraspTask
 from sim.cli import hands
 from sim.cli.common import EXIT_BAD_INPUT, EXIT_NO

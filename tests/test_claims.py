@@ -156,7 +156,7 @@ def test_no_command_is_made_of_an_odd_file_name(tmp_path: Path) -> None:
         ["describe", "hand.xml", "--out", LONG],
         ["check-hand", LONG],
         ["crosscheck", LONG],
-        ["pick", LONG, "0"],
+        ["extract", LONG, "0"],
         ["batch", "allegro_hand", "sphere", "-n", "1", "--out", LONG],
         ["forces", "plan.json", "--tolerance", "nan"],
         ["forces", "plan.json", "--rate", "inf"],

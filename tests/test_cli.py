@@ -195,7 +195,7 @@ def test_bench_writes_its_table_and_repeats_nothing(
     assert result.code == 0, result.err
     data = json.loads(result.out)
     assert data == json.loads(path.read_text(encoding="utf-8"))
-    (outcome,) = data["outcomes"]
+    (outcome,) = data["rows"]
     assert outcome["found"]
     assert outcome["held"]
     assert json.loads(rows_in(tmp_path)[0]) == outcome

@@ -18,9 +18,10 @@ from planner.task import GraspTask
 from sim.bench.control.slips import LATENCY, true_slips
 from sim.controllers import GraspController, ImpedanceGains, ObjectImpedance, Sensing
 from sim.pads import read_pads
-from sim.protocols.hold import Hold
+from sim.protocols.disturbance import DisturbanceTrial
 from sim.report import ReportFile, TrialReport
 from sim.scene import PhysicsOptions
+from sim.simulation import Simulation
 from sim.trial import Timeline, Trial
 
 SHORT = Timeline(
@@ -49,7 +50,7 @@ def shadow_plan() -> GraspPlan:
 def run(
     plan: GraspPlan,
     controller: ObjectImpedance | GraspController,
-    on_hold: Callable[[Trial, float], None] = lambda _trial, _since: None,
+    on_hold: Callable[[Simulation, float], None] = lambda _trial, _since: None,
     *,
     timeline: Timeline = SHORT,
     mu: float = 0.6,
@@ -58,7 +59,7 @@ def run(
     trial = Trial(plan, controller=controller, timeline=timeline, physics=PhysicsOptions(mu=mu))
     began: list[float] = []
 
-    def on_step(t: Trial) -> None:
+    def on_step(t: Simulation) -> None:
         if t.phase == "hold":
             began.append(float(t.data.time))
             on_hold(t, began[-1] - began[0])
@@ -70,14 +71,14 @@ def kinds(controller: ObjectImpedance, finger: str | None = None) -> list[str]:
     return [e.kind for e in controller.events if finger in (None, e.finger)]
 
 
-def in_base(trial: Trial) -> FloatArray:
+def in_base(trial: Simulation) -> FloatArray:
     """Position of the object in the hand's base, m."""
     base = trial.scene.body_pose(trial.data, trial.scene.base_body)
     there = trial.scene.body_pose(trial.data, trial.scene.object_body)
     return np.array(base.actInv(there).translation)
 
 
-def push(trial: Trial, force: FloatArray) -> None:
+def push(trial: Simulation, force: FloatArray) -> None:
     trial.data.xfrc_applied[trial.scene.object_body, :3] = force
 
 
@@ -103,7 +104,7 @@ def test_a_push_deflects_the_object_by_push_over_stiffness(plan: GraspPlan) -> N
     )
     places: dict[str, FloatArray] = {}
 
-    def on_hold(trial: Trial, since: float) -> None:
+    def on_hold(trial: Simulation, since: float) -> None:
         if since < 0.4:
             places["before"] = in_base(trial)
         else:
@@ -127,7 +128,7 @@ def test_a_wrong_mass_is_learned(plan: GraspPlan) -> None:
 
 
 def test_it_holds_against_what_breaks_the_open_loop(plan: GraspPlan) -> None:
-    def on_hold(trial: Trial, since: float) -> None:
+    def on_hold(trial: Simulation, since: float) -> None:
         push(trial, min(since / 0.4, 1.0) * np.array([0.0, 7.0, 0.0]))
 
     open_loop = run(plan, GraspController(plan), on_hold)
@@ -143,7 +144,7 @@ def test_fingers_ease_off_where_one_must_push_alone() -> None:
     k = alone.task.finger_names.index("thumb")
     onto_thumb = -8.0 * alone.contacts.normals[k]
 
-    def on_hold(trial: Trial, since: float) -> None:
+    def on_hold(trial: Simulation, since: float) -> None:
         push(trial, min(since / 0.9, 1.0) * onto_thumb)
 
     controller = ObjectImpedance(alone)
@@ -182,7 +183,7 @@ def test_a_finger_leaves_and_comes_back(plan: GraspPlan) -> None:
     forces: dict[str, list[float]] = {"away": [], "back": []}
     told: set[str] = set()
 
-    def on_hold(trial: Trial, since: float) -> None:
+    def on_hold(trial: Simulation, since: float) -> None:
         for when, what in ((0.1, "leave"), (0.5, "join")):
             if since >= when and what not in told:
                 told.add(what)
@@ -211,7 +212,7 @@ def test_a_finger_with_tendons_that_leaves_asks_nothing_of_the_others(
     fingers = [name for name in shadow_plan.task.finger_names if name != "thumb"]
     held: list[FloatArray] = []
 
-    def on_hold(trial: Trial, since: float) -> None:
+    def on_hold(trial: Simulation, since: float) -> None:
         if since == 0.0:
             controller.keep()
             controller.leave(fingers[-1])
@@ -233,7 +234,7 @@ def test_a_contact_that_is_lost_is_noticed_and_found_again(plan: GraspPlan) -> N
     normal = plan.contacts.normals[plan.task.finger_names.index(name)]
     lost: list[float] = []
 
-    def on_hold(trial: Trial, since: float) -> None:
+    def on_hold(trial: Simulation, since: float) -> None:
         body = int(trial.scene.model.body("hand/middle_distal").id)
         torn = 0.1 <= since < 0.16
         trial.data.xfrc_applied[body, :3] = -4.0 * normal if torn else 0.0
@@ -255,7 +256,7 @@ def test_slips_are_noticed_and_answered(plan: GraspPlan) -> None:
     controller = ObjectImpedance(plan, sensing=sensing)
     rows: list[tuple[float, FloatArray, FloatArray]] = []
 
-    def on_hold(trial: Trial, since: float) -> None:
+    def on_hold(trial: Simulation, since: float) -> None:
         push(trial, np.array([0.0, 0.0, -1.0]))
         if since > 0.2:
             trial.scene.model.geom_friction[:, 0] = 0.3
@@ -281,7 +282,7 @@ def test_what_cannot_be_held_is_said(plan: GraspPlan) -> None:
     controller = ObjectImpedance(plan)
     begun: list[float] = []
 
-    def on_hold(trial: Trial, since: float) -> None:
+    def on_hold(trial: Simulation, since: float) -> None:
         if since > 0.1 and not begun:
             begun.append(float(trial.data.time))
         push(trial, np.array([0.0, 0.0, -60.0 if since > 0.1 else 0.0]))
@@ -317,13 +318,13 @@ def test_a_slow_load_is_borne_up_to_what_the_certificate_promises(kind: Disturba
         made.forces.problem, kind, length=made.task.object.shape.bounding_radius
     )
     promised = breaking.bounds.lower * breaking.wrench / np.linalg.norm(breaking.wrench)
-    hold = Hold(
+    hold = DisturbanceTrial(
         made, controller=ObjectImpedance(made), physics=PhysicsOptions(mu=0.5, mu_torsion=0.0)
     )
-    assert hold.grip() is None
+    assert hold.close_and_squeeze() is None
     for share in (*np.linspace(0.05, 0.7, 14), *np.linspace(0.72, 0.94, 12)):
         hold.push(share * promised)
-        assert hold.endure(0.08) is None, f"lost at {share:.2f} of the promise"
+        assert hold.hold_for(0.08) is None, f"lost at {share:.2f} of the promise"
     assert hold.at_rest()
 
 
@@ -331,7 +332,7 @@ def test_a_slip_at_the_friction_that_is_believed_changes_no_belief(plan: GraspPl
     """A pull to where the pads slip: their friction is the believed one, and stays believed."""
     controller = ObjectImpedance(plan, mu=0.5)
 
-    def on_hold(trial: Trial, since: float) -> None:
+    def on_hold(trial: Simulation, since: float) -> None:
         push(trial, np.array([0.0, 0.0, -min(since / 0.3, 1.0) * 20.0]))
 
     run(plan, controller, on_hold, timeline=replace(SHORT, hold=0.5), mu=0.5)

@@ -126,8 +126,8 @@ def test_energy_never_grows_without_input(seed: int) -> None:
 def test_gains_and_names_that_make_no_sense_are_refused() -> None:
     with pytest.raises(TaskError, match="stiffness is -1; give a finite number >= 0"):
         ImpedanceGains(stiffness=-1, damping=0, turning_stiffness=0, turning_damping=0)
-    with pytest.raises(NotFoundError, match="Did you mean 'closed'"):
-        named_controller("close")
+    with pytest.raises(NotFoundError, match="Did you mean 'impedance'"):
+        named_controller("impedence")
 
 
 def mobility(plan: GraspPlan, mass: float) -> FloatArray:
@@ -406,7 +406,7 @@ def test_commands_produce_the_torques_of_the_forces(plan: GraspPlan) -> None:
     length = a.moment @ plan.q + a.length0
     made = (a.gain * ctrl + a.bias[:, 0] + a.bias[:, 1] * length) @ a.moment
     np.testing.assert_allclose(made, plan.forces.joint_torques, atol=1e-6)
-    assert torques.limited_actuators() == ()
+    assert torques.saturated_actuators() == ()
 
 
 def test_the_grasp_matrix_is_that_of_the_contacts(plan: GraspPlan) -> None:

@@ -16,7 +16,8 @@ from typer.testing import CliRunner
 import sim.crosscheck.check as check_module
 from planner.bridge import pinocchio_from_mujoco
 from planner.errors import ModelError, NotFoundError, PlannerError, TaskError
-from planner.hands.catalog import find_hand, models_dir
+from planner.hands.catalog import find_hand
+from planner.system.models import models_dir
 from sim.cli.crosscheck import register
 from sim.crosscheck import (
     BRIDGE,
@@ -24,11 +25,14 @@ from sim.crosscheck import (
     READER,
     CrosscheckReport,
     Tolerances,
+    causes,
     compare_models,
     crosscheck,
     crosscheck_tables,
     reader,
 )
+from sim.crosscheck.evidence import EVIDENCE
+from sim.crosscheck.evidence_masses import EVIDENCE_OF_MASSES
 from sim.crosscheck.mujoco_side import MujocoSide, layout_of
 from sim.crosscheck.sources import compiled
 from sim.crosscheck.states import random_states
@@ -150,9 +154,18 @@ def test_a_hand_is_checked_as_it_is_loaded() -> None:
     assert "own reader is asked only about model files" in report.notes[0]
 
 
+def turn_inertia(model: Any) -> None:
+    """Change the products of inertia of one link and keep its moments, mass and centre."""
+    old = model.inertias[3]
+    tensor = old.inertia.copy()
+    tensor[0, 1] = tensor[1, 0] = tensor[0, 1] + 0.1 * np.diag(tensor).min()
+    model.inertias[3] = pin.Inertia(old.mass, old.lever, tensor)
+
+
 @pytest.mark.parametrize(
     ("change", "quantity"),
     [
+        (turn_inertia, "inertia"),
         (lambda m: setattr(m, "armature", m.armature + 0.1),
          "armature"),
         (lambda m: setattr(m, "damping", m.damping + 0.1), "damping"),
@@ -168,6 +181,23 @@ def test_a_wrong_pinocchio_model_is_found(change: Any, quantity: str) -> None:
     change(other)
     report = compare_models(model, other, n_configurations=1)
     assert {d.quantity for d in report.columns[0].faults} == {quantity}
+
+
+@pytest.mark.parametrize("product", [3, 4, 5])
+def test_products_of_inertia_are_compared_between_two_files(product: int) -> None:
+    tensors = [[0.3, 0.3, 0.3, 0.01, 0.02, 0.03] for _ in range(2)]
+    tensors[1][product] += 1e-6
+    here, there = (
+        mujoco.MjSpec.from_string(
+            '<mujoco><worldbody><body name="link"><joint axis="0 0 1"/><inertial pos="0 0 0" '
+            f'mass="1" fullinertia="{" ".join(map(str, tensor))}"/></body></worldbody></mujoco>'
+        )
+        for tensor in tensors
+    )
+    (fault,) = compare_models(here, there, n_configurations=1).columns[0].faults
+    assert (fault.quantity, fault.part) == ("inertia", "link")
+    assert fault.error == pytest.approx(1e-6 / 0.3, rel=1e-3)
+    assert fault.reference != fault.value  # all six numbers are shown
 
 
 def test_geometries_that_pinocchio_places_wrongly_are_found(
@@ -642,6 +672,33 @@ def test_the_report_is_json_and_a_table() -> None:
     assert crosscheck_tables(report)[0].row_count == len(data["columns"][0]["cells"])
     other = compare_models("allegro_hand", "shadow_hand", n_configurations=1).to_dict()
     assert json.loads(json.dumps(other, allow_nan=False))["ok"] is False
+
+
+def test_a_report_prints_as_a_screen() -> None:
+    text = str(crosscheck("allegro_hand", n_configurations=1))
+    assert text.splitlines()[0].endswith("all judged quantities agree (1 configurations, seed 0)")
+    assert "bridge: 33 quantities agree" in text
+    text = str(compare_models("allegro_hand", "shadow_hand", n_configurations=1))
+    assert "differs" in text.splitlines()[0]
+    assert " more in .faults" in text
+    assert "joints present of index_0 differs" in text
+    assert len(text.splitlines()) <= 24
+    assert len(text) < 2000
+
+
+@pytest.mark.usefixtures("in_process")
+def test_a_printed_report_names_causes_and_failures(folder: Path) -> None:
+    text, key = MISTAKES["ref"]
+    assert f"{key}: ref 0.3491 is subtracted from the range" in str(read(folder, text))
+    bare = model().replace("<body name='base'", "<frame><body name='base'")
+    failed = read(folder, bare.replace("</worldbody>", "</frame></worldbody>"))
+    assert "Pinocchio's reader (not judged): " in str(failed)
+
+
+def test_every_known_cause_has_its_evidence() -> None:
+    named = {cause["evidence"] for cause in causes._known()}
+    assert named == {*EVIDENCE, *EVIDENCE_OF_MASSES}
+    assert {q for cause in causes._known() for q in cause["quantities"]} <= set(QUANTITIES)
 
 
 @pytest.fixture

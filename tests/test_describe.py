@@ -24,13 +24,14 @@ from planner.describe.drive import impossible_couplings
 from planner.describe.tree import finger_names, read_tree
 from planner.errors import FileFormatError, HandError, ModelError, NotFoundError
 from planner.hand_loading import hand_from_spec, load_hand
-from planner.hands.catalog import find_hand, models_dir
-from planner.hands.description_files import read_description
+from planner.hands.catalog import find_hand
+from planner.hands.description_toml import read_description
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.proximity.convex import DistancePair
 from planner.spatial import SE3
 from planner.synthesis.seeds.draw import opposition
+from planner.system.models import models_dir
 from planner.task import GraspTask
 
 FINGER = """

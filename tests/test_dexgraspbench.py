@@ -29,12 +29,12 @@ from planner.exchange.dexgraspbench.hand_file import T_model_base, file_name, wr
 from planner.exchange.dexgraspbench.pinned_mjcf import pinned_mjcf
 from planner.exchange.dexgraspbench.squeeze import plan_squeeze
 from planner.hand_loading import load_hand
-from planner.hands.catalog import models_dir
 from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.shapes import Mesh
 from planner.shapes.decomposition.pieces import Pieces
 from planner.spatial import SE3, pose_from_wxyz
+from planner.system.models import models_dir
 from planner.task import GraspTask
 from sim.protocols.fc_scene import fc_contacts, fc_scene
 

@@ -13,8 +13,14 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from planner.batch import GraspFeatures, diversity, thin
-from planner.batch.cells import N_CELLS, cell_of
-from planner.batch.diversity import FINEST, SURFACE_POINTS, TOUCHED, posture_entropy
+from planner.batch.diversity import (
+    FINEST,
+    N_CELLS,
+    SURFACE_POINTS,
+    TOUCHED,
+    cell_of,
+    posture_entropy,
+)
 from planner.batch.thinning import (
     CONTACT_TOL,
     FLEXION_TOL,

@@ -14,13 +14,14 @@ import numpy as np
 import pytest
 
 from planner.errors import NoGraspFoundError
+from planner.failure import Failure
 from planner.files import read_plan, write_plan
 from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.task import GraspTask
-from planner.verification.grasp import judge_grasp
+from planner.verification.grasp import verify_grasp
 from sim.contacts import hand_contacts
 from sim.physics import PhysicsOptions
 from sim.report import TrialReport
@@ -70,7 +71,7 @@ def test_the_object_is_held(run: Run) -> None:
 
 def test_mujoco_itself_has_the_object_in_the_air_and_at_rest(run: Run) -> None:
     """From the state alone, without the recorder or the verdict."""
-    data, scene = run.trial.data, run.trial.scene
+    data, scene = run.trial.simulation.data, run.trial.simulation.scene
     body = data.body(int(scene.object_body))
     rest = run.plan.task.T_world_object.translation
     assert body.xpos[2] - rest[2] == pytest.approx(0.1, abs=0.005)
@@ -81,7 +82,7 @@ def test_mujoco_itself_has_the_object_in_the_air_and_at_rest(run: Run) -> None:
 
 
 def test_measured_contact_forces_carry_the_weight(run: Run) -> None:
-    measured = hand_contacts(run.trial.scene, run.trial.data)
+    measured = hand_contacts(run.trial.simulation.scene, run.trial.simulation.data)
     weight = run.plan.task.object.mass * run.plan.task.gravity
     # the servos leave the object at rest to about a hundredth of a g
     np.testing.assert_allclose(measured.wrench()[:3], -weight, atol=0.05 * 0.981)
@@ -141,6 +142,7 @@ def test_an_object_too_heavy_for_the_motors_is_refused_at_planning(right_hand: H
     with pytest.raises(NoGraspFoundError, match="3 x forces"):
         plan_grasp(heavy, max_attempts=3)
     light = plan_grasp(GraspTask.create(right_hand, "box"), seed=0)
-    outcome = judge_grasp(heavy, light.T_world_base, light.q, record=light.record)
-    assert isinstance(outcome, str)
-    assert outcome.startswith("forces: ") and "at its greatest force" in outcome
+    outcome = verify_grasp(heavy, light.T_world_base, light.q, record=light.record)
+    assert isinstance(outcome, Failure)
+    assert outcome.text.startswith("forces: ")
+    assert "at its greatest force" in outcome.text

@@ -80,7 +80,7 @@ EXPECTED: dict[str, tuple[str, ...]] = {
         "200 programmes of 15 unknowns and 51 rows",
         "at most 0.2 N per finger: 0.55 N of 0.98 N are left over",
     ),
-    "14_open_and_closed_loop": ("closed / open any controller", "sideways", "loop.png"),
+    "14_open_and_closed_loop": ("impedance / feedforward any controller", "sideways", "loop.png"),
     "15_pyramid_and_cone": ("round cones hold", "inscribed 8 0.9", "circumscribed 8 1.0"),
     "16_delay": ("0 60", "100 24", "delay.png"),
     "17_servo_and_torque": ("500 servos", "500 motors", "torque.png"),

@@ -17,11 +17,11 @@ from hypothesis import strategies as st
 from planner.errors import FileFormatError, HandError, PlannerError
 from planner.files import plan_to_dict, read_plan, write_plan
 from planner.hand_loading import load_hand
-from planner.hands.catalog import models_dir
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3
+from planner.system.models import models_dir
 from planner.task import GraspTask, Obstacle
 
 Json: TypeAlias = Any

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from planner.contacts import ContactSet
 from planner.errors import FileFormatError, NoGraspFoundError, TaskError
+from planner.failure import Failure
 from planner.files import read_gait, write_gait, write_json
 from planner.files.gaits import gait_to_dict
 from planner.forces import gravity_wrench
@@ -23,9 +24,9 @@ from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.motion import plan_motion
 from planner.motion.gait import GaitPlan, NoOrder, Order, Relocation, find_order, plan_gait
-from planner.motion.gait.alike import same_space
-from planner.motion.gait.check import GaitJudge
 from planner.motion.gait.order import holding, standing
+from planner.motion.gait.regrasp import RegraspPlanner
+from planner.motion.gait.verify import GaitVerifier, same_space
 from planner.objects import parse_object
 from planner.quality import force_closure
 from planner.spatial import SE3, FloatArray
@@ -141,22 +142,26 @@ def test_the_order_found_is_the_best_of_all(degrees: list[float], mu: float, str
         assert isinstance(found, NoOrder)
 
 
+BLOCKED = Failure(kind="swing_collision", text="its way is blocked")
+
+
 def test_what_is_refused_is_gone_around_or_told() -> None:
     contacts = ring([0, 90, 180, 270])
     asked: list[tuple[int, frozenset[int]]] = []
 
-    def refuse(finger: int, moved: frozenset[int]) -> str:
+    def refuse(finger: int, moved: frozenset[int]) -> Failure | None:
         asked.append((finger, moved))
-        return "its way is blocked" if finger == 2 and 1 not in moved else ""
+        return BLOCKED if finger == 2 and 1 not in moved else None
 
     found = find_order(contacts, contacts, UP, refuse=refuse)
     assert isinstance(found, Order)
     order = [lift.finger for lift in found.lifts]
     assert order.index(1) < order.index(2)
     assert len(asked) == len(set(asked))
-    none = find_order(contacts, contacts, UP, refuse=lambda f, m: "no way" if f == 3 else "")
+    none = find_order(contacts, contacts, UP, refuse=lambda f, m: BLOCKED if f == 3 else None)
     assert isinstance(none, NoOrder) and none.stuck == (3,) and not none.proven
-    assert "finger4: no way" in str(none)
+    assert "finger4: its way is blocked" in str(none)
+    assert none.failure.text == str(none)
 
 
 def test_standing_takes_each_contact_from_where_the_finger_is() -> None:
@@ -236,8 +241,8 @@ def test_lifting_the_allegros_thumb_is_proven_impossible(allegro: Hand) -> None:
     task = GraspTask.create(
         allegro, "cylinder:0.03x0.1", fingers=["thumb", "index", "middle", "ring"], mu=0.8
     )
-    stroke = plan_motion(task, angle=math.radians(30), tube=0.0)
-    found = GaitJudge(task).relocations(stroke)
+    stroke = plan_motion(task, angle=math.radians(30), path_tolerance=0.0)
+    found = RegraspPlanner(task).relocations(stroke)
     assert isinstance(found, NoOrder) and found.proven
     assert 0 in found.stuck and "thumb: the others do not close" in str(found)
     assert found.spans[0] < found.needed
@@ -274,8 +279,8 @@ def test_an_object_that_does_not_look_the_same_is_told(allegro: Hand) -> None:
         allegro, "box:0.05x0.05x0.1", fingers=["thumb", "index", "middle", "ring"], mu=0.8
     )
     stroke = plan_motion(task, angle=math.radians(20))
-    told = GaitJudge(task).judge(stroke, 2)
-    assert isinstance(told, str) and "does not look the same to the hand" in told
+    told = GaitVerifier(task).verify(stroke, 2)
+    assert isinstance(told, Failure) and "does not look the same to the hand" in told.text
 
 
 def test_a_search_in_vain_says_why(allegro: Hand) -> None:

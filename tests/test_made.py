@@ -91,7 +91,9 @@ def test_outer_sizes_are_those_asked_for() -> None:
     assert extents(Torus(0.035, 0.015)) == [100, 100, 30]
     assert extents(Superquadric(0.06, 0.07, 0.09, 1.0, 1.0)) == [60, 70, 90]
     assert extents(Hammer(0.2, 0.09, 0.02)) == [90, 40, 200]
+    assert extents(Hammer(0.3, 0.1, 0.015)) == [100, 30, 300]
     assert extents(Mug(0.04, 0.09))[1:] == [80, 90]
+    assert extents(Mug(0.03, 0.16))[1:] == [60, 160]
     # a trefoil of radius R: x of sin t + 2 sin 2t is at most 2.74 R/3
     assert extents(Knot(0.04, 0.007))[2] == pytest.approx(2 * (40 / 3 + 7), abs=0.1)
 

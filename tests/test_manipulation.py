@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,18 @@ from conftest import noting_leads, of_trimesh
 
 from planner.collision.world import CollisionWorld, shape_pair
 from planner.errors import TaskError
+from planner.failure import Failure
 from planner.motion import MotionAttempt
+from planner.motion.manipulation import (
+    ManipulationPlan,
+    manipulation_task,
+    on_stand,
+    plan_manipulation,
+    plan_single_stroke,
+)
+from planner.motion.manipulation.ending import standing_under
+from planner.motion.manipulation.fallbacks import Fallback, fallback_schedule
+from planner.motion.manipulation.single_stroke import good_enough, merit
 from planner.motion.release import find_release
 from planner.objects import GraspObject, parse_object
 from planner.plain import finite
@@ -30,19 +42,12 @@ from sim.controllers.torques import HoldingTorques
 from sim.manipulation import (
     STEPS,
     Bounds,
-    ManipulationPlan,
     ManipulationReport,
     Pace,
     manipulate,
-    manipulation_task,
-    plan_manipulation,
 )
 from sim.manipulation.checks import placed, tilt_between, undisturbed
-from sim.manipulation.ending import standing_under
 from sim.manipulation.modes import measured_modes, mode_table, planned_modes
-from sim.manipulation.plan import _enough, _merit
-from sim.manipulation.rounds import rounds
-from sim.manipulation.stand import on_stand
 from sim.physics import PhysicsOptions
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -301,18 +306,18 @@ def test_what_joints_take_for_moving_is_made_up_for(plan: ManipulationPlan) -> N
 
 
 def test_a_plan_knows_how_to_let_go(plan: ManipulationPlan) -> None:
-    motion, release = plan.motion, plan.release
+    motion, release = plan.motion, plan.ending.release
     end, task = motion.knots[-1], motion.grasp.task
     there = replace(task, T_world_object=end.T_world_object, table_height=None)
     world = CollisionWorld(there)
     assert world.touching(motion.T_world_base, release.q, clearance=0.0005) is None
     again = find_release(motion)
-    assert not isinstance(again, str)
+    assert not isinstance(again, Failure)
     np.testing.assert_array_equal(again.q, release.q)
 
 
 def test_a_target_stands_on_the_table_turned(plan: ManipulationPlan) -> None:
-    target = plan.T_world_target
+    target = plan.ending.T_world_target
     np.testing.assert_allclose(target.translation, [0.04, -0.02, 0.04], atol=1e-12)
     assert signed_twist(target.rotation, UP) == pytest.approx(ANGLE)
 
@@ -411,30 +416,30 @@ def test_a_turn_that_stalls_is_put_down_and_made_anew(plan: ManipulationPlan) ->
 
 def test_a_turn_beyond_one_stroke_is_refused(plan: ManipulationPlan) -> None:
     with pytest.raises(TaskError, match="at most a half turn"):
-        plan_manipulation(plan.motion.grasp.task, angle=math.radians(200.0))
+        plan_single_stroke(plan.motion.grasp.task, angle=math.radians(200.0))
 
 
 def test_fingers_are_spared_only_where_they_may_be() -> None:
     item = parse_object("cylinder:0.03x0.08", mass=0.3)
     task = manipulation_task("allegro_hand", item, mu=0.45)
-    tries = list(rounds(task))
-    tried = [t for t, _, _ in tries]
+    tries = list(fallback_schedule(task))
+    tried = [t.task for t in tries]
     # the other three do not open 60 mm without the thumb
     # and then come all with pads as wide as the tips are round
     assert [len(t.finger_names) for t in tried] == [4, 3, 3, 3, 4, 4]
     assert [t.hand.rolls for t in tried] == [False] * 4 + [True, False]
     # the last one goes on without end, the others do not
-    assert [n is None for _, _, n in tries] == [False] * 5 + [True]
+    assert [t.attempts is None for t in tries] == [False] * 5 + [True]
     assert all("thumb" in t.finger_names for t in tried)
     # three fingers carry the same weight as four
     assert tried[1].grip_force * 3 == pytest.approx(tried[0].grip_force * 4)
     named = manipulation_task("allegro_hand", item, mu=0.45, fingers=task.finger_names)
-    assert all(len(t.finger_names) == 4 for t, _, _ in rounds(named))
+    assert all(len(t.finger_names) == 4 for t in map(attrgetter("task"), fallback_schedule(named)))
 
 
 def test_blocks_are_held_by_the_opposer_and_two_neighbours() -> None:
     task = manipulation_task("allegro_hand", parse_object("box:0.06x0.06x0.08", mass=0.3), mu=0.45)
-    tried = [t for t, _, _ in rounds(task)]
+    tried = [t.task for t in fallback_schedule(task)]
     names = [set(t.finger_names) for t in tried]
     assert names[:2] == [{"thumb", "index", "middle"}, {"thumb", "middle", "ring"}]
     assert not any(t.hand.rolls for t in tried), "faces are turned on rolling pads anyway"
@@ -444,13 +449,15 @@ def test_blocks_are_held_by_the_opposer_and_two_neighbours() -> None:
 
 def test_balls_are_turned_on_round_tips_by_three_fingers() -> None:
     task = manipulation_task("allegro_hand", parse_object("sphere:0.03", mass=0.3), mu=0.45)
-    tries = list(rounds(task))
-    assert {len(t.finger_names) for t, _, _ in tries} == {3}
-    assert not any(t.hand.rolls for t, _, _ in tries), "balls are turned on rolling pads anyway"
+    tries = list(fallback_schedule(task))
+    assert {len(t.task.finger_names) for t in tries} == {3}
+    assert not any(t.task.hand.rolls for t in tries), "balls are turned on rolling pads anyway"
     # three forces carry the weight
-    assert tries[0][0].grip_force == pytest.approx(0.3 * 9.81 / (0.45 * 3))
+    assert tries[0].task.grip_force == pytest.approx(0.3 * 9.81 / (0.45 * 3))
     round_one = manipulation_task("allegro_hand", parse_object("cylinder:0.03x0.08"), mu=0.45)
-    assert tries[0][1] < next(rounds(round_one))[1], "tips that turn along come less far"
+    assert tries[0].overshoot < next(fallback_schedule(round_one)).overshoot, (
+        "tips that turn along come less far"
+    )
 
 
 def with_margin(plan: ManipulationPlan, margin: float) -> ManipulationPlan:
@@ -465,10 +472,10 @@ def with_margin(plan: ManipulationPlan, margin: float) -> ManipulationPlan:
 def test_a_cylinder_wants_both_torque_to_spare_and_a_margin(plan: ManipulationPlan) -> None:
     weak, firm = with_margin(plan, 0.08), with_margin(plan, 0.2)
     tired = replace(firm, reserve=0.02)
-    assert _enough([firm])
-    assert not _enough([weak]) and not _enough([tired]) and not _enough([weak, tired])
-    assert _enough([weak, tired, weak]), "three are enough"
-    assert max(weak, tired, firm, key=_merit) is firm
+    assert good_enough([firm])
+    assert not good_enough([weak]) and not good_enough([tired]) and not good_enough([weak, tired])
+    assert good_enough([weak, tired, weak]), "three are enough"
+    assert max(weak, tired, firm, key=merit) is firm
 
 
 @pytest.mark.parametrize(("second", "taken"), [(0.2, 1), (None, 0)])
@@ -484,12 +491,13 @@ def test_a_weak_plan_is_taken_only_if_no_fingers_have_a_better_one(
         begun.append(len(chosen.finger_names))
         found = None if margin is None else with_margin(plan, margin).motion
         while True:
-            yield MotionAttempt(index=0, plan=found, reason="", cpu_s=record.cpu_s)
+            yield MotionAttempt(index=0, plan=found, failure=None, cpu_s=record.cpu_s)
 
-    rows = [(task, 0.0, 1), (task, 0.0, 1), (task, 0.0, None)]
-    monkeypatch.setattr("sim.manipulation.plan.rounds", lambda _: iter(rows))
-    monkeypatch.setattr("sim.manipulation.plan.motion_attempts", attempts)
-    found = plan_manipulation(task, angle=plan.angle)
+    rows = [Fallback(task=task, overshoot=0.0, attempts=n) for n in (1, 1, None)]
+    home = "planner.motion.manipulation.single_stroke"
+    monkeypatch.setattr(f"{home}.fallback_schedule", lambda _: iter(rows))
+    monkeypatch.setattr(f"{home}.motion_attempts", attempts)
+    found = plan_single_stroke(task, angle=plan.angle)
     assert len(begun) == 2
     assert found.motion.margin == pytest.approx((0.08, 0.2)[taken])
 
@@ -500,9 +508,9 @@ def test_a_ball_that_two_fingers_pinch_is_not_taken_at_once(plan: ManipulationPl
     held = replace(grasp, task=replace(grasp.task, object=ball, table_height=None))
     on_ball = replace(plan, motion=replace(plan.motion, grasp=held))
     pinched, even = with_margin(on_ball, 0.3), with_margin(on_ball, 0.45)
-    assert not _enough([pinched]) and not _enough([])
-    assert _enough([pinched, even]) and _enough([pinched] * 3)
-    assert max(pinched, even, key=_merit) is even
+    assert not good_enough([pinched]) and not good_enough([])
+    assert good_enough([pinched, even]) and good_enough([pinched] * 3)
+    assert max(pinched, even, key=merit) is even
 
 
 # --- a stand -----------------------------------------------------------------------------------
@@ -592,6 +600,6 @@ def test_checks_on_paper() -> None:
 def test_fingers_that_cannot_close_on_the_object_alone_are_not_tried() -> None:
     """Four fingers side by side open 21 mm: without its thumb the hand cannot hold 69 mm."""
     task = manipulation_task("shadow_hand", parse_object("cylinder:0.0345x0.08"), mu=0.45)
-    sets = [one.finger_names for one, _, _ in rounds(task)]
+    sets = [one.task.finger_names for one in fallback_schedule(task)]
     assert len(sets) > 2
     assert all("thumb" in names for names in sets)

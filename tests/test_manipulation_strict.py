@@ -18,6 +18,15 @@ from planner.collision.resting import lift_to_rest
 from planner.collision.world import CollisionWorld
 from planner.contacts import Contact, ContactSet
 from planner.errors import NoGraspFoundError, TaskError
+from planner.failure import Failure
+from planner.motion.manipulation import (
+    ManipulationPlan,
+    manipulation_task,
+    on_stand,
+    plan_manipulation,
+    search,
+)
+from planner.motion.manipulation.ending import object_at_target, stands
 from planner.motion.release import find_release
 from planner.objects import GraspObject, parse_object
 from planner.quality import force_closure
@@ -32,22 +41,16 @@ from sim.controllers import ObjectImpedance
 from sim.controllers.torques import HoldingTorques
 from sim.manipulation import (
     Bounds,
-    ManipulationPlan,
     ManipulationReport,
     Pace,
-    gaits,
     manipulate,
-    manipulation_task,
-    plan_manipulation,
-    plan_turning,
     regrasping,
+    rests,
+    settled,
 )
-from sim.manipulation.ending import object_at_target, stands
 from sim.manipulation.idle import out_of_the_way
 from sim.manipulation.pressing import ASKED_SHARE, LEAST_ASKED, finger_forces, force_limit
 from sim.manipulation.regrasping import Regrasping
-from sim.manipulation.stand import on_stand
-from sim.manipulation.standing import rests, settled
 from sim.verdict import Thresholds, first_collision
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -121,7 +124,7 @@ def test_the_command_says_no_where_the_hand_collided(
         asked.append(bounds)
         return made[-1]
 
-    monkeypatch.setattr("sim.manipulation.plan_turning", lambda *_, **__: plan)
+    monkeypatch.setattr("planner.motion.manipulation.plan_manipulation", lambda *_, **__: plan)
     monkeypatch.setattr("sim.manipulation.manipulate", execute)
     command = ["manipulate", "shadow_hand", "box", "--max-force", "20"]
     assert CliRunner().invoke(app, command).exit_code == 0
@@ -315,7 +318,7 @@ def test_how_far_up_an_object_rests() -> None:
 def test_an_object_that_would_roll_on_its_stand_is_put_where_it_rests() -> None:
     """An oval with its long axis up by 30 degrees lies on four walls, and rolls until it rests."""
     tilted = lying(oval(0.07, 0.055, 0.055), pin.exp3(np.array([0.0, 0.5, 0.0])))
-    task = on_stand(tilted, 0.04)
+    task = settled(on_stand(tilted, 0.04))
     assert rests(task)
     off = np.arccos(
         (np.trace(task.T_world_object.rotation.T @ tilted.T_world_object.rotation) - 1) / 2
@@ -328,8 +331,8 @@ def test_an_object_that_would_roll_on_its_stand_is_put_where_it_rests() -> None:
 def test_an_object_that_rests_stays_where_it_was_put() -> None:
     flat = lying(oval(0.055, 0.055, 0.07), np.eye(3))
     task = on_stand(flat, 0.04)
-    np.testing.assert_array_equal(task.T_world_object.rotation, np.eye(3))
     assert settled(task) is task
+    np.testing.assert_array_equal(task.T_world_object.rotation, np.eye(3))
     primitive = manipulation_task("allegro_hand", parse_object("cylinder"), mu=0.45)
     assert settled(primitive) is primitive
     held = replace(flat, table_height=None)
@@ -366,7 +369,7 @@ def test_a_turned_object_that_lies_higher_does_not_end_the_search(plan: Manipula
     turned = SE3(pin.exp3(math.radians(50.0) * UP), task.T_world_object.translation)
     knots = (*motion.knots[:-1], replace(motion.knots[-1], T_world_object=turned))
     again = find_release(replace(motion, grasp=grasp, knots=knots))
-    assert not (isinstance(again, str) and "inside" in again)
+    assert not (isinstance(again, Failure) and "inside" in again.text)
 
 
 def test_a_turned_object_is_put_down_where_it_lies_on_its_stand() -> None:
@@ -375,7 +378,8 @@ def test_a_turned_object_is_put_down_where_it_lies_on_its_stand() -> None:
     again = lift_to_rest(task.object.shape, target, task.carrying, -0.001, 0.001)
     assert again == pytest.approx(0.0, abs=3e-6)
     assert target.translation[2] != pytest.approx(task.T_world_object.translation[2], abs=5e-5)
-    assert stands(task, UP, math.radians(90.0))
+    assert stands(task, UP, math.radians(90.0), rests=rests)
+    assert not stands(task, UP, math.radians(90.0)), "geometry alone does not tell"
 
 
 # --- which turns are left to regrasps -----------------------------------------------------------
@@ -415,14 +419,14 @@ def test_regrasps_come_first_where_no_stroke_goes(
         return plan_it
 
     task = manipulation_task("allegro_hand", parse_object("cylinder"), mu=0.45)
-    monkeypatch.setattr(gaits, "plan_manipulation", nothing("stroke"))
-    monkeypatch.setattr(gaits, "plan_regrasping", nothing("regrasps"))
+    monkeypatch.setattr(search, "plan_single_stroke", nothing("stroke"))
+    monkeypatch.setattr(search, "plan_regrasping", nothing("regrasps"))
     with pytest.raises(NoGraspFoundError, match=r"no stroke\. With regrasps: no regrasps"):
-        plan_turning(task, angle=math.pi)
+        plan_manipulation(task, angle=math.pi)
     assert order == ["regrasps", "stroke"]
     with pytest.raises(NoGraspFoundError, match=r"no stroke\. With regrasps: no regrasps"):
-        plan_turning(task, angle=math.radians(140.0))
+        plan_manipulation(task, angle=math.radians(140.0))
     assert order[2:] == ["stroke", "regrasps"]
-    monkeypatch.setattr(gaits, "plan_regrasping", lambda *_, **__: plan)
-    assert plan_turning(task, angle=math.pi) is plan
+    monkeypatch.setattr(search, "plan_regrasping", lambda *_, **__: plan)
+    assert plan_manipulation(task, angle=math.pi) is plan
     assert len(order) == 4

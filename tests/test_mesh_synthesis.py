@@ -17,6 +17,7 @@ from planner.bridge import LinkGeometry
 from planner.collision.pad_contact import pad_touches
 from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
+from planner.failure import Failure
 from planner.files import read_plan, write_plan
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
@@ -42,8 +43,8 @@ from planner.synthesis.terms.contact import EDGE
 from planner.synthesis.terms.registry import TERMS
 from planner.task import GraspTask
 from planner.tolerances import TOUCH_TOL
-from planner.verification.geometry import edge_faults, verify
-from planner.verification.projection import SETTLED, settle
+from planner.verification.geometry import edge_failures, verify_geometry
+from planner.verification.projection import GAP_TOL, project_onto_surface
 
 
 @pytest.fixture(scope="module")
@@ -96,8 +97,8 @@ def test_starts_on_a_mesh_are_drawn_from_pairs(allegro: Hand) -> None:
     assert type(seeder_for(GraspTask.create(allegro, "box"))) is Seeder
     start = seeder.draw(np.random.default_rng(0))
     again = seeder_for(task).draw(np.random.default_rng(0))
-    assert not isinstance(start, str)
-    assert not isinstance(again, str)
+    assert not isinstance(start, Failure)
+    assert not isinstance(again, Failure)
     np.testing.assert_array_equal(start.q, again.q)
     np.testing.assert_allclose(task.object.shape.signed_distance(start.points), 0, atol=1e-9)
 
@@ -159,7 +160,7 @@ def test_a_plan_touches_the_true_triangles_and_nothing_else(torus_plan: GraspPla
     shape = torus_plan.task.object.shape
     points = torus_plan.contacts_in_object.positions
     np.testing.assert_allclose(shape.signed_distance(points), 0.0, atol=TOUCH_TOL)
-    assert np.abs(torus_plan.verification.pad_gaps).max() <= SETTLED + 1e-6
+    assert np.abs(torus_plan.verification.pad_gaps).max() <= GAP_TOL + 1e-6
     assert all(c.distance > -5e-6 for c in torus_plan.verification.closest)
     assert torus_plan.quality.closure.closed
 
@@ -171,11 +172,11 @@ def test_settling_undoes_a_small_error_and_leaves_a_large_one(torus_plan: GraspP
     off[index] += 0.02
     gaps = [abs(t.sphere_gap) for t in pad_touches(task, base, off)]
     assert max(gaps) > 5e-4
-    settled = settle(task, base, off)
-    assert max(abs(t.sphere_gap) for t in pad_touches(task, base, settled)) <= SETTLED
+    settled = project_onto_surface(task, base, off)
+    assert max(abs(t.sphere_gap) for t in pad_touches(task, base, settled)) <= GAP_TOL
     far = q.copy()
     far[index] -= 0.3
-    np.testing.assert_array_equal(settle(task, base, far), far)
+    np.testing.assert_array_equal(project_onto_surface(task, base, far), far)
 
 
 def test_a_plan_on_a_mesh_survives_its_file(torus_plan: GraspPlan, tmp_path: Path) -> None:
@@ -196,8 +197,9 @@ def test_the_verdict_names_contacts_where_none_may_be(torus_plan: GraspPlan) -> 
         (TouchRegion(required={task.finger_names[1]: around}), 1),
     ):
         asked = replace(task, object=replace(task.object, touch=touch))
-        found = verify(CollisionWorld(asked), torus_plan.T_world_base, torus_plan.q).faults
-        assert sum("touches where it may not" in f for f in found) == faults
+        world = CollisionWorld(asked)
+        found = verify_geometry(world, torus_plan.T_world_base, torus_plan.q).failures
+        assert sum(f.kind == "region" for f in found) == faults
 
 
 @pytest.mark.parametrize("item", ["box", "torus"])
@@ -286,7 +288,7 @@ def test_a_contact_on_an_edge_of_a_mesh_is_named(allegro: Hand) -> None:
 
     def fault(last: list[float]) -> str:
         points = np.array([[0.025, 0.0, 0.0], [-0.025, 0.01, 0.0], last])
-        return "; ".join(edge_faults(task, points))
+        return "; ".join(map(str, edge_failures(task, points)))
 
     assert fault([-0.025, -0.01, 0.0]) == ""
     assert fault([-0.025, -0.03, 0.0]).startswith("middle is on an edge")

@@ -19,16 +19,17 @@ import pytest
 from planner.approach.pregrasp import Approach
 from planner.bridge import compile_spec, mirror_spec
 from planner.errors import HandError
+from planner.failure import Failure
 from planner.hand_loading import load_hand
 from planner.hands.catalog import find_hand
-from planner.hands.description_files import MirrorAxis, read_description, reflection_signs
+from planner.hands.description_toml import MirrorAxis, read_description, reflection_signs
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
-from planner.verification.grasp import judge_grasp
+from planner.verification.grasp import verify_grasp
 
 HANDS = Path(__file__).resolve().parent.parent / "models" / "hands"
 NAMES = ("shadow_hand", "allegro_hand")
@@ -263,7 +264,7 @@ def test_mirrored_plan_has_mirrored_fingertips(name: str) -> None:
     task = GraspTask.create(
         left, "box", T_world_object=mirrored(plan.task.T_world_object, m), table_height=None
     )
-    image = judge_grasp(
+    image = verify_grasp(
         task,
         mirrored(plan.T_world_base, m),
         plan.q,
@@ -294,9 +295,9 @@ def test_mirrored_plan_does_not_fit_the_right_hand(name: str) -> None:
     task = GraspTask.create(
         right, "box", T_world_object=mirrored(plan.task.T_world_object, m), table_height=None
     )
-    verdict = judge_grasp(task, mirrored(plan.T_world_base, m), plan.q, record=plan.record)
-    assert isinstance(verdict, str)
-    assert "mm from the surface" in verdict
+    verdict = verify_grasp(task, mirrored(plan.T_world_base, m), plan.q, record=plan.record)
+    assert isinstance(verdict, Failure)
+    assert "mm from the surface" in verdict.text
 
 
 @both_hands

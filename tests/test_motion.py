@@ -25,9 +25,9 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.motion import MotionPlan, ObjectPath, motion_attempts, plan_motion
-from planner.motion.between import lead
-from planner.motion.ground import finger_sets, with_rolling_pads
+from planner.motion.context import finger_sets, with_rolling_pads
 from planner.motion.holds import Hold, HoldRows
+from planner.motion.interpolation import interpolate_rolling
 from planner.motion.limits import what_limits
 from planner.motion.loads import MOST_LOAD, load_function, load_parameters
 from planner.motion.problem import JOINT_ROOM, MotionProblem, build_motion_problem
@@ -50,7 +50,7 @@ from planner.synthesis.terms.forces import BALANCE, CONE
 from planner.synthesis.unknowns import mrp_numeric
 from planner.task import GraspTask, Obstacle
 from planner.tolerances import SWING_SHARE
-from planner.verification.geometry import contacts_at, verify
+from planner.verification.geometry import contacts_at, verify_geometry
 from planner.verification.grasp import plan_forces
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -150,7 +150,7 @@ def solver_of(task: GraspTask, path: ObjectPath, rounds: int = 0) -> MotionSolve
         task,
         path,
         MOTION_OPTIONS,
-        tube=0.01,
+        path_tolerance=0.01,
         posture=Seeder(task).posture,
         rounds=rounds,
     )
@@ -391,9 +391,9 @@ def test_tips_turn_with_a_ball_instead_of_pivoting(allegro: Hand) -> None:
     # without a cost of pivoting the same start ends with 17, 46 and 42 degrees
     task = GraspTask.create(allegro, "sphere:0.03", mu=0.45, fingers=["thumb", "index", "middle"])
     path = ObjectPath(axis=UP, angle=np.deg2rad(95.0), shift=np.zeros(3))
-    (attempt,) = itertools.islice(motion_attempts(task, path, tube=0.03, seed=1), 1)
+    (attempt,) = itertools.islice(motion_attempts(task, path, path_tolerance=0.03, seed=1), 1)
     motion = attempt.plan
-    assert motion is not None, attempt.reason
+    assert motion is not None, attempt.failure
     fingers = motion.grasp.task.fingers
     pivoted, turned = np.zeros(3), np.zeros(3)
     for before, after in pairwise(motion.knots):
@@ -505,7 +505,7 @@ def test_the_turning_hand_turns_as_far_as_its_hinges_and_says_so(turning: GraspT
     path = ObjectPath(axis=UP, angle=np.pi, shift=np.zeros(3))
     solver = solver_of(turning, path)
     paper = 2 * (HINGE - JOINT_ROOM)
-    candidate = next(solver.stretch(from_above(turning)))
+    candidate = next(solver.maximise_path(from_above(turning)))
     assert 0.9 * paper < candidate.share * np.pi <= paper * 1.001
     first = candidate.limits[0]
     assert first.joint.endswith("_turn") and "limit" in first.what
@@ -520,13 +520,13 @@ def test_the_turning_hand_reaches_what_its_hinges_allow(
 ) -> None:
     angle = share * 2 * (HINGE - JOINT_ROOM)
     path = ObjectPath(axis=UP, angle=angle, shift=np.zeros(3))
-    candidate = next(solver_of(turning, path).reach(from_above(turning)))
+    candidate = next(solver_of(turning, path).solve_path(from_above(turning)))
     assert (candidate.worst < 0.1) == reached
 
 
 def test_rounds_on_closure_make_another_motion_of_it(turning: GraspTask) -> None:
     path = ObjectPath(axis=UP, angle=0.3, shift=np.zeros(3))
-    plain, worked = solver_of(turning, path, rounds=1).reach(from_above(turning))
+    plain, worked = solver_of(turning, path, rounds=1).solve_path(from_above(turning))
     assert plain.worst < 0.1 and worked.worst < 0.1
     margins = []
     for candidate in (plain, worked):
@@ -544,7 +544,7 @@ def test_turning_everything_about_the_vertical_changes_nothing(turning: GraspTas
     for T in (SE3.Identity(), turn):
         task = replace(turning, T_world_object=T * turning.T_world_object)
         path = ObjectPath(axis=T.rotation @ axis, angle=0.4, shift=T.rotation @ shift)
-        found.append(next(solver_of(task, path).reach(from_above(task))))
+        found.append(next(solver_of(task, path).solve_path(from_above(task))))
     assert found[0].worst < 0.1
     assert np.allclose(found[0].grasps, found[1].grasps, atol=1e-7)
 
@@ -558,7 +558,7 @@ def test_ninety_degrees_with_three_fingers(ninety: MotionPlan) -> None:
     )
     assert np.allclose(first.q, ninety.grasp.q)
     assert ninety.margin >= 0.05
-    assert np.max([k.off_path for k in ninety.knots]) <= ninety.tube + 2e-4
+    assert np.max([k.off_path for k in ninety.knots]) <= ninety.path_tolerance + 2e-4
 
 
 def test_every_knot_passes_the_grasps_own_verdict_in_a_world_of_its_own(
@@ -567,7 +567,7 @@ def test_every_knot_passes_the_grasps_own_verdict_in_a_world_of_its_own(
     task = ninety.grasp.task
     for knot in ninety.knots[::4]:
         there = replace(task, T_world_object=knot.T_world_object, table_height=None)
-        assert verify(CollisionWorld(there), ninety.T_world_base, knot.q).ok
+        assert verify_geometry(CollisionWorld(there), ninety.T_world_base, knot.q).ok
         contacts = contacts_at(there, ninety.T_world_base, knot.q)
         assert np.allclose(contacts.positions, knot.contacts.positions, atol=1e-9)
         assert np.allclose(contacts.normals, knot.contacts.normals, atol=1e-7)
@@ -583,7 +583,7 @@ def test_between_knots_the_object_and_the_pads_keep_together(ninety: MotionPlan)
     for place in (0.04, 0.37, 0.96):
         T_world_object, q = ninety.at(place)
         there = replace(task, T_world_object=T_world_object, table_height=None)
-        found = verify(CollisionWorld(there), ninety.T_world_base, q)
+        found = verify_geometry(CollisionWorld(there), ninety.T_world_base, q)
         assert np.abs(found.pad_gaps).max() < 1e-3
 
 
@@ -615,8 +615,8 @@ def test_what_is_out_of_reach_is_refused_with_reasons(turning: GraspTask) -> Non
 def test_tasks_and_budgets_that_cannot_work_are_refused(turning: GraspTask) -> None:
     with pytest.raises(TaskError, match="the base of turning is fixed"):
         plan_motion(replace(turning, T_world_base=SE3.Identity()), angle=1.0)
-    with pytest.raises(TaskError, match="tube is -1"):
-        plan_motion(turning, angle=1.0, tube=-1.0)
+    with pytest.raises(TaskError, match="path_tolerance is -1"):
+        plan_motion(turning, angle=1.0, path_tolerance=-1.0)
     with pytest.raises(TaskError, match="max_attempts is 0"):
         plan_motion(turning, angle=1.0, max_attempts=0)
 
@@ -677,12 +677,12 @@ def test_leading_keeps_the_ends_and_lets_pads_roll(
     ends = ninety.knots[0], ninety.knots[6]
     poses = [k.T_world_object.inverse() * ninety.T_world_base for k in ends]
     bases = [SE3.Interpolate(poses[0], poses[1], s) for s in np.linspace(0, 1, 4)]
-    led = lead(task, bases, ends[0].q, ends[1].q)
+    led = interpolate_rolling(task, bases, ends[0].q, ends[1].q)
     assert np.array_equal(led[0], ends[0].q) and np.array_equal(led[-1], ends[1].q)
     slid = _slid(task, bases, led)
     assert np.ptp(slid, axis=0).max() < 5e-5  # what the ends are apart by, in even parts
     monkeypatch.setattr("planner.motion.between.MOST_LAPS", 1)
-    straight = _slid(task, bases, lead(task, bases, ends[0].q, ends[1].q))
+    straight = _slid(task, bases, interpolate_rolling(task, bases, ends[0].q, ends[1].q))
     assert slid.max() < 0.6 * straight.max() and np.ptp(straight, axis=0).max() > 2e-4
 
 

@@ -11,8 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 import planner.motion.gait.search
+import planner.motion.manipulation.single_stroke
 import planner.motion.search
-import sim.manipulation.plan
 from planner.files import read_motion
 from planner.task import DEFAULT_MU
 from sim.bench.conditions import BELIEVED_MU
@@ -33,13 +33,13 @@ def test_a_motion_is_planned_printed_and_written(tmp_path: Path) -> None:
 
 
 def test_a_translation_as_json(tmp_path: Path) -> None:
-    arguments = ["--angle", "0", "--shift", "0,0,0.02", "--tube", "0.01", "--json"]
+    arguments = ["--angle", "0", "--shift", "0,0,0.02", "--path-tolerance", "0.01", "--json"]
     arguments += ["-o", str(tmp_path / "m.json")]
     done = RUN.invoke(app, [*THREE, *arguments])
     assert done.exit_code == 0, done.output
     data = json.loads(done.stdout)
     first, last = (data["knots"][k]["T_world_object"]["position_m"] for k in (0, -1))
-    assert last[2] - first[2] == pytest.approx(0.02, abs=0.0102)  # and the tube
+    assert last[2] - first[2] == pytest.approx(0.02, abs=0.0102)  # and the path tolerance
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,7 @@ def test_a_translation_as_json(tmp_path: Path) -> None:
         (["--axis", "up"], "--axis 'up' holds something else than numbers"),
         (["--axis", "0,1"], "--axis '0,1' has 2 numbers; give three"),
         (["--angle", "400"], "at most a half turn"),
-        (["--angle", "90", "--tube", "-1"], "tube is -1"),
+        (["--angle", "90", "--path-tolerance", "-1"], "path_tolerance is -1"),
     ],
 )
 def test_bad_input_is_told(tmp_path: Path, arguments: list[str], words: str) -> None:
@@ -93,7 +93,7 @@ def test_a_gait_of_one_stroke_is_written(tmp_path: Path) -> None:
     [
         (plan_motion, DEFAULT_MU, planner.motion.search.MAX_ATTEMPTS),
         (plan_gait, DEFAULT_MU, planner.motion.gait.search.MAX_ATTEMPTS),
-        (manipulate, BELIEVED_MU, sim.manipulation.plan.MAX_ATTEMPTS),
+        (manipulate, BELIEVED_MU, planner.motion.manipulation.single_stroke.MAX_ATTEMPTS),
     ],
 )
 def test_commands_believe_and_spend_what_the_library_does(

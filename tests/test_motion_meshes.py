@@ -10,7 +10,7 @@ from conftest import box_mesh
 
 from planner.hands.hand import Hand
 from planner.motion import ObjectPath, motion_attempts
-from planner.motion.ground import with_rolling_pads
+from planner.motion.context import with_rolling_pads
 from planner.motion.problem import build_motion_problem
 from planner.motion.residuals import MotionResiduals
 from planner.motion.search import MOTION_OPTIONS
@@ -138,7 +138,7 @@ def test_a_superquadric_is_turned_by_a_right_angle(allegro: Hand) -> None:
     item = GraspObject(name="superquadric", shape=shape, mass=0.3)
     task = GraspTask.create(allegro, item, mu=0.45, fingers=THREE)
     path = ObjectPath(axis=np.array([0.0, 0.0, 1.0]), angle=np.pi / 2, shift=np.zeros(3))
-    attempts = motion_attempts(task, path, tube=0.03, seed=0)
+    attempts = motion_attempts(task, path, path_tolerance=0.03, seed=0)
     found = [plan for plan in (next(attempts).plan for _ in range(3)) if plan is not None]
     assert found
     assert all(k.verification.ok and k.closure.closed for plan in found for k in plan.knots)

@@ -10,7 +10,8 @@ import pytest
 from scipy.optimize import minimize
 from test_describe_drive import shared
 
-from planner.approach.open_fingers import (
+from planner.approach.pregrasp import OPENINGS
+from planner.approach.pregrasp_ik import (
     FINGER_CLEARANCE,
     OPEN_CLEARANCE,
     OPENED_SHARE,
@@ -18,7 +19,6 @@ from planner.approach.open_fingers import (
     Opener,
     undetermined_joints,
 )
-from planner.approach.pregrasp import OPENINGS
 from planner.collision.world import CollisionWorld
 from planner.hand_loading import hand_from_spec, load_hand
 from planner.hands.catalog import hand_names

@@ -18,7 +18,7 @@ from planner.objects import object_names, parse_object
 from planner.shapes import SHAPES, SIZED_SHAPES, Mesh, Shape, register_shape, shape_from_dict
 from planner.shapes.base import checked_length, checked_points
 from planner.shapes.surface import Patch, Surface, edge_margin, soft_norm
-from planner.spatial import FloatArray
+from planner.spatial import SE3, FloatArray
 
 
 @dataclass(frozen=True)
@@ -178,6 +178,17 @@ def test_it_is_planned_written_and_held_like_any_other(cone: type[Cone], tmp_pat
     assert read_plan(tmp_path / "plan.json").task.object.shape == shape
     report = simulate(plan)
     assert report.success, report.reason
+
+
+def test_it_is_seen_in_a_simulation(cone: type[Cone]) -> None:
+    from sim.scene import PIECE_GROUP, build_scene
+
+    away = SE3(np.eye(3), np.array([0.0, 0.0, 1.0]))
+    scene = build_scene(GraspTask.create("allegro_hand", "cone"), T_world_base=away)
+    model = scene.model
+    of_object = np.flatnonzero(model.geom_bodyid == scene.object_body)
+    seen = [g for g in of_object if model.geom_group[g] != PIECE_GROUP]
+    assert len(seen) == 1 and not model.geom_contype[seen[0]]
 
 
 @pytest.mark.parametrize(

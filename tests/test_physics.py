@@ -21,8 +21,8 @@ from planner.search import plan_grasp
 from planner.task import GraspTask
 from sim.cli import main
 from sim.creep import contact_drag, impedance, least_creep, predicted_creep, remedies
-from sim.physics import PRESETS, named_physics, physics_for, read_physics
-from sim.physics.options import CONES, FIELDS, INTEGRATORS, PhysicsOptions
+from sim.physics import PRESETS, PhysicsOptions, named_physics, physics_for, read_physics
+from sim.physics.options import CONES, FIELDS, INTEGRATORS
 from sim.protocols.creep import measure_creep, sized_remedies
 from sim.protocols.run import physics_of
 from sim.scene import OBJECT, build_scene

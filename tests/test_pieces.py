@@ -11,8 +11,14 @@ import pytest
 from planner.shapes import Box, Mesh, Sphere
 from planner.shapes.decomposition.cutting import Cell, Guards, cut, half_of
 from planner.shapes.decomposition.hulls import clip, crossing_points, hull_of
-from planner.shapes.decomposition.pieces import TOLERANCE, Pieces, convex_pieces, deviation
-from planner.shapes.decomposition.solid import solid_deviation, solid_geoms
+from planner.shapes.decomposition.pieces import (
+    TOLERANCE,
+    Pieces,
+    convex_pieces,
+    deviation,
+    solid_deviation,
+    solid_geoms,
+)
 from planner.shapes.made import LBracket, Superquadric, Torus
 from planner.shapes.meshes.triangles import cover
 from planner.spatial import FloatArray

@@ -30,21 +30,22 @@ from planner.plan import GraspPlan, SolveRecord
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, rotation_angle
 from planner.task import GraspTask
-from planner.verification.grasp import judge_grasp
+from planner.verification.grasp import verify_grasp
 from sim.cli import main
 from sim.cli.test import _show
-from sim.controllers import Controller, GraspController, Observation, Phase
+from sim.controllers import Controller, GraspController, MakeController, Observation, Phase
 from sim.physics import PhysicsOptions
-from sim.protocols import FAILURES, Outcome, Settings, protocol_table, run_protocol, write_csv
+from sim.protocols import Outcome, Settings, protocol_table, run_protocol, write_csv
 from sim.protocols.bounds import proven_bound
-from sim.protocols.cases import AXES, Conditions, MakeController
+from sim.protocols.cases import AXES, Conditions
 from sim.protocols.catalog import PROTOCOLS, cases_of, trials_of, unsuitable
+from sim.protocols.disturbance import DisturbanceTrial
 from sim.protocols.fc import FcCase, Replay, fc_cases, fc_physics
 from sim.protocols.forces import GravityCase, PushCase, forces_cases
-from sim.protocols.hold import Hold, Lost
 from sim.protocols.robust import RobustCase, displaced, robust_cases
 from sim.protocols.run import physics_of
 from sim.protocols.shake import ShakeCase, Shaker, shake_cases
+from sim.verdict import REASONS, DropCriteria
 
 HALF, PAD = 0.02, 0.012
 """Half the cube's edge and the pads' radius, m."""
@@ -133,7 +134,7 @@ def pinch(hand: Hand, *, press: float = PRESS, mass: float = 0.1) -> GraspPlan:
         seed=0, attempt=0, attempts=1, iterations=0, status="by hand", cpu_s=0.0, build_s=0.0
     )
     above = SE3(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 0.4]))
-    plan = judge_grasp(task, above, np.full(2, 0.06 - HALF - PAD), record=record)
+    plan = verify_grasp(task, above, np.full(2, 0.06 - HALF - PAD), record=record)
     assert isinstance(plan, GraspPlan), plan
     return plan
 
@@ -264,10 +265,10 @@ def test_fc_is_a_sequence_of_stages(servo_jaw: Hand) -> None:
     np.testing.assert_array_equal(replay.squeeze, squeezed)
     assert (squeezed > plan.q + PRESS / 500).all()
 
-    hold = Hold(plan, controller=replay)
+    hold = DisturbanceTrial(plan, controller=replay)
 
     def commands(phase: Phase) -> FloatArray:
-        return np.array([replay.step(hold.observe(phase, k / 100)) for k in range(100)])
+        return np.array([replay.step(hold.simulation.observe(phase, k / 100)) for k in range(100)])
 
     close, squeeze = commands("close"), commands("squeeze")
     for motion, begin, end in (
@@ -305,7 +306,7 @@ def test_fc_needs_servos(pinched: GraspPlan) -> None:
 
 
 def test_a_shaker_is_at_rest_at_both_ends_and_reaches_its_amplitude(pinched: GraspPlan) -> None:
-    mount = Hold(pinched, controller=GraspController(pinched)).scene.mount
+    mount = DisturbanceTrial(pinched, controller=GraspController).simulation.scene.mount
     assert mount is not None
     shaker = Shaker(mount, 0, 0.01, 5.0, 2.0)
     times = np.linspace(0.0, 2.0, 2001)
@@ -452,8 +453,8 @@ def test_penetration(servo_jaw: Hand) -> None:
 
 
 def test_every_reason_is_one_of_those_listed() -> None:
-    assert {"", "penetration", "torque limit reached", "diverged"} <= set(FAILURES)
-    assert len(set(FAILURES)) == len(FAILURES)
+    assert {"", "penetration", "torque limit reached", "diverged"} <= set(REASONS)
+    assert len(set(REASONS)) == len(REASONS)
 
 
 # running
@@ -550,7 +551,7 @@ def test_every_protocol_has_cases_in_order(pinched: GraspPlan) -> None:
 def test_settings_are_checked(bad: dict[str, object], message: str) -> None:
     with pytest.raises(TaskError, match=message):
         Settings(**bad)  # type: ignore[arg-type]
-    assert Settings().lost == Lost()
+    assert Settings().dropped == DropCriteria(fewest=1, mm=10.0, deg=15.0)
 
 
 def test_the_command(

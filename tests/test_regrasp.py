@@ -11,24 +11,29 @@ import pytest
 from conftest import noting_leads
 
 from planner.errors import NoGraspFoundError, TaskError
+from planner.failure import Failure
 from planner.hand_loading import load_hand
-from planner.motion.gait import GaitPlan, cut_motion, plan_back, plan_others
+from planner.motion.gait import GaitPlan, Relocation, cut_motion, plan_back, plan_others
+from planner.motion.manipulation import (
+    ManipulationPlan,
+    manipulation_task,
+    plan_manipulation,
+    plan_regrasping,
+    search,
+)
 from planner.objects import parse_object
+from planner.quality import force_closure
 from planner.spatial import SE3
+from planner.tolerances import CLOSURE_EDGES
 from sim.bench.conditions import FRICTION, REGRASP_FRICTION
 from sim.bench.manipulate import Turn
 from sim.bench.star_hand import write_star_hand
 from sim.controllers import Event
 from sim.controllers.follow import MotionReference
 from sim.manipulation import (
-    ManipulationPlan,
     ManipulationReport,
     Pace,
-    gaits,
     manipulate,
-    manipulation_task,
-    plan_regrasping,
-    plan_turning,
     regrasping,
 )
 from sim.manipulation.prose import told_events
@@ -141,10 +146,23 @@ def test_fingers_land_back_around_the_object(report: ManipulationReport) -> None
             assert check.numbers["margin"] > regrasping.MEASURED_MARGIN
 
 
+def test_the_gate_measures_the_margin_of_the_others(
+    gait: GaitPlan, report: ManipulationReport
+) -> None:
+    """Three contacts close with 0.6 to 0.7, all four with 0.9 and more."""
+    planned = {phase.finger: phase for phase in gait.phases if isinstance(phase, Relocation)}
+    measured = {c.about: c.numbers["margin"] for c in report.checks if c.step == "regrasp"}
+    assert set(measured) == set(planned)
+    for finger, move in planned.items():
+        others = force_closure(move.during, edges=CLOSURE_EDGES).normalised_min_weight
+        assert measured[finger] == pytest.approx(others, abs=0.03)
+        assert force_closure(move.before, edges=CLOSURE_EDGES).normalised_min_weight > others + 0.2
+
+
 def test_a_lift_is_refused_while_the_others_do_not_close(
     plan: ManipulationPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(regrasping, "MEASURED_MARGIN", 2.0)  # more than there can be
+    monkeypatch.setattr(regrasping, "MEASURED_MARGIN", 0.8)  # all four have it, no three of them
     told = manipulate(plan, pace=replace(QUICK, lift_wait=0.1))
     assert not told.complete
     assert not told.dropped
@@ -180,12 +198,12 @@ def test_another_finger_goes_first_where_a_lift_is_refused(
 def test_fingers_that_are_left_have_orders_of_their_own(gait: GaitPlan) -> None:
     stroke, names = gait.motion, gait.order
     found = plan_others(stroke, names[:1], names[1:2])
-    assert not isinstance(found, str)
+    assert not isinstance(found, Failure)
     assert sorted(r.finger for r in found) == sorted(names[1:])
     assert found[0].finger != names[1]
     told = plan_others(stroke, names[:1], names[1:])
-    assert isinstance(told, str)
-    assert "could not be lifted when it was tried" in told
+    assert isinstance(told, Failure)
+    assert "could not be lifted when it was tried" in told.text
 
 
 def test_a_reference_goes_on_from_an_object_that_was_turned(gait: GaitPlan) -> None:
@@ -222,7 +240,7 @@ def test_fingers_find_back_from_half_way(gait: GaitPlan) -> None:
     assert half.knots[-1].place == pytest.approx(0.5, abs=0.3)
     assert half.path.angle == pytest.approx(half.knots[-1].place * motion.path.angle)
     back = plan_back(motion, 1.0)
-    assert not isinstance(back, str)
+    assert not isinstance(back, Failure)
     assert sorted(r.finger for r in back) == sorted(motion.grasp.task.finger_names)
     q = back[-1].postures[-1]
     np.testing.assert_allclose(q, motion.knots[0].q, atol=1e-9)
@@ -236,12 +254,12 @@ def test_regrasps_are_planned_where_one_stroke_is_not_enough(
     def nothing(*_: object, **__: object) -> ManipulationPlan:
         raise NoGraspFoundError("too far for one stroke", ())
 
-    monkeypatch.setattr(gaits, "plan_manipulation", nothing)
-    monkeypatch.setattr(gaits, "plan_regrasping", lambda *_, **__: plan)
-    assert plan_turning(task, angle=ANGLE) is plan
-    monkeypatch.setattr(gaits, "plan_regrasping", nothing)
+    monkeypatch.setattr(search, "plan_single_stroke", nothing)
+    monkeypatch.setattr(search, "plan_regrasping", lambda *_, **__: plan)
+    assert plan_manipulation(task, angle=ANGLE) is plan
+    monkeypatch.setattr(search, "plan_regrasping", nothing)
     with pytest.raises(NoGraspFoundError, match=r"one stroke\. With regrasps: too far"):
-        plan_turning(task, angle=ANGLE)
+        plan_manipulation(task, angle=ANGLE)
     with pytest.raises(TaskError, match="no table"):
         plan_regrasping(replace(task, table_height=None), angle=ANGLE)
 

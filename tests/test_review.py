@@ -8,17 +8,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.approach.pregrasp import Approach, approach_fault
+from planner.approach.pregrasp import Approach, verify_approach
 from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
+from planner.failure import Failure
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3
 from planner.task import GraspTask, Obstacle
-from planner.verification.grasp import judge_grasp
+from planner.verification.grasp import verify_grasp
 from sim.recorder import Recorder
-from sim.scene import build_scene
+from sim.simulation import Simulation
 from sim.trial import Trial
 
 
@@ -28,16 +29,16 @@ def plan() -> GraspPlan:
 
 
 def test_slip_is_in_millimetres_and_degrees(plan: GraspPlan) -> None:
-    scene = build_scene(plan.task, T_world_base=plan.T_world_base)
-    data = scene.start(plan.q, plan.T_world_base)
-    recorder = Recorder(plan, scene)
-    recorder.mark_reference(data)
+    simulation = Simulation(plan, q=plan.q, T_world_base=plan.T_world_base)
+    scene, data = simulation.scene, simulation.data
+    recorder = Recorder(simulation, 0.02)
+    recorder.mark_reference()
     moved = SE3(pin.exp3(np.deg2rad(7.0) * np.array([0.6, 0.0, 0.8])), np.array([0.0, 0.003, 0.0]))
     data.xpos[scene.object_body] += moved.translation
     turned = moved.rotation @ data.xmat[scene.object_body].reshape(3, 3)
     data.xmat[scene.object_body] = turned.ravel()
     data.xquat[scene.object_body] = pin.Quaternion(turned).coeffs()[[3, 0, 1, 2]]
-    recorder.record(data, "hold", ())
+    recorder.record()
     samples = recorder.samples()
     assert samples.slip_mm[-1] == pytest.approx(3.0, abs=1e-6)
     assert samples.slip_deg[-1] == pytest.approx(7.0, abs=1e-6)
@@ -59,9 +60,9 @@ def test_nothing_small_hides_between_samples_of_the_approach(plan: GraspPlan, sh
     approach = Approach(
         q=plan.q_pregrasp, opening=plan.opening, T_world_base_start=plan.T_world_base_start
     )
-    fault = approach_fault(CollisionWorld(task), plan.T_world_base, plan.q, approach)
-    assert "rod" in fault
-    assert approach_fault(CollisionWorld(plan.task), plan.T_world_base, plan.q, approach) == ""
+    fault = verify_approach(CollisionWorld(task), plan.T_world_base, plan.q, approach)
+    assert "rod" in str(fault)
+    assert verify_approach(CollisionWorld(plan.task), plan.T_world_base, plan.q, approach) is None
 
 
 def test_joint_torques_are_the_contacts_and_the_hands_own_weight(plan: GraspPlan) -> None:
@@ -84,19 +85,19 @@ def test_joint_torques_are_the_contacts_and_the_hands_own_weight(plan: GraspPlan
 def test_a_grasp_keeps_what_the_task_fixes(plan: GraspPlan) -> None:
     elsewhere = SE3(np.eye(3), np.array([1.0, 0.0, 0.0])) * plan.T_world_base
     task = replace(plan.task, T_world_base=elsewhere)
-    judged = judge_grasp(task, plan.T_world_base, plan.q, record=plan.record)
-    assert isinstance(judged, str)
-    assert "the base is not where the task fixes it" in judged
+    judged = verify_grasp(task, plan.T_world_base, plan.q, record=plan.record)
+    assert isinstance(judged, Failure)
+    assert "the base is not where the task fixes it" in judged.text
 
 
 def test_a_pregrasp_outside_its_limits_is_refused(plan: GraspPlan) -> None:
     q = plan.q_pregrasp.copy()
     q[0] = plan.task.hand.q_upper[0] + 0.1
     approach = Approach(q=q, opening=0.02, T_world_base_start=plan.T_world_base_start)
-    judged = judge_grasp(
+    judged = verify_grasp(
         plan.task, plan.T_world_base, plan.q, record=plan.record, approach=approach
     )
-    assert judged == "approach: the pre-grasp violates a joint limit or a coupling"
+    assert str(judged) == "approach: the pre-grasp violates a joint limit or a coupling"
 
 
 def test_an_obstacle_in_the_object_is_refused(plan: GraspPlan) -> None:

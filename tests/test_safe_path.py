@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from planner.batch.pool import finished
-from planner.batch.safe_path import VARIABLE, safe_path
 from planner.errors import TaskError
+from planner.system.environment import SAFE_PATH, safe_path
 
 PROGRAM = """
 import operator
@@ -27,7 +27,7 @@ def test_a_joblib_of_the_current_folder_is_not_run(tmp_path: Path, backend: str)
         text = f"open('ran', 'a').write({name!r}); raise SystemExit(9)"
         (tmp_path / name).write_text(text, encoding="utf-8")
     program = PROGRAM.replace("BACKEND", repr(backend))
-    environment = {name: v for name, v in os.environ.items() if name != VARIABLE}
+    environment = {name: v for name, v in os.environ.items() if name != SAFE_PATH}
     done = subprocess.run(
         [sys.executable, "-P", "-c", program], cwd=tmp_path, env=environment, timeout=120,
         capture_output=True, text=True, check=False,
@@ -39,18 +39,18 @@ def test_a_joblib_of_the_current_folder_is_not_run(tmp_path: Path, backend: str)
 def test_the_environment_is_as_before_when_the_last_has_left(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.delenv(SAFE_PATH, raising=False)
     first, second = safe_path(), safe_path()
     with first:
         second.__enter__()
-        assert os.environ[VARIABLE] == "1"
-    assert os.environ[VARIABLE] == "1"
+        assert os.environ[SAFE_PATH] == "1"
+    assert os.environ[SAFE_PATH] == "1"
     second.__exit__(None, None, None)
-    assert VARIABLE not in os.environ
-    monkeypatch.setenv(VARIABLE, "yes")
+    assert SAFE_PATH not in os.environ
+    monkeypatch.setenv(SAFE_PATH, "yes")
     with safe_path():
         pass
-    assert os.environ[VARIABLE] == "yes"
+    assert os.environ[SAFE_PATH] == "yes"
 
 
 @pytest.mark.parametrize("workers", [0, -7, 2**63])

@@ -14,9 +14,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.approach.open_fingers import OPENED_SHARE
 from planner.approach.pregrasp import APPROACH_CLEARANCE, Approach
+from planner.approach.pregrasp_ik import OPENED_SHARE
 from planner.errors import NoGraspFoundError, TaskError
+from planner.failure import Failure
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.objects import parse_object
@@ -28,7 +29,7 @@ from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.seeds.mesh import seeder_for
 from planner.task import GraspTask, Obstacle
 from planner.tolerances import FRICTION_SHARE
-from planner.verification.grasp import judge_grasp
+from planner.verification.grasp import verify_grasp
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -126,7 +127,7 @@ def test_an_attempt_depends_on_seed_and_number_alone(allegro: Hand) -> None:
     for expected in alone:
         next(two)
         attempt = next(one)
-        assert (attempt.index, attempt.reason) == (expected.index, expected.reason)
+        assert (attempt.index, attempt.failure) == (expected.index, expected.failure)
         if expected.plan is not None:
             assert attempt.plan is not None and same(attempt.plan, expected.plan)
     found = plan_grasp(task, seed=1)
@@ -157,7 +158,8 @@ def test_no_grasp_tells_every_reason_and_keeps_to_the_number_of_attempts(
     made = caught.value.attempts
     assert seen == list(made)
     assert [a.index for a in made] == [0, 1]
-    assert all(a.plan is None and a.reason.startswith("not solved, term") for a in made)
+    assert all(a.plan is None and a.failure.text.startswith("not solved, term") for a in made)
+    assert all(a.failure.kind.startswith("unsolved_") for a in made)
     text = str(caught.value)
     assert "no grasp of box with allegro_hand (thumb, index, middle, ring) in 2 attempts" in text
     assert "Try more attempts, other fingers, another pose or size" in text
@@ -180,7 +182,7 @@ def test_too_heavy_an_object_is_infeasible_when_planned(allegro: Hand) -> None:
     with pytest.raises(NoGraspFoundError, match=r"2 x forces") as caught:
         plan_grasp(task, max_attempts=2)
     for attempt in caught.value.attempts:
-        assert "A_index_1 at its greatest force 0.7 N m" in attempt.reason
+        assert "A_index_1 at its greatest force 0.7 N m" in attempt.failure.text
 
 
 def test_obstacles_are_avoided_at_grasp_and_on_the_way(allegro: Hand) -> None:
@@ -328,15 +330,15 @@ def test_the_verdict_on_a_grasp_turns_with_the_world(allegro: Hand) -> None:
         T_world_base_start=move * plan.T_world_base_start,
     )
     base = move * plan.T_world_base
-    again = judge_grasp(turned, base, plan.q, record=plan.record, approach=approach)
+    again = verify_grasp(turned, base, plan.q, record=plan.record, approach=approach)
     assert isinstance(again, GraspPlan)
     check(again)
     a, b = plan.contacts_in_object, again.contacts_in_object
     np.testing.assert_allclose(a.positions, b.positions, atol=1e-9)
     np.testing.assert_allclose(a.frames, b.frames, atol=1e-9)
     np.testing.assert_allclose(a.forces, b.forces, atol=1e-5)
-    falling = judge_grasp(
+    falling = verify_grasp(
         replace(turned, gravity=400 * task.gravity), move * plan.T_world_base, plan.q,
         record=plan.record,
     )  # fmt: skip
-    assert isinstance(falling, str) and falling.startswith("forces: ")
+    assert isinstance(falling, Failure) and falling.text.startswith("forces: ")

@@ -10,7 +10,7 @@ from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.task import GraspTask
-from planner.verification.projection import COUPLED, FARTHEST, SETTLED, settle
+from planner.verification.projection import COUPLING_TOL, FARTHEST, GAP_TOL, project_onto_surface
 
 
 @pytest.fixture(scope="module", params=["sphere", "torus"])
@@ -32,9 +32,9 @@ def test_gaps_and_couplings_are_closed(plan: GraspPlan) -> None:
         q[index] += rng.normal(0.0, 0.004, len(index))
         q = np.clip(q, hand.q_lower, hand.q_upper)
         assert np.abs(matrix @ q - value).max() > 1e-4
-        settled = settle(plan.task, plan.T_world_base, q)
-        assert worst_gap(plan, settled) <= SETTLED
-        assert np.abs(matrix @ settled - value).max() <= COUPLED
+        settled = project_onto_surface(plan.task, plan.T_world_base, q)
+        assert worst_gap(plan, settled) <= GAP_TOL
+        assert np.abs(matrix @ settled - value).max() <= COUPLING_TOL
         assert (settled >= hand.q_lower).all() and (settled <= hand.q_upper).all()
         assert np.abs(settled - q).max() < 0.1
 
@@ -49,9 +49,9 @@ def test_a_coupling_is_closed_where_pads_touch_already(plan: GraspPlan) -> None:
     state[pair[0]] += 2e-4
     off = np.abs(matrix @ state - value).max()
     assert off > 1e-4
-    settled = settle(plan.task, plan.T_world_base, state)
-    assert np.abs(matrix @ settled - value).max() <= COUPLED
-    assert worst_gap(plan, settled) <= SETTLED
+    settled = project_onto_surface(plan.task, plan.T_world_base, state)
+    assert np.abs(matrix @ settled - value).max() <= COUPLING_TOL
+    assert worst_gap(plan, settled) <= GAP_TOL
 
 
 def test_a_coupling_of_a_finger_left_out_is_closed_too(plan: GraspPlan) -> None:
@@ -62,8 +62,8 @@ def test_a_coupling_of_a_finger_left_out_is_closed_too(plan: GraspPlan) -> None:
     q = plan.q.copy()
     q[np.argmax(np.abs(matrix[away][0]))] += 1e-3
     assert np.abs(matrix @ q - value)[away].max() > 1e-4
-    settled = settle(plan.task, plan.T_world_base, q)
-    assert np.abs(matrix @ settled - value).max() <= COUPLED
+    settled = project_onto_surface(plan.task, plan.T_world_base, q)
+    assert np.abs(matrix @ settled - value).max() <= COUPLING_TOL
 
 
 def test_what_is_far_off_stays(allegro: Hand) -> None:
@@ -71,4 +71,4 @@ def test_what_is_far_off_stays(allegro: Hand) -> None:
     plan = plan_grasp(task, seed=0)
     away = plan.T_world_base.copy()
     away.translation = away.translation + np.array([0.0, 0.0, 2 * FARTHEST + 0.05])
-    np.testing.assert_array_equal(settle(task, away, plan.q), plan.q)
+    np.testing.assert_array_equal(project_onto_surface(task, away, plan.q), plan.q)

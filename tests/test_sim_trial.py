@@ -24,6 +24,7 @@ from sim.contacts import hand_contacts
 from sim.controllers import Observation
 from sim.physics import PhysicsOptions
 from sim.report import ReportFile, TrialReport
+from sim.simulation import Simulation
 from sim.timeline import Timeline
 from sim.trial import Trial, simulate
 
@@ -106,9 +107,9 @@ def test_contact_forces_carry_the_object(plan: GraspPlan) -> None:
     """Sum of contact forces = m (a - g) at every moment of the hold, by MuJoCo's own qacc."""
     errors = []
 
-    def look(trial: Trial) -> None:
-        if trial.phase == "hold":
-            scene, data = trial.scene, trial.data
+    def look(simulation: Simulation) -> None:
+        if simulation.phase == "hold":
+            scene, data = simulation.scene, simulation.data
             wrench = hand_contacts(scene, data).wrench()
             acceleration = data.qacc[scene.object_dof[:3]] - plan.task.gravity
             errors.append(np.abs(wrench[:3] - plan.task.object.mass * acceleration).max())
@@ -213,8 +214,8 @@ def test_actuators_at_their_limit_are_recorded_for_any_controller(
     high = plan.task.hand.actuation.ctrl_range[:, 1]
     timeline = replace(QUICK, approach=0.05, close=0.02, squeeze=0.02, settle=0.02)
     pushed = simulate(plan, controller=Still(plan, high + beyond), timeline=timeline)
-    assert set(pushed.samples.limited[0]) <= set(plan.task.hand.actuation.names)
-    assert len(pushed.samples.limited[0]) >= 12  # of 16; a moving joint may be below its limit
+    assert set(pushed.samples.saturated[0]) <= set(plan.task.hand.actuation.names)
+    assert len(pushed.samples.saturated[0]) >= 12  # of 16; a moving joint may be below its limit
 
 
 def test_interruption_gives_a_partial_report(plan: GraspPlan) -> None:
@@ -281,12 +282,12 @@ def test_the_hand_follows_its_way(plan: GraspPlan) -> None:
     """
     off = dict.fromkeys(("approach", "lift"), 0.0)
 
-    def look(trial: Trial) -> None:
-        if trial.phase in off:
-            data, first = trial.data, trial.scene.T_world_base.translation
-            now = data.time - trial.scene.physics.timestep  # poses are of the step's beginning
-            base = trial.scene.body_pose(data, trial.scene.base_body).translation
-            if trial.phase == "approach":
+    def look(simulation: Simulation) -> None:
+        if simulation.phase in off:
+            data, first = simulation.data, simulation.scene.T_world_base.translation
+            now = data.time - simulation.scene.physics.timestep  # poses are of the step's beginning
+            base = simulation.scene.body_pose(data, simulation.scene.base_body).translation
+            if simulation.phase == "approach":
                 s = smooth(np.array(min(1.0, now / QUICK.approach)))
                 start = plan.T_world_base_start.translation
                 expected = start + s * (first - start)
@@ -294,7 +295,7 @@ def test_the_hand_follows_its_way(plan: GraspPlan) -> None:
                 began.append(float(now))
                 s = smooth(np.array(min(1.0, (now - began[0]) / QUICK.lift)))
                 expected = first + np.array([0.0, 0.0, float(s) * QUICK.lift_height])
-            off[trial.phase] = max(off[trial.phase], float(np.abs(base - expected).max()))
+            off[simulation.phase] = max(off[simulation.phase], float(np.abs(base - expected).max()))
 
     began: list[float] = []
     simulate(plan, timeline=QUICK, on_step=look)
@@ -305,7 +306,7 @@ def test_the_hand_follows_its_way(plan: GraspPlan) -> None:
 def test_an_object_put_elsewhere_is_missed_or_disturbed(plan: GraspPlan) -> None:
     """A trial does not believe the plan: it looks at what MuJoCo reports."""
     trial = Trial(plan, timeline=QUICK)
-    trial.data.qpos[trial.scene.object_qpos[0]] += 0.5
+    trial.simulation.data.qpos[trial.simulation.scene.object_qpos[0]] += 0.5
     failed = trial.run()
     assert failed.reason in ("no contact", "tipped")
 

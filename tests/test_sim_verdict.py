@@ -49,7 +49,7 @@ def held() -> Samples:
         lift_mm=lift,
         collision_N=np.zeros(M),
         collision=("",) * M,
-        limited=((),) * M,
+        saturated=((),) * M,
     )
 
 
@@ -163,14 +163,14 @@ def test_of_several_faults_the_first_is_the_reason() -> None:
 
 def test_failure_with_an_actuator_at_its_limit_is_put_down_to_it() -> None:
     limited = [("THJ2",) if p in ("squeeze", "settle", "lift") else () for p in held().phase]
-    result = verdict(replace(dropped_at("hold"), limited=tuple(limited)))
+    result = verdict(replace(dropped_at("hold"), saturated=tuple(limited)))
     assert result.reason == "torque limit reached"
     assert "THJ2" in result.detail
     assert "dropped" in result.detail
-    assert verdict(replace(held(), limited=tuple(limited))).success
+    assert verdict(replace(held(), saturated=tuple(limited))).success
     seldom: list[tuple[str, ...]] = [()] * M
     seldom[at("squeeze").start] = ("THJ2",)
-    assert verdict(replace(dropped_at("hold"), limited=tuple(seldom))).reason == "dropped"
+    assert verdict(replace(dropped_at("hold"), saturated=tuple(seldom))).reason == "dropped"
 
 
 def test_interruption_and_divergence_come_before_everything() -> None:
@@ -199,7 +199,9 @@ def test_reasons_are_those_of_the_documentation() -> None:
         "hand collided",
         "torque limit reached",
         "infeasible forces",
+        "penetration",
         "interrupted",
+        "stopped",
         "diverged",
     }
 

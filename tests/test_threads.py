@@ -131,7 +131,7 @@ def test_iterators_of_attempts_may_be_mixed_and_moved(allegro: Hand) -> None:
     tasks = [GraspTask.create(allegro, name) for name in ("sphere", "sphere:0.03")]
 
     def outcome(attempt: Any) -> bytes:
-        return attempt.reason.encode() if attempt.plan is None else bits_of(attempt.plan)
+        return str(attempt.failure).encode() if attempt.plan is None else bits_of(attempt.plan)
 
     def first(task: GraspTask) -> list[bytes]:
         return [outcome(a) for a, _ in zip(attempts(task, seed=3), range(4), strict=False)]
@@ -303,7 +303,7 @@ def test_threads_that_build_their_first_problems_at_once() -> None:
 import sys, threading
 sys.setswitchinterval(1e-6)
 from planner import GraspTask, plan_grasp
-from planner.hands.hand import Hand
+from planner.hand_loading import load_hand
 hand = load_hand("allegro_hand")
 names = ("box", "sphere", "capsule", "ellipsoid")
 found = {}

@@ -11,6 +11,15 @@ import pytest
 from typer.testing import CliRunner
 
 from planner.errors import TaskError
+from planner.failure import Failure
+from planner.motion.manipulation import (
+    ManipulationPlan,
+    manipulation_task,
+    on_stand,
+    plan_manipulation,
+)
+from planner.motion.manipulation.ending import backwards, object_at_target, planned_ending, stands
+from planner.motion.manipulation.single_stroke import MOST_PIVOT
 from planner.motion.path import tilts
 from planner.objects import parse_object
 from planner.spatial import SE3
@@ -18,16 +27,11 @@ from planner.task import GraspTask
 from sim.cli import app
 from sim.controllers.follow import MotionReference
 from sim.manipulation import (
-    ManipulationPlan,
     ManipulationReport,
     Pace,
     manipulate,
-    manipulation_task,
-    plan_turning,
+    rests,
 )
-from sim.manipulation.ending import object_at_target, planned_ending, stands, way_back
-from sim.manipulation.paths import MOST_PIVOT
-from sim.manipulation.stand import on_stand
 from sim.physics import PhysicsOptions
 
 X, Y, Z = np.eye(3)
@@ -53,7 +57,7 @@ QUICK = Pace(
 def plan() -> ManipulationPlan:
     """A block that an Allegro-type hand tilts and moves up at once."""
     task = manipulation_task("allegro_hand", parse_object("box:0.05x0.05x0.08", mass=0.1), mu=0.5)
-    return plan_turning(task, axis=Y, angle=ANGLE, shift=UP, place=(0.04, -0.02), seed=0)
+    return plan_manipulation(task, axis=Y, angle=ANGLE, shift=UP, place=(0.04, -0.02), seed=0)
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +95,7 @@ def test_what_stands_after_a_turn(
 def test_a_stand_holds_what_looks_as_it_did() -> None:
     assert stands(on_stand(_task("sphere:0.03"), 0.05), X, 1.0)
     block = on_stand(_task("box:0.05x0.06x0.08"), 0.05)
-    assert stands(block, Z, 1.0)
+    assert stands(block, Z, 1.0, rests=rests)
     assert not stands(block, Y, math.pi / 2)  # it would lie on the walls otherwise
 
 
@@ -103,15 +107,17 @@ def test_a_target_on_another_face_is_as_high_as_that() -> None:
 
 def test_what_does_not_stand_is_put_down_as_it_was_picked_up(plan: ManipulationPlan) -> None:
     grasp = plan.motion.grasp
-    assert plan.back == "turned so it does not stand"
-    np.testing.assert_allclose(plan.T_world_target.translation, [0.04, -0.02, 0.04], atol=1e-12)
-    np.testing.assert_allclose(plan.T_world_target.rotation, np.eye(3), atol=1e-12)
-    np.testing.assert_array_equal(plan.release.q, grasp.q_pregrasp)
+    assert plan.ending.back == "turned so it does not stand"
+    np.testing.assert_allclose(
+        plan.ending.T_world_target.translation, [0.04, -0.02, 0.04], atol=1e-12
+    )
+    np.testing.assert_allclose(plan.ending.T_world_target.rotation, np.eye(3), atol=1e-12)
+    np.testing.assert_array_equal(plan.ending.release.q, grasp.q_pregrasp)
     ending = planned_ending(plan.motion, math.pi / 2, None)  # on its side it would stand
-    assert not isinstance(ending, str)
+    assert not isinstance(ending, Failure)
     if not ending.back:
         assert ending.T_world_target.rotation[2] @ Z == pytest.approx(0.0, abs=1e-12)
-    assert way_back(plan.motion, None, "so").back == "so"
+    assert backwards(plan.motion, None, "so").back == "so"
 
 
 # --- the plan ----------------------------------------------------------------------------------
@@ -143,9 +149,9 @@ def test_a_tip_that_stays_while_the_object_spins_under_it_pivots(plan: Manipulat
 def test_no_regrasps_where_the_object_is_to_be_moved() -> None:
     task = manipulation_task("allegro_hand", parse_object("cylinder:0.03x0.08"), mu=0.5)
     with pytest.raises(TaskError, match="made in one stroke"):
-        plan_turning(task, angle=1.0, shift=UP, regrasp=True)
+        plan_manipulation(task, angle=1.0, shift=UP, regrasp=True)
     with pytest.raises(TaskError, match="made in one stroke"):
-        plan_turning(task, angle=2 * math.pi, shift=UP)
+        plan_manipulation(task, angle=2 * math.pi, shift=UP)
 
 
 # --- the way back ------------------------------------------------------------------------------

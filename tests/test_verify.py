@@ -8,8 +8,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planner.approach.pregrasp import Approach, approach_fault
+from planner.approach.pregrasp import Approach, verify_approach
 from planner.collision.world import CollisionWorld
+from planner.failure import Failure
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan, Verification
@@ -17,9 +18,9 @@ from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask, Obstacle
 from planner.tolerances import TOUCH_TOL
-from planner.verification.geometry import contacts_at, verify
-from planner.verification.grasp import judge_grasp
-from planner.verification.projection import SETTLED
+from planner.verification.geometry import contacts_at, verify_geometry
+from planner.verification.grasp import verify_grasp
+from planner.verification.projection import GAP_TOL
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +41,11 @@ def judged(
     q: FloatArray | None = None,
 ) -> Verification:
     world = CollisionWorld(task or plan.task)
-    return verify(world, base or plan.T_world_base, plan.q if q is None else q)
+    return verify_geometry(world, base or plan.T_world_base, plan.q if q is None else q)
+
+
+def texts(found: Verification) -> list[str]:
+    return [failure.text for failure in found.failures]
 
 
 def turned_joint(plan: GraspPlan, name: str, angle: float) -> FloatArray:
@@ -58,9 +63,9 @@ def test_a_plan_has_no_faults_and_its_residuals_are_small(
 ) -> None:
     for plan in (allegro_plan, shadow_plan):
         found = judged(plan)
-        assert found.ok and found.faults == ()
+        assert found.ok and found.failures == () and found.failure is None
         # what the last step promises, a twenty-fifth of what counts as touching
-        assert np.abs(found.pad_gaps).max() <= SETTLED
+        assert np.abs(found.pad_gaps).max() <= GAP_TOL
         assert found.coupling_error < 1e-6 and found.limit_error == 0
         assert [c.distance for c in found.closest] == sorted(c.distance for c in found.closest)
         assert found.closest[0].distance >= 0
@@ -72,7 +77,7 @@ def test_gaps_are_the_distances_by_which_the_hand_was_moved(allegro_plan: GraspP
     for shift in (4e-4, 6e-4):
         found = judged(allegro_plan, base=moved_base(allegro_plan, shift * back))
         assert found.pad_gaps[0] == pytest.approx(shift, abs=2e-5)
-        named = [f for f in found.faults if f.startswith("thumb pad is ")]
+        named = [f for f in texts(found) if f.startswith("thumb pad is ")]
         assert bool(named) == (shift > TOUCH_TOL)
 
 
@@ -80,23 +85,23 @@ def test_one_millimetre_off_is_refused_by_name_and_distance(allegro_plan: GraspP
     plan = allegro_plan
     away = judged(plan, base=moved_base(plan, -1e-3 * plan.contacts.normals[0]))
     assert not away.ok
-    assert "thumb pad is 1.00 mm from the surface (allowed 0.5)" in away.faults
+    assert "thumb pad is 1.00 mm from the surface (allowed 0.5)" in texts(away)
     into = judged(plan, base=moved_base(plan, 1e-3 * plan.contacts.normals[0]))
-    assert "thumb pad is -1.00 mm from the surface (allowed 0.5)" in into.faults
-    outcome = judge_grasp(
+    assert "thumb pad is -1.00 mm from the surface (allowed 0.5)" in texts(into)
+    outcome = verify_grasp(
         plan.task,
         moved_base(plan, -1e-3 * plan.contacts.normals[0]),
         plan.q,
         record=plan.record,
     )
-    assert isinstance(outcome, str)
-    assert outcome.startswith("true geometry: thumb pad is 1.00 mm from the surface")
+    assert isinstance(outcome, Failure)
+    assert outcome.text.startswith("true geometry: thumb pad is 1.00 mm from the surface")
 
 
 def test_a_turn_of_the_wrist_is_refused(shadow_plan: GraspPlan) -> None:
     found = judged(shadow_plan, q=turned_joint(shadow_plan, "WRJ1", 0.05))
-    fingers = {f.split()[0] for f in found.faults if " pad is " in f}
-    assert len(fingers) >= 3, found.faults
+    fingers = {f.split()[0] for f in texts(found) if " pad is " in f}
+    assert len(fingers) >= 3, texts(found)
 
 
 def test_a_joint_outside_its_limit_is_refused(allegro_plan: GraspPlan) -> None:
@@ -105,7 +110,7 @@ def test_a_joint_outside_its_limit_is_refused(allegro_plan: GraspPlan) -> None:
     q[2] = hand.q_upper[2] + 0.01
     found = judged(allegro_plan, q=q)
     assert found.limit_error == pytest.approx(0.01)
-    assert "a joint limit is violated by 1.0e-02 rad" in found.faults
+    assert "a joint limit is violated by 1.0e-02 rad" in texts(found)
 
 
 def test_a_violated_coupling_is_refused(shadow_plan: GraspPlan) -> None:
@@ -113,7 +118,7 @@ def test_a_violated_coupling_is_refused(shadow_plan: GraspPlan) -> None:
     found = judged(shadow_plan, q=turned_joint(shadow_plan, "LFJ2", 0.02))
     assert "little" not in shadow_plan.task.finger_names
     assert found.coupling_error == pytest.approx(0.02, abs=1e-6)
-    assert "a coupling is violated by 2.0e-02 rad" in found.faults
+    assert "a coupling is violated by 2.0e-02 rad" in texts(found)
 
 
 def test_a_link_in_the_table_is_refused(shadow_plan: GraspPlan) -> None:
@@ -123,8 +128,8 @@ def test_a_link_in_the_table_is_refused(shadow_plan: GraspPlan) -> None:
     over = SE3(np.array(pin.exp3(np.array([np.pi, 0.0, 0.0]))), np.zeros(3))
     base = SE3(np.eye(3), center) * over * SE3(np.eye(3), -center) * shadow_plan.T_world_base
     found = judged(shadow_plan, base=base)
-    assert not [f for f in found.faults if " pad is " in f]
-    assert any(f.startswith("penetration, palm") and " - table: -" in f for f in found.faults)
+    assert not [f for f in texts(found) if " pad is " in f]
+    assert any(f.startswith("penetration, palm") and " - table: -" in f for f in texts(found))
     lifted = judged(shadow_plan, base=base, task=replace(task, table_height=None))
     assert lifted.ok
 
@@ -134,7 +139,7 @@ def test_a_link_in_an_obstacle_is_refused_with_both_names(allegro_plan: GraspPla
     pose = SE3(np.eye(3), allegro_plan.T_world_palm.translation)
     lamp = Obstacle(name="lamp", size=np.full(3, 0.02), T_world_obstacle=pose)
     found = judged(allegro_plan, task=replace(task, obstacles=(lamp,)))
-    assert any(f.startswith("penetration, palm") and "- lamp: -" in f for f in found.faults)
+    assert any(f.startswith("penetration, palm") and "- lamp: -" in f for f in texts(found))
 
 
 def test_two_fingers_in_each_other_are_refused(allegro_plan: GraspPlan) -> None:
@@ -143,7 +148,7 @@ def test_two_fingers_in_each_other_are_refused(allegro_plan: GraspPlan) -> None:
     q = hand.posture("open")
     q[hand.joint_index("index_0")] = hand.q_lower[hand.joint_index("index_0")]
     q[hand.joint_index("middle_0")] = hand.q_upper[hand.joint_index("middle_0")]
-    faults = judged(allegro_plan, q=q).faults
+    faults = texts(judged(allegro_plan, q=q))
     assert any("index" in f and "middle" in f for f in faults if f.startswith("penetration"))
 
 
@@ -155,13 +160,13 @@ def test_a_contact_beside_the_pad_is_refused(shadow: Hand) -> None:
     reach = thumb.pad.radius + 0.035
     at = state.pad_center(thumb) - reach * state.pad_axis(thumb)
     base = SE3(np.eye(3), task.T_world_object.translation - at)
-    found = verify(CollisionWorld(task), base, q)
+    found = verify_geometry(CollisionWorld(task), base, q)
     assert found.pad_gaps[0] == pytest.approx(0.0, abs=1e-9)
     assert found.pad_angles[0] == pytest.approx(np.pi)
-    assert "thumb touches 180 degrees off its pad axis, outside the pad" in found.faults
+    assert "thumb touches 180 degrees off its pad axis, outside the pad" in texts(found)
     assert any(
         f.startswith(f"{thumb.pad.geom} is -") and f.endswith("although its pad touches")
-        for f in found.faults
+        for f in texts(found)
     )
 
 
@@ -186,7 +191,7 @@ def test_contacts_lie_on_the_true_surface_with_normals_into_the_object(
             HandState(plan.task.hand, plan.q).pad_center(finger)
         )
         np.testing.assert_allclose(
-            position, center + finger.pad.radius * normal, rtol=0, atol=SETTLED
+            position, center + finger.pad.radius * normal, rtol=0, atol=GAP_TOL
         )
 
 
@@ -194,19 +199,19 @@ def test_too_little_friction_is_no_closure(allegro: Hand) -> None:
     """On a sphere turns are left to friction alone."""
     ball = plan_grasp(GraspTask.create(allegro, "sphere"))
     slippery = replace(ball.task, mu=1e-6)
-    outcome = judge_grasp(slippery, ball.T_world_base, ball.q, record=ball.record)
-    assert isinstance(outcome, str)
-    assert outcome.startswith("no force closure"), outcome
+    outcome = verify_grasp(slippery, ball.T_world_base, ball.q, record=ball.record)
+    assert isinstance(outcome, Failure)
+    assert outcome.text.startswith("no force closure"), outcome
 
 
 def test_too_heavy_is_no_forces(allegro_plan: GraspPlan) -> None:
     """A grasp closes whatever the mass, but motors do not hold 50 kg."""
     heavy = replace(allegro_plan.task, object=replace(allegro_plan.task.object, mass=50.0))
-    outcome = judge_grasp(
+    outcome = verify_grasp(
         heavy, allegro_plan.T_world_base, allegro_plan.q, record=allegro_plan.record
     )
-    assert isinstance(outcome, str)
-    assert outcome.startswith("forces: "), outcome
+    assert isinstance(outcome, Failure)
+    assert outcome.text.startswith("forces: "), outcome
 
 
 def test_an_approach_that_touches_is_refused(allegro_plan: GraspPlan) -> None:
@@ -214,15 +219,15 @@ def test_an_approach_that_touches_is_refused(allegro_plan: GraspPlan) -> None:
     good = Approach(
         q=plan.q_pregrasp, opening=plan.opening, T_world_base_start=plan.T_world_base_start
     )
-    assert approach_fault(world, plan.T_world_base, plan.q, good) == ""
+    assert verify_approach(world, plan.T_world_base, plan.q, good) is None
     closed = replace(good, q=plan.q)
-    assert "the hand touches on its way in" in approach_fault(
-        world, plan.T_world_base, plan.q, closed
-    )
+    failure = verify_approach(world, plan.T_world_base, plan.q, closed)
+    assert failure is not None and failure.kind == "approach_collision"
+    assert "the hand touches on its way in" in failure.text
     below = replace(good, T_world_base_start=moved_base(plan, np.array([0.0, 0.0, -0.2])))
-    fault = approach_fault(world, plan.T_world_base, plan.q, below)
-    assert "the hand touches on its way in" in fault
+    failure = verify_approach(world, plan.T_world_base, plan.q, below)
+    assert "the hand touches on its way in" in str(failure)
     turned = plan.T_world_base_start * SE3(pin.exp3(np.array([0.1, 0, 0])), np.zeros(3))
-    assert approach_fault(
-        world, plan.T_world_base, plan.q, replace(good, T_world_base_start=turned)
-    ) == ("the hand turns on its way in")
+    turning = replace(good, T_world_base_start=turned)
+    failure = verify_approach(world, plan.T_world_base, plan.q, turning)
+    assert str(failure) == "the hand turns on its way in"

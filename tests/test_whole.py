@@ -11,7 +11,7 @@ import mujoco
 import pytest
 import typer
 
-import planner.bridge.quiet  # noqa: F401 - what is tested
+import planner.bridge  # noqa: F401 - what is tested
 from planner.errors import FileFormatError
 from planner.files import plain_name, write_json
 from planner.files.whole import whole_file

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner import distribute_forces, parse_object
-from sim.manipulation import Pace, Push, manipulate, manipulation_task, plan_manipulation
+from planner import distribute_forces, manipulation_task, parse_object, plan_manipulation
+from sim.manipulation import Pace, Push, manipulate
 from sim.physics import PhysicsOptions
 
 HAND = "allegro_hand"

@@ -35,7 +35,7 @@ trials = {
     "object beside its place": Trial(replace(plan, task=moved), timeline=QUICK),
     "too little friction": Trial(plan, timeline=QUICK, physics=PhysicsOptions(mu=SLIPPERY)),
 }
-ghost = trials[f"{GHOST} does not collide"].scene
+ghost = trials[f"{GHOST} does not collide"].simulation.scene
 for geom, finger in ghost.finger_of_geom.items():
     if finger == GHOST:
         ghost.model.geom_contype[geom] = ghost.model.geom_conaffinity[geom] = 0

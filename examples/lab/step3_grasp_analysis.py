@@ -29,7 +29,7 @@ plan = plan_grasp(GraspTask.create(HAND, OBJECT), seed=0)
 task = plan.task
 trial = Trial(plan, timeline=Timeline(lift=0.5, hold=1.0))
 report = trial.run()
-contacts = merge_per_finger(hand_contacts(trial.scene, trial.data))
+contacts = merge_per_finger(hand_contacts(trial.simulation.scene, trial.simulation.data))
 print(f"{HAND} holds {OBJECT}: {report.success}")
 for i in range(len(contacts)):
     contact = contacts[i]
@@ -39,8 +39,8 @@ for i in range(len(contacts)):
 print(f"grasp matrix {contacts.grasp_map().shape}", end=", ")
 print(f"rank {np.linalg.matrix_rank(contacts.grasp_map())}")
 as_in_the_lab, force = np.zeros(3), np.zeros(6)
-for i, _geom, _sign in object_contacts(trial.scene, trial.data):
-    mujoco.mj_contactForce(trial.scene.model, trial.data, i, force)
+for i, _geom, _sign in object_contacts(trial.simulation.scene, trial.simulation.data):
+    mujoco.mj_contactForce(trial.simulation.scene.model, trial.simulation.data, i, force)
     as_in_the_lab += force[:3]
 weight = gravity_wrench(task.object.mass, task.gravity)
 print(f"the weight is       {np.round(weight[:3], 3) + 0.0} N")

@@ -14,9 +14,9 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from planner import parse_object
+from planner import manipulation_task, parse_object, plan_manipulation
 from planner.spatial import signed_twist
-from sim.manipulation import Pace, manipulate, manipulation_task, plan_manipulation
+from sim.manipulation import Pace, manipulate
 from sim.physics import PhysicsOptions
 
 HAND = "allegro_hand"

@@ -14,8 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner import SE3, parse_object
-from sim.manipulation import Pace, manipulate, manipulation_task, plan_manipulation
+from planner import SE3, manipulation_task, parse_object, plan_manipulation
+from sim.manipulation import Pace, manipulate
 from sim.physics import PhysicsOptions
 
 HAND = "allegro_hand"

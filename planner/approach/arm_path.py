@@ -16,7 +16,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from planner.collision.world import CollisionWorld, bounding_radius
+from planner.collision.world import Clearance, CollisionWorld, bounding_radius
+from planner.failure import Failure
 from planner.hands.hand import Hand
 from planner.immutable import freeze
 from planner.kinematics.arm_ik import LARGEST_TURN, palm_pose, straight_path
@@ -28,11 +29,11 @@ from planner.tolerances import PENETRATION_TOL
 __all__ = [
     "LIFT_HEIGHT",
     "ArmPath",
-    "approach_line_fault",
     "find_lift",
-    "lift_fault",
-    "path_fault",
     "retreats",
+    "verify_approach_line",
+    "verify_arm_path",
+    "verify_lift",
 ]
 
 LIFT_HEIGHT = 0.1
@@ -79,7 +80,7 @@ def retreats(
             yield path[::-1].copy()
 
 
-def find_lift(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> FloatArray | str:
+def find_lift(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> FloatArray | Failure:
     """Arm path (k, n) straight up from a grasp q (nq,) that touches nothing; or why there is none.
 
     The object moves with the palm. That it is clear of obstacles is not looked at, as it is not for
@@ -88,50 +89,62 @@ def find_lift(world: CollisionWorld, T_world_base: SE3, q: FloatArray) -> FloatA
     up = T_world_base.rotation.T @ np.array([0.0, 0.0, LIFT_HEIGHT])
     path = straight_path(world.task.hand, q, up)
     if path is None:
-        return f"the arm cannot lift the object straight by {LIFT_HEIGHT:g} m within its limits"
-    return lift_fault(world, T_world_base, q, path) or path
+        return Failure(
+            kind="arm_unreachable",
+            text=f"the arm cannot lift the object straight by {LIFT_HEIGHT:g} m within its limits",
+        )
+    return verify_lift(world, T_world_base, q, path) or path
 
 
-def lift_fault(world: CollisionWorld, T_world_base: SE3, q: FloatArray, path: FloatArray) -> str:
-    """What is wrong with a lift, "" if nothing is."""
-    hand = world.task.hand
+def verify_lift(
+    world: CollisionWorld, T_world_base: SE3, q: FloatArray, path: FloatArray
+) -> Failure | None:
+    """What is wrong with a lift (k, n) from a grasp q (nq,), None if nothing is."""
     up = np.array([0.0, 0.0, LIFT_HEIGHT])
-    fault = _line_fault(hand, T_world_base, q, path, up, "lift")
-    fault = fault or path_fault(world, T_world_base, q, path, clearance=0.0, held=True)
-    fault = fault or _torque_fault(world.task, T_world_base, q, path)
-    return f"the lift: {fault}" if fault else ""
+    failure = _verify_line(world.task.hand, T_world_base, q, path, up, "lift")
+    failure = failure or verify_arm_path(world, T_world_base, q, path, clearance=0.0, held=True)
+    failure = failure or _verify_torques(world.task, T_world_base, q, path)
+    return None if failure is None else failure.at("the lift")
 
 
-def approach_line_fault(hand: Hand, T_world_base: SE3, q: FloatArray, path: FloatArray) -> str:
-    """What is wrong with the line of an approach that ends at q (nq,), "" if nothing is."""
+def verify_approach_line(
+    hand: Hand, T_world_base: SE3, q: FloatArray, path: FloatArray
+) -> Failure | None:
+    """What is wrong with the line of an approach that ends at q (nq,), None if nothing is."""
     ends = path[[0, -1]] if path.ndim == 2 and len(path) else path
     if ends.shape != (2, len(hand.arm_index)):
-        return f"the approach has shape {path.shape}; it needs a column per joint of the arm"
+        text = f"the approach has shape {path.shape}; it needs a column per joint of the arm"
+        return Failure(kind="arm_path", text=text)
     first = q.copy()
     first[hand.arm_index] = ends[0]
     shift = palm_pose(hand, first).translation - palm_pose(hand, q).translation
-    return _line_fault(hand, T_world_base, q, path[::-1], T_world_base.rotation @ shift, "approach")
+    way = T_world_base.rotation @ shift
+    return _verify_line(hand, T_world_base, q, path[::-1], way, "approach")
 
 
-def _line_fault(
+def _verify_line(
     hand: Hand,
     T_world_base: SE3,
     q: FloatArray,
     path: FloatArray,
     shift: FloatArray,
     what: str,
-) -> str:
+) -> Failure | None:
     """Whether a path (m, n) that begins at q (nq,) is one the arm can go, straight by a shift."""
     index = hand.arm_index
+
+    def failure(text: str) -> Failure:
+        return Failure(kind="arm_path", text=text)
+
     if path.ndim != 2 or path.shape[1] != len(index) or len(path) < 2:
-        return f"its {what} has shape {path.shape}; it needs rows of {len(index)} joints"
+        return failure(f"its {what} has shape {path.shape}; it needs rows of {len(index)} joints")
     beyond = np.maximum(hand.q_lower[index] - path, path - hand.q_upper[index])
     if not beyond.max() <= LIMIT_TOL:
-        return f"a joint of the arm is {beyond.max():.1e} beyond its range"
+        return failure(f"a joint of the arm is {beyond.max():.1e} beyond its range")
     if np.abs(path[0] - q[index]).max() > LIMIT_TOL:
-        return "the arm's path does not meet the grasp"
+        return failure("the arm's path does not meet the grasp")
     if np.abs(np.diff(path, axis=0)).max() > LARGEST_TURN:
-        return "the arm's path jumps"
+        return failure("the arm's path jumps")
     begin, joints = palm_pose(hand, q), q.copy()
     goal = T_world_base.rotation.T @ shift
     for share, posture in zip(np.linspace(0.0, 1.0, len(path)), path, strict=True):
@@ -140,11 +153,13 @@ def _line_fault(
         off = float(np.linalg.norm(palm.translation - begin.translation - share * goal))
         turn = rotation_angle(begin.rotation.T @ palm.rotation)
         if off > LINE_TOL or turn > TURN_TOL:
-            return f"the palm leaves the line by {1e3 * off:.1f} mm and {np.rad2deg(turn):.1f} deg"
-    return ""
+            return failure(
+                f"the palm leaves the line by {1e3 * off:.1f} mm and {np.rad2deg(turn):.1f} deg"
+            )
+    return None
 
 
-def path_fault(
+def verify_arm_path(
     world: CollisionWorld,
     T_world_base: SE3,
     q: FloatArray,
@@ -152,8 +167,8 @@ def path_fault(
     *,
     clearance: float,
     held: bool = False,
-) -> str:
-    """What the arm or the hand comes nearer to than a clearance (m) along a path (m, n), or "".
+) -> Failure | None:
+    """What the arm or the hand comes nearer to than a clearance (m) along a path (m, n).
 
     Args:
         world: True geometry of the task.
@@ -182,7 +197,7 @@ def path_fault(
                 T_object = moved * T_world_base.inverse() * world.task.T_world_object
             nearest = world.nearest_on_arm(T_world_base, at, T_world_object=T_object)
             if nearest.distance < clearance - (PENETRATION_TOL if held else 0.0):
-                return f"{nearest}"
+                return _too_near(nearest)
             if sweep == 0.0:
                 break
             share += max(nearest.distance - clearance, LEAST_STEP) / sweep
@@ -190,11 +205,18 @@ def path_fault(
     if not held:
         nearest = world.nearest_on_arm(T_world_base, at)
         if nearest.distance < clearance:
-            return f"{nearest}"
-    return ""
+            return _too_near(nearest)
+    return None
 
 
-def _torque_fault(task: GraspTask, T_world_base: SE3, q: FloatArray, path: FloatArray) -> str:
+def _too_near(nearest: Clearance) -> Failure:
+    numbers = {"distance": nearest.distance}
+    return Failure(kind="arm_collision", text=str(nearest), numbers=numbers)
+
+
+def _verify_torques(
+    task: GraspTask, T_world_base: SE3, q: FloatArray, path: FloatArray
+) -> Failure | None:
     """Whether the arm's actuators carry arm, hand and object at rest along a path (m, n)."""
     hand, joints = task.hand, np.array(q, dtype=np.float64)
     arm = hand.actuation.moment[:, hand.arm_index].any(axis=1)
@@ -212,11 +234,13 @@ def _torque_fault(task: GraspTask, T_world_base: SE3, q: FloatArray, path: Float
         beyond = np.where(arm, np.maximum(low - force, force - high), -np.inf)
         worst = int(np.argmax(beyond))
         if beyond[worst] > 0:
-            return (
-                f"{hand.actuation.names[worst]} would have to give {force[worst]:.1f}, beyond its "
-                f"limits [{low[worst]:.1f}, {high[worst]:.1f}]"
+            return Failure(
+                kind="arm_torque",
+                text=f"{hand.actuation.names[worst]} would have to give {force[worst]:.1f}, beyond "
+                f"its limits [{low[worst]:.1f}, {high[worst]:.1f}]",
+                numbers={"force": float(force[worst])},
             )
-    return ""
+    return None
 
 
 class _Radii:

@@ -1,7 +1,7 @@
 """The pre-grasp and the way to it: fingers opened along the contact normals, then straight in.
 
 Both are part of a plan: a grasp that cannot be reached without touching is no plan. How the fingers
-open is the matter of ``planner.approach.open_fingers``; whether the way is free is looked at here,
+open is the matter of ``planner.approach.pregrasp_ik``; whether the way is free is looked at here,
 on the true geometry.
 """
 
@@ -15,18 +15,33 @@ import numpy as np
 
 from planner.approach.arm_path import (
     ArmPath,
-    approach_line_fault,
     find_lift,
-    lift_fault,
-    path_fault,
     retreats,
+    verify_approach_line,
+    verify_arm_path,
+    verify_lift,
 )
-from planner.approach.open_fingers import Opener, undetermined_joints
-from planner.collision.world import CollisionWorld
+from planner.approach.pregrasp_ik import Opener, undetermined_joints
+from planner.collision.world import Clearance, CollisionWorld
+from planner.failure import Failure
 from planner.spatial import SE3, FloatArray
 from planner.tolerances import JOINT_TOL
 
-__all__ = ["Approach", "approach_fault", "find_approach"]
+__all__ = ["APPROACH_KINDS", "Approach", "find_approach", "verify_approach"]
+
+APPROACH_KINDS = frozenset(
+    (
+        "approach_collision",
+        "approach_invalid",
+        "arm_collision",
+        "arm_path",
+        "arm_torque",
+        "arm_unreachable",
+        "closing_collision",
+        "pregrasp_unreachable",
+    )
+)
+"""Kinds of failure of an approach, an arm's lift included."""
 
 OPENINGS = (0.025, 0.02, 0.015, 0.01)
 """Distances (m) by which pads are opened along the normals, tried in this order. More room absorbs
@@ -64,7 +79,7 @@ def find_approach(
     T_world_base: SE3,
     q: FloatArray,
     normals: FloatArray,
-) -> Approach | str:
+) -> Approach | Failure:
     """A pre-grasp and a straight way in that touch nothing; or why there is none.
 
     Joints that actuators leave undetermined stay where the grasp has them if there is such a way:
@@ -76,10 +91,12 @@ def find_approach(
         q: Joints of the grasp (nq,).
         normals: Contact normals into the object (n, 3), world.
     """
-    reason = "the fingers cannot open along the contact normals"
-    carried = world.task.hand.arm is not None
-    lift = find_lift(world, T_world_base, q) if carried else None
-    if isinstance(lift, str):
+    failure: Failure | None = Failure(
+        kind="pregrasp_unreachable", text="the fingers cannot open along the contact normals"
+    )
+    on_arm = world.task.hand.arm is not None
+    lift = find_lift(world, T_world_base, q) if on_arm else None
+    if isinstance(lift, Failure):
         return lift
     openers = [Opener(world, T_world_base, q, normals)]
     loose = undetermined_joints(world.task.hand)
@@ -89,97 +106,117 @@ def find_approach(
         opened = opener.open(opening)
         if opened is None:
             continue
-        reason = _opened_fault(world, T_world_base, opened)
-        reason = reason or _closing_fault(world, T_world_base, q, opened)
-        if reason:
+        failure = _verify_opened(world, T_world_base, opened)
+        failure = failure or _verify_closing(world, T_world_base, q, opened)
+        if failure is not None:
             continue
         for approach in _ways_in(world, T_world_base, opened, opening, lift):
-            reason = _way_in_fault(world, T_world_base, q, approach)
-            if not reason:
+            failure = _verify_way_in(world, T_world_base, q, approach)
+            if failure is None:
                 return approach
-    return reason
+    return failure or Failure(
+        kind="arm_unreachable", text="the arm cannot come in straight within its limits"
+    )
 
 
-def approach_fault(
+def verify_approach(
     world: CollisionWorld, T_world_base: SE3, q: FloatArray, approach: Approach
-) -> str:
-    """What is wrong with an approach, "" if nothing is.
+) -> Failure | None:
+    """What is wrong with an approach, None if nothing is.
 
     The straight way in is checked without a gap: from a pose with clearance d the hand may move by
     d less ``APPROACH_CLEARANCE`` before it could touch. Closing is sampled, all fingers in step.
     An arm's lift is looked at too.
     """
-    fault = _way_in_fault(world, T_world_base, q, approach)
-    fault = fault or _closing_fault(world, T_world_base, q, approach.q)
-    if fault or approach.arm is None:
-        return fault
-    return lift_fault(world, T_world_base, q, approach.arm.lift)
+    failure = _verify_way_in(world, T_world_base, q, approach)
+    failure = failure or _verify_closing(world, T_world_base, q, approach.q)
+    if failure is not None or approach.arm is None:
+        return failure
+    return verify_lift(world, T_world_base, q, approach.arm.lift)
 
 
-def _way_in_fault(
+def _invalid(text: str) -> Failure:
+    return Failure(kind="approach_invalid", text=text)
+
+
+def _collision(near: Clearance) -> Failure:
+    return Failure(
+        kind="approach_collision",
+        text=f"the hand touches on its way in: {near}",
+        numbers={"distance": near.distance},
+    )
+
+
+def _verify_way_in(
     world: CollisionWorld, T_world_base: SE3, q: FloatArray, approach: Approach
-) -> str:
-    """What is wrong with the pre-grasp and the way there, "" if nothing is."""
+) -> Failure | None:
+    """What is wrong with the pre-grasp and the way there, None if nothing is."""
     hand = world.task.hand
     outside = np.maximum(hand.q_lower - approach.q, approach.q - hand.q_upper).max()
     matrix, value = hand.coupling_matrix
     if outside > JOINT_TOL or np.abs(matrix @ approach.q - value).max(initial=0.0) > JOINT_TOL:
-        return "the pre-grasp violates a joint limit or a coupling"
+        return _invalid("the pre-grasp violates a joint limit or a coupling")
     if hand.arm is not None:
-        fault = _carried_fault(world, T_world_base, q, approach)
-    elif approach.arm is not None:
-        fault = "there are paths of an arm, but the hand is not on one"
-    else:
-        fault = _straight_fault(world, T_world_base, approach)
-    return fault
+        return _verify_on_arm(world, T_world_base, q, approach)
+    if approach.arm is not None:
+        return _invalid("there are paths of an arm, but the hand is not on one")
+    return _verify_straight(world, T_world_base, approach)
 
 
-def _closing_fault(
+def _verify_closing(
     world: CollisionWorld, T_world_base: SE3, q: FloatArray, opened: FloatArray
-) -> str:
-    """What touches while the fingers close, "" if nothing does."""
+) -> Failure | None:
+    """What touches while the fingers close, None if nothing does."""
     for s in np.linspace(1.0, 0.0, CLOSING_SAMPLES, endpoint=False):
         touching = world.touching(T_world_base, q + s * (opened - q))
         if touching is not None and touching.distance <= 0.0:
-            return f"the fingers touch while they close: {touching}"
-    return ""
+            return Failure(
+                kind="closing_collision",
+                text=f"the fingers touch while they close: {touching}",
+                numbers={"distance": touching.distance},
+            )
+    return None
 
 
-def _opened_fault(world: CollisionWorld, T_world_base: SE3, opened: FloatArray) -> str:
-    """What the opened hand is too near to at the end of any way in, "" if nothing."""
+def _verify_opened(world: CollisionWorld, T_world_base: SE3, opened: FloatArray) -> Failure | None:
+    """What the opened hand is too near to at the end of any way in, None if nothing."""
     near = world.touching(
         T_world_base, opened, clearance=APPROACH_CLEARANCE, surroundings_only=True
     )
-    return f"the hand touches on its way in: {near}" if near is not None else ""
+    return None if near is None else _collision(near)
 
 
-def _carried_fault(
+def _verify_on_arm(
     world: CollisionWorld, T_world_base: SE3, q: FloatArray, approach: Approach
-) -> str:
-    """What is wrong with the paths of the arm, "" if nothing is."""
+) -> Failure | None:
+    """What is wrong with the paths of the arm, None if nothing is."""
     hand, arm = world.task.hand, approach.arm
     if arm is None:
-        return "the arm's way in and lift are missing"
+        return _invalid("the arm's way in and lift are missing")
     if not np.allclose(approach.T_world_base_start.homogeneous, T_world_base.homogeneous):
-        return "the root of the arm moves"
+        return _invalid("the root of the arm moves")
     if np.abs(approach.q - q)[hand.arm_index].max() > JOINT_TOL:
-        return "the arm moves while the fingers close"
-    fault = approach_line_fault(hand, T_world_base, approach.q, arm.approach)
-    if fault:
-        return fault
-    near = path_fault(world, T_world_base, approach.q, arm.approach, clearance=APPROACH_CLEARANCE)
-    return f"the hand touches on its way in: {near}" if near else ""
+        return _invalid("the arm moves while the fingers close")
+    failure = verify_approach_line(hand, T_world_base, approach.q, arm.approach)
+    if failure is not None:
+        return failure
+    near = verify_arm_path(
+        world, T_world_base, approach.q, arm.approach, clearance=APPROACH_CLEARANCE
+    )
+    return None if near is None else near.at("the hand touches on its way in")
 
 
-def _straight_fault(world: CollisionWorld, T_world_base: SE3, approach: Approach) -> str:
-    """What a floating hand touches on the straight way in, "" if nothing."""
+def _verify_straight(
+    world: CollisionWorld, T_world_base: SE3, approach: Approach
+) -> Failure | None:
+    """What a floating hand touches on the straight way in, None if nothing."""
     begin, end = approach.T_world_base_start, T_world_base
     if not np.allclose(begin.rotation, end.rotation, atol=SAME_ROTATION):
-        return "the hand turns on its way in"
+        return _invalid("the hand turns on its way in")
     # from the grasp outwards: what touches mostly touches there
     back = begin.translation - end.translation
     near = world.undercut_on_way(end, approach.q, back, APPROACH_CLEARANCE)
-    return f"the hand touches on its way in: {near}" if near is not None else ""
+    return None if near is None else _collision(near)
 
 
 SAME_ROTATION = 1e-9

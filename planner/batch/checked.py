@@ -1,7 +1,7 @@
-"""Rows of a dataset as they are read: damaged ones are named, not passed on.
+"""Checks of the rows of a dataset as they are read.
 
-Parquet files are changed by other programs too, and disks lose bits. Whatever is wrong with a file
-or a row becomes one error, here, before anything is computed from it.
+Other programs change Parquet files too, and disks lose bits. A damaged file or row becomes one
+error here, before anything is computed from it.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def reading(path: Path | str) -> Iterator[None]:
 def checked_row(
     row: dict[str, Any], nq: int, labels: Collection[str], *, source: Path | str
 ) -> dict[str, Any]:
-    """A row that has everything that its kind has, with finite numbers.
+    """A row with every column of its kind, and finite numbers.
 
     Args:
         row: As plain data; see ``rows.grasp_schema``.
@@ -47,7 +47,7 @@ def checked_row(
         source: Where it was read, for the error.
 
     Raises:
-        FileFormatError: It has not.
+        FileFormatError: A column is missing or unsound.
     """
     wanted = _ALWAYS | (_found(nq) if row.get("found") is True else {})
     for name, fits in wanted.items():
@@ -66,10 +66,10 @@ def checked_row(
 
 
 def check_fingers(row: dict[str, Any], names: Sequence[str], *, source: Path | str) -> None:
-    """See that a row has a contact of each finger of its task, or of those that it names.
+    """Refuse a row without one contact for each finger of its task, or of those that it names.
 
     Raises:
-        FileFormatError: It has not.
+        FileFormatError: Contacts and fingers do not match.
     """
     fingers = row.get("fingers") or names
     if len(row["contact_positions_object_m"]) != len(fingers) or not set(fingers) <= set(names):
@@ -128,7 +128,7 @@ _ALWAYS: dict[str, Callable[[Any], bool]] = {
 
 
 def _found(nq: int) -> dict[str, Callable[[Any], bool]]:
-    """What a row with a grasp has besides."""
+    """Further columns of a row with a grasp."""
     poses = {f"{name}_position_object_m": _numbers(3) for name in ("base", "start")}
     turns = {f"{name}_quaternion_object_wxyz": _quaternion for name in ("base", "start")}
     joints = {name: _numbers(nq) for name in ("q_rad", "q_pregrasp_rad", "joint_torques_N_m")}

@@ -21,10 +21,11 @@ from planner.batch.rows import arrow, attempt_rows, attempt_schema, grasp_schema
 from planner.batch.store import ATTEMPTS, GRASPS, JOURNAL, shard_file, waiting_rows, whole_shards
 from planner.batch.thinning import thin
 from planner.errors import FileFormatError, NotFoundError
+from planner.failure import Failure
 from planner.plan import GraspPlan, SolveRecord
 from planner.spatial import SE3, IntArray, pose_from_wxyz
 from planner.task import GraspTask
-from planner.verification.grasp import judge_grasp
+from planner.verification.grasp import verify_grasp
 
 __all__ = ["GraspSet"]
 
@@ -71,7 +72,7 @@ class GraspSet:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """What the objects are called."""
+        """Labels of the objects."""
         return tuple(item.label for item in self.manifest.objects)
 
     @property
@@ -146,7 +147,7 @@ class GraspSet:
             arm = ArmPath(
                 approach=np.array(row["arm_approach_q_rad"]), lift=np.array(row["arm_lift_q_rad"])
             )
-        plan = judge_grasp(
+        plan = verify_grasp(
             task,
             task.T_world_object * _pose(row, "base"),
             task.hand.checked_q(row["q_rad"], "q_rad"),
@@ -166,7 +167,7 @@ class GraspSet:
                 arm=arm,
             ),
         )
-        if isinstance(plan, str):
+        if isinstance(plan, Failure):
             raise FileFormatError(f"{where} fails its checks: {plan}; plan it again")
         return plan
 
@@ -184,7 +185,7 @@ class GraspSet:
             first += table.num_rows
 
     def features(self, label: str, *, most: int = MOST_COMPARED) -> GraspFeatures:
-        """What grasps of an object are compared by: the first found ones, in order of k."""
+        """Features of an object's first found grasps, in order of k."""
         rows = [row for _, row in islice(self.found(label), most)]
         return self._compared(label, rows)
 

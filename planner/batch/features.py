@@ -1,4 +1,4 @@
-"""What grasps of one object are compared by: where the hand stands, touches, and how it is bent.
+"""Features by which grasps of one object are compared: base, contacts and joints.
 
 All in the object's frame, so that where the object lies in the world makes no difference.
 """
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from planner.errors import TaskError
+from planner.failure import Failure
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, pose_from_wxyz
@@ -122,7 +123,7 @@ class GraspFeatures:
             if len(starts) == n:
                 break
             start = seeder.draw(rng)
-            if not isinstance(start, str):
+            if not isinstance(start, Failure):
                 starts.append(start)
         else:
             raise TaskError(

@@ -1,7 +1,7 @@
-"""What a batch consists of: requests with seeds of their own, and the function that plans one.
+"""The requests of a batch, each with its own seed, and the function that plans one.
 
 A request's seed follows from the batch's seed, the object's shape and the grasp's number alone.
-Which worker plans it, when, and what else is in the batch makes no difference.
+It does not depend on the worker, the order, or the rest of the batch.
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from planner.batch.recipe import recipe_of, shape_key, task_of
+from planner.batch.recipe import recipe_of, task_of
 from planner.batch.rows import failed_row, found_row
 from planner.errors import NoGraspFoundError, PlannerError
 from planner.plan import GraspPlan
 from planner.search import Attempt, plan_grasp
+from planner.shapes import shape_key
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
 
@@ -36,7 +37,7 @@ class BatchObject:
     Attributes:
         label: What it is called; no two of a batch are called the same.
         recipe: Its task as text (``planner.batch.recipe``).
-        key: What identifies its shape, hexadecimal (``planner.batch.recipe.shape_key``).
+        key: What identifies its shape, hexadecimal (``planner.shapes.shape_key``).
     """
 
     label: str
@@ -145,7 +146,9 @@ def plan_row(job: Job) -> dict[str, Any]:
                 progress=note,
             )
         except NoGraspFoundError:
-            return failed_row(job.index, job.object.label, job.k, job.seed, made[-1].reason, made)
+            return failed_row(
+                job.index, job.object.label, job.k, job.seed, str(made[-1].failure), made
+            )
         except PlannerError as error:
             return failed_row(job.index, job.object.label, job.k, job.seed, str(error), made)
         return found_row(job.index, job.object.label, job.k, plan, made)
@@ -153,7 +156,10 @@ def plan_row(job: Job) -> dict[str, Any]:
 
 @lru_cache(maxsize=1)
 def end_with(parent: int) -> None:
-    """End this worker when the process that started it is killed; idle ones would wait on."""
+    """End this worker when the process that started it is killed.
+
+    By hand: joblib's workers wait for their next job until they time out, minutes later.
+    """
 
     def watch() -> None:
         while os.getppid() == parent:

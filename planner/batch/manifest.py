@@ -25,11 +25,11 @@ SHARD_ROWS = 1000
 """Rows per Parquet file, about 1 MB: few files for many grasps, and few rows in memory."""
 
 MOST_DIFFERENCES = 4
-"""Differences between two manifests that a message tells."""
+"""Most differences between two manifests in one message."""
 
 
 class ManifestObject(Recipe):
-    """One object: what it is called, and its task."""
+    """One object: its label and its task."""
 
     label: str
 
@@ -40,7 +40,7 @@ class ManifestObject(Recipe):
 
 
 class Manifest(StrictData):
-    """What a batch was asked for.
+    """The request of a batch.
 
     Version 1, of which rows do not say whose they are nor with which fingers they grasp, is read,
     but not gone on with.
@@ -61,7 +61,7 @@ class Manifest(StrictData):
 
     @property
     def digest(self) -> str | None:
-        """What rows name their manifest by, SHA-256 in hexadecimal; None for version 1."""
+        """SHA-256 by which rows name their manifest, hexadecimal; None for version 1."""
         return None if self.version == 1 else sha256(self.model_dump_json().encode()).hexdigest()
 
     @property
@@ -79,16 +79,16 @@ class Manifest(StrictData):
         return min(self.shard_rows, self.total - shard * self.shard_rows)
 
     def refuse_unless_same(self, asked: Manifest, folder: Path) -> None:
-        """Check that what is asked for is what the folder was begun with.
+        """Refuse another request than the one that the folder was begun with.
 
         Raises:
-            FileFormatError: It is not; says what differs.
+            FileFormatError: Another request; lists the differences.
         """
-        told = list(_differences("", self.model_dump(), asked.model_dump()))
-        if told:
-            more = len(told) - MOST_DIFFERENCES
+        found = list(_differences("", self.model_dump(), asked.model_dump()))
+        if found:
+            more = len(found) - MOST_DIFFERENCES
             raise FileFormatError(
-                f"{folder} holds another batch: {'; '.join(told[:MOST_DIFFERENCES])}"
+                f"{folder} holds another batch: {'; '.join(found[:MOST_DIFFERENCES])}"
                 + (f"; and {more} more" if more > 0 else "")
                 + ". Ask for the same to go on with it, or name another folder"
             )
@@ -107,7 +107,7 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def _differences(where: str, there: Any, asked: Any) -> Any:
-    """Sentences about what differs between two values of plain data."""
+    """Sentences about the differences of two values of plain data."""
     if isinstance(there, dict) and isinstance(asked, dict):
         for key in dict.fromkeys((*there, *asked)):
             inner = f"{where}.{key}" if where else str(key)

@@ -1,4 +1,4 @@
-"""Jobs through joblib: results as they are finished, whatever becomes of the workers.
+"""Jobs through joblib: results as they are finished, even if workers die.
 
 joblib's backends carry the same jobs to processes ("loky"), threads ("threading") and, where they
 are installed, to a cluster ("dask", "ray"). A worker that dies takes no result of others with it:
@@ -20,8 +20,8 @@ import joblib
 from planner.arrays import checked_count
 from planner.batch.jobs import Job, plan_row
 from planner.batch.rows import failed_row
-from planner.batch.safe_path import safe_path
 from planner.errors import TaskError
+from planner.system.environment import safe_path
 
 __all__ = ["check_backend", "finished", "planned_rows"]
 
@@ -36,7 +36,7 @@ MOST_WORKERS = 1024
 """Most processes of a pool: each takes some 200 MB."""
 
 AT_ONCE = 4
-"""Jobs per worker that a backend without a stream of results gets at a time."""
+"""Jobs per worker and wave for a backend without a stream of results."""
 
 
 def check_backend(backend: str, workers: int) -> None:
@@ -115,7 +115,7 @@ def finished(
 
 
 def _numbered(work: Callable[[Item], Result], number: int, job: Item) -> tuple[int, Result]:
-    """What a worker does."""
+    """A job's number and result, in a worker."""
     return number, work(job)
 
 

@@ -7,8 +7,6 @@ the same task to the last bit, so that a request is planned as ``plan_grasp`` pl
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -23,16 +21,15 @@ from planner.forces.grip import ExpectedLoad
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.schema import StrictData, faults_of
-from planner.shapes import Mesh, Shape, shape_to_dict
 from planner.spatial import SE3
 from planner.system.threads import made_once
 from planner.task import GraspTask
 
-__all__ = ["Recipe", "label_of", "recipe_of", "shape_key", "task_of", "with_fingers_of"]
+__all__ = ["Recipe", "label_of", "recipe_of", "task_of", "with_fingers_of"]
 
 
 class Recipe(StrictData):
-    """A task as it is searched for: what a plan file says of it, and what the search needs beside.
+    """A task before its search: the task of a plan file, and what only the search needs.
 
     Attributes:
         task: As in plan files.
@@ -152,13 +149,6 @@ def _hand(name: str) -> Hand:
 
 
 def label_of(task: GraspTask) -> str:
-    """What an object is called in a batch: its name, or kind and sizes if it has no other name."""
+    """Label of an object in a batch: its name, or kind and sizes if it has no other name."""
     item = task.object
     return item.shape.spec if item.name == item.shape.kind else item.name
-
-
-def shape_key(shape: Shape) -> str:
-    """What identifies a shape wherever its file is: SHA-256, hexadecimal."""
-    if isinstance(shape, Mesh) and shape.kind == Mesh.kind:
-        return shape.digest
-    return hashlib.sha256(json.dumps(shape_to_dict(shape), sort_keys=True).encode()).hexdigest()

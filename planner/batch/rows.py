@@ -55,7 +55,7 @@ def failed_row(
         "reason": reason,
         "attempts": len(made),
         "cpu_s": sum(a.cpu_s for a in made),
-        "tries": [(a.reason, a.cpu_s) for a in made],
+        "tries": [(str(a.failure or ""), a.cpu_s) for a in made],
     }
 
 
@@ -78,7 +78,7 @@ def found_row(
         "reason": "",
         "attempts": len(made),
         "cpu_s": sum(a.cpu_s for a in made),
-        "tries": [(a.reason, a.cpu_s) for a in made],
+        "tries": [(str(a.failure or ""), a.cpu_s) for a in made],
         "fingers": list(task.finger_names),
         "base_position_object_m": base[0].tolist(),
         "base_quaternion_object_wxyz": base[1].tolist(),

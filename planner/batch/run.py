@@ -141,10 +141,10 @@ def _fill(
     rows: Iterable[dict[str, Any]],
     progress: Callable[[BatchProgress], None] | None,
 ) -> None:
-    """Store rows as they come, and tell how far it is."""
+    """Store rows as they come, and report progress."""
     kept, found, begin = len(store), 0, time.monotonic()
 
-    def tell() -> None:
+    def report() -> None:
         if progress is not None:
             progress(
                 BatchProgress(
@@ -156,19 +156,20 @@ def _fill(
                 )
             )
 
-    tell()
+    report()
     for row in rows:
         store.add(row)
         found += row["found"]
-        tell()
+        report()
 
 
 def _tasks(
     hand: Hand | str | Path, objects: Sequence[str | GraspObject | GraspTask]
 ) -> dict[str, GraspTask]:
-    """The tasks by what their objects are called.
+    """The tasks by the labels of their objects.
 
-    They are made from their own text, as workers make them: what cannot be made ends here.
+    They are made from their own text, as workers make them, so that a task without a text is
+    refused here.
     """
     if isinstance(objects, str | GraspObject | GraspTask):
         raise TaskError(f"objects is {objects!r}; give a list, even of one")

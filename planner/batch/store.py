@@ -1,10 +1,10 @@
-"""A folder that grasps are added to one by one, and that survives being interrupted anywhere.
+"""The folder of a batch: grasps are added one by one, and an interruption anywhere loses none.
 
 A row is safe once ``add`` returns: it is a line of the journal. When all rows of a shard are there
 they become a Parquet file, which appears whole or not at all, and leave the journal. Shards divide
 the requests by their number, so the files of a finished batch do not depend on who finished when.
 Rows and files name the manifest that they were planned for, by its digest, so that no row is ever
-taken for that of another batch. What is in memory are the rows of unfinished shards.
+taken for that of another batch. Memory holds the rows of unfinished shards only.
 
     manifest.json             what was asked for
     grasps/part-000000.parquet    one row per requested grasp, sorted by object and k
@@ -25,6 +25,7 @@ from planner.batch.manifest import MANIFEST, Manifest, read_manifest
 from planner.batch.rows import arrow, attempt_rows, attempt_schema
 from planner.errors import FileFormatError
 from planner.files import write_json
+from planner.files.whole import PART
 
 __all__ = ["ATTEMPTS", "GRASPS", "Store", "shard_file", "waiting_rows", "whole_shards"]
 
@@ -34,7 +35,7 @@ GRASPS, ATTEMPTS = "grasps", "attempts"
 JOURNAL, LOCK, PARTIAL = "journal.jsonl", "lock", "partial.tmp"
 
 OWNER = "manifest_sha256"
-"""What the digest of a row's manifest is called, in the journal and in the files' metadata."""
+"""Key of the manifest's digest in the journal and in the files' metadata."""
 
 
 def shard_file(folder: Path, table: str, shard: int) -> Path:
@@ -234,7 +235,7 @@ def _refuse_rows(folder: Path) -> None:
     """Check that a folder without a manifest holds no rows either.
 
     Raises:
-        FileFormatError: It does; nobody can tell what they are.
+        FileFormatError: It does; without a manifest their tasks are unknown.
     """
     journal = folder / JOURNAL
     rows = [journal] if journal.exists() and journal.stat().st_size else []
@@ -258,8 +259,8 @@ def _replace(folder: Path, target: Path, write: Callable[[Path], None]) -> None:
 
 
 BEGUN = {LOCK, GRASPS, ATTEMPTS, JOURNAL, PARTIAL}
-"""What a folder may hold where a batch was killed before its manifest was there, beside that file
-under another name."""
+"""What a folder may hold where a batch was killed before its manifest was there, beside the part of
+that file that was written (``files.whole_file``)."""
 
 
 def _locked(folder: Path) -> int:
@@ -273,7 +274,7 @@ def _locked(folder: Path) -> int:
         there = {p.name for p in folder.iterdir()}
         if MANIFEST not in there:
             _refuse_rows(folder)
-            if not all(name in BEGUN or name.startswith(MANIFEST) for name in there):
+            if not all(name in BEGUN or PART.fullmatch(name) for name in there):
                 raise FileFormatError(
                     f"{folder} holds files but no batch; name a new or an empty folder"
                 )

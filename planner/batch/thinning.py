@@ -2,7 +2,7 @@
 
 Two grasps of one object are near-duplicates if base position, base rotation, every contact and
 every joint agree within tolerances. Grasps that a symmetry of the object turns into each other are
-not: the hand stands elsewhere, and whoever learns from or chooses among grasps wants both.
+not: the hand stands elsewhere, which matters for learning and for choosing among grasps.
 """
 
 from __future__ import annotations

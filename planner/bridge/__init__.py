@@ -1,10 +1,19 @@
-"""The one door to MuJoCo in ``planner``: compiled models become Pinocchio and coal models here."""
+"""The one door to MuJoCo in ``planner``: compiled models become Pinocchio and coal models here.
 
-import planner.bridge.quiet  # sets MuJoCo's handler of warnings  # noqa: F401
+MuJoCo's warnings go to the logger ``planner.bridge`` at level DEBUG, not to a file MUJOCO_LOG.TXT
+in the current folder: numbers that diverge are read from ``data.warning``. MuJoCo has one handler
+of warnings per process. A handler that a user sets after this import, or
+``mujoco.set_mju_user_warning(None)`` for MuJoCo's own, stays.
+"""
+
+import logging
+
+import mujoco
+
 from planner.bridge.actuation import actuation_from_mujoco
-from planner.bridge.couplings import couplings_from_mujoco
 from planner.bridge.decompile import spec_from_model
 from planner.bridge.geometry import LinkGeometry, hand_geometries
+from planner.bridge.joint_rows import couplings_from_mujoco
 from planner.bridge.load import compile_spec, load_spec
 from planner.bridge.mirror import mirror_spec
 from planner.bridge.motors import motorise_spec
@@ -27,3 +36,7 @@ __all__ = [
     "prepare_spec",
     "spec_from_model",
 ]
+
+_logger = logging.getLogger("planner.bridge")
+
+mujoco.set_mju_user_warning(lambda message: _logger.debug("MuJoCo: %s", message))

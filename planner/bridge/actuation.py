@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.actuation import STOP_TOL, Actuation
-from planner.bridge.couplings import couplings_from_mujoco
-from planner.bridge.moments import actuator_row, tendon_row
+from planner.bridge.joint_rows import actuator_row, couplings_from_mujoco, tendon_row
 from planner.errors import ModelError
 from planner.spatial import FloatArray
 

@@ -29,13 +29,13 @@ __all__ = [
 RIGID_SOLREF = (0.004, 1.0)
 RIGID_SOLIMP = (0.99, 0.99, 0.001, 0.5, 2.0)
 """Time constant (s) and damping ratio, and impedance (-), of a coupling that is a gear: two steps
-of 2 ms, the stiffest that MuJoCo takes. Under a torque t it gives way by t (1 - d) / (d k m), where
+of 2 ms, the stiffest that MuJoCo takes. Under a torque t it yields by t (1 - d) / (d k m), where
 m is the inertia of the joint, d the impedance and k = 1 / (d time constant^2) (MuJoCo
 documentation, solver parameters): 0.2 N m on 2e-4 kg m^2 by 0.2 mrad, against 20 mrad with MuJoCo's
 defaults."""
 
 IMPOSSIBLE_INERTIA = "A + B >= C"
-"""What MuJoCo writes when it refuses moments of inertia, the largest above the sum of the others.
+"""MuJoCo's message when it refuses moments of inertia, the largest above the sum of the others.
 """
 
 _ROS_SCHEME = re.compile(r"package:/{1,2}")  # MuJoCo drops one of the two slashes of a URL
@@ -212,7 +212,7 @@ def _ros_file(inside: str, urdf: Path) -> Path:
 
 
 def _remedy(message: str) -> str:
-    """What to do about the refusals of MuJoCo that foreign models run into."""
+    """Remedies for the refusals of MuJoCo that foreign models meet."""
     if IMPOSSIBLE_INERTIA in message or "balanceinertia" in message:
         return "; write balance_inertia = true under [repair] in the hand.toml"
     if "coplanar" in message:

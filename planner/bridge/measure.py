@@ -1,4 +1,4 @@
-"""What MuJoCo finds at one configuration of a model: places, contacts, distances, inertias."""
+"""MuJoCo at one configuration of a model: body positions, contacts, distances, inertias."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FURTHEST = 1.0
 
 
 def joint_inertia(model: Any, q: FloatArray) -> FloatArray:
-    """Diagonal (nv,) of the mass matrix at q (nv,), kg m^2 (kg): what each servo has to move."""
+    """Diagonal (nv,) of the mass matrix at q (nv,), kg m^2 (kg): the inertia at each servo."""
     data = mujoco.MjData(model)
     data.qpos[:] = q
     mujoco.mj_forward(model, data)

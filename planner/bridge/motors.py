@@ -1,9 +1,9 @@
 """A hand with a torque motor on every joint, from a model with servos and tendons.
 
 A motor's torque is its command, within what the actuators of the model can make at that joint: the
-sum over them of the moment arm times the force range. A tendon over two joints so becomes a motor
-on each, and joints that are tied keep their own as well: torque that acts where it is wanted need
-not pass through a tie, which gives way a little (``planner.bridge.load.RIGID_SOLREF``).
+sum over them of the moment arm times the force range. A tendon over two joints becomes a motor on
+each, and tied joints keep their own as well: torque at the joint itself need not pass through a
+tie, which yields a little (``planner.bridge.load.RIGID_SOLREF``).
 
 Equalities stay, with the tendons that they hold. All other tendons go, with their stops and
 springs; a stop that must remain is described as a coupling.

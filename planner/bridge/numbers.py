@@ -1,7 +1,7 @@
 """``check_numbers``: every number of a compiled hand is finite and of a size that a hand can have.
 
-MuJoCo compiles ``inf``, ``nan`` and links of 1e11 kg without a word. What is measured on such a
-model afterwards is NaN, or no least squares ends.
+MuJoCo compiles ``inf``, ``nan`` and links of 1e11 kg without a warning. Results on such a model are
+NaN, or least squares do not end.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ MOST_GAIN = 1e9
 
 @dataclass(frozen=True)
 class _Quantity:
-    """What is looked at: arrays of ``mujoco.MjModel`` by the kind of part that they belong to."""
+    """One check: arrays of ``mujoco.MjModel`` by the kind of part that they belong to."""
 
     kind: str
     field: str

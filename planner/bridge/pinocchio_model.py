@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from planner.bridge.moments import actuator_row
+from planner.bridge.joint_rows import actuator_row
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 
 __all__ = ["body_name", "effort_limits", "joint_name", "pinocchio_from_mujoco", "site_name"]

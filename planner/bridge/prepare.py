@@ -1,4 +1,4 @@
-"""From a model as somebody else wrote it to the model of a hand alone: repaired, isolated, named.
+"""From a foreign model to the model of a hand alone: repaired, isolated, named.
 
 ``isolate_base`` and ``name_parts`` need no description, so that one can be proposed from what they
 leave; ``repair_spec`` and ``add_described_parts`` do what a description asks for. All change a
@@ -13,8 +13,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from planner.bridge.joint_rows import tendon_row
 from planner.bridge.load import RIGID_SOLIMP, RIGID_SOLREF, compile_spec
-from planner.bridge.moments import tendon_row
 from planner.bridge.numbers import check_repeated_names, check_sizes
 from planner.description import ActuatorDescription, HandDescription
 from planner.errors import HandError, NotFoundError
@@ -119,7 +119,7 @@ def name_parts(spec: Any) -> None:
 
 
 def repair_spec(spec: Any, description: HandDescription, what: str) -> None:
-    """Do what ``[repair]`` and ``[joint_defaults]`` ask of the parts of a named model.
+    """Apply ``[repair]`` and ``[joint_defaults]`` to the parts of a named model.
 
     Raises:
         NotFoundError: A geom, an equality or a body that the model does not have.
@@ -146,7 +146,7 @@ def repair_spec(spec: Any, description: HandDescription, what: str) -> None:
 
 
 def add_described_parts(spec: Any, description: HandDescription, what: str) -> None:
-    """Add what the model lacks: tip sites, servos, equalities.
+    """Add tip sites, servos and equalities that the model does not have.
 
     Raises:
         NotFoundError: A body, joint or tendon that the model does not have.

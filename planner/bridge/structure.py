@@ -1,7 +1,7 @@
-"""The structure of a compiled MuJoCo model as plain data: what a hand description is proposed from.
+"""The structure of a compiled MuJoCo model as plain data, from which descriptions are proposed.
 
-Bodies, joints, geoms, sites, actuators and fixed tendons with the numbers that tell a finger from
-a wrist, a pad from a shell, or a servo from a spring. No decision is made here.
+Bodies, joints, geoms, sites, actuators and fixed tendons with the numbers that distinguish a finger
+from a wrist, a pad from a shell, or a servo from a spring. No decision is made here.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 
 from planner.bridge.decompile import spec_from_model
+from planner.bridge.joint_rows import actuator_row, is_fixed_tendon, tendon_row
 from planner.bridge.load import load_spec
-from planner.bridge.moments import actuator_row, is_fixed_tendon, tendon_row
 from planner.bridge.pinocchio_model import body_name
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
 

@@ -27,7 +27,7 @@ import numpy as np
 from planner.certify.errors import random_directions, rotations
 from planner.certify.turning import largest_turn
 from planner.contacts import ContactSet
-from planner.shapes import Mesh, Shape
+from planner.shapes import Shape
 from planner.spatial import FloatArray
 
 __all__ = ["PoseError", "PoseErrors"]
@@ -64,7 +64,7 @@ class PoseErrors:
         nearest = at_nearest(shape, contacts, centers)
         off = np.linalg.norm(nearest.positions - contacts.positions, axis=1).max(initial=0.0)
         reason = ""
-        if isinstance(shape, Mesh):
+        if not shape.convex:
             reason = "a mesh may be concave, where the nearest point of the surface can jump"
         elif off > AGREEMENT:
             reason = (

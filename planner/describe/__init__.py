@@ -1,9 +1,9 @@
-"""Hand descriptions from a model's structure, and what is to be said of a description."""
+"""Hand descriptions proposed from a model's structure, and checks of descriptions."""
 
+from planner.describe.cached import proposed_description
 from planner.describe.check import check_hand
-from planner.describe.kept import proposed_description
-from planner.describe.proposal import Proposal, Reason
 from planner.describe.propose import propose
+from planner.describe.reasons import Proposal, Reason
 from planner.describe.report import CheckReport, Finding
 from planner.describe.write import description_text, write_description, write_proposal
 

@@ -1,4 +1,4 @@
-"""Palm and fingers of a hand as lines of its description: which, what they are called, where."""
+"""Palm and fingers of a hand as lines of its description: their bodies, names and places."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from planner.bridge.structure import ModelStructure
 from planner.describe.fingertips import Fingertip, Skeleton, fingertip_of
 from planner.describe.pads import FIT_TOL, PadFit, fit_pad
-from planner.describe.proposal import Notes
+from planner.describe.reasons import Notes
 from planner.describe.tree import Branch, HandTree
 from planner.description import FingerDescription, PadDescription, TipDescription
 from planner.errors import HandError

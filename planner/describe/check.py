@@ -1,4 +1,4 @@
-"""``check_hand``: what the planner will see of a hand, and what stands in its way."""
+"""``check_hand``: a hand as the planner sees it, and all that prevents or hinders planning."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ import pinocchio as pin
 
 from planner.bridge.measure import body_positions, geom_distance, touching_geoms
 from planner.bridge.pinocchio_model import body_name
-from planner.describe.gaps import TOUCHING
 from planner.describe.grip import check_pads, check_postures
-from planner.describe.overlaps import check_overlaps
+from planner.describe.overlaps import TOUCHING, check_overlaps
 from planner.describe.report import CheckReport, Finding, JointRow, TouchRow, WorkspaceRow
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
@@ -21,7 +20,7 @@ from planner.spatial import SE3, FloatArray
 __all__ = ["check_hand"]
 
 SAMPLES = 500
-"""Random configurations from which a finger's workspace is told."""
+"""Random configurations that sample a finger's workspace."""
 
 STANDARD_GRAVITY = 9.81
 """m/s^2."""

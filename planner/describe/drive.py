@@ -15,7 +15,7 @@ from scipy.optimize import linprog
 
 from planner.bridge.structure import ModelStructure, TendonPart
 from planner.couplings import Coupling
-from planner.describe.proposal import Reason
+from planner.describe.reasons import Reason
 from planner.description import ActuatorDescription, CouplingDescription
 from planner.spatial import FloatArray
 

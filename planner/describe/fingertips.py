@@ -28,7 +28,7 @@ LEAST_LEVER = 0.5
 twists or spreads it."""
 
 ONE_SIDED = 1.25
-"""A range tells the closing side if one side is this many times the other."""
+"""Ratio of the two sides of a joint's range from which on the longer one is the closing side."""
 
 
 class Skeleton:
@@ -87,7 +87,7 @@ class Fingertip:
         flexion: (3,), unit, orthogonal to the bone: the way the end moves when the finger closes.
         end: (3,), m: the middle of the end.
         flexion_joint: Number of the joint that bends the end.
-        certain: Whether the joint's range told the sign.
+        certain: Whether the joint's range decides the sign.
     """
 
     joint_id: int
@@ -124,11 +124,11 @@ def fingertip_of(skeleton: Skeleton, branch: Branch, others: FloatArray | None) 
             break
     way /= np.linalg.norm(way)
     low, high = skeleton.q_lower[joint], skeleton.q_upper[joint]
-    tells = skeleton.is_hinge(joint) and max(abs(low), abs(high)) > ONE_SIDED * min(
+    decides = skeleton.is_hinge(joint) and max(abs(low), abs(high)) > ONE_SIDED * min(
         abs(low), abs(high)
     )
     sign = 1.0 if abs(high) >= abs(low) else -1.0
-    if not tells and others is not None:
+    if not decides and others is not None:
         toward = poses[joint_id].actInv(others) - end
         sign = 1.0 if toward @ way >= 0 else -1.0
     return Fingertip(
@@ -137,7 +137,7 @@ def fingertip_of(skeleton: Skeleton, branch: Branch, others: FloatArray | None) 
         flexion=sign * way,
         end=end,
         flexion_joint=joint,
-        certain=tells,
+        certain=decides,
     )
 
 

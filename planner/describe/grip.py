@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from planner.describe.convex_links import ConvexLink, cone_directions
-from planner.describe.gaps import TOUCHING
+from planner.describe.overlaps import TOUCHING
 from planner.describe.postures import PostureSolver
 from planner.describe.report import Finding, PadRow, PostureRow
 from planner.hands.fingers import Finger
@@ -18,8 +18,8 @@ from planner.spatial import FloatArray
 __all__ = ["check_pads", "check_postures"]
 
 LEAST_PRESS = 1.5
-"""Force (N) that a pad should be able to press with in the pinch posture: what a default grasp of
-100 g asks of each finger."""
+"""Force (N) that a pad should reach in the pinch posture: the share of each finger in a default
+grasp of 100 g."""
 
 MOST_PRESS = 100.0
 """Force (N) up to which pressing is looked at."""
@@ -86,7 +86,7 @@ def check_pads(hand: Hand, findings: list[Finding]) -> tuple[PadRow, ...]:
                 findings.append(
                     Finding(
                         level="error",
-                        what=f"it cannot be told how hard {finger.name} presses",
+                        what=f"the pressing force of {finger.name} is unknown",
                         what_to_do="pads of the pinch posture must lie apart, and every actuator "
                         "needs finite forces",
                     )

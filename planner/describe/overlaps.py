@@ -1,26 +1,35 @@
-"""Parts of a hand that overlap in many of the postures that grasps start from.
+"""Distances between the parts of a hand, and parts that overlap in many postures of grasps.
 
 A start lies between the postures ``open`` and ``pinch``, or a little beyond, with every joint moved
 at random. Where two links overlap in a large share of such postures, that share of the attempts is
-lost before it begins, and nothing else says why.
+lost before it begins, without any other sign.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
 
+import coal
 import numpy as np
 import pinocchio as pin
 
+from planner.bridge import LinkGeometry
 from planner.couplings import nearest_on_couplings
-from planner.describe.gaps import TOUCHING, HandGaps
 from planner.describe.report import Finding
 from planner.hands.hand import Hand
+from planner.proximity.convex import DistancePair
+from planner.spatial import SE3, FloatArray
 
-__all__ = ["Overlap", "check_overlaps", "frequent_overlaps"]
+__all__ = ["TOUCHING", "HandGaps", "Overlap", "check_overlaps", "frequent_overlaps"]
+
+TOUCHING = -5e-5
+"""Signed distance (m) below which two parts of a hand overlap."""
 
 POSTURES = 200
-"""Postures that are looked at: a share of 20 % is told to 3 %."""
+"""Sampled postures: the standard error of a share of 20 % is 3 %."""
 
 BEYOND = 0.25
 """Share of the way from open to pinch by which postures go beyond either end."""
@@ -29,16 +38,93 @@ SPREAD = 0.1
 """Standard deviation of each joint about that way, in shares of its range."""
 
 OFTEN = 0.2
-"""Share of the postures from which on an overlap of a link with one that carries it is told: every
-fifth attempt."""
+"""Share of the postures from which on an overlap of a link with one that carries it is reported:
+every fifth attempt."""
 
 HALF = 0.5
-"""The same for links of two fingers, which a descent moves apart: with joints at random, neighbours
-of the shipped and the known foreign hands overlap in up to 28 %. From here on most attempts are
-lost."""
+"""The same for links of two fingers, which the solver moves apart: neighbours overlap in many
+random postures of a sound hand. From here on most attempts are lost."""
 
 ALWAYS = 0.9
-"""Share from which on an overlap is one by construction."""
+"""Share from which on an overlap is reported as built into the model."""
+
+
+class HandGaps:
+    """Signed distances by coal at joint placements that the caller computed."""
+
+    def __init__(self, hand: Hand, near: float) -> None:
+        """Collect the pairs that must not touch.
+
+        Args:
+            hand: The hand.
+            near: Pairs whose bounding balls are further apart than this (m) are not measured.
+        """
+        self._geometries, self._near = hand.geometries, near
+        self._balls = [_bounding_ball(g.geometry) for g in hand.geometries]
+        self._pairs = [
+            (i, j, DistancePair(a.geometry, b.geometry))
+            for (i, a), (j, b) in combinations(enumerate(hand.geometries), 2)
+            if a.joint_id != b.joint_id and frozenset((a.name, b.name)) not in hand.allowed_pairs
+        ]
+        self._handles: dict[tuple[float, float], list[DistancePair]] = {}
+
+    @property
+    def pairs(self) -> tuple[tuple[LinkGeometry, LinkGeometry], ...]:
+        """The geometries (n_pairs) whose distances ``between_parts`` gives."""
+        return tuple((self._geometries[i], self._geometries[j]) for i, j, _ in self._pairs)
+
+    def between_parts(self, placements: Any) -> FloatArray:
+        """Signed distance (n_pairs,), m; beyond ``near`` a lower bound.
+
+        Args:
+            placements: Pose of every Pinocchio joint in the base.
+        """
+        poses = [SE3(placements[g.joint_id]) * g.T_joint_geometry for g in self._geometries]
+        centers = np.array([p.act(b[0]) for p, b in zip(poses, self._balls, strict=True)])
+        out = np.empty(len(self._pairs))
+        for k, (i, j, pair) in enumerate(self._pairs):
+            reach = self._balls[i][1] + self._balls[j][1]
+            bound = float(np.linalg.norm(centers[i] - centers[j])) - reach
+            out[k] = bound if bound > self._near else pair.distance(poses[i], poses[j])
+        return out
+
+    def from_handle(
+        self,
+        placements: Any,
+        touching: Collection[int],
+        middle: FloatArray,
+        along: FloatArray,
+        half: float,
+        radius: float,
+    ) -> FloatArray:
+        """Signed distance of a capsule from all parts but those on the joints ``touching``, m.
+
+        Args:
+            placements: Pose of every Pinocchio joint in the base.
+            touching: Pinocchio joints whose geometries may touch it.
+            middle: Middle (3,) of the capsule, m.
+            along: Its axis (3,), unit.
+            half: Half its length without the ends, m.
+            radius: m.
+        """
+        parts = [g for g in self._geometries if g.joint_id not in touching]
+        if (radius, half) not in self._handles:
+            handle = coal.Capsule(radius, 2 * half)
+            self._handles[radius, half] = [DistancePair(handle, g.geometry) for g in parts]
+        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along)
+        pose = SE3(turn.toRotationMatrix(), middle)
+        return np.array(
+            [
+                pair.distance(pose, SE3(placements[g.joint_id]) * g.T_joint_geometry)
+                for pair, g in zip(self._handles[radius, half], parts, strict=True)
+            ]
+        )
+
+
+def _bounding_ball(geometry: Any) -> tuple[FloatArray, float]:
+    """Centre (3,) in the geometry's frame and radius (m) of the ball around its bounding box."""
+    geometry.computeLocalAABB()
+    return np.array(geometry.aabb_center), float(geometry.aabb_radius)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,8 +136,8 @@ class Overlap:
     share: float
 
     @property
-    def told(self) -> str:
-        """What is wrong, in words."""
+    def text(self) -> str:
+        """The fault, in words."""
         return (
             f"{self.geoms[0]} and {self.geoms[1]} overlap in {100 * self.share:.0f} % of the "
             f"postures between open and pinch: so many attempts "
@@ -60,7 +146,7 @@ class Overlap:
 
     @property
     def remedy(self) -> str:
-        """What to do about it."""
+        """The remedy."""
         line = f'exclude = [["{self.bodies[0]}", "{self.bodies[1]}"]] under [repair]'
         if self.share >= ALWAYS:
             return f"they overlap by construction: write {line}"
@@ -112,6 +198,6 @@ def check_overlaps(hand: Hand, findings: list[Finding]) -> None:
     if not {"open", "pinch"} <= set(hand.description.postures):
         return  # the missing ones are an error already
     findings.extend(
-        Finding(level="warning", what=overlap.told, what_to_do=overlap.remedy)
+        Finding(level="warning", what=overlap.text, what_to_do=overlap.remedy)
         for overlap in frequent_overlaps(hand)
     )

@@ -20,7 +20,7 @@ from scipy.linalg import qr
 from scipy.optimize import least_squares
 
 from planner.couplings import nearest_on_couplings
-from planner.describe.gaps import TOUCHING, HandGaps
+from planner.describe.overlaps import TOUCHING, HandGaps
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState

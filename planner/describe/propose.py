@@ -30,7 +30,7 @@ from planner.describe.fingertips import Fingertip, Skeleton
 from planner.describe.overlaps import frequent_overlaps
 from planner.describe.pads import PadFit
 from planner.describe.postures import OPEN_RADII, PINCH_RADII, PosturePart, PostureSolver
-from planner.describe.proposal import Notes, Proposal
+from planner.describe.reasons import Notes, Proposal
 from planner.describe.repairs import (
     prepared_model,
     repair_and_base,
@@ -41,7 +41,7 @@ from planner.describe.servos import joint_defaults, missing_servos
 from planner.describe.tree import Branch, HandTree, finger_names, read_tree
 from planner.description import CouplingDescription, HandDescription
 from planner.errors import HandError
-from planner.hands.build import described_hand
+from planner.hands.build import build_from_spec
 from planner.hands.catalog import find_hand, foreign_hand_model
 from planner.spatial import FloatArray
 
@@ -115,9 +115,9 @@ class _Proposer:
         description = self._anatomy(description)
         description = without_overlaps(self.spec, description, self.notes)
         description = self._postures(description)
-        hand = described_hand(self.spec, description)  # what is proposed loads, or says why not
+        hand = build_from_spec(self.spec, description)
         for overlap in frequent_overlaps(hand):
-            self.notes.ask(f"{overlap.told}; {overlap.remedy}")
+            self.notes.ask(f"{overlap.text}; {overlap.remedy}")
         return Proposal(
             description=description,
             reasons=tuple(self.notes.reasons),
@@ -235,7 +235,7 @@ class _Proposer:
         return drive, defaults
 
     def _postures(self, description: HandDescription) -> HandDescription:
-        hand = described_hand(self.spec, description)
+        hand = build_from_spec(self.spec, description)
         solver = PostureSolver(hand, hand.choose_fingers())
         pinch = solver.solve(PINCH_RADII)
         wide = solver.solve(OPEN_RADII, near=pinch.q)

@@ -1,4 +1,4 @@
-"""What a model needs to be read rightly: units, inertias, couplings that cannot hold, overlaps."""
+"""Repairs of a model: units, inertias, couplings that cannot hold, overlaps."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from planner.bridge.pinocchio_model import pinocchio_from_mujoco
 from planner.bridge.prepare import name_parts, prepare_spec
 from planner.bridge.structure import structure_of
 from planner.describe.drive import impossible_couplings
-from planner.describe.gaps import TOUCHING
-from planner.describe.proposal import Notes
+from planner.describe.overlaps import TOUCHING
+from planner.describe.reasons import Notes
 from planner.describe.tree import find_base
 from planner.description import HandDescription, RepairDescription
-from planner.hands.build import described_hand
+from planner.hands.build import build_from_spec
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.proximity.convex import DistancePair
@@ -44,7 +44,7 @@ NEIGHBOURS = 2
 def repair_and_base(
     spec: Any, base_body: str | None, what: str, notes: Notes
 ) -> tuple[RepairDescription, str]:
-    """What the file needs to be read rightly, and the root of the hand in it."""
+    """Repairs that the file needs, and the root of the hand in it."""
     raw = spec.copy()
     name_parts(raw)
     check_sizes(raw, what)
@@ -109,7 +109,7 @@ def without_impossible_couplings(
 
 def without_overlaps(spec: Any, description: HandDescription, notes: Notes) -> HandDescription:
     """Exclude pairs of bodies that overlap nearly wherever the joints are."""
-    hand = described_hand(spec, description)
+    hand = build_from_spec(spec, description)
     always = _overlapping(hand)
     if not always:
         return description

@@ -1,4 +1,4 @@
-"""``CheckReport``: what is found out about a hand, as plain data.
+"""``CheckReport``: the findings of ``check_hand``, as plain data.
 
 Each finding says what to do. "error" forbids planning, "warning" costs grasps or realism, "note" is
 worth knowing.
@@ -26,7 +26,7 @@ Level = Literal["error", "warning", "note"]
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing to know: how bad it is, what it is, what to do."""
+    """One finding: its level, the fact, the remedy."""
 
     level: Level
     what: str
@@ -118,7 +118,7 @@ class PostureRow:
 
 @dataclass(frozen=True, kw_only=True)
 class CheckReport:
-    """What ``check_hand`` found."""
+    """Result of ``check_hand``."""
 
     hand: str
     joints: tuple[JointRow, ...]

@@ -12,7 +12,7 @@ import numpy as np
 
 from planner.bridge.structure import ModelStructure
 from planner.describe.drive import Drive, in_span
-from planner.describe.proposal import Reason
+from planner.describe.reasons import Reason
 from planner.description import ActuatorDescription, JointDefaults
 from planner.spatial import FloatArray
 
@@ -182,7 +182,7 @@ def joint_defaults(
 
 
 def _missing_armature(structure: ModelStructure) -> FloatArray:
-    """What each joint's rotor (nv,) lacks of a usual one, kg m2 (kg)."""
+    """Inertia (nv,) that brings each joint's rotor to a usual one, kg m2 (kg)."""
     return np.maximum(USUAL_ARMATURE - np.array([j.armature for j in structure.joints]), 0.0)
 
 

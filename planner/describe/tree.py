@@ -258,5 +258,5 @@ def finger_names(
             reasons.append(f"{count} of {total} names of its bodies and joints say so")
         else:
             names.append(f"finger{i + 1}")
-            reasons.append("the names of its bodies and joints do not tell one; rename it freely")
+            reasons.append("the names of its bodies and joints suggest none; rename it freely")
     return names, reasons

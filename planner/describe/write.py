@@ -1,7 +1,7 @@
 """``write_description``: a description as a TOML file, with the reasons as comments in it.
 
-Python reads TOML but does not write it; what a hand description needs of it is little: strings,
-numbers, lists, and tables one and two levels deep.
+Python reads TOML but does not write it. A hand description needs little of it: strings, numbers,
+lists, and tables one and two levels deep.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from planner.describe.proposal import Proposal, Reason
+from planner.describe.reasons import Proposal, Reason
 from planner.description import HandDescription
 from planner.errors import FileFormatError
 from planner.hands.catalog import PACKAGE_SCHEME

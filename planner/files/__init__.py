@@ -4,6 +4,11 @@ from planner.files.contacts_file import ContactsFile, read_contacts
 from planner.files.data import PLAN_VERSION, PlanFile, TaskData
 from planner.files.gaits import GaitFile, read_gait, write_gait
 from planner.files.json_csv import read_json, write_json, write_trajectory
+from planner.files.manipulations import (
+    ManipulationFile,
+    read_manipulation,
+    write_manipulation,
+)
 from planner.files.motions import MotionFile, read_motion, write_motion
 from planner.files.plans import plan_from_dict, plan_to_dict, read_plan, write_plan
 from planner.files.tasks import task_data, task_from_data
@@ -13,6 +18,7 @@ __all__ = [
     "PLAN_VERSION",
     "ContactsFile",
     "GaitFile",
+    "ManipulationFile",
     "MotionFile",
     "PlanFile",
     "TaskData",
@@ -22,6 +28,7 @@ __all__ = [
     "read_contacts",
     "read_gait",
     "read_json",
+    "read_manipulation",
     "read_motion",
     "read_plan",
     "task_data",
@@ -29,6 +36,7 @@ __all__ = [
     "whole_file",
     "write_gait",
     "write_json",
+    "write_manipulation",
     "write_motion",
     "write_plan",
     "write_trajectory",

@@ -1,9 +1,10 @@
-"""Whether a plan file claims the figures that its grasp has.
+"""Check of the figures in a plan file against its grasp.
 
-Who reads the JSON without this package believes its quality, gaps and clearances. They are computed
-again from the joints, and a file that says something else is refused. What is not unique is checked
-by what it must fulfil: an interval encloses the truth as tightly as ours, the weights of closure
-balance, no wrench takes more to balance than the weakest. Words are not compared.
+Readers of the JSON without this package rely on its quality, gaps and clearances. They are computed
+again from the joints, and a file with other figures is refused. Figures that are not unique are
+checked by their defining property: an interval encloses the true value as tightly as ours, the
+weights of closure balance, and no wrench is harder to balance than the weakest. Texts are not
+compared.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ CLEARANCE_TOL = 1e-4
 """The same for gaps and clearances, m: as for the positions of contacts."""
 
 LARGEST_FIGURE = 1e300
-"""What is larger is no figure of a grasp, in no unit."""
+"""Largest figure of a grasp, in any unit."""
 
 INTERVALS = ("epsilon_round", "epsilon_linf")
 WORDS = ("reason",)
@@ -44,12 +45,12 @@ CERTIFICATES = ("weights", "weakest_wrench_n_nm")
 
 
 def check_quality(
-    told: Mapping[str, Any], true: Mapping[str, Any], contacts: ContactSet, source: str
+    claimed: Mapping[str, Any], true: Mapping[str, Any], contacts: ContactSet, source: str
 ) -> None:
     """Refuse a claimed quality that the contacts do not have.
 
     Args:
-        told: What the file says, as ``QualityReport.to_dict`` writes it.
+        claimed: What the file says, as ``QualityReport.to_dict`` writes it.
         true: The same from the contacts.
         contacts: The contacts of the plan, world axes.
         source: What errors call the file.
@@ -57,7 +58,7 @@ def check_quality(
     Raises:
         FileFormatError: A figure is missing, unknown, or another one.
     """
-    for name, value in _pairs(told, true, "quality", source):
+    for name, value in _pairs(claimed, true, "quality", source):
         known = true[name]
         if name == "closure":
             if not isinstance(value, Mapping):
@@ -72,9 +73,9 @@ def check_quality(
             raise _other(source, f"quality.{name}", value, known)
     length = true["length_m"]
     wrenches = primitive_wrenches(contacts, true["edges"], length=length)
-    if not _balance(told["closure"]["weights"], true["closure"], wrenches):
+    if not _balance(claimed["closure"]["weights"], true["closure"], wrenches):
         raise _other(source, "quality.closure.weights")
-    weakest = _numbers(told["weakest_wrench_n_nm"], 6)
+    weakest = _numbers(claimed["weakest_wrench_n_nm"], 6)
     if weakest is not None:
         unit = weakest / np.repeat([1.0, length], 3)
         reach = float((-unit @ wrenches).max(initial=0.0))
@@ -85,7 +86,7 @@ def check_quality(
 
 
 def check_clearances(
-    told: Mapping[str, float], true: Mapping[str, float], what: str, source: str
+    claimed: Mapping[str, float], true: Mapping[str, float], what: str, source: str
 ) -> None:
     """Refuse claimed distances (m), by what they are between, that are not those of the joints.
 
@@ -95,21 +96,21 @@ def check_clearances(
         FileFormatError: There are others.
     """
     last = max(true.values(), default=0.0)
-    if len(told) != len(true):
+    if len(claimed) != len(true):
         raise _other(source, what)
-    for pair, distance in told.items():
+    for pair, distance in claimed.items():
         if abs(distance - true.get(pair, last)) > CLEARANCE_TOL:
             raise _other(source, f"{what}, {pair!r}", distance, true.get(pair))
 
 
-def _pairs(told: Mapping[str, Any], true: Mapping[str, Any], what: str, source: str) -> Any:
-    if set(told) != set(true):
-        raise _other(source, f"list of figures in {what}", sorted(told), sorted(true))
-    return told.items()
+def _pairs(claimed: Mapping[str, Any], true: Mapping[str, Any], what: str, source: str) -> Any:
+    if set(claimed) != set(true):
+        raise _other(source, f"list of figures in {what}", sorted(claimed), sorted(true))
+    return claimed.items()
 
 
-def _other(source: str, what: str, told: Any = None, true: Any = None) -> FileFormatError:
-    compared = "" if told is None and true is None else f" ({told!r}, recomputed {true!r})"
+def _other(source: str, what: str, claimed: Any = None, true: Any = None) -> FileFormatError:
+    compared = "" if claimed is None and true is None else f" ({claimed!r}, recomputed {true!r})"
     return FileFormatError(
         f"{source}: its {what} is not that of its joints{compared[:300]}; it is damaged, or was "
         "changed: plan again, or write the plan again where it was made"
@@ -130,18 +131,18 @@ def _is_figure(value: Any) -> bool:
     return is_number and abs(value) <= LARGEST_FIGURE
 
 
-def _agree(told: Any, true: Any) -> bool:
+def _agree(claimed: Any, true: Any) -> bool:
     """Whether two figures are the same but for rounding; None and lists only if they are equal."""
     if isinstance(true, bool) or not isinstance(true, float | int):
-        return type(told) is type(true) and bool(told == true)
-    if not _is_figure(told):
+        return type(claimed) is type(true) and bool(claimed == true)
+    if not _is_figure(claimed):
         return False
-    return bool(np.isclose(told, true, rtol=QUALITY_REL_TOL, atol=QUALITY_ABS_TOL))
+    return bool(np.isclose(claimed, true, rtol=QUALITY_REL_TOL, atol=QUALITY_ABS_TOL))
 
 
-def _encloses(told: Any, true: Any) -> bool:
+def _encloses(claimed: Any, true: Any) -> bool:
     """Whether an interval meets the true one and its ends are no farther than that one is wide."""
-    ends = _numbers(told, 2)
+    ends = _numbers(claimed, 2)
     if ends is None or ends[0] > ends[1]:
         return False
     slack = true[1] - true[0] + QUALITY_REL_TOL * abs(true[1]) + QUALITY_ABS_TOL
@@ -152,11 +153,11 @@ def _encloses(told: Any, true: Any) -> bool:
     )
 
 
-def _balance(told: Any, closure: Mapping[str, Any], wrenches: Any) -> bool:
+def _balance(claimed: Any, closure: Mapping[str, Any], wrenches: Any) -> bool:
     """Whether weights prove closure: of sum 1, none below the min-weight, without resultant."""
     if closure["weights"] is None:
-        return told is None
-    weights = _numbers(told, wrenches.shape[1])
+        return claimed is None
+    weights = _numbers(claimed, wrenches.shape[1])
     if weights is None or not _agree(float(weights.sum()), 1.0):
         return False
     least = closure["min_weight"] * (1 - QUALITY_REL_TOL) - QUALITY_ABS_TOL

@@ -1,4 +1,4 @@
-"""What plan files hold, as pydantic models.
+"""Schema of plan files, as pydantic models.
 
 Field names carry units and frames; a pose is a position in metres and a quaternion w, x, y, z.
 """
@@ -77,7 +77,7 @@ class PoseData(StrictData):
 class HandData(StrictData):
     """Which hand: its name, where it was described, and the digest of its files.
 
-    ``rolling`` tells whether contacts may be where pads roll (``Hand.rolling``).
+    ``rolling``: whether contacts may be anywhere in the pads' rolling cones (``Hand.rolling``).
     """
 
     name: str

@@ -14,18 +14,18 @@ import numpy as np
 from pydantic import Field
 
 from planner.errors import FileFormatError
+from planner.failure import Failure
 from planner.files.data import ContactData, Finite
-from planner.files.head import checked_file
-from planner.files.json_csv import read_json, write_json
+from planner.files.json_csv import checked_file, read_json, write_json
 from planner.files.motions import MotionFile, motion_from_dict, motion_to_dict
 from planner.files.plans import CONTACT_TOL, contact_data, numbers_of
 from planner.hands.hand import Hand
 from planner.motion.gait import GaitPlan, Relocation
-from planner.motion.gait.check import GaitJudge
+from planner.motion.gait.verify import GaitVerifier
 from planner.schema import StrictData
 from planner.version import written_by
 
-__all__ = ["GaitFile", "gait_to_dict", "read_gait", "write_gait"]
+__all__ = ["GaitFile", "gait_from_dict", "gait_to_dict", "read_gait", "write_gait"]
 
 MOST_CYCLES = 1000
 """Most cycles of a file: each is judged when it is read."""
@@ -92,15 +92,29 @@ def read_gait(path: Path | str, *, hand: Hand | None = None) -> GaitPlan:
         FileFormatError: Damaged, of another version, or for another hand; or it does not hold.
         PlannerError: The hand or object cannot be loaded.
     """
-    data = read_json(path, "gait file")
-    file = checked_file(GaitFile, data, str(path))
-    stroke = motion_from_dict(data["stroke"], str(path), hand=hand)
-    plan = GaitJudge(stroke.grasp.task).judge(stroke, file.cycles)
-    if isinstance(plan, str):
-        raise FileFormatError(f"{path} holds a gait that fails its checks: {plan}")
+    return gait_from_dict(read_json(path, "gait file"), str(path), hand=hand)
+
+
+def gait_from_dict(data: dict[str, Any], source: str, *, hand: Hand | None = None) -> GaitPlan:
+    """The gait that plain data hold, checked like a file.
+
+    Args:
+        data: What ``gait_to_dict`` gave.
+        source: What errors call it, as the path of a file.
+        hand: The hand to use; the one that the data name if None.
+
+    Raises:
+        FileFormatError: Damaged, of another version, or for another hand; or it does not hold.
+        PlannerError: The hand or object cannot be loaded.
+    """
+    file = checked_file(GaitFile, data, source)
+    stroke = motion_from_dict(data["stroke"], source, hand=hand)
+    plan = GaitVerifier(stroke.grasp.task).verify(stroke, file.cycles)
+    if isinstance(plan, Failure):
+        raise FileFormatError(f"{source} holds a gait that fails its checks: {plan}")
     true = [_relocation(r) for r in plan.relocations if r.cycle == 0]
     if [r.finger for r in file.relocations] != [r.finger for r in true]:
-        raise FileFormatError(f"{path}: its fingers move on in another order; it is damaged")
+        raise FileFormatError(f"{source}: its fingers move on in another order; it is damaged")
     for told, found in zip(file.relocations, true, strict=True):
         for what, a, b in (
             ("way", np.ravel(told.q_rad), np.ravel(found.q_rad)),
@@ -109,7 +123,7 @@ def read_gait(path: Path | str, *, hand: Hand | None = None) -> GaitPlan:
         ):
             if a.shape != b.shape or not np.allclose(a, b, atol=CONTACT_TOL, rtol=CONTACT_TOL):
                 raise FileFormatError(
-                    f"{path}: the {what} with {told.finger} away are not those of its stroke; it "
+                    f"{source}: the {what} with {told.finger} away are not those of its stroke; it "
                     "is damaged"
                 )
     return plan

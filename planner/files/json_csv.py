@@ -1,4 +1,4 @@
-"""JSON objects and trajectories on disk, with errors that say why one cannot be read or written."""
+"""JSON files, checked by a schema, and trajectories: every refusal says why and which file."""
 
 from __future__ import annotations
 
@@ -6,16 +6,20 @@ import csv
 import io
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from pydantic import ValidationError
 
 from planner.errors import FileFormatError
 from planner.files.whole import whole_file
 from planner.plan import JointTrajectory
+from planner.schema import StrictData, faults_of
 from planner.spatial import pose_to_wxyz
 
-__all__ = ["read_json", "write_json", "write_trajectory"]
+__all__ = ["checked_file", "read_json", "write_json", "write_trajectory"]
+
+FileT = TypeVar("FileT", bound=StrictData)
 
 
 def write_json(data: dict[str, Any], path: Path | str) -> None:
@@ -69,3 +73,32 @@ def read_json(path: Path | str, what: str) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise FileFormatError(f"{path} holds a {type(data).__name__}; {what} is a JSON object")
     return data
+
+
+def checked_file(schema: type[FileT], data: dict[str, Any], source: str) -> FileT:
+    """Plain data as the file of a schema.
+
+    Args:
+        schema: With fields ``format`` ("opposable-KIND") and ``version``, whose defaults are what
+            is read.
+        data: What the file holds.
+        source: What errors call it, as its path.
+
+    Raises:
+        FileFormatError: Another format or version, or damaged.
+    """
+    wanted = {name: schema.model_fields[name].default for name in ("format", "version")}
+    kind = str(wanted["format"]).removeprefix("opposable-")
+    if data.get("format") != wanted["format"]:
+        raise FileFormatError(
+            f"{source} is not a {kind} file: its format is {data.get('format')!r}"
+        )
+    if data.get("version") != wanted["version"]:
+        raise FileFormatError(
+            f"{source} has {kind} version {data.get('version')!r}; this Opposable reads version "
+            f"{wanted['version']}; plan again"
+        )
+    try:
+        return schema.model_validate(data)
+    except ValidationError as error:
+        raise FileFormatError(f"{source} is damaged: {faults_of(error)}") from error

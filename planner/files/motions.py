@@ -12,9 +12,9 @@ from typing import Any, Literal
 import numpy as np
 
 from planner.errors import FileFormatError, TaskError
+from planner.failure import Failure
 from planner.files.data import ContactData, Finite, NotNegative, PlanFile, PoseData, Vector3
-from planner.files.head import checked_file
-from planner.files.json_csv import read_json, write_json
+from planner.files.json_csv import checked_file, read_json, write_json
 from planner.files.plans import (
     CONTACT_TOL,
     contact_data,
@@ -24,7 +24,7 @@ from planner.files.plans import (
 )
 from planner.hands.hand import Hand
 from planner.motion import Knot, Limit, MotionPlan, MotionRecord, ObjectPath
-from planner.motion.check import MotionJudge, Place
+from planner.motion.verify import MotionVerifier, Place
 from planner.plan import GraspPlan
 from planner.schema import StrictData
 from planner.version import written_by
@@ -101,7 +101,7 @@ def motion_to_dict(plan: MotionPlan) -> dict[str, Any]:
         path=PathData(
             axis=tuple(plan.path.axis), angle_rad=plan.path.angle, shift_m=tuple(plan.path.shift)
         ),
-        tube_m=plan.tube,
+        tube_m=plan.path_tolerance,
         knots=[_knot_data(knot) for knot in plan.knots],
         limits=[
             LimitData(**{k: getattr(limit, k) for k in LimitData.model_fields})
@@ -188,8 +188,9 @@ def _rebuild(file: MotionFile, grasp: GraspPlan, path: str) -> MotionPlan:
     ]
     if not np.allclose(places[0].q, grasp.q, rtol=0.0, atol=SAME):
         raise FileFormatError(f"{path}: its first knot is not its grasp; it is damaged")
-    knots = MotionJudge(grasp.task).knots(grasp.T_world_base, places, covered, file.tube_m)
-    if isinstance(knots, str):
+    verifier = MotionVerifier(grasp.task)
+    knots = verifier.verify_knots(grasp.T_world_base, places, covered, file.tube_m)
+    if isinstance(knots, Failure):
         raise FileFormatError(f"{path} holds a motion that fails its checks: {knots}")
     for stored, knot in zip(file.knots, knots, strict=True):
         told, true = numbers_of(stored.contacts), numbers_of(contact_data(knot.contacts))
@@ -204,7 +205,7 @@ def _rebuild(file: MotionFile, grasp: GraspPlan, path: str) -> MotionPlan:
         grasp=grasp,
         path=covered,
         knots=knots,
-        tube=file.tube_m,
+        path_tolerance=file.tube_m,
         limits=tuple(Limit(**limit.model_dump()) for limit in file.limits),
         record=MotionRecord(**file.record.model_dump()),
     )

@@ -17,6 +17,7 @@ from pydantic import BaseModel
 from planner.approach.pregrasp import Approach
 from planner.contacts import Contact, ContactSet
 from planner.errors import FileFormatError
+from planner.failure import Failure
 from planner.files.claims import check_clearances, check_quality
 from planner.files.data import (
     ArmData,
@@ -26,14 +27,13 @@ from planner.files.data import (
     PoseData,
     RecordData,
 )
-from planner.files.head import checked_file
-from planner.files.json_csv import read_json, write_json
+from planner.files.json_csv import checked_file, read_json, write_json
 from planner.files.tasks import task_data, task_from_data
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan, SolveRecord
 from planner.spatial import FloatArray
-from planner.verification.grasp import judge_grasp
+from planner.verification.grasp import verify_grasp
 from planner.version import written_by
 
 __all__ = [
@@ -158,14 +158,14 @@ def _rebuild(file: PlanFile, hand: Hand, source: str) -> GraspPlan:
         T_world_base_start=grasp.T_world_base_start.pose(),
         arm=None if grasp.arm is None else grasp.arm.path(hand),
     )
-    plan = judge_grasp(
+    plan = verify_grasp(
         task,
         grasp.T_world_base.pose(),
         hand.checked_q(grasp.q_rad, "q_rad"),
         record=SolveRecord(**file.record.model_dump()),
         approach=approach,
     )
-    if isinstance(plan, str):
+    if isinstance(plan, Failure):
         raise FileFormatError(f"{source} holds a grasp that fails its checks: {plan}")
     again = PlanFile.model_validate(plan_to_dict(plan))
     if [c.finger for c in file.contacts] != [c.finger for c in again.contacts]:

@@ -1,4 +1,4 @@
-"""A task as data and back: part of every plan file and of what a batch remembers."""
+"""A task as data and back: part of every plan file and of every batch manifest."""
 
 from __future__ import annotations
 

@@ -12,18 +12,21 @@ from typing import BinaryIO
 
 from planner.errors import FileFormatError
 
-__all__ = ["LONGEST_NAME", "plain_name", "whole_file"]
+__all__ = ["LONGEST_NAME", "PART", "plain_name", "whole_file"]
 
 LONGEST_NAME = 100
 """Characters of a name in a file's name: file systems end at 255 bytes."""
+
+PART = re.compile(r"\.[0-9a-f]{16}\.part")
+"""Name of a file that is being written, or was when its process was killed."""
 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[BinaryIO]:
     """A stream whose content becomes the file, if the block ends without an error.
 
-    Until then it is a new file beside it, of a random name. No link that somebody has put there
-    is followed, and what was at ``path`` before, a link too, is replaced.
+    Until then it is a new file beside it, of a random name. Links are not followed; a file or link
+    at ``path`` is replaced.
 
     Raises:
         FileFormatError: The folder does not exist or cannot be written, or a folder is in the way.

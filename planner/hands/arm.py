@@ -1,4 +1,4 @@
-"""A hand that an arm carries: its description, and ``Arm``, what the planner knows of the arm.
+"""A hand that an arm carries: its description, and ``Arm``, the planner's data of the arm.
 
 The description is a third kind of ``hand.toml``: it names a hand's description, an arm's model, and
 where on it the hand is put. The arm is any tree of hinges and slides, in MJCF, with its actuators.
@@ -8,20 +8,20 @@ See ``models/hands/allegro_on_arm7/hand.toml``.
 from __future__ import annotations
 
 import os
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from planner.bridge import LinkGeometry, load_spec
 from planner.bridge.mount import ARM_PREFIX, mount_spec
 from planner.description import Finite, Vector
 from planner.errors import HandError, NotFoundError
-from planner.schema import StrictData, faults_of
+from planner.hands.description_toml import read_toml, validated
+from planner.schema import StrictData
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
 
 __all__ = ["Arm", "ArmDescription", "Mount", "MountDescription", "read_mount"]
@@ -176,18 +176,12 @@ def read_mount(path: Path) -> Mount | None:
     """The mount that a file describes; None if it describes something else, or nothing.
 
     Raises:
-        HandError: It describes a mount, but not rightly; or the hand on it is a mount itself.
+        HandError: Not TOML, a mount with faults, or a mount of another mount.
     """
-    try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError):
-        return None  # told by whoever reads it as a hand
+    raw = read_toml(path)
     if "arm" not in raw:
         return None
-    try:
-        description = MountDescription.model_validate(raw)
-    except ValidationError as error:
-        raise HandError(f"{path} does not describe a hand on an arm: {faults_of(error)}") from error
+    description = validated(path, MountDescription, raw, "a hand on an arm")
     mount = Mount(path=path, description=description)
     if not os.path.isfile(mount.hand_path):  # False where the name is too long
         raise HandError(f"{path}: hand names {mount.hand_path}, which does not exist; correct it")

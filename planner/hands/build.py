@@ -27,14 +27,14 @@ from planner.couplings import check_held
 from planner.description import HandDescription
 from planner.errors import HandError
 from planner.hands.arm import Mount
-from planner.hands.description_files import MirrorAxis, reflection_signs
+from planner.hands.description_toml import MirrorAxis, reflection_signs
 from planner.hands.fingers import Resolver
 from planner.hands.hand import Hand
 
-__all__ = ["build_hand", "described_hand", "hand_on_arm"]
+__all__ = ["build_from_spec", "build_hand", "hand_on_arm"]
 
 
-def described_hand(spec: Any, description: HandDescription) -> Hand:
+def build_from_spec(spec: Any, description: HandDescription) -> Hand:
     """A hand from a ``mujoco.MjSpec`` made in Python; the spec itself is left as it is.
 
     Args:

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from planner.errors import ModelError, NotFoundError
 from planner.hands.downloads import menagerie_model, robot_descriptions_model
+from planner.system.models import models_dir
 
 __all__ = [
     "FOREIGN_HANDS",
@@ -28,7 +29,6 @@ __all__ = [
     "hand_names",
     "hand_reference",
     "model_file",
-    "models_dir",
 ]
 
 DESCRIPTION_FILE = "hand.toml"
@@ -61,19 +61,6 @@ FOREIGN_HANDS = {
 gymnasium-robotics is empty by itself, so a scene that includes it stands here."""
 
 _PACKAGE_NAME = re.compile(r"[A-Za-z0-9_-]+")
-
-
-def models_dir() -> Path:
-    """Folder that holds ``hands/NAME/``.
-
-    Raises:
-        ModelError: Neither an installed nor a checked-out model folder exists.
-    """
-    here = Path(__file__).resolve().parents[1]
-    for folder in (here / "_models", here.parent / "models"):
-        if (folder / "hands").is_dir():
-            return folder
-    raise ModelError(f"the models are missing beside {here}; install Opposable again")
 
 
 def hand_names() -> tuple[str, ...]:
@@ -142,7 +129,7 @@ def find_hand(name_or_path: str | Path, *, download: bool = True) -> Path:
 
 
 def hand_reference(name_or_path: str | Path) -> str:
-    """What finds the same hand again from any folder: the name, or the path made absolute."""
+    """Reference to the same hand from any folder: the name, or the absolute path."""
     text = str(name_or_path)
     is_name = text in hand_names() or (":" in text and not os.path.exists(text))
     return text if is_name else str(Path(name_or_path).absolute())

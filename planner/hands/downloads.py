@@ -1,7 +1,7 @@
-"""Models that packages of others download when they are asked for, and keep.
+"""Models that packages of others download on request and cache.
 
-Who gives the name of such a model on the command line or in Python wants it. A plan or a batch that
-somebody else wrote may name one as well: reading it finds what is there and fetches nothing.
+A name on the command line or in Python is such a request. A name in a plan or batch file is not,
+because its writer may be unknown: reading the file uses cached models and fetches nothing.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from planner.system.environment import Held
 __all__ = ["menagerie_model", "robot_descriptions_model"]
 
 NOT_CACHED = "is not cached, and a file that is read downloads nothing; if you trust the file, run"
-"""What is said of a model that a file names and that would have to be fetched."""
+"""Message about a model that a file names and that is not cached."""
 
 _no_transport = Held("GIT_ALLOW_PROTOCOL", "none")
 """With it git neither clones nor fetches, by any protocol; what is on the disk it reads."""

@@ -26,7 +26,7 @@ from planner.spatial import SE3, FloatArray, IntArray
 __all__ = ["Finger", "Pad", "Resolver"]
 
 PAD_TOL = 5e-4
-"""How far (m) a pad's sphere may be from the surface of its geometry: what counts as touching."""
+"""How far (m) a pad's sphere may be from the surface of its geometry: the tolerance of touch."""
 
 _POINT = 1e-6
 """Radius (m) of the ball that stands for a point."""

@@ -1,4 +1,4 @@
-"""``Hand``: the parts of a hand, checked against each other, and what follows from them.
+"""``Hand``: the parts of a hand, checked against each other, and quantities that follow.
 
 All joints are hinges or slides, so that Pinocchio's q and v, MuJoCo's qpos and qvel and
 ``joint_names`` share one order within the hand. The raw models stay reachable as ``pin_model`` and
@@ -86,8 +86,8 @@ class Hand:
     def rolling(self) -> Self:
         """The same hand with pads as wide as the tips are round, for objects that are turned.
 
-        Faces turn with an object, so the contacts of a turn wander over the tips: a block is turned
-        by 94 degrees by the Shadow-type hand with these pads, by 85 with those of a grasp.
+        Faces turn with an object, so contacts wander over the tips during a turn; narrower pads
+        limit its angle.
         """
         if self.rolls:
             return self
@@ -180,8 +180,8 @@ class Hand:
         """A described posture as q (nq,); joints that it does not name are at 0 or their limit.
 
         Where it violates couplings by more than rounding, it is the nearest posture that keeps
-        them: who ties two joints need not write all postures anew. ``check_hand`` says by how much
-        and what to write. The arm that carries a hand is at its ready posture.
+        them, so that a new coupling needs no new postures. ``check_hand`` reports the distance and
+        the corrected posture. The arm that carries a hand is at its ready posture.
 
         Raises:
             NotFoundError: No such posture, or it names a joint that does not exist.

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from planner.failure import Failure
 from planner.motion.residuals import MotionResiduals
 from planner.motion.terms import REACH
 from planner.motion.unknowns import OFFSET, SHARE
@@ -140,15 +141,19 @@ def _terms(residuals: MotionResiduals, r: FloatArray, scale: float) -> Iterator[
         )
 
 
-def worst_term(residuals: MotionResiduals, z: FloatArray) -> str:
-    """The term with the largest weighted residual at z, in words."""
+def worst_term(residuals: MotionResiduals, z: FloatArray) -> Failure:
+    """The term with the largest weighted residual at z; a failure's kind is that of its term."""
     r, _ = residuals(z)
     rows = [row for row in residuals.row_names()[: residuals.n_terms] if row.term is not REACH]
     k = int(np.abs(r[: len(rows)]).argmax())
-    term, place = rows[k].term, 100 * residuals.numbers.places[rows[k].knot]
+    term, place = rows[k].term, float(residuals.numbers.places[rows[k].knot])
     step, unit = WORDS[term.unit]
-    off = abs(float(r[k])) / term.weight / step
-    return f"{rows[k]} at {place:.0f} % of the path, off by {off:.2g}{unit}"
+    off = abs(float(r[k])) / term.weight
+    return Failure(
+        kind=f"unsolved_{term.name}",
+        text=f"{rows[k]} at {100 * place:.0f} % of the path, off by {off / step:.2g}{unit}",
+        numbers={"place": place, "off": off},
+    )
 
 
 WORDS = {"m": (1e-3, " mm"), "rad": (np.pi / 180, " degrees"), "m2": (1e-6, " mm2"), "-": (1.0, "")}

@@ -8,13 +8,15 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 
+from planner.attempt import SearchRecord
 from planner.contacts import ContactSet
 from planner.forces import ForceSolution
 from planner.immutable import freeze
 from planner.kinematics.state import HandState
 from planner.motion.limits import Limit
 from planner.motion.path import ObjectPath
-from planner.plan import GraspPlan, Verification
+from planner.motion.trajectory import JOINT_RATE, TURN_RATE, TrajectoryBuilder
+from planner.plan import GraspPlan, JointTrajectory, Verification
 from planner.quality import ClosureResult
 from planner.spatial import SE3, FloatArray
 
@@ -65,26 +67,16 @@ class Knot:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotionRecord:
+class MotionRecord(SearchRecord):
     """Where a motion comes from.
 
     Attributes:
-        seed: Seed of the search.
-        attempt: Number of the attempt that gave it, from 0; seed and attempt fix the start.
-        attempts: How many were made.
-        iterations: Evaluations of the descents of its attempt.
+        iterations: Evaluations of the residuals in its attempt.
         worst: Largest weighted residual of a term of what was verified.
-        cpu_s: CPU time of the search until it ended, s, without building.
-        build_s: Time that building took, s.
     """
 
-    seed: int
-    attempt: int
-    attempts: int
     iterations: int
     worst: float
-    cpu_s: float
-    build_s: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,7 +90,7 @@ class MotionPlan:
         grasp: The grasp with which it begins, with its way in, on the table or where the object is.
         path: The path that the object goes; shorter than what was asked for if that was too long.
         knots: In order; the first is the grasp.
-        tube: Radius within which the object was allowed to leave the path, m.
+        path_tolerance: How far the object was allowed to leave the path, m.
         limits: What kept the path from being longer, where as much as there is was asked for.
         record: Where the motion comes from.
     """
@@ -106,7 +98,7 @@ class MotionPlan:
     grasp: GraspPlan
     path: ObjectPath
     knots: tuple[Knot, ...]
-    tube: float
+    path_tolerance: float
     limits: tuple[Limit, ...]
     record: MotionRecord
 
@@ -170,6 +162,46 @@ class MotionPlan:
         a, b = self.knots[i], self.knots[i + 1]
         return SE3.Interpolate(a.T_world_object, b.T_world_object, share), a.q + share * (b.q - a.q)
 
+    def joint_trajectory(
+        self,
+        *,
+        approach_s: float = 1.5,
+        close_s: float = 1.0,
+        joint_rate: float = JOINT_RATE,
+        turn_rate: float = TURN_RATE,
+        rate_hz: float = 50.0,
+    ) -> JointTrajectory:
+        """Approach, closing and the motion as joint positions by name, for a real hand.
+
+        Squeeze and lift are not part of it. Joints go through the knots and stay between them.
+
+        Args:
+            approach_s: As for ``GraspPlan.joint_trajectory``.
+            close_s: As there.
+            joint_rate: Largest rate of a joint in the motion, rad/s or m/s.
+            turn_rate: Largest rate of the object's turn, rad/s.
+            rate_hz: Samples per second.
+
+        Raises:
+            TaskError: A duration or a rate that is not positive.
+        """
+        builder = TrajectoryBuilder(
+            self.grasp,
+            approach_s=approach_s,
+            close_s=close_s,
+            joint_rate=joint_rate,
+            turn_rate=turn_rate,
+            rate_hz=rate_hz,
+        )
+        self.add_to(builder, "turn")
+        return builder.built()
+
+    def add_to(self, builder: TrajectoryBuilder, phase: str, until: float = 1.0) -> None:
+        """Append the motion up to a place of its path, in (0, 1], to a trajectory."""
+        places = np.array([k.place for k in self.knots if k.place < until] + [until])
+        postures = np.array([self.at(place)[1] for place in places])
+        builder.turn(phase, postures, places, until * self.path.angle)
+
     def __repr__(self) -> str:
         """One line."""
         return f"<MotionPlan of {self.grasp.task!r}: {self.path}>"
@@ -182,7 +214,8 @@ class MotionPlan:
             f"{task.hand.name} ({', '.join(task.finger_names)}), {task.object.shape.spec}: "
             f"{self.path}",
             f"  {len(self.knots)} knots, off the path by up to "
-            f"{1e3 * max(k.off_path for k in self.knots):.1f} mm (tube {1e3 * self.tube:.1f})",
+            f"{1e3 * max(k.off_path for k in self.knots):.1f} mm "
+            f"(tolerance {1e3 * self.path_tolerance:.1f})",
             f"  closure: least normalised min-weight {self.margin:.3f}",
             f"  clearance: least {1e3 * self.clearance:.2f} mm",
             f"  joints: {joint} comes within {100 * room:.1f} % of its range of an end, at "

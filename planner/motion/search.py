@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
-from planner.attempts import Attempt, nothing_found, numbered
+from planner.attempt import Attempt, check_seed, nothing_found, run_attempts, search
 from planner.errors import NoGraspFoundError, TaskError
-from planner.motion.ground import Ground, finger_sets, rank, with_rolling_pads
+from planner.motion.context import MotionContext, finger_sets, merit, with_rolling_pads
 from planner.motion.path import LARGEST_TURN, ObjectPath
 from planner.motion.plan import MotionPlan
 from planner.spatial import FloatArray
@@ -19,7 +19,7 @@ from planner.task import GraspTask
 
 __all__ = [
     "MOTION_OPTIONS",
-    "TUBE",
+    "PATH_TOLERANCE",
     "UP",
     "MotionAttempt",
     "check_task",
@@ -28,18 +28,18 @@ __all__ = [
 ]
 
 MotionAttempt = Attempt[MotionPlan]
-"""One attempt: a motion, or the reason why there is none."""
+"""One attempt: a motion, or why there is none."""
 
-TUBE = 0.02
-"""Default radius (m) within which the object may leave its path: it begins in the tube's middle, so
-20 mm are 10 either way. With 10 mm the Shadow-type hand reaches 90 degrees on cylinders of 5, 6 and
-7 cm from 4, 4 and 0 of 10 starts, with 20 mm from 5, 9 and 7 (thumb, index and middle)."""
+PATH_TOLERANCE = 0.02
+"""How far (m) the object may leave its path by default. With 10 mm the Shadow-type hand reaches 90
+degrees on cylinders of 5, 6 and 7 cm from 4, 4 and 0 of 10 starts, with 20 mm from 5, 9 and 7
+(thumb, index and middle)."""
 
 KNOT_TURN, KNOT_SHIFT = np.deg2rad(30.0), 0.015
 """Most that the object turns (rad) or moves (m) between two knots of the solver. With 24 degrees 11
 and 12 of the first 15 starts held in two cases, with 30 9 and 13, in a seventh less time."""
 
-STRETCH_KNOTS = 6
+LONGEST_KNOTS = 6
 """Knots where as much as there is is asked for: up to 144 degrees were found, 29 between two."""
 
 MOTION_OPTIONS = SynthesisOptions(weight_posture=0.05, weight_share=1.0)
@@ -66,10 +66,10 @@ def motion_attempts(
     task: GraspTask,
     path: ObjectPath,
     *,
-    whole: bool = True,
-    tube: float = TUBE,
+    full: bool = True,
+    path_tolerance: float = PATH_TOLERANCE,
     seed: int = 0,
-    strengthen: bool = False,
+    improve_closure: bool = False,
     options: SynthesisOptions = MOTION_OPTIONS,
 ) -> Iterator[MotionAttempt]:
     """Endless independent attempts; attempt i depends on ``seed`` and i alone.
@@ -80,63 +80,53 @@ def motion_attempts(
         task: What is grasped, with which fingers, where; the base is free. On objects with faces
             contacts may be wherever tips are round (``Hand.rolling``).
         path: Where the object is to go.
-        whole: Whether all of the path is asked for, else as much of it as there is.
-        tube: Radius within which the object may leave the path, m.
+        full: Whether all of the path is asked for, else as much of it as there is.
+        path_tolerance: How far the object may leave the path, m.
         seed: Same seed, same attempts.
-        strengthen: Whether to work on closure once a whole path is reached.
+        improve_closure: Whether to work on closure once all of the path is reached.
         options: Margins and weights at each knot.
 
     Raises:
         TaskError: The task or the path cannot work, found out before solving.
     """
-    check_task(task, tube, seed)
-    return _taking_turns(
+    check_task(task, path_tolerance, seed)
+    return _alternating(
         (with_rolling_pads(task),),
         path,
-        whole=whole,
-        tube=tube,
+        full=full,
+        path_tolerance=path_tolerance,
         seed=seed,
-        strengthen=strengthen,
+        improve_closure=improve_closure,
         options=options,
     )
 
 
-def _taking_turns(
-    sets: Sequence[GraspTask],
+def _alternating(
+    tasks: Sequence[GraspTask],
     path: ObjectPath,
     *,
-    whole: bool,
-    tube: float,
+    full: bool,
+    path_tolerance: float,
     seed: int,
-    strengthen: bool,
+    improve_closure: bool,
     options: SynthesisOptions,
 ) -> Iterator[MotionAttempt]:
     """Attempts that take turns between tasks that differ in their fingers; see above."""
-    n_knots = _knots(path) if whole else STRETCH_KNOTS
 
     @cache
-    def ground(number: int) -> Ground:
-        return Ground.of(
-            sets[number],
+    def context(number: int) -> MotionContext:
+        return MotionContext.of(
+            tasks[number],
             path,
             options,
-            n_knots=n_knots,
-            whole=whole,
-            tube=tube,
-            rounds=ROUNDS * strengthen,
-            exact_end=False,
-            holds=(),
+            n_knots=_knots(path) if full else LONGEST_KNOTS,
+            full=full,
+            path_tolerance=path_tolerance,
+            rounds=ROUNDS * improve_closure,
         )
 
-    def make(index: int) -> MotionPlan | str:
-        return ground(index % len(sets)).attempt(np.random.default_rng([seed, index]))
-
-    def record(plan: MotionPlan, index: int, cpu_s: float) -> MotionPlan:
-        told = replace(plan.record, seed=seed, attempt=index, attempts=index + 1, cpu_s=cpu_s)
-        return replace(plan, record=told)
-
-    ground(0)
-    return numbered(make, record, prepare=lambda index: ground(index % len(sets)))
+    context(0)  # refuses a task that cannot work now, not when the first attempt is asked for
+    return run_attempts(lambda index: context(index % len(tasks)), seed=seed)
 
 
 def plan_motion(
@@ -145,7 +135,7 @@ def plan_motion(
     axis: Sequence[float] | FloatArray = UP,
     angle: float | None = None,
     shift: Sequence[float] | FloatArray = (0.0, 0.0, 0.0),
-    tube: float = TUBE,
+    path_tolerance: float = PATH_TOLERANCE,
     seed: int = 0,
     max_attempts: int = MAX_ATTEMPTS,
     best_of: int | None = None,
@@ -164,7 +154,7 @@ def plan_motion(
             ``axis``.
         shift: Translation of the object along the path (3,), m, world; over half a turn, and cut
             with it, where ``angle`` is None.
-        tube: Radius within which the object may leave the path, m.
+        path_tolerance: How far the object may leave the path, m.
         seed: Same seed, same plan.
         max_attempts: Budget in attempts.
         best_of: Attempts that are made in any case, of which the best is taken: the longest path
@@ -176,36 +166,33 @@ def plan_motion(
         The plan; it tells what limits it.
 
     Raises:
-        NoGraspFoundError: The budget ended; carries every attempt and its reason.
+        NoGraspFoundError: The budget ended; carries every attempt and its failure.
         TaskError: The task or the path cannot work, or a budget is not positive.
     """
     if max_attempts < 1 or (best_of is not None and best_of < 1):
         raise TaskError(f"max_attempts is {max_attempts}, best_of {best_of}; give at least 1")
-    whole = angle is not None
+    full = angle is not None
     path = ObjectPath(
         axis=np.asarray(axis, dtype=np.float64),
         angle=LARGEST_TURN if angle is None else angle,
         shift=np.asarray(shift, dtype=np.float64),
     )
-    wanted = best_of or (1 if whole else BEST_OF)
-    made: list[MotionAttempt] = []
-    best: MotionPlan | None = None
-    check_task(task, tube, seed)
-    for attempt in _taking_turns(
-        finger_sets(with_rolling_pads(task)),
-        path,
-        whole=whole,
-        tube=tube,
-        seed=seed,
-        strengthen=wanted > 1,
-        options=options,
-    ):
-        made.append(attempt)
-        plan = attempt.plan
-        if plan is not None and (best is None or rank(plan, whole) > rank(best, whole)):
-            best = plan
-        if (best is not None and len(made) >= wanted) or len(made) >= max_attempts:
-            break
+    best_of = best_of or (1 if full else BEST_OF)
+    check_task(task, path_tolerance, seed)
+    best, made = search(
+        _alternating(
+            finger_sets(with_rolling_pads(task)),
+            path,
+            full=full,
+            path_tolerance=path_tolerance,
+            seed=seed,
+            improve_closure=best_of > 1,
+            options=options,
+        ),
+        max_attempts=max_attempts,
+        best_of=best_of,
+        merit=partial(merit, full=full),
+    )
     if best is None:
         raise _nothing_found(task, path, made)
     return replace(
@@ -224,11 +211,11 @@ ROUNDING = 1e-9
 """A path longer than a whole number of pieces by this (-) has that number."""
 
 
-WIDEST_TUBE = 2.0
-"""Widest tube, m: as large as an object may be."""
+LARGEST_TOLERANCE = 2.0
+"""Largest path tolerance, m: as large as an object may be."""
 
 
-def check_task(task: GraspTask, tube: float, seed: int) -> None:
+def check_task(task: GraspTask, path_tolerance: float, seed: int) -> None:
     """Check what every motion needs.
 
     Raises:
@@ -241,10 +228,12 @@ def check_task(task: GraspTask, tube: float, seed: int) -> None:
         )
     if task.wrist_free:
         raise TaskError("the wrist is free in this task; a motion is the fingers': hold the wrist")
-    if not 0 <= tube <= WIDEST_TUBE:
-        raise TaskError(f"tube is {tube}; give a radius in m, 0 or more, up to {WIDEST_TUBE:g}")
-    if not isinstance(seed, int | np.integer) or seed < 0:
-        raise TaskError(f"seed is {seed!r}; give an integer >= 0")
+    if not 0 <= path_tolerance <= LARGEST_TOLERANCE:
+        raise TaskError(
+            f"path_tolerance is {path_tolerance}; give a distance in m, 0 or more, up to "
+            f"{LARGEST_TOLERANCE:g}"
+        )
+    check_seed(seed)
 
 
 def _nothing_found(
@@ -254,6 +243,6 @@ def _nothing_found(
         f"motion of {task.object.name} by {path} with {task.hand.name} "
         f"({' or '.join(', '.join(one.finger_names) for one in finger_sets(task))})",
         made,
-        "Try a shorter path, a wider tube, other fingers or more attempts; angle=None finds how "
-        "far it goes and what limits it",
+        "Try a shorter path, a larger path tolerance, other fingers or more attempts; angle=None "
+        "finds how far it goes and what limits it",
     )

@@ -14,12 +14,12 @@ clearances.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from planner.failure import Failure
 from planner.motion.limits import Limit, what_limits, worst_term
 from planner.motion.path import ObjectPath
 from planner.motion.problem import MotionProblem
@@ -42,10 +42,10 @@ from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Start
 from planner.task import GraspTask
 
-__all__ = ["WORTH_A_LOOK", "MotionCandidate", "MotionSolver"]
+__all__ = ["MotionCandidate", "MotionSolver"]
 
-SHARE_SCALE, TUBE_SCALE = 0.1, 0.01
-"""Steps that count as alike: share of the path (-), place in the tube (m)."""
+PARAMETER_SCALE, OFFSET_SCALE = 0.1, 0.01
+"""Steps that count as alike: of the path parameter (-), of the offset from the path (m)."""
 
 REACHING = 80
 """Evaluations of the descent that reaches a given path, or pulls."""
@@ -85,20 +85,18 @@ class MotionCandidate:
         grasps: Every knot as a grasp's unknowns (n_knots, size).
         reference: R0 (3, 3) of those.
         worst: Largest weighted residual of a term.
-        worst_term: Which that is, in words; "" where it is worth a look.
+        failure: Which term that is, where it is too large for the motion to be verified; else None.
         limits: What keeps the path from being longer, where as much as there is was asked for.
         iterations: Evaluations.
-        cpu_s: CPU time, s.
     """
 
     share: float
     grasps: FloatArray
     reference: FloatArray
     worst: float
-    worst_term: str
+    failure: Failure | None
     limits: tuple[Limit, ...]
     iterations: int
-    cpu_s: float
 
 
 class MotionSolver:
@@ -111,7 +109,7 @@ class MotionSolver:
         path: ObjectPath,
         options: SynthesisOptions,
         *,
-        tube: float,
+        path_tolerance: float,
         posture: FloatArray,
         rounds: int,
         exact_end: bool = False,
@@ -123,15 +121,14 @@ class MotionSolver:
             task: The task.
             path: Where the object is to go.
             options: Margins and weights of each knot.
-            tube: Radius within which the object may leave its path, m.
+            path_tolerance: How far the object may leave its path, m.
             posture: Preferred joints (nq,).
             rounds: How many rounds work on the closure of all knots.
-            exact_end: Whether the object ends on its path, and leaves it within the tube only on
-                the way.
+            exact_end: Whether the object ends on its path, and leaves it on the way only.
         """
         self._exact_end = exact_end
         self.problem, self.task, self.path = problem, task, path
-        self.tube = tube
+        self.path_tolerance = path_tolerance
         self._options, self._posture = options, posture
         self._first = replace(options, rounds=0)
         self._rounds = rounds
@@ -146,16 +143,16 @@ class MotionSolver:
                 np.full(3 * n, FORCE_SCALE),
             ]
         )
-        shared = np.repeat([TURN_SCALE, SHIFT_SCALE, SHARE_SCALE], [3, 3, 1])
+        shared = np.repeat([TURN_SCALE, SHIFT_SCALE, PARAMETER_SCALE], [3, 3, 1])
         self._scale = u.pack(
             shared,
-            np.full((k, 3), TUBE_SCALE),
+            np.full((k, 3), OFFSET_SCALE),
             np.tile(rest, (k, 1)),
             np.full((u.n_holds, u.held), FORCE_SCALE),
         )
 
-    def reach(self, start: Start) -> Iterator[MotionCandidate]:
-        """The whole path, from a start in its middle; then what rounds on closure make of it."""
+    def solve_path(self, start: Start) -> Iterator[MotionCandidate]:
+        """All of the path, from a start in its middle; then what rounds on closure make of it."""
         run = _Run(self, start)
         run.in_haste = not self.problem.holds
         run.fix(1.0)
@@ -173,7 +170,7 @@ class MotionSolver:
             run.descend(HOLDING)
             yield run.candidate(())
 
-    def stretch(self, start: Start) -> Iterator[MotionCandidate]:
+    def maximise_path(self, start: Start) -> Iterator[MotionCandidate]:
         """As much of the path as there is, from a start in its middle; then less and less of it."""
         run = _Run(self, start)
         run.residuals.pull = REACH.weight * run.residuals.length
@@ -205,22 +202,28 @@ class _Run:
     """Where a motion has come to, and within which bounds it may move on."""
 
     def __init__(self, solver: MotionSolver, start: Start) -> None:
-        self._begin = time.process_time()
         self._solver = solver
         start = solver._grasped(start)
         problem = solver.problem
         numbers = problem.numbers(
-            solver.task, solver.path, start, solver._posture, solver._options, solver.tube
+            solver.task,
+            solver.path,
+            start,
+            solver._posture,
+            solver._options,
+            solver.path_tolerance,
         )
         self.residuals = MotionResiduals(problem, numbers, solver._field)
-        self.lower, self.upper = problem.bounds(start, solver.tube, exact_end=solver._exact_end)
+        self.lower, self.upper = problem.bounds(
+            start, solver.path_tolerance, exact_end=solver._exact_end
+        )
         self.z = np.clip(problem.first(start), self.lower, self.upper)
         self.worst = np.inf
         self.in_haste = False  # whether small gains end a descent
         self._iterations = 0
 
     def fix(self, share: float) -> None:
-        """From now on exactly this share of the path."""
+        """From now on exactly up to this path parameter."""
         self.lower[SHARE] = self.upper[SHARE] = self.z[SHARE] = share
 
     def descend(self, budget: int) -> None:
@@ -262,8 +265,7 @@ class _Run:
             grasps=self.residuals.grasps(self.z),
             reference=self.residuals.numbers.reference,
             worst=self.worst,
-            worst_term=worst_term(self.residuals, self.z) if self.worst > WORTH_A_LOOK else "",
+            failure=worst_term(self.residuals, self.z) if self.worst > WORTH_A_LOOK else None,
             limits=limits,
             iterations=self._iterations,
-            cpu_s=time.process_time() - self._begin,
         )

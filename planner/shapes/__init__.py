@@ -4,11 +4,17 @@ from planner.shapes.base import Shape
 from planner.shapes.box import Box
 from planner.shapes.capsule import Capsule
 from planner.shapes.cylinder import Cylinder
-from planner.shapes.data import shape_from_dict, shape_to_dict
 from planner.shapes.ellipsoid import Ellipsoid
 from planner.shapes.made import Hammer, Knot, LBracket, Mug, Superquadric, Torus
 from planner.shapes.mesh import Mesh
-from planner.shapes.registry import SHAPES, SIZED_SHAPES, register_shape
+from planner.shapes.registry import (
+    SHAPES,
+    SIZED_SHAPES,
+    register_shape,
+    shape_from_dict,
+    shape_key,
+    shape_to_dict,
+)
 from planner.shapes.sphere import Sphere
 from planner.shapes.stable import StablePose
 
@@ -31,5 +37,6 @@ __all__ = [
     "Torus",
     "register_shape",
     "shape_from_dict",
+    "shape_key",
     "shape_to_dict",
 ]

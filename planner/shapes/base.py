@@ -1,4 +1,4 @@
-"""What every shape can do: distances, mass properties, and its form in coal and in MuJoCo."""
+"""Interface of all shapes: distances, mass properties, and their form in coal and in MuJoCo."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ __all__ = [
     "checked_extents",
     "checked_length",
     "checked_points",
+    "sized_spec",
 ]
 
 LARGEST = 2.0
-"""Largest size (m) that is believed: more is too large to grasp, or was given in millimetres."""
+"""Largest accepted size (m): more is too large to grasp, or was given in millimetres."""
 
 ALIGNED = 1e-9
-"""Components of a normal below this (-) are none: the normal is that of a flat face, or across."""
+"""Components of a normal below this (-) count as zero."""
 
 SMALLEST = 1e-4
-"""Smallest size (m) that is believed: thinner than a sheet of paper is no solid to grasp."""
+"""Smallest accepted size (m): the thickness of a sheet of paper."""
 
 
 class Shape(ABC):
     """A solid of uniform density; the origin of its frame is its centre of mass.
 
-    Lengths are in m, points and directions in the shape's frame. Symmetry axes are along z. The
-    primitives are convex; a mesh need not be.
+    Lengths are in m, points and directions in the shape's frame. Symmetry axes are along z.
 
     A new primitive is one file: a subclass with its ``surface``, and ``register_shape``.
 
@@ -48,6 +48,7 @@ class Shape(ABC):
         size_names: What the numbers of a specification are, in its order.
         pure_numbers: Those of ``size_names`` that are numbers, not lengths.
         default_sizes: The numbers of a specification that is the name alone.
+        convex: Whether every shape of this kind is; a mesh need not be.
         turns_tips: Whether a fingertip has to turn with the object all the way when it is turned
             in the hand: on a face, or on a ball, where a tip that does not turn with it pivots,
             against torsional friction. On a side that is round about z the contact may wander.
@@ -59,6 +60,7 @@ class Shape(ABC):
     size_names: ClassVar[tuple[str, ...]]
     pure_numbers: ClassVar[tuple[str, ...]] = ()
     default_sizes: ClassVar[tuple[float, ...]]
+    convex: ClassVar[bool] = True
     turns_tips: ClassVar[bool] = True
     ball_like: ClassVar[bool] = False
 
@@ -85,7 +87,7 @@ class Shape(ABC):
 
         Every digit is kept: the shape read back is equal to this one.
         """
-        return f"{self.kind}:" + "x".join(repr(v) for v in self.sizes)
+        return sized_spec(self.kind, self.sizes)
 
     @property
     @abstractmethod
@@ -212,6 +214,11 @@ class Shape(ABC):
         return SE3(rotation, np.array([0.0, 0.0, table_height + height]))
 
 
+def sized_spec(kind: str, sizes: Sequence[float]) -> str:
+    """The specification of a kind and sizes (m) with every digit: "box:0.05x0.05x0.08"."""
+    return f"{kind}:" + "x".join(repr(v) for v in sizes)
+
+
 def checked_length(kind: str, name: str, value: object) -> float:
     """A size in m as a float.
 
@@ -221,7 +228,7 @@ def checked_length(kind: str, name: str, value: object) -> float:
         value: What was given.
 
     Raises:
-        ObjectError: Not a number, not finite, not positive, or not believed.
+        ObjectError: Not a number, not finite, not positive, or out of range.
     """
     if isinstance(value, bool) or not isinstance(value, Real):
         raise ObjectError(f"{kind}: {name} is {value!r}, not a number; give metres > 0")

@@ -11,7 +11,7 @@ import coal
 import numpy as np
 
 from planner.shapes.base import ALIGNED, Shape, checked_extents, checked_points
-from planner.shapes.nearest import nearest_of_faces, sign
+from planner.shapes.closest_point import nearest_of_faces, sign
 from planner.shapes.stable import StablePose, stable_poses
 from planner.shapes.surface import CODE_DIM, Patch, Surface, box_clearance, edge_margin
 from planner.spatial import FloatArray

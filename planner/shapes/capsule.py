@@ -11,7 +11,7 @@ import numpy as np
 
 from planner.errors import ObjectError
 from planner.shapes.base import Shape, checked_length, checked_points
-from planner.shapes.nearest import unit
+from planner.shapes.closest_point import unit
 from planner.shapes.surface import Patch, Surface, soft_norm
 from planner.spatial import FloatArray
 

@@ -1,10 +1,10 @@
-"""Convex hulls as coal geometries, whatever number of neighbours a corner has.
+"""Convex hulls as coal geometries, for any number of neighbours per corner.
 
-coal refuses a hull with a corner of 255 or more neighbours ("Too many neighbors"). Two things give
-such corners. A flat face of many corners is cut into triangles that all begin at one of them:
-joggled input (Qhull's QJ, by 1e-13 m) leaves no face flat, and cuts it another way. And the apex of
-a cone has as many neighbours as its rim has corners: it is cut off by a micrometre, and the corners
-that are left in its place share the neighbours.
+coal refuses a hull with a corner of 255 or more neighbours ("Too many neighbors"). Such corners
+have two causes. A flat face of many corners is triangulated as a fan from one of them: joggled
+input (Qhull's QJ, by 1e-13 m) leaves no face flat and gives another triangulation. The apex of a
+cone has as many neighbours as its rim has corners: it is cut off by a micrometre, and the new
+corners share the neighbours.
 """
 
 from __future__ import annotations

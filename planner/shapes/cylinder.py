@@ -10,7 +10,7 @@ import coal
 import numpy as np
 
 from planner.shapes.base import ALIGNED, Shape, checked_length, checked_points
-from planner.shapes.nearest import nearest_on_cylinder
+from planner.shapes.closest_point import nearest_on_cylinder
 from planner.shapes.surface import Patch, Surface, edge_margin, soft_max, soft_norm
 from planner.spatial import FloatArray
 

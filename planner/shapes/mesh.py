@@ -16,15 +16,14 @@ from scipy.spatial import ConvexHull
 
 from planner.errors import ObjectError
 from planner.shapes.base import Shape, checked_points
+from planner.shapes.closest_point import ON_SURFACE, unit
 from planner.shapes.convex import convex_geometry
 from planner.shapes.field.distance_field import DistanceField
-from planner.shapes.field.grid_distance import FIELD_VERSION, fit_mesh_field
-from planner.shapes.field.kept_fits import field_fits
+from planner.shapes.field.grid_distance import FIELD_VERSION, field_fits, fit_mesh_field
 from planner.shapes.meshes.io import check_solid, read_mesh
 from planner.shapes.meshes.nearest_triangle import NearestTriangles, coal_tree
-from planner.shapes.meshes.polyhedron import checked_triangles, digest_of, moments
+from planner.shapes.meshes.polyhedron import Polyhedron, checked_triangles, digest_of
 from planner.shapes.meshes.triangles import winding_number
-from planner.shapes.nearest import ON_SURFACE, unit
 from planner.shapes.stable import StablePose, stable_poses
 from planner.spatial import FloatArray, IntArray
 from planner.system.disk_cache import read_arrays, write_arrays
@@ -53,7 +52,7 @@ OPPOSITE = -0.5
 """Cosine between normals below which one looks the other way: 120 degrees."""
 
 PLANE_DIGITS = 9
-"""Digits to which planes of the hull are told apart: a nanometre."""
+"""Decimal digits to which planes of the hull are equal: a nanometre."""
 
 
 class Mesh(Shape):
@@ -62,17 +61,12 @@ class Mesh(Shape):
     Two meshes are equal if their vertices and faces are.
 
     Attributes:
-        vertices: (n, 3), m; read-only.
-        faces: (m, 3), indices of vertices, counter-clockwise seen from outside; read-only.
-        offset: The centre of mass (3,) in the axes and from the origin of what was given, m.
         source: The file; None for a mesh that was made.
     """
 
     kind: ClassVar[str] = "mesh"
+    convex: ClassVar[bool] = False
     size_names: ClassVar[tuple[str, ...]] = ()
-    vertices: FloatArray
-    faces: IntArray
-    offset: FloatArray
     source: MeshSource | None
 
     def __init__(
@@ -85,16 +79,23 @@ class Mesh(Shape):
             faces: (m, 3).
             source: The file it is from.
         """
-        v, f = np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64)
-        volume, center, second = moments(v[f])
-        v -= center
-        v.setflags(write=False)
-        f.setflags(write=False)
-        second -= volume * np.outer(center, center)
-        # generators are frozen dataclasses, hence this way of setting
-        values = {"vertices": v, "faces": f, "offset": center, "source": source}
-        for name, value in (values | {"_volume": volume, "_second": second}).items():
-            object.__setattr__(self, name, value)
+        self._solid = Polyhedron.centred(vertices, faces)
+        self.source = source
+
+    @property
+    def vertices(self) -> FloatArray:
+        """(n, 3), m; read-only."""
+        return self._solid.vertices
+
+    @property
+    def faces(self) -> IntArray:
+        """(m, 3), indices of vertices, counter-clockwise seen from outside; read-only."""
+        return self._solid.faces
+
+    @property
+    def offset(self) -> FloatArray:
+        """The centre of mass (3,) in the frame of the given vertices, m."""
+        return self._solid.offset
 
     @classmethod
     def from_triangles(
@@ -194,8 +195,7 @@ class Mesh(Shape):
     @property
     def volume(self) -> float:
         """By the divergence theorem, exact for the polyhedron, m3."""
-        volume: float = getattr(self, "_volume")  # noqa: B009
-        return volume
+        return self._solid.volume
 
     @property
     def wall_thickness(self) -> float:
@@ -204,7 +204,7 @@ class Mesh(Shape):
 
     def inertia(self, mass: float) -> FloatArray:
         """By the divergence theorem, exact for the polyhedron; (3, 3), kg m2."""
-        second: FloatArray = getattr(self, "_second")  # noqa: B009
+        second = self._solid.second_moments
         inertia: FloatArray = np.trace(second) * np.eye(3) - second
         return mass / self.volume * inertia
 
@@ -246,9 +246,9 @@ class Mesh(Shape):
         return convex_geometry(self.hull_vertices)
 
     def mujoco_geom(self) -> tuple[str, tuple[float, ...]]:
-        """None fits: see ``planner.shapes.decomposition.solid``."""
+        """None fits: see ``planner.shapes.decomposition.pieces``."""
         raise ObjectError(
-            "a mesh is no single MuJoCo geom; use planner.shapes.decomposition.solid.solid_geoms"
+            "a mesh is no single MuJoCo geom; use planner.shapes.decomposition.pieces.solid_geoms"
         )
 
     def closest_point(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -269,7 +269,7 @@ class Mesh(Shape):
     def winding_number(self, points: FloatArray) -> FloatArray:
         """How often the surface surrounds each point (n,): 1 inside, 0 outside; exact, but slow.
 
-        The second witness of the sign of ``signed_distance``; 4 ms per point and 20,000 triangles.
+        The second witness of the sign of ``signed_distance``.
 
         Args:
             points: (n, 3), m, not on the surface.

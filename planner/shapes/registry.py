@@ -3,13 +3,23 @@
 A new primitive is one file: a subclass of ``Shape`` with its ``surface``. A line in ``_OWN`` below,
 or ``register_shape`` from outside of this package, makes it known to specifications, files, plans
 and simulations.
+
+As plain data for JSON a shape is ``{"kind": "cylinder", "radius_m": 0.03, "height_m": 0.1}``. A
+mesh of a file is its path, scale and digest: the file must be there, unchanged, when it is read
+back. A mesh without a file is its vertices and faces themselves.
 """
 
 from __future__ import annotations
 
-from typing import TypeVar
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any, TypeVar
 
-from planner.errors import ObjectError
+import numpy as np
+
+from planner.errors import NotFoundError, ObjectError
 from planner.shapes.base import Shape
 from planner.shapes.box import Box
 from planner.shapes.capsule import Capsule
@@ -19,7 +29,14 @@ from planner.shapes.made import Hammer, Knot, LBracket, Mug, Superquadric, Torus
 from planner.shapes.mesh import Mesh
 from planner.shapes.sphere import Sphere
 
-__all__ = ["SHAPES", "SIZED_SHAPES", "register_shape"]
+__all__ = [
+    "SHAPES",
+    "SIZED_SHAPES",
+    "register_shape",
+    "shape_from_dict",
+    "shape_key",
+    "shape_to_dict",
+]
 
 _OWN: tuple[type[Shape], ...] = (
     *(Sphere, Box, Cylinder, Capsule, Ellipsoid),
@@ -62,3 +79,97 @@ def register_shape(shape: _S) -> _S:
 
 for _shape in _OWN:
     register_shape(_shape)
+
+_FILE_KEYS = {"path", "scale", "repair", "sha256"}
+_TRIANGLE_KEYS = {"vertices_m", "faces"}
+
+
+def shape_to_dict(shape: Shape) -> dict[str, Any]:
+    """A shape as strings, floats and lists: its kind, and its attributes with their unit."""
+    data: dict[str, Any] = {"kind": shape.kind}
+    if type(shape) is Mesh:
+        return data | _mesh_to_dict(shape)
+    for key, name in _keys(type(shape)).items():
+        value = getattr(shape, name)
+        data[key] = list(value) if isinstance(value, tuple) else value
+    return data
+
+
+def shape_key(shape: Shape) -> str:
+    """What identifies a shape wherever its file is: SHA-256, hexadecimal."""
+    if type(shape) is Mesh:
+        return shape.digest
+    return hashlib.sha256(json.dumps(shape_to_dict(shape), sort_keys=True).encode()).hexdigest()
+
+
+def shape_from_dict(data: object) -> Shape:
+    """The shape that ``shape_to_dict`` wrote, validated.
+
+    Raises:
+        NotFoundError: Unknown kind.
+        ObjectError: Not a mapping, a key missing or unknown, a size out of range, or a mesh file
+            that is missing or was changed.
+    """
+    if not isinstance(data, Mapping):
+        raise ObjectError(f'a shape is {data!r}; give an object such as {{"kind": "box", ...}}')
+    kind = data.get("kind")
+    if not isinstance(kind, str):
+        raise ObjectError(f'a shape has kind {kind!r}; give "kind" as one of {sorted(SHAPES)}')
+    if kind not in SHAPES:
+        raise NotFoundError("shape", kind, SHAPES)
+    given = {str(key) for key in data} - {"kind"}
+    if kind == Mesh.kind:
+        return _mesh_from_dict(data, given)
+    keys = _keys(SHAPES[kind])
+    if given != set(keys):
+        raise ObjectError(f"a {kind} has {sorted(given)}; it needs {sorted(keys)} and no others")
+    return SHAPES[kind](**{name: data[key] for key, name in keys.items()})
+
+
+def _keys(shape: Any) -> dict[str, str]:
+    """Keys of the plain data and the attributes they stand for."""
+    names = [field.name for field in fields(shape)]
+    return {name if name in shape.pure_numbers else f"{name}_m": name for name in names}
+
+
+def _mesh_to_dict(mesh: Mesh) -> dict[str, Any]:
+    if mesh.source is None:
+        return {
+            "vertices_m": mesh.vertices.ravel().tolist(),
+            "faces": [float(i) for i in mesh.faces.ravel()],
+        }
+    return {
+        "path": str(mesh.source.path),
+        "scale": mesh.source.scale,
+        "repair": "yes" if mesh.source.repair else "no",
+        "sha256": mesh.digest,
+    }
+
+
+def _mesh_from_dict(data: Mapping[Any, Any], given: set[str]) -> Mesh:
+    if given == _TRIANGLE_KEYS:
+        try:
+            vertices = np.array(data["vertices_m"], dtype=np.float64).reshape(-1, 3)
+            faces = np.array(data["faces"], dtype=np.float64).reshape(-1, 3).astype(np.int64)
+        except (TypeError, ValueError):
+            raise ObjectError(
+                'a mesh has "vertices_m" and "faces" that are not lists of numbers, three for each'
+            ) from None
+        return Mesh.from_triangles(vertices, faces)
+    if given != _FILE_KEYS:
+        raise ObjectError(
+            f"a mesh has {sorted(given)}; it needs {sorted(_FILE_KEYS)} or "
+            f"{sorted(_TRIANGLE_KEYS)} and no others"
+        )
+    path, scale, repair, digest = (data[key] for key in ("path", "scale", "repair", "sha256"))
+    if not isinstance(path, str) or isinstance(scale, bool) or not isinstance(scale, int | float):
+        raise ObjectError(f"a mesh has path {path!r} and scale {scale!r}; give text and a number")
+    if repair not in ("yes", "no"):
+        raise ObjectError(f'a mesh has repair {repair!r}; give "yes" or "no"')
+    mesh = Mesh.load(path, scale=float(scale), repair=repair == "yes")
+    if mesh.digest != digest:
+        raise ObjectError(
+            f"the mesh file {path!r} is not the one that was stored: it was changed since; plan "
+            "again, or bring the old file back"
+        )
+    return mesh

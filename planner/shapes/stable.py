@@ -1,9 +1,12 @@
-"""How a solid stands on a table: the faces of its convex hull that hold its centre of mass.
+"""Stable poses of a solid on a table: the faces of its convex hull under its centre of mass.
 
-Put on an unstable face, it topples over the edge that its centre of mass is farthest beyond, to
-the next face, until it stands. The probability of a pose is the solid angle, seen from the centre
+On an unstable face it topples over the edge that its centre of mass is farthest beyond, to the next
+face, until it stands. The probability of a pose is the solid angle, seen from the centre
 of mass, of all faces that end there: a quasi-static drop in a random orientation (after Boothroyd,
 Poli and Murch, "Automatic assembly", 1982: the centroid solid angle).
+
+By hand: ``trimesh.poses`` needs networkx and gives neither the tilt at which a pose falls nor one
+pose for the facets of a round bottom.
 """
 
 from __future__ import annotations
@@ -46,8 +49,9 @@ class StablePose:
 def stable_poses(points: FloatArray) -> tuple[StablePose, ...]:
     """Stable poses, the one that can be tilted farthest first.
 
-    A mug so stands upright (40 degrees), though it would more often come to lie against its handle
-    (5 degrees). Of poses that are alike, the one that turns the object least is first.
+    The preferred pose of a mug is upright (falls at 40 degrees), although a dropped mug more often
+    ends against its handle (5 degrees). Of equal poses, the one that turns the object least is
+    first.
 
     Args:
         points: Points (n, 3) whose hull is that of the solid, m; its centre of mass is the origin.
@@ -91,7 +95,7 @@ def stable_poses(points: FloatArray) -> tuple[StablePose, ...]:
 def _coplanar(normals: FloatArray, areas: FloatArray, neighbours: IntArray) -> IntArray:
     """Number (n,) of the face that each simplex is of, the largest simplex of a face deciding.
 
-    Compared is with that simplex, not with the next, so that a round flank is not one face.
+    Simplices are compared with that one, not with their neighbour: a round flank is not one face.
     """
     group = np.full(len(normals), -1)
     least, count = np.cos(np.radians(FLAT_DEG)), 0

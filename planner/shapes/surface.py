@@ -1,4 +1,4 @@
-"""Smooth patches of a surface, for contact synthesis: what a shape adds to the problem.
+"""Smooth patches of a surface, for contact synthesis.
 
 A contact point is a decision variable that lies exactly on the true surface. Edges need no
 rounding, because the surface is cut along them into smooth patches (the faces of a box; side and
@@ -44,7 +44,7 @@ EDGE_MARGIN = 0.004
 a few millimetres must not reach the edge. At most a quarter of the patch's half width."""
 
 SIZE_DIM = 3
-"""Numbers that describe a shape's size in the grasp problem."""
+"""Numbers that describe a shape's size in the synthesis problem."""
 
 CODE_DIM = 3
 """Numbers that say which patch a finger touches."""
@@ -68,7 +68,7 @@ class Patch:
 
 
 class Surface(ABC):
-    """How one kind of shape enters the grasp problem; expressions are in the object's frame, m."""
+    """One kind of shape in the synthesis problem; expressions are in the object's frame, m."""
 
     kind: ClassVar[str]
     field: Any = None
@@ -84,7 +84,7 @@ class Surface(ABC):
 
     @abstractmethod
     def size(self, shape: Any) -> FloatArray:
-        """Parameters (3,) of a shape's size, m."""
+        """Parameters (3,) of the problem for a shape's size, m."""
 
     @abstractmethod
     def patches(self, shape: Any) -> tuple[Patch, ...]:

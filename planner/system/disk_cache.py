@@ -1,9 +1,12 @@
-"""Arrays and texts that are costly to compute, kept on disk by content.
+"""Disk cache of arrays and texts that are costly to compute, keyed by content.
 
 The directory is that of the environment variable OPPOSABLE_CACHE_DIR, else the user's cache
-directory. A file begins with the digest of its kind, its key and its content. One that is damaged,
-that is of another key, that somebody else could have written, or that cannot be written, is as if
-it were not there. Who uses the content still checks that it fits what it was made of.
+directory. A file begins with the digest of its kind, key and content. A file that is damaged, has
+another key, or could have been written by another user counts as missing. Callers still check that
+the content fits its input.
+
+By hand, because diskcache and ``joblib.Memory`` store pickles: reading one runs code, so that a
+shared or damaged cache directory could run any. Arrays are read without pickles.
 """
 
 from __future__ import annotations
@@ -39,7 +42,7 @@ CACHE_VARIABLE = "OPPOSABLE_CACHE_DIR"
 """Environment variable that names the directory of the cache."""
 
 MOST_BYTES = 2**30
-"""Size above which a file is none of ours: fields, the largest, have some ten megabytes."""
+"""Largest file (bytes) that is read; fields, the largest content, have some ten megabytes."""
 
 SEAL_BYTES = hashlib.sha256().digest_size
 """Length of the digest at the beginning of a file."""
@@ -48,17 +51,17 @@ _DAMAGED = (OSError, ValueError, KeyError, EOFError, BadZipFile, ZlibError)
 """What reading an ``.npz`` raises where the file is missing, cut short or of another kind."""
 
 _NOT_WAITING = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-"""Opened so, a pipe in place of a file does not keep its reader waiting."""
+"""Flags of ``os.open`` with which a pipe in place of a file does not block its reader."""
 
 
 def cache_directory() -> Path:
-    """Where prepared objects are kept; it need not exist."""
+    """The cache's directory; it need not exist."""
     given = os.environ.get(CACHE_VARIABLE)
     return Path(given) if given else Path(user_cache_dir("opposable"))
 
 
 def read_arrays(kind: str, key: str) -> dict[str, FloatArray] | None:
-    """The arrays kept under a kind ("field") and a key (a digest); None if there are none."""
+    """The arrays stored under a kind ("field") and a key (a digest); None if there are none."""
     content = _sealed(kind, key)
     if content is None:
         return None
@@ -67,13 +70,13 @@ def read_arrays(kind: str, key: str) -> dict[str, FloatArray] | None:
             arrays = {name: stored[name] for name in stored.files}
     except _DAMAGED:
         return None
-    # texts are kept as bytes, and what is not finite was never computed
+    # texts are kept as bytes; nothing that is cached has numbers that are not finite
     known = all(a.dtype.kind in "fiub" and np.isfinite(a).all() for a in arrays.values())
     return arrays if known else None
 
 
 def write_arrays(kind: str, key: str, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Keep arrays: all of them or, where the disk refuses, none."""
+    """Store arrays: all of them or, where the disk refuses, none."""
     path = _path(kind, key)
     packed = io.BytesIO()
     np.savez(packed, allow_pickle=False, **arrays)
@@ -90,7 +93,7 @@ def write_arrays(kind: str, key: str, arrays: Mapping[str, NDArray[Any]]) -> Non
 
 
 def read_text(kind: str, key: str) -> str | None:
-    """The text kept under a kind and a key; None if there is none."""
+    """The text stored under a kind and a key; None if there is none."""
     stored = read_arrays(kind, key)
     try:
         return None if stored is None else stored["text"].tobytes().decode()
@@ -99,7 +102,7 @@ def read_text(kind: str, key: str) -> str | None:
 
 
 def write_text(kind: str, key: str, text: str) -> None:
-    """Keep a text, as bytes in a file of arrays: those are checked as they are read."""
+    """Store a text, as bytes in a file of arrays."""
     write_arrays(kind, key, {"text": np.frombuffer(text.encode(), dtype=np.uint8)})
 
 
@@ -108,7 +111,7 @@ def _path(kind: str, key: str) -> Path:
 
 
 def _sealed(kind: str, key: str) -> bytes | None:
-    """Content of a file that is ours, closed to others, and as it was written; None for others."""
+    """Content of a file that only this user can write and that is undamaged; else None."""
     try:
         handle = os.open(_path(kind, key), os.O_RDONLY | _NOT_WAITING)
         with os.fdopen(handle, "rb") as stream:

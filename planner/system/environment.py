@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 
-__all__ = ["Held"]
+__all__ = ["SAFE_PATH", "Held", "safe_path"]
 
 
 class Held:
@@ -49,3 +49,17 @@ class Held:
                 os.environ.pop(self._variable, None)
             else:
                 os.environ[self._variable] = self._before
+
+
+SAFE_PATH = "PYTHONSAFEPATH"
+"""Environment variable under which Python does not import from the current folder.
+
+joblib and ``multiprocessing`` start ``python -m`` or ``python -c``, which put the current folder
+first on the path of modules: a user's ``joblib.py`` there would run instead of the library."""
+
+_safe = Held(SAFE_PATH, "1")
+
+
+def safe_path() -> AbstractContextManager[None]:
+    """Python processes that are started meanwhile import nothing from the current folder."""
+    return _safe()

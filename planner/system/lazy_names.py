@@ -1,7 +1,7 @@
 """Public names of a package that are imported when they are first used (PEP 562).
 
-The two packages use it in their ``__init__``: who imports ``planner.contacts`` waits for NumPy
-alone, not for four engines.
+The two packages use it in their ``__init__``: ``import planner.contacts`` loads NumPy alone, not
+four engines.
 """
 
 from __future__ import annotations

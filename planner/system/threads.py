@@ -1,4 +1,4 @@
-"""What threads share, and what each of them has for itself.
+"""Data that threads share, and data of one thread.
 
 Hands, tasks, shapes, plans and expressions never change once they are made. Threads share them;
 ``made_once`` and ``built`` let one thread make each while the others wait. Arrays that a

@@ -1,10 +1,10 @@
-"""Files whose content runs as code: kept where nobody else can write, with the digest of each.
+"""Files whose content runs as code: only this user can write them, and each has its digest.
 
-Loading a library runs it, so one that somebody else could have written must not be loaded. What is
-checked: the folder and its parent belong to this user (or to the system's administrator), nobody
-else may write to them, and no folder above is open to all; the file is a plain one, ours, closed to
-others, and has the digest that was written beside it when it was made. The digest finds damage; who
-can write the file can write the digest too, and that is what owner and mode are looked at for.
+Loading a library runs it, so a library that another user could have written must not be loaded.
+Checks: the folder and its parent belong to this user (or to the system's administrator), no other
+user may write to them, and no folder above is open to all; the file is a plain one of this user,
+closed to others, and has the digest that was written beside it when it was made. The digest finds
+damage only; owner and mode protect from other users, who could write a digest too.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ def make_private(folder: Path) -> None:
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse a folder in which somebody else could put code.
+    """Refuse a folder in which another user could put code.
 
     Raises:
-        PlannerError: So; says which folder, and what to do.
+        PlannerError: Another user could; says which folder, and what to do.
     """
     real = folder.resolve()
     for place in (real, *real.parents):
@@ -100,7 +100,7 @@ def _digest(content: bytes) -> str:
 
 
 def is_closed(state: os.stat_result) -> bool:
-    """Whether this is a plain file of ours to which nobody else can write."""
+    """Whether this is a plain file of this user that no other user can write."""
     return stat.S_ISREG(state.st_mode) and is_mine(state) and not state.st_mode & OTHERS_WRITE
 
 
@@ -112,7 +112,7 @@ def is_mine(state: os.stat_result) -> bool:
 def _too_open(state: os.stat_result, place: Path, folder: Path) -> int:
     """Which rights to write are too many for a folder above ours.
 
-    None where it is sticky, since nobody can then rename what belongs to another.
+    None where it is sticky: users cannot rename each other's files there.
     """
     if state.st_mode & stat.S_ISVTX:
         return 0

@@ -14,13 +14,14 @@ import numpy as np
 from planner.collision.pad_contact import PadTouch, pad_touches, touching_of
 from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
+from planner.failure import Failure
 from planner.plan import Verification
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from planner.tolerances import ANGLE_TOL, FLAT_ANGLE_TOL, JOINT_TOL, PENETRATION_TOL, TOUCH_TOL
 
-__all__ = ["contacts_at", "contacts_of", "edge_faults", "verify"]
+__all__ = ["contacts_at", "contacts_of", "edge_failures", "verify_geometry"]
 
 LISTED = 5
 """Clearances that a verification keeps."""
@@ -34,7 +35,7 @@ EDGE_SPREAD = float(np.deg2rad(25.0))
 """Largest dispersion of normals there (rad); it is 45 degrees on a right-angled edge."""
 
 
-def edge_faults(task: GraspTask, points: FloatArray) -> list[str]:
+def edge_failures(task: GraspTask, points: FloatArray) -> list[Failure]:
     """Which contacts, at points (n, 3) of the object's frame, m, are on an edge of a mesh.
 
     Primitives need no look: their contacts keep away from edges by construction.
@@ -44,24 +45,30 @@ def edge_faults(task: GraspTask, points: FloatArray) -> list[str]:
         return []
     spreads = shape.normal_dispersion(points, EDGE_RADIUS)
     return [
-        f"{finger} is on an edge: normals differ by {np.rad2deg(angle):.0f} degrees within "
-        f"{1e3 * EDGE_RADIUS:.0f} mm"
+        Failure(
+            kind="edge",
+            text=f"{finger} is on an edge: normals differ by {np.rad2deg(angle):.0f} degrees "
+            f"within {1e3 * EDGE_RADIUS:.0f} mm",
+            numbers={"spread": float(angle)},
+        )
         for finger, angle in zip(task.finger_names, spreads, strict=True)
         if angle > EDGE_SPREAD
     ]
 
 
-def _given_faults(task: GraspTask, T_world_base: SE3, q: FloatArray) -> list[str]:
+def _fixed_failures(task: GraspTask, T_world_base: SE3, q: FloatArray) -> list[Failure]:
     """Whether base and wrist are where the task fixes them."""
-    faults = []
+    failures = []
     if task.T_world_base is not None:
         off = task.T_world_base.inverse() * T_world_base
         if not np.allclose(off.homogeneous, np.eye(4), atol=JOINT_TOL):
-            faults.append("the base is not where the task fixes it")
+            text = "the base is not where the task fixes it"
+            failures.append(Failure(kind="base_moved", text=text))
     wrist = q[task.hand.wrist_index]
     if not task.wrist_free and np.abs(wrist - task.wrist_q).max(initial=0.0) > JOINT_TOL:
-        faults.append("the wrist is not where the task holds it")
-    return faults
+        text = "the wrist is not where the task holds it"
+        failures.append(Failure(kind="wrist_moved", text=text))
+    return failures
 
 
 def contacts_at(task: GraspTask, T_world_base: SE3, q: FloatArray) -> ContactSet:
@@ -84,7 +91,7 @@ def contacts_of(task: GraspTask, touches: Sequence[PadTouch]) -> ContactSet:
     ).transformed(task.T_world_object)
 
 
-def verify(
+def verify_geometry(
     world: CollisionWorld,
     T_world_base: SE3,
     q: FloatArray,
@@ -111,38 +118,61 @@ def verify(
     matrix, value = hand.coupling_matrix
     coupling = float(np.abs(matrix @ q - value).max(initial=0.0))
     limits = float(np.maximum(hand.q_lower - q, q - hand.q_upper).max(initial=0.0))
-    faults = [
-        f"{f.name} pad is {1e3 * gap:.2f} mm from the surface (allowed {1e3 * TOUCH_TOL:.1f})"
+    failures = [
+        Failure(
+            kind="pad_gap",
+            text=f"{f.name} pad is {1e3 * gap:.2f} mm from the surface "
+            f"(allowed {1e3 * TOUCH_TOL:.1f})",
+            numbers={"gap": gap},
+        )
         for f, gap in zip(task.fingers, gaps, strict=True)
         if not abs(gap) <= TOUCH_TOL
     ]
-    faults += [
-        f"{f.pad.geom} is {1e3 * gap:.2f} mm from the surface although its pad touches"
+    failures += [
+        Failure(
+            kind="pad_geometry_gap",
+            text=f"{f.pad.geom} is {1e3 * gap:.2f} mm from the surface although its pad touches",
+            numbers={"gap": gap},
+        )
         for f, gap in zip(task.fingers, whole, strict=True)
         if not abs(gap) <= TOUCH_TOL
     ]
-    faults += [
-        f"{f.name} touches {np.rad2deg(angle):.0f} degrees off its pad axis, outside the pad"
+    failures += [
+        Failure(
+            kind="off_pad",
+            text=f"{f.name} touches {np.rad2deg(angle):.0f} degrees off its pad axis, "
+            "outside the pad",
+            numbers={"angle": angle},
+        )
         for f, touch, angle in zip(task.fingers, touches, angles, strict=True)
         if angle > f.pad.half_angle + (ANGLE_TOL if touch.round else FLAT_ANGLE_TOL)
     ]
     points = np.array([touch.point for touch in touches])
     region = task.object.touch
     if region is not None:
-        faults += [
-            f"{f.name} touches where it may not, at {np.round(point, 4)} m of the object"
+        failures += [
+            Failure(
+                kind="region",
+                text=f"{f.name} touches where it may not, at {np.round(point, 4)} m of the object",
+            )
             for f, point, good in zip(
                 task.fingers, points, region.permits(points, task.finger_names), strict=True
             )
             if not good
         ]
-    faults += edge_faults(task, points)
-    faults += [f"penetration, {c}" for c in others if c.distance < -PENETRATION_TOL]
+    failures += edge_failures(task, points)
+    failures += [
+        Failure(kind="penetration", text=f"penetration, {c}", numbers={"distance": c.distance})
+        for c in others
+        if c.distance < -PENETRATION_TOL
+    ]
     if coupling > JOINT_TOL:
-        faults.append(f"a coupling is violated by {coupling:.1e} rad")
+        text = f"a coupling is violated by {coupling:.1e} rad"
+        failures.append(Failure(kind="coupling", text=text, numbers={"violation": coupling}))
     if limits > JOINT_TOL:
-        faults.append(f"a joint limit is violated by {limits:.1e} rad")
-    faults += _given_faults(task, T_world_base, q)
+        text = f"a joint limit is violated by {limits:.1e} rad"
+        failures.append(Failure(kind="joint_limit", text=text, numbers={"violation": limits}))
+    failures += _fixed_failures(task, T_world_base, q)
     return Verification(
         pad_gaps=gaps,
         pad_geometry_gaps=whole,
@@ -150,5 +180,5 @@ def verify(
         closest=tuple(others[:LISTED]),
         coupling_error=coupling,
         limit_error=limits,
-        faults=tuple(faults),
+        failures=tuple(failures),
     )

@@ -1,6 +1,6 @@
-"""``judge_grasp``: a base pose and joints become a plan if everything holds, or a reason why not.
+"""``verify_grasp``: a base pose and joints become a plan if everything holds, else a ``Failure``.
 
-The search asks it about what least squares found; whoever reads a plan from a file asks it again.
+The search asks it about what the solver found, and whoever reads a plan from a file asks it again.
 """
 
 from __future__ import annotations
@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from planner.approach.pregrasp import Approach, approach_fault, find_approach
+from planner.approach.pregrasp import Approach, find_approach, verify_approach
 from planner.collision.pad_contact import pad_touches
 from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
+from planner.failure import Failure
 from planner.forces import (
     QUICK_SOLVER,
     ForceArguments,
@@ -23,17 +24,24 @@ from planner.forces import (
 )
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan, SolveRecord
-from planner.quality import force_closure
+from planner.quality import ClosureResult, force_closure
 from planner.spatial import SE3, FloatArray
 from planner.system.stage_times import stage
 from planner.task import GraspTask
 from planner.tolerances import CLOSURE_EDGES, FRICTION_SHARE
-from planner.verification.geometry import contacts_of, verify
+from planner.verification.geometry import contacts_of, verify_geometry
 
-__all__ = ["force_arguments", "judge_grasp", "plan_forces", "with_grip"]
+__all__ = [
+    "force_arguments",
+    "no_closure",
+    "no_forces",
+    "plan_forces",
+    "verify_grasp",
+    "with_grip",
+]
 
 
-def judge_grasp(
+def verify_grasp(
     task: GraspTask,
     T_world_base: SE3,
     q: FloatArray,
@@ -41,7 +49,7 @@ def judge_grasp(
     record: SolveRecord,
     approach: Approach | None = None,
     world: CollisionWorld | None = None,
-) -> GraspPlan | str:
+) -> GraspPlan | Failure:
     """A plan out of a base pose and joints if everything holds on the true geometry; else why not.
 
     Args:
@@ -55,22 +63,22 @@ def judge_grasp(
     world = world or CollisionWorld(task)
     with stage("verify"):
         touches = pad_touches(task, T_world_base, q)
-        verification = verify(world, T_world_base, q, touches)
-    if not verification.ok:
-        return f"true geometry: {'; '.join(verification.faults)}"
+        verification = verify_geometry(world, T_world_base, q, touches)
+    if verification.failure is not None:
+        return verification.failure
     contacts = contacts_of(task, touches)
     with stage("closure"):
         closure = force_closure(contacts, edges=CLOSURE_EDGES)
     if not closure.closed:
-        return f"no force closure: {closure.reason}"
+        return no_closure(closure)
     with stage("forces"):
         forces = plan_forces(task, contacts, T_world_base, q)
     if not forces.found:
-        return f"forces: with {task.grip_force:.3g} N per finger, {forces.reason}"
+        return no_forces(task, forces)
     with stage("approach"):
         way = _way_in(world, T_world_base, q, contacts, approach)
-    if isinstance(way, str):
-        return f"approach: {way}"
+    if isinstance(way, Failure):
+        return way.at("approach")
     return GraspPlan(
         task=task,
         T_world_base=T_world_base,
@@ -92,11 +100,29 @@ def _way_in(
     q: FloatArray,
     contacts: ContactSet,
     given: Approach | None,
-) -> Approach | str:
+) -> Approach | Failure:
     """The given approach if nothing is wrong with it, one that is found where none is given."""
     if given is None:
         return find_approach(world, T_world_base, q, contacts.normals)
-    return approach_fault(world, T_world_base, q, given) or given
+    return verify_approach(world, T_world_base, q, given) or given
+
+
+def no_closure(closure: ClosureResult) -> Failure:
+    """The failure of contacts that do not close."""
+    return Failure(
+        kind="no_closure",
+        text=f"no force closure: {closure.reason}",
+        numbers={"normalised_min_weight": closure.normalised_min_weight},
+    )
+
+
+def no_forces(task: GraspTask, forces: ForceSolution) -> Failure:
+    """The failure of a grasp whose contacts or actuators cannot bear the object's weight."""
+    return Failure(
+        kind="no_forces",
+        text=f"forces: with {task.grip_force:.3g} N per finger, {forces.reason}",
+        numbers={"fraction": forces.fraction},
+    )
 
 
 def plan_forces(

@@ -18,12 +18,12 @@ from planner.collision.pad_contact import touching_of
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 
-__all__ = ["settle"]
+__all__ = ["project_onto_surface"]
 
-SETTLED = 2e-5
+GAP_TOL = 2e-5
 """Gap (m) that counts as none: a twenty-fifth of what counts as touching."""
 
-COUPLED = 1e-7
+COUPLING_TOL = 1e-7
 """Violation of a coupling (rad) that counts as none: a tenth of what is allowed in the verdict."""
 
 STEPS = 8
@@ -33,7 +33,7 @@ FARTHEST = 0.006
 """Largest gap (m) that is still a matter of models; more than that is no solution."""
 
 
-def settle(task: GraspTask, T_world_base: SE3, q: FloatArray) -> FloatArray:
+def project_onto_surface(task: GraspTask, T_world_base: SE3, q: FloatArray) -> FloatArray:
     """Joints (nq,) near q with every pad on the true surface, as far as limits let them.
 
     What is left is for ``planner.verification.geometry`` to judge; q itself if it touches already,
@@ -49,8 +49,8 @@ def settle(task: GraspTask, T_world_base: SE3, q: FloatArray) -> FloatArray:
         found = touching.gaps(T_world_base, q)
         missing = value - matrix @ q
         worst = np.abs(found.gaps).max()
-        settled = worst <= SETTLED and np.abs(missing).max(initial=0.0) <= COUPLED
-        if settled or worst > FARTHEST:
+        arrived = worst <= GAP_TOL and np.abs(missing).max(initial=0.0) <= COUPLING_TOL
+        if arrived or worst > FARTHEST:
             break
         rates = np.einsum("ni,nij->nj", found.outward @ turn.T, found.jacobians)
         rows = np.vstack([rates, matrix])[:, index]

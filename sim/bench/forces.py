@@ -15,7 +15,8 @@ Clarabel has the cones, DAQP the pyramids, HiGHS the proofs: three libraries.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, get_args
+from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 from rich.table import Table
@@ -32,9 +33,10 @@ from planner.forces import (
     solver_names,
 )
 from planner.spatial import FloatArray
+from sim.bench.run import Job, Row, measure
 from sim.bench.statistics import median_of, quantile_of
 from sim.bench.tables import number, table_of
-from sim.runner import Check, Runner, made_with
+from sim.runner import Check, Runner
 
 __all__ = ["force_tables", "run_forces"]
 
@@ -60,7 +62,7 @@ COST_TOL = 1e-5
 """By how much (-) costs may miss their order: Clarabel's gaps."""
 
 
-def run_forces(n: int, *, seed: int, runner: Runner) -> dict[str, Any]:
+def run_forces(n: int, *, seed: int, runner: Runner) -> Row:
     """Work on n random programmes; Ctrl-C keeps what is done.
 
     Args:
@@ -71,19 +73,14 @@ def run_forces(n: int, *, seed: int, runner: Runner) -> dict[str, Any]:
     Raises:
         NotFoundError: Clarabel is not installed.
     """
-    rows: list[dict[str, Any]] = []
-    whole = made_with()
-    jobs = [(seed, k) for k in range(n)]
-    finished = runner.run(_work, jobs, title="solve", keep=rows.append, given_up=_given_up)
-    rows.sort(key=lambda row: row["k"])
-    done = [row for row in rows if not row["error"]]
-    return {
-        "format": "opposable-bench-forces",
-        "version": 1,
-        **whole,
-        "seed": seed,
-        "interrupted": not finished,
-        "given_up": len(rows) - len(done),
+    jobs = [_Programme(index=k, seed=seed) for k in range(n)]
+    kind = "opposable-bench-forces"
+    result = measure(
+        runner, _work, jobs, kind=kind, title="solve", lost=_Programme.lost, version=2, seed=seed
+    )
+    done = [row for row in result["rows"] if not row["error"]]
+    return result | {
+        "given_up": len(result["rows"]) - len(done),
         "theory": _theory(done),
         "gaps": [
             _gap(soft, cone, sides, done)
@@ -94,17 +91,19 @@ def run_forces(n: int, *, seed: int, runner: Runner) -> dict[str, Any]:
         "solvers": [
             _solver(name, tolerance, done) for tolerance in TOLERANCES for name in solver_names()
         ],
-        "rows": rows,
     }
 
 
-def _given_up(job: tuple[int, int], reason: str) -> dict[str, Any]:
-    return {"k": job[1], "error": reason}
+@dataclass(frozen=True, kw_only=True)
+class _Programme(Job):
+    """One random force programme; its number and the seed are what is drawn from."""
+
+    seed: int
 
 
-def _work(job: tuple[int, int], check: Check) -> dict[str, Any]:
+def _work(job: _Programme, check: Check) -> Row:
     """One programme: who holds it and at what cost, and what solvers say."""
-    contacts, wrench = _draw(*job)
+    contacts, wrench = _draw(job.seed, job.index)
     given: ForceArguments = {"wrench": wrench, "max_normal": MAX_NORMAL}
     true_cone: ForceArguments = {**given, "cone": "round"}
     round_answer = distribute_forces(contacts, **true_cone)
@@ -123,16 +122,15 @@ def _work(job: tuple[int, int], check: Check) -> dict[str, Any]:
                 }
             )
             check()
-    return {
-        "k": job[1],
-        "error": "",
-        "contacts": len(contacts),
-        "soft": contacts.models[0] == "soft",
-        "holds": round_answer.found,
-        "cost": round_answer.cost if round_answer.found else None,
-        "pyramids": pyramids,
-        "solvers": _solved(contacts, given, check),
-    }
+    return job.row(
+        error="",
+        contacts=len(contacts),
+        soft=contacts.models[0] == "soft",
+        holds=round_answer.found,
+        cost=round_answer.cost if round_answer.found else None,
+        pyramids=pyramids,
+        solvers=_solved(contacts, given, check),
+    )
 
 
 def _draw(seed: int, k: int) -> tuple[ContactSet, FloatArray]:
@@ -151,7 +149,7 @@ def _draw(seed: int, k: int) -> tuple[ContactSet, FloatArray]:
     return contacts, rng.normal(size=6) * [1, 1, 1, 0.01, 0.01, 0.01]
 
 
-def _solved(contacts: ContactSet, given: ForceArguments, check: Check) -> list[dict[str, Any]]:
+def _solved(contacts: ContactSet, given: ForceArguments, check: Check) -> list[Row]:
     """What every solver gives at every tolerance, recomputed from the contacts."""
     wrench = np.asarray(given["wrench"])
     pyramid: ForceArguments = {**given, "edges": LOOP_SIDES}
@@ -180,7 +178,7 @@ def _solved(contacts: ContactSet, given: ForceArguments, check: Check) -> list[d
     return out
 
 
-def _theory(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def _theory(rows: Sequence[Row]) -> Row:
     """How many programmes there were of each kind, and how many contradict theory: 0."""
     inner = [(r, p) for r in rows for p in r["pyramids"] if p["cone"] == "inscribed"]
     outer = [(r, p) for r in rows for p in r["pyramids"] if p["cone"] == "circumscribed"]
@@ -206,14 +204,14 @@ def _theory(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _dearer(one: dict[str, Any], other: dict[str, Any]) -> bool:
+def _dearer(one: Row, other: Row) -> bool:
     """Whether both hold and the first costs more."""
     if not (one["holds"] and other["holds"]):
         return False
     return bool(one["cost"] > other["cost"] * (1 + COST_TOL) + COST_TOL**2)
 
 
-def _gap(soft: bool, cone: str, sides: int, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def _gap(soft: bool, cone: str, sides: int, rows: Sequence[Row]) -> Row:
     """One pyramid beside the cone; more sides bring soft contacts no nearer to it in torsion."""
     of_kind = [(r, p) for r in rows if r["soft"] == soft for p in r["pyramids"]]
     mine = [(r, p) for r, p in of_kind if (p["cone"], p["sides"]) == (cone, sides)]
@@ -230,7 +228,7 @@ def _gap(soft: bool, cone: str, sides: int, rows: Sequence[dict[str, Any]]) -> d
     }
 
 
-def _solver(name: str, tolerance: float, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def _solver(name: str, tolerance: float, rows: Sequence[Row]) -> Row:
     """One solver at one tolerance, over all programmes."""
     mine = [
         s for r in rows for s in r["solvers"] if (s["solver"], s["tolerance"]) == (name, tolerance)
@@ -248,7 +246,7 @@ def _solver(name: str, tolerance: float, rows: Sequence[dict[str, Any]]) -> dict
     }
 
 
-def force_tables(result: dict[str, Any]) -> list[Table]:
+def force_tables(result: Row) -> list[Table]:
     """What a person sees: theory, pyramids beside the cone, solvers."""
     theory = table_of("pyramids and cones", ("what",), ("programmes",))
     for what, count in result["theory"].items():

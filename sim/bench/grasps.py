@@ -1,42 +1,37 @@
-"""``run_grasps``: plan and execute hands x objects x seeds.
-
-Outcomes are kept as they come (``sim.bench.journal``).
-"""
+"""``run_grasps``: plan and execute hands x objects x seeds."""
 
 from __future__ import annotations
 
 import math
 import statistics
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from rich.table import Table
 
 from planner.errors import NoGraspFoundError, PlannerError
-from planner.plain import finite
 from planner.search import plan_grasp
 from planner.synthesis.problem_cache import problems_for
-from sim.bench.journal import run_with_journal
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, task_for
-from sim.bench.tables import table_of
+from sim.bench.run import Job, Row, grouped, measure
+from sim.bench.tables import share, table_of
 from sim.physics import PhysicsOptions
-from sim.runner import Check, Runner, made_with
+from sim.runner import Check, Runner
 from sim.trial import simulate
 
-__all__ = ["Outcome", "Seed", "grasps_table", "plan_and_execute", "run_grasps"]
+__all__ = ["GraspJob", "grasps_table", "plan_and_execute", "run_grasps"]
 
 FORMAT = "opposable-bench-grasps"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Seed:
-    """One seed of a hand and an object, as it is sent to a worker.
+class GraspJob(Job):
+    """One seed of a hand and an object.
 
     Attributes:
-        index: Its number among all.
         hand: Name or path of the hand.
         spec: The object.
         label: What it is called.
@@ -44,80 +39,56 @@ class Seed:
         physics: How MuJoCo computes.
     """
 
-    index: int
+    SHOWN: ClassVar = ("hand", "label", "seed")
+    NOTHING: ClassVar[Row] = {"found": False, "attempts": 0, "cpu_s": 0.0, "build_s": 0.0} | {
+        "epsilon": None,
+        "held": False,
+        "reason": "",
+        "slip_mm": None,
+        "slip_deg": None,
+        "position_errors_mm": (),
+        "force_errors_percent": (),
+    }
+    """CPU time of planning without building the problem and of building it, s; planned epsilon;
+    largest movement and turn of the object in the hand after the squeeze; planned against measured
+    contact position and normal force, per finger."""
+
     hand: str
     spec: str
     label: str
     seed: int
     physics: PhysicsOptions
 
+    def row(self, **values: Any) -> Row:
+        """The row: what is not given stands for a grasp that was not found."""
+        return super().row(**{**self.NOTHING, **values})
 
-@dataclass(frozen=True, kw_only=True)
-class Outcome:
+    def lost(self, reason: str) -> Row:
+        """The row of a seed that could not be tried."""
+        return self.row(reason=reason)
+
+
+def plan_and_execute(job: GraspJob, check: Check) -> Row:
     """What became of a seed.
 
-    Attributes:
-        index: Its number among all.
-        hand: The hand as it was asked for.
-        object: What the object is called.
-        seed: Seed.
-        found: Whether a plan was found.
-        attempts: Attempts made.
-        cpu_s: CPU time of planning without building, s.
-        build_s: Time of building the problems, s; 0 where they were at hand.
-        epsilon: Of the planned contacts; None if not found.
-        held: Whether the object was held.
-        reason: Why not.
-        slip_mm: Largest movement of the object in the hand after the squeeze.
-        slip_deg: Largest turn.
-        position_errors_mm: Planned against measured contact, per finger.
-        force_errors_percent: The same for normal forces.
-    """
-
-    index: int
-    hand: str
-    object: str
-    seed: int
-    found: bool = False
-    attempts: int = 0
-    cpu_s: float = 0.0
-    build_s: float = 0.0
-    epsilon: float | None = None
-    held: bool = False
-    reason: str = ""
-    slip_mm: float | None = None
-    slip_deg: float | None = None
-    position_errors_mm: tuple[float, ...] = ()
-    force_errors_percent: tuple[float, ...] = ()
-
-
-def plan_and_execute(seed: Seed, check: Check) -> dict[str, Any]:
-    """The outcome of a seed, as plain data.
-
     Args:
-        seed: Which.
+        job: Which.
         check: Called between attempts and after the trial; what it raises ends it.
     """
-    task = task_for(seed.hand, seed.spec, Setting())
+    task = task_for(job.hand, job.spec, Setting())
     if isinstance(task, str):
-        return _outcome(seed, reason=task)
+        return job.lost(task)
     build_s = problems_for(task).build_s
     try:
-        plan = plan_grasp(task, seed=seed.seed, progress=lambda _: check())
+        plan = plan_grasp(task, seed=job.seed, progress=lambda _: check())
     except PlannerError as error:
         made = error.attempts if isinstance(error, NoGraspFoundError) else ()
-        return _outcome(
-            seed,
-            attempts=len(made),
-            cpu_s=sum(a.cpu_s for a in made),
-            build_s=build_s,
-            reason=str(error),
-        )
-    report = simulate(plan, physics=seed.physics)
+        cpu_s = sum(a.cpu_s for a in made)
+        return job.row(attempts=len(made), cpu_s=cpu_s, build_s=build_s, reason=str(error))
+    report = simulate(plan, physics=job.physics)
     check()
     slip_mm, slip_deg = report.largest_slip
-    return _outcome(
-        seed,
+    return job.row(
         found=True,
         attempts=plan.record.attempts,
         cpu_s=plan.record.cpu_s,
@@ -125,20 +96,10 @@ def plan_and_execute(seed: Seed, check: Check) -> dict[str, Any]:
         epsilon=plan.quality.epsilon,
         held=report.success,
         reason=report.reason,
-        slip_mm=finite(slip_mm),
-        slip_deg=finite(slip_deg),
+        slip_mm=slip_mm,
+        slip_deg=slip_deg,
         position_errors_mm=_known(c.position_error_mm for c in report.comparison),
         force_errors_percent=_known(c.force_error_percent for c in report.comparison),
-    )
-
-
-def _given_up(seed: Seed, reason: str) -> dict[str, Any]:
-    return _outcome(seed, reason=reason)
-
-
-def _outcome(seed: Seed, **values: Any) -> dict[str, Any]:
-    return asdict(
-        Outcome(index=seed.index, hand=seed.hand, object=seed.label, seed=seed.seed, **values)
     )
 
 
@@ -155,7 +116,7 @@ def run_grasps(
     physics: PhysicsOptions,
     file: Path,
     runner: Runner,
-) -> dict[str, Any]:
+) -> Row:
     """Plan and execute the seeds that the file does not have yet.
 
     Args:
@@ -163,11 +124,11 @@ def run_grasps(
         objects: The objects.
         seeds: Seeds for each hand and object, from 0.
         physics: How MuJoCo computes.
-        file: Of the outcomes; made if it is not there.
+        file: Of the rows; made if it is not there.
         runner: Who works on them.
 
     Returns:
-        Plain data: all outcomes that the file has then, and what they were made with.
+        Plain data: all rows that the file has then, and what they were made with.
 
     Raises:
         FileFormatError: The file is not one of these, or was begun with other arguments.
@@ -176,7 +137,7 @@ def run_grasps(
     check_tasks(hands, objects)
     cells = [(hand, item, seed) for hand in hands for item in objects for seed in range(seeds)]
     jobs = [
-        Seed(index=k, hand=hand, spec=item.spec, label=item.label, seed=seed, physics=physics)
+        GraspJob(index=k, hand=hand, spec=item.spec, label=item.label, seed=seed, physics=physics)
         for k, (hand, item, seed) in enumerate(cells)
     ]
     asked = {
@@ -188,67 +149,54 @@ def run_grasps(
         "mu_simulation": physics.mu,
         "physics": {k: v for k, v in physics.to_dict().items() if k not in ("name", "mu")},
     }
-    outcomes, whole = run_with_journal(
+    return measure(
         runner,
         plan_and_execute,
         jobs,
+        kind=FORMAT,
+        title="plan and execute",
+        lost=GraspJob.lost,
+        version=3,
         file=file,
         asked=asked,
-        title="plan and execute",
-        given_up=_given_up,
+        mu_simulation=physics.mu,
+        physics=physics.to_dict(),
     )
-    return {
-        "format": FORMAT,
-        "version": 2,
-        **made_with(),
-        "mu_simulation": physics.mu,
-        "physics": physics.to_dict(),
-        "workers": runner.workers,
-        "interrupted": not whole,
-        "outcomes": sorted(outcomes, key=lambda o: (o["hand"], o["object"], o["seed"])),
-    }
 
 
 COLUMNS = ("found", "held", "tries", "CPU s", "slip mm", "slip deg", "off mm", "force %", "epsilon")
 
 
-def grasps_table(result: dict[str, Any]) -> Table:
+def grasps_table(result: Row) -> Table:
     """Medians per hand and object, over all, and the worst of all."""
-    outcomes = [Outcome(**o) for o in result["outcomes"]]
-    table = table_of(
-        "medians; CPU without building; off: planned to measured contact; force: its error",
-        ("hand", "object"),
-        COLUMNS,
-    )
-    cells: dict[tuple[str, str], list[Outcome]] = {}
-    for o in outcomes:
-        cells.setdefault((o.hand, o.object), []).append(o)
-    for (hand, object), members in cells.items():
-        table.add_row(hand, object, *_row(members, statistics.median, statistics.median))
+    title = "medians; CPU without building; off: planned to measured contact; force: its error"
+    table = table_of(title, ("hand", "object"), COLUMNS)
+    rows = sorted(result["rows"], key=lambda r: (r["hand"], r["object"]))
+    for cell, members in grouped(rows, "hand", "object").items():
+        table.add_row(*cell, *_cells(members, statistics.median, statistics.median))
     table.add_section()
-    table.add_row("all", "median", *_row(outcomes, statistics.median, statistics.median))
-    table.add_row("all", "worst", *_row(outcomes, max, min))
+    table.add_row("all", "median", *_cells(rows, statistics.median, statistics.median))
+    table.add_row("all", "worst", *_cells(rows, max, min))
     return table
 
 
-def _row(
-    members: list[Outcome], middle: Callable[..., float], low: Callable[..., float]
-) -> list[str]:
-    """Cells of one row; ``middle`` sums up what should be small, ``low`` what should be large."""
-    found = [o for o in members if o.found]
-    held = [o for o in found if o.held]
+def _cells(rows: list[Row], small: Callable[..., float], large: Callable[..., float]) -> list[str]:
+    """Cells of a line; ``small`` sums up what should be small, ``large`` what should be large."""
+    found = [r for r in rows if r["found"]]
+    held = [r for r in found if r["held"]]
 
-    def cell(values: list[float], digits: int, sum_up: Callable[..., float]) -> str:
-        return f"{sum_up(values):.{digits}f}" if values else "-"
+    def cell(values: Iterable[float | None], digits: int, sum_up: Callable[..., float]) -> str:
+        known = [v for v in values if v is not None]
+        return f"{sum_up(known):.{digits}f}" if known else "-"
 
     return [
-        f"{len(found)}/{len(members)}",
-        f"{len(held)}/{len(found)}",
-        cell([o.attempts for o in members], 1, middle),
-        cell([o.cpu_s for o in found], 3, middle),
-        cell([o.slip_mm for o in held if o.slip_mm is not None], 2, middle),
-        cell([o.slip_deg for o in held if o.slip_deg is not None], 2, middle),
-        cell([e for o in held for e in o.position_errors_mm], 2, middle),
-        cell([e for o in held for e in o.force_errors_percent], 1, middle),
-        cell([o.epsilon for o in found if o.epsilon is not None], 3, low),
+        share(r["found"] for r in rows),
+        share(r["held"] for r in found),
+        cell((r["attempts"] for r in rows), 1, small),
+        cell((r["cpu_s"] for r in found), 3, small),
+        cell((r["slip_mm"] for r in held), 2, small),
+        cell((r["slip_deg"] for r in held), 2, small),
+        cell((e for r in held for e in r["position_errors_mm"]), 2, small),
+        cell((e for r in held for e in r["force_errors_percent"]), 1, small),
+        cell((r["epsilon"] for r in found), 3, large),
     ]

@@ -8,76 +8,14 @@ from __future__ import annotations
 
 import fcntl
 import json
-from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Protocol, Self, TypeVar
-
-from rich.markup import escape
+from typing import Any, Self
 
 from planner.errors import FileFormatError
-from sim.runner import Check, Runner
 
-__all__ = ["Journal", "Row", "run_with_journal"]
+__all__ = ["Journal", "Row"]
 
 Row = dict[str, Any]
-
-
-class _Numbered(Protocol):
-    """A job with a number of its own."""
-
-    @property
-    def index(self) -> int:
-        """The number."""
-        ...
-
-
-Job = TypeVar("Job", bound=_Numbered)
-
-
-def run_with_journal(
-    runner: Runner,
-    work: Callable[[Job, Check], Row],
-    jobs: Sequence[Job],
-    *,
-    file: Path,
-    asked: Row,
-    title: str,
-    given_up: Callable[[Job, str], Row],
-) -> tuple[list[Row], bool]:
-    """Do the jobs whose rows a file does not have yet.
-
-    Args:
-        runner: Who works.
-        work: Makes the row of a job, plain data with the job's number as "index".
-        jobs: All jobs.
-        file: Made if it is not there.
-        asked: What the jobs follow from; plain data. "format" says what kind of file it is.
-        title: What the progress bar says.
-        given_up: The row of a job that killed every process that tried it.
-
-    Returns:
-        All rows that the file has then, in the order in which they were made; and whether those are
-        all, or Ctrl-C came first.
-
-    Raises:
-        FileFormatError: The file is another one, or cannot be written.
-    """
-    with Journal(file, asked) as journal:
-        done = {row["index"] for row in journal.rows}
-        left = [job for job in jobs if job.index not in done]
-        if done:
-            _say(runner, f"{len(jobs) - len(left)} of {len(jobs)} are in {file} already")
-        whole = runner.run(work, left, title=title, keep=journal.add, given_up=given_up)
-        if not whole:
-            made = {row["index"] for row in journal.rows}
-            kept = f"{sum(job.index in made for job in jobs)} of {len(jobs)} are in {file}"
-            _say(runner, f"interrupted: {kept}; the same command goes on")
-    return journal.rows, whole
-
-
-def _say(runner: Runner, text: str) -> None:
-    runner.console.print(escape(text), highlight=False, soft_wrap=True)
 
 
 class Journal:
@@ -111,12 +49,7 @@ class Journal:
         """The journal itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the file."""
         self._stream.close()
 

@@ -20,6 +20,8 @@ import numpy as np
 import pinocchio as pin
 
 from planner.errors import NotFoundError, PlannerError
+from planner.motion.manipulation import manipulation_task, on_stand, plan_manipulation
+from planner.motion.manipulation.search import ONE_STROKE
 from planner.motion.path import LARGEST_TURN, ObjectPath
 from planner.objects import object_names, parse_object
 from planner.spatial import SE3
@@ -40,10 +42,7 @@ from sim.bench.journal import Row
 from sim.bench.meshes import standing
 from sim.bench.objects import BenchObject, bench_objects
 from sim.controllers.follow import RATE, SPEED
-from sim.manipulation import Push, manipulate, manipulation_task, plan_turning
-from sim.manipulation.gaits import ONE_STROKE
-from sim.manipulation.stand import on_stand
-from sim.manipulation.standing import settled
+from sim.manipulation import Push, manipulate, rests, settled
 from sim.physics import PhysicsOptions
 from sim.runner import Check, Runner
 
@@ -128,13 +127,14 @@ def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
     task = _believed(turn, there)
     try:
         seed = turn.seed + turn.number
-        plan = plan_turning(
+        plan = plan_manipulation(
             task,
             axis=turn.axis,
             angle=turn.angle,
             shift=turn.shift,
             place=there.place,
             seed=seed,
+            rests=rests,
         )
     except PlannerError as error:
         return not_found(turn, str(error))
@@ -186,7 +186,7 @@ def _believed(turn: Turn, there: Conditions) -> GraspTask:
     task = manipulation_task(turn.hand, item, mu=mu, fingers=turn.fingers)
     if turn.spec:
         task = replace(task, T_world_object=standing(item.shape))
-    return on_stand(task, turn.stand) if turn.stand else settled(task)
+    return settled(on_stand(task, turn.stand) if turn.stand else task)
 
 
 def _objects(given: str) -> list[BenchObject]:

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from planner.objects import object_names, parse_object
-from planner.shapes import SIZED_SHAPES, Mesh, Shape
+from planner.shapes import SIZED_SHAPES, Shape
 from planner.shapes.made.base import Made
 from planner.spatial import SE3, FloatArray
 
@@ -52,8 +52,6 @@ def standing(shape: Shape) -> SE3:
     """``T_world_object`` on a table at height 0, as high as the object stands surely."""
     poses = shape.resting_poses()
     sure = [k for k, pose in enumerate(poses) if (pose.margin_deg or SURE_DEG) >= SURE_DEG] or [0]
-    if not isinstance(shape, Mesh):
-        return shape.resting_pose()
     heights = [float(_extents(shape, poses[k].rotation)[2]) for k in sure]
     # the first one is the surest
     return shape.resting_pose(

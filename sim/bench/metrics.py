@@ -1,12 +1,9 @@
-"""``run_metrics``: which metric predicts what happens in simulation.
-
-Samples (``sim.bench.trials``) are kept as they come (``sim.bench.journal``).
-"""
+"""``run_metrics``: which metric predicts what happens in simulation."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,14 +12,14 @@ import numpy as np
 from rich.table import Table
 
 from planner.spatial import FloatArray
-from sim.bench.auc import Auc, auc
-from sim.bench.journal import run_with_journal
+from sim.bench.auc import auc
 from sim.bench.objects import BenchObject
 from sim.bench.predictors import PREDICTORS
 from sim.bench.requests import check_tasks
-from sim.bench.tables import table_of
-from sim.bench.trials import CONDITIONS, GRADES, Sample, lost_sample, try_sample
-from sim.runner import Runner, made_with
+from sim.bench.run import Row, grouped, measure
+from sim.bench.tables import share, table_of
+from sim.bench.trials import CONDITIONS, GRADES, Sample, try_sample
+from sim.runner import Runner
 
 __all__ = ["metrics_table", "run_metrics", "samples_for", "summary_of_trials"]
 
@@ -64,7 +61,7 @@ def run_metrics(
     seed: int,
     file: Path,
     runner: Runner,
-) -> dict[str, Any]:
+) -> Row:
     """Try the samples that the file does not have yet, and sum up all that it has then.
 
     Args:
@@ -82,7 +79,7 @@ def run_metrics(
     check_tasks(hands, objects)
     asked = {
         "format": FORMAT,
-        "version": 2,
+        "version": 3,
         "hands": list(hands),
         "objects": [item.spec for item in objects],
         "number": n,
@@ -90,75 +87,61 @@ def run_metrics(
         "grades": list(GRADES),
         "conditions": list(CONDITIONS),
     }
-    rows, whole = run_with_journal(
+    result = measure(
         runner,
         try_sample,
         samples_for(hands, objects, n, seed),
+        kind=f"{FORMAT}-summary",
+        title="plan and simulate",
+        lost=Sample.lost,
         file=file,
         asked=asked,
-        title="plan and simulate",
-        given_up=lost_sample,
+        seed=seed,
     )
-    return {
-        "format": f"{FORMAT}-summary",
-        "version": 1,
-        **made_with(),
-        "seed": seed,
-        "interrupted": not whole,
-        **summary_of_trials(rows),
-    }
+    return result | summary_of_trials(result.pop("rows"))
 
 
-def summary_of_trials(rows: Iterable[dict[str, Any]]) -> dict[str, Any]:
+def summary_of_trials(rows: Sequence[Row]) -> Row:
     """Success by condition and grade, and the area under the ROC curve of every predictor.
 
     Args:
         rows: Of ``sim.bench.trials.try_sample``.
     """
-    rows = list(rows)
     tried = [row for row in rows if row["found"]]
+
+    def held(by: str) -> Row:
+        cells = {value: members for (value,), members in grouped(tried, by).items()}
+        return {v: {"held": sum(r["success"] for r in m), "of": len(m)} for v, m in cells.items()}
+
     return {
         "samples": len(rows),
         "simulated": len(tried),
         "held": sum(row["success"] for row in tried),
-        "by_condition": _shares(tried, "condition"),
-        "by_grade": _shares(tried, "grade"),
+        "by_condition": held("condition"),
+        "by_grade": held("grade"),
         "reasons": dict(Counter(row["reason"] for row in rows if row["reason"]).most_common()),
         "auc": {name: _areas(tried, name) for name in PREDICTORS},
     }
 
 
-def _shares(tried: Sequence[dict[str, Any]], key: str) -> dict[str, dict[str, int]]:
-    """How many were held of how many, by a column."""
-    return {
-        value: {
-            "held": sum(row["success"] for row in tried if row[key] == value),
-            "of": sum(row[key] == value for row in tried),
-        }
-        for value in dict.fromkeys(row[key] for row in tried)
-    }
-
-
-def _areas(tried: Sequence[dict[str, Any]], name: str) -> dict[str, dict[str, Any] | None]:
+def _areas(tried: Sequence[Row], name: str) -> dict[str, Row | None]:
     """The area of a predictor over all, over pairs of the same task, and by condition."""
 
-    def of(rows: Sequence[dict[str, Any]], *, grouped: bool = False) -> dict[str, Any] | None:
+    def area(rows: Sequence[Row], groups: Sequence[Any] | None = None) -> Row | None:
         values: FloatArray = np.array([row["predictors"][name] for row in rows])
-        groups = [(r["hand"], r["label"], r["condition"]) for r in rows] if grouped else None
-        found: Auc | None = auc(values, [row["success"] for row in rows], groups)
+        found = auc(values, [row["success"] for row in rows], groups)
         return None if found is None else asdict(found)
 
     return {
-        "all": of(tried),
-        SAME: of(tried, grouped=True),
-        **{c: of([r for r in tried if r["condition"] == c]) for c in CONDITIONS},
+        "all": area(tried),
+        SAME: area(tried, [(r["hand"], r["object"], r["condition"]) for r in tried]),
+        **{c: area([r for r in tried if r["condition"] == c]) for c in CONDITIONS},
     }
 
 
-def metrics_table(result: dict[str, Any]) -> Table:
+def metrics_table(result: Row) -> Table:
     """One row per predictor, best first by the pairs of the same task."""
-    conditions = list(CONDITIONS)
-    columns = ["all", SAME, *conditions]
+    columns = ["all", SAME, *CONDITIONS]
     table = table_of(
         f"area under the ROC curve, {result['simulated']} grasps, {result['held']} held "
         "(0.5 is guessing); same task: pairs of one hand, object and condition",
@@ -166,17 +149,16 @@ def metrics_table(result: dict[str, Any]) -> Table:
         ("all", "+-", *columns[1:]),
     )
 
-    def area(name: str, column: str) -> float:
-        found = result["auc"][name][column]
-        return 0.0 if found is None else float(found["area"])
+    def cell(found: Row | None, value: str = "area") -> str:
+        return f"{found[value]:.2f}" if found else "-"
 
-    for name in sorted(result["auc"], key=lambda name: -area(name, SAME)):
-        areas = result["auc"][name]
-        cells = [f"{areas[c]['area']:.2f}" if areas[c] else "-" for c in columns]
-        error = f"{areas['all']['error']:.2f}" if areas["all"] else "-"
-        table.add_row(name, cells[0], error, *cells[1:])
+    areas = result["auc"]
+    best_first = sorted(areas, key=lambda n: -(areas[n][SAME] or {"area": 0.0})["area"])
+    for name in best_first:
+        first, *others = (cell(areas[name][c]) for c in columns)
+        table.add_row(name, first, cell(areas[name]["all"], "error"), *others)
     table.add_section()
-    held = [result["by_condition"].get(c, {"held": 0, "of": 0}) for c in conditions]
-    shares = [f"{h['held']}/{h['of']}" for h in held]
-    table.add_row("held", f"{result['held']}/{result['simulated']}", "", "", *shares)
+    shares = result["by_condition"]
+    told = [f"{s['held']}/{s['of']}" if (s := shares.get(c)) else share(()) for c in CONDITIONS]
+    table.add_row("held", f"{result['held']}/{result['simulated']}", "", "", *told)
     return table

@@ -8,105 +8,85 @@ in the palm with the formula there.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import ClassVar
 
-from planner.errors import NotFoundError, PlannerError
-from planner.plain import finite
+from rich.table import Table
+
+from planner.errors import NotFoundError
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
 from planner.verification.grasp import plan_forces
-from sim.bench.journal import run_with_journal
 from sim.bench.objects import BenchObject
 from sim.bench.physics_variants import SOFT, VARIANTS
-from sim.bench.requests import Setting, check_tasks, task_for
-from sim.controllers import named_controller
-from sim.creep import CREEP_BUDGET, Remedy, least_creep, remedies
+from sim.bench.planned import PlannedJob, ask, run_parts
+from sim.bench.run import Row, grouped
+from sim.bench.statistics import median_of, quantile_of
+from sim.bench.tables import number, share, summary_table, table_of
+from sim.creep import CREEP_BUDGET, least_creep, remedies
 from sim.physics import PRESETS, PhysicsOptions
 from sim.protocols.creep import measure_creep
-from sim.runner import Check, Runner, made_with
+from sim.runner import Check, Runner
 from sim.scene import build_scene
 from sim.trial import simulate
 
 __all__ = [
     "NO_SUCH_GRIP",
     "PARTS",
-    "VARIANTS",
     "PhysicsJob",
     "physics_jobs",
     "physics_row",
+    "physics_tables",
     "run_physics",
 ]
-
-FORMAT = "opposable-bench-physics"
 
 NO_SUCH_GRIP = "the hand cannot press so hard"
 """Why there is no creep to measure with a firmer grip."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class PhysicsJob:
-    """One grasp under one physics, as it is sent to a worker.
+class PhysicsJob(PlannedJob):
+    """One grasp under one physics.
 
     Attributes:
-        index: Its number.
-        part: Name out of ``PARTS``.
-        hand: Name or path.
-        spec: The object.
-        label: What it is called.
         case: What is done in this part: a preset, a remedy or a variant.
     """
 
-    index: int
-    part: str
-    hand: str
-    spec: str
-    label: str
+    SHOWN: ClassVar = ("part", "hand", "label", "case")
+
     case: str
 
 
-def _hold(plan: GraspPlan, case: str) -> dict[str, Any]:
-    return _trial(plan, PRESETS[case], "open")
+def _hold(plan: GraspPlan, case: str) -> Row:
+    return _trial(plan, PRESETS[case], "feedforward")
 
 
-def _closed(plan: GraspPlan, case: str) -> dict[str, Any]:
-    return _trial(plan, PRESETS[case], "closed")
+def _closed(plan: GraspPlan, case: str) -> Row:
+    return _trial(plan, PRESETS[case], "impedance")
 
 
-def _remedy(plan: GraspPlan, case: str) -> dict[str, Any]:
+def _remedy(plan: GraspPlan, case: str) -> Row:
     """Under the change of MuJoCo's defaults that the formula asks for."""
-    changes = {change.kind: change for change in _changes(plan)}
-    if case not in changes:
-        return {"held": False, "reason": "there is no such remedy for this grasp"}
-    return {**_trial(plan, changes[case].physics, "open"), "what": changes[case].what}
-
-
-def _changes(plan: GraspPlan) -> tuple[Remedy, ...]:
     scene = build_scene(plan.task, T_world_base=plan.T_world_base, q=plan.q, physics=SOFT)
     names = plan.task.finger_names
-    return remedies(SOFT, lambda physics: least_creep(scene, names, physics), CREEP_BUDGET)
+    found = remedies(SOFT, lambda physics: least_creep(scene, names, physics), CREEP_BUDGET)
+    for change in found:
+        if change.kind == case:
+            return {**_trial(plan, change.physics, "feedforward"), "what": change.what}
+    return {"held": False, "reason": "there is no such remedy for this grasp"}
 
 
-def _trial(plan: GraspPlan, physics: PhysicsOptions, loop: str) -> dict[str, Any]:
-    report = simulate(plan, physics=physics, controller=named_controller(loop)(plan))
+def _trial(plan: GraspPlan, physics: PhysicsOptions, loop: str) -> Row:
+    report = simulate(plan, physics=physics, controller=loop)
     moved, turned = report.largest_slip
-    row: dict[str, Any] = finite(
-        {
-            "physics": physics.label,
-            "held": report.success,
-            "reason": report.reason,
-            "slip_mm": moved,
-            "slip_deg": turned,
-        }
-    )
-    return row
+    outcome = {"physics": physics.label, "held": report.success, "reason": report.reason}
+    return outcome | {"slip_mm": moved, "slip_deg": turned}
 
 
-def _creep(plan: GraspPlan, case: str) -> dict[str, Any]:
+def _creep(plan: GraspPlan, case: str) -> Row:
     """Speed of the object in the palm, and what the formula says of the contacts there were."""
     variant = VARIANTS[case]
     pressed = _gripped(plan, variant.grip)
@@ -115,14 +95,8 @@ def _creep(plan: GraspPlan, case: str) -> dict[str, Any]:
     seen = measure_creep(pressed, variant.physics)
     if seen.lost:
         return {"error": "lost"}
-    row: dict[str, Any] = finite(
-        {
-            "creep_mm_s": 1e3 * seen.measured,
-            "predicted_mm_s": 1e3 * seen.predicted,
-            "least_mm_s": 1e3 * seen.least,
-        }
-    )
-    return row
+    speeds = {"creep": seen.measured, "predicted": seen.predicted, "least": seen.least}
+    return {f"{name}_mm_s": 1e3 * speed for name, speed in speeds.items()}
 
 
 def _gripped(plan: GraspPlan, factor: float) -> GraspPlan | None:
@@ -136,18 +110,13 @@ def _gripped(plan: GraspPlan, factor: float) -> GraspPlan | None:
     return replace(plan, task=task, forces=forces, contacts=forces.contacts)
 
 
-REMEDIES = ("noslip", "impratio", "contacts")
-"""Kinds of changes of ``sim.creep.remedies``."""
-
-PARTS: Mapping[str, tuple[Callable[[GraspPlan, str], dict[str, Any]], tuple[str, ...]]] = (
-    MappingProxyType(
-        {
-            "holds": (_hold, tuple(PRESETS)),
-            "closed": (_closed, tuple(PRESETS)),
-            "remedies": (_remedy, REMEDIES),
-            "creep": (_creep, tuple(VARIANTS)),
-        }
-    )
+PARTS: Mapping[str, tuple[Callable[[GraspPlan, str], Row], tuple[str, ...]]] = MappingProxyType(
+    {
+        "holds": (_hold, tuple(PRESETS)),
+        "impedance": (_closed, tuple(PRESETS)),
+        "remedies": (_remedy, ("noslip", "impratio", "contacts")),
+        "creep": (_creep, tuple(VARIANTS)),
+    }
 )
 """Name -> what measures a case, and the cases."""
 
@@ -164,38 +133,18 @@ def physics_jobs(
     for part in asked:
         if part not in PARTS:
             raise NotFoundError("part", part, PARTS)
-    every = [(part, case) for part, (_, cases) in PARTS.items() for case in cases]
     cells = [(hand, item) for hand in hands for item in objects]
+    every = [(*c, part, case) for c in cells for part in PARTS for case in PARTS[part][1]]
     return [
-        PhysicsJob(
-            index=len(every) * k + i,
-            part=part,
-            hand=hand,
-            spec=item.spec,
-            label=item.label,
-            case=case,
-        )
-        for k, (hand, item) in enumerate(cells)
-        for i, (part, case) in enumerate(every)
+        PhysicsJob(index=k, part=part, hand=hand, spec=item.spec, label=item.label, case=case)
+        for k, (hand, item, part, case) in enumerate(every)
         if part in asked
     ]
 
 
-def physics_row(job: PhysicsJob, check: Check) -> dict[str, Any]:
-    """The row of a job, as plain data.
-
-    Args:
-        job: Which.
-        check: Called before and after the trial; what it raises ends it.
-    """
-    plan = _plan(job.hand, job.spec)
-    check()
-    if isinstance(plan, str):
-        return _row(job, error=plan)
-    measure, _ = PARTS[job.part]
-    measured = measure(plan, job.case)
-    check()
-    return _row(job, **measured)
+def physics_row(job: PhysicsJob, check: Check) -> Row:
+    """The row of a job; the arguments are those of ``ask``."""
+    return ask(job, check, lambda plan: PARTS[job.part][0](plan, job.case))
 
 
 def run_physics(
@@ -205,7 +154,7 @@ def run_physics(
     *,
     file: Path,
     runner: Runner,
-) -> dict[str, Any]:
+) -> Row:
     """Measure what the file does not have yet.
 
     Args:
@@ -215,62 +164,95 @@ def run_physics(
         file: Of the rows; made if it is not there.
         runner: Who works on them.
 
-    Returns:
-        Plain data: the rows that were asked for, and what they were made with.
-
     Raises:
         NotFoundError: There is no such part.
         FileFormatError: The file is not one of these, or was begun with other arguments.
         PlannerError: A hand or an object that was named cannot be used.
     """
-    jobs = physics_jobs(hands, objects, parts)
-    check_tasks(hands, objects)
-    asked = {
-        "format": f"{FORMAT}-rows",
-        "version": 1,
-        "hands": list(hands),
-        "objects": [item.spec for item in objects],
-    }
-    rows, whole = run_with_journal(
+    return run_parts(
         runner,
         physics_row,
-        jobs,
-        file=file,
-        asked=asked,
+        physics_jobs(hands, objects, parts),
+        hands,
+        objects,
+        kind="opposable-bench-physics",
         title="physics",
-        given_up=lambda job, reason: _row(job, error=reason),
+        file=file,
+        drawn={},
+        physics={name: preset.to_dict() for name, preset in PRESETS.items()},
     )
-    wanted = {job.index for job in jobs}
-    return {
-        "format": FORMAT,
-        "version": 1,
-        **made_with(),
-        "workers": runner.workers,
-        "interrupted": not whole,
-        "physics": {name: preset.to_dict() for name, preset in PRESETS.items()},
-        "rows": sorted((r for r in rows if r["index"] in wanted), key=lambda r: int(r["index"])),
-    }
 
 
-@lru_cache(maxsize=2)
-def _plan(hand: str, spec: str) -> GraspPlan | str:
-    """The grasp of seed 0, made once for the cases that follow each other; or why there is none."""
-    task = task_for(hand, spec, Setting())
-    if isinstance(task, str):
-        return task
-    try:
-        return plan_grasp(task, seed=0)
-    except PlannerError as error:
-        return str(error)
+TITLES = {
+    "holds": "held in the open loop, by physics",
+    "impedance": "held in the closed loop, by physics",
+    "remedies": "held under mujoco-default with one change",
+}
+
+CREEP_TITLE = (
+    "creep of the held object, medians in mm/s: measured; by the formula; by it however firm the "
+    "grip; noslip is not in it"
+)
 
 
-def _row(job: PhysicsJob, **values: Any) -> dict[str, Any]:
-    return {
-        "index": job.index,
-        "part": job.part,
-        "hand": job.hand,
-        "object": job.label,
-        "case": job.case,
-        "error": "",
-        **values,
-    }
+def physics_tables(result: Row) -> list[Table]:
+    """Of each part that has rows: how many grasps held and why others did not, and every grasp."""
+    parts = {part: rows for (part,), rows in grouped(result["rows"], "part").items()}
+    out = []
+    for part, title in TITLES.items():
+        if rows := parts.get(part):
+            columns = {
+                "held": lambda rows: share(r["held"] for r in _tried(rows)),
+                "slip mm": lambda rows: number(median_of(_slips(rows)), 2),
+                "p90": lambda rows: number(quantile_of(_slips(rows), 0.9), 2),
+                "reasons": _reasons,
+            }
+            out += [summary_table(title, rows, {"case": "physics"}, columns), _each(title, rows)]
+    if rows := parts.get("creep"):
+        columns = {
+            "n": lambda rows: str(len(_tried(rows))),
+            "measured": lambda rows: _speed(rows, "creep"),
+            "formula": lambda rows: _speed(rows, "predicted"),
+            "least": lambda rows: _speed(rows, "least"),
+            "measured / formula": _agreement,
+            "lost": lambda rows: str(sum(r["error"] not in ("", NO_SUCH_GRIP) for r in rows)),
+            "no such grip": lambda rows: str(sum(r["error"] == NO_SUCH_GRIP for r in rows)),
+        }
+        out.append(summary_table(CREEP_TITLE, rows, {"case": "physics"}, columns))
+    return out
+
+
+def _tried(rows: list[Row]) -> list[Row]:
+    return [r for r in rows if not r["error"]]
+
+
+def _slips(rows: list[Row]) -> list[float]:
+    return [r["slip_mm"] for r in _tried(rows) if r["held"]]
+
+
+def _reasons(rows: list[Row]) -> str:
+    counts = Counter(r["reason"] for r in _tried(rows) if not r["held"])
+    return ", ".join(f"{n} {reason}" for reason, n in counts.most_common())
+
+
+def _speed(rows: list[Row], name: str) -> str:
+    known = (r[f"{name}_mm_s"] for r in _tried(rows))
+    return number(median_of(v for v in known if v is not None), 3)
+
+
+def _agreement(rows: list[Row]) -> str:
+    known = [r for r in _tried(rows) if r["predicted_mm_s"]]
+    return number(median_of(r["creep_mm_s"] / r["predicted_mm_s"] for r in known), 2)
+
+
+def _each(title: str, rows: list[Row]) -> Table:
+    """Every grasp: its slip in mm where it is held, why not where it is not."""
+    cases = list(dict.fromkeys(r["case"] for r in rows))
+    table = table_of(f"{title}: slip in mm, or why not", ("hand", "object"), cases)
+    for cell, members in grouped(rows, "hand", "object").items():
+        told = {
+            r["case"]: r["error"] or (number(r["slip_mm"], 2) if r["held"] else r["reason"])
+            for r in members
+        }
+        table.add_row(*cell, *(told.get(case, "-") for case in cases))
+    return table

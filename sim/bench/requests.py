@@ -15,9 +15,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from planner.approach.pregrasp import APPROACH_KINDS
 from planner.batch import GraspFeatures
 from planner.batch.jobs import grasp_seed
-from planner.batch.recipe import shape_key
 from planner.collision.world import OBJECT
 from planner.errors import PlannerError, TaskError
 from planner.hand_loading import load_hand
@@ -26,7 +26,7 @@ from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.quality.ball import epsilon_frogger, epsilon_l1
 from planner.search import DEFAULT_MAX_ATTEMPTS, Attempt, attempts
-from planner.shapes import Shape
+from planner.shapes import Shape, shape_key
 from planner.synthesis.options import SynthesisOptions
 from planner.system.stage_times import timed
 from planner.task import DEFAULT_MU, GraspTask
@@ -34,20 +34,20 @@ from sim.bench.objects import BenchObject
 
 __all__ = [
     "APPROACH",
-    "Outcome",
     "Request",
+    "RequestOutcome",
     "Setting",
     "check_tasks",
     "clearance_of",
     "half_longest_side",
     "loaded_hand",
-    "measure",
-    "measure_task",
+    "outcome_of",
+    "outcome_of_task",
     "task_for",
 ]
 
 APPROACH = "approach"
-"""Last check of an attempt: its stage, and how its reasons begin."""
+"""The stage that is the last check of an attempt."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +97,7 @@ class Request:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class RequestOutcome:
     """What a request cost and gave.
 
     Attributes:
@@ -110,7 +110,7 @@ class Outcome:
         stages: CPU time of the attempts by stage, s.
         without_approach: Attempts that passed every check but the way in, or that one too; None
             where a clearance is asked for, which only whole plans tell.
-        reasons: How many attempts failed for which reason, by its first words.
+        reasons: How many attempts failed for which reason, by the kind of their failure.
         n_fingers: Fingers of the grasp found, 0 without.
         epsilon: L1 epsilon, 8 edges, torque over the bounding radius; None without a grasp.
         epsilon_frogger: In the baseline's definition.
@@ -134,7 +134,7 @@ class Outcome:
     features: GraspFeatures | None = None
 
 
-def measure(request: Request, check: Callable[[], None] = lambda: None) -> Outcome:
+def outcome_of(request: Request, check: Callable[[], None] = lambda: None) -> RequestOutcome:
     """Make a request.
 
     Args:
@@ -145,15 +145,15 @@ def measure(request: Request, check: Callable[[], None] = lambda: None) -> Outco
     begin = time.process_time()
     task = task_for(request.hand, request.spec, request.setting)
     if isinstance(task, str):
-        return Outcome(k=request.k, error=task)
+        return RequestOutcome(k=request.k, error=task)
     made = time.process_time() - begin
-    outcome = measure_task(task, request.k, request.setting, check)
+    outcome = outcome_of_task(task, request.k, request.setting, check)
     return replace(outcome, prepare_s=outcome.prepare_s + made)
 
 
-def measure_task(
+def outcome_of_task(
     task: GraspTask, k: int, setting: Setting, check: Callable[[], None] = lambda: None
-) -> Outcome:
+) -> RequestOutcome:
     """Make request k of a task.
 
     Args:
@@ -178,16 +178,16 @@ def measure_task(
                 if plan is not None or len(made) >= setting.max_attempts:
                     break
         except PlannerError as error:
-            return Outcome(k=k, error=str(error))
+            return RequestOutcome(k=k, error=str(error))
     cpu = sum(a.cpu_s for a in made)
-    outcome = Outcome(
+    outcome = RequestOutcome(
         k=k,
         attempts=len(made),
         cpu_s=cpu,
         prepare_s=max(0.0, time.process_time() - begin - cpu),
         stages=dict(stages),
         without_approach=(
-            sum(r in ("", APPROACH) for r in reasons) if setting.clearance == 0 else None
+            sum(r == "" or r in APPROACH_KINDS for r in reasons) if setting.clearance == 0 else None
         ),
         reasons=dict(Counter(r for r in reasons if r)),
     )
@@ -205,9 +205,9 @@ def measure_task(
 
 
 def _cleared(attempt: Attempt[GraspPlan], clearance: float) -> tuple[GraspPlan | None, str]:
-    """The plan of an attempt if it keeps its distance, and the first words of why there is none."""
+    """The plan of an attempt if it keeps its distance, and the kind of failure if there is none."""
     if attempt.plan is None:
-        return None, attempt.reason.split(":")[0].split(",")[0]
+        return None, "" if attempt.failure is None else attempt.failure.kind
     if clearance > 0 and clearance_of(attempt.plan) < clearance:
         return None, "clearance"
     return attempt.plan, ""

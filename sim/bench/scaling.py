@@ -19,10 +19,10 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 import trimesh
 from rich.table import Table
@@ -32,11 +32,19 @@ from planner.errors import NotFoundError, TaskError
 from planner.hand_loading import load_hand
 from planner.system.disk_cache import CACHE_VARIABLE
 from planner.task import FINGERS_NEEDED, GraspTask
-from sim.bench.requests import Outcome, Request, Setting, loaded_hand, measure, measure_task
+from sim.bench.requests import (
+    Request,
+    RequestOutcome,
+    Setting,
+    loaded_hand,
+    outcome_of,
+    outcome_of_task,
+)
+from sim.bench.run import Job, Row, measure
 from sim.bench.star_hand import write_star_hand
 from sim.bench.statistics import median_of, power_law, ratio
 from sim.bench.tables import number, table_of
-from sim.runner import Check, Runner, made_with
+from sim.runner import Check, Runner
 
 __all__ = ["CURVES", "curve", "points_of", "run_scaling", "scaling_tables"]
 
@@ -56,10 +64,10 @@ does not hang on the start of processes."""
 CHEAP = "sphere"
 """Object of the curves of grasps and workers: what is measured there is not the solver."""
 
-Point = dict[str, Any]
+Point = Row
 
 
-def _point(x: int, outcomes: Sequence[Outcome]) -> Point:
+def _point(x: int, outcomes: Sequence[RequestOutcome]) -> Point:
     """A point of a curve out of requests.
 
     Raises:
@@ -94,14 +102,14 @@ def _contacts(hand: str, count: int, n: int) -> Point:
         contact_model="soft" if soft else "point",
         mu_torsion=SOFT_TORSION if soft else 0.0,
     )
-    point = _point(count, [measure_task(task, k, Setting()) for k in range(n)])
+    point = _point(count, [outcome_of_task(task, k, Setting()) for k in range(n)])
     return point | {"fitted": not soft}
 
 
 @lru_cache(maxsize=1)
 def _build_for_meshes(hand: str) -> None:
     """Build what all meshes share, so that no point of the curve pays for it."""
-    measure(Request(hand=hand, spec="superquadric", k=0, setting=Setting()))
+    outcome_of(Request(hand=hand, spec="superquadric", k=0, setting=Setting()))
 
 
 def _triangles(hand: str, count: int, n: int) -> Point:
@@ -112,7 +120,7 @@ def _triangles(hand: str, count: int, n: int) -> Point:
         path = Path(folder) / f"ellipsoid{count}.ply"
         mesh.export(path)
         requests = [Request(hand=hand, spec=str(path), k=k, setting=Setting()) for k in range(n)]
-        return _point(len(mesh.faces), [measure(request) for request in requests])
+        return _point(len(mesh.faces), [outcome_of(request) for request in requests])
 
 
 @contextmanager
@@ -199,7 +207,7 @@ CURVES = tuple(_MEASURED)
 """Names of the curves."""
 
 
-def curve(name: str, points: Sequence[Point]) -> dict[str, Any]:
+def curve(name: str, points: Sequence[Point]) -> Row:
     """A curve with its laws, as plain data.
 
     Args:
@@ -227,7 +235,7 @@ def run_scaling(
     *,
     most_grasps: int,
     runner: Runner,
-) -> dict[str, Any]:
+) -> Row:
     """Measure curves point by point; Ctrl-C keeps the points that are finished.
 
     Args:
@@ -245,38 +253,49 @@ def run_scaling(
         if name not in CURVES:
             raise NotFoundError("curve", name, CURVES)
     loaded_hand(hand)
-    made = made_with()
     cores = os.cpu_count() or 1
+    every = [(name, x) for name in curves for x in points_of(name, most_grasps, cores)]
+    jobs = [_PointJob(index=i, curve=c, x=x, hand=hand, n=n) for i, (c, x) in enumerate(every)]
+    result = measure(
+        replace(runner, workers=1),
+        _made,
+        jobs,
+        kind="opposable-bench-scaling",
+        title="measure",
+        lost=_PointJob.lost,
+        hand=hand,
+        requests=n,
+    )
     points: dict[str, list[Point]] = {name: [] for name in curves}
-
-    def work(job: tuple[str, int], check: Check) -> tuple[str, Point]:
-        name, x = job
-        point = _MEASURED[name][0](hand, x, n)
-        check()
-        return name, point
-
-    def keep(result: tuple[str, Point]) -> None:
-        points[result[0]].append(result[1])
-
-    jobs = [(name, x) for name in points for x in points_of(name, most_grasps, cores)]
-    finished = runner.run_here(work, jobs, title="measure", keep=keep)
-    return {
-        "format": "opposable-bench-scaling",
-        "version": 1,
-        **made,
-        "hand": hand,
-        "requests": n,
-        "interrupted": not finished,
-        "curves": [curve(name, points[name]) for name in points],
-    }
+    for row in result.pop("rows"):
+        points[row["curve"]].append(row["point"])
+    return result | {"curves": [curve(name, points[name]) for name in points]}
 
 
-def scaling_tables(result: dict[str, Any]) -> list[Table]:
+@dataclass(frozen=True, kw_only=True)
+class _PointJob(Job):
+    """A point of a curve."""
+
+    SHOWN: ClassVar = ("curve",)
+
+    curve: str
+    x: int
+    hand: str
+    n: int
+
+
+def _made(job: _PointJob, check: Check) -> Row:
+    point = _MEASURED[job.curve][0](job.hand, job.x, job.n)
+    check()
+    return job.row(point=point)
+
+
+def scaling_tables(result: Row) -> list[Table]:
     """One table per curve: its points, and the exponents below."""
     return [_table(item) for item in result["curves"] if item["points"]]
 
 
-def _table(item: dict[str, Any]) -> Table:
+def _table(item: Row) -> Table:
     columns = tuple(k for k in item["points"][0] if k not in ("x", "fitted"))
     table = table_of(item["name"], (), ("x", *columns))
     for point in item["points"]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -13,9 +13,18 @@ from planner.errors import ObjectError, TaskError
 from planner.task import GraspTask
 from sim.bench.baseline import against_baseline
 from sim.bench.objects import BenchObject
-from sim.bench.requests import APPROACH, Outcome, Request, Setting, loaded_hand, measure, task_for
+from sim.bench.requests import (
+    APPROACH,
+    Request,
+    RequestOutcome,
+    Setting,
+    loaded_hand,
+    outcome_of,
+    task_for,
+)
+from sim.bench.run import Job, Row, grouped, measure
 from sim.bench.statistics import median_of, quantile_of, ratio, summed
-from sim.runner import Check, Runner, made_with
+from sim.runner import Check, Runner
 
 __all__ = ["run_synthesis", "summary_of", "total_of"]
 
@@ -26,20 +35,22 @@ OTHER = "other"
 """What of an attempt is in no stage."""
 
 
-@dataclass(frozen=True)
-class _Cell:
-    """One hand and object, and a number of a request of theirs."""
+@dataclass(frozen=True, kw_only=True)
+class _RequestJob(Job):
+    """A request, and the number of its hand and object."""
 
-    number: int
+    SHOWN: ClassVar = ("cell",)
+
+    cell: int
     request: Request
 
+    def lost(self, reason: str) -> Row:
+        """The row of a request that killed its processes."""
+        return self.row(outcome=RequestOutcome(k=self.request.k, reasons={reason: 1}))
 
-def _measure(cell: _Cell, check: Check) -> tuple[int, Outcome]:
-    return cell.number, measure(cell.request, check)
 
-
-def _given_up(cell: _Cell, reason: str) -> tuple[int, Outcome]:
-    return cell.number, Outcome(k=cell.request.k, reasons={reason: 1})
+def _made(job: _RequestJob, check: Check) -> Row:
+    return job.row(outcome=outcome_of(job.request, check))
 
 
 def run_synthesis(
@@ -50,7 +61,7 @@ def run_synthesis(
     *,
     runner: Runner,
     baseline: bool,
-) -> dict[str, Any]:
+) -> Row:
     """Make n requests of every hand and object; Ctrl-C keeps what is finished.
 
     Args:
@@ -71,44 +82,37 @@ def run_synthesis(
     for hand in hands:
         loaded_hand(hand).choose_fingers(setting.fingers)  # bad input ends here
     pairs = [(hand, item) for hand in hands for item in objects]
-    jobs = [
-        _Cell(number, Request(hand=hand, spec=item.spec, k=k, setting=setting))
+    every = [
+        (number, Request(hand=hand, spec=item.spec, k=k, setting=setting))
         for number, (hand, item) in enumerate(pairs)
         for k in range(n)
     ]
-    outcomes: list[list[Outcome]] = [[] for _ in pairs]
 
-    def keep(result: tuple[int, Outcome]) -> None:
-        number, outcome = result
-        item = pairs[number][1]
-        if outcome.error and not item.may_fail:
-            raise ObjectError(outcome.error)
-        outcomes[number].append(outcome)
+    def refuse(row: Row) -> None:
+        if row["outcome"].error and not pairs[row["cell"]][1].may_fail:
+            raise ObjectError(row["outcome"].error)
 
-    whole = made_with()
-    finished = runner.run(_measure, jobs, title="plan", keep=keep, given_up=_given_up)
+    result = measure(
+        runner,
+        _made,
+        [_RequestJob(index=i, cell=number, request=r) for i, (number, r) in enumerate(every)],
+        kind="opposable-bench-synthesis",
+        title="plan",
+        lost=_RequestJob.lost,
+        seen=refuse,
+        setting=asdict(setting),
+    )
     cells = []
-    for (hand, item), members in zip(pairs, outcomes, strict=True):
-        if members:
-            ordered = sorted(members, key=lambda o: o.k)
-            task = task_for(hand, item.spec, setting)
-            place = {"hand": loaded_hand(hand).name, "object": item.label}
-            cells.append(place | summary_of(ordered, task))
+    for (number,), rows in grouped(result.pop("rows"), "cell").items():
+        hand, item = pairs[number]
+        summary = summary_of([r["outcome"] for r in rows], task_for(hand, item.spec, setting))
+        cells.append({"hand": loaded_hand(hand).name, "object": item.label, **summary})
     total = total_of(cells)
-    return {
-        "format": "opposable-bench-synthesis",
-        "version": 1,
-        **whole,
-        "setting": asdict(setting),
-        "workers": runner.workers,
-        "interrupted": not finished,
-        "total": total,
-        "baseline": against_baseline(cells, total["found_per_cpu_s"]) if baseline else None,
-        "cells": cells,
-    }
+    against = against_baseline(cells, total["found_per_cpu_s"]) if baseline else None
+    return result | {"total": total, "baseline": against, "cells": cells}
 
 
-def summary_of(outcomes: Sequence[Outcome], task: GraspTask | str) -> dict[str, Any]:
+def summary_of(outcomes: Sequence[RequestOutcome], task: GraspTask | str) -> Row:
     """Figures of the requests of one hand and object as plain data, and the requests.
 
     Args:
@@ -126,21 +130,12 @@ def summary_of(outcomes: Sequence[Outcome], task: GraspTask | str) -> dict[str, 
     passed = sum(known) if len(known) == len(outcomes) else None
     return {
         "error": error,
-        "requested": len(outcomes),
-        "found": len(found),
         "attempts": tried,
-        "cpu_s": cpu,
-        "prepare_cpu_s": sum(o.prepare_s for o in outcomes),
-        "attempts_per_found": ratio(tried, len(found)),
-        "found_per_cpu_s": ratio(len(found), cpu),
         "without_approach": passed,
-        "found_per_cpu_s_without_approach": _without_approach(passed, stages, cpu),
-        "within_1s": ratio(sum(o.found and o.cpu_s <= SOON for o in outcomes), len(outcomes)),
-        "cpu_s_per_found": {
-            "median": median_of(o.cpu_s for o in found),
-            "p90": quantile_of((o.cpu_s for o in found), 0.9),
-        },
-        "stages_cpu_s": stages,
+        **_figures(
+            [o.cpu_s for o in found], len(outcomes), tried, cpu, stages=stages, passed=passed
+        ),
+        "prepare_cpu_s": sum(o.prepare_s for o in outcomes),
         "epsilon": _low(o.epsilon for o in found),
         "epsilon_frogger": _low(o.epsilon_frogger for o in found),
         "clearance_mm": _low(o.clearance_mm for o in found),
@@ -157,30 +152,52 @@ def _low(values: Iterable[float | None]) -> dict[str, float | None]:
     return {"median": median_of(known), "p10": quantile_of(known, 0.1)}
 
 
-def _without_approach(passed: int | None, stages: Mapping[str, float], cpu: float) -> float | None:
-    """Grasps per CPU second if none were asked for a way in; None where that is not known.
+def _figures(
+    taken: Sequence[float],
+    requested: int,
+    attempts: int,
+    cpu: float,
+    *,
+    stages: Mapping[str, float],
+    passed: int | None,
+) -> Row:
+    """Counts and speeds of requests.
 
-    That check is an attempt's last one and attempts are independent: without it those that only it
-    refused would count, and its time would not.
+    "without approach" are grasps per CPU second if none were asked for a way in; None where that is
+    not known. That check is an attempt's last one and attempts are independent: without it those
+    that only it refused would count, and its time would not.
 
     Args:
-        passed: Attempts that passed everything else.
-        stages: CPU time by stage, s.
-        cpu: CPU time of all attempts, s.
+        taken: CPU time of each request that found a grasp, s.
+        requested: How many requests there were.
+        attempts: How many attempts they made.
+        cpu: CPU time of these, s.
+        stages: The same by stage.
+        passed: Attempts that passed everything but the way in, if that is known.
     """
-    if passed is None or APPROACH not in stages:
-        return None
-    return ratio(passed, cpu - stages[APPROACH])
+    known = passed is not None and APPROACH in stages
+    alone = ratio(passed or 0, cpu - stages[APPROACH]) if known else None
+    return {
+        "requested": requested,
+        "found": len(taken),
+        "cpu_s": cpu,
+        "attempts_per_found": ratio(attempts, len(taken)),
+        "found_per_cpu_s": ratio(len(taken), cpu),
+        "found_per_cpu_s_without_approach": alone,
+        "within_1s": ratio(sum(t <= SOON for t in taken), requested),
+        "cpu_s_per_found": {"median": median_of(taken), "p90": quantile_of(taken, 0.9)},
+        "stages_cpu_s": dict(stages),
+    }
 
 
-def _with_fewer(found: Sequence[Outcome], task: GraspTask | str) -> int:
+def _with_fewer(found: Sequence[RequestOutcome], task: GraspTask | str) -> int:
     """Grasps that spared a finger."""
     if isinstance(task, str):
         return 0
     return sum(o.n_fingers < len(task.finger_names) for o in found)
 
 
-def _diversities(found: Sequence[Outcome], task: GraspTask | str) -> dict[str, Any]:
+def _diversities(found: Sequence[RequestOutcome], task: GraspTask | str) -> Row:
     """Diversity of the grasps with all fingers, and of as many random starts; None for none."""
     nothing = {"diversity": None, "diversity_of_random_starts": None}
     if isinstance(task, str):
@@ -205,27 +222,25 @@ def _diversities(found: Sequence[Outcome], task: GraspTask | str) -> dict[str, A
     }
 
 
-def total_of(cells: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def total_of(cells: Sequence[Row]) -> Row:
     """Figures over all cells that could be tried."""
     tried = [c for c in cells if c["requested"]]
-    found, requested = sum(c["found"] for c in tried), sum(c["requested"] for c in tried)
-    cpu = sum(c["cpu_s"] for c in tried)
-    stages = summed(c["stages_cpu_s"] for c in tried)
     taken = [r["cpu_s"] for c in tried for r in c["requests"] if r["found"]]
     counts = [c["without_approach"] for c in tried]
     all_known = None not in counts and all(APPROACH in c["stages_cpu_s"] for c in tried)
+
+    def added(name: str) -> Any:
+        return sum(c[name] for c in tried)
+
     return {
-        "requested": requested,
-        "found": found,
-        "cpu_s": cpu,
-        "prepare_cpu_s": sum(c["prepare_cpu_s"] for c in tried),
-        "attempts_per_found": ratio(sum(c["attempts"] for c in tried), found),
-        "found_per_cpu_s": ratio(found, cpu),
-        "found_per_cpu_s_without_approach": _without_approach(
-            sum(counts) if all_known else None, stages, cpu
+        **_figures(
+            taken,
+            added("requested"),
+            added("attempts"),
+            added("cpu_s"),
+            stages=summed(c["stages_cpu_s"] for c in tried),
+            passed=sum(counts) if all_known else None,
         ),
-        "within_1s": ratio(sum(t <= SOON for t in taken), requested),
+        "prepare_cpu_s": added("prepare_cpu_s"),
         "within_1s_least": min((c["within_1s"] for c in tried), default=None),
-        "cpu_s_per_found": {"median": median_of(taken), "p90": quantile_of(taken, 0.9)},
-        "stages_cpu_s": stages,
     }

@@ -1,17 +1,19 @@
-"""What a person sees of ``bench synthesis``: speed, CPU by stage, quality and diversity."""
+"""Tables for people: numbers, shares, and rows summed up group by group."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, TypeAlias
 
 from rich import box
-from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
-from sim.bench.baseline import BASELINE_EPSILON, BASELINE_RATE
+from sim.bench.run import Row, grouped
 
-__all__ = ["number", "print_synthesis", "table_of"]
+__all__ = ["Columns", "number", "percent", "share", "summary_table", "table_of"]
+
+Columns: TypeAlias = Mapping[str, Callable[[list[Row]], str]]
+"""Header of a column -> its cell for the rows of a group."""
 
 
 def number(value: float | None, digits: int, scale: float = 1.0) -> str:
@@ -19,7 +21,18 @@ def number(value: float | None, digits: int, scale: float = 1.0) -> str:
     return "-" if value is None else f"{scale * value:.{digits}f}"
 
 
-def table_of(title: str, texts: tuple[str, ...], numbers: tuple[str, ...]) -> Table:
+def percent(part: float, whole: float, digits: int = 1) -> str:
+    """A part of a whole in percent, or a dash where there is no whole."""
+    return f"{100 * part / whole:.{digits}f} %" if whole else "-"
+
+
+def share(chosen: Iterable[Any]) -> str:
+    """How many of all are true: "3/4"."""
+    every = [bool(one) for one in chosen]
+    return f"{sum(every)}/{len(every)}"
+
+
+def table_of(title: str, texts: Sequence[str], numbers: Sequence[str]) -> Table:
     """An empty table with columns of text, then columns of numbers."""
     table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left")
     for name in texts:
@@ -29,118 +42,37 @@ def table_of(title: str, texts: tuple[str, ...], numbers: tuple[str, ...]) -> Ta
     return table
 
 
-def print_synthesis(result: dict[str, Any], console: Console) -> None:
-    """Print all tables, and what could not be tried."""
-    console.print(_speed(result))
-    console.print(_stages(result))
-    console.print(_quality(result))
-    for cell in result["cells"]:
-        if cell["error"]:
-            text = f"{cell['object']}: {cell['error']}"
-            console.print(escape(text), highlight=False, soft_wrap=True)
-    against = result["baseline"]
-    if against is not None:
-        console.print(
-            f"against FRoGGeR (corrected): {number(against['rate_ratio'], 1)} times its "
-            f"{BASELINE_RATE} per CPU second; epsilon ratio median "
-            f"{number(against['epsilon_ratio_median'], 2)}, least "
-            f"{number(against['epsilon_ratio_least'], 2)}",
-            highlight=False,
-            soft_wrap=True,
-        )
+def summary_table(
+    title: str,
+    rows: Iterable[Row],
+    by: Mapping[str, str] | Sequence[str],
+    columns: Columns,
+    totals: Sequence[Sequence[str | None]] = (),
+) -> Table:
+    """A line for the rows that agree in some values, then lines of totals.
 
+    Args:
+        title: Of the table.
+        rows: All rows.
+        by: Names of those values, with their headers if these are other words.
+        columns: What follows them.
+        totals: Each one a set of lines below all others. Where it has a text for a value, that
+            text is shown and the value does not divide the rows; None divides them.
+    """
+    heads = dict(by) if isinstance(by, Mapping) else {name: name for name in by}
+    every = list(rows)
+    table = table_of(title, list(heads.values()), list(columns))
 
-def _speed(result: dict[str, Any]) -> Table:
-    table = table_of(
-        "found grasps per CPU second (all attempts count), also without the way in; CPU s per "
-        "request; preparing once",
-        ("hand", "object"),
-        ("found", "tries", "found/s", "no way in", "<= 1 s", "median", "p90", "prepare s"),
-    )
-    for cell in result["cells"]:
-        if not cell["requested"]:
-            table.add_row(cell["hand"], cell["object"], "not tried")
-        else:
-            table.add_row(cell["hand"], cell["object"], *_speed_row(cell))
-    table.add_section()
-    table.add_row("all", "", *_speed_row(result["total"]))
+    def add(shown: Sequence[str | None]) -> None:
+        names = [n for n, text in zip(heads, shown, strict=True) if text is None]
+        for values, members in grouped(every, *names).items() if names else [((), every)]:
+            left = iter(values)
+            first = [str(next(left)) if text is None else text for text in shown]
+            table.add_row(*first, *(cell(members) for cell in columns.values()))
+
+    add([None] * len(heads))
+    if totals:
+        table.add_section()
+    for shown in totals:
+        add(shown)
     return table
-
-
-def _speed_row(cell: dict[str, Any]) -> list[str]:
-    share = cell["within_1s"]
-    return [
-        f"{cell['found']}/{cell['requested']}",
-        number(cell["attempts_per_found"], 2),
-        number(cell["found_per_cpu_s"], 2),
-        number(cell["found_per_cpu_s_without_approach"], 2),
-        "-" if share is None else f"{100 * share:.0f} %",
-        number(cell["cpu_s_per_found"]["median"], 3),
-        number(cell["cpu_s_per_found"]["p90"], 3),
-        number(cell["prepare_cpu_s"], 2),
-    ]
-
-
-def _stages(result: dict[str, Any]) -> Table:
-    names = tuple(result["total"]["stages_cpu_s"])
-    table = table_of("CPU by stage, ms per found grasp", ("hand", "object"), (*names, "all"))
-    rows = [(c["hand"], c["object"], c) for c in result["cells"] if c["found"]]
-    for k, (hand, item, cell) in enumerate([*rows, ("all", "", result["total"])]):
-        if k == len(rows):
-            table.add_section()
-        if not cell["found"]:
-            continue
-        spent = [cell["stages_cpu_s"].get(name) for name in names]
-        table.add_row(
-            hand, item, *(number(s, 1, 1e3 / cell["found"]) for s in (*spent, cell["cpu_s"]))
-        )
-    return table
-
-
-def _quality(result: dict[str, Any]) -> Table:
-    against = result["baseline"] is not None
-    table = table_of(
-        "epsilon: ours and in FRoGGeR's definition; clearance mm; diversity: grasps, then as many "
-        "random starts",
-        ("hand", "object"),
-        (
-            "epsilon",
-            "p10",
-            "frogger",
-            "p10",
-            *(("ratio",) if against else ()),
-            "clear",
-            "distinct",
-            "directions",
-            "surface %",
-            "posture rad",
-        ),
-    )
-    for cell in result["cells"]:
-        if not cell["found"]:
-            continue
-        theirs = BASELINE_EPSILON.get(cell["object"])
-        frogger = cell["epsilon_frogger"]
-        table.add_row(
-            cell["hand"],
-            cell["object"],
-            number(cell["epsilon"]["median"], 3),
-            number(cell["epsilon"]["p10"], 3),
-            number(frogger["median"], 3),
-            number(frogger["p10"], 3),
-            *((number(frogger["median"] / theirs if theirs else None, 2),) if against else ()),
-            number(cell["clearance_mm"]["median"], 1),
-            *_diversity_cells(cell["diversity"], cell["diversity_of_random_starts"]),
-        )
-    return table
-
-
-def _diversity_cells(ours: dict[str, Any] | None, starts: dict[str, Any] | None) -> list[str]:
-    if ours is None or starts is None:
-        return ["-"] * 4
-    return [
-        f"{ours['n_distinct']} / {starts['n_distinct']}",
-        f"{ours['approach_entropy']:.2f} / {starts['approach_entropy']:.2f}",
-        f"{100 * ours['surface_share']:.0f} / {100 * starts['surface_share']:.0f}",
-        f"{number(ours['posture_width_rad'], 2)} / {number(starts['posture_width_rad'], 2)}",
-    ]

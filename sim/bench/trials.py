@@ -1,4 +1,4 @@
-"""One plan of a certain grade, executed under a certain condition: a sample of ``bench metrics``.
+"""One plan of a grade, executed under a condition: a sample of ``bench metrics``.
 
 Grades make plans of mixed quality, conditions make trials in which some fail. Both are fixed
 tables, so that every metric is asked the same questions.
@@ -7,8 +7,8 @@ tables, so that every metric is asked the same questions.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -21,10 +21,12 @@ from planner.synthesis.options import SynthesisOptions
 from planner.task import DEFAULT_MU
 from sim.bench.predictors import predictors_of
 from sim.bench.requests import Setting, task_for
-from sim.scene import PhysicsOptions
+from sim.bench.run import Job, Row
+from sim.physics import PhysicsOptions
+from sim.simulation import Simulation
 from sim.trial import Timeline, Trial
 
-__all__ = ["CONDITIONS", "GRADES", "Condition", "Grade", "Sample", "lost_sample", "try_sample"]
+__all__ = ["CONDITIONS", "GRADES", "Condition", "Grade", "Sample", "try_sample"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,11 +97,10 @@ MAX_ATTEMPTS = 20
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sample:
+class Sample(Job):
     """What is to be tried.
 
     Attributes:
-        index: Its number.
         hand: Name or path.
         spec: The object.
         label: What it is called.
@@ -108,7 +109,8 @@ class Sample:
         seed: Seed of the measurement; what is drawn depends on it and on ``index``.
     """
 
-    index: int
+    SHOWN: ClassVar = ("hand", "label", "grade", "condition")
+
     hand: str
     spec: str
     label: str
@@ -116,8 +118,12 @@ class Sample:
     condition: str
     seed: int
 
+    def lost(self, reason: str) -> Row:
+        """The row of a sample that nothing came of."""
+        return self.row(found=False, success=None, reason=reason)
 
-def try_sample(sample: Sample, check: Callable[[], None]) -> dict[str, Any]:
+
+def try_sample(sample: Sample, check: Callable[[], None]) -> Row:
     """Plan, note the predictors, execute: a row of plain data.
 
     Args:
@@ -128,7 +134,7 @@ def try_sample(sample: Sample, check: Callable[[], None]) -> dict[str, Any]:
     grade = GRADES[sample.grade]
     task = task_for(sample.hand, sample.spec, Setting(mu=grade.mu))
     if isinstance(task, str):
-        return lost_sample(sample, task)
+        return sample.lost(task)
     try:
         plan = plan_grasp(
             task,
@@ -138,28 +144,17 @@ def try_sample(sample: Sample, check: Callable[[], None]) -> dict[str, Any]:
             progress=lambda _: check(),
         )
     except NoGraspFoundError:
-        return lost_sample(sample, "no plan")
+        return sample.lost("no plan")
     except PlannerError as error:
-        return lost_sample(sample, str(error))
+        return sample.lost(str(error))
     verdict = _execute(plan, CONDITIONS[sample.condition], rng)
     check()
-    return _row_without_plan(sample) | {
-        "found": True,
-        "success": verdict.success,
-        "reason": verdict.reason,
-        "predictors": predictors_of(plan),
-    }
-
-
-def lost_sample(sample: Sample, reason: str) -> dict[str, Any]:
-    """The row of a sample that nothing came of."""
-    return _row_without_plan(sample) | {"reason": reason}
-
-
-def _row_without_plan(sample: Sample) -> dict[str, Any]:
-    row: dict[str, Any] = asdict(sample) | {"found": False, "success": None, "reason": ""}
-    del row["seed"], row["spec"]
-    return row
+    return sample.row(
+        found=True,
+        success=verdict.success,
+        reason=verdict.reason,
+        predictors=predictors_of(plan),
+    )
 
 
 def _execute(plan: GraspPlan, condition: Condition, rng: np.random.Generator) -> Any:
@@ -175,22 +170,23 @@ def _execute(plan: GraspPlan, condition: Condition, rng: np.random.Generator) ->
     )
     angle = rng.uniform(0.0, 2 * np.pi)
     aside = condition.shift * np.array([np.cos(angle), np.sin(angle)])
-    trial.data.qpos[trial.scene.object_qpos[:2]] += aside
-    mujoco.mj_forward(trial.scene.model, trial.data)
+    scene, data = trial.simulation.scene, trial.simulation.data
+    data.qpos[scene.object_qpos[:2]] += aside
+    mujoco.mj_forward(scene.model, data)
     weight = item.mass * float(np.linalg.norm(plan.task.gravity))
     return trial.run(on_step=_pusher(condition.push * weight * DIRECTIONS)).verdict
 
 
-def _pusher(forces: FloatArray) -> Callable[[Trial], None]:
+def _pusher(forces: FloatArray) -> Callable[[Simulation], None]:
     """Push with forces (6, 3), N, at the centre of mass, one after the other during the hold."""
     steps = 0
 
-    def push(trial: Trial) -> None:
+    def push(simulation: Simulation) -> None:
         nonlocal steps
-        if trial.phase == "hold":
-            total = TIMELINE.hold / trial.scene.physics.timestep
+        if simulation.phase == "hold":
+            total = TIMELINE.hold / simulation.scene.physics.timestep
             k = min(len(forces) - 1, int(len(forces) * steps / total))
-            trial.data.xfrc_applied[trial.scene.object_body, :3] = forces[k]
+            simulation.data.xfrc_applied[simulation.scene.object_body, :3] = forces[k]
             steps += 1
 
     return push

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Annotated, Any
 
 import typer
 
 from sim.cli import (
     batch,
-    bench,
     certify,
     creep,
     crosscheck,
@@ -26,7 +27,7 @@ from sim.cli import (
     motion,
     test,
 )
-from sim.cli.common import EXIT_INTERRUPTED
+from sim.cli.common import EXIT_BAD_INPUT, EXIT_INTERRUPTED, err, say
 
 __all__ = ["app", "main"]
 
@@ -55,6 +56,31 @@ def _opposable(
     """Plan a multi-finger grasp, execute it in MuJoCo, and judge both by the same analysis."""
 
 
+MEASURING = "sim.cli.bench"
+"""The commands that measure; a wheel leaves them out, with ``sim.bench``."""
+
+NEEDS_CHECKOUT = (
+    "[bold red]error:[/] measuring needs a checkout: clone the repository, run "
+    "`pip install -e .` in it, and repeat the command"
+)
+"""What ``bench`` answers in a wheel."""
+
+
+def _no_bench() -> None:
+    """Measure: tables that repeat the project's figures (in a checkout only)."""
+    say(err, NEEDS_CHECKOUT)
+    raise typer.Exit(EXIT_BAD_INPUT)
+
+
+def _register_bench() -> None:
+    """Add the group ``bench``, or in a wheel one command that says where to find it."""
+    if find_spec(MEASURING) is not None:
+        import_module(MEASURING).register(app)
+        return
+    anything = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
+    app.command("bench", context_settings=anything)(_no_bench)
+
+
 for group in (
     grasp,
     motion,
@@ -65,10 +91,10 @@ for group in (
     certify,
     forces,
     crosscheck,
-    bench,
-    test,
-    creep,
 ):
+    group.register(app)
+_register_bench()
+for group in (test, creep):
     group.register(app)
 
 

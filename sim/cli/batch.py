@@ -1,4 +1,4 @@
-"""Commands for many grasps: ``batch``, ``pick``."""
+"""Commands for many grasps: ``batch``, ``extract``."""
 
 from __future__ import annotations
 
@@ -14,32 +14,16 @@ from planner.hand_loading import load_hand
 from sim.cli.common import (
     EXIT_INTERRUPTED,
     EXIT_NOT_FOUND,
-    AttemptsOption,
-    AvoidOption,
-    CpuOption,
-    DensityOption,
-    FingersOption,
     HandArgument,
     JsonOption,
-    LoadOption,
-    MassOption,
-    MuOption,
-    ObjectiveOption,
-    PoseOption,
-    RepairOption,
-    RoundsOption,
-    SeedOption,
-    TaskWrenchOption,
-    TouchOption,
     check_folder,
     err,
     errors_for_people,
-    options_of,
     out,
     print_json,
     say,
 )
-from sim.cli.requests import task_of_options
+from sim.cli.options import PlanOptions, with_options
 
 TABLE_WIDTH = 110
 """Characters that the table needs."""
@@ -52,6 +36,7 @@ class Export(StrEnum):
 
 
 @errors_for_people()
+@with_options
 def batch(
     hand: HandArgument,
     objects: Annotated[
@@ -61,23 +46,10 @@ def batch(
     folder: Annotated[
         Path, typer.Option("--out", help="Folder; a batch that is there goes on.")
     ] = Path("grasps"),
-    seed: SeedOption = 0,
     workers: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
     backend: Annotated[str, typer.Option(help="joblib's backend: loky, threading.")] = "loky",
-    mu: MuOption = 0.5,
-    fingers: FingersOption = None,
-    mass: MassOption = None,
-    density: DensityOption = None,
-    repair: RepairOption = False,
-    pose: PoseOption = 0,
-    touch: TouchOption = None,
-    avoid: AvoidOption = None,
-    expect_load: LoadOption = None,
-    objective: ObjectiveOption = "epsilon",
-    task_wrench: TaskWrenchOption = None,
-    rounds: RoundsOption = None,
-    max_attempts: AttemptsOption = 100,
-    max_cpu_s: CpuOption = None,
+    *,
+    request: PlanOptions,
     export: Annotated[Export | None, typer.Option(help="Also write OUT/dexgraspbench.")] = None,
     export_all: Annotated[
         bool, typer.Option(help="Fail where the format cannot take a grasp, or leave it out.")
@@ -94,35 +66,21 @@ def batch(
     from sim.batch_report import BatchBar, batch_summary, batch_table
 
     loaded = load_hand(hand)
-    tasks = [
-        task_of_options(
-            loaded,
-            item,
-            fingers=fingers,
-            mu=mu,
-            mass=mass,
-            density=density,
-            repair=repair,
-            resting=pose,
-            touch=touch,
-            avoid=avoid,
-            expect_load=expect_load,
-        )
-        for item in objects
-    ]
+    tasks = [request.task(loaded, item) for item in objects]
+    options = request.synthesis()
     with BatchBar(err) as bar:
         try:
             grasps = plan_grasps(
                 loaded,
                 tasks,
                 n,
-                seed=seed,
+                seed=request.seed,
                 workers=workers,
                 backend=backend,
                 out=folder,
-                max_attempts=max_attempts,
-                max_cpu_s=max_cpu_s,
-                options=options_of(objective, task_wrench, rounds),
+                max_attempts=request.max_attempts,
+                max_cpu_s=request.max_cpu_s,
+                options=options,
                 progress=bar.show,
             )
         except KeyboardInterrupt as error:
@@ -144,7 +102,7 @@ def batch(
 
 
 @errors_for_people()
-def pick(
+def extract(
     folder: Annotated[Path, typer.Argument(help="Folder of a batch.", metavar="FOLDER")],
     row: Annotated[int, typer.Argument(min=0, help="Number of the row, from 0.", metavar="ROW")],
     output: Annotated[Path, typer.Option("--out", "-o", help="The plan file.")] = Path("plan.json"),
@@ -165,4 +123,4 @@ def pick(
 def register(app: typer.Typer) -> None:
     """Add the commands."""
     app.command()(batch)
-    app.command()(pick)
+    app.command()(extract)

@@ -99,7 +99,9 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machine
 ViewOption = Annotated[bool, typer.Option("--view", help="Show the run in MuJoCo's viewer.")]
 ControllerOption = Annotated[
     str,
-    typer.Option(help="open: the planned forces; closed: a loop that keeps the object in place."),
+    typer.Option(
+        help="feedforward: the planned forces; impedance: a loop that keeps the object in place."
+    ),
 ]
 SimMuOption = Annotated[
     float | None,
@@ -171,37 +173,6 @@ def physics_of(text: str, sim_mu: float | None = None) -> Any:
 
     found = physics_for(text)
     return found if sim_mu is None else replace(found, mu=sim_mu)
-
-
-def options_of(objective: str, task_wrench: list[str] | None, rounds: int | None) -> Any:
-    """Options of synthesis as the command line gives them.
-
-    Raises:
-        TaskError: A wrench is not made of six numbers, or they are not those of an objective.
-        NotFoundError: An objective that does not exist.
-    """
-    from planner.synthesis.options import SynthesisOptions
-
-    wrenches = [numbers("--task-wrench", text, 6) for text in task_wrench or ()]
-    options = SynthesisOptions(
-        objective=objective, task_wrenches=tuple(tuple(row) for row in wrenches)
-    )
-    return options if rounds is None else replace(options, rounds=rounds)
-
-
-def load_of(expect_load: str | None) -> Any:
-    """The expected load as the command line gives it; None for none.
-
-    Raises:
-        TaskError: It is not one number or two, or one is negative.
-    """
-    from planner.forces import ExpectedLoad
-
-    if expect_load is None:
-        return None
-    count = 2 if "," in expect_load else 1
-    force, torque = (*numbers("--expect-load", expect_load, count), 0.0)[:2]
-    return ExpectedLoad(force=force, torque=torque)
 
 
 def _leave(*_: object) -> None:

@@ -55,19 +55,25 @@ def analyse(
 
 @errors_for_people()
 def schema(
-    kind: Annotated[str, typer.Argument(help="plan, motion, gait, report or contacts")] = "plan",
+    kind: Annotated[
+        str,
+        typer.Argument(
+            help="plan, motion, gait, manipulation, report, manipulation-report or contacts"
+        ),
+    ] = "plan",
 ) -> None:
-    """The JSON Schema of plan, motion and gait files, trial reports, or contact lists."""
+    """The JSON Schema of plan files, of reports, or of contact lists."""
     from pydantic import BaseModel
 
     from planner.errors import NotFoundError
-    from planner.files import ContactsFile, GaitFile, MotionFile, PlanFile
+    from planner.files import ContactsFile, GaitFile, ManipulationFile, MotionFile, PlanFile
     from sim.report import ReportFile
 
     models: dict[str, type[BaseModel]] = {
         "plan": PlanFile,
         "motion": MotionFile,
         "gait": GaitFile,
+        "manipulation": ManipulationFile,
         "report": ReportFile,
         "contacts": ContactsFile,
     }

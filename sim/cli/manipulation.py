@@ -168,11 +168,10 @@ def _perform(
 ) -> None:
     """Plan, execute, tell."""
     from planner.files import write_gait, write_json, write_motion
+    from planner.motion.manipulation import manipulation_task, on_stand, plan_manipulation
     from planner.objects import parse_object
-    from sim.manipulation import Bounds, manipulation_task, plan_turning
+    from sim.manipulation import Bounds, rests, settled
     from sim.manipulation import manipulate as execute
-    from sim.manipulation.stand import on_stand
-    from sim.manipulation.standing import settled
 
     axis, degrees, moved = movement(rotate, shift)
     if physics.mu < mu:
@@ -190,10 +189,10 @@ def _perform(
         mu=mu,
         fingers=None if fingers is None else names(fingers),
     )
-    task = on_stand(task, stand) if stand else settled(task)
+    task = settled(on_stand(task, stand) if stand else task)
     x, y = numbers("--place", place, 2)
     with err.status(f"planning: {task.hand.name}, {task.object.name} ..."):
-        plan = plan_turning(
+        plan = plan_manipulation(
             task,
             axis=axis,
             angle=math.radians(degrees),
@@ -202,12 +201,13 @@ def _perform(
             seed=seed,
             max_attempts=max_attempts,
             regrasp=gait,
+            rests=rests,
         )
     if not as_json:
         say(out, escape(str(plan.gait or plan.motion)))
         say(out, f"planned in {plan.cpu_s:.2f} s of CPU, {plan.attempts} attempts")
-        if plan.back:
-            say(out, escape(f"made backwards before it is put down: {plan.back}"))
+        if plan.ending.back:
+            say(out, escape(f"made backwards before it is put down: {plan.ending.back}"))
         say(out, "")
     with err.status("executing ..."):
         report = execute(

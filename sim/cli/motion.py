@@ -43,7 +43,9 @@ def plan_motion(
     shift: Annotated[
         str, typer.Option(help="Translation of the object, m, world: x,y,z.")
     ] = "0,0,0",
-    tube: Annotated[float, typer.Option(help="How far the object may leave its path, m.")] = 0.02,
+    path_tolerance: Annotated[
+        float, typer.Option(help="How far the object may leave its path, m.")
+    ] = 0.02,
     fingers: FingersOption = None,
     seed: SeedOption = 0,
     mu: MuOption = 0.5,
@@ -74,7 +76,7 @@ def plan_motion(
             axis=numbers("--axis", axis, 3),
             angle=None if angle is None else math.radians(angle),
             shift=numbers("--shift", shift, 3),
-            tube=tube,
+            path_tolerance=path_tolerance,
             seed=seed,
             max_attempts=max_attempts,
             best_of=best_of,

@@ -39,7 +39,7 @@ def test(
     protocol: Annotated[
         str, typer.Option(help="What to do to the grasp: fc, forces, shake, robust, or all.")
     ] = "all",
-    controller: ControllerOption = "open",
+    controller: ControllerOption = "feedforward",
     physics: PhysicsOption = "ours",
     only: Annotated[
         list[str] | None, typer.Option(help='Only trials of this name: "force +z"; repeatable.')

@@ -15,7 +15,15 @@ from sim.controllers.events import Event, EventKind
 from sim.controllers.follow import MotionReference
 from sim.controllers.gains import ImpedanceGains
 from sim.controllers.grasp import GraspController
-from sim.controllers.named import CONTROLLERS, named_controller
+from sim.controllers.named import (
+    CONTROLLERS,
+    AnyController,
+    MakeController,
+    controller_for,
+    controller_maker,
+    controller_name,
+    named_controller,
+)
 from sim.controllers.pads import PadReading
 from sim.controllers.reference import Reference, Target
 from sim.controllers.sensing import Sensing
@@ -24,11 +32,13 @@ from sim.controllers.slip import SlipDetector
 __all__ = [
     "CONTROLLERS",
     "PHASES",
+    "AnyController",
     "Controller",
     "Event",
     "EventKind",
     "GraspController",
     "ImpedanceGains",
+    "MakeController",
     "MotionReference",
     "ObjectImpedance",
     "Observation",
@@ -40,5 +50,8 @@ __all__ = [
     "Sensing",
     "SlipDetector",
     "Target",
+    "controller_for",
+    "controller_maker",
+    "controller_name",
     "named_controller",
 ]

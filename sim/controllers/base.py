@@ -20,6 +20,7 @@ from planner.contacts import ContactSet
 from planner.spatial import SE3, FloatArray
 from sim.controllers.events import Event
 from sim.controllers.pads import PadReading
+from sim.controllers.schedule import TOUCH_FORCE
 
 __all__ = ["PHASES", "Controller", "Observation", "Phase", "ReportsEvents", "ReportsLimits"]
 
@@ -77,6 +78,11 @@ class Observation:
     read_contacts: Callable[[], ContactSet]
     read_pads: Callable[[], PadReading] = PadReading.nothing
 
+    @property
+    def all_touch(self) -> bool:
+        """Whether every finger that takes part touches the object."""
+        return bool((self.normal_forces >= TOUCH_FORCE).all())
+
     @cached_property
     def object_twist(self) -> FloatArray:
         """Linear velocity of the object's centre of mass and its angular velocity, (6,), world."""
@@ -112,7 +118,7 @@ class ReportsLimits(Protocol):
     hand from a bad grasp.
     """
 
-    def limited_actuators(self) -> tuple[str, ...]:
+    def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last step wanted."""
         ...
 

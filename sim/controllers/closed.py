@@ -173,11 +173,11 @@ class ObjectImpedance:
         """Why it gave up, "" while it has not."""
         return self._patience.gave_up
 
-    def limited_actuators(self) -> tuple[str, ...]:
+    def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last step wanted."""
         if self.T_palm_wanted is None:
-            return self._opening.limited_actuators()
-        return self._torques.limited_actuators()
+            return self._opening.saturated_actuators()
+        return self._torques.saturated_actuators()
 
     def leave(self, finger: str) -> None:
         """Tell a finger to give its force to the others and to go off the object.

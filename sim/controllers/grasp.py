@@ -102,7 +102,7 @@ class GraspController:
         ctrl, _ = self._hand.actuation.ctrl_for_torque(self.q_ref, np.zeros(self._hand.nq), torque)
         return ctrl
 
-    def limited_actuators(self) -> tuple[str, ...]:
+    def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last step wanted."""
         return limited(self._hand.actuation, self.q_ref, self._torque)
 

@@ -1,26 +1,45 @@
-"""Controllers by the names that commands and reports use."""
+"""Controllers by name, and what else may be given as one."""
 
 from __future__ import annotations
 
+import copy
+import inspect
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
+from typing import TypeAlias
 
-from planner.errors import NotFoundError
+from planner.errors import NotFoundError, TaskError
 from planner.plan import GraspPlan
 from sim.controllers.base import Controller
 from sim.controllers.closed import ObjectImpedance
 from sim.controllers.grasp import GraspController
 
-__all__ = ["CONTROLLERS", "named_controller"]
+__all__ = [
+    "CONTROLLERS",
+    "AnyController",
+    "MakeController",
+    "controller_for",
+    "controller_maker",
+    "controller_name",
+    "named_controller",
+]
 
-CONTROLLERS: Mapping[str, Callable[[GraspPlan], Controller]] = MappingProxyType(
-    {"open": GraspController, "closed": ObjectImpedance}
+MakeController: TypeAlias = Callable[[GraspPlan], Controller]
+
+AnyController: TypeAlias = str | Controller | MakeController
+"""What is accepted as a controller: a name out of ``CONTROLLERS``, a controller, or a class or
+function that makes one from the plan."""
+
+CONTROLLERS: Mapping[str, MakeController] = MappingProxyType(
+    {"feedforward": GraspController, "impedance": ObjectImpedance}
 )
-"""open: the planned forces, turned with the object, and servos that hold the posture, but nothing
-that steers the object; closed: the loop that keeps the object's pose."""
+"""feedforward: the planned forces, turned with the object, and servos that hold the posture, but
+nothing that steers the object; impedance: a closed loop that keeps the object's pose."""
+
+DEFAULT_CONTROLLER = "feedforward"
 
 
-def named_controller(name: str) -> Callable[[GraspPlan], Controller]:
+def named_controller(name: str) -> MakeController:
     """What makes a fresh controller for a plan.
 
     Raises:
@@ -29,3 +48,99 @@ def named_controller(name: str) -> Callable[[GraspPlan], Controller]:
     if name not in CONTROLLERS:
         raise NotFoundError("controller", name, CONTROLLERS)
     return CONTROLLERS[name]
+
+
+def controller_for(plan: GraspPlan, given: AnyController | None) -> Controller:
+    """The controller that was given, made for a plan where it is a name, a class or a function.
+
+    Args:
+        plan: What it is to execute.
+        given: Name, controller, class or function of the plan; "feedforward" if None.
+
+    Raises:
+        NotFoundError: No controller has that name.
+        TaskError: What was given is none of these.
+    """
+    if given is not None and not isinstance(given, str | type) and _is_controller(given):
+        return given  # type: ignore[return-value]
+    return controller_maker(given)(plan)
+
+
+def controller_maker(given: AnyController | None) -> MakeController:
+    """What makes a fresh controller for every plan; a controller itself is copied as it is now.
+
+    Args:
+        given: Name, controller, class or function of the plan; "feedforward" if None.
+
+    Raises:
+        NotFoundError: No controller has that name.
+        TaskError: What was given is none of these.
+    """
+    if given is None:
+        return CONTROLLERS[DEFAULT_CONTROLLER]
+    if isinstance(given, str):
+        return named_controller(given)
+    if not isinstance(given, type) and _is_controller(given):
+        return _CopyOf(given)  # type: ignore[arg-type]
+    if not callable(given) or not _takes_a_plan(given):
+        raise _refused(given)
+    return _Checked(given)
+
+
+def controller_name(given: AnyController | None) -> str:
+    """What a report calls a controller: its name, or that of its class or function."""
+    if given is None:
+        return DEFAULT_CONTROLLER
+    if isinstance(given, str):
+        return given
+    return str(getattr(given, "__name__", type(given).__name__))
+
+
+class _CopyOf:
+    """Makes copies of one controller: trials do not see each other."""
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+
+    def __call__(self, plan: GraspPlan) -> Controller:
+        return copy.deepcopy(self._controller)
+
+
+class _Checked:
+    """A class or function, checked that what it makes is a controller."""
+
+    def __init__(self, make: MakeController) -> None:
+        self._make = make
+
+    def __call__(self, plan: GraspPlan) -> Controller:
+        made = self._make(plan)
+        if not _is_controller(made):
+            raise TaskError(
+                f"{controller_name(self._make)} made {made!r} of the plan, which has no method "
+                "step(observation); see sim.controllers.Controller"
+            )
+        return made
+
+
+def _is_controller(thing: object) -> bool:
+    return callable(getattr(thing, "step", None))
+
+
+def _takes_a_plan(make: Callable[..., object]) -> bool:
+    try:
+        inspect.signature(make).bind(None)
+    except (TypeError, ValueError):  # ValueError: a builtin without a signature
+        return False
+    return True
+
+
+def _refused(given: object) -> TaskError:
+    if isinstance(given, type) and _is_controller(given):
+        return TaskError(
+            f"controller {given.__name__} is a class that does not take the plan alone; give "
+            f"an instance, or a function that makes one from the plan"
+        )
+    return TaskError(
+        f"controller is {given!r}; give one of {', '.join(CONTROLLERS)}, an object with a method "
+        "step(observation), or a class or function that makes one from the plan"
+    )

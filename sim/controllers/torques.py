@@ -186,7 +186,7 @@ class HoldingTorques:
         )
         return ctrl
 
-    def limited_actuators(self) -> tuple[str, ...]:
+    def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last command wanted."""
         return limited(self._hand.actuation, self._law_q, self._torque)
 

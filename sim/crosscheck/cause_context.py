@@ -15,7 +15,10 @@ from sim.crosscheck.reader import ReaderResult, is_urdf
 from sim.crosscheck.sources import Source
 from sim.crosscheck.states import as_drawn
 
-__all__ = ["Context"]
+__all__ = ["EQUAL", "ORIENTATIONS", "Context"]
+
+ORIENTATIONS = ("quat", "axisangle", "euler", "xyaxes", "zaxis", "fromto")
+"""Attributes of MJCF that turn an element."""
 
 EQUAL = 1e-6
 """Up to which a value, m, rad or relative, is the one that a mistake predicts."""
@@ -24,7 +27,7 @@ EQUAL = 1e-6
 class Context:
     """A model, what Pinocchio's own reader made of it, and the text of the file.
 
-    ``twins`` keeps what ``causes_masses`` compiles: mistakes -> bodies touched, masses that result.
+    ``twins`` keeps what ``evidence_masses`` compiles: mistakes -> bodies touched, their masses.
     """
 
     def __init__(

@@ -12,8 +12,7 @@ import pinocchio as pin
 from planner.bridge import pinocchio_from_mujoco
 from planner.errors import TaskError
 from sim.crosscheck.cause_context import Context
-from sim.crosscheck.causes import explain
-from sim.crosscheck.causes_structure import explain_failure
+from sim.crosscheck.causes import explain, explain_failure
 from sim.crosscheck.compare import compare_local, compare_observations, compare_parts
 from sim.crosscheck.equalities import EqualityCheck, compare_couplings, equality_names
 from sim.crosscheck.geometry import GeometryCheck

@@ -86,8 +86,13 @@ def _inertia(tally: Tally, body: str, mine: LinkInertia | None, theirs: LinkIner
         "inertia",
         body,
         error,
-        values=(np.diag(mine.inertia), np.diag(theirs.inertia)),
+        values=(_six(mine.inertia), _six(theirs.inertia)),
     )
+
+
+def _six(inertia: FloatArray) -> FloatArray:
+    """Moments xx, yy, zz, then products xy, xz, yz, of an inertia (3, 3), kg m2."""
+    return np.concatenate([np.diag(inertia), inertia[np.triu_indices(3, 1)]])
 
 
 def _relative(tally: Tally, title: str, part: str, mine: FloatArray, theirs: FloatArray) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -12,6 +13,10 @@ __all__ = ["SCHEMA", "Cell", "Column", "CrosscheckReport", "column_from"]
 
 SCHEMA = 1
 """Version of the JSON that ``CrosscheckReport.to_dict`` gives."""
+
+
+SHOWN = 8
+"""Faults and causes of a side that ``print`` shows."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,6 +79,24 @@ class Column:
         """Key of each known cause that was found -> the cause in words."""
         return {d.cause: d.reason for d in self.differences if d.cause}
 
+    def lines(self) -> list[str]:
+        """The side in a few lines: verdict, first faults, causes, notes."""
+        name = self.name if self.judged else f"{self.name} (not judged)"
+        if self.failure:
+            return [f"{name}: {self.failure}"]
+        wrong = [cell.quantity for cell in self.cells if cell.verdict == "differs"]
+        if not wrong:
+            return [f"{name}: {len(self.cells)} quantities agree", *_indented(self.notes)]
+        told = [str(fault) for fault in self.faults if not fault.cause]
+        known = [f"{key}: {reason}" for key, reason in self.causes.items()]
+        head = f"{name}: {len(wrong)} of {len(self.cells)} quantities differ: {', '.join(wrong)}"
+        return [
+            head,
+            *_first(told, "faults"),
+            *_first(known, "causes"),
+            *_indented(self.notes),
+        ]
+
     @property
     def unexplained(self) -> tuple[Difference, ...]:
         """Faults without a known cause."""
@@ -112,6 +135,15 @@ class CrosscheckReport:
         """What differs in the sides that are judged, in words; faults of parts come first."""
         return tuple(str(d) for c in self.columns if c.judged for d in c.differences)
 
+    def __str__(self) -> str:
+        """A screen: the verdict on each side, its first faults and known causes, and notes."""
+        verdict = "all judged quantities agree" if self.ok else "differs"
+        head = f"{self.model} against {self.reference}: {verdict}"
+        lines = [f"{head} ({self.n_configurations} configurations, seed {self.seed})"]
+        for column in self.columns:
+            lines += column.lines()
+        return "\n".join([*lines, *self.notes])
+
     def column(self, name: str) -> Column:
         """The side of that name.
 
@@ -147,6 +179,16 @@ class CrosscheckReport:
             "notes": list(self.notes),
             "columns": columns,
         }
+
+
+def _indented(lines: Iterable[str]) -> list[str]:
+    return [f"  {line}" for line in lines]
+
+
+def _first(lines: list[str], where: str) -> list[str]:
+    """The first ones, and how many more there are."""
+    more = len(lines) - SHOWN
+    return _indented([*lines[:SHOWN], *([f"{more} more in .{where}"] if more > 0 else [])])
 
 
 def column_from(

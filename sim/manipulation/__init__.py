@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from sim.manipulation.checks import Check
-from sim.manipulation.gaits import plan_regrasping, plan_turning
 from sim.manipulation.pace import IN_THE_AIR, STEPS, Bounds, Pace, Step
-from sim.manipulation.plan import ManipulationPlan, plan_manipulation
 from sim.manipulation.report import ManipulationReport
-from sim.manipulation.rounds import manipulation_task
 from sim.manipulation.run import ManipulationRun, manipulate
 from sim.manipulation.samples import Track
 from sim.manipulation.stage import Push
+from sim.manipulation.standing import rests, settled
 
 __all__ = [
     "IN_THE_AIR",
     "STEPS",
     "Bounds",
     "Check",
-    "ManipulationPlan",
     "ManipulationReport",
     "ManipulationRun",
     "Pace",
@@ -25,8 +22,6 @@ __all__ = [
     "Step",
     "Track",
     "manipulate",
-    "manipulation_task",
-    "plan_manipulation",
-    "plan_regrasping",
-    "plan_turning",
+    "rests",
+    "settled",
 ]

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import TaskError
+from planner.motion.manipulation import ManipulationPlan
 from planner.motion.path import tilts
 from planner.spatial import SE3, FloatArray
 from sim.controllers import Event, ObjectImpedance, Observation, Phase, Sensing
@@ -22,7 +23,6 @@ from sim.controllers.opening import PostureServo
 from sim.gantry import Mount
 from sim.manipulation.away import FingerAway
 from sim.manipulation.idle import out_of_the_way
-from sim.manipulation.plan import ManipulationPlan
 from sim.timeline import Timeline
 
 __all__ = ["BaseMover", "MotionController"]
@@ -69,7 +69,7 @@ class MotionController:
         self._plan, self._rate = plan, rate
         self._motion = out_of_the_way(plan.motion)
         self.reference = self.begin_stroke(plan.angle)
-        self._opening = PostureServo(grasp, plan.release.q)
+        self._opening = PostureServo(grasp, plan.ending.release.q)
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -115,9 +115,9 @@ class MotionController:
             return ctrl
         return np.where(self.away.actuators, self.away.command(observation), ctrl)
 
-    def limited_actuators(self) -> tuple[str, ...]:
+    def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last step wanted."""
-        return self.holding.limited_actuators()
+        return self.holding.saturated_actuators()
 
 
 class BaseMover:

@@ -10,12 +10,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from planner.motion.manipulation import ManipulationPlan
 from planner.quality import QualityReport, analyse
 from planner.spatial import SE3
 from sim.contacts import hand_contacts, merge_per_finger, normal_forces
 from sim.manipulation.checks import Outcome, off_target, placed, undisturbed
 from sim.manipulation.pace import Bounds, Pace, Step
-from sim.manipulation.plan import ManipulationPlan
 from sim.manipulation.stage import Stage
 from sim.manipulation.turning import Turning
 
@@ -130,13 +130,13 @@ class Phases:
         return fault or self.turning.stalled(numbers), numbers
 
     def _carry(self) -> Outcome:
-        above = _raised(self.plan.T_world_target, self._pace.height)
+        above = _raised(self.plan.ending.T_world_target, self._pace.height)
         self._stage.mover.go(self._stage.base_for(above), self._pace.carry)
         fault = self._stage.advance("carry", self._pace.carry)
         return fault, off_target(above, self._stage.T_world_object)
 
     def _lower(self) -> Outcome:
-        target = self.plan.T_world_target
+        target = self.plan.ending.T_world_target
         self._stage.mover.go(self._stage.base_for(target), self._pace.lower)
         fault = self._stage.advance("lower", self._pace.lower)
         return fault, off_target(target, self._stage.T_world_object)
@@ -146,7 +146,7 @@ class Phases:
         return self._standing_at_target(fault)
 
     def _retreat(self) -> Outcome:
-        release, planned = self.plan.release, self.plan.motion.T_world_base
+        release, planned = self.plan.ending.release, self.plan.motion.T_world_base
         now = self._stage.T_world_base
         way = release.T_world_base_start.translation - planned.translation
         turn = now.rotation @ planned.rotation.T
@@ -163,7 +163,7 @@ class Phases:
         return fault or reason, numbers
 
     def _standing_at_target(self, fault: str) -> Outcome:
-        target = self.plan.T_world_target
+        target = self.plan.ending.T_world_target
         reason, numbers = placed(target, self._stage.T_world_object, self._bounds)
         return fault or reason, numbers
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.manipulation.plan import ManipulationPlan
+from planner.motion.manipulation import ManipulationPlan
 from sim.manipulation.samples import Track
 
 __all__ = ["ASKED_SHARE", "FingerForce", "finger_forces", "force_limit"]

@@ -14,6 +14,7 @@ import numpy as np
 
 from planner.contacts import ContactSet
 from planner.motion.gait import Relocation
+from planner.motion.manipulation import ManipulationPlan
 from planner.quality import force_closure
 from planner.tolerances import CLOSURE_EDGES
 from sim.contacts import as_believed, hand_contacts, merge_per_finger
@@ -21,7 +22,6 @@ from sim.controllers.schedule import RAMP
 from sim.manipulation.away import FingerAway
 from sim.manipulation.checks import Outcome
 from sim.manipulation.pace import Pace
-from sim.manipulation.plan import ManipulationPlan
 from sim.manipulation.stage import Stage
 
 __all__ = ["Regrasping"]

@@ -18,7 +18,7 @@ from sim.manipulation.pace import IN_THE_AIR, TURNING, Bounds
 from sim.manipulation.pressing import FingerForce, finger_forces
 from sim.manipulation.prose import told_events, told_forces, told_modes
 from sim.manipulation.samples import Track
-from sim.verdict import Verdict, first_collision
+from sim.verdict import Fault, first_collision
 
 __all__ = ["ManipulationReport"]
 
@@ -116,7 +116,7 @@ class ManipulationReport:
         return bool(len(held)) and bool(self._reached()[held[-1]]) and not self.dropped
 
     @property
-    def collision(self) -> Verdict | None:
+    def collision(self) -> Fault | None:
         """The first collision of the hand with itself, table or obstacle; None without one.
 
         Judged as in a trial of a grasp, over the whole run and what was done before it.

@@ -24,23 +24,24 @@ from pathlib import Path
 import numpy as np
 
 from planner.errors import PlannerError
+from planner.failure import Failure
 from planner.motion.gait import cut_motion
+from planner.motion.manipulation import ManipulationPlan, plan_manipulation
+from planner.motion.manipulation.ending import Ending, backwards, object_at_target, stands
 from planner.motion.release import find_release
 from planner.spatial import SE3, signed_twist
 from planner.task import GraspTask
 from sim.controllers import Sensing
 from sim.looking.picture import save_picture
 from sim.manipulation.checks import Check
-from sim.manipulation.ending import object_at_target, stands, way_back
-from sim.manipulation.gaits import plan_turning
 from sim.manipulation.modes import measured_modes, planned_modes, planned_points
 from sim.manipulation.pace import STEPS, TURNING, Bounds, Pace, Step
 from sim.manipulation.phases import Phases
-from sim.manipulation.plan import ManipulationPlan
 from sim.manipulation.pressing import ASKED_SHARE, force_limit
 from sim.manipulation.report import ManipulationReport
 from sim.manipulation.samples import Track
 from sim.manipulation.stage import Push, Stage
+from sim.manipulation.standing import rests
 from sim.manipulation.turning import Part
 from sim.physics import PhysicsOptions
 
@@ -130,7 +131,7 @@ class ManipulationRun:
     def _parts(self) -> Iterator[Part]:
         """All phases in order; the turn may have several."""
         for step in STEPS:
-            if step == "carry" and self.plan.back:
+            if step == "carry" and self.plan.ending.back:
                 yield "back", "", self._phases.of("back")
             if step != "turn":
                 yield step, "", self._phases.of(step)
@@ -142,7 +143,7 @@ class ManipulationRun:
             if self.put_down:
                 break
         if self.put_down:
-            down: tuple[Step, ...] = ("back", *DOWN) if self._phases.plan.back else DOWN
+            down: tuple[Step, ...] = ("back", *DOWN) if self._phases.plan.ending.back else DOWN
             for step in down:
                 yield step, "half-way", self._phases.of(step)
 
@@ -177,17 +178,19 @@ class ManipulationRun:
         turned = signed_twist(now.rotation @ first.rotation.T, axis)
         x, y = now.translation[:2].tolist()
         task = replace(plan.motion.grasp.task, T_world_object=first)
-        if plan.back or not stands(task, axis, turned):
+        if plan.ending.back or not stands(task, axis, turned, rests=rests):
             if plan.gait is not None:
                 return "it would not stand"
-            ending = way_back(plan.motion, (x, y), plan.back or "half-way it does not stand")
-            release, target, back = ending.release, ending.T_world_target, ending.back
+            ending = backwards(
+                plan.motion, (x, y), plan.ending.back or "half-way it does not stand"
+            )
         else:
             found = find_release(cut_motion(plan.motion, stage.driver.reference.place))
-            if isinstance(found, str):
-                return found
-            release, target, back = found, object_at_target(task, axis, turned, (x, y)), ""
-        self._phases.plan = replace(plan, T_world_target=target, release=release, back=back)
+            if isinstance(found, Failure):
+                return found.text
+            target = object_at_target(task, axis, turned, (x, y))
+            ending = Ending(T_world_target=target, release=found, back="")
+        self._phases.plan = replace(plan, ending=ending)
         self.put_down = True
         return ""
 
@@ -202,7 +205,7 @@ class ManipulationRun:
             fingers=self.plan.motion.grasp.task.finger_names,
             asked=self.plan.angle,
             asked_shift=self.plan.shift,
-            back=self._phases.plan.back,
+            back=self._phases.plan.ending.back,
             R_world_palm=self.plan.motion.grasp.T_world_palm.rotation,
             track=track,
             planned_modes=planned_modes(track.time, points),
@@ -284,12 +287,12 @@ def _rest_of(plan: ManipulationPlan, track: Track, T_world_object: SE3) -> Manip
     axis = motion.path.axis
     counted = float(track.turn[track.during(*TURNING)[-1]])  # whole turns too
     made = signed_twist(T_world_object.rotation @ first.rotation.T, axis, near=counted)
-    if plan.back:  # it stands as at first
+    if plan.ending.back:  # it stands as at first
         made = 0.0
     x, y = T_world_object.translation[:2].tolist()
     upright = object_at_target(task, axis, made, (x, y))
-    at_x, at_y = plan.T_world_target.translation[:2].tolist()
-    return plan_turning(
+    at_x, at_y = plan.ending.T_world_target.translation[:2].tolist()
+    return plan_manipulation(
         replace(task, T_world_object=upright),
         axis=axis,
         angle=plan.angle - made,
@@ -297,4 +300,5 @@ def _rest_of(plan: ManipulationPlan, track: Track, T_world_object: SE3) -> Manip
         place=(at_x, at_y),
         seed=motion.record.seed + 1,
         regrasp=plan.gait is not None,
+        rests=rests,
     )

@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from planner.motion.manipulation import ManipulationPlan
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.contacts import hand_contacts
 from sim.controllers import Observation, Phase, Sensing
 from sim.manipulation.drive import BaseMover, MotionController
 from sim.manipulation.pace import IN_THE_AIR, Pace, Step
-from sim.manipulation.plan import ManipulationPlan
 from sim.manipulation.samples import Watch
 from sim.physics import PhysicsOptions
-from sim.trial import Trial
+from sim.simulation import Simulation
 
 __all__ = ["PHASE_OF", "Push", "Stage"]
 
@@ -59,7 +59,7 @@ class Push:
     duration: float
 
 
-class Stage(Trial):
+class Stage(Simulation):
     """Scene, controller, base and samples of one manipulation.
 
     Attributes:
@@ -125,9 +125,9 @@ class Stage(Trial):
         for k in range(max(steps, longest)):
             if self._push is not None and step in ("turn", "regrasp"):
                 self._push_object(self._push)
-            touching = self.step(PHASE_OF[step], min(1.0, k / steps))
+            touching = self.step(PHASE_OF[step], min(1.0, k / steps)).all_touch
             due = self.steps % self._sample_steps == 0
-            fault = self.divergence() or (self._dropped(step) if due else "")
+            fault = self.diverged or (self._dropped(step) if due else "")
             if fault or due:
                 driver = self.driver
                 self.watch.take(
@@ -153,16 +153,6 @@ class Stage(Trial):
     def touched(self) -> bool:
         """Whether anything of the hand presses on the object."""
         return len(hand_contacts(self.scene, self.data)) > 0
-
-    @property
-    def T_world_object(self) -> SE3:
-        """Where the object is."""
-        return self.scene.body_pose(self.data, self.scene.object_body)
-
-    @property
-    def T_world_base(self) -> SE3:
-        """Where the hand's base is."""
-        return self.scene.body_pose(self.data, self.scene.base_body)
 
     def base_for(self, T_world_object: SE3) -> SE3:
         """Where the base must be for the object, as it lies in the hand now, to be at a pose."""

@@ -13,11 +13,12 @@ from typing import TypeAlias
 
 import numpy as np
 
+from planner.failure import Failure
 from planner.motion.gait import Relocation, plan_back, plan_others
+from planner.motion.manipulation import ManipulationPlan
 from sim.contacts import hand_contacts
 from sim.manipulation.checks import Outcome
 from sim.manipulation.pace import Bounds, Pace, Step
-from sim.manipulation.plan import ManipulationPlan
 from sim.manipulation.regrasping import Regrasping
 from sim.manipulation.stage import Stage
 
@@ -83,8 +84,8 @@ class Turning:
         if self._plan.gait is None or not refused:
             return "the turn is over"
         found = plan_others(self._plan.gait.motion, self._have_moved, refused)
-        if isinstance(found, str):
-            return found
+        if isinstance(found, Failure):
+            return found.text
         self._left_to_move = list(found)
         return ""
 
@@ -92,11 +93,11 @@ class Turning:
         """Let ``parts`` go on with a regrasp after a turn that stalled; why it cannot, "" if so."""
         if self._plan.gait is not None or self._back:
             return "regrasps were made already"
-        if self._plan.back or self._plan.shift.any():
+        if self._plan.ending.back or self._plan.shift.any():
             return "it is to be moved, or turned back"
         found = plan_back(self._plan.motion, self._stage.driver.reference.place)
-        if isinstance(found, str):
-            return found
+        if isinstance(found, Failure):
+            return found.text
         self._back = found
         return ""
 
@@ -153,7 +154,7 @@ class Turning:
     def _obstacle(self) -> str:
         """What the controller says about why the object does not follow."""
         driver = self._stage.driver
-        limited = ", ".join(driver.limited_actuators())
+        limited = ", ".join(driver.saturated_actuators())
         why = driver.holding.gave_up
         return why or (f"{limited} had no more to give" if limited else "it did not follow")
 

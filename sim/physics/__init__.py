@@ -2,7 +2,7 @@
 
 from sim.physics.named import SUFFIXES, named_physics, physics_for, read_physics
 from sim.physics.options import PRESETS, PhysicsOptions, register_physics
-from sim.physics.presets import dexgraspbench, menagerie, mujoco_default, ours
+from sim.physics.presets import dexgraspbench, menagerie, mujoco_default
 
 __all__ = [
     "PRESETS",
@@ -12,7 +12,6 @@ __all__ = [
     "menagerie",
     "mujoco_default",
     "named_physics",
-    "ours",
     "physics_for",
     "read_physics",
     "register_physics",

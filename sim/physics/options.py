@@ -266,3 +266,6 @@ def _numbers(name: str, value: Any, count: int) -> tuple[float, ...]:
 
 def _listed(values: tuple[float, ...]) -> str:
     return " ".join(f"{v:g}" for v in values)
+
+
+register_physics(PhysicsOptions())

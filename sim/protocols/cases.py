@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import Protocol
 
 import numpy as np
 
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
-from sim.controllers import Controller
+from sim.controllers import MakeController
 from sim.physics import PhysicsOptions
 from sim.protocols.outcome import Outcome
 
-__all__ = ["AXES", "Case", "Conditions", "MakeController", "axis_of"]
-
-MakeController: TypeAlias = Callable[[GraspPlan], Controller]
+__all__ = ["AXES", "Case", "Conditions", "axis_of"]
 
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 """Names of the six directions along the world's axes."""

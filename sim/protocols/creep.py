@@ -8,17 +8,16 @@ creep of their own, a change is made larger until what is measured keeps to the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
 from planner.plan import GraspPlan
-from sim.controllers import Controller, GraspController
+from sim.controllers import AnyController
 from sim.creep import CREEP_BUDGET, Remedy, least_creep, predicted_creep, remedies
 from sim.physics import PhysicsOptions
-from sim.protocols.hold import Hold
+from sim.protocols.disturbance import DisturbanceTrial
 from sim.scene import build_scene
 
 __all__ = ["CreepMeasured", "Tried", "measure_creep", "sized_remedies"]
@@ -69,29 +68,29 @@ def measure_creep(
     plan: GraspPlan,
     physics: PhysicsOptions,
     *,
-    controller: Callable[[GraspPlan], Controller] = GraspController,
+    controller: AnyController | None = None,
 ) -> CreepMeasured:
     """Grip as planned in the air, and watch the object for a second.
 
     Args:
         plan: What to execute.
         physics: How MuJoCo computes.
-        controller: Makes what drives the hand; the planned forces if not given.
+        controller: What drives the hand; "feedforward" if None.
     """
     names = plan.task.finger_names
-    hold = Hold(plan, controller=controller(plan), physics=physics, lost=None)
-    scene, data = hold.scene, hold.data
+    hold = DisturbanceTrial(plan, controller=controller, physics=physics, dropped=None)
+    scene, data = hold.simulation.scene, hold.simulation.data
     least = least_creep(scene, names)
-    if fault := hold.grip() or hold.endure(CALM_S):
+    if fault := hold.close_and_squeeze() or hold.hold_for(CALM_S):
         return CreepMeasured(measured=math.inf, predicted=math.nan, least=least, lost=fault.reason)
     mujoco.mj_forward(scene.model, data)
     predicted = predicted_creep(scene, data)
-    begin = hold.T_palm_object.translation.copy()
-    fault = hold.endure(WATCHED_S)
+    begin = hold.simulation.T_palm_object.translation.copy()
+    fault = hold.hold_for(WATCHED_S)
     lost: str = "" if fault is None else fault.reason
-    if not lost and hold.touching() < len(names):
+    if not lost and hold.simulation.touching() < len(names):
         lost = "fingers lost the object"
-    moved = float(np.linalg.norm(hold.T_palm_object.translation - begin))
+    moved = float(np.linalg.norm(hold.simulation.T_palm_object.translation - begin))
     return CreepMeasured(
         measured=math.inf if lost else moved / WATCHED_S,
         predicted=predicted,

@@ -25,13 +25,14 @@ from planner.exchange.dexgraspbench.object_files import frame_shift
 from planner.exchange.dexgraspbench.squeeze import MASS, PUSH, without_servos
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
-from planner.spatial import SE3, FloatArray, rotation_angle
+from planner.spatial import SE3, FloatArray, pose_change
 from sim.controllers import Observation
 from sim.protocols.cases import AXES, Conditions, axis_of
+from sim.protocols.disturbance import DisturbanceTrial
 from sim.protocols.fc_scene import fc_physics, fc_scene
-from sim.protocols.hold import Hold
-from sim.protocols.outcome import Fault, Outcome
+from sim.protocols.outcome import Outcome
 from sim.timeline import Timeline
+from sim.verdict import DropCriteria, Fault, lost
 
 __all__ = ["FcCase", "Replay", "fc_cases", "fc_physics", "unsuitable_for_fc"]
 
@@ -43,8 +44,11 @@ MOTION = Timeline(
 )
 """10 stages of 10 steps of 4 ms to the grasp, and as many to the squeeze."""
 
-FAR_MM, FAR_DEG, DEEP_MM = 50.0, 15.0, 10.0
-"""Where the test is failed: movement, turn, and penetration at the start."""
+FAR = DropCriteria(fewest=0, mm=50.0, deg=15.0)
+"""Where the test is failed: movement in the world, whatever touches."""
+
+DEEP_MM = 10.0
+"""Penetration at the start from which on the test is failed, mm."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,20 +75,20 @@ class FcCase:
             object=replace(plan.task.object, mass=MASS),
         )
         floating = replace(plan, task=task)
-        trial = _FcTrial(floating)
+        test = _FcTrial(floating)
         force = np.append(PUSH * MASS * axis_of(self.index), np.zeros(3))
-        fault = trial.test(force)
+        fault = test.test(force)
         return Outcome(
             index=self.index,
             name=self.name,
             held=fault is None,
             fault=fault,
             fingers=task.finger_names,
-            samples=trial.samples,
-            load=trial.loads,
+            samples=test.trial.samples,
+            load=test.trial.loads,
             unit="N",
             wrench=force / np.linalg.norm(force),
-            conditions={"mass_kg": MASS, "push_N": PUSH * MASS, **trial.depths},
+            conditions={"mass_kg": MASS, "push_N": PUSH * MASS, **test.depths},
         )
 
 
@@ -138,10 +142,11 @@ def _deepest(data: Any) -> float:
     return 1e3 * max((-float(contact.dist) for contact in data.contact), default=0.0)
 
 
-class _FcTrial(Hold):
+class _FcTrial:
     """The benchmark's sequence of events.
 
     Attributes:
+        trial: What is held, and then pushed.
         depths: Penetration at the pre-grasp, which the benchmark refuses, and at the grasp, which
             it reports.
     """
@@ -150,47 +155,46 @@ class _FcTrial(Hold):
         """The object is free from the beginning."""
         self._replay = Replay(plan)
         scene, welded = fc_scene(plan.task, plan.T_world_base)
-        super().__init__(
+        self.trial = DisturbanceTrial(
             plan,
             controller=self._replay,
-            lost=None,
+            dropped=None,
             timeline=MOTION,
             scene=scene,
             carrier=welded,
         )
         self._shift = SE3(np.eye(3), -frame_shift(plan.task.object.shape))
-        at_grasp = self.scene.start(plan.q, plan.T_world_base)
+        at_grasp = scene.start(plan.q, plan.T_world_base)
         self.depths = {
-            "start_penetration_mm": _deepest(self.data),
+            "start_penetration_mm": _deepest(self.trial.simulation.data),
             "grasp_penetration_mm": _deepest(at_grasp),
         }
 
     def test(self, force: FloatArray) -> Fault | None:
         """Grasp, squeeze, push; what went wrong, None if nothing did."""
+        trial, simulation = self.trial, self.trial.simulation
         if self._replay.fault:
-            return self.fault("infeasible forces", self._replay.fault)
+            return trial.fault("infeasible forces", self._replay.fault)
         if self.depths["start_penetration_mm"] > DEEP_MM:
             depth = self.depths["start_penetration_mm"]
             detail = f"{depth:.1f} mm deep before it began; {DEEP_MM:g} are let pass"
-            return self.fault("penetration", detail)
+            return trial.fault("penetration", detail)
         begin = self._object_pose()
-        for phase in ("close", "squeeze"):
-            if not self.run_phase(phase):
-                return self.fault("diverged", self.divergence())
-        self.mark()
-        self.load = float(np.linalg.norm(force))
-        self.push(force)
+        if fault := trial.run_phases("close", "squeeze"):
+            return fault
+        trial.begin_hold()
+        trial.load = float(np.linalg.norm(force))
+        trial.push(force)
         for _ in range(CHECKS):
-            if fault := self.endure(CHECK_S):
+            if fault := trial.hold_for(CHECK_S):
                 return fault
-            now = self._object_pose()
-            moved = 1e3 * float(np.linalg.norm(now.translation - begin.translation))
-            turned = float(np.rad2deg(rotation_angle(begin.rotation.T @ now.rotation)))
-            if moved >= FAR_MM or turned >= FAR_DEG:
-                detail = f"the object moved {moved:.1f} mm and turned {turned:.1f} degrees"
-                return self.blamed("slipped" if self.touching() else "dropped", detail)
+            moved = pose_change(begin, self._object_pose())
+            if lost(FAR, touching=0, moved=moved):
+                detail = f"the object moved {moved[0]:.1f} mm and turned {moved[1]:.1f} degrees"
+                touching = simulation.touching()
+                return trial.put_down("slipped" if touching else "dropped", detail)
         return None
 
     def _object_pose(self) -> SE3:
         """Of the frame of the object's file, whose movement the benchmark looks at."""
-        return self.scene.body_pose(self.data, self.scene.object_body) * self._shift
+        return self.trial.simulation.T_world_object * self._shift

@@ -18,9 +18,10 @@ from planner.task import GRAVITY
 from planner.verification.grasp import plan_forces
 from sim.protocols.bounds import distance_from_plan, near_bound, proven_bound
 from sim.protocols.cases import AXES, Conditions, axis_of
-from sim.protocols.hold import Hold
-from sim.protocols.outcome import Fault, Outcome
+from sim.protocols.disturbance import DisturbanceTrial
+from sim.protocols.outcome import Outcome
 from sim.protocols.settings import Settings
+from sim.verdict import Fault
 
 __all__ = ["GravityCase", "PushCase", "forces_cases"]
 
@@ -54,13 +55,13 @@ class GravityCase:
         )
         forces = plan_forces(turned, plan.contacts, plan.T_world_base, plan.q)
         other = replace(plan, task=turned, forces=forces, contacts=forces.contacts)
-        hold = Hold(
+        hold = DisturbanceTrial(
             other,
             controller=conditions.controller(other),
             physics=conditions.physics,
-            lost=self.settings.lost,
+            dropped=self.settings.dropped,
         )
-        fault = hold.grip() or hold.endure(self.settings.hold_s)
+        fault = hold.close_and_squeeze() or hold.hold_for(self.settings.hold_s)
         return _outcome(self.index, self.name, hold, fault)
 
 
@@ -87,15 +88,15 @@ class PushCase:
         wrench = self.direction * np.array([1.0, 1.0, 1.0, length, length, length])
         only_torque = not self.direction[:3].any()
         unit = length if only_torque else 1.0
-        hold = Hold(
+        hold = DisturbanceTrial(
             plan,
             controller=conditions.controller(plan),
             physics=conditions.physics,
-            lost=settings.lost,
+            dropped=settings.dropped,
         )
         borne, broke, before = 0.0, np.inf, 0.0
         stood = None
-        fault = hold.grip()
+        fault = hold.close_and_squeeze()
         if fault is None:
             weight = plan.task.object.mass * G
             level = settings.first_load * weight
@@ -105,7 +106,9 @@ class PushCase:
                     broke = level
                 elif hold.at_rest():
                     borne = level
-                    stood = distance_from_plan(plan, hold.q, hold.T_base_object)
+                    stood = distance_from_plan(
+                        plan, hold.simulation.q, hold.simulation.T_base_object
+                    )
                 before, level = level, settings.growth * level
         else:
             broke = 0.0
@@ -141,7 +144,12 @@ def forces_cases(settings: Settings, seed: int) -> tuple[GravityCase | PushCase,
 
 
 def _load(
-    hold: Hold, wrench: FloatArray, before: float, level: float, duration: float, unit: float
+    hold: DisturbanceTrial,
+    wrench: FloatArray,
+    before: float,
+    level: float,
+    duration: float,
+    unit: float,
 ) -> Fault | None:
     """One load: up to it from the one before in half the time, then at rest."""
 
@@ -151,10 +159,10 @@ def _load(
         hold.load = unit * now
         hold.push(now * wrench)
 
-    return hold.endure(duration, each_step=grow)
+    return hold.hold_for(duration, each_step=grow)
 
 
-def _outcome(index: int, name: str, hold: Hold, fault: Fault | None) -> Outcome:
+def _outcome(index: int, name: str, hold: DisturbanceTrial, fault: Fault | None) -> Outcome:
     return Outcome(
         index=index,
         name=name,
@@ -163,5 +171,5 @@ def _outcome(index: int, name: str, hold: Hold, fault: Fault | None) -> Outcome:
         fingers=hold.plan.task.finger_names,
         samples=hold.samples,
         load=hold.loads,
-        events=hold.events,
+        events=hold.simulation.events,
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -17,29 +17,9 @@ from planner.certify import NEAR, Neighbourhood
 from planner.plain import finite
 from planner.spatial import FloatArray
 from sim.controllers import Event
-from sim.verdict import Reason, Samples
+from sim.verdict import Fault, Reason, Samples
 
-__all__ = ["FAILURES", "Failure", "Fault", "Outcome"]
-
-Failure: TypeAlias = Reason | Literal["penetration"]
-
-FAILURES: tuple[str, ...] = (*Reason.__args__, "penetration")  # type: ignore[attr-defined]
-"""Every reason an outcome can have; "" where the object was held."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Fault:
-    """Why a trial ended early.
-
-    Attributes:
-        reason: One of ``FAILURES``, not "".
-        detail: What happened, in words with numbers.
-        time: When, s of simulated time since the trial began.
-    """
-
-    reason: Failure
-    detail: str
-    time: float
+__all__ = ["Outcome"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,7 +69,7 @@ class Outcome:
     conditions: Mapping[str, float] = field(default_factory=dict)
 
     @property
-    def reason(self) -> Failure:
+    def reason(self) -> Reason:
         """Why not held; "" if held."""
         return "" if self.fault is None else self.fault.reason
 
@@ -182,6 +162,6 @@ class Outcome:
                 "friction_utilisation": finite(s.friction_utilisation),
                 "closed": [bool(c) for c in s.closed],
                 "epsilon": finite(s.epsilon),
-                "actuators_at_limit": [list(names) for names in s.limited],
+                "actuators_at_limit": [list(names) for names in s.saturated],
             },
         }

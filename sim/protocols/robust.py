@@ -16,7 +16,7 @@ import pinocchio as pin
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
 from sim.protocols.cases import Conditions
-from sim.protocols.outcome import Fault, Outcome
+from sim.protocols.outcome import Outcome
 from sim.protocols.settings import Settings
 from sim.timeline import Timeline
 from sim.trial import Trial
@@ -87,15 +87,11 @@ class RobustCase:
             record_every=RECORD_EVERY,
         )
         report = trial.run()
-        verdict = report.verdict
-        fault = None
-        if not verdict.success:
-            fault = Fault(reason=verdict.reason, detail=verdict.detail, time=verdict.time)
         return Outcome(
             index=self.index,
             name=self.name,
             held=report.success,
-            fault=fault,
+            fault=report.verdict.fault,
             fingers=report.fingers,
             samples=report.samples,
             load=np.zeros(len(report.samples)),

@@ -21,9 +21,9 @@ from planner.errors import FileFormatError, PlannerError, TaskError
 from planner.files import plan_from_dict, plan_to_dict
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
-from sim.controllers import named_controller
+from sim.controllers import AnyController, controller_maker, controller_name
 from sim.physics import PhysicsOptions
-from sim.protocols.cases import Case, Conditions, MakeController
+from sim.protocols.cases import Case, Conditions
 from sim.protocols.catalog import cases_of, trials_of, unsuitable
 from sim.protocols.fc_scene import fc_contacts, fc_physics
 from sim.protocols.outcome import Outcome
@@ -48,7 +48,7 @@ def run_protocol(
     plan: GraspPlan,
     protocol: str,
     *,
-    controller: str | MakeController = "open",
+    controller: AnyController | None = None,
     physics: PhysicsOptions | None = None,
     settings: Settings | None = None,
     seed: int = 0,
@@ -64,8 +64,9 @@ def run_protocol(
     Args:
         plan: What to test.
         protocol: One of ``PROTOCOLS``.
-        controller: "open", "closed", or what makes a controller out of a plan. ``fc`` is always
-            run by replayed postures.
+        controller: A name ("feedforward", "impedance"), a controller, of which every trial gets a
+            copy, or a class or function that makes one from the plan; "feedforward" if None.
+            ``fc`` is always run by replayed postures.
         physics: How MuJoCo computes; defaults if None. ``fc`` has its own.
         settings: Numbers of the protocols; defaults if None.
         seed: Of random directions and pose errors.
@@ -82,7 +83,7 @@ def run_protocol(
 
     Raises:
         NotFoundError: There is no such protocol, controller or trial.
-        TaskError: The protocol is not for this hand, or ``workers`` is 0.
+        TaskError: The protocol is not for this hand, the controller is none, or ``workers`` is 0.
         FileFormatError: ``file`` cannot be written.
     """
     begin = time.perf_counter()
@@ -92,12 +93,10 @@ def run_protocol(
     physics = fc_physics() if protocol == "fc" else physics or PhysicsOptions()
     (names,) = trials_of([protocol], only, settings, seed).values()
     cases = [case for case in cases_of(protocol, settings, seed) if case.name in names]
-    make = named_controller(controller) if isinstance(controller, str) else controller
+    make = controller_maker(controller)
     if reason := unsuitable(protocol, plan.task):
         raise TaskError(reason)
-    label = controller if isinstance(controller, str) else getattr(make, "__name__", "given")
-    if protocol == "fc":
-        label = "replay"
+    label = "replay" if protocol == "fc" else controller_name(controller)
     text = json.dumps(plan_to_dict(plan))
     conditions = Conditions(physics=physics, controller=make)
     jobs = [_Job(plan=text, case=case, conditions=conditions) for case in cases]

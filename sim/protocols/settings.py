@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from planner.errors import TaskError
-from sim.protocols.hold import Lost
+from sim.protocols.disturbance import DROPPED
+from sim.verdict import DropCriteria
 
 __all__ = ["Settings"]
 
@@ -32,7 +33,7 @@ class Settings:
         friction_factors: Of the friction in simulation (-).
         pose_errors: How far the object is from where the plan has it, pairs of mm and degrees, in a
             random direction each.
-        lost: When an object counts as lost.
+        dropped: When an object counts as lost.
     """
 
     hold_s: float = 2.0
@@ -48,7 +49,7 @@ class Settings:
     mass_factors: tuple[float, ...] = (0.5, 1.0, 2.0)
     friction_factors: tuple[float, ...] = (0.7, 1.0, 1.3)
     pose_errors: tuple[tuple[float, float], ...] = ((0.0, 0.0), (2.5, 2.5), (5.0, 5.0))
-    lost: Lost = field(default_factory=Lost)
+    dropped: DropCriteria = DROPPED
 
     def __post_init__(self) -> None:
         """Check every number."""

@@ -21,7 +21,7 @@ from planner.plan import GraspPlan
 from sim.controllers import Phase
 from sim.gantry import MOUNT_AXES, MOUNT_FREQUENCY, Mount
 from sim.protocols.cases import Conditions
-from sim.protocols.hold import Hold
+from sim.protocols.disturbance import DisturbanceTrial
 from sim.protocols.outcome import Outcome
 from sim.protocols.settings import Settings
 
@@ -55,23 +55,23 @@ class ShakeCase:
             TaskError: The hand is on an arm and has no mount.
         """
         settings = self.settings
-        hold = Hold(
+        hold = DisturbanceTrial(
             plan,
             controller=conditions.controller(plan),
             physics=conditions.physics,
-            lost=settings.lost,
+            dropped=settings.dropped,
         )
-        mount = hold.scene.mount
+        mount = hold.simulation.scene.mount
         if mount is None:
             raise TaskError(on_an_arm(plan.task.hand))
         linear = self.index < 3
         asked = 1e-3 * settings.shake_mm if linear else np.deg2rad(settings.shake_deg)
         shaker = Shaker(mount, self.index, asked, settings.shake_hz, settings.shake_s)
-        fault = hold.grip()
+        fault = hold.close_and_squeeze()
         if fault is None:
-            hold.carrier = shaker
-            shaker.start(float(hold.data.time))
-            fault = hold.endure(settings.shake_s)
+            hold.simulation.carrier = shaker
+            shaker.start(float(hold.simulation.data.time))
+            fault = hold.hold_for(settings.shake_s)
         unit, factor = ("mm", 1e3) if linear else ("deg", float(np.rad2deg(1.0)))
         return Outcome(
             index=self.index,
@@ -81,7 +81,7 @@ class ShakeCase:
             fingers=plan.task.finger_names,
             samples=hold.samples,
             load=hold.loads,
-            events=hold.events,
+            events=hold.simulation.events,
             conditions={
                 f"asked_{unit}": factor * asked,
                 f"reached_{unit}": factor * shaker.reached,

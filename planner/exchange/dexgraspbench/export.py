@@ -36,10 +36,10 @@ __all__ = ["Exported", "export_dexgraspbench", "grasp_dict", "row_squeeze"]
 
 @dataclass(frozen=True, kw_only=True)
 class Exported:
-    """What an export wrote.
+    """Result of an export.
 
     Attributes:
-        hand: Name by which the benchmark is told the hand.
+        hand: Name of the hand for the benchmark.
         written: How many grasps.
         left_out: Reason -> how many grasps were left out for it.
     """
@@ -63,7 +63,7 @@ def export_dexgraspbench(
 ) -> Exported:
     """Write the found grasps of a batch, their objects and their hand.
 
-    In ``folder``, with HAND the name that the result tells: ``graspdata/HAND/OBJECT/K.npy``,
+    In ``folder``, with HAND the name in the result: ``graspdata/HAND/OBJECT/K.npy``,
     ``object/OBJECT/``, ``hand/HAND.yaml`` for the benchmark's ``config/hand`` and ``hand/HAND/``
     with the model and its meshes. Paths in these files are absolute. Several hands may share a
     folder. A grasp that cannot press without gravity is left out.

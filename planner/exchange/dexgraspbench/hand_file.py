@@ -19,7 +19,7 @@ from planner.bridge import compile_spec, load_spec
 from planner.errors import FileFormatError
 from planner.exchange.dexgraspbench.pinned_mjcf import pinned_mjcf
 from planner.files import plain_name
-from planner.hands.description_files import read_description
+from planner.hands.description_toml import read_description
 from planner.hands.hand import Hand
 from planner.spatial import SE3, pose_from_wxyz, pose_to_wxyz
 
@@ -101,7 +101,7 @@ def write_hand(hand: Hand, folder: Path) -> str:
         folder: Where; made if it does not exist.
 
     Returns:
-        NAME, by which the benchmark is told the hand.
+        NAME, the benchmark's name of the hand.
 
     Raises:
         FileFormatError: Another hand of that name is there.

@@ -1,4 +1,4 @@
-"""How far beyond the grasp DexGraspBench is told to squeeze.
+"""Squeeze pose for DexGraspBench: how far beyond the grasp its servos are commanded.
 
 The benchmark commands one posture and holds it, whatever happens: its servos are springs about that
 posture. So the forces on the object change by stiffness times displacement, and the squeeze must be
@@ -69,8 +69,8 @@ farthest from buckling."""
 
 STABLE = 1.0 / 3.0
 """Share of the force at which a grasp buckles that a squeeze may use (-): tips roll and slide,
-which the stiffness leaves out. Of 22 grasps (Allegro and LEAP) that the benchmark lost when they
-were pressed without such a limit, 19 held in our fc with half of it, and 21 with a quarter."""
+which the stiffness leaves out. A larger share loses grasps in the benchmark
+(``opposable bench dexgraspbench``)."""
 
 MISPLACED = 0.001
 """Distance (m) between a contact and its plan: the servos lag by different times, so that the first

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.contacts import ContactSet
+from planner.failure import Failure
 from planner.quality import closure_of_wrenches, force_closure, primitive_wrenches
 from planner.spatial import FloatArray
 from planner.tolerances import CLOSURE_EDGES, CLOSURE_MARGIN
@@ -45,14 +46,14 @@ class Lift:
         finger: Number of the finger.
         moved: Numbers of those that have moved on before.
         margin: Normalised min-weight (-) of the contacts that hold.
-        refused: Why this lift cannot be, "" if it can.
+        failure: Why this lift cannot be, None if it can.
         proven: Whether the contacts that hold do not close with the round cones either.
     """
 
     finger: int
     moved: frozenset[int]
     margin: float
-    refused: str
+    failure: Failure | None
     proven: bool = False
 
 
@@ -92,7 +93,7 @@ class NoOrder:
     @property
     def stuck(self) -> tuple[int, ...]:
         """Numbers of the fingers that can never be lifted, of those that are still to be."""
-        able = {lift.finger for lift in self.lifts if not lift.refused}
+        able = {lift.finger for lift in self.lifts if lift.failure is None}
         return tuple(sorted({lift.finger for lift in self.lifts} - able))
 
     @property
@@ -103,19 +104,24 @@ class NoOrder:
         """
         return any(all(lift.proven for lift in self.lifts if lift.finger == i) for i in self.stuck)
 
+    @property
+    def failure(self) -> Failure:
+        """The same as a failure."""
+        return Failure(kind=NO_ORDER, text=str(self), numbers={"lifts": len(self.lifts)})
+
     def __str__(self) -> str:
         """One line per finger that can never be lifted, with the numbers of its best lift."""
         n = len(self.lifts)
-        lines = [f"{NO_ORDER}: {n} lift{'s' if n != 1 else ''} looked at"]
+        lines = [f"no order of lifts holds: {n} lift{'s' if n != 1 else ''} looked at"]
         for i in self.stuck or range(len(self.names)):
-            mine = [lift for lift in self.lifts if lift.finger == i and lift.refused]
+            mine = [lift for lift in self.lifts if lift.finger == i and lift.failure is not None]
             if not mine:
                 continue
             best = max(mine, key=lambda lift: lift.margin)
             others = ", ".join(name for j, name in enumerate(self.names) if j != i)
             proof = "; proven for round cones" if all(lift.proven for lift in mine) else ""
             lines.append(
-                f"  {self.names[i]}: {best.refused}; {others} hold within "
+                f"  {self.names[i]}: {best.failure}; {others} hold within "
                 f"{np.rad2deg(self.spans[i]):.0f} degrees about the axis (in a plane more than "
                 f"{np.rad2deg(self.needed):.0f} close){proof}"
             )
@@ -148,7 +154,7 @@ def find_order(
     end: ContactSet,
     axis: FloatArray,
     *,
-    refuse: Callable[[int, frozenset[int]], str] = lambda finger, moved: "",
+    refuse: Callable[[int, frozenset[int]], Failure | None] = lambda finger, moved: None,
     margin: float = CLOSURE_MARGIN,
     moved: frozenset[int] = frozenset(),
 ) -> Order | NoOrder:
@@ -158,8 +164,8 @@ def find_order(
         begin: Where the stroke begins and fingers land, as the object stands now (n contacts).
         end: Where it ends.
         axis: Axis of the stroke (3,), unit, in the axes of the contacts; for the prose alone.
-        refuse: What else stands against lifting a finger after some have moved on, "" for nothing.
-            Asked only for lifts that are of use.
+        refuse: What else stands against lifting a finger after some have moved on, None for
+            nothing. Asked only for lifts that are of use.
         margin: Least normalised min-weight of the contacts that hold (-).
         moved: Numbers of the fingers that have moved on already.
     """
@@ -198,8 +204,8 @@ def find_order(
             if key in agreed:
                 continue
             why = refuse(*key)
-            if why:
-                lifts[key] = Lift(finger=key[0], moved=key[1], margin=one.margin, refused=why)
+            if why is not None:
+                lifts[key] = Lift(finger=key[0], moved=key[1], margin=one.margin, failure=why)
                 break
             agreed.add(key)
         else:
@@ -209,20 +215,24 @@ def find_order(
 def _closed(contacts: ContactSet, finger: int, moved: frozenset[int], margin: float) -> Lift:
     """The lift as far as closure of those that hold goes."""
     closure = force_closure(contacts, edges=CLOSURE_EDGES)
-    weight, refused, proven = closure.normalised_min_weight, "", False
+    weight, failure, proven = closure.normalised_min_weight, None, False
+    numbers = {"normalised_min_weight": weight, "rank": closure.rank}
     if not closure.closed:
         outer = primitive_wrenches(contacts, PROOF_EDGES, cone="circumscribed")
         proven = not closure_of_wrenches(outer).closed
-        refused = f"the others do not close (normalised min-weight {weight:.3g})"
+        why = f"normalised min-weight {weight:.3g}"
         if closure.rank < RANK:
-            refused = f"the others do not close (rank {closure.rank})"
+            why = f"rank {closure.rank}"
+        text = f"the others do not close ({why})"
+        failure = Failure(kind="no_closure", text=text, numbers=numbers)
     elif weight < margin:
-        refused = f"the others close with a margin of {weight:.3f} only (at least {margin})"
-    return Lift(finger=finger, moved=moved, margin=weight, refused=refused, proven=proven)
+        text = f"the others close with a margin of {weight:.3f} only (at least {margin})"
+        failure = Failure(kind="closure_margin", text=text, numbers=numbers)
+    return Lift(finger=finger, moved=moved, margin=weight, failure=failure, proven=proven)
 
 
-NO_ORDER = "no order of lifts holds"
-"""How the answer begins that there is none."""
+NO_ORDER = "no_order_of_lifts"
+"""Kind of the failure that no order of lifts holds."""
 
 RANK = 6
 """Rank of the wrenches of a closed grasp."""
@@ -243,7 +253,7 @@ def _widest(
             width, way = best[moved]
             for finger in (i for i in range(n) if i not in moved):
                 one = lift(finger, moved)
-                if one.refused:
+                if one.failure is not None:
                     continue
                 after = moved | {finger}
                 now = min(width, one.margin)

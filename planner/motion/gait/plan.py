@@ -9,6 +9,8 @@ import numpy as np
 from planner.contacts import Contact, ContactSet
 from planner.immutable import freeze
 from planner.motion.plan import Knot, MotionPlan, MotionRecord
+from planner.motion.trajectory import JOINT_RATE, TURN_RATE, TrajectoryBuilder
+from planner.plan import JointTrajectory
 from planner.spatial import SE3, FloatArray
 
 __all__ = ["GaitPlan", "Relocation", "Stroke"]
@@ -134,6 +136,46 @@ class GaitPlan:
         """Least normalised min-weight (-) over all strokes and lifts."""
         lifts = [r.margin for r in self.relocations]
         return min([self.motion.margin, *lifts])
+
+    def joint_trajectory(
+        self,
+        *,
+        approach_s: float = 1.5,
+        close_s: float = 1.0,
+        joint_rate: float = JOINT_RATE,
+        turn_rate: float = TURN_RATE,
+        rate_hz: float = 50.0,
+    ) -> JointTrajectory:
+        """Approach, closing, strokes and relocations as joint positions by name, for a real hand.
+
+        Phases are "stroke 1", "regrasp FINGER", "stroke 2" and so on. For arguments and errors see
+        ``MotionPlan.joint_trajectory``.
+        """
+        builder = TrajectoryBuilder(
+            self.motion.grasp,
+            approach_s=approach_s,
+            close_s=close_s,
+            joint_rate=joint_rate,
+            turn_rate=turn_rate,
+            rate_hz=rate_hz,
+        )
+        self.add_to(builder)
+        return builder.built()
+
+    def add_to(self, builder: TrajectoryBuilder, last: float = 1.0) -> None:
+        """Append all strokes and relocations to a trajectory.
+
+        Args:
+            builder: The trajectory.
+            last: Share, in (0, 1], of the last stroke.
+        """
+        for phase in self.phases:
+            if isinstance(phase, Stroke):
+                until = last if phase.cycle == self.cycles - 1 else 1.0
+                self.motion.add_to(builder, f"stroke {phase.cycle + 1}", until)
+            else:
+                places = np.linspace(0.0, 1.0, len(phase.postures))
+                builder.turn(f"regrasp {phase.finger}", phase.postures, places)
 
     def __repr__(self) -> str:
         """One line."""

@@ -17,6 +17,7 @@ import numpy as np
 
 from planner.collision.pad_contact import touching_geometries
 from planner.collision.world import CollisionWorld
+from planner.failure import Failure
 from planner.hands.fingers import Finger
 from planner.kinematics.state import MovingHand
 from planner.numerics.programme import programme
@@ -86,7 +87,7 @@ class FingerPaths:
 
     def path(
         self, finger: Finger, T_object_base: SE3, q: FloatArray, landed: FloatArray
-    ) -> FloatArray | str:
+    ) -> FloatArray | Failure:
         """Joints (m, nq) from q to where one finger has landed; or what is in the way.
 
         Args:
@@ -95,16 +96,16 @@ class FingerPaths:
             q: Joints (nq,) before.
             landed: Joints (nq,) after; of other fingers those that may move along.
         """
-        why = ""
+        failures = []
         for height in HEIGHTS:
-            postures = self._led(finger, T_object_base, q, landed, height)
-            told = self.fault(finger, T_object_base, postures)
-            if not told:
+            postures = self._lifted(finger, T_object_base, q, landed, height)
+            failure = self.verify(finger, T_object_base, postures)
+            if failure is None:
                 return postures
-            why = why or told
-        return why
+            failures.append(failure)
+        return failures[0]
 
-    def _led(
+    def _lifted(
         self, finger: Finger, base: SE3, q: FloatArray, landed: FloatArray, height: float
     ) -> FloatArray:
         """Joints (m, nq) along the way, at a height over the object."""
@@ -182,11 +183,15 @@ class FingerPaths:
         moving = np.abs(rates).max(axis=1, initial=0.0) > STILL
         return rates[moving], (ROOM - near.distances)[moving]
 
-    def fault(self, finger: Finger, T_object_base: SE3, postures: FloatArray) -> str:
-        """What is wrong with a way (m, nq) of one finger, "" for nothing."""
+    def verify(self, finger: Finger, T_object_base: SE3, postures: FloatArray) -> Failure | None:
+        """What is wrong with a way (m, nq) of one finger, None for nothing."""
         jump = np.abs(np.diff(postures[:, finger.q_index], axis=0)).max()
         if jump > JUMP:
-            return f"{finger.name} turns a joint by {np.rad2deg(jump):.0f} degrees at once"
+            return Failure(
+                kind="swing_jump",
+                text=f"{finger.name} turns a joint by {np.rad2deg(jump):.0f} degrees at once",
+                numbers={"jump": float(jump)},
+            )
         hand, T_world_base = self._task.hand, self._task.T_world_object * T_object_base
         mine = {g.name for g in touching_geometries(hand, finger)}
         holding = {
@@ -204,11 +209,20 @@ class FingerPaths:
             touching = holding | (mine if leaving else set())
             found = self.world.closest(T_world_base, q, 1, touching=touching)
             if found and found[0].distance < (-PENETRATION_TOL if leaving else 0.0):
-                return f"the way of {finger.name} is blocked at {_share(k, places)}: {found[0]}"
+                return Failure(
+                    kind="swing_collision",
+                    text=f"the way of {finger.name} is blocked at {_share(k, places)}: {found[0]}",
+                    numbers={"distance": found[0].distance},
+                )
             gap = self._gap(finger, T_object_base, q)
             if not leaving and gap < CLEAR:
-                return f"{finger.name} is lifted by {1e3 * gap:.2f} mm only at {_share(k, places)}"
-        return ""
+                return Failure(
+                    kind="swing_too_low",
+                    text=f"{finger.name} is lifted by {1e3 * gap:.2f} mm only "
+                    f"at {_share(k, places)}",
+                    numbers={"gap": gap},
+                )
+        return None
 
     def _gap(self, finger: Finger, base: SE3, q: FloatArray) -> float:
         """Signed distance (m) of the pad's sphere from the object."""

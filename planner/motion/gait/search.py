@@ -5,27 +5,28 @@ the opposing finger can be lifted while those that trail in the sense of the tur
 those that lead have not: then they reach around more of the object than at any other time. Then all
 orders are searched (``planner.motion.gait.order``). The hand goes through the same postures in
 every cycle, so the object must look the same to it after a stroke: a round one about its axis, or
-one that is moved along itself. Whether it does is not assumed but judged, cycle by cycle.
+one that is moved along itself. Whether it does is not assumed but verified, cycle by cycle.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 
-from planner.attempts import Attempt, nothing_found, numbered
+from planner.attempt import Attempt, nothing_found, run_attempts, search
 from planner.errors import NoGraspFoundError, TaskError
+from planner.failure import Failure
 from planner.kinematics.state import HandState
-from planner.motion.gait.check import GaitJudge
+from planner.motion.context import MotionContext
 from planner.motion.gait.order import NO_ORDER
 from planner.motion.gait.plan import GaitPlan
-from planner.motion.ground import Ground
+from planner.motion.gait.verify import GaitVerifier
 from planner.motion.holds import Hold
 from planner.motion.path import ObjectPath, check_shift
-from planner.motion.search import MOTION_OPTIONS, TUBE, UP, check_task
+from planner.motion.search import MOTION_OPTIONS, PATH_TOLERANCE, UP, check_task
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.seeds.draw import frame_of
@@ -56,7 +57,7 @@ def plan_gait(
     axis: Sequence[float] | FloatArray = UP,
     angle: float = 0.0,
     shift: Sequence[float] | FloatArray = (0.0, 0.0, 0.0),
-    tube: float = TUBE,
+    path_tolerance: float = PATH_TOLERANCE,
     seed: int = 0,
     max_attempts: int = MAX_ATTEMPTS,
     options: SynthesisOptions = MOTION_OPTIONS,
@@ -72,57 +73,64 @@ def plan_gait(
         axis: Axis of the turn through the object's centre of mass (3,), world.
         angle: Turn, rad, with its sign, of any size.
         shift: Translation (3,), m, world.
-        tube: Radius within which the object may leave its path during a stroke, m.
+        path_tolerance: How far the object may leave its path during a stroke, m.
         seed: Same seed, same plan.
         max_attempts: Budget in attempts.
         options: Margins and weights at each knot.
 
     Raises:
-        NoGraspFoundError: The budget ended; carries every attempt and its reason.
+        NoGraspFoundError: The budget ended; carries every attempt and its failure.
         TaskError: The task or the path cannot work, found out before solving.
     """
     if max_attempts < 1:
         raise TaskError(f"max_attempts is {max_attempts}; give at least 1")
     # with the pads of a grasp the index comes to the rim of its pad on cylinders below 56 mm
     task = _with_all(replace(task, hand=task.hand.rolling))
-    check_task(task, tube, seed)
+    check_task(task, path_tolerance, seed)
     _check_fingers(task)
     shift = np.asarray(shift, dtype=np.float64)
-    made: list[Attempt[GaitPlan]] = []
     pieces = _pieces(np.asarray(axis, dtype=np.float64), angle, shift)
-    judge = GaitJudge(task)
+    verifier = GaitVerifier(task)
 
     @cache
-    def ground(number: int) -> Ground:
+    def context(number: int) -> _GaitContext:
         path, cycles, held = pieces[number]
-        return Ground.of(
+        stroke = MotionContext.of(
             task,
             path,
             options,
             n_knots=N_KNOTS,
-            whole=True,
-            tube=tube,
-            rounds=0,
+            full=True,
+            path_tolerance=path_tolerance,
             exact_end=True,
             holds=_holds(task, path) if held and cycles > 1 else (),
         )
+        return _GaitContext(stroke, cycles, verifier)
 
-    def make(index: int) -> GaitPlan | str:
-        number = index % len(pieces)
-        stroke = ground(number).attempt(np.random.default_rng([seed, index]))
-        return stroke if isinstance(stroke, str) else judge.judge(stroke, pieces[number][1])
+    attempts = run_attempts(lambda index: context(index % len(pieces)), seed=seed)
+    plan, made = search(attempts, max_attempts=max_attempts)
+    if plan is None:
+        raise _nothing_found(task, pieces[0], made)
+    return plan
 
-    def record(plan: GaitPlan, index: int, cpu_s: float) -> GaitPlan:
-        told = replace(plan.record, seed=seed, attempt=index, attempts=index + 1, cpu_s=cpu_s)
-        return replace(plan, record=told)
 
-    for attempt in numbered(make, record, prepare=lambda index: ground(index % len(pieces))):
-        made.append(attempt)
-        if attempt.plan is not None:
-            return attempt.plan
-        if len(made) >= max_attempts:
-            break
-    raise _nothing_found(task, pieces[0], made)
+@dataclass(frozen=True)
+class _GaitContext:
+    """What attempts with the same stroke share."""
+
+    stroke: MotionContext
+    cycles: int
+    verifier: GaitVerifier
+
+    @property
+    def build_s(self) -> float:
+        """Time that building the problem took, s."""
+        return self.stroke.build_s
+
+    def attempt(self, rng: np.random.Generator) -> GaitPlan | Failure:
+        """A stroke, and all that follows if it can go on."""
+        stroke = self.stroke.attempt(rng)
+        return stroke if isinstance(stroke, Failure) else self.verifier.verify(stroke, self.cycles)
 
 
 def _with_all(task: GraspTask) -> GraspTask:
@@ -148,7 +156,7 @@ def _nothing_found(
 ) -> NoGraspFoundError:
     """The error of an exhausted budget; it tells what stands against lifting, if that was tried."""
     path, cycles, _ = piece
-    told = [a.reason for a in made if a.reason.startswith(NO_ORDER)]
+    told = [a.failure for a in made if a.failure is not None and a.failure.kind == NO_ORDER]
     rare = 2 * len(told) < len(made)  # else it is the example already
     why = f"Of a stroke that was found, {told[-1]}\n" if told and rare else ""
     return nothing_found(

@@ -1,10 +1,10 @@
 """Cutting a mesh by planes until the convex hull of the solid in each cell keeps a tolerance.
 
-What is forbidden to a hull is told by guards: points that stand at the tolerance off the surface. A
-hull that reaches farther out of the solid contains one. A plane is judged by what it leaves: the
-guards that are in the hulls of its two sides, and the pairs of surface points that it does not
-separate although the straight line between them leaves the solid. The first tells little while
-a part is far from convex (half a ring still hides its whole hole), the second little at the end.
+Guards are points at the tolerance off the surface. A hull that reaches farther out of the solid
+contains one. The cost of a plane counts two things: the guards in the hulls of its two sides, and
+the pairs of surface points on one side whose straight line leaves the solid. The first says little
+while a part is far from convex (the hull of half a ring still covers its hole), the second little
+at the end.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MAX_GUARDS = 40_000
 """Guards at most, about: on a large object they stand farther apart."""
 
 FREE = 0.95
-"""A guard is one if it is so far from the solid, in tolerances: in a concave corner it is not."""
+"""Least distance of a guard from the solid, in tolerances; points in concave corners are nearer."""
 
 SHARES = np.arange(1, 10) / 10
 """Where planes across an axis are tried, as shares of the extent of the hull."""
@@ -56,10 +56,10 @@ SAMPLE = 200
 """Guards, and corners of the hull, by which a plane is judged."""
 
 STRAIGHT_COST = 0.3
-"""What it costs to separate pairs whose line is inside, against leaving those that are outside."""
+"""Cost (-) of separating a pair whose line is inside, relative to leaving one that is outside."""
 
 VOLUME_COST = 0.3
-"""What the volume of the hulls of both sides costs: of equal planes the one that cuts off more."""
+"""Weight (-) of the volume of both hulls: of equal planes the one that cuts off more wins."""
 
 THINNEST = 0.03
 """Smallest part that a plane may cut off, as share of the extent across it."""
@@ -139,7 +139,7 @@ def cut(mesh: Mesh, guards: Guards, whole: Hull, tolerance: float) -> list[Hull]
     first = Cell(
         surface=mesh.vertices[mesh.faces], walls=walls, hull=whole, bad=guards.within(whole)
     )
-    # the worst first, so that what is left at the limit is the best there is
+    # worst cells first: at the limit of pieces the best cut so far is returned
     queue = [(-_depth(guards, first), next(number), first)]
     while queue:
         _, _, cell = heappop(queue)
@@ -170,7 +170,7 @@ def _depth(guards: Guards, cell: Cell) -> float:
 def half_of(
     mesh: Mesh, guards: Guards, cell: Cell, normal: FloatArray, offset: float
 ) -> Cell | None:
-    """What of a cell is where normal x <= offset; None if no solid is."""
+    """The part of a cell with normal x <= offset; None if it holds nothing of the solid."""
     surface = clip(cell.surface, normal, offset)
     walls = hull_of(clip(cell.walls.triangles, normal, offset).reshape(-1, 3))
     if walls is None:

@@ -1,4 +1,4 @@
-"""Convex hulls, and triangles cut by a plane: what cutting a mesh into convex pieces needs."""
+"""Convex hulls, and triangles cut by a plane, for the decomposition into convex pieces."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SURE = 1e-7
 """How deep (m) inside of all planes a point is counted as inside: rounding."""
 
 STEP = 48
-"""Planes that are tested at once; what is outside of one of them is not tested further."""
+"""Planes per test; points outside one of them are not tested further."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,7 +87,7 @@ def hull_of(points: FloatArray) -> Hull | None:
 
 
 def clip(triangles: FloatArray, normal: FloatArray, offset: float) -> FloatArray:
-    """What of triangles is where normal x <= offset.
+    """The part of triangles with normal x <= offset.
 
     A triangle that only touches the plane from beyond, or lies in it, is left out: of a solid, what
     is next to it on this side has the same corners.

@@ -1,18 +1,18 @@
 """A mesh as a few convex pieces that together cover it: MuJoCo collides convex geoms.
 
 The solid is cut by planes into cells (``planner.shapes.decomposition.cutting``), and a piece is the
-convex hull of the solid within its cell. So every point of the solid is in a piece, convex parts
-keep their true surface, and a piece is too large only where it bridges a concave part: by no more
-than the tolerance, where cutting succeeds. What other parts of the solid fill does not count
-against it. Afterwards pieces are merged where their common hull keeps the tolerance too.
+convex hull of the solid within its cell. Every point of the solid is in a piece, convex parts keep
+their true surface, and a piece exceeds the solid only where it bridges a concave part: by no more
+than the tolerance, where cutting succeeds. Afterwards pieces are merged where their common hull
+keeps the tolerance too.
 
-Why not one of MuJoCo's signed-distance geoms: a step of a hold by four fingertips took 10 ms with
-those (40 starting points) against 0.5 ms, and on a torus friction crept faster. Why not a library's
-decomposition: CoACD 1.0.14 took 55 s for a mug, and neither it nor V-HACD bounds the distance.
+MuJoCo's signed-distance geoms would need none of this, but search for contacts from many starting
+points at every step. CoACD and V-HACD decompose meshes too, but bound no distance.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from heapq import heappop, heappush
@@ -20,19 +20,31 @@ from heapq import heappop, heappush
 import numpy as np
 from scipy.spatial import cKDTree
 
+from planner.shapes.base import Shape
 from planner.shapes.decomposition.cutting import Guards, cut
 from planner.shapes.decomposition.hulls import Hull, hull_of
-from planner.shapes.field.kept_fits import pieces_fit
 from planner.shapes.mesh import Mesh
+from planner.shapes.meshes.polyhedron import moments
 from planner.shapes.meshes.triangles import cover
-from planner.spatial import FloatArray, IntArray
+from planner.shapes.triangulation import surface_triangles
+from planner.spatial import SE3, FloatArray, IntArray
 from planner.system.disk_cache import read_arrays, write_arrays
 
-__all__ = ["TOLERANCE", "Pieces", "convex_pieces", "deviation", "merge"]
+__all__ = [
+    "MESH",
+    "TOLERANCE",
+    "Pieces",
+    "SolidGeom",
+    "convex_pieces",
+    "deviation",
+    "merge",
+    "solid_deviation",
+    "solid_geoms",
+]
 
 TOLERANCE = 0.001
-"""How far (m) a piece may reach out of the solid, about: what it does is measured. Half of it
-nearly doubles the pieces of a mug (65 at 1 mm) and the time to make them."""
+"""How far (m) a piece may reach out of the solid, about; ``Pieces.deviation`` is measured. A
+smaller tolerance makes more pieces."""
 
 PIECES_VERSION = "v3"
 """Part of the key in the cache; changes whenever the result does."""
@@ -81,7 +93,7 @@ def convex_pieces(mesh: Mesh) -> Pieces:
             if pieces_fit(mesh, mesh.vertices, parts, known.deviation):
                 return known
         except (KeyError, ValueError, IndexError):
-            pass  # of another form: made anew
+            pass  # of another form: computed again
     made = _make(mesh, TOLERANCE)
     write_arrays("pieces", key, _to_arrays(made))
     return made
@@ -181,3 +193,92 @@ def _from_arrays(arrays: dict[str, FloatArray]) -> Pieces:
         faces=tuple(arrays[f"faces_{k}"].astype(np.int64) for k in range(int(number))),
         deviation=float(deviation),
     )
+
+
+EXACT = 1e-6
+"""Rounding (m, or share of a volume) by which pieces from the disk may differ from their mesh."""
+
+
+def pieces_fit(
+    mesh: Shape,
+    corners: FloatArray,
+    pieces: Sequence[tuple[FloatArray, IntArray]],
+    deviation: float,
+) -> bool:
+    """Whether pieces are convex, cover a mesh, and reach out of it no farther than they say.
+
+    Args:
+        mesh: The mesh.
+        corners: Its vertices (n, 3), m.
+        pieces: Vertices (k, 3), m, and faces (m, 3) of each.
+        deviation: How far (m) they are said to reach out of it.
+    """
+    if len(pieces) == 0 or not 0 <= deviation <= mesh.bounding_radius:
+        return False
+    covered = np.full(len(corners), np.inf)
+    volume = 0.0
+    for vertices, faces in pieces:
+        if not _is_polyhedron(vertices, faces):
+            return False
+        hull = hull_of(vertices)
+        if hull is None or abs(moments(vertices[faces])[0] / hull.volume - 1) > EXACT:
+            return False
+        if mesh.signed_distance(vertices).max() > deviation + EXACT:
+            return False
+        covered = np.minimum(covered, -hull.depths(corners))
+        volume += hull.volume
+    return bool(covered.max() <= EXACT and volume >= mesh.volume * (1 - EXACT))
+
+
+def _is_polyhedron(vertices: FloatArray, faces: IntArray) -> bool:
+    """Whether arrays are of the form of a polyhedron, with finite numbers."""
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
+        return False
+    if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) < 4:
+        return False
+    return bool(faces.min() >= 0 and faces.max() < len(vertices))
+
+
+MESH = "mesh"
+"""Kind of a geom that is given by its vertices and faces."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SolidGeom:
+    """One convex geom of an object.
+
+    Attributes:
+        kind: MuJoCo's geom type, for example "box"; "mesh" for a convex polyhedron.
+        size: Half lengths and radii, m, one to three; empty for a mesh.
+        T_object_geom: Its pose in the shape's frame.
+        vertices: (n, 3), m, in the geom's frame; None unless a mesh.
+        faces: (m, 3), counter-clockwise seen from outside; None unless a mesh.
+    """
+
+    kind: str
+    size: tuple[float, ...]
+    T_object_geom: SE3
+    vertices: FloatArray | None = None
+    faces: IntArray | None = None
+
+
+def solid_geoms(shape: Shape) -> tuple[SolidGeom, ...]:
+    """The geoms that together stand for a shape in MuJoCo."""
+    here = SE3(np.eye(3), np.zeros(3))
+    if isinstance(shape, Mesh):
+        pieces = convex_pieces(shape)
+        return tuple(
+            SolidGeom(kind=MESH, size=(), T_object_geom=here, vertices=v, faces=f)
+            for v, f in zip(pieces.vertices, pieces.faces, strict=True)
+        )
+    geom = shape.mujoco_geom()
+    if geom is None:
+        vertices, faces = surface_triangles(shape)
+        return (SolidGeom(kind=MESH, size=(), T_object_geom=here, vertices=vertices, faces=faces),)
+    kind, size = geom
+    return (SolidGeom(kind=kind, size=size, T_object_geom=here),)
+
+
+def solid_deviation(shape: Shape) -> float:
+    """How far (m) ``solid_geoms`` reach out of the true shape at most; 0 where they are exact."""
+    return convex_pieces(shape).deviation if isinstance(shape, Mesh) else 0.0

@@ -1,4 +1,4 @@
-"""A smooth signed distance with exact derivatives, defined in all of space: what synthesis sees.
+"""A smooth signed distance with exact derivatives, defined in all of space, for contact synthesis.
 
 A ``DistanceField`` is a cubic B-spline on nested grids. The finest covers the surface and a few
 centimetres around it; the spacing of each coarser one is a multiple of it. A finer level is the

@@ -1,8 +1,8 @@
 """Fitting a ``DistanceField`` to an exact signed distance: sample, smooth, spline, nest.
 
-The samples of the finest grid are smoothed with a Gaussian before they are interpolated: kinks of
-the distance (edges, medial axis) are what a solver stumbles over, and it costs little accuracy.
-How much it costs is bounded, for those that must know on which side of the surface a point is.
+The samples of the finest grid are smoothed with a Gaussian before interpolation, because kinks of
+the distance (edges, medial axis) stop a solver. ``DistanceField.error`` bounds the loss of accuracy
+for queries that must know on which side of the surface a point is.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ CELLS = 64**3
 """Largest count of nodes of the finest grid, but for thin walls."""
 
 ACROSS, MOST_CELLS = 4.0, 128**3
-"""Cells of the finest grid that a wall should be thick, and the most nodes that are spent on it. On
-a wall of 3 mm and a grid of 1.6 mm the smooth distance has a slope of 0.72, and its normals are off
-by up to 4 degrees, back and forth along the wall. Fingers that should roll there found no way."""
+"""Thickness of a wall in cells of the finest grid, and the largest number of nodes. With fewer
+cells the smooth distance is less steep and its normals change back and forth along the wall, which
+stops fingers that roll there."""
 
 MIDDLE_RATIO = 4
 """How many times the finest spacing the second grid has; a power of two."""

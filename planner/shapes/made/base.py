@@ -1,34 +1,36 @@
-"""What the objects that are made from sizes share."""
+"""Base class of the meshes that a few sizes determine."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Any, Self
+from functools import cached_property
+from typing import Any, ClassVar, Self
 
-from planner.shapes.base import Shape, checked_length
+from planner.shapes.base import checked_length, sized_spec
 from planner.shapes.mesh import Mesh
+from planner.shapes.meshes.polyhedron import Polyhedron
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["Made"]
 
 
 class Made(Mesh):
-    """A mesh that is made from a few sizes; two are equal if their sizes are.
+    """A mesh that is made from a few sizes.
 
-    A subclass is a frozen dataclass whose fields are its sizes, in the order of ``size_names``.
-
+    A subclass is a frozen dataclass, compared as meshes are (``eq=False``), whose fields are its
+    sizes, in the order of ``size_names``.
     """
 
+    source: ClassVar[None] = None  # type: ignore[misc]
+
     def __post_init__(self) -> None:
-        """Check the sizes and make the triangles."""
+        """Check the sizes."""
         for name in self.size_names:
             if name not in self.pure_numbers:
                 value = checked_length(self.kind, name, getattr(self, name))
                 object.__setattr__(self, name, value)
         self._check()
-        vertices, faces = self._triangles()
-        Mesh.__init__(self, vertices, faces)
 
     def _check(self) -> None:
         """Whether the sizes fit each other; ObjectError if not."""
@@ -36,6 +38,10 @@ class Made(Mesh):
     @abstractmethod
     def _triangles(self) -> tuple[FloatArray, IntArray]:
         """Vertices (n, 3), m, and outward faces (m, 3)."""
+
+    @cached_property
+    def _solid(self) -> Polyhedron:  # type: ignore[override]
+        return Polyhedron.centred(*self._triangles())
 
     @classmethod
     def from_sizes(cls, sizes: Sequence[float]) -> Self:
@@ -52,5 +58,4 @@ class Made(Mesh):
     @property
     def spec(self) -> str:
         """See ``Shape``."""
-        spec: str = Shape.spec.fget(self)  # type: ignore[attr-defined]
-        return spec
+        return sized_spec(self.kind, self.sizes)

@@ -76,7 +76,8 @@ def _conversion(path: Path) -> str:
     if packages is None:
         return ""
     needed = f" (after pip install {packages})" if packages else ""
-    if not PLAIN_PATH.fullmatch(path.as_posix()):  # nobody is to paste what a file name says
+    # a file name of other characters must not become part of a command that is pasted
+    if not PLAIN_PATH.fullmatch(path.as_posix()):
         return f". Convert it to .ply{needed}"
     source, target = path.as_posix(), path.with_suffix(".ply").as_posix()
     command = f"import trimesh; trimesh.load_mesh({source!r}).export({target!r})"
@@ -85,7 +86,7 @@ def _conversion(path: Path) -> str:
 
 def _read(path: Path) -> tuple[FloatArray, IntArray]:
     try:
-        # a vertex that is not finite is told later, by us
+        # read_mesh refuses vertices that are not finite
         with np.errstate(invalid="ignore"):
             mesh = _loaded(path)
             vertices, faces = np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces)
@@ -94,7 +95,7 @@ def _read(path: Path) -> tuple[FloatArray, IntArray]:
             f"{path.name} cannot be read as {path.suffix.lower()}: it is neither binary nor text "
             "of that format, or it is cut short; export it again"
         ) from fault
-    except Exception as fault:  # the readers of trimesh raise what the bytes happen to provoke
+    except Exception as fault:  # trimesh's readers raise whatever the bytes provoke
         raise ObjectError(
             f"{path.name} cannot be read as {path.suffix.lower()} ({type(fault).__name__}: "
             f"{fault}); export it again"
@@ -111,7 +112,7 @@ def _read(path: Path) -> tuple[FloatArray, IntArray]:
 
 def _loaded(path: Path) -> Any:
     """As trimesh has it, equal vertices merged."""
-    # imported here, since it takes half a second and primitives need it not
+    # imported here: primitives need no trimesh, and its import takes 0.1 s of CPU
     import trimesh
 
     mesh = trimesh.load_mesh(path, process=False, skip_materials=True)

@@ -1,8 +1,8 @@
-"""Nearest points of a triangle mesh, exactly, with the outward normals that tell in from out.
+"""Exact nearest points of a triangle mesh, with outward normals that give the sign.
 
-coal's bounding volume tree finds the triangle (5 to 40 us per point from Python, whatever the
-mesh); it and all that share a corner with it are then measured in closed form, so that coal's
-tolerance of 1e-6 m does not choose the wrong side of an edge.
+coal's bounding volume tree finds the triangle. It and all triangles that share a corner with it are
+then measured in closed form, because coal's tolerance of 1e-6 m could choose the wrong side of an
+edge.
 
 The sign comes from the normal of the feature that the nearest point is on: of the face, the sum of
 two faces' on an edge, the sum weighted by angles at a vertex (Baerentzen and Aanaes, "Signed

@@ -1,8 +1,10 @@
-"""Polyhedra as bare arrays: checked, weighed, and told apart."""
+"""Polyhedra as bare arrays: input checks, moments, digest."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from hashlib import sha256
+from typing import Self
 
 import numpy as np
 
@@ -10,7 +12,37 @@ from planner.arrays import float_array
 from planner.errors import ObjectError
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["checked_triangles", "digest_of", "moments"]
+__all__ = ["Polyhedron", "checked_triangles", "digest_of", "moments"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Polyhedron:
+    """A solid bounded by triangles, with its centre of mass at the origin.
+
+    Attributes:
+        vertices: (n, 3), m; read-only.
+        faces: (m, 3), indices of vertices, counter-clockwise seen from outside; read-only.
+        offset: The centre of mass (3,) where it was before, m.
+        volume: m3.
+        second_moments: (3, 3) about the centre of mass, m5.
+    """
+
+    vertices: FloatArray
+    faces: IntArray
+    offset: FloatArray
+    volume: float
+    second_moments: FloatArray
+
+    @classmethod
+    def centred(cls, vertices: FloatArray, faces: IntArray) -> Self:
+        """From vertices (n, 3), m, about any origin, and faces (m, 3) that bound a solid."""
+        v, f = np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64)
+        volume, center, second = moments(v[f])
+        v -= center
+        v.setflags(write=False)
+        f.setflags(write=False)
+        second -= volume * np.outer(center, center)
+        return cls(vertices=v, faces=f, offset=center, volume=volume, second_moments=second)
 
 
 def moments(corners: FloatArray) -> tuple[float, FloatArray, FloatArray]:

@@ -1,8 +1,11 @@
-"""Mending triangles that are nearly the surface of a solid, and saying what was done.
+"""Repair of triangles that are nearly the surface of a solid, with a list of the repairs.
 
 In this order: equal vertices become one, triangles without extent and repeated ones go,
 neighbours are wound alike, small holes are closed with a fan, and bodies are turned right side out.
-What is mended here is what scanners and exporters leave behind. Crossings are not.
+These are the defects that scanners and exporters leave. Crossings are not repaired.
+
+By hand: ``trimesh.repair`` closes holes and turns faces only with networkx, which nothing else here
+needs, and does not say what it changed.
 """
 
 from __future__ import annotations
@@ -26,7 +29,7 @@ defect, but the shape itself (an open shell)."""
 
 
 def repaired(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray, tuple[str, ...]]:
-    """Vertices (n, 3), m, faces (m, 3), and what was done, in words."""
+    """Vertices (n, 3), m, faces (m, 3), and the repairs, in words."""
     done: list[str] = []
     vertices, faces = _merged(vertices, faces, done)
     faces = _alike(faces, done)
@@ -79,7 +82,7 @@ def _alike(faces: IntArray, done: list[str]) -> IntArray:
                 if not seen[other]:
                     turned[other] = turned[face] ^ unlike
                     queue.append(other)
-    # the lesser part is what was wound wrongly; whole bodies are judged later
+    # the smaller part of a body is the wrongly wound one; _outward judges whole bodies
     body = bodies_of(faces)
     share = np.bincount(body, weights=turned) / np.bincount(body)
     turned ^= (share > 0.5)[body]

@@ -1,9 +1,13 @@
-"""Whether triangles bound a solid, and if not, what is wrong and where.
+"""Whether triangles bound a solid, and if not, the fault and its place.
 
-Sound means: every edge is of exactly two triangles that run through it in opposite directions;
+Sound means: every edge belongs to exactly two triangles that run through it in opposite directions;
 every body is wound counter-clockwise seen from outside, or is a cavity in another; no triangle
-passes through another, and bodies do not overlap. The last two are told by exact tests of all
-triangles that come near each other, and by winding numbers on both sides of sampled faces.
+passes through another, and bodies do not overlap. Crossings are found by exact tests of all
+triangles near each other, overlaps by winding numbers on both sides of sampled faces.
+
+By hand, because no library finds crossings: trimesh (``is_volume``) and manifold3d (``status``)
+both accept two boxes that pass through each other (tests/test_bad_meshes.py), and neither gives a
+place.
 """
 
 from __future__ import annotations
@@ -32,11 +36,10 @@ __all__ = [
 ]
 
 MOST_TRIANGLES = 200_000
-"""More triangles than this are refused: 200,000 take some 5 s to check and prepare, and show every
-detail that a fingertip feels; 20,000 take 1 to 2 s."""
+"""Largest number of triangles: enough for every detail that a fingertip feels."""
 
 THINNEST = 1e-3
-"""Smallest longest extent (m) that is believed: a smaller object is no object to grasp."""
+"""Smallest longest extent (m) that is accepted: a smaller object cannot be grasped."""
 
 FLAT = 1e-6
 """Fraction of its bounding box below which the volume of the largest body is none."""

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.errors import TaskError
+from planner.failure import Failure
 from planner.kinematics.arm_ik import reach
 from planner.kinematics.state import HandState
 from planner.shapes.surface import Patch, Surface
@@ -138,14 +139,14 @@ class Seeder:
         self.directions = [c for c, w in zip(candidates, widths, strict=True) if w < reach]
         self._check_size()
 
-    def draw(self, rng: np.random.Generator) -> Start | str:
+    def draw(self, rng: np.random.Generator) -> Start | Failure:
         """One start; or why there is none."""
         task = self.task
         if task.hand.arm is None:
             T_world_base, q = self._place(rng)
         else:
             carried = self._carried(rng)
-            if isinstance(carried, str):
+            if isinstance(carried, Failure):
                 return carried
             T_world_base, q = carried
         T_object_base = task.T_world_object.inverse() * T_world_base
@@ -202,7 +203,7 @@ class Seeder:
         center = task.T_world_object.translation + rng.normal(0, POSITION_NOISE, 3)
         return SE3(rotation, center - rotation @ now.center), q
 
-    def _carried(self, rng: np.random.Generator) -> tuple[SE3, FloatArray] | str:
+    def _carried(self, rng: np.random.Generator) -> tuple[SE3, FloatArray] | Failure:
         """A start that the arm can reach: where its root stands, and all joints."""
         hand, T_world_base = self.task.hand, SE3(self.task.T_world_base)
         least = np.inf
@@ -213,9 +214,11 @@ class Seeder:
             if reached.there:
                 return T_world_base, reached.q
             least = min(least, reached.distance)
-        return (
-            f"out of reach: of {DRAWS} palm poses drawn the arm reaches none; the nearest it comes "
-            f"to one is {1e3 * least:.0f} mm"
+        return Failure(
+            kind="out_of_reach",
+            text=f"out of reach: of {DRAWS} palm poses drawn the arm reaches none; the nearest it "
+            f"comes to one is {1e3 * least:.0f} mm",
+            numbers={"distance": float(least)},
         )
 
     def _check_within_reach(self) -> None:

@@ -1,8 +1,7 @@
 """``bench control``: what grasps bear in either loop, how they drift, and slips that are noticed.
 
 One part for one grasp is one job (``jobs``); ``parts`` and ``push`` run the protocols, ``promise``
-tests certificates, ``slip_trial`` makes slips that are known, ``rate`` times the loop, ``tables``
-counts.
+tests certificates, ``slip_trial`` makes slips that are known, ``tables`` counts.
 """
 
 from __future__ import annotations

@@ -9,31 +9,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeAlias
+from typing import Any, ClassVar
 
 import numpy as np
 
-from planner.errors import NotFoundError, PlannerError
+from planner.errors import NotFoundError
 from planner.plan import GraspPlan
-from planner.search import plan_grasp
-from sim.bench.control.parts import drift_row, fc_row, robust_row
+from sim.bench.control.parts import drift_row, fc_row, rate_row, robust_row
 from sim.bench.control.promise import promise_row
 from sim.bench.control.push import push_row
-from sim.bench.control.rate import rate_row
 from sim.bench.control.slip_trial import slip_row
-from sim.bench.journal import run_with_journal
 from sim.bench.objects import BenchObject
-from sim.bench.requests import Setting, check_tasks, loaded_hand, task_for
-from sim.runner import Check, Runner, made_with
+from sim.bench.planned import PlannedJob, ask, run_parts
+from sim.bench.run import Row
+from sim.runner import Check, Runner
 
 __all__ = ["PARTS", "ControlJob", "Part", "control_jobs", "control_row", "grasps_of", "run_control"]
-
-FORMAT = "opposable-bench-control"
-
-Measure: TypeAlias = Callable[[GraspPlan, np.random.Generator], Mapping[str, Any]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +41,7 @@ class Part:
     """
 
     number: int
-    measure: Measure
+    measure: Callable[[GraspPlan, np.random.Generator], Mapping[str, Any]]
     grasps: int
     whole_hand: bool = False
 
@@ -71,27 +64,17 @@ ROWS_PER_GRASP = 16
 
 
 @dataclass(frozen=True, kw_only=True)
-class ControlJob:
-    """One part for one grasp, as it is sent to a worker.
+class ControlJob(PlannedJob):
+    """One part for one grasp.
 
     Attributes:
-        index: Its number.
-        part: Name out of ``PARTS``.
-        hand: Name or path.
-        spec: The object.
-        label: What it is called.
         grasp: Number of the grasp.
-        plan_seed: Seed of planning.
         seed: Seed of the measurement, of what is drawn.
     """
 
-    index: int
-    part: str
-    hand: str
-    spec: str
-    label: str
+    SHOWN: ClassVar = ("part", "hand", "label", "grasp")
+
     grasp: int
-    plan_seed: int
     seed: int
 
 
@@ -110,10 +93,7 @@ def grasps_of(names: Iterable[str], n: int | None) -> dict[str, int]:
 
 
 def control_jobs(
-    hands: Sequence[str],
-    objects: Sequence[BenchObject],
-    parts: Mapping[str, int],
-    seed: int,
+    hands: Sequence[str], objects: Sequence[BenchObject], parts: Mapping[str, int], seed: int
 ) -> list[ControlJob]:
     """The jobs, cell by cell, so that what a cell prepares serves all of its grasps.
 
@@ -124,42 +104,29 @@ def control_jobs(
         seed: Of the measurement.
     """
     cells = [(item, hand) for item in objects for hand in hands]
-    jobs = [
-        (
-            (k % len(cells), k),
-            ControlJob(
+    jobs = []
+    for part, n in parts.items():
+        for k in range(n):
+            item, hand = cells[k % len(cells)]
+            job = ControlJob(
                 index=ROWS_PER_GRASP * k + PARTS[part].number,
                 part=part,
-                hand=cells[k % len(cells)][1],
-                spec=cells[k % len(cells)][0].spec,
-                label=cells[k % len(cells)][0].label,
+                hand=hand,
+                spec=item.spec,
+                label=item.label,
                 grasp=k,
                 plan_seed=seed + k // len(cells),
                 seed=seed,
-            ),
-        )
-        for part, n in parts.items()
-        for k in range(n)
-    ]
-    return [job for _, job in sorted(jobs, key=lambda pair: pair[0])]
+            )
+            jobs.append(job)
+    return sorted(jobs, key=lambda job: (job.grasp % len(cells), job.grasp))
 
 
-def control_row(job: ControlJob, check: Check) -> dict[str, Any]:
-    """The row of a job, as plain data.
-
-    Args:
-        job: Which.
-        check: Called before and after the trials; what it raises ends it.
-    """
+def control_row(job: ControlJob, check: Check) -> Row:
+    """The row of a job; the arguments are those of ``ask``."""
     part = PARTS[job.part]
-    plan = _plan(job.hand, job.spec, job.plan_seed, part.whole_hand)
-    check()
-    if isinstance(plan, str):
-        return _row(job, error=plan)
     rng = np.random.default_rng([job.seed, job.index])
-    measured = part.measure(plan, rng)
-    check()
-    return _row(job, **measured)
+    return ask(job, check, lambda plan: part.measure(plan, rng), whole_hand=part.whole_hand)
 
 
 def run_control(
@@ -170,7 +137,7 @@ def run_control(
     seed: int,
     file: Path,
     runner: Runner,
-) -> dict[str, Any]:
+) -> Row:
     """Measure what the file does not have yet.
 
     Args:
@@ -181,63 +148,19 @@ def run_control(
         file: Of the rows; made if it is not there.
         runner: Who works on them.
 
-    Returns:
-        Plain data: the rows that were asked for, and what they were made with.
-
     Raises:
         FileFormatError: The file is not one of these, or was begun with other arguments.
         PlannerError: A hand or an object that was named cannot be used.
     """
-    check_tasks(hands, objects)
-    jobs = control_jobs(hands, objects, parts, seed)
-    asked = {
-        "format": f"{FORMAT}-rows",
-        "version": 1,
-        "hands": list(hands),
-        "objects": [item.spec for item in objects],
-        "seed": seed,
-    }
-    rows, whole = run_with_journal(
+    return run_parts(
         runner,
         control_row,
-        jobs,
-        file=file,
-        asked=asked,
+        control_jobs(hands, objects, parts, seed),
+        hands,
+        objects,
+        kind="opposable-bench-control",
         title="control",
-        given_up=lambda job, reason: _row(job, error=reason),
+        file=file,
+        drawn={"seed": seed},
+        parts=dict(parts),
     )
-    wanted = {job.index for job in jobs}
-    return {
-        "format": FORMAT,
-        "version": 1,
-        **made_with(),
-        "workers": runner.workers,
-        "interrupted": not whole,
-        "parts": dict(parts),
-        "rows": sorted((r for r in rows if r["index"] in wanted), key=lambda r: int(r["index"])),
-    }
-
-
-@lru_cache(maxsize=2)
-def _plan(hand: str, spec: str, seed: int, whole_hand: bool) -> GraspPlan | str:
-    """A plan, made once for the parts that follow each other; or why there is none."""
-    fingers = tuple(loaded_hand(hand).fingers) if whole_hand else None
-    task = task_for(hand, spec, Setting(fingers=fingers))
-    if isinstance(task, str):
-        return task
-    try:
-        return plan_grasp(task, seed=seed)
-    except PlannerError as error:
-        return str(error)
-
-
-def _row(job: ControlJob, **values: Any) -> dict[str, Any]:
-    return {
-        "index": job.index,
-        "part": job.part,
-        "hand": job.hand,
-        "object": job.label,
-        "grasp": job.grasp,
-        "error": "",
-        **values,
-    }

@@ -1,4 +1,4 @@
-"""Parts that run the protocols: ``fc``, drift, and the grid; ``push`` has a module of its own.
+"""Parts that run the protocols: ``fc``, drift, the grid and the time of a step.
 
 Every function takes a plan and a source of randomness, and gives plain data. Both loops, open and
 closed, meet the same directions and errors.
@@ -6,20 +6,23 @@ closed, meet the same directions and errors.
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from planner.plan import GraspPlan
 from sim.bench.control.push import conditions
 from sim.controllers import CONTROLLERS
 from sim.physics import PhysicsOptions
+from sim.protocols.disturbance import DisturbanceTrial
 from sim.protocols.fc import fc_cases
-from sim.protocols.hold import Hold
 from sim.protocols.robust import robust_cases
 from sim.protocols.settings import Settings
 
-__all__ = ["drift_row", "fc_row", "robust_row"]
+__all__ = ["drift_row", "fc_row", "rate_row", "robust_row"]
 
 DRIFT_S = 10.0
 """How long an object is held for its drift to be seen, s."""
@@ -27,11 +30,18 @@ DRIFT_S = 10.0
 NOSLIP = (10, 0)
 """Noslip iterations (-) with which drift is measured: the simulation's own, and none."""
 
+STRETCHES, STEPS = 20, 100
+"""Stretches of so many time steps each, for the time of a step: 0.2 s simulated, long beside the
+clock's 1 us."""
+
+WARM_S = 0.2
+"""Held before the clock runs (s): what is made on first use is made by then."""
+
 
 def fc_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
     """The six pushes of DexGraspBench's test; it draws nothing."""
     del rng
-    outcomes = [case.run(plan, conditions("open")) for case in fc_cases()]
+    outcomes = [case.run(plan, conditions("feedforward")) for case in fc_cases()]
     return {
         "held": sum(o.held for o in outcomes),
         "of": len(outcomes),
@@ -47,10 +57,10 @@ def drift_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
     holds = []
     for loop, make in CONTROLLERS.items():
         for noslip in NOSLIP:
-            hold = Hold(
+            hold = DisturbanceTrial(
                 plan, controller=make(plan), physics=PhysicsOptions(noslip_iterations=noslip)
             )
-            fault = hold.grip() or hold.endure(DRIFT_S)
+            fault = hold.close_and_squeeze() or hold.hold_for(DRIFT_S)
             seen = hold.samples.during("hold")
             moved, turned = hold.samples.slip_mm[seen], hold.samples.slip_deg[seen]
             holds.append(
@@ -96,3 +106,42 @@ def robust_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
                 }
             )
     return {"trials": trials}
+
+
+def rate_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
+    """CPU time (ms) of a step of each loop, physics included, and of MuJoCo alone; draws nothing.
+
+    In the median over short stretches of a hold. The loop runs at every time step.
+    """
+    del rng
+    loops: list[dict[str, Any]] = []
+    for loop, make in CONTROLLERS.items():
+        hold = DisturbanceTrial(plan, controller=make(plan))
+        fault = hold.close_and_squeeze() or hold.hold_for(WARM_S)
+        if fault is not None:
+            loops.append({"loop": loop, "reason": fault.reason})
+            continue
+        whole = _milliseconds(lambda hold=hold: hold.simulation.step("hold", 1.0))  # type: ignore[misc]
+        model, data = hold.simulation.scene.model, hold.simulation.data
+        bare = _milliseconds(lambda model=model, data=data: mujoco.mj_step(model, data))  # type: ignore[misc]
+        loops.append(
+            {
+                "loop": loop,
+                "reason": "",
+                "step_ms": 1e3 * hold.simulation.scene.physics.timestep,
+                "whole_ms": whole,
+                "bare_ms": bare,
+            }
+        )
+    return {"fingers": len(plan.task.fingers), "loops": loops}
+
+
+def _milliseconds(step: Callable[[], object]) -> list[float]:
+    """CPU time per step of every stretch, ms."""
+    spent = []
+    for _ in range(STRETCHES):
+        begin = time.process_time()
+        for _ in range(STEPS):
+            step()
+        spent.append(1e3 * (time.process_time() - begin) / STEPS)
+    return spent

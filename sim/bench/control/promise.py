@@ -20,8 +20,8 @@ from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from sim.controllers import ObjectImpedance
 from sim.physics import PhysicsOptions
-from sim.protocols.hold import LOST, Hold
-from sim.protocols.outcome import Fault
+from sim.protocols.disturbance import DROPPED, DisturbanceTrial
+from sim.verdict import Fault
 
 __all__ = ["MOST", "promise_row"]
 
@@ -61,8 +61,8 @@ def promise_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
                     "unit": breaking.unit,
                     "broke_at": share if fault is not None else None,
                     "reason": "" if fault is None else fault.reason,
-                    "lost_mm": LOST.mm,
-                    "lost_deg": LOST.deg,
+                    "lost_mm": DROPPED.mm,
+                    "lost_deg": DROPPED.deg,
                 }
             )
     return {"loads": loads}
@@ -71,33 +71,33 @@ def promise_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
 def _slow(plan: GraspPlan, wrench: FloatArray) -> tuple[float, Fault | None]:
     """Share of a wrench (6,) at which a slowly growing one broke the grasp."""
     hold = _hold(plan)
-    share, fault = 0.0, hold.grip()
+    share, fault = 0.0, hold.close_and_squeeze()
     while fault is None and share < MOST:
         share += SLOW_FIRST / LEAD_STEPS if share < SLOW_FIRST else SLOW_STEP
         hold.push(share * wrench)
-        fault = hold.endure(1.0 / LEAD_STEPS if share < SLOW_FIRST else SLOW_S)
+        fault = hold.hold_for(1.0 / LEAD_STEPS if share < SLOW_FIRST else SLOW_S)
     return share, fault
 
 
 def _sudden(plan: GraspPlan, wrench: FloatArray) -> tuple[float, Fault | None]:
     """The same of one that comes and goes at once."""
     hold = _hold(plan)
-    share, fault = SUDDEN_FIRST - SUDDEN_STEP, hold.grip()
+    share, fault = SUDDEN_FIRST - SUDDEN_STEP, hold.close_and_squeeze()
     while fault is None and share < MOST:
         share += SUDDEN_STEP
         hold.push(share * wrench)
-        fault = hold.endure(SUDDEN_S)
+        fault = hold.hold_for(SUDDEN_S)
         if fault is None:
             hold.push(np.zeros(6))
-            fault = hold.endure(PAUSE_S)
+            fault = hold.hold_for(PAUSE_S)
     return share, fault
 
 
-def _hold(plan: GraspPlan) -> Hold:
+def _hold(plan: GraspPlan) -> DisturbanceTrial:
     """The closed loop with the friction that the certificate reckons with."""
     task = plan.task
     torsion = task.mu_torsion if task.contact_model == "soft" else 0.0
-    return Hold(
+    return DisturbanceTrial(
         plan,
         controller=ObjectImpedance(plan),
         physics=PhysicsOptions(mu=task.mu, mu_torsion=torsion),

@@ -38,10 +38,10 @@ GRIP_TOL = 0.05
 def push_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
     """A force and a torque in random directions that grow until the object is lost.
 
-    "open" presses with the planned forces, "best" with those of the grip out of ``tried_grips``
-    under which the most is borne, chosen afterwards and for each direction: no rule that chooses
-    a grip beforehand does better. "closed" presses with no less than the plan's grip while there is
-    force to spare.
+    "feedforward" presses with the planned forces, "best" with those of the grip out of
+    ``tried_grips`` under which the most is borne, chosen afterwards and for each direction: no rule
+    that chooses a grip beforehand does better. "impedance" presses with no less than the plan's
+    grip while there is force to spare.
     """
     settings = Settings()
     grips = tried_grips(plan)
@@ -51,18 +51,18 @@ def push_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
         direction = np.zeros(6)
         direction[offset : offset + 3] = unit(rng)
         case = PushCase(index=0, name=kind, direction=direction, settings=settings)
-        opened = [case.run(tight, conditions("open")) for tight in pressed]
-        closed = case.run(plan, conditions("closed"))
+        opened = [case.run(tight, conditions("feedforward")) for tight in pressed]
+        closed = case.run(plan, conditions("impedance"))
         best = max(range(len(grips)), key=lambda k: opened[k].borne)
         pushes.append(
             {
                 "kind": kind,
                 "direction": direction.tolist(),
-                "lost_mm": settings.lost.mm,
-                "lost_deg": settings.lost.deg,
-                "open": _told(opened[0]),
+                "lost_mm": settings.dropped.mm,
+                "lost_deg": settings.dropped.deg,
+                "feedforward": _told(opened[0]),
                 "best": _told(opened[best]) | {"grip_N": grips[best]},
-                "closed": _told(closed),
+                "impedance": _told(closed),
                 **finite(
                     {"bound": closed.bound, "bound_near": closed.bound_near, "unit": closed.unit}
                 ),

@@ -22,8 +22,8 @@ from sim.bench.control.slips import SLIP_TIME, Slip, score_slips, true_slips
 from sim.controllers import CONTROLLERS, Controller, Observation, Sensing, SlipDetector
 from sim.controllers.sensing import TIME_TOL, Senses
 from sim.controllers.slip import LOADED, SLIP_SPEED
-from sim.protocols.hold import Hold
-from sim.protocols.outcome import Fault
+from sim.protocols.disturbance import DisturbanceTrial
+from sim.verdict import Fault
 
 __all__ = ["SENSING", "Watched", "slip_row"]
 
@@ -119,9 +119,9 @@ def slip_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
     loops = []
     for loop, make in CONTROLLERS.items():
         watched = Watched(make(plan), len(plan.task.fingers), sensing)
-        hold = Hold(plan, controller=watched)
-        fault = hold.grip() or hold.endure(PEACE_S)
-        peace = hold.data.time
+        hold = DisturbanceTrial(plan, controller=watched)
+        fault = hold.close_and_squeeze() or hold.hold_for(PEACE_S)
+        peace = hold.simulation.data.time
         for k, push in enumerate(pushes):
             fault = fault or _provoke(hold, watched, push if k % 2 == 0 else None)
         watched.finish()
@@ -142,27 +142,27 @@ def slip_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
     return {"loops": loops}
 
 
-def _provoke(hold: Hold, watched: Watched, push: FloatArray | None) -> Fault | None:
+def _provoke(hold: DisturbanceTrial, watched: Watched, push: FloatArray | None) -> Fault | None:
     """Push harder and harder along a direction, or without one take the friction away."""
     weight = -GRAVITY[2] * hold.plan.task.object.mass
-    friction = hold.scene.model.geom_friction
+    friction = hold.simulation.scene.model.geom_friction
     normal = friction.copy()
     slid = 0.0
-    dt = hold.scene.physics.timestep
+    dt = hold.simulation.scene.physics.timestep
     for k in range(round(GROW_S / dt)):
         share = k * dt / GROW_S
         if push is None:
             friction[:] = normal * (1.0 - share * (1.0 - LEAST_FRICTION))
         else:
             hold.push(share * MOST_WEIGHTS * weight * np.append(push, np.zeros(3)))
-        if fault := hold.endure(dt):
+        if fault := hold.hold_for(dt):
             return fault
         slid += dt if slid or watched.sliding() else 0.0
         if slid > SLIDING_S:
             break
     friction[:] = normal
     hold.push(np.zeros(6))
-    return hold.endure(REST_S)
+    return hold.hold_for(REST_S)
 
 
 def _truth(watched: Watched) -> list[Slip]:

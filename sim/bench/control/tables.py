@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
-from typing import Any, TypeAlias
 
 from rich.table import Table
 
 from sim.bench.control.promise import MOST
+from sim.bench.run import Row, grouped
 from sim.bench.statistics import median_of, quantile_of, ratio, summed
-from sim.bench.tables import number, table_of
+from sim.bench.tables import Columns, number, percent, share, summary_table
 
 __all__ = ["control_tables"]
 
-Rows: TypeAlias = list[dict[str, Any]]
+Rows = list[Row]
 
 ENOUGH = 0.7
 """Share of the bound (-) that a closed loop should reach."""
@@ -26,13 +26,13 @@ STILL_MM = 0.5
 """Drift in ten seconds (mm) that a hold should stay below."""
 
 
-def control_tables(result: dict[str, Any]) -> list[Table]:
+def control_tables(result: Row) -> list[Table]:
     """A table per part that has rows."""
+    by_part = {part: rows for (part,), rows in grouped(result["rows"], "part").items()}
     out = []
     for part, make in _TABLES.items():
-        rows = [r for r in result["rows"] if r["part"] == part]
-        known = [r for r in rows if not r["error"]]
-        if rows:
+        if rows := by_part.get(part):
+            known = [r for r in rows if not r["error"]]
             table = make(known)
             if lost := len(rows) - len(known):
                 table.caption = f"{lost} of {len(rows)} grasps were not found"
@@ -40,118 +40,98 @@ def control_tables(result: dict[str, Any]) -> list[Table]:
     return out
 
 
+def _flat(rows: Rows, name: str) -> Rows:
+    """What rows list under a name, with their hand."""
+    return [{"hand": r["hand"], **one} for r in rows for one in r[name]]
+
+
+def _most(values: Iterable[float], digits: int) -> str:
+    return number(max(values, default=None), digits)
+
+
 def _fc(rows: Rows) -> Table:
-    table = table_of(
-        "fc: held in all six directions, and pushes held; penetration at start and grasp, mm",
-        ("hand", "object"),
-        ("held", "share", "pushes", "start", "grasp"),
-    )
-    for (hand, item), members in _grouped(rows, "hand", "object"):
-        table.add_row(hand, item, *_fc_cells(members))
-    table.add_section()
-    for (hand,), members in _grouped(rows, "hand"):
-        table.add_row(hand, "all", *_fc_cells(members))
-    table.add_row("all", "", *_fc_cells(rows))
-    return table
-
-
-def _fc_cells(rows: Rows) -> list[str]:
-    good = sum(r["held"] == r["of"] for r in rows)
-    return [
-        f"{good}/{len(rows)}",
-        _percent(good, len(rows)),
-        f"{sum(r['held'] for r in rows)}/{sum(r['of'] for r in rows)}",
-        number(max((r["start_penetration_mm"] for r in rows), default=None), 2),
-        number(max((r["grasp_penetration_mm"] for r in rows), default=None), 2),
-    ]
+    title = "fc: held in all six directions, and pushes held; penetration at start and grasp, mm"
+    columns: Columns = {
+        "held": lambda rows: share(r["held"] == r["of"] for r in rows),
+        "share": lambda rows: percent(sum(r["held"] == r["of"] for r in rows), len(rows)),
+        "pushes": lambda rows: f"{sum(r['held'] for r in rows)}/{sum(r['of'] for r in rows)}",
+        "start": lambda rows: _most((r["start_penetration_mm"] for r in rows), 2),
+        "grasp": lambda rows: _most((r["grasp_penetration_mm"] for r in rows), 2),
+    }
+    return summary_table(title, rows, ("hand", "object"), columns, [(None, "all"), ("all", "")])
 
 
 def _push(rows: Rows) -> Table:
-    flat = [push | {"hand": r["hand"]} for r in rows for push in r["pushes"]]
-    table = table_of(
+    flat = _flat(rows, "pushes")
+    title = (
         f"push: medians of the largest load borne ({_lost(flat)}); open loop with the plan's grip "
         "and with the best of those that the plan's forces allow, closed loop; its medians by the "
         "open loop's; its share of the bound that is proven for the planned posture, and loads "
-        "beyond it and beyond the bound for its neighbourhood",
-        ("hand", "kind"),
-        (
-            "n",
-            "open",
-            "best open",
-            "its grip",
-            "closed",
-            "by open",
-            "by best",
-            "share",
-            "p10",
-            f">= {ENOUGH:g}",
-            "beyond",
-            "near",
-        ),
+        "beyond it and beyond the bound for its neighbourhood"
     )
-    for (hand, kind), members in _grouped(flat, "hand", "kind"):
-        table.add_row(hand, kind, *_push_cells(members))
-    table.add_section()
-    for (kind,), members in _grouped(flat, "kind"):
-        table.add_row("all", kind, *_push_cells(members))
-    table.add_row("all", "", *_push_cells(flat))
-    return table
+    columns: Columns = {
+        "n": lambda rows: str(len(rows)),
+        "feedforward": lambda rows: _borne(rows, "feedforward"),
+        "best open": lambda rows: _borne(rows, "best"),
+        "its grip": lambda rows: f"{number(median_of(p['best']['grip_N'] for p in rows), 1)} N",
+        "impedance": lambda rows: _borne(rows, "impedance"),
+        "by open": lambda rows: _by(rows, "feedforward"),
+        "by best": lambda rows: _by(rows, "best"),
+        "share": lambda rows: number(median_of(_of_bound(rows)), 2),
+        "p10": lambda rows: number(quantile_of(_of_bound(rows), 0.1), 2),
+        f">= {ENOUGH:g}": lambda rows: share(s >= ENOUGH for s in _of_bound(rows)),
+        "beyond": lambda rows: str(sum(s > 1 for s in _of_bound(rows))),
+        "near": lambda rows: str(sum(s > 1 for s in _of_bound(rows, "bound_near"))),
+    }
+    totals = [("all", None), ("all", "")]
+    return summary_table(title, flat, ("hand", "kind"), columns, totals)
 
 
-def _push_cells(pushes: Rows) -> list[str]:
-    units = {p["unit"] for p in pushes}
-    middle = {k: median_of(p[k]["borne"] for p in pushes) for k in ("open", "best", "closed")}
-    bounded = [p for p in pushes if p["bound"]]
-    shares = [p["closed"]["borne"] / p["bound"] for p in bounded]
-    beyond = [p for p in pushes if p["bound_near"] and p["closed"]["borne"] > p["bound_near"]]
-    # medians over newtons and newton metres together would say nothing
-    alone = units.pop() if len(units) == 1 else ""
-    told = {k: f"{v:.3g} {alone}" if alone and v is not None else "-" for k, v in middle.items()}
-    return [
-        str(len(pushes)),
-        told["open"],
-        told["best"],
-        f"{number(median_of(p['best']['grip_N'] for p in pushes), 1)} N",
-        told["closed"],
-        *(
-            number(ratio(middle["closed"] or 0.0, middle[k] or 0.0) if alone else None, 2)
-            for k in ("open", "best")
-        ),
-        number(median_of(shares), 2),
-        number(quantile_of(shares, 0.1), 2),
-        f"{sum(s >= ENOUGH for s in shares)}/{len(shares)}",
-        str(sum(s > 1 for s in shares)),
-        str(len(beyond)),
-    ]
+def _median_borne(pushes: Rows, loop: str) -> float | None:
+    """None where forces and torques stand together: their median would say nothing."""
+    return median_of(p[loop]["borne"] for p in pushes) if len(_units(pushes)) == 1 else None
+
+
+def _units(pushes: Rows) -> list[str]:
+    return sorted({p["unit"] for p in pushes})
+
+
+def _borne(pushes: Rows, loop: str) -> str:
+    middle = _median_borne(pushes, loop)
+    return "-" if middle is None else f"{middle:.3g} {_units(pushes)[0]}"
+
+
+def _by(pushes: Rows, loop: str) -> str:
+    """What the closed loop bears over what another bears."""
+    closed, other = _median_borne(pushes, "impedance"), _median_borne(pushes, loop)
+    return number(None if closed is None else ratio(closed, other or 0.0), 2)
+
+
+def _of_bound(pushes: Rows, bound: str = "bound") -> list[float]:
+    """Largest load of the closed loop over a bound, where there is one."""
+    return [p["impedance"]["borne"] / p[bound] for p in pushes if p[bound]]
 
 
 def _promise(rows: Rows) -> Table:
-    flat = [load | {"hand": r["hand"]} for r in rows for load in r["loads"]]
-    table = table_of(
+    flat = _flat(rows, "loads")
+    title = (
         "promise: share of what the certificate promises, for the best control, at which the "
-        f"closed loop lost the object ({_lost(flat)}), {MOST:g} at most; friction as certified",
-        ("hand", "kind", "load"),
-        ("n", "median", "p10", "least", f">= {KEPT:g}", ">= 1"),
+        f"closed loop lost the object ({_lost(flat)}), {MOST:g} at most; friction as certified"
     )
-    for (hand, kind, speed), members in _grouped(flat, "hand", "kind", "speed"):
-        table.add_row(hand, kind, speed, *_promise_cells(members))
-    table.add_section()
-    for (speed,), members in _grouped(flat, "speed"):
-        table.add_row("all", "", speed, *_promise_cells(members))
-    return table
+    columns: Columns = {
+        "n": lambda rows: str(len(rows)),
+        "median": lambda rows: number(median_of(_broke_at(rows)), 2),
+        "p10": lambda rows: number(quantile_of(_broke_at(rows), 0.1), 2),
+        "least": lambda rows: number(min(_broke_at(rows), default=None), 2),
+        f">= {KEPT:g}": lambda rows: share(s >= KEPT - ROUNDING for s in _broke_at(rows)),
+        ">= 1": lambda rows: share(s >= 1 - ROUNDING for s in _broke_at(rows)),
+    }
+    heads = {"hand": "hand", "kind": "kind", "speed": "load"}
+    return summary_table(title, flat, heads, columns, [("all", "", None)])
 
 
-def _promise_cells(loads: Rows) -> list[str]:
-    shares = [MOST if load["broke_at"] is None else load["broke_at"] for load in loads]
-    return [
-        str(len(shares)),
-        *(
-            number(value, 2)
-            for value in (median_of(shares), quantile_of(shares, 0.1), min(shares, default=None))
-        ),
-        f"{sum(s >= KEPT - ROUNDING for s in shares)}/{len(shares)}",
-        f"{sum(s >= 1 - ROUNDING for s in shares)}/{len(shares)}",
-    ]
+def _broke_at(loads: Rows) -> list[float]:
+    return [MOST if load["broke_at"] is None else load["broke_at"] for load in loads]
 
 
 def _lost(measured: Rows) -> str:
@@ -164,110 +144,100 @@ def _lost(measured: Rows) -> str:
 
 
 def _drift(rows: Rows) -> Table:
-    table = table_of(
-        f"drift in {rows[0]['seconds']:g} s of holding" if rows else "drift",
-        ("loop", "noslip"),
-        ("held", "median mm", "p90", "worst", f"<= {STILL_MM:g} mm", "worst deg"),
-    )
-    flat = [h for r in rows for h in r["holds"]]
-    for (loop, noslip), members in _grouped(flat, "loop", "noslip"):
-        held = [h for h in members if not h["reason"]]
-        moved = [h["moved_mm"] for h in held]
-        table.add_row(
-            loop,
-            str(noslip),
-            f"{len(held)}/{len(members)}",
-            number(median_of(moved), 3),
-            number(quantile_of(moved, 0.9), 3),
-            number(max(moved, default=None), 3),
-            f"{sum(m <= STILL_MM for m in moved)}/{len(members)}",
-            number(max((h["turned_deg"] for h in held), default=None), 2),
-        )
-    return table
+    def moved(holds: Rows, name: str = "moved_mm") -> list[float]:
+        return [h[name] for h in holds if not h["reason"]]
+
+    columns: Columns = {
+        "held": lambda rows: share(not h["reason"] for h in rows),
+        "median mm": lambda rows: number(median_of(moved(rows)), 3),
+        "p90": lambda rows: number(quantile_of(moved(rows), 0.9), 3),
+        "worst": lambda rows: _most(moved(rows), 3),
+        f"<= {STILL_MM:g} mm": lambda rows: (
+            f"{sum(m <= STILL_MM for m in moved(rows))}/{len(rows)}"
+        ),
+        "worst deg": lambda rows: _most(moved(rows, "turned_deg"), 2),
+    }
+    title = f"drift in {rows[0]['seconds']:g} s of holding" if rows else "drift"
+    return summary_table(title, _flat(rows, "holds"), ("loop", "noslip"), columns)
 
 
 def _slip(rows: Rows) -> Table:
-    table = table_of(
-        "slip: found within 50 ms; right alarms; delay; false alarms in peace, per 100 s of it",
-        ("hand", "loop"),
-        ("found", "recall", "right", "precision", "delay ms", "peace s", "false", "per 100 s"),
-    )
-    flat = [loop | {"hand": r["hand"]} for r in rows for loop in r["loops"]]
-    for (hand, loop), members in _grouped(flat, "hand", "loop"):
-        table.add_row(hand, loop, *_slip_cells(members))
-    table.add_section()
-    for (loop,), members in _grouped(flat, "loop"):
-        table.add_row("all", loop, *_slip_cells(members))
-    table.add_row("all", "", *_slip_cells(flat))
-    return table
+    def parts(loops: Rows, part: str, whole: str) -> str:
+        total = _total(loops)
+        return f"{total[part]:.0f}/{total[whole]:.0f}"
+
+    columns: Columns = {
+        "found": lambda rows: parts(rows, "found", "slips"),
+        "recall": lambda rows: percent(_total(rows)["found"], _total(rows)["slips"]),
+        "right": lambda rows: parts(rows, "right", "alarms"),
+        "precision": lambda rows: percent(_total(rows)["right"], _total(rows)["alarms"]),
+        "delay ms": lambda rows: number(
+            median_of(r["delay"] for r in rows if r["delay"] is not None), 0, 1e3
+        ),
+        "peace s": lambda rows: number(_total(rows)["calm_s"], 0),
+        "false": lambda rows: number(_total(rows)["calm_false"], 0),
+        "per 100 s": lambda rows: number(
+            ratio(100.0 * _total(rows)["calm_false"], _total(rows)["calm_s"]), 2
+        ),
+    }
+    title = "slip: found within 50 ms; right alarms; delay; false alarms in peace, per 100 s of it"
+    totals = [("all", None), ("all", "")]
+    return summary_table(title, _flat(rows, "loops"), ("hand", "loop"), columns, totals)
 
 
-def _slip_cells(loops: Rows) -> list[str]:
+def _total(loops: Rows) -> dict[str, float]:
     names = ("slips", "found", "alarms", "right", "calm_s", "calm_false")
-    total = summed({name: loop[name] for name in names} for loop in loops)
-    delays = [loop["delay"] for loop in loops if loop["delay"] is not None]
-    rate = ratio(100.0 * total["calm_false"], total["calm_s"])
-    return [
-        f"{total['found']:.0f}/{total['slips']:.0f}",
-        _percent(total["found"], total["slips"]),
-        f"{total['right']:.0f}/{total['alarms']:.0f}",
-        _percent(total["right"], total["alarms"]),
-        number(median_of(delays), 0, 1e3),
-        number(total["calm_s"], 0),
-        number(total["calm_false"], 0),
-        number(rate, 2),
-    ]
+    return dict.fromkeys(names, 0) | summed({n: loop[n] for n in names} for loop in loops)
 
 
 def _robust(rows: Rows) -> Table:
-    table = table_of("robust: held over the grid", ("hand", "what"), ("open", "closed"))
-    flat = [t | {"hand": r["hand"]} for r in rows for t in r["trials"]]
+    def held(trials: Rows, loop: str) -> str:
+        mine = [t["held"] for t in trials if t["loop"] == loop]
+        return f"{share(mine)} {percent(sum(mine), len(mine))}"
+
+    columns: Columns = {
+        "feedforward": lambda rows: held(rows, "feedforward"),
+        "impedance": lambda rows: held(rows, "impedance"),
+    }
+    flat = _flat(rows, "trials")
+    table = summary_table("robust: held over the grid", [], ("hand", "what"), columns)
     for name, unit in (("mass", "mass x"), ("friction", "friction x"), ("pose", "pose off by ")):
-        for (level,), members in _grouped(flat, name):
-            table.add_row("all", f"{unit}{level}", *_robust_cells(members))
+        for (level,), members in grouped(flat, name).items():
+            table.add_row("all", f"{unit}{level}", *(cell(members) for cell in columns.values()))
         table.add_section()
-    for (hand,), members in _grouped(flat, "hand"):
-        table.add_row(hand, "whole grid", *_robust_cells(members))
-    table.add_row("all", "whole grid", *_robust_cells(flat))
+    for (hand,), members in [*grouped(flat, "hand").items(), (("all",), flat)]:
+        table.add_row(hand, "whole grid", *(cell(members) for cell in columns.values()))
     return table
 
 
-def _robust_cells(trials: Rows) -> list[str]:
-    cells = []
-    for loop in ("open", "closed"):
-        held = [t["held"] for t in trials if t["loop"] == loop]
-        cells.append(f"{sum(held)}/{len(held)} {_percent(sum(held), len(held))}")
-    return cells
-
-
 def _rate(rows: Rows) -> Table:
-    table = table_of(
-        "rate: CPU ms per step of 2 ms on one core; MuJoCo alone; what is above; times real time",
-        ("hand", "loop"),
-        ("fingers", "n", "whole", "fastest", "MuJoCo", "above", "real time"),
+    def spent(loops: Rows, name: str) -> list[float]:
+        return [ms for loop in loops for ms in loop[name]]
+
+    def above(loops: Rows) -> float:
+        whole, bare = (median_of(spent(loops, name)) or 0.0 for name in ("whole_ms", "bare_ms"))
+        return whole - bare
+
+    columns: Columns = {
+        "n": lambda rows: str(len(rows)),
+        "whole": lambda rows: number(median_of(spent(rows, "whole_ms")), 3),
+        "fastest": lambda rows: number(min(spent(rows, "whole_ms")), 3),
+        "MuJoCo": lambda rows: number(median_of(spent(rows, "bare_ms")), 3),
+        "above": lambda rows: number(above(rows), 3),
+        "real time": lambda rows: number(
+            ratio(rows[0]["step_ms"], median_of(spent(rows, "whole_ms")) or 0.0), 2
+        ),
+    }
+    title = (
+        "rate: CPU ms per step of 2 ms on one core; MuJoCo alone; what is above; times real time"
     )
     flat = [
-        loop | {"hand": r["hand"], "fingers": r["fingers"]}
+        {"hand": r["hand"], "fingers": r["fingers"], **loop}
         for r in rows
         for loop in r["loops"]
         if not loop["reason"]
     ]
-    for (hand, loop, fingers), members in _grouped(flat, "hand", "loop", "fingers"):
-        whole = [ms for m in members for ms in m["whole_ms"]]
-        bare = [ms for m in members for ms in m["bare_ms"]]
-        middle, alone = median_of(whole) or 0.0, median_of(bare) or 0.0
-        table.add_row(
-            hand,
-            loop,
-            str(fingers),
-            str(len(members)),
-            number(middle, 3),
-            number(min(whole), 3),
-            number(alone, 3),
-            number(middle - alone, 3),
-            number(ratio(members[0]["step_ms"], middle), 2),
-        )
-    return table
+    return summary_table(title, flat, ("hand", "loop", "fingers"), columns)
 
 
 _TABLES: Mapping[str, Callable[[Rows], Table]] = MappingProxyType(
@@ -281,15 +251,3 @@ _TABLES: Mapping[str, Callable[[Rows], Table]] = MappingProxyType(
         "promise": _promise,
     }
 )
-
-
-def _grouped(rows: Iterable[dict[str, Any]], *names: str) -> list[tuple[tuple[Any, ...], Rows]]:
-    """Rows that agree in some values, with these values, in the order of first appearance."""
-    out: dict[tuple[Any, ...], Rows] = {}
-    for row in rows:
-        out.setdefault(tuple(row[name] for name in names), []).append(row)
-    return list(out.items())
-
-
-def _percent(part: float, whole: float) -> str:
-    return f"{100 * part / whole:.1f} %" if whole else "-"

@@ -1,11 +1,7 @@
 """DexGraspBench itself, in the versions that it pins, run on exports of our batches."""
 
 from sim.bench.dexgraspbench.checkout import COMMIT, HANDS, Installed, install
-from sim.bench.dexgraspbench.evaluate import (
-    SETTINGS,
-    run_dexgraspbench,
-)
-from sim.bench.dexgraspbench.table import dexgraspbench_table
+from sim.bench.dexgraspbench.evaluate import SETTINGS, dexgraspbench_table, run_dexgraspbench
 
 __all__ = [
     "COMMIT",

@@ -3,59 +3,54 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from rich.table import Table
 
 from planner.batch import GraspSet
 from planner.errors import PlannerError, TaskError
 from planner.exchange.dexgraspbench import export_dexgraspbench
 from planner.exchange.dexgraspbench.hand_file import file_name
 from sim.bench.dexgraspbench.checkout import Installed
+from sim.bench.run import Job, Row, grouped, measure
+from sim.bench.tables import share, table_of
 from sim.protocols.fc import fc_cases
-from sim.runner import Runner, made_with
+from sim.runner import Check, Runner
 
-__all__ = ["SETTINGS", "BenchGrasp", "run_dexgraspbench"]
+__all__ = ["SETTINGS", "dexgraspbench_table", "run_dexgraspbench"]
 
 SETTINGS = ("fc", "tabletop")
 """The benchmark's settings for hands without an arm."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class BenchGrasp:
-    """One grasp.
+class _GraspJob(Job):
+    """A grasp of a batch, and what the benchmark says of it.
 
     Attributes:
-        hand: Name in the export.
-        object: Label in the batch.
-        k: Number of the grasp among those of its object.
-        row: Number of its row in the batch.
-        verdicts: Setting -> whether the benchmark says that it holds.
-        moved_mm: Setting -> movement of the object against what was asked, mm.
-        turned_deg: Setting -> its turn, degrees.
-        penetration_mm: Hand in object at the grasp, mm, as the benchmark measures.
-        ours: Whether ``--protocol fc`` says that it holds; None if it was not asked.
+        batch: Folder of the batch.
+        number: Number of its row there.
+        verdict: Row of the result: "verdicts" by setting, how far the object "moved_mm" and
+            "turned_deg" against what was asked, "penetration_mm" of hand in object at the grasp.
+        compare: Whether our own protocol judges it as well ("ours", None if not).
     """
 
-    hand: str
-    object: str
-    k: int
-    row: int
-    verdicts: dict[str, bool]
-    moved_mm: dict[str, float]
-    turned_deg: dict[str, float]
-    penetration_mm: float
-    ours: bool | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Job:
-    """A grasp for our own protocol."""
-
     batch: str
-    key: tuple[str, str, int]
-    row: int
+    number: int
+    verdict: Row
+    compare: bool
+
+    def row(self, **values: Any) -> Row:
+        """The benchmark's verdict and ours."""
+        return super().row(**self.verdict, row=self.number, **values)
+
+    def lost(self, reason: str) -> Row:
+        """End: a grasp without a verdict is no disagreement."""
+        raise PlannerError(f"grasp {self.number} of {self.batch} {reason}; report it")
 
 
 def run_dexgraspbench(
@@ -66,7 +61,7 @@ def run_dexgraspbench(
     settings: Sequence[str] = SETTINGS,
     compare: bool = True,
     runner: Runner,
-) -> dict[str, Any]:
+) -> Row:
     """Evaluate batches; Ctrl-C while comparing keeps what is done.
 
     Args:
@@ -82,9 +77,8 @@ def run_dexgraspbench(
     """
     home = home.resolve()
     shutil.rmtree(home / "evaluation", ignore_errors=True)
-    exports: dict[str, dict[str, Any]] = {}
-    grasps: dict[tuple[str, str, int], BenchGrasp] = {}
-    jobs: list[_Job] = []
+    exports: dict[str, Row] = {}
+    jobs: list[_GraspJob] = []
     for folder in batches:
         batch = GraspSet(folder)
         done = export_dexgraspbench(batch, home / "export")
@@ -109,44 +103,39 @@ def run_dexgraspbench(
                 here = {name: rows[name][file] for name in settings if file in rows[name]}
                 if len(here) < len(settings):
                     continue  # left out by the export
-                key = (done.hand, label, int(row["k"]))
-                grasps[key] = BenchGrasp(
-                    hand=done.hand,
-                    object=label,
-                    k=int(row["k"]),
-                    row=number,
-                    verdicts={n: bool(r["succ_flag"]) for n, r in here.items()},
-                    moved_mm={n: 1e3 * r["delta_pos"] for n, r in here.items()},
-                    turned_deg={n: r["delta_angle"] for n, r in here.items()},
-                    penetration_mm=1e3 * next(iter(here.values()))["ho_pene"],
-                    ours=None,
+                verdict = {
+                    "hand": done.hand,
+                    "object": label,
+                    "k": int(row["k"]),
+                    "verdicts": {n: bool(r["succ_flag"]) for n, r in here.items()},
+                    "moved_mm": {n: 1e3 * r["delta_pos"] for n, r in here.items()},
+                    "turned_deg": {n: r["delta_angle"] for n, r in here.items()},
+                    "penetration_mm": 1e3 * next(iter(here.values()))["ho_pene"],
+                }
+                job = _GraspJob(
+                    index=len(jobs),
+                    batch=str(folder),
+                    number=number,
+                    verdict=verdict,
+                    compare=compare,
                 )
-                jobs.append(_Job(batch=str(folder), key=key, row=number))
-    whole = True
-    if compare:
-        whole = runner.run(
-            _judge,
-            jobs,
-            title="protocol fc",
-            keep=lambda pair: grasps.update(
-                {pair[0]: BenchGrasp(**{**asdict(grasps[pair[0]]), "ours": pair[1]})}
-            ),
-            given_up=_given_up,
-        )
-    return {
-        "format": "opposable-dexgraspbench",
-        "version": 1,
-        **made_with(),
-        "settings": list(settings),
-        "exports": exports,
-        "interrupted": not whole,
-        "grasps": [asdict(grasp) for grasp in grasps.values()],
-    }
+                jobs.append(job)
+    return measure(
+        runner,
+        _judge,
+        jobs,
+        kind="opposable-dexgraspbench",
+        title="protocol fc",
+        lost=_GraspJob.lost,
+        version=2,
+        settings=list(settings),
+        exports=exports,
+    )
 
 
 def _evaluated(
     installed: Installed, home: Path, hand: str, setting: str, workers: int
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, Row]:
     """The benchmark's rows of an export by file: OBJECT/K.npy."""
     export = home / "export"
     out = home / "evaluation" / setting / hand
@@ -176,18 +165,45 @@ def _evaluated(
     return rows
 
 
-def _judge(job: _Job, check: Callable[[], None]) -> tuple[tuple[str, str, int], bool]:
+def _judge(job: _GraspJob, check: Check) -> Row:
     """Our verdict on a grasp: held in all six directions; it ends at the first that fails."""
-    plan = GraspSet(job.batch).plan(job.row)
+    if not job.compare:
+        return job.row(ours=None)
+    plan = GraspSet(job.batch).plan(job.number)
     held = True
     for case in fc_cases():
         held = held and case.run(plan).held
         check()
         if not held:
             break
-    return job.key, held
+    return job.row(ours=held)
 
 
-def _given_up(job: _Job, reason: str) -> tuple[tuple[str, str, int], bool]:
-    """End: a grasp without a verdict is no disagreement."""
-    raise PlannerError(f"grasp {job.row} of {job.batch} {reason}; report it")
+def dexgraspbench_table(result: Row) -> Table:
+    """Shares that hold, penetration and agreement per hand and object, and per hand."""
+    settings = result["settings"]
+    table = table_of(
+        "DexGraspBench: grasps that hold; mm of hand in object, median and worst; same verdict as "
+        "our --protocol fc",
+        ("hand", "object"),
+        ("grasps", *(f"{name} %" for name in settings), "mm", "worst", "same"),
+    )
+    for (hand,), mine in grouped(result["rows"], "hand").items():
+        for (label,), members in grouped(mine, "object").items():
+            table.add_row(hand, label, *_cells(members, settings))
+        table.add_row(hand, "all", *_cells(mine, settings), end_section=True)
+    return table
+
+
+def _cells(rows: list[Row], settings: list[str]) -> list[str]:
+    """Cells of one line."""
+    depths = [row["penetration_mm"] for row in rows]
+    compared = [row for row in rows if row["ours"] is not None and "fc" in settings]
+    same = share(row["ours"] == row["verdicts"]["fc"] for row in compared)
+    return [
+        str(len(rows)),
+        *(f"{100 * statistics.mean(r['verdicts'][name] for r in rows):.1f}" for name in settings),
+        f"{statistics.median(depths):.2f}",
+        f"{max(depths):.2f}",
+        same if compared else "-",
+    ]

@@ -4,15 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from sim.cli.bench import (
-    control,
-    dexgraspbench,
-    grasps,
-    manipulate,
-    motion,
-    physics,
-    synthesis,
-)
+from sim.cli.bench import control, dexgraspbench, grasps, synthesis, turns
 
 __all__ = ["register"]
 
@@ -30,9 +22,9 @@ def register(app: typer.Typer) -> None:
         synthesis.scaling,
         control.forces,
         control.control,
-        motion.motion,
-        manipulate.manipulate,
-        physics.physics,
+        turns.motion,
+        turns.manipulate,
+        control.physics,
         dexgraspbench.dexgraspbench,
     ):
         bench.command()(command)

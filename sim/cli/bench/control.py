@@ -1,4 +1,4 @@
-"""Commands that measure forces and control: ``bench forces`` and ``control``."""
+"""Commands that measure forces, control and physics: ``bench forces``, ``control``, ``physics``."""
 
 from __future__ import annotations
 
@@ -8,37 +8,40 @@ from typing import Annotated
 import typer
 
 from sim.cli.bench.common import (
+    BOTH_HANDS,
     PRIMITIVES,
+    BothHandsArgument,
     ObjectsOption,
-    OutOption,
+    ResultOptions,
     SamplesOption,
-    WorkersOption,
-    give,
-    measuring,
 )
-from sim.cli.common import JsonOption, SeedOption, check_folder, errors_for_people, names
+from sim.cli.common import SeedOption, errors_for_people, names
+from sim.cli.options import with_options
+
+SHAPES = f"{PRIMITIVES},mug,lbracket,torus,hammer,superquadric"
 
 
 @errors_for_people()
+@with_options
 def forces(
     n: Annotated[int, typer.Option("-n", "--number", min=1, help="Programmes.")] = 1000,
     seed: SeedOption = 0,
-    workers: WorkersOption = 1,
-    output: OutOption = None,
-    as_json: JsonOption = False,
+    *,
+    result: ResultOptions,
 ) -> None:
     """Check random force programmes: pyramids and cones, proofs, every solver (needs clarabel)."""
     from sim.bench.forces import force_tables, run_forces
 
-    with measuring(output, workers) as runner:
-        result = run_forces(n, seed=seed, runner=runner)
-    give(result, output, as_json, lambda console: console.print(*force_tables(result)))
+    with result.measuring() as runner:
+        measured = run_forces(n, seed=seed, runner=runner)
+    result.give(measured, force_tables)
 
 
 @errors_for_people()
+@with_options
 def control(
-    hands: Annotated[list[str] | None, typer.Argument(help="Hands.", metavar="[HAND]...")] = None,
-    objects: ObjectsOption = f"{PRIMITIVES},mug,lbracket,torus,hammer,superquadric",
+    hands: BothHandsArgument = None,
+    objects: ObjectsOption = SHAPES,
     n: Annotated[
         int | None, typer.Option("-n", "--number", min=1, help="Grasps of every part.")
     ] = None,
@@ -46,10 +49,9 @@ def control(
         str, typer.Option(help="Comma separated: fc, push, drift, slip, robust, rate, promise.")
     ] = "fc,push,drift,slip,robust,rate,promise",
     seed: SeedOption = 0,
-    workers: WorkersOption = 1,
     samples: SamplesOption = Path("control.jsonl"),
-    output: OutOption = None,
-    as_json: JsonOption = False,
+    *,
+    result: ResultOptions,
 ) -> None:
     """Measure control: what grasps bear in either loop, how they drift, slips that are noticed.
 
@@ -59,14 +61,45 @@ def control(
     from sim.bench.control import control_tables, grasps_of, run_control
     from sim.bench.objects import bench_objects
 
-    check_folder(samples)
-    with measuring(output, workers) as runner:
-        result = run_control(
-            hands or ["shadow_hand", "allegro_hand"],
+    with result.measuring(samples) as runner:
+        measured = run_control(
+            hands or BOTH_HANDS,
             bench_objects(names(objects)),
             grasps_of(names(parts), n),
             seed=seed,
             file=samples,
             runner=runner,
         )
-    give(result, output, as_json, lambda console: console.print(*control_tables(result)))
+    result.give(measured, control_tables)
+
+
+@errors_for_people()
+@with_options
+def physics(
+    hands: BothHandsArgument = None,
+    objects: ObjectsOption = f"{SHAPES},knot",
+    parts: Annotated[
+        str, typer.Option(help="Comma separated: holds, closed, remedies, creep.")
+    ] = "holds,closed,remedies,creep",
+    samples: SamplesOption = Path("physics.jsonl"),
+    *,
+    result: ResultOptions,
+) -> None:
+    """Measure physics: which default grasps hold under which preset, and how fast they creep.
+
+    Both right hands of the project unless others are named. holds and closed: every preset, in the
+    open and the closed loop. remedies: MuJoCo's defaults with one change each. creep: speed of the
+    held object while one number changes, beside the formula of sim.creep.
+    """
+    from sim.bench.objects import bench_objects
+    from sim.bench.physics import physics_tables, run_physics
+
+    with result.measuring(samples) as runner:
+        measured = run_physics(
+            hands or BOTH_HANDS,
+            bench_objects(names(objects)),
+            names(parts),
+            file=samples,
+            runner=runner,
+        )
+    result.give(measured, physics_tables)

@@ -8,11 +8,13 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from sim.cli.bench.common import OutOption, WorkersOption, give, measuring
-from sim.cli.common import JsonOption, err, errors_for_people, names, out, say
+from sim.cli.bench.common import ResultOptions
+from sim.cli.common import err, errors_for_people, names, out, say
+from sim.cli.options import with_options
 
 
 @errors_for_people()
+@with_options
 def dexgraspbench(
     batches: Annotated[
         list[Path] | None,
@@ -34,9 +36,8 @@ def dexgraspbench(
     compare: Annotated[
         bool, typer.Option(help="Also judge every grasp by our own --protocol fc.")
     ] = True,
-    workers: WorkersOption = 1,
-    output: OutOption = None,
-    as_json: JsonOption = False,
+    *,
+    result: ResultOptions,
 ) -> None:
     """Have DexGraspBench itself, in its pinned versions, evaluate batches of grasps."""
     from planner.errors import NotFoundError
@@ -52,7 +53,7 @@ def dexgraspbench(
     for name in chosen:
         if name not in SETTINGS:
             raise NotFoundError("setting of DexGraspBench", name, SETTINGS)
-    with measuring(output, workers) as runner:
+    with result.measuring() as runner:
         installed = install(home, benchmark, meshes)
         if not batches:
             for hand in HANDS:
@@ -62,10 +63,10 @@ def dexgraspbench(
                 lacking = ", ".join(installed.lacking)
                 say(out, escape(f"without meshes: {lacking}; give --meshes to plan with them"))
             return
-        result = run_dexgraspbench(
+        measured = run_dexgraspbench(
             installed, batches, home, settings=chosen, compare=compare, runner=runner
         )
-    for name, export in result["exports"].items():
+    for name, export in measured["exports"].items():
         for reason, count in export["left_out"].items():
             say(err, escape(f"{name}: {count} grasps left out: {reason}"))
-    give(result, output, as_json, lambda console: console.print(dexgraspbench_table(result)))
+    result.give(measured, dexgraspbench_table)

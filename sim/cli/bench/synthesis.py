@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -11,10 +12,7 @@ from sim.cli.bench.common import (
     HandsArgument,
     NumberOption,
     ObjectsOption,
-    OutOption,
-    WorkersOption,
-    give,
-    measuring,
+    ResultOptions,
 )
 from sim.cli.common import (
     AttemptsOption,
@@ -26,9 +24,11 @@ from sim.cli.common import (
     errors_for_people,
     names,
 )
+from sim.cli.options import with_options
 
 
 @errors_for_people()
+@with_options
 def synthesis(
     hands: HandsArgument,
     objects: ObjectsOption = PRIMITIVES,
@@ -42,18 +42,17 @@ def synthesis(
     ] = 0.0,
     rounds: RoundsOption = None,
     max_attempts: AttemptsOption = 100,
-    workers: WorkersOption = 1,
     baseline: Annotated[
         bool, typer.Option("--baseline", help="Compare with FRoGGeR's figures.")
     ] = False,
-    output: OutOption = None,
-    as_json: JsonOption = False,
+    *,
+    result: ResultOptions,
 ) -> None:
     """Measure planning: found per CPU second, CPU by stage, epsilon, diversity."""
     from sim.bench.objects import bench_objects
     from sim.bench.requests import Setting
     from sim.bench.synthesis import run_synthesis
-    from sim.bench.tables import print_synthesis
+    from sim.bench.synthesis_tables import synthesis_tables
 
     setting = Setting(
         mu=mu,
@@ -64,14 +63,15 @@ def synthesis(
         max_attempts=max_attempts,
         seed=seed,
     )
-    with measuring(output, workers) as runner:
-        result = run_synthesis(
+    with result.measuring() as runner:
+        measured = run_synthesis(
             hands, bench_objects(names(objects)), n, setting, runner=runner, baseline=baseline
         )
-    give(result, output, as_json, lambda console: print_synthesis(result, console))
+    result.give(measured, synthesis_tables)
 
 
 @errors_for_people()
+@with_options
 def objectives(
     hands: HandsArgument,
     objects: ObjectsOption = "cylinder,box,mug",
@@ -85,9 +85,8 @@ def objectives(
     ] = "all",
     seed: SeedOption = 0,
     max_attempts: AttemptsOption = 50,
-    workers: WorkersOption = 1,
-    output: OutOption = None,
-    as_json: JsonOption = False,
+    *,
+    result: ResultOptions,
 ) -> None:
     """Measure what each objective of synthesis brings, and what it costs."""
     from planner.synthesis import OBJECTIVES
@@ -97,8 +96,8 @@ def objectives(
 
     every = [NO_OBJECTIVE, *OBJECTIVES]
     asked = every if objectives == "all" else names(objectives)
-    with measuring(output, workers) as runner:
-        result = run_objectives(
+    with result.measuring() as runner:
+        measured = run_objectives(
             hands,
             bench_objects(names(objects)),
             n,
@@ -107,7 +106,7 @@ def objectives(
             max_attempts=max_attempts,
             runner=runner,
         )
-    give(result, output, as_json, lambda console: console.print(*objective_tables(result)))
+    result.give(measured, objective_tables)
 
 
 @errors_for_people()
@@ -118,12 +117,13 @@ def scaling(
     ] = "grasps,workers,contacts,triangles",
     n: Annotated[int, typer.Option("-n", "--number", min=1, help="Requests per point.")] = 20,
     most_grasps: Annotated[int, typer.Option(min=2, help="Where the curve of grasps ends.")] = 1000,
-    output: OutOption = None,
+    output: Annotated[Path | None, typer.Option("--out", help="Write JSON here.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Measure how cost grows: with grasps, workers, contacts and triangles."""
     from sim.bench.scaling import run_scaling, scaling_tables
 
-    with measuring(output, workers=1) as runner:
-        result = run_scaling(hand, names(curves), n, most_grasps=most_grasps, runner=runner)
-    give(result, output, as_json, lambda console: console.print(*scaling_tables(result)))
+    result = ResultOptions(output=output, as_json=as_json)  # in this process
+    with result.measuring() as runner:
+        measured = run_scaling(hand, names(curves), n, most_grasps=most_grasps, runner=runner)
+    result.give(measured, scaling_tables)

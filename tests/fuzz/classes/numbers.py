@@ -26,7 +26,7 @@ OPTIONS: tuple[tuple[list[str], tuple[str, ...]], ...] = (
     (["certify", "plan.json", "--max-points", "3"], ("--edges", "--width", "--samples", "--seed")),
     (["simulate", "plan.json"], ("--mu", "--controller")),
     (TEST, ("--workers", "--seed", "--only", "--protocol", "--out")),
-    (MOTION, ("--axis", "--shift", "--tube", "--mu", "--mass", "--seed", "--best-of")),
+    (MOTION, ("--axis", "--shift", "--path-tolerance", "--mu", "--mass", "--seed", "--best-of")),
     (GAIT, ("--axis", "--shift", "--mu", "--mass", "--seed")),
     (["crosscheck", "allegro_hand", "--no-own-reader", "--configurations", "1"],
      ("--kinematics", "--dynamics", "--distance", "--seed", "--timeout", "--normal")),

@@ -1,0 +1,244 @@
+"""Fingers move on, one at a time, while the others hold the object: where, in what order, and how.
+
+Where fingers land is where the stroke begins, recomputed on the true geometry with the object where
+it stands at the end. For every lift of the order: the contacts that hold close with a margin, and
+bear the object's weight within the torque limits with no force on the finger that leaves; so do all
+contacts once it has landed; and coal finds its way free.
+
+``plan_back`` is for a turn that does not go on, wherever on its way the object is now: the fingers
+go back to where the motion began, the object held still, and the motion is made again from its
+beginning. ``plan_others`` is for a lift that is refused while fingers move on: those that are left
+do it in another order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from planner.collision.pad_contact import pad_touches
+from planner.contacts import ContactSet
+from planner.failure import Failure
+from planner.motion.gait.order import NoOrder, Order, find_order, holding, standing
+from planner.motion.gait.plan import Relocation
+from planner.motion.gait.relocate import FingerPaths
+from planner.motion.plan import MotionPlan
+from planner.spatial import FloatArray
+from planner.task import GraspTask
+from planner.tolerances import SWING_VERDICT_SHARE, TOUCH_TOL
+from planner.verification.geometry import contacts_of
+from planner.verification.grasp import plan_forces
+
+__all__ = ["RegraspPlanner", "cut_motion", "plan_back", "plan_others"]
+
+HOLDING_GRIP = 0.5
+"""Least normal force (N) of those that hold while a finger is away, where the task's grip cannot be
+had: a finger between two others presses the object out of them, so it is to press lightly."""
+
+HOLDING_EDGES = 16
+"""Sides of the pyramid of those forces, for the same reason: it gives away 2 % of the friction."""
+
+
+class RegraspPlanner:
+    """Plans how the fingers move on after strokes of one task; its geometry is made once.
+
+    Attributes:
+        lifted: The task without table and obstacles.
+        without: The same without each of its fingers.
+        paths: Ways of single fingers.
+    """
+
+    def __init__(self, task: GraspTask) -> None:
+        """Prepare the geometry."""
+        self.lifted = replace(task, table_height=None, obstacles=())
+        self.paths = FingerPaths(self.lifted)
+        self.without = [
+            self.lifted.with_fingers([name for name in task.finger_names if name != away])
+            for away in task.finger_names
+        ]
+
+    def relocations(
+        self,
+        stroke: MotionPlan,
+        *,
+        moved: frozenset[int] = frozenset(),
+        refused: frozenset[int] = frozenset(),
+    ) -> tuple[Relocation, ...] | NoOrder | Failure:
+        """What moves on after a stroke, in an order that holds; or why there is none.
+
+        Args:
+            stroke: The stroke.
+            moved: Numbers of the fingers that have moved on already.
+            refused: Numbers of those that cannot be the next, as was found out where it is done.
+
+        Returns:
+            The relocations; or what stands against every order; or, where the object does not look
+            the same after the stroke, that it does not.
+        """
+        end = _End(self, stroke)
+        if end.failure is not None:
+            return end.failure
+
+        def refuse(finger: int, before: frozenset[int]) -> Failure | None:
+            if before == moved and finger in refused:
+                text = "it could not be lifted when it was tried"
+                return Failure(kind="refused_before", text=text)
+            return end.refuse(finger, before)
+
+        found = find_order(end.begin, end.end, stroke.path.axis, refuse=refuse, moved=moved)
+        return end.build(found, moved) if isinstance(found, Order) else found
+
+
+def cut_motion(motion: MotionPlan, place: float) -> MotionPlan:
+    """The part of a motion up to the knot that is nearest to a place, at least to the second.
+
+    Args:
+        motion: The whole.
+        place: Where on its path, 0 to 1.
+    """
+    places = np.array([knot.place for knot in motion.knots])
+    last = max(1, int(np.abs(places - place).argmin()))
+    return replace(
+        motion, knots=motion.knots[: last + 1], path=motion.path.cut(float(places[last]))
+    )
+
+
+def plan_back(motion: MotionPlan, place: float) -> tuple[Relocation, ...] | Failure:
+    """Relocations of all fingers from a place of a motion to its beginning; or why there are none.
+
+    Args:
+        motion: The motion.
+        place: Where on its path it is now, 0 to 1; the nearest knot stands for it.
+    """
+    task = motion.grasp.task
+    if len(task.fingers) - 1 < task.fingers_needed:
+        n = len(task.fingers)
+        text = f"{n} fingers are too few to lift one of them"
+        return Failure(kind="too_few_fingers", text=text, numbers={"fingers": n})
+    found = RegraspPlanner(task).relocations(cut_motion(motion, place))
+    return found.failure if isinstance(found, NoOrder) else found
+
+
+def plan_others(
+    stroke: MotionPlan, moved: Collection[str], refused: Collection[str]
+) -> tuple[Relocation, ...] | Failure:
+    """Relocations of the fingers that are left after a stroke, others first; or why there are none.
+
+    Args:
+        stroke: The stroke.
+        moved: Names of the fingers that have moved on already.
+        refused: Names of those that cannot be lifted next.
+    """
+    task = stroke.grasp.task
+    numbers = [frozenset(map(task.finger_names.index, names)) for names in (moved, refused)]
+    found = RegraspPlanner(task).relocations(stroke, moved=numbers[0], refused=numbers[1])
+    return found.failure if isinstance(found, NoOrder) else found
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Move:
+    """A lift that holds: its way, and the forces while the finger is away and after."""
+
+    postures: FloatArray
+    grip: float
+    during: ContactSet
+    after: ContactSet
+
+
+class _End:
+    """Hand and object where a stroke has ended."""
+
+    def __init__(self, planner: RegraspPlanner, stroke: MotionPlan) -> None:
+        """Compute the contacts where fingers stand and where they will land."""
+        self._planner, self._stroke = planner, stroke
+        first, last = stroke.knots[0], stroke.knots[-1]
+        self.T_world_object = last.T_world_object
+        self._base = self.T_world_object.inverse() * stroke.T_world_base
+        task = planner.lifted
+        touches = pad_touches(task, task.T_world_object * self._base, first.q)
+        gaps = np.array([touch.pad_gap for touch in touches])
+        worst = int(np.abs(gaps).argmax())
+        self.failure: Failure | None = None
+        if abs(gaps[worst]) > TOUCH_TOL:
+            self.failure = Failure(
+                kind="object_not_alike",
+                text="the object does not look the same to the hand after a stroke: "
+                f"{stroke.path} put the surface {1e3 * gaps[worst]:.1f} mm from where "
+                f"{task.finger_names[worst]} would land",
+                numbers={"gap": float(gaps[worst])},
+            )
+        self.begin = contacts_of(task, touches).transformed(
+            self.T_world_object * task.T_world_object.inverse()
+        )
+        self.end = last.contacts
+        self._moves: dict[tuple[int, frozenset[int]], _Move] = {}
+
+    def posture(self, moved: frozenset[int]) -> FloatArray:
+        """Joints (nq,) after some fingers have moved on; idle ones go along with the first."""
+        first, last = self._stroke.knots[0].q, self._stroke.knots[-1].q
+        q = (first if moved else last).copy()
+        for i, finger in enumerate(self._planner.lifted.fingers):
+            q[finger.q_index] = (first if i in moved else last)[finger.q_index]
+        return q
+
+    def refuse(self, finger: int, moved: frozenset[int]) -> Failure | None:
+        """Why a finger cannot be lifted although the others close, None if it can."""
+        planner, base = self._planner, self._stroke.T_world_base
+        task = planner.lifted
+        name = task.finger_names[finger]
+        q, landed = self.posture(moved), self.posture(moved | {finger})
+        rest = holding(self.begin, self.end, moved, finger)
+        for grip in (task.grip_force, min(HOLDING_GRIP, task.grip_force)):
+            during = plan_forces(
+                planner.without[finger],
+                rest,
+                base,
+                q,
+                min_normal=grip,
+                friction_scale=SWING_VERDICT_SHARE,
+                edges=HOLDING_EDGES,
+            )
+            if during.found:
+                break
+        if not during.found:
+            return Failure(
+                kind="no_forces_while_lifted",
+                text=f"the others cannot bear the load: {during.reason}",
+            )
+        after = plan_forces(task, standing(self.begin, self.end, moved | {finger}), base, landed)
+        if not after.found:
+            return Failure(
+                kind="no_forces_after_landing",
+                text=f"with {name} landed there are no forces: {after.reason}",
+            )
+        postures = planner.paths.path(task.hand.fingers[name], self._base, q, landed)
+        if isinstance(postures, Failure):
+            return postures
+        self._moves[finger, moved] = _Move(
+            postures=postures, grip=grip, during=during.contacts, after=after.contacts
+        )
+        return None
+
+    def build(self, order: Order, moved: frozenset[int]) -> tuple[Relocation, ...]:
+        """The relocations of an order, after some, whose lifts have all been agreed to."""
+        out: list[Relocation] = []
+        before = standing(self.begin, self.end, moved) if moved else self.end
+        for lift in order.lifts:
+            move = self._moves[lift.finger, lift.moved]
+            out.append(
+                Relocation(
+                    cycle=0,
+                    finger=self._planner.lifted.finger_names[lift.finger],
+                    T_world_object=self.T_world_object,
+                    postures=move.postures,
+                    before=before,
+                    during=move.during,
+                    after=move.after,
+                    margin=lift.margin,
+                    grip=move.grip,
+                )
+            )
+            before = move.after
+        return tuple(out)

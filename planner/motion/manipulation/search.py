@@ -1,0 +1,189 @@
+"""``plan_manipulation``: one stroke or several; ``plan_regrasping``: several with regrasps between.
+
+A turn by several strokes is a ``planner.motion.gait.GaitPlan``: strokes of one motion, between
+which the fingers move on one at a time. Way in and ending are those of any ``ManipulationPlan``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from planner.errors import NoGraspFoundError, PlannerError, TaskError
+from planner.failure import Failure
+from planner.motion.gait import plan_gait
+from planner.motion.manipulation.ending import Rests, planned_ending, stands
+from planner.motion.manipulation.fallbacks import LEAST_OVERSHOOT
+from planner.motion.manipulation.plan import ManipulationPlan, torque_reserve
+from planner.motion.manipulation.single_stroke import MAX_ATTEMPTS, plan_single_stroke
+from planner.motion.path import LARGEST_TURN, tilts
+from planner.spatial import FloatArray
+from planner.task import GraspTask
+
+__all__ = ["ONE_STROKE", "plan_manipulation", "plan_regrasping"]
+
+ONE_STROKE = math.radians(150.0)
+"""Turn (rad) about the vertical beyond which regrasps are planned first: one stroke was found to
+turn by 144 degrees at most. A cylinder of 60 mm in the Allegro-type hand, 180 degrees: 50 attempts
+at one stroke find nothing in 10 s of CPU, and the first gait that is tried holds."""
+
+GAITS = 4
+"""Gaits tried until one is found out of whose end the hand gets."""
+
+SEEDS_APART = 1000
+"""Their seeds lie so far apart: nobody's next seed gives a gait that was tried already."""
+
+
+def plan_regrasping(
+    task: GraspTask,
+    *,
+    axis: Sequence[float] | FloatArray = (0.0, 0.0, 1.0),
+    angle: float,
+    place: tuple[float, float] | None = None,
+    seed: int = 0,
+    max_attempts: int = MAX_ATTEMPTS,
+    rests: Rests | None = None,
+) -> ManipulationPlan:
+    """Plan a turn by strokes and regrasps, with the way to the object and the way from it.
+
+    Args:
+        task: What stands where, on a table, and the hand; all its fingers take part where the task
+            leaves the choice.
+        axis: Axis of the turn (3,), world; the object must look the same all around it.
+        angle: Turn in the hand, rad, with its sign, of any size.
+        place: Where the object is to stand, x and y in m, world; where it was if None.
+        seed: Same seed, same plan.
+        max_attempts: Budget in attempts, of each gait.
+        rests: As for ``plan_manipulation``.
+
+    Raises:
+        NoGraspFoundError: The budget ended.
+        TaskError: No table, or what ``plan_gait`` refuses.
+    """
+    if task.table_height is None:
+        raise TaskError("there is no table to pick from and to place on; give table_height")
+    why = ""
+    attempts, cpu_s = 0, 0.0
+    for again in range(GAITS):
+        gait = plan_gait(
+            task,
+            axis=axis,
+            angle=math.copysign(abs(angle) + LEAST_OVERSHOOT, angle),
+            seed=seed + again * SEEDS_APART,
+            max_attempts=max_attempts,
+        )
+        attempts, cpu_s = attempts + gait.record.attempts, cpu_s + gait.record.cpu_s
+        ending = planned_ending(gait.motion, angle, place, rests=rests)
+        if isinstance(ending, Failure) or ending.back:
+            why = ending.text if isinstance(ending, Failure) else ending.back
+            continue
+        return ManipulationPlan(
+            motion=gait.motion,
+            angle=angle,
+            ending=ending,
+            reserve=torque_reserve(gait.motion),
+            attempts=attempts,
+            cpu_s=cpu_s,
+            gait=gait,
+        )
+    raise NoGraspFoundError(
+        f"{GAITS} gaits of {task.object.name} with {task.hand.name} end where the object cannot be "
+        f"put down: {why}. Try another seed, a higher object or other fingers",
+        (),
+    )
+
+
+def plan_manipulation(
+    task: GraspTask,
+    *,
+    axis: Sequence[float] | FloatArray = (0.0, 0.0, 1.0),
+    angle: float,
+    shift: Sequence[float] | FloatArray = (0.0, 0.0, 0.0),
+    place: tuple[float, float] | None = None,
+    seed: int = 0,
+    max_attempts: int = MAX_ATTEMPTS,
+    regrasp: bool = False,
+    rests: Rests | None = None,
+) -> ManipulationPlan:
+    """Pick an object from a table, turn or move it in the hand, put it down: planned whole.
+
+    In one stroke if there is one, else with regrasps; beyond ``ONE_STROKE`` these come first.
+
+    Args:
+        task: What stands where, on a table, and the hand, as from ``manipulation_task``. Where it
+            may spare fingers, plans are tried with one less too; the plan's task has the chosen.
+        axis: Axis of the turn (3,), world.
+        angle: Turn in the hand, rad, with its sign, of any size.
+        shift: Translation in the hand (3,), m, world, evenly along the turn; with one there are no
+            regrasps.
+        place: Where the object is to stand, x and y in m, world; where it was if None.
+        seed: Same seed, same plan.
+        max_attempts: Budget in attempts.
+        regrasp: Whether to plan regrasps without looking for one stroke.
+        rests: Tells whether an object stays where a task has it, as ``sim.manipulation.rests``;
+            None takes geometry alone, by which fewer objects stand turned on a stand.
+
+    Raises:
+        NoGraspFoundError: The budget ended; it tells the reasons of strokes and of regrasps.
+        TaskError: No table; no turn and no translation; or a translation with regrasps.
+    """
+    moved = bool(np.any(shift))
+    if moved and (regrasp or abs(angle) > LARGEST_TURN):
+        raise TaskError(
+            "a translation in the hand is made in one stroke, without regrasps; leave the "
+            "translation or the regrasps out, and turn by half a turn at most"
+        )
+    direction = np.asarray(axis, dtype=np.float64)
+
+    def stroke() -> ManipulationPlan:
+        return plan_single_stroke(
+            task,
+            axis=axis,
+            angle=angle,
+            shift=shift,
+            place=place,
+            seed=seed,
+            max_attempts=max_attempts,
+            rests=rests,
+        )
+
+    def strokes() -> ManipulationPlan:
+        return plan_regrasping(
+            task,
+            axis=axis,
+            angle=angle,
+            place=place,
+            seed=seed,
+            max_attempts=max_attempts,
+            rests=rests,
+        )
+
+    if regrasp or abs(angle) > LARGEST_TURN:
+        return strokes()
+    if abs(angle) > ONE_STROKE and not moved and not tilts(direction):
+        try:
+            return strokes()
+        except PlannerError as error:
+            no_regrasps = error
+        try:
+            return stroke()
+        except NoGraspFoundError as error:
+            raise _neither(error, no_regrasps) from no_regrasps
+    try:
+        return stroke()
+    except NoGraspFoundError as error:
+        no_stroke = error
+    unit = direction / np.linalg.norm(direction)
+    if moved or not stands(task, unit, angle, rests=rests):
+        raise no_stroke
+    try:
+        return strokes()
+    except PlannerError as error:
+        raise _neither(no_stroke, error) from error
+
+
+def _neither(one_stroke: NoGraspFoundError, regrasps: PlannerError) -> NoGraspFoundError:
+    """The error of a turn that neither one stroke nor regrasps make."""
+    return NoGraspFoundError(f"{one_stroke}. With regrasps: {regrasps}", one_stroke.attempts)

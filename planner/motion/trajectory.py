@@ -1,0 +1,131 @@
+"""``TrajectoryBuilder``: joint positions and base poses over time, for a real hand.
+
+Joints go along given postures by a monotone cubic (PCHIP), which stays between neighbouring
+postures: within joint limits if these are. Time runs along it by the minimum-jerk profile, slowly
+enough for a largest joint rate, and for a least duration.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from planner.errors import TaskError
+from planner.paths import smooth
+from planner.plan import GraspPlan, JointTrajectory
+from planner.spatial import SE3, FloatArray
+
+__all__ = ["JOINT_RATE", "TURN_RATE", "TrajectoryBuilder"]
+
+JOINT_RATE = 4.0
+"""Default largest rate of a joint, rad/s (m/s for slides)."""
+
+TURN_RATE = 1.1
+"""Default largest rate of the object's turn, rad/s, as ``sim.controllers.follow.RATE``."""
+
+PEAK = 1.875
+"""Largest rate of the minimum-jerk profile over its mean rate (-)."""
+
+LOOKS = 400
+"""Places at which the rates of joints along their postures are looked at."""
+
+
+class TrajectoryBuilder:
+    """Pieces of a trajectory, one after the other, from the grasp on."""
+
+    def __init__(
+        self,
+        grasp: GraspPlan,
+        *,
+        approach_s: float = 1.5,
+        close_s: float = 1.0,
+        joint_rate: float = JOINT_RATE,
+        turn_rate: float = TURN_RATE,
+        rate_hz: float = 50.0,
+    ) -> None:
+        """Begin with the approach and the closing of a grasp.
+
+        Args:
+            grasp: The grasp.
+            approach_s: Duration of the straight approach, s.
+            close_s: Duration of closing from the pre-grasp to the grasp, s.
+            joint_rate: Largest rate of any joint after the closing, rad/s or m/s.
+            turn_rate: Largest rate of the object's turn, rad/s.
+            rate_hz: Samples per second.
+
+        Raises:
+            TaskError: A duration or a rate that is not positive.
+        """
+        for name, value in (
+            ("approach_s", approach_s),
+            ("close_s", close_s),
+            ("joint_rate", joint_rate),
+            ("turn_rate", turn_rate),
+            ("rate_hz", rate_hz),
+        ):
+            if not (np.isfinite(value) and value > 0):
+                raise TaskError(f"{name} of a trajectory is {value}; give a finite number > 0")
+        self._joint_rate, self._turn_rate, self._rate_hz = joint_rate, turn_rate, rate_hz
+        first = grasp.joint_trajectory(approach_s=approach_s, close_s=close_s, rate_hz=rate_hz)
+        self._names = first.joint_names
+        self._times, self._positions = [first.times], [first.positions]
+        self._phases, self._bases = list(first.phases), list(first.T_world_base)
+
+    def turn(
+        self, phase: str, postures: FloatArray, places: FloatArray, angle: float = 0.0
+    ) -> None:
+        """Joints go along postures, the base stays.
+
+        Args:
+            phase: Name of the piece.
+            postures: Joints (m, nq), the first where the trajectory is now; two at least.
+            places: (m,), where on the way each of them is, increasing.
+            angle: By how much the object turns meanwhile, rad.
+        """
+        way = PchipInterpolator(places, postures)
+        at = np.linspace(places[0], places[-1], LOOKS)
+        steps = np.abs(np.diff(way(at), axis=0)).max() * (LOOKS - 1)
+        duration = PEAK * max(float(steps) / self._joint_rate, abs(angle) / self._turn_rate)
+        share = self._shares(duration)
+        here = way(places[0] + share * (places[-1] - places[0]))
+        self._add(phase, duration, here, [self._bases[-1]] * len(share))
+
+    def move_base(self, phase: str, T_world_base: SE3, duration: float) -> None:
+        """The base goes straight to a pose, joints stay.
+
+        Args:
+            phase: Name of the piece.
+            T_world_base: Where it is to be.
+            duration: s.
+        """
+        share, begin = self._shares(duration), self._bases[-1]
+        bases = [_between(begin, T_world_base, s) for s in share.tolist()]
+        self._add(phase, duration, np.tile(self._positions[-1][-1], (len(share), 1)), bases)
+
+    def built(self) -> JointTrajectory:
+        """All pieces so far as one trajectory."""
+        return JointTrajectory(
+            joint_names=self._names,
+            times=np.concatenate(self._times),
+            positions=np.vstack(self._positions),
+            phases=tuple(self._phases),
+            T_world_base=tuple(self._bases),
+        )
+
+    def _shares(self, duration: float) -> FloatArray:
+        """Shares (k,) of a piece that have passed at its samples, without its beginning."""
+        n = max(1, int(np.ceil(duration * self._rate_hz)))
+        return smooth(np.linspace(0.0, 1.0, n + 1)[1:])
+
+    def _add(self, phase: str, duration: float, q: FloatArray, bases: list[SE3]) -> None:
+        end = float(self._times[-1][-1])
+        self._times.append(end + duration * np.linspace(0.0, 1.0, len(q) + 1)[1:])
+        self._positions.append(np.asarray(q))
+        self._phases += [phase] * len(q)
+        self._bases += bases
+
+
+def _between(begin: SE3, end: SE3, share: float) -> SE3:
+    """A pose between two, the origin on a straight line."""
+    turned = SE3.Interpolate(begin, end, share).rotation
+    return SE3(turned, begin.translation + share * (end.translation - begin.translation))

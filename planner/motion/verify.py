@@ -1,0 +1,322 @@
+"""The verdict on a motion: every knot by the true geometry, Pinocchio and coal, like a grasp.
+
+The solver's knots are up to 30 degrees apart. Between them the object goes on along its path,
+and the pads over its surface (``planner.motion.interpolation``); these places count as knots too.
+The first is verified as a grasp on the table with its way in, all by the same checks: contact,
+penetration, couplings and limits, force closure with a margin, and forces that bear the weight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from planner.collision.pad_contact import PadTouch, pad_touches, touching_of
+from planner.collision.world import Clearance, CollisionWorld
+from planner.failure import Failure
+from planner.motion.interpolation import interpolate_rolling
+from planner.motion.path import ObjectPath
+from planner.motion.plan import Knot
+from planner.motion.rolling import slips
+from planner.motion.solve import MotionCandidate
+from planner.plan import GraspPlan, SolveRecord
+from planner.quality import ClosureResult, force_closure
+from planner.spatial import SE3, FloatArray, rotation_angle
+from planner.synthesis.unknowns import Unknowns
+from planner.task import GraspTask
+from planner.tolerances import CLOSURE_EDGES, CLOSURE_MARGIN
+from planner.verification.geometry import contacts_of, verify_geometry
+from planner.verification.grasp import no_closure, no_forces, plan_forces, verify_grasp
+from planner.verification.projection import project_onto_surface
+
+__all__ = ["MotionVerifier", "Place"]
+
+SUBKNOTS = 3
+"""Knots of a plan for every one of the solver: 10 degrees apart where those are 30."""
+
+SLIP_TOL = 5e-4
+"""How far (m) a pad may slide from knot to knot, as far as a pad may be off the
+surface: the compliance of a grip takes it up."""
+
+BETWEEN_TOL = 1e-3
+"""Largest pad gap (m) half-way between knots, if joints move evenly: twice what counts as touching,
+since a controller closes it."""
+
+BETWEEN_PENETRATION = 1e-4
+"""Depth (m) from which penetration counts there, where pads are off by as much."""
+
+TURN_TOL = 1e-3
+"""How far (rad) the object may be turned off its path: it is turned as asked, exactly."""
+
+PATH_SLACK = 2e-4
+"""How far (m) a knot may be beyond the path tolerance: the solver's accuracy."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """A knot before it is verified.
+
+    Attributes:
+        place: Where on the path, 0 to 1.
+        T_object_base: The base as the object sees it.
+        q: Joints (nq,).
+    """
+
+    place: float
+    T_object_base: SE3
+    q: FloatArray
+
+
+class MotionVerifier:
+    """Verifies motions of one task; its geometry is made once."""
+
+    def __init__(self, task: GraspTask) -> None:
+        """Prepare the geometry: as the task has it, and of hand and object alone."""
+        self._task = task
+        self._world = CollisionWorld(task)
+        self._lifted = replace(task, table_height=None, obstacles=())
+        self._free = CollisionWorld(self._lifted)
+
+    def verify(
+        self,
+        candidate: MotionCandidate,
+        path: ObjectPath,
+        path_tolerance: float,
+        record: SolveRecord,
+    ) -> tuple[GraspPlan, tuple[Knot, ...]] | Failure:
+        """The grasp and the knots of a motion if all holds; else why not.
+
+        Args:
+            candidate: From the solver.
+            path: The path that it covers.
+            path_tolerance: How far the object may be off its path, m.
+            record: Where the candidate comes from.
+        """
+        places = [self._projected(place) for place in self._places(candidate)]
+        T_world_base = self._task.T_world_object * places[0].T_object_base
+        grasp = verify_grasp(
+            self._task, T_world_base, places[0].q, record=record, world=self._world
+        )
+        if isinstance(grasp, Failure):
+            return grasp.at("start")
+        knots = self.verify_knots(T_world_base, places, path, path_tolerance)
+        return knots if isinstance(knots, Failure) else (grasp, knots)
+
+    def verify_knots(
+        self,
+        T_world_base: SE3,
+        places: Sequence[Place],
+        path: ObjectPath,
+        path_tolerance: float,
+        *,
+        T_world_start: SE3 | None = None,
+    ) -> tuple[Knot, ...] | Failure:
+        """The knots of a motion if all of them hold; else why not.
+
+        Args:
+            T_world_base: Pose of the base.
+            places: Where the object is, and the joints; from 0 to 1 in order.
+            path: The path that they cover.
+            path_tolerance: How far the object may be off its path, m.
+            T_world_start: Pose of the object where the path begins; where the task has it if None.
+        """
+        start = self._task.T_world_object if T_world_start is None else T_world_start
+        out: list[Knot] = []
+        before: tuple[Place, list[PadTouch]] | None = None
+        for place in places:
+            touches = pad_touches(self._lifted, self._base(place), place.q)
+            wanted = path.pose(start, place.place)
+            knot = self._knot(place, touches, T_world_base, wanted, path_tolerance, before)
+            if isinstance(knot, Failure):
+                return knot.at(f"at {100 * place.place:.0f} % of the path")
+            out.append(knot)
+            before = place, touches
+        return tuple(out)
+
+    def _places(self, candidate: MotionCandidate) -> list[Place]:
+        """The solver's knots and those between them."""
+        task = self._task
+        u = Unknowns(n_joints=task.hand.nq, n_contacts=len(task.fingers))
+        reference = SE3(candidate.reference, np.zeros(3))
+        poses = [u.pose(x, reference) for x in candidate.grasps]
+        lower, upper = task.hand.q_lower, task.hand.q_upper
+        postures = [np.clip(u.q(x), lower, upper) for x in candidate.grasps]
+        n = SUBKNOTS * (len(poses) - 1)
+        out = [Place(place=0.0, T_object_base=poses[0], q=postures[0])]
+        for k in range(len(poses) - 1):
+            shares = np.linspace(0.0, 1.0, SUBKNOTS + 1)
+            bases = [_between(poses[k], poses[k + 1], share) for share in shares]
+            between = interpolate_rolling(self._lifted, bases, postures[k], postures[k + 1])
+            out += [
+                Place(place=(SUBKNOTS * k + i) / n, T_object_base=bases[i], q=between[i])
+                for i in range(1, SUBKNOTS + 1)
+            ]
+        return out
+
+    def _projected(self, place: Place) -> Place:
+        """The place with the pads on the true surface."""
+        q = project_onto_surface(self._lifted, self._base(place), place.q)
+        return replace(place, q=q)
+
+    def _base(self, place: Place) -> SE3:
+        """Where the base is if the object is held where the task has it: one world for all."""
+        return self._lifted.T_world_object * place.T_object_base
+
+    def _knot(
+        self,
+        place: Place,
+        touches: list[PadTouch],
+        T_world_base: SE3,
+        wanted: SE3,
+        path_tolerance: float,
+        before: tuple[Place, list[PadTouch]] | None,
+    ) -> Knot | Failure:
+        """One knot if it holds, and if the way there from the one before does; else why not."""
+        task = self._lifted
+        verification = verify_geometry(self._free, self._base(place), place.q, touches)
+        if verification.failure is not None:
+            return verification.failure
+        T_world_object = T_world_base * place.T_object_base.inverse()
+        contacts = contacts_of(task, touches).transformed(
+            T_world_object * task.T_world_object.inverse()
+        )
+        closure = force_closure(contacts, edges=CLOSURE_EDGES)
+        unclosed = _verify_closure(closure)
+        if unclosed is not None:
+            return unclosed
+        forces = plan_forces(task, contacts, T_world_base, place.q)
+        if not forces.found:
+            return no_forces(task, forces)
+        off, turned = _off_path(T_world_object, wanted)
+        slid, gap, within = np.zeros(len(touches)), 0.0, None
+        if before is not None:
+            slid = self._slips(before, (place, touches))
+            gap, within = self._between(before[0], place)
+        failure = (
+            _verify_path(off, turned, path_tolerance)
+            or _verify_slips(slid, task.finger_names)
+            or _verify_between(gap, within)
+        )
+        if failure is not None:
+            return failure
+        return Knot(
+            place=place.place,
+            T_world_object=T_world_object,
+            q=place.q,
+            contacts=forces.contacts,
+            forces=forces,
+            closure=closure,
+            verification=verification,
+            off_path=off,
+            slips=slid,
+            between=gap,
+        )
+
+    def _slips(
+        self, before: tuple[Place, list[PadTouch]], after: tuple[Place, list[PadTouch]]
+    ) -> FloatArray:
+        """How far each pad slides from one knot to the next, m."""
+        (old, old_touches), (new, new_touches) = before, after
+        return slips(
+            self._task.hand,
+            self._task.fingers,
+            (old.T_object_base, new.T_object_base),
+            (old.q, new.q),
+            (
+                np.array([t.outward for t in old_touches]),
+                np.array([t.outward for t in new_touches]),
+            ),
+        )
+
+    def _between(self, before: Place, after: Place) -> tuple[float, Clearance | None]:
+        """Half-way between two knots: the largest pad gap, m, and what penetrates, if anything."""
+        pose = _between(before.T_object_base, after.T_object_base, 0.5)
+        middle = Place(place=0.5, T_object_base=pose, q=(before.q + after.q) / 2)
+        base = self._base(middle)
+        touches = pad_touches(self._lifted, base, middle.q)
+        nearest = self._free.closest(base, middle.q, 1, touching=touching_of(self._lifted).names)
+        within = [c for c in nearest if c.distance < -BETWEEN_PENETRATION]
+        return max(abs(t.pad_gap) for t in touches), within[0] if within else None
+
+
+def _verify_closure(closure: ClosureResult) -> Failure | None:
+    """Whether contacts close with a margin."""
+    if not closure.closed:
+        return no_closure(closure)
+    margin = closure.normalised_min_weight
+    if margin < CLOSURE_MARGIN:
+        return Failure(
+            kind="closure_margin",
+            text=f"closure has a margin of {margin:.3f} only (at least {CLOSURE_MARGIN})",
+            numbers={"normalised_min_weight": margin},
+        )
+    return None
+
+
+def _verify_path(off: float, turned: float, path_tolerance: float) -> Failure | None:
+    """Whether the object is where it is wanted, by its distance (m) and its turn (rad) off that."""
+    if off > path_tolerance + PATH_SLACK:
+        return Failure(
+            kind="off_path",
+            text=f"the object is {1e3 * off:.1f} mm off its path "
+            f"(tolerance {1e3 * path_tolerance:.1f})",
+            numbers={"distance": off},
+        )
+    if turned > TURN_TOL:
+        return Failure(
+            kind="turned_off_path",
+            text=f"the object is turned {np.rad2deg(turned):.1f} degrees off its path",
+            numbers={"angle": turned},
+        )
+    return None
+
+
+def _verify_slips(slid: FloatArray, fingers: Sequence[str]) -> Failure | None:
+    """Whether pads roll from knot to knot, by how far each slides (n,), m."""
+    worst = int(slid.argmax())
+    if slid[worst] <= SLIP_TOL:
+        return None
+    return Failure(
+        kind="slip",
+        text=f"{fingers[worst]} slides by {1e3 * slid[worst]:.2f} mm "
+        f"(allowed {1e3 * SLIP_TOL:.1f})",
+        numbers={"slip": float(slid[worst])},
+    )
+
+
+def _verify_between(gap: float, within: Clearance | None) -> Failure | None:
+    """Whether pads (m) and links are where they may be half-way from the knot before."""
+    if gap > BETWEEN_TOL:
+        return Failure(
+            kind="gap_between_knots",
+            text=f"a pad is {1e3 * gap:.2f} mm off the surface half-way from the knot before "
+            f"(allowed {1e3 * BETWEEN_TOL:.1f})",
+            numbers={"gap": gap},
+        )
+    if within is not None:
+        return Failure(
+            kind="penetration_between_knots",
+            text=f"penetration half-way from the knot before, {within}",
+            numbers={"distance": within.distance},
+        )
+    return None
+
+
+def _off_path(T_world_object: SE3, wanted: SE3) -> tuple[float, float]:
+    """How far the object is off its path, m and rad."""
+    off = wanted.inverse() * T_world_object
+    return float(np.linalg.norm(off.translation)), rotation_angle(off.rotation)
+
+
+def _between(a: SE3, b: SE3, share: float) -> SE3:
+    """Base in the object's frame while the object goes from one pose to another.
+
+    Its origin goes on a line, and it turns about one axis.
+    """
+    old, new = a.inverse(), b.inverse()
+    turn = pin.exp3(share * pin.log3(new.rotation @ old.rotation.T)) @ old.rotation
+    shift = old.translation + share * (new.translation - old.translation)
+    return SE3(turn, shift).inverse()

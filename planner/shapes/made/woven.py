@@ -1,0 +1,232 @@
+"""Objects whose triangles are woven from rings: bracket, torus, superquadric and knot.
+
+A ring is a closed row of points; a surface is a stack of rings, wound so that normals point
+outwards when a ring runs counter-clockwise about the direction of the stack. Their sizes are no
+scales of one mesh: the thickness of a bracket, the tube of a torus, the exponents of a
+superquadric change its form.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from numbers import Real
+from typing import ClassVar
+
+import numpy as np
+
+from planner.errors import ObjectError
+from planner.shapes.made.base import Made
+from planner.spatial import FloatArray, IntArray
+
+__all__ = ["Knot", "LBracket", "Superquadric", "Torus"]
+
+TORUS_AROUND, TORUS_ACROSS = 72, 36
+"""Points around the ring and around its tube: the facets deviate by 0.1 mm at the default size."""
+
+SUPERQUADRIC_AROUND, SUPERQUADRIC_ALONG = 96, 48
+"""Points around z and from pole to pole."""
+
+ROUNDEST, SHARPEST = 0.2, 3.0
+"""Range of the exponents: 0.2 is nearly a box; beyond 3 the arms are thinner than a facet."""
+
+KNOT_AROUND, KNOT_ACROSS = 180, 28
+"""Points along the strand and around it."""
+
+THICKEST = 0.2
+"""Largest tube radius of a knot as a fraction of the outer radius: thicker strands touch."""
+
+
+def circle(n: int) -> FloatArray:
+    """Cosines and sines (n, 2) of evenly spaced angles, from 0."""
+    angle = 2 * np.pi * np.arange(n) / n
+    return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def stacked(rings: FloatArray, *, closed: bool = False) -> IntArray:
+    """Triangles (m, 3) that join rings (k, n, 3) one after the other, the last to the first too.
+
+    Args:
+        rings: Their points, m; point j of ring i has the number n i + j.
+        closed: Whether the last ring is joined to the first.
+    """
+    k, n = rings.shape[:2]
+    index = np.arange(k * n).reshape(k, n)
+    a, d = (index, np.roll(index, -1, 0)) if closed else (index[:-1], index[1:])
+    b, c = np.roll(a, -1, 1), np.roll(d, -1, 1)
+    halves = [np.stack(corners, axis=-1).reshape(-1, 3) for corners in ((a, b, c), (a, c, d))]
+    return np.concatenate(halves)
+
+
+@dataclass(frozen=True, eq=False)
+class LBracket(Made):
+    """Two plates at a right angle: one lies along x, the other stands along z; extruded along y.
+
+    Attributes:
+        length: Extent along x, m.
+        height: Extent along z, m.
+        width: Extent along y, m.
+        thickness: Of both plates, m; less than length and height.
+    """
+
+    kind: ClassVar[str] = "lbracket"
+    size_names: ClassVar[tuple[str, ...]] = ("length", "height", "width", "thickness")
+    default_sizes: ClassVar[tuple[float, ...]] = (0.09, 0.08, 0.045, 0.025)
+    length: float = 0.09
+    height: float = 0.08
+    width: float = 0.045
+    thickness: float = 0.025
+
+    def _check(self) -> None:
+        if self.thickness >= 0.98 * min(self.length, self.height):
+            raise ObjectError(
+                f"lbracket: thickness {self.thickness} m leaves no corner in {self.length} x "
+                f"{self.height} m; give a smaller thickness"
+            )
+
+    def _triangles(self) -> tuple[FloatArray, IntArray]:
+        a, h, t = self.length, self.height, self.thickness
+        # counter-clockwise seen against y: about the direction of the stack
+        outline = np.array([[0, 0], [0, h], [t, h], [t, t], [a, t], [a, 0]])
+        ring = np.insert(outline, 1, 0.0, axis=1)
+        rings = np.stack([ring, ring + np.array([0.0, self.width, 0.0])])
+        fan = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]])
+        faces = np.concatenate([stacked(rings), fan + len(ring), fan[:, ::-1]])
+        return rings.reshape(-1, 3), faces
+
+
+@dataclass(frozen=True, eq=False)
+class Torus(Made):
+    """A ring about z.
+
+    Attributes:
+        ring: Radius of the circle in the middle of the tube, m.
+        tube: Radius of the tube, m; less than ``ring``.
+    """
+
+    kind: ClassVar[str] = "torus"
+    size_names: ClassVar[tuple[str, ...]] = ("ring", "tube")
+    default_sizes: ClassVar[tuple[float, ...]] = (0.035, 0.015)
+    ring: float = 0.035
+    tube: float = 0.015
+
+    def _check(self) -> None:
+        if self.tube >= 0.98 * self.ring:
+            raise ObjectError(
+                f"torus: tube {self.tube} m closes the hole of ring {self.ring} m; give a thinner "
+                "tube or a wider ring"
+            )
+
+    def _triangles(self) -> tuple[FloatArray, IntArray]:
+        # rings run around the tube; going around z they are stacked along y at angle 0
+        turn, c = circle(TORUS_AROUND), circle(TORUS_ACROSS)
+        radial = self.ring + self.tube * c[:, 0]
+        rings = np.empty((TORUS_AROUND, TORUS_ACROSS, 3))
+        rings[:, :, :2] = turn[:, None] * radial[None, :, None]
+        rings[:, :, 2] = -self.tube * c[:, 1]
+        return rings.reshape(-1, 3), stacked(rings, closed=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Superquadric(Made):
+    """The solid (|x/a|^(2/e2) + |y/b|^(2/e2))^(e2/e1) + |z/c|^(2/e1) <= 1 (Barr 1981).
+
+    e1 shapes the outline seen from the side, e2 the one seen from above: towards 0 a rectangle, 1
+    an ellipse, 2 a rhombus, above 2 a concave star. It is star-shaped, so that the surface is
+    found along rays.
+
+    Attributes:
+        x: Full extent 2 a, m.
+        y: Full extent 2 b, m.
+        z: Full extent 2 c, m.
+        e1: Exponent from the side (-).
+        e2: Exponent from above (-).
+    """
+
+    kind: ClassVar[str] = "superquadric"
+    size_names: ClassVar[tuple[str, ...]] = ("x", "y", "z", "e1", "e2")
+    default_sizes: ClassVar[tuple[float, ...]] = (0.06, 0.06, 0.09, 0.5, 0.5)
+    pure_numbers: ClassVar[tuple[str, ...]] = ("e1", "e2")
+    x: float = 0.06
+    y: float = 0.06
+    z: float = 0.09
+    e1: float = 0.5
+    e2: float = 0.5
+
+    def _check(self) -> None:
+        for name in self.pure_numbers:
+            value = getattr(self, name)
+            number = isinstance(value, Real) and not isinstance(value, bool)
+            if not number or not ROUNDEST <= float(value) <= SHARPEST:
+                raise ObjectError(
+                    f"superquadric: {name} is {value!r}; give a number from {ROUNDEST} to "
+                    f"{SHARPEST}"
+                )
+            object.__setattr__(self, name, float(value))
+
+    def _triangles(self) -> tuple[FloatArray, IntArray]:
+        n, along = SUPERQUADRIC_AROUND, SUPERQUADRIC_ALONG
+        slope = np.pi * (np.arange(1, along) / along - 0.5)
+        rays = np.empty((along - 1, n, 3))
+        rays[:, :, :2] = np.cos(slope)[:, None, None] * circle(n)
+        rays[:, :, 2] = np.sin(slope)[:, None]
+        p, q = np.abs(rays) ** (2 / self.e2), np.abs(rays[:, :, 2]) ** (2 / self.e1)
+        level = (p[:, :, 0] + p[:, :, 1]) ** (self.e2 / self.e1) + q
+        half = np.array([self.x, self.y, self.z]) / 2
+        rings = rays * half * (level ** (-self.e1 / 2))[:, :, None]
+        # a fan closes each end; the poles are the last two points
+        south = rings.size // 3
+        first, last = np.arange(n), np.arange(south - n, south)
+        fans = [
+            np.column_stack([np.roll(first, -1), first, np.full(n, south)]),
+            np.column_stack([last, np.roll(last, -1), np.full(n, south + 1)]),
+        ]
+        poles = [[0.0, 0.0, -half[2]], [0.0, 0.0, half[2]]]
+        return np.vstack([rings.reshape(-1, 3), poles]), np.vstack([stacked(rings), *fans])
+
+
+@dataclass(frozen=True, eq=False)
+class Knot(Made):
+    """A trefoil knot of round rope about z: the deliberately nasty object.
+
+    No two facing sides are flat or parallel, strands pass over each other with gaps narrower than a
+    fingertip, the centre of mass is in the air, and contact normals turn within millimetres. A
+    planner that treats objects as convex, or trusts its normals over a fingertip's width, fails.
+
+    Attributes:
+        radius: Distance of the rope's middle from z at the outermost, m.
+        tube: Radius of the rope, m; at most ``THICKEST`` of the radius.
+    """
+
+    kind: ClassVar[str] = "knot"
+    size_names: ClassVar[tuple[str, ...]] = ("radius", "tube")
+    default_sizes: ClassVar[tuple[float, ...]] = (0.04, 0.007)
+    radius: float = 0.04
+    tube: float = 0.007
+
+    def _check(self) -> None:
+        if self.tube > THICKEST * self.radius:
+            raise ObjectError(
+                f"knot: tube {self.tube} m is more than {THICKEST} of radius {self.radius} m, so "
+                "that strands touch; give a thinner tube or a larger radius"
+            )
+
+    def _triangles(self) -> tuple[FloatArray, IntArray]:
+        t = 2 * np.pi * np.arange(KNOT_AROUND) / KNOT_AROUND
+        scale = self.radius / 3
+        path = scale * np.stack(
+            [np.sin(t) + 2 * np.sin(2 * t), np.cos(t) - 2 * np.cos(2 * t), -np.sin(3 * t)], axis=1
+        )
+        along = scale * np.stack(
+            [np.cos(t) + 4 * np.cos(2 * t), -np.sin(t) + 4 * np.sin(2 * t), -3 * np.cos(3 * t)],
+            axis=1,
+        )
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        # the strand never runs along z, so that z gives each ring its start, without a seam
+        across = np.cross(along, [0.0, 0.0, 1.0])
+        across /= np.linalg.norm(across, axis=1, keepdims=True)
+        up = np.cross(along, across)
+        c = circle(KNOT_ACROSS)
+        rings = path[:, None] + self.tube * (
+            c[:, 0, None] * across[:, None] + c[:, 1, None] * up[:, None]
+        )
+        return rings.reshape(-1, 3), stacked(rings, closed=True)

@@ -1,0 +1,234 @@
+"""``DisturbanceTrial``: an object held in the air, to which a protocol then does what it likes.
+
+Table and obstacles are left out. It begins at the grasp with open fingers, a constraint holds the
+object until the fingers press, and then nothing but the hand does::
+
+    trial = DisturbanceTrial(plan, controller="impedance")
+    fault = trial.close_and_squeeze() or trial.hold_for(2.0)
+
+Movement is the object's in the palm, since the fingers press.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from planner.plan import GraspPlan
+from planner.spatial import FloatArray
+from sim.carrier import Carrier
+from sim.controllers import AnyController, Phase
+from sim.controllers.slip import SLIP_SPEED
+from sim.physics import PhysicsOptions
+from sim.recorder import Recorder
+from sim.scene import Scene
+from sim.simulation import Simulation
+from sim.timeline import Timeline
+from sim.trial import run_grasp_phase
+from sim.verdict import DropCriteria, Fault, Reason, Samples, lost, put_down_to_actuators
+
+__all__ = ["DROPPED", "GRIP", "DisturbanceTrial"]
+
+GRIP = Timeline(approach=0.1, close=0.3, close_wait=0.5, squeeze=0.4, settle=0.2, lift=0.4)
+"""Durations; there is no approach, and "lift" is the time to come to rest when the object is let
+go."""
+
+CHECK_EVERY = 0.01
+"""Time between looks at whether the object is lost, s."""
+
+RECORD_EVERY = 0.1
+"""Time between samples, s."""
+
+BLAME_WINDOW = 0.2
+"""Time (s) before a failure in which half of the looks at a saturated actuator make it the reason.
+"""
+
+REST_SPEED = SLIP_SPEED
+"""Speed (m/s), of the centre of mass or by the turn on the bounding sphere, below which an object
+is at rest: the speed from which on a contact is said to slip."""
+
+DROPPED = DropCriteria(fewest=1, mm=10.0, deg=15.0)
+"""The turn is that of DexGraspBench, the distance a fifth of its 50 mm: a servo yields by some
+millimetres before anything slips. The palm counts as a finger."""
+
+
+class DisturbanceTrial:
+    """A grasp in the air.
+
+    Attributes:
+        plan: What is executed: the plan, without table and obstacles.
+        simulation: Scene, data, controller and carrier.
+        load: Size of the disturbance at present, written down with every sample.
+    """
+
+    def __init__(
+        self,
+        plan: GraspPlan,
+        *,
+        controller: AnyController | None = None,
+        physics: PhysicsOptions | None = None,
+        dropped: DropCriteria | None = DROPPED,
+        timeline: Timeline = GRIP,
+        scene: Scene | None = None,
+        carrier: Carrier | None = None,
+    ) -> None:
+        """Put the hand, fingers open, where it grasps.
+
+        Args:
+            plan: What to execute.
+            controller: What drives the hand; see ``Simulation``.
+            physics: How MuJoCo computes; defaults if None.
+            dropped: When the object counts as lost; None for someone else's rule.
+            timeline: Durations up to the hold.
+            scene: Another scene than that of the plan's task in the air.
+            carrier: What carries the hand in it.
+
+        Raises:
+            ModelError: MuJoCo refuses the scene.
+            NotFoundError: No controller has that name.
+            TaskError: The controller is none.
+        """
+        self.plan = replace(plan, task=replace(plan.task, table_height=None, obstacles=()))
+        self.simulation = Simulation(
+            self.plan,
+            physics=physics,
+            controller=controller,
+            timeline=timeline,
+            scene=scene,
+            carrier=carrier,
+            q=plan.q_pregrasp,
+            T_world_base=plan.T_world_base,
+        )
+        self.simulation.carrier = _Still(self.simulation.carrier)
+        self._recorder = Recorder(self.simulation, RECORD_EVERY)
+        self._timeline = timeline
+        self._dropped = dropped
+        self._looks: deque[tuple[str, ...]] = deque(maxlen=round(BLAME_WINDOW / CHECK_EVERY))
+        self._loads: list[float] = []
+        self.load = 0.0
+
+    def close_and_squeeze(self) -> Fault | None:
+        """Close, press, and let go of the object; what went wrong, None if nothing did."""
+        if not self.plan.forces.found:
+            return self.fault("infeasible forces", self.plan.forces.reason)
+        if fault := self.run_phases("close", "squeeze", "settle", "lift"):
+            return fault
+        self.begin_hold()
+        return None
+
+    def run_phases(self, *phases: Phase) -> Fault | None:
+        """Run phases of grasping; what went wrong, None if nothing did."""
+        task, simulation = self.plan.task, self.simulation
+        for phase in phases:
+            if run_grasp_phase(simulation, self._recorder, self._timeline, phase):
+                continue
+            if simulation.ended:
+                return self._ending()
+            forces = simulation.normal_forces()
+            missing = [f for f, n in zip(task.finger_names, forces, strict=True) if n == 0]
+            detail = f"after the squeeze {', '.join(missing)} did not touch"
+            return self.fault("no contact", f"{detail}; {task.fingers_needed} are needed")
+        return None
+
+    def begin_hold(self) -> None:
+        """From now on it is a hold, and the object's movement in the palm counts."""
+        self._recorder.mark_reference()
+        self.simulation.phase = "hold"
+        self.record()
+
+    def hold_for(
+        self, duration: float, *, each_step: Callable[[float], None] | None = None
+    ) -> Fault | None:
+        """Hold on, and look whether the object is lost.
+
+        Args:
+            duration: s.
+            each_step: Called before every time step with the time since this call began, s.
+
+        Returns:
+            What went wrong; None if the object is still held.
+        """
+        simulation = self.simulation
+        for _ in simulation.run("hold", duration, before=each_step):
+            if simulation.due(RECORD_EVERY):
+                self.record()
+            if not simulation.diverged and simulation.due(CHECK_EVERY):
+                self._looks.append(simulation.saturated_actuators())
+                if fault := self._look():
+                    self.record()
+                    return fault
+        return self._ending() if simulation.ended else None
+
+    def push(self, wrench: FloatArray) -> None:
+        """Disturb the object from now on by a wrench (6,), N and N m, about its centre of mass."""
+        simulation = self.simulation
+        simulation.data.xfrc_applied[simulation.scene.object_body] = wrench
+
+    def record(self) -> None:
+        """Take a sample."""
+        self._recorder.record()
+        self._loads.append(self.load)
+
+    def at_rest(self) -> bool:
+        """Whether the object hardly moves, in a hand that stands still."""
+        linear, angular = np.split(self.simulation.object_twist(), 2)
+        length = self.plan.task.object.shape.bounding_radius
+        fastest = max(np.linalg.norm(linear), length * np.linalg.norm(angular))
+        return bool(fastest < REST_SPEED)
+
+    @property
+    def samples(self) -> Samples:
+        """What was recorded so far."""
+        return self._recorder.samples()
+
+    @property
+    def loads(self) -> FloatArray:
+        """The load at each sample, (m,); none while the fingers close."""
+        loads = np.zeros(len(self.samples))
+        if self._loads:
+            loads[-len(self._loads) :] = self._loads
+        return loads
+
+    def put_down(self, reason: Reason, detail: str) -> Fault:
+        """A fault of this moment, put down to actuators that had no more to give."""
+        return put_down_to_actuators(self.fault(reason, detail), self._looks)
+
+    def fault(self, reason: Reason, detail: str) -> Fault:
+        """A fault of this moment."""
+        return Fault(reason=reason, detail=detail, time=self.simulation.time)
+
+    def _ending(self) -> Fault:
+        """Why the simulation ended."""
+        if self.simulation.diverged:
+            return self.fault("diverged", self.simulation.diverged)
+        return self.fault("stopped", f"stopped by the caller: {self.simulation.stopped}")
+
+    def _look(self) -> Fault | None:
+        """Whether the object is lost now."""
+        if self._dropped is None:
+            return None
+        touching, moved = self.simulation.touching(), self._recorder.slip()
+        where = (
+            f"the object had moved {moved[0]:.1f} mm and turned {moved[1]:.1f} degrees in the hand"
+        )
+        reason = lost(self._dropped, touching=touching, moved=moved)
+        if reason == "dropped":
+            return self.put_down(reason, f"nothing touched it any more; {where}")
+        return self.put_down(reason, f"{where}; {touching} fingers touched") if reason else None
+
+
+class _Still:
+    """Keeps the hand where the grasp is, whatever carries it."""
+
+    def __init__(self, carrier: Carrier) -> None:
+        """Wrap what would lift it."""
+        self._carrier = carrier
+
+    def drive(self, data: Any, phase: Phase, share: float) -> None:
+        """Command the pose of the grasp."""
+        del phase, share
+        self._carrier.drive(data, "settle", 0.0)

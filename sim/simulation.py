@@ -1,0 +1,325 @@
+"""``Simulation``: a plan's scene, hand, controller and carrier, run one phase after the other.
+
+A script composes it and keeps what is the script's own, durations, samples and verdict::
+
+    simulation = Simulation(plan, controller="impedance")
+    for phase in PHASES:
+        for observation in simulation.run(phase, 0.5):
+            if simulation.due(0.02):
+                print(simulation.time, observation.normal_forces)
+
+Whoever looks on may end it: ``simulation.stop("seen enough")``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from planner.errors import TaskError
+from planner.plan import GraspPlan
+from planner.spatial import SE3, FloatArray
+from sim.carrier import Carrier, carrier_of
+from sim.contacts import hand_contacts, normal_forces
+from sim.controllers import (
+    PHASES,
+    AnyController,
+    Controller,
+    Event,
+    Observation,
+    Phase,
+    ReportsEvents,
+    ReportsLimits,
+    controller_for,
+)
+from sim.looking.viewer import Viewer
+from sim.pads import read_pads
+from sim.scene import PhysicsOptions, Scene, build_scene
+from sim.timeline import Timeline
+
+__all__ = ["Simulation"]
+
+LIMIT_MARGIN = 1e-6
+"""Distance (N, N m, rad) to its limit at which an actuator counts as saturated: rounding."""
+
+_BAD_NUMBERS = {
+    "positions": int(mujoco.mjtWarning.mjWARN_BADQPOS),
+    "velocities": int(mujoco.mjtWarning.mjWARN_BADQVEL),
+    "accelerations": int(mujoco.mjtWarning.mjWARN_BADQACC),
+    "the controller's commands": int(mujoco.mjtWarning.mjWARN_BADCTRL),
+}
+
+
+class Simulation:
+    """One plan in MuJoCo, as it is now.
+
+    Attributes:
+        plan: What is executed.
+        scene: The scene with its compiled model and index maps.
+        data: ``mujoco.MjData``, as it is now.
+        controller: What drives the hand's actuators.
+        carrier: What moves the hand as a whole; may be replaced between steps.
+        phase: The phase that it is in.
+        steps: Time steps made so far.
+        stopped: Why the caller ended it, "" if not.
+        on_step: Called with the simulation after every time step of a phase; may be set.
+    """
+
+    def __init__(
+        self,
+        plan: GraspPlan,
+        *,
+        physics: PhysicsOptions | None = None,
+        controller: AnyController | None = None,
+        timeline: Timeline | None = None,
+        scene: Scene | None = None,
+        carrier: Carrier | None = None,
+        q: FloatArray | None = None,
+        T_world_base: SE3 | None = None,
+    ) -> None:
+        """Build the scene and put hand and object at their start.
+
+        Args:
+            plan: What to execute.
+            physics: How MuJoCo computes; defaults if None.
+            controller: What drives the hand: a name, a controller, or what makes one from the
+                plan; "feedforward" if None.
+            timeline: Durations of the carrier's approach and lift; defaults if None.
+            scene: The scene of the plan's task, if it is not to be built with ``physics``.
+            carrier: What moves the hand as a whole; the scene's gantry or the arm if None.
+            q: Joints (nq,) at the start, rad or m; the plan's start if None.
+            T_world_base: Base pose at the start; the plan's start if None.
+
+        Raises:
+            ModelError: MuJoCo refuses the scene.
+            NotFoundError: No controller has that name.
+            TaskError: The controller is none, or the plan has no path for the hand's arm.
+        """
+        self.plan = plan
+        self.controller: Controller = controller_for(plan, controller)
+        self.scene: Scene = scene or build_scene(
+            plan.task, T_world_base=plan.T_world_base, q=plan.q, physics=physics
+        )
+        self.data: Any = self.scene.start(
+            plan.q_start if q is None else q,
+            plan.T_world_base_start if T_world_base is None else T_world_base,
+        )
+        self.carrier: Carrier = carrier or carrier_of(plan, self.scene, timeline or Timeline())
+        self.phase: Phase = PHASES[0]
+        self.steps = 0
+        self.stopped = ""
+        self.on_step: Callable[[Simulation], None] | None = None
+        self._viewer: Viewer | None = None
+        self._ctrl: FloatArray = self.data.ctrl[self.scene.hand_ctrl].copy()
+
+    # ---- running
+
+    def run(
+        self,
+        phase: Phase,
+        duration: float,
+        *,
+        wait: float = 0.0,
+        until: Callable[[Observation], bool] | None = None,
+        before: Callable[[float], None] | None = None,
+    ) -> Iterator[Observation]:
+        """Run a phase, step by step: the one loop of every script.
+
+        It ends after ``duration``, later if ``until`` says so, and early if the simulation
+        diverges or is stopped; of a simulation that has ended so, no step is made.
+
+        Args:
+            phase: What the controller is told.
+            duration: Nominal duration, s: at least one time step is made.
+            wait: Longest further time, s.
+            until: Whether the phase may end once ``duration`` is over, asked after every step with
+                what the controller saw; at once if None.
+            before: Called before every step with the time since the phase began, s.
+
+        Yields:
+            After every step, what the controller saw at its beginning.
+        """
+        self.phase = phase
+        dt = self.timestep
+        steps = max(1, round(duration / dt))
+        for k in range(max(steps, round((duration + wait) / dt))):
+            if self.ended:
+                return
+            if before is not None:
+                before(k * dt)
+            observation = self.step(phase, min(1.0, k / steps))
+            yield observation
+            if self.on_step is not None:
+                self.on_step(self)
+            if self._viewer is not None:
+                self._viewer.show(self.time)
+            if k + 1 >= steps and (until is None or until(observation)):
+                return
+
+    def due(self, period: float) -> bool:
+        """Whether this step completes a period (s): when a sample is to be taken."""
+        return self.steps % max(1, round(period / self.timestep)) == 0
+
+    def step(self, phase: Phase, share: float) -> Observation:
+        """Make one time step.
+
+        Args:
+            phase: What the controller is told.
+            share: How much of it has passed, in [0, 1].
+
+        Returns:
+            What the controller saw, at the beginning of the step.
+
+        Raises:
+            TaskError: The controller's commands have the wrong shape.
+        """
+        scene, data = self.scene, self.data
+        observation = self.observe(phase, share)
+        data.ctrl[scene.hand_ctrl] = self._commands(observation)
+        self.carrier.drive(data, phase, share)
+        self._ctrl = data.ctrl[scene.hand_ctrl].copy()
+        mujoco.mj_step(scene.model, data)
+        self.steps += 1
+        return observation
+
+    def observe(self, phase: Phase, share: float) -> Observation:
+        """What a controller sees now, in a phase of which a share in [0, 1] has passed."""
+        scene, data = self.scene, self.data
+        fingers = self.plan.task.finger_names
+        return Observation(
+            time=self.time,
+            phase=phase,
+            progress=share,
+            q=data.qpos[scene.hand_qpos],
+            v=data.qvel[scene.hand_dof],
+            T_world_base=self.T_world_base,
+            T_world_object=self.T_world_object,
+            normal_forces=self.normal_forces(),
+            read_twist=self.object_twist,
+            read_contacts=partial(hand_contacts, scene, data),
+            read_pads=partial(read_pads, scene, data, fingers),
+        )
+
+    def _commands(self, observation: Observation) -> FloatArray:
+        ctrl = np.asarray(self.controller.step(observation), dtype=np.float64)
+        expected = self.scene.hand_ctrl.shape
+        if ctrl.shape != expected:
+            raise TaskError(
+                f"the controller returned commands of shape {ctrl.shape}; the hand needs "
+                f"{expected}, one per actuator in the order of hand.actuation.names"
+            )
+        return ctrl
+
+    # ---- ending
+
+    def stop(self, reason: str) -> None:
+        """End it after this step; a report says that it was stopped, and why.
+
+        Raises:
+            TaskError: The reason is empty.
+        """
+        if not reason:
+            raise TaskError('stop needs a reason for the report, such as "seen enough"')
+        self.stopped = self.stopped or reason
+
+    @property
+    def diverged(self) -> str:
+        """What MuJoCo warns of, "" if nothing: numbers that are not finite or huge."""
+        for what, index in _BAD_NUMBERS.items():
+            if self.data.warning[index].number:
+                return f"{what} are not finite or huge at {self.time:.3f} s"
+        return ""
+
+    @property
+    def ended(self) -> bool:
+        """Whether it was stopped or has diverged: no further step is made."""
+        return bool(self.stopped or self.diverged)
+
+    def show(self) -> None:
+        """Show every further step in MuJoCo's viewer, in real time.
+
+        Raises:
+            TaskError: There is no display.
+        """
+        self._viewer = Viewer(self.scene.model, self.data)
+
+    def close(self) -> None:
+        """Close the viewer, if it is open."""
+        if self._viewer is not None:
+            self._viewer.close()
+            self._viewer = None
+
+    # ---- what can be seen
+
+    @property
+    def time(self) -> float:
+        """Simulated time, s."""
+        return float(self.data.time)
+
+    @property
+    def timestep(self) -> float:
+        """Length of a time step, s."""
+        return self.scene.physics.timestep
+
+    @property
+    def q(self) -> FloatArray:
+        """The hand's joints (nq,), rad or m."""
+        return np.array(self.data.qpos[self.scene.hand_qpos])
+
+    @property
+    def T_world_base(self) -> SE3:
+        """Pose of the hand's base."""
+        return self.scene.body_pose(self.data, self.scene.base_body)
+
+    @property
+    def T_world_object(self) -> SE3:
+        """Pose of the object."""
+        return self.scene.body_pose(self.data, self.scene.object_body)
+
+    @property
+    def T_base_object(self) -> SE3:
+        """Pose of the object in the hand's base."""
+        return self.T_world_base.inverse() * self.T_world_object
+
+    @property
+    def T_palm_object(self) -> SE3:
+        """Pose of the object in the palm, in which slip is measured."""
+        return self.scene.T_palm_object(self.data)
+
+    def object_twist(self) -> FloatArray:
+        """Linear velocity (m/s) of the object's centre and angular velocity (rad/s), (6,), world.
+
+        MuJoCo keeps the angular velocity of a free body in the body's own axes.
+        """
+        linear, angular = np.split(self.data.qvel[self.scene.object_dof], 2)
+        return np.concatenate([linear, self.T_world_object.rotation @ angular])
+
+    def normal_forces(self) -> FloatArray:
+        """Sum of normal forces on the object per finger that takes part, (n,), N."""
+        return normal_forces(self.scene, self.data, self.plan.task.finger_names)
+
+    def touching(self) -> int:
+        """How many fingers press on the object, the palm counted as one."""
+        return len(set(hand_contacts(self.scene, self.data).fingers))
+
+    def saturated_actuators(self) -> tuple[str, ...]:
+        """Names of the hand's actuators that could not do what was asked in the last step."""
+        actuation = self.plan.task.hand.actuation
+        force = self.data.actuator_force[self.scene.hand_ctrl]
+        low, high = actuation.force_range.T
+        at_limit = (force >= high - LIMIT_MARGIN) | (force <= low + LIMIT_MARGIN)
+        low, high = actuation.ctrl_range.T
+        at_limit |= (self._ctrl >= high - LIMIT_MARGIN) | (self._ctrl <= low + LIMIT_MARGIN)
+        names = {actuation.names[i] for i in np.flatnonzero(at_limit)}
+        if isinstance(self.controller, ReportsLimits):
+            names.update(self.controller.saturated_actuators())
+        return tuple(sorted(names))
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What the controller noticed so far, in order; empty for one that notices nothing."""
+        return self.controller.events if isinstance(self.controller, ReportsEvents) else ()

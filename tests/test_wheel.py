@@ -1,0 +1,75 @@
+"""What an installed wheel has: everything but the measurements, and a word on where those are."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The packages as ``pyproject.toml`` has the wheel built, with the models inside."""
+    site = tmp_path_factory.mktemp("site-packages")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    wheel = project["tool"]["hatch"]["build"]["targets"]["wheel"]
+    for package in wheel["packages"]:
+        shutil.copytree(
+            ROOT / package, site / package, ignore=shutil.ignore_patterns("__pycache__")
+        )
+    for folder in wheel["exclude"]:
+        shutil.rmtree(site / folder)
+    for source, target in wheel["force-include"].items():
+        shutil.copytree(ROOT / source, site / target)
+    return site
+
+
+def opposable(
+    site: Path, folder: Path, *arguments: str, code: int = 0
+) -> subprocess.CompletedProcess[str]:
+    """The installed command, in a folder of the user's."""
+    start = f"import sys; sys.path.insert(0, {str(site)!r}); import sim.cli; sim.cli.main()"
+    run = subprocess.run(
+        [sys.executable, "-c", start, *arguments],
+        check=False,
+        cwd=folder,
+        env=os.environ | {"COLUMNS": "200"},
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == code, run.stderr
+    return run
+
+
+def test_help_and_run_work_without_the_measurements(installed: Path, tmp_path: Path) -> None:
+    assert not (installed / "sim" / "bench").exists()
+    shown = opposable(installed, tmp_path, "--help").stdout
+    assert "bench" in shown
+    assert "in a checkout only" in shown
+    opposable(installed, tmp_path, "run", "allegro_hand", "sphere", "--out", "out")
+    assert (tmp_path / "out" / "report.json").is_file()
+
+
+@pytest.mark.parametrize("words", [("bench",), ("bench", "grasps", "--seeds", "2", "--help")])
+def test_measuring_from_a_wheel_says_what_it_needs(
+    words: tuple[str, ...], installed: Path, tmp_path: Path
+) -> None:
+    run = opposable(installed, tmp_path, *words, code=3)
+    assert run.stdout == ""
+    (line,) = run.stderr.splitlines()
+    assert line.startswith("error: measuring needs a checkout")
+    assert "pip install -e ." in line
+
+
+def test_nothing_that_ships_imports_the_measurements(installed: Path) -> None:
+    for file in (installed / "sim").rglob("*.py"):
+        text = file.read_text(encoding="utf-8")
+        assert "from sim.bench" not in text, file
+        assert "import sim.bench" not in text, file
