@@ -19,11 +19,11 @@ from planner.plan import GraspPlan, SolveRecord
 from planner.synthesis.link_capsules import capsules_are_true
 from planner.synthesis.optimize import NEARLY, optimize_grasp
 from planner.synthesis.options import ProblemForm, SynthesisOptions
-from planner.synthesis.problem import GraspProblem
 from planner.synthesis.problem_cache import Problems, problems_for
 from planner.synthesis.seeds.draw import Seeder
 from planner.synthesis.seeds.mesh import seeder_for
 from planner.synthesis.symbols import GraspPoint
+from planner.synthesis.terms.term import first_failure
 from planner.system.stage_times import stage
 from planner.system.threads import kept_by_thread, made_once
 from planner.task import GraspTask
@@ -172,18 +172,11 @@ class _GraspContext:
         with stage("project"):
             q = project_onto_surface(task, T_world_base, q)
         plan = verify_grasp(task, T_world_base, q, record=record, world=world)
-        return plan if isinstance(plan, Failure) else _judged_by_own_terms(plan, problem)
-
-
-def _judged_by_own_terms(plan: GraspPlan, problem: GraspProblem) -> GraspPlan | Failure:
-    """The plan if the terms of users that judge grasps are content, else the first failure."""
-    contacts = plan.contacts_in_object
-    point = GraspPoint(task=plan.task, q=plan.q, points=contacts.positions, inward=contacts.normals)
-    for term in problem.own_terms:
-        failure = term.judge(point) if term.judge is not None else None
-        if failure is not None:
-            return failure
-    return plan
+        if isinstance(plan, Failure):
+            return plan
+        at = plan.contacts_in_object
+        point = GraspPoint(task=task, q=plan.q, points=at.positions, inward=at.normals)
+        return first_failure(problem.own_terms, point) or plan
 
 
 @kept_by_thread(8)

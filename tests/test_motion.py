@@ -303,7 +303,7 @@ def test_derivatives_of_all_residuals_by_finite_differences(
     assert np.allclose(normal, jacobian.T @ jacobian, rtol=1e-12, atol=1e-9)
     assert np.allclose(slope, jacobian.T @ value, rtol=1e-12, atol=1e-9)
     counted = Counter(row.term.name for row in rows)
-    assert counted["tube"] and counted["rolling"] and counted["object"] + counted["table"]
+    assert counted["path"] and counted["rolling"] and counted["object"] + counted["table"]
     equal = counted["swing_balance"] + counted["swing_level"]
     assert equal == 7 * len(holds)
     step = 1e-6

@@ -9,10 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planner import GraspPlan, GraspTask, plan_grasp
+from planner import GraspPlan, GraspTask, plan_grasp, plan_motion
 from planner.errors import NoGraspFoundError, NotFoundError, TaskError
 from planner.failure import Failure
 from planner.hands.hand import Hand
+from planner.motion.search import MOTION_OPTIONS
 from planner.spatial import FloatArray
 from planner.synthesis import (
     GraspPoint,
@@ -209,6 +210,24 @@ def test_its_verdict_refuses_a_grasp_and_is_told_as_the_reason(
     monkeypatch.setitem(TERMS, "above", replace(ABOVE, judge=never))
     with pytest.raises(NoGraspFoundError, match="this term is never content"):
         plan_grasp(task, seed=0, options=options(*OWN), max_attempts=4)
+
+
+def test_every_knot_of_a_motion_satisfies_it(
+    allegro: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slim = GraspTask.create(allegro, "cylinder:0.03x0.12", fingers=["thumb", "index", "middle"])
+    asked = replace(MOTION_OPTIONS, terms=("above",))
+    motion = plan_motion(slim, angle=0.5, seed=0, options=asked)
+    for knot in motion.knots:
+        height = knot.T_world_object.actInv(knot.contacts.positions.mean(axis=0))[2]
+        assert height >= HEIGHT - OFF
+
+    def never(grasp: GraspPoint) -> Failure | None:
+        return Failure(kind="never", text="this term is never content")
+
+    monkeypatch.setitem(TERMS, "above", replace(ABOVE, judge=never))
+    with pytest.raises(NoGraspFoundError, match=r"of the path: this term is never content"):
+        plan_motion(slim, angle=0.5, seed=0, options=asked, max_attempts=4)
 
 
 def test_options_with_terms_survive_plain_data() -> None:

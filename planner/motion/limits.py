@@ -6,7 +6,7 @@ Where the pull r0 = w (1 - share) and the violated terms r_i balance, least squa
 
 So r_i / (w (1 - share)) tells by how much the share grows when the limit behind r_i gives way by
 one of its units, and likewise what a bound pushes back. Named: a joint's end, a pad's rim, a
-clearance, a friction cone, the tube; with the knot at which it happens.
+clearance, a friction cone, the path tolerance; with the knot at which it happens.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ internal force, clearances, couplings, limits) hold there with the same margins.
 
     base     one pose for all knots (``planner.motion.unknowns``)
     rolling  what a tip slides from knot to knot = 0 (``planner.motion.rolling``)
-    tube     how far the object leaves its path <= the tube's radius
+    path     how far the object leaves its path <= the path tolerance
     reach    the share of the path that is covered: at least what is asked, or as much as there is
     holds    where a finger is to move on, closure by the others (``planner.motion.holds``)
     pivoting what a tip turns by on its contact: a cost, where that counts
@@ -30,10 +30,10 @@ from planner.motion.rolling import pivoting_function, rolling_function
 from planner.motion.surfaces import turned_surface_of
 from planner.motion.terms import (
     MOTION_TERMS,
+    PATH,
     PIVOTING,
     REACH,
     ROLLING,
-    TUBE,
     load_rows,
     rows_of_fingers,
     steady_rows,
@@ -64,7 +64,7 @@ class MotionNumbers:
         axis: Axis in the object's frame at the start (3,), unit.
         angle: Turn, rad.
         shift: Translation in the same frame (3,), m.
-        tube: Radius within which the object may leave its path, m.
+        path_tolerance: How far the object may leave its path, m.
         loads: Parameters (n_knots, m) of the actuators' loads.
         pivoting_costs: Whether a tip that pivots on its contact from knot to knot has a cost.
     """
@@ -75,7 +75,7 @@ class MotionNumbers:
     axis: FloatArray
     angle: float
     shift: FloatArray
-    tube: float
+    path_tolerance: float
     loads: FloatArray
     pivoting_costs: bool
 
@@ -102,7 +102,7 @@ class MotionProblem:
         """
         hand, fingers, n = self.grasp.hand, self.grasp.fingers, self.n_knots
         motion = [row for k in range(1, n) for row in rows_of_fingers(ROLLING, fingers, 3, k)]
-        motion += [TUBE.row(number=k, knot=k) for k in range(n)]
+        motion += [PATH.row(number=k, knot=k) for k in range(n)]
         for hold in self.holds:
             motion += swing_rows(fingers, hold.lifted, n - 1)
         motion += [row for k in range(n) for row in load_rows(hand, fingers, k)]
@@ -173,7 +173,7 @@ class MotionProblem:
         start: Start,
         posture: FloatArray,
         options: SynthesisOptions,
-        tube: float,
+        path_tolerance: float,
     ) -> MotionNumbers:
         """What the expressions need, for a start that grasps the object in the middle of its path.
 
@@ -183,7 +183,7 @@ class MotionProblem:
             start: Gives the base's reference orientation and the patches.
             posture: Preferred joints (nq,).
             options: Margins and weights.
-            tube: m.
+            path_tolerance: m.
         """
         first = self.grasp.parameters(task, start, posture, options)
         later = first.copy()
@@ -199,7 +199,7 @@ class MotionProblem:
             axis=to_object @ path.axis,
             angle=path.angle,
             shift=to_object @ path.shift,
-            tube=tube,
+            path_tolerance=path_tolerance,
             loads=load_parameters(task, path, along, start.q),
             pivoting_costs=self._pivoting_costs(task, path),
         )
@@ -223,17 +223,17 @@ class MotionProblem:
         return self.unknowns.pack(shared, np.zeros((n, 3)), np.tile(x[6:], (n, 1)), held)
 
     def bounds(
-        self, start: Start, tube: float, *, exact_end: bool = False
+        self, start: Start, path_tolerance: float, *, exact_end: bool = False
     ) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds of the unknowns; the first knot is where the object is.
 
         Args:
             start: Gives the base where that is fixed, and the patches.
-            tube: Radius within which the object may leave its path, m.
+            path_tolerance: How far the object may leave its path, m.
             exact_end: Whether the last knot is on the path as well.
         """
         n = self.n_knots
-        reach = np.full((n, 3), tube)
+        reach = np.full((n, 3), path_tolerance)
         reach[0] = 0.0
         if exact_end:
             reach[-1] = 0.0
@@ -278,6 +278,7 @@ def build_motion_problem(
     n_knots: int,
     n_obstacles: int = 0,
     holds: tuple[Hold, ...] = (),
+    terms: tuple[str, ...] = (),
 ) -> MotionProblem:
     """Build the problem of a motion.
 
@@ -288,7 +289,8 @@ def build_motion_problem(
         n_knots: Number of knots, 2 or more.
         n_obstacles: Number of obstacle boxes.
         holds: What must hold while a finger is away.
+        terms: Registered terms that every knot has beside the standard ones, by name.
     """
     surface = turned_surface_of(kind_of)
-    grasp = problem_on(hand, tuple(fingers), surface, n_obstacles)
+    grasp = problem_on(hand, tuple(fingers), surface, n_obstacles, (), terms)
     return MotionProblem(grasp, n_knots, holds)

@@ -16,11 +16,11 @@ import numpy as np
 from planner.motion.jacobian import Block, MotionJacobian
 from planner.motion.problem import MotionNumbers, MotionProblem
 from planner.motion.terms import (
+    PATH,
     PIVOTING,
     REACH,
     ROLLING,
     STEADY,
-    TUBE,
     load_rows,
     rows_of_fingers,
     steady_rows,
@@ -70,7 +70,7 @@ class MotionResiduals:
     def knots(self, z: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
         """Of every knot its unknowns as a grasp (size,), and the derivative (6, 10) of the first 6.
 
-        The derivative is by what all knots share and by the place in the tube.
+        The derivative is by what all knots share and by the offset from the path.
         """
         u, n = self.problem.unknowns, self.numbers
         shared = np.broadcast_to(z[:SHARED], (u.n_knots, SHARED))
@@ -247,16 +247,16 @@ class MotionResiduals:
         ]
 
     def _tube(self, z: FloatArray) -> list[Block]:
-        """Knots that are further from the path than the tube is wide."""
+        """Knots that are further from the path than the path tolerance."""
         u = self.problem.unknowns
         offsets = u.offsets(z)
         far = np.linalg.norm(offsets, axis=1)
         out = []
-        for k in np.flatnonzero(far > max(self.numbers.tube, LEAST_TUBE)).tolist():
+        for k in np.flatnonzero(far > max(self.numbers.path_tolerance, LEAST_TOLERANCE)).tolist():
             rows = np.zeros((1, SHARED + u.own))
-            rows[0, SHARED : SHARED + OFFSET] = -TUBE.weight * offsets[k] / far[k]
-            beyond = np.array([TUBE.weight * (self.numbers.tube - far[k])])
-            names = _just(TUBE.row(number=k, knot=k))
+            rows[0, SHARED : SHARED + OFFSET] = -PATH.weight * offsets[k] / far[k]
+            beyond = np.array([PATH.weight * (self.numbers.path_tolerance - far[k])])
+            names = _just(PATH.row(number=k, knot=k))
             out.append(Block(values=beyond, rows=rows, at=u.columns(k), names=names))
         return out
 
@@ -271,7 +271,7 @@ def _carried(local: FloatArray, slope: FloatArray) -> FloatArray:
 
     Args:
         local: By the grasp's unknowns, of which the first 6 place the base.
-        slope: Of those (6, 10), by what is shared and by the place in the tube.
+        slope: Of those (6, 10), by what is shared and by the offset from the path.
     """
     return np.hstack([local[:, :6] @ slope, local[:, 6:]])
 
@@ -279,5 +279,5 @@ def _carried(local: FloatArray, slope: FloatArray) -> FloatArray:
 SMALLEST_RANGE = 1e-3
 """Least range (rad or m) of a joint, so that a share of it is a number."""
 
-LEAST_TUBE = 1e-9
+LEAST_TOLERANCE = 1e-9
 """Offset (m) from the path that is none."""

@@ -15,12 +15,12 @@ __all__ = [
     "BEARING",
     "LOAD",
     "MOTION_TERMS",
+    "PATH",
     "PIVOTING",
     "REACH",
     "ROLLING",
     "STEADY",
     "SWING",
-    "TUBE",
     "load_rows",
     "rows_of_fingers",
     "steady_rows",
@@ -36,13 +36,13 @@ ROLLING = Term(
     judged="slip between knots, by Pinocchio",
 )
 
-TUBE = Term(
-    name="tube",
+PATH = Term(
+    name="path",
     meaning="path tolerance less the object's distance from its path",
     role=Role.INEQUALITY,
     unit="m",
     weight=PER_METRE,
-    wording="the tube around the path",
+    wording="the path tolerance",
     judged="path tolerance",
 )
 
@@ -111,7 +111,7 @@ REACH = Term(
 """The weight is that of one radian, or of 35 mm (a fingertip's way in that). It makes a radian
 worth some 0.1 mm of violation, which the last run of least squares takes back."""
 
-MOTION_TERMS = (ROLLING, TUBE, *SWING, LOAD, BEARING, REACH, PIVOTING, STEADY)
+MOTION_TERMS = (ROLLING, PATH, *SWING, LOAD, BEARING, REACH, PIVOTING, STEADY)
 """All of them."""
 
 

@@ -17,7 +17,7 @@ import casadi as ca
 from planner.failure import Failure
 from planner.synthesis.symbols import GraspPoint, GraspSymbols
 
-__all__ = ["Role", "Row", "Rows", "Term", "WrittenTerm", "table_of"]
+__all__ = ["Role", "Row", "Rows", "Term", "WrittenTerm", "first_failure", "table_of"]
 
 
 class Role(Enum):
@@ -70,7 +70,8 @@ class Term:
         wording: One row in words; ``{}`` stands for what it concerns, ``elsewhere`` if nothing.
         elsewhere: See ``wording``.
         judged: How the verdict on the true geometry judges it, for print.
-        judge: A verdict of its own on a grasp that all others have passed: None, or why it fails.
+        judge: A verdict of its own on a grasp, or on a knot of a motion, that all others have
+            passed: None, or why it fails. The task of a knot is that of the motion's start.
     """
 
     name: str
@@ -164,6 +165,12 @@ HEADER = (
     "meaning; how it is judged"
 )
 """Head of the table of terms."""
+
+
+def first_failure(terms: Iterable[Term], point: GraspPoint) -> Failure | None:
+    """Why the first term that judges for itself refuses a grasp; None if all accept it."""
+    verdicts = (term.judge(point) for term in terms if term.judge is not None)
+    return next((failure for failure in verdicts if failure is not None), None)
 
 
 def table_of(terms: Iterable[WrittenTerm]) -> str:
