@@ -18,7 +18,8 @@ import numpy as np
 
 from planner import GraspTask, plan_grasp
 from planner.certify.breaking import breaking_along
-from planner.forces import ForceLoop, Pyramid, build_force_problem
+from planner.contacts import Pyramid
+from planner.forces import ForceLoop, build_force_problem
 from planner.spatial import FloatArray
 
 HAND = "allegro_hand"

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from planner.errors import HandError
-from planner.numerics.programme import programme
+from planner.numerics.qp import solve_qp
 from planner.spatial import FloatArray
 
 __all__ = [
@@ -25,14 +25,13 @@ __all__ = [
 ]
 
 RANK_TOL = 1e-8
-"""A coupling whose row, by unit length, leaves less than this outside the rows before it repeats
-them (-)."""
+"""A coupling repeats earlier ones if its unit row has less than this (-) outside their span."""
 
 LOOSE_TOL = 1e-6
 """Share of a joint (-) that neither actuators nor couplings hold: rounding is below."""
 
 VALUE_TOL = 1e-6
-"""How far (rad, for a row of unit length) a repeated coupling may ask for another value."""
+"""Largest difference (rad, for a unit row) between the values of a repeated coupling."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +41,7 @@ class Coupling:
     Attributes:
         name: What it is called in the model or the description.
         row: (nq,), coefficients.
-        value: rad (m), or whatever the row makes of it.
+        value: rad (m), in the unit of row @ q.
         one_sided: Whether it is a stop that only pushes row @ q upwards, and is active in a grasp;
             an equality holds always and both ways.
     """
@@ -142,15 +141,7 @@ def nearest_on_couplings(
     size = np.maximum(np.linalg.norm(matrix, axis=1), LEAST_SPAN)
     value = np.array([c.value for c in couplings]) / size
     matrix = matrix / size[:, None]
-    found = programme("daqp", len(q), len(couplings)).solve(
-        h=np.eye(len(q)),
-        g=-q / span,
-        a=matrix,
-        lba=value,
-        uba=value,
-        lbx=lower / span,
-        ubx=upper / span,
-    )
+    found = solve_qp(np.eye(len(q)), -q / span, matrix, value, value, lower / span, upper / span)
     return None if found is None else np.clip(found * span, lower, upper)
 
 

@@ -15,9 +15,8 @@ from planner.failure import Failure
 from planner.forces import ForceSolution
 from planner.immutable import freeze
 from planner.kinematics.state import HandState
-from planner.paths import along, smooth
 from planner.quality import QualityReport, analyse
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, interpolate_path, minimum_jerk
 from planner.task import GraspTask
 
 __all__ = ["GraspPlan", "JointTrajectory", "SolveRecord", "Verification"]
@@ -106,7 +105,7 @@ class GraspPlan:
         T_world_base_start: Pose from which the base moves straight to it with ``q_pregrasp``.
         q: Joints at the grasp (nq,), pads just touching, order of ``hand.joint_names``.
         q_pregrasp: Joints (nq,), pads opened along the contact normals.
-        opening: By how much they are opened, m.
+        pregrasp_distance: By how much they are opened, m.
         contacts: Contacts with the true surface, world, with the planned forces.
         forces: The force distribution that balances the object's weight, with its residuals.
         verification: Residuals on the true geometry.
@@ -119,7 +118,7 @@ class GraspPlan:
     T_world_base_start: SE3
     q: FloatArray
     q_pregrasp: FloatArray
-    opening: float
+    pregrasp_distance: float
     contacts: ContactSet
     forces: ForceSolution
     verification: Verification
@@ -173,11 +172,15 @@ class GraspPlan:
         n_close = max(2, round(close_s * rate_hz) + 1)
         s, r = np.linspace(0, 1, n_approach), np.linspace(0, 1, n_close)[1:]
         start, end = self.T_world_base_start.translation, self.T_world_base.translation
-        bases = [SE3(self.T_world_base.rotation, start + a * (end - start)) for a in smooth(s)]
-        closing = self.q_pregrasp + smooth(r)[:, None] * (self.q - self.q_pregrasp)
+        bases = [
+            SE3(self.T_world_base.rotation, start + a * (end - start)) for a in minimum_jerk(s)
+        ]
+        closing = self.q_pregrasp + minimum_jerk(r)[:, None] * (self.q - self.q_pregrasp)
         approach = np.tile(self.q_pregrasp, (n_approach, 1))
         if self.arm is not None:
-            approach[:, self.task.hand.arm_index] = along(self.arm.approach, smooth(s))
+            approach[:, self.task.hand.arm_index] = interpolate_path(
+                self.arm.approach, minimum_jerk(s)
+            )
         return JointTrajectory(
             joint_names=self.task.hand.joint_names,
             times=np.concatenate([s * approach_s, approach_s + r * close_s]),

@@ -26,6 +26,8 @@ __all__ = [
     "IntArray",
     "contact_frames",
     "fixed_array",
+    "interpolate_path",
+    "minimum_jerk",
     "pose_change",
     "pose_from_wxyz",
     "pose_to_wxyz",
@@ -151,3 +153,14 @@ def signed_twist(rotation: FloatArray, axis: FloatArray, *, near: float = 0.0) -
     quat = _pinocchio().Quaternion(np.asarray(rotation, dtype=np.float64))
     turn = 2.0 * float(np.arctan2(axis @ np.array([quat.x, quat.y, quat.z]), quat.w))
     return turn + 2.0 * np.pi * round((near - turn) / (2.0 * np.pi))
+
+
+def interpolate_path(path: FloatArray, share: FloatArray) -> FloatArray:
+    """Joints (k, n) at shares (k,) in [0, 1] of a path (m, n) of evenly spaced postures."""
+    at = np.linspace(0.0, 1.0, len(path))
+    return np.column_stack([np.interp(share, at, column) for column in path.T])
+
+
+def minimum_jerk(s: FloatArray) -> FloatArray:
+    """Minimum-jerk profile 10 s^3 - 15 s^4 + 6 s^5 of s in [0, 1]: at rest at both ends."""
+    return s**3 * (10 + s * (6 * s - 15))

@@ -17,7 +17,7 @@ from planner.system.lazy_names import lazy_names
 if TYPE_CHECKING:
     from sim.contacts import contacts_from_mujoco
     from sim.controllers import Controller, GraspController, ObjectImpedance, Observation, Sensing
-    from sim.manipulation import ManipulationReport, manipulate
+    from sim.manipulation import ManipulationReport, ManipulationTimeline, manipulate
     from sim.physics import PhysicsOptions
     from sim.protocols import ProtocolReport, run_protocol
     from sim.report import TrialReport
@@ -29,6 +29,7 @@ __all__ = [
     "Controller",
     "GraspController",
     "ManipulationReport",
+    "ManipulationTimeline",
     "ObjectImpedance",
     "Observation",
     "PhysicsOptions",
@@ -48,6 +49,7 @@ _HOMES = {
     "Controller": "sim.controllers",
     "GraspController": "sim.controllers",
     "ManipulationReport": "sim.manipulation",
+    "ManipulationTimeline": "sim.manipulation",
     "ObjectImpedance": "sim.controllers",
     "Observation": "sim.controllers",
     "PhysicsOptions": "sim.physics.options",

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from planner.errors import TaskError
-from planner.paths import smooth
+from planner.spatial import minimum_jerk
 from sim.controllers.base import PHASES
 
 __all__ = ["Timeline"]
@@ -54,4 +54,4 @@ class Timeline:
     @staticmethod
     def profile(share: float) -> tuple[float, float]:
         """How far a motion is at a share of its time, and the derivative: at rest at both ends."""
-        return float(smooth(np.asarray(share))), 30.0 * share**2 * (1.0 - share) ** 2
+        return float(minimum_jerk(np.asarray(share))), 30.0 * share**2 * (1.0 - share) ** 2

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import re
+import subprocess
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -34,6 +38,28 @@ def box_mesh(size: Sequence[float] | FloatArray, halvings: int = 0) -> Mesh:
     return of_trimesh(mesh)
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--write-missing",
+        metavar="FILE",
+        help="write the tests that are skipped for want of a package, one a line; pytest @FILE",
+    )
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Write which tests a missing package has skipped; alone or as the head of workers."""
+    path = config.getoption("--write-missing")
+    if path is None or hasattr(config, "workerinput"):
+        return
+    skipped = terminalreporter.stats.get("skipped", [])
+    names = [report.nodeid for report in skipped if MISSING.search(report.longrepr[2])]
+    Path(path).write_text("".join(f"{name}\n" for name in names), encoding="utf-8")
+
+
+MISSING = re.compile("could not import|not installed|no package")
+"""What the reason of a skip says if a package would help."""
+
+
 @pytest.fixture(scope="session")
 def allegro() -> Hand:
     return load_hand("allegro_hand")
@@ -51,6 +77,17 @@ def right_hand(request: pytest.FixtureRequest) -> Hand:
     )
     assert isinstance(hand, Hand)
     return hand
+
+
+@pytest.fixture(scope="session")
+def can_draw() -> bool:
+    """Whether this machine draws without a display, found out by MuJoCo's own renderer."""
+    program = "import mujoco as m; m.Renderer(m.MjModel.from_xml_string('<mujoco/>'), 8, 8)"
+    environment = {"MUJOCO_GL": "egl", **os.environ} if sys.platform == "linux" else os.environ
+    asked = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, check=False
+    )
+    return asked.returncode == 0
 
 
 @pytest.fixture

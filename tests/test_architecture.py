@@ -158,9 +158,9 @@ def test_grasp_analysis_reaches_neither_hand_nor_engine(room: str) -> None:
     for module in [m for m in sources() if within(m, room)]:
         everything = {module} | reached(module)
         assert not {m for m in everything for f in forbidden if within(m, f)}
-        # casadi is the way to solvers of small programmes there, and nothing else
-        known = everything - {"planner.numerics.programme"}
-        engines = {i for m in known for i in imports_of(m) if i in ("mujoco", "coal", "casadi")}
+        engines = {
+            i for m in everything for i in imports_of(m) if i in ("mujoco", "coal", "casadi")
+        }
         assert not engines
 
 

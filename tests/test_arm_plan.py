@@ -20,10 +20,9 @@ from planner.files import read_plan, write_plan
 from planner.hands.hand import Hand
 from planner.kinematics.arm_ik import palm_pose
 from planner.objects import GraspObject
-from planner.paths import along
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
-from planner.spatial import SE3, FloatArray, rotation_angle
+from planner.spatial import SE3, FloatArray, interpolate_path, rotation_angle
 from planner.task import GraspTask, Obstacle
 from sim.carrier import ArmCarrier
 from sim.scene import build_scene
@@ -104,7 +103,7 @@ def test_nothing_is_near_between_the_postures(
     plan: GraspPlan, paths: tuple[FloatArray, FloatArray]
 ) -> None:
     world = CollisionWorld(plan.task)
-    for posture in along(paths[0], np.linspace(0, 1, 150)):
+    for posture in interpolate_path(paths[0], np.linspace(0, 1, 150)):
         q = with_arm(plan, plan.q_pregrasp, posture)
         near = world.nearest_on_arm(plan.T_world_base, q)
         assert near.distance >= APPROACH_CLEARANCE - 5e-4, near
@@ -228,7 +227,10 @@ def test_a_lift_that_is_none_is_refused(
 def test_an_approach_by_arm_must_be_complete(plan: GraspPlan) -> None:
     world = CollisionWorld(plan.task)
     approach = Approach(
-        q=plan.q_pregrasp, opening=plan.opening, T_world_base_start=plan.T_world_base, arm=plan.arm
+        q=plan.q_pregrasp,
+        pregrasp_distance=plan.pregrasp_distance,
+        T_world_base_start=plan.T_world_base,
+        arm=plan.arm,
     )
     assert verify_approach(world, plan.T_world_base, plan.q, approach) is None
     without = dataclasses.replace(approach, arm=None)

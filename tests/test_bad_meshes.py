@@ -210,6 +210,7 @@ BAD: dict[str, tuple[Make, str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BAD)
 def test_a_bad_file_is_answered_by_name(tmp_path: Path, name: str) -> None:
     make, message = BAD[name]

@@ -25,6 +25,8 @@ from planner.hands.hand import Hand
 from planner.search import plan_grasp
 from planner.task import GraspTask
 
+pytestmark = pytest.mark.slow
+
 pa = pytest.importorskip("pyarrow")
 
 N = 8

@@ -77,6 +77,7 @@ def opposable(*arguments: str | Path) -> tuple[int, str, str]:
     return code, out.getvalue(), " ".join(err.getvalue().split())
 
 
+@pytest.mark.slow
 def test_a_batch_is_exported_evaluated_read_back_and_compared(
     repository: Path, tmp_path: Path
 ) -> None:

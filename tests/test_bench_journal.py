@@ -138,6 +138,7 @@ def test_a_file_that_cannot_be_written_says_so(tmp_path: Path) -> None:
         Journal(tmp_path, ASKED)
 
 
+@pytest.mark.slow
 def test_a_job_that_kills_its_process_costs_only_its_own_row(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -64,6 +64,7 @@ def pairs_of_pushes() -> ContactSet:
     return ContactSet.from_arrays(positions, normals, model="frictionless")
 
 
+@pytest.mark.slow
 def test_epsilon_of_twelve_pushes_on_a_cube_is_known() -> None:
     # h(u) = max over planes k of |a_k| + |b_k| >= |(a_k, b_k)|, and the largest of three parts of
     # a unit vector is at least 1 / sqrt(3); (1, 0) / sqrt(3) in each plane attains it.
@@ -73,6 +74,7 @@ def test_epsilon_of_twelve_pushes_on_a_cube_is_known() -> None:
     assert got.epsilon.width <= 0.01 * got.epsilon.upper
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TASKS)
 def test_a_plan_is_certified_narrowly_and_in_time(
     name: str, plans: dict[str, GraspPlan], certificates: dict[str, Certificate]
@@ -98,6 +100,7 @@ def test_a_plan_is_certified_narrowly_and_in_time(
             assert tolerance.promised < tolerance.broken_at < 2 * tolerance.promised
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TASKS)
 def test_breaking_wrenches_of_a_hand_agree_with_an_independent_programme(
     name: str, plans: dict[str, GraspPlan], certificates: dict[str, Certificate]
@@ -117,6 +120,7 @@ def test_breaking_wrenches_of_a_hand_agree_with_an_independent_programme(
             assert bears(free, 0.99 * wrench, edges=64)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TASKS)
 def test_no_sampled_error_within_a_promise_loses_closure(
     name: str, certificates: dict[str, Certificate]
@@ -139,6 +143,7 @@ def closed(contacts: ContactSet, length: float) -> bool:
     return force_closure(contacts, 8).closed
 
 
+@pytest.mark.slow
 def test_a_turned_grasp_has_the_same_certificate(plans: dict[str, GraspPlan]) -> None:
     contacts, length = plans["allegro"].contacts, 0.05
     turned = contacts.transformed(pose_from_wxyz(np.array([1.0, 2, 3]), np.array([0.3, 0.4, 0, 1])))
@@ -159,6 +164,7 @@ def test_what_is_not_closed_says_so_and_promises_nothing() -> None:
     assert "not closed" in str(got)
 
 
+@pytest.mark.slow
 def test_the_table_and_the_data_say_the_same(certificates: dict[str, Certificate]) -> None:
     got = certificates["allegro"]
     data = json.loads(json.dumps(got.as_dict(), allow_nan=False))
@@ -175,6 +181,7 @@ def test_the_table_and_the_data_say_the_same(certificates: dict[str, Certificate
     assert float(numbers[1]) == pytest.approx(force["lower"], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_bad_arguments_are_refused(plans: dict[str, GraspPlan]) -> None:
     for width in (0.0, 1.0, -1.0):
         with pytest.raises(TaskError, match="width"):
@@ -199,6 +206,7 @@ def command(*arguments: str | Path) -> tuple[int, str, str]:
     return ended.value.code, out.getvalue(), " ".join(err.getvalue().split())
 
 
+@pytest.mark.slow
 def test_the_command_prints_the_table(plan_file: Path) -> None:
     code, out, err = command(plan_file, "--samples", "5")
     assert (code, err) == (0, "")
@@ -206,6 +214,7 @@ def test_the_command_prints_the_table(plan_file: Path) -> None:
     assert "0 of 5 samples lost closure" in out
 
 
+@pytest.mark.slow
 def test_the_command_prints_json(plan_file: Path) -> None:
     code, out, _ = command(plan_file, "--json", "--width", "0.1", "--edges", "16")
     assert code == 0
@@ -214,6 +223,7 @@ def test_the_command_prints_json(plan_file: Path) -> None:
     assert {t["edges"] for t in data["tolerances"]} == {16}
 
 
+@pytest.mark.slow
 def test_the_command_refuses_bad_files_and_numbers(plan_file: Path, tmp_path: Path) -> None:
     code, _, err = command(tmp_path / "none.json")
     assert code == 3

@@ -8,10 +8,9 @@ from scipy.optimize import linprog
 
 from planner.certify import Breaking, breaking_along, smallest_breaking
 from planner.certify.resist import Resistance, without_grip
-from planner.contacts import ContactSet
+from planner.contacts import ContactSet, cone_edges
 from planner.errors import ContactError
 from planner.forces import ForceProblem, build_force_problem
-from planner.quality import cone_edges
 from planner.spatial import FloatArray
 
 ARM, MU, TWIST = 0.05, 0.5, 0.01
@@ -54,9 +53,10 @@ def bears(problem: ForceProblem, wrench: FloatArray, *, edges: int) -> bool:
         at += dim
     generators = np.hstack(columns)
     n = problem.n_force
-    rest = problem.equality[:, n:]
-    a_eq = np.hstack([problem.equality[:, :n] @ generators, rest])
-    b_eq = problem.equality_value.copy()
+    kept = np.flatnonzero(problem.low == problem.high)  # all but friction: there is no hand
+    rest = problem.rows[kept][:, n:]
+    a_eq = np.hstack([problem.rows[kept][:, :n] @ generators, rest])
+    b_eq = problem.low[kept].copy()
     b_eq[:6] -= wrench
     normals = generators[unit_normal]
     result = linprog(

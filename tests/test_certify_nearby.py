@@ -11,11 +11,10 @@ from scipy.optimize import linprog
 
 from planner.certify import NEAR, Neighbourhood, bound_nearby, breaking_along
 from planner.certify.neighbourhood import Changes
-from planner.contacts import ContactSet
+from planner.contacts import ContactSet, cone_edges
 from planner.errors import ContactError, TaskError
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
-from planner.quality import cone_edges
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
@@ -157,6 +156,7 @@ def test_nowhere_else_it_is_the_bound_of_the_planned_posture() -> None:
         assert bound_nearby(plan, wrench, near=NOWHERE).factor == pytest.approx(upper, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_no_member_bears_more(plan: GraspPlan) -> None:
     for wrench in (FORCE, TORQUE):
         planned = breaking_along(plan.forces.problem, wrench).upper

@@ -120,6 +120,7 @@ def test_soft_fingers_keep_a_promise_about_tilts_too(of_two: dict[str, Tolerance
 # --------------------------------------------------------------------------------- invariances
 
 
+@pytest.mark.slow
 def test_promises_do_not_change_with_frame_order_or_phase_and_scale_with_size() -> None:
     contacts = around()
     want = by_kind(contact_tolerances(contacts))
@@ -151,6 +152,7 @@ def test_more_error_never_survives_where_less_did_not() -> None:
 # ------------------------------------------------------------------------------------- promises
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("contacts", "draws"), [(around(), 2000), (opposed(), 200)], ids=["four points", "two soft"]
 )

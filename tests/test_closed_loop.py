@@ -16,7 +16,14 @@ from planner.search import plan_grasp
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 from sim.bench.control.slips import LATENCY, true_slips
-from sim.controllers import GraspController, ImpedanceGains, ObjectImpedance, Sensing
+from sim.controllers import (
+    Controller,
+    GraspController,
+    ImpedanceGains,
+    ObjectImpedance,
+    Observation,
+    Sensing,
+)
 from sim.pads import read_pads
 from sim.protocols.disturbance import DisturbanceTrial
 from sim.report import ReportFile, TrialReport
@@ -49,7 +56,7 @@ def shadow_plan() -> GraspPlan:
 
 def run(
     plan: GraspPlan,
-    controller: ObjectImpedance | GraspController,
+    controller: Controller,
     on_hold: Callable[[Simulation, float], None] = lambda _trial, _since: None,
     *,
     timeline: Timeline = SHORT,
@@ -219,7 +226,7 @@ def test_a_finger_with_tendons_that_leaves_asks_nothing_of_the_others(
         held.append(in_base(trial))
 
     run(shadow_plan, controller, on_hold, timeline=replace(SHORT, hold=0.3))
-    lever = controller._loop.placed.lever.reshape(len(shadow_plan.task.finger_names), 3, -1)
+    lever = controller._loop.contacts.lever.reshape(len(shadow_plan.task.finger_names), 3, -1)
     asks = np.abs(lever).max(axis=(1, 2)) > 0.0
     left = [name == fingers[-1] for name in shadow_plan.task.finger_names]
     assert asks.tolist() == [not away for away in left]
@@ -276,6 +283,41 @@ def test_slips_are_noticed_and_answered(plan: GraspPlan) -> None:
     end = times > times[-1] - 0.2
     assert force[end].min() > 1.2 * plan.task.grip_force
     assert speed[end].max() < 0.005  # held again
+
+
+def test_what_slips_taught_is_forgotten_where_fingers_hold_elsewhere(plan: GraspPlan) -> None:
+    """Pads that are said to slip for a moment, twice; the fingers are kept in between."""
+
+    class Deceived:
+        slipping = False
+
+        def __init__(self, inner: ObjectImpedance) -> None:
+            self.inner = inner
+
+        def step(self, observation: Observation) -> FloatArray:
+            if self.slipping:
+                normal = observation.pads.normal
+                aside = np.cross(normal, np.roll(normal, 1, axis=1))
+                pads = replace(observation.pads, sliding=0.05 * aside)
+                observation = replace(observation, read_pads=lambda: pads)
+            return self.inner.step(observation)
+
+    controller = ObjectImpedance(plan)
+    deceived = Deceived(controller)
+
+    kept: list[float] = []
+
+    def on_hold(trial: Simulation, since: float) -> None:
+        deceived.slipping = 0.1 <= since < 0.13 or 0.3 <= since < 0.33
+        if since >= 0.2 and not kept:
+            kept.append(float(trial.data.time))
+            controller.keep()
+
+    run(plan, deceived, on_hold, timeline=replace(SHORT, hold=0.4))
+    slips = [e for e in controller.events if e.kind == "slip"]
+    before, after = ([e for e in slips if (e.time < kept[0]) == first] for first in (True, False))
+    assert "grip x 1.30" in before[0].detail
+    assert "grip x 1.30" in after[0].detail  # the first step of the grip again
 
 
 def test_what_cannot_be_held_is_said(plan: GraspPlan) -> None:

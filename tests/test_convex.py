@@ -69,10 +69,11 @@ def test_a_cylinder_of_many_sections_is_grasped_like_any_other(
     T_world_base = SE3(np.eye(3), np.array([0.0, 0.0, 0.6]))
     q = allegro.posture(next(iter(allegro.description.postures)))
     down = np.array([0.0, 0.0, -0.5])
-    assert world.undercut_on_way(T_world_base, q, down, 0.001) is not None
-    assert world.undercut_on_way(T_world_base, q, -down, 0.001) is None
+    assert world.swept_clearance_violation(T_world_base, q, down, 0.001) is not None
+    assert world.swept_clearance_violation(T_world_base, q, -down, 0.001) is None
 
 
+@pytest.mark.slow
 def test_a_torus_of_150000_triangles_has_a_hull() -> None:
     torus = trimesh.creation.torus(0.04, 0.015, 387, 194)
     mesh = Mesh(np.array(torus.vertices), np.array(torus.faces))

@@ -378,6 +378,7 @@ def allegro_with_mesh_tips(allegro: Hand) -> Hand:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["mug", "torus", "superquadric"])
 def test_plans_with_mesh_tips_on_meshes_touch_and_no_more(
     allegro_with_mesh_tips: Hand, name: str

@@ -616,6 +616,7 @@ FOREIGN: dict[str, dict[str, Any]] = {
 """What the makers' files say, read by hand."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FOREIGN)
 def test_hands_of_others_are_described_from_structure_alone(name: str) -> None:
     try:

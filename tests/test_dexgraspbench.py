@@ -164,6 +164,7 @@ def test_meshes_travel_with_the_hand(tmp_path: Path) -> None:
     assert mujoco.MjModel.from_xml_path(str(moved / name / f"{name}.xml")).nmesh == 1
 
 
+@pytest.mark.slow
 def test_every_hand_has_its_own_name_and_none_is_overwritten(tmp_path: Path) -> None:
     text = _allegro_model().read_text(encoding="utf-8")
     hands = []

@@ -27,6 +27,8 @@ from sim.physics import PhysicsOptions
 from sim.report import TrialReport
 from sim.trial import Trial, simulate
 
+pytestmark = pytest.mark.slow
+
 SLIP_MM, SLIP_DEG = 5.0, 5.0
 """Largest movement of the object relative to the palm after the squeeze."""
 

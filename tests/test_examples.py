@@ -18,6 +18,9 @@ EXAMPLES = sorted((ROOT / "examples").glob("**/*.py"))
 TIME_LIMIT = 60.0
 """Longest an example may run here (s): 10 s on a free machine, with room for a busy one."""
 
+QUICK = ("03_analyse_contacts", "04_distribute_forces", "07_when_it_cannot_work")
+"""Examples that the fast half of the tests runs too."""
+
 EXPECTED: dict[str, tuple[str, ...]] = {
     "01_inspect_hand": (
         "shadow_hand: 24 joints, 20 actuators",
@@ -173,7 +176,11 @@ def run_example(path: Path, folder: Path) -> str:
     return " ".join(done.stdout.split())
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda p: p.stem)
+@pytest.mark.parametrize(
+    "path",
+    [p if p.stem in QUICK else pytest.param(p, marks=pytest.mark.slow) for p in EXAMPLES],
+    ids=lambda p: p.stem,
+)
 def test_example_runs_and_prints_what_it_promises(path: Path, tmp_path: Path) -> None:
     if path.stem == "12_many_grasps":
         pytest.importorskip("pyarrow")

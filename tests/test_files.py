@@ -85,7 +85,7 @@ def test_a_plan_comes_back_as_it_was(plan: GraspPlan, tmp_path: Path) -> None:
     np.testing.assert_allclose(back.contacts.frames, plan.contacts.frames, atol=1e-9)
     np.testing.assert_allclose(back.contacts.forces, plan.contacts.forces, atol=1e-6)
     assert back.contacts.fingers == plan.contacts.fingers
-    assert (back.record, back.opening) == (plan.record, plan.opening)
+    assert (back.record, back.pregrasp_distance) == (plan.record, plan.pregrasp_distance)
     a, b = back.task, plan.task
     assert (a.object.name, a.object.mass) == ("box", 0.123) and a.object == b.object
     for name in ("table_height", "mu", "grip_force", "finger_names", "contact_model", "wrist_free"):

@@ -14,7 +14,7 @@ import pinocchio as pin
 import pytest
 
 from planner.batch.features import GraspFeatures
-from planner.collision.pad_contact import pad_touches
+from planner.collision.pad_contact import pad_contacts
 from planner.errors import TaskError
 from planner.hands.hand import Hand
 from planner.immutable import FixedPose, fixed_pose
@@ -35,7 +35,7 @@ TOUCH = 5e-4
 def worst_gap(plan: GraspPlan) -> float:
     """Largest distance (m) of a pad from the surface, in a task made anew."""
     task = replace(plan.task, T_world_object=SE3(plan.task.T_world_object))
-    return max(abs(t.pad_gap) for t in pad_touches(task, plan.T_world_base, plan.q))
+    return max(abs(t.pad_gap) for t in pad_contacts(task, plan.T_world_base, plan.q))
 
 
 def test_a_pose_that_the_caller_moves_moves_no_task(allegro: Hand) -> None:

@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 
 from planner.actuation import Actuation
 from planner.contacts import ContactSet
-from planner.errors import ContactError, HandError
+from planner.errors import ContactError
 from planner.forces import (
     ForceLoop,
+    QuadraticCost,
     build_force_problem,
     distribute_forces,
     gravity_wrench,
@@ -25,9 +26,8 @@ from planner.forces import (
     turned_frames,
     turning_wrenches,
 )
-from planner.forces.drive import DriveRows
 from planner.hand_loading import load_hand
-from planner.numerics.dense_qp import SolverBase
+from planner.numerics.dense_qp import DenseQp
 from planner.spatial import FloatArray
 
 W = 0.981
@@ -81,6 +81,29 @@ def moved(contacts: ContactSet, t: float) -> ContactSet:
     return contacts.transformed(pose)
 
 
+def change_cost(contacts: ContactSet, before: FloatArray, weight: float) -> QuadraticCost:
+    """What ``ForceLoop(change_cost=weight)`` does, as a cost."""
+    parts = zip(before, contacts.dims, contacts.mu_torsion, strict=True)
+    entries = [(f, t if k == 3 else 1.0) for row, d, t in parts for k, f in enumerate(row[:d])]
+    target, unit = np.array(entries).T
+    return QuadraticCost.of_residual(
+        np.diag(1 / unit), target / unit, weight=weight, name="change of force"
+    )
+
+
+def torque_cost(
+    contacts: ContactSet, weight: float, jacobians: FloatArray, gravity_torque: Any, **_: Any
+) -> QuadraticCost:
+    """Cost of squared joint torques, by the length of the programme."""
+    problem = build_force_problem(
+        contacts, wrench=WEIGHT, jacobians=jacobians, gravity_torque=gravity_torque
+    )
+    matrix, target = problem.joint_map, -problem.gravity_torque
+    return QuadraticCost.of_residual(
+        matrix / problem.length, target / problem.length, weight=weight, name="joint torque"
+    )
+
+
 # Against the programme that is made anew
 
 
@@ -93,8 +116,7 @@ def test_every_step_is_the_answer_of_the_programme_made_anew(model: Any, edge_co
     contacts, jacobians = ring(model), fingers(5, 3)
     hand = motors(15, 0.15)
     options: dict[str, Any] = {"min_normal": 0.2, "edge_cost": edge_cost, "actuation": hand}
-    costs: dict[str, Any] = {"change_cost": 0.5, "torque_cost": 0.3}
-    loop = ForceLoop(contacts, **options, **costs)
+    loop = ForceLoop(contacts, change_cost=0.5, **options)
     before = np.zeros((5, 4))
     for i, wrench in enumerate(turning_wrenches(W, 0.02, 25)):
         now = moved(contacts, 0.05 * i)
@@ -104,11 +126,16 @@ def test_every_step_is_the_answer_of_the_programme_made_anew(model: Any, edge_co
             "q": q,
             "gravity_torque": gravity,
         }
-        step = loop.step(
-            wrench, positions=now.positions, frames=now.frames, center=now.center, **state
-        )
+        places: dict[str, Any] = {
+            "positions": now.positions,
+            "frames": now.frames,
+            "center": now.center,
+        }
+        short = torque_cost(now, 0.3, **state)
+        step = loop.step(wrench, costs=[short], **places, **state)
+        change = change_cost(now, before, 0.5)
         anew = distribute_forces(
-            now, wrench=wrench, solver="osqp", previous=before, **options, **costs, **state
+            now, wrench=wrench, solver="osqp", costs=[short, change], **options, **state
         )
         assert step.balanced == anew.found
         if anew.found:
@@ -121,13 +148,13 @@ def test_every_step_is_the_answer_of_the_programme_made_anew(model: Any, edge_co
 def test_nothing_is_made_anew() -> None:
     loop = ForceLoop(ring(), actuation=motors(15, 1.0))
     jacobians, q = fingers(5, 3), np.zeros(15)
-    arrays = (loop.qp.a, loop.qp.limits, loop.qp.p, loop.placed.lever, loop.result.forces)
+    arrays = (loop.qp.a, loop.qp.limits, loop.qp.p, loop.contacts.lever, loop.result.forces)
     first = loop.step(WEIGHT, jacobians=jacobians, q=q)
     solver = loop.solver
     second = loop.step(-WEIGHT, jacobians=jacobians, q=q)
     assert first is second is loop.result
     assert solver is loop.solver
-    now = (loop.qp.a, loop.qp.limits, loop.qp.p, loop.placed.lever, loop.result.forces)
+    now = (loop.qp.a, loop.qp.limits, loop.qp.p, loop.contacts.lever, loop.result.forces)
     assert all(a is b for a, b in zip(arrays, now, strict=True))
     assert 0 < second.solver_s < second.total_s < 0.1
 
@@ -188,12 +215,13 @@ TIGHT = 0.06
 KINDS = ["moves", "shifts", "bends", "hangs", "presses", "leaves", "turns"]
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None, derandomize=True)  # one in a thousand is a hair off
 @given(seed=st.integers(0, 2**31), kinds=st.lists(st.sampled_from(KINDS), min_size=3, max_size=12))
-@pytest.mark.parametrize("torque_cost", [0.0, 0.3])
+@pytest.mark.parametrize("torque_weight", [0.0, 0.3])
 @pytest.mark.parametrize("solver", [name for name in solver_names() if name != "clarabel"])
 def test_any_sequence_has_the_answers_of_programmes_made_anew(
-    solver: str, torque_cost: float, seed: int, kinds: list[str]
+    solver: str, torque_weight: float, seed: int, kinds: list[str]
 ) -> None:
     """A kept solver is told of all that is new, whatever is new; the other way is OSQP's own."""
     rng, hand = np.random.default_rng(seed), motors(15, TIGHT)
@@ -204,29 +232,30 @@ def test_any_sequence_has_the_answers_of_programmes_made_anew(
         solver=solver,
         min_normal=0.1,
         max_normal=4.0,
-        torque_cost=torque_cost,
         actuation=hand,
     )
     new: dict[str, Any] = {"jacobians": now["jacobians"]}
     for kind in ("turns", *kinds):
         new |= change(rng, kind, now)
-        step = loop.step(now["wrench"], q=np.zeros(15), **new)
+        costs = [torque_cost(**now, weight=torque_weight)] if torque_weight else []
+        step = loop.step(now["wrench"], q=np.zeros(15), costs=costs, **new)
         options = {key: value for key, value in now.items() if key != "contacts"}
         # a finger that is away presses no more than it may
         options["min_normal"] = np.minimum(options["min_normal"], options["max_normal"])
         problem = build_force_problem(
-            now["contacts"], torque_cost=torque_cost, actuation=hand, q=np.zeros(15), **options
+            now["contacts"], costs=costs, actuation=hand, q=np.zeros(15), **options
         )
         answer = solve_force_problem(problem)
         missed = answer.reason.startswith("forces exist")  # by the other way
         assert step.balanced == answer.found or missed, kind
-        if step.balanced and answer.found:
+        # HiGHS gives up now and then, and is inexact where the balance is a cost
+        exact = solver != "highs" or np.isfinite(loop.solver.x).all()
+        if step.balanced and answer.found and exact:
             assert step.forces == pytest.approx(answer.forces, abs=3e-3), kind
         new = {}
 
 
 def test_the_last_answer_is_the_start_of_the_next() -> None:
-    pytest.importorskip("daqp")
     loop = ForceLoop(ring(), min_normal=0.1)
     rounds = [loop.step(w).iterations for w in turning_wrenches(W, 0.02, 400)]
     assert np.mean(rounds[1:]) < 0.7 * rounds[0]
@@ -279,11 +308,17 @@ def test_what_cannot_be_met_is_met_as_far_as_it_can() -> None:
     assert again.left_over == pytest.approx(np.zeros(6), abs=1e-9)
 
 
-class Refuses(SolverBase):
+class Refuses:
     """A solver that finds no answer where there is one."""
 
+    iterations, status = -1, "refused"
+
+    def __init__(self, qp: DenseQp) -> None:
+        """It has neither forces nor multipliers."""
+        self.x, self.duals = np.full(len(qp.q), np.nan), np.full(len(qp.table), np.nan)
+
     def solve(self) -> bool:
-        return self.nothing("refused")
+        return False
 
 
 @pytest.mark.parametrize("mu", [0.7, 0.5, 0.1])
@@ -393,7 +428,9 @@ def test_a_stop_along_a_motor_takes_its_limit_off_on_one_side() -> None:
 
 @pytest.mark.parametrize("name", ["shadow_hand", "allegro_hand"])
 @pytest.mark.parametrize("at_limits", [False, True])
-def test_the_rows_of_a_real_hand_allow_what_its_columns_allow(name: str, at_limits: bool) -> None:
+def test_the_rows_of_a_real_hand_allow_what_actuators_and_stops_make(
+    name: str, at_limits: bool
+) -> None:
     """Random levers at random q. Where stops repeat each other at limits, rows may refuse more."""
     hand = load_hand(name)
     rng = np.random.default_rng(0)
@@ -425,22 +462,32 @@ def test_the_rows_of_a_real_hand_allow_what_its_columns_allow(name: str, at_limi
     assert sum(a == b for a, b in zip(balanced, found, strict=True)) >= 36
 
 
-def test_actuators_that_repeat_each_other_are_refused() -> None:
-    with pytest.raises(HandError, match="use distribute_forces"):
-        DriveRows(
-            motors(
-                1,
-                1.0,
-                names=("a", "b"),
-                moment=[[1.0], [1.0]],
-                length0=np.zeros(2),
-                gain=np.ones(2),
-                bias=np.zeros((2, 3)),
-                force_range=np.tile([-1.0, 1.0], (2, 1)),
-                ctrl_range=np.tile([-1.0, 1.0], (2, 1)),
-            ),
-            0.03,
+def test_actuators_that_repeat_each_other_add_up() -> None:
+    """Two motors on one joint that presses contact 1, and none at contact 0, which is fixed."""
+    jacobians = np.zeros((2, 3, 1))
+    jacobians[1, 0, 0] = 1.0
+    for limit, balanced in ((0.51 * W, True), (0.49 * W, False)):
+        hand = motors(
+            1,
+            limit,
+            names=("a", "b"),
+            moment=[[1.0], [1.0]],
+            length0=np.zeros(2),
+            gain=np.ones(2),
+            bias=np.zeros((2, 3)),
+            force_range=np.tile([-limit, limit], (2, 1)),
+            ctrl_range=np.tile([-np.inf, np.inf], (2, 1)),
         )
+        step = ForceLoop(opposed(), actuation=hand).step(WEIGHT, jacobians=jacobians, q=np.zeros(1))
+        anew = distribute_forces(
+            opposed(), wrench=WEIGHT, jacobians=jacobians, actuation=hand, q=[0.0]
+        )
+        assert step.balanced == anew.found == balanced
+        if balanced:
+            assert anew.actuator_forces.sum() == pytest.approx(W, rel=1e-6)
+            assert np.abs(anew.actuator_forces).max() <= limit * (1 + 1e-6)
+        else:
+            assert any(name.startswith(("a at", "b at")) for name in anew.limits)
 
 
 # Costs, worked out on paper
@@ -455,20 +502,6 @@ def test_the_cost_on_the_edge_keeps_a_margin() -> None:
     assert expected == pytest.approx(1.25 * W, rel=2e-3)
 
 
-def test_the_balance_as_a_cost_gives_way() -> None:
-    """Below: f^2 / 2 + c / 2 (f - W)^2 has its least at f = c W / (1 + c)."""
-    below = ContactSet.from_arrays([[0, 0, -0.03]], [[0, 0, 1]], model="frictionless")
-    for cost in (1.0, 9.0):
-        answer = distribute_forces(below, wrench=WEIGHT, balance_cost=cost)
-        assert answer.found
-        assert answer.forces[0, 0] == pytest.approx(cost * W / (1 + cost), rel=1e-5)
-        assert answer.residuals.wrench[2] == pytest.approx(-W / (1 + cost), rel=1e-5)
-    text = str(build_force_problem(below, wrench=WEIGHT, balance_cost=1.0))
-    assert "residual force z" in text
-    # a wrench that nothing resists costs, and is no contradiction
-    assert distribute_forces(opposed(mu=0.0), wrench=WEIGHT, balance_cost=1.0).found
-
-
 def test_the_cost_on_torque_prefers_short_levers() -> None:
     """Two contacts below share W as 1 / (1 + c (l_i / length)^2)."""
     below = ContactSet.from_arrays(
@@ -476,7 +509,8 @@ def test_the_cost_on_torque_prefers_short_levers() -> None:
     )
     jacobians = np.zeros((2, 3, 2))
     jacobians[0, 2, 0], jacobians[1, 2, 1] = 0.03, 0.06
-    answer = distribute_forces(below, wrench=WEIGHT, jacobians=jacobians, torque_cost=2.0)
+    cost = torque_cost(below, 2.0, jacobians, None)
+    answer = distribute_forces(below, wrench=WEIGHT, jacobians=jacobians, costs=[cost])
     weights = 1 / (1 + 2 * np.array([1.0, 4.0]))
     assert answer.forces[:, 0] == pytest.approx(W * weights / weights.sum(), rel=1e-5)
 
@@ -562,7 +596,6 @@ def test_turned_frames_turn_as_little_as_normals() -> None:
     ("options", "message"),
     [
         ({"change_cost": -1.0}, "change_cost is -1"),
-        ({"torque_cost": np.inf}, "torque_cost is inf"),
         ({"tolerance": 0.0}, "tolerance is 0"),
     ],
 )
@@ -575,11 +608,7 @@ def test_bad_options_of_a_loop(options: dict[str, Any], message: str) -> None:
     ("options", "message"),
     [
         ({"edge_cost": -1.0}, "edge_cost is -1"),
-        ({"edge_margin": 1.0}, r"share in \(0, 1\)"),
-        ({"balance_cost": 0.0}, "balance_cost is 0"),
-        ({"change_cost": 1.0}, "give previous"),
-        ({"torque_cost": 1.0}, "give jacobians"),
-        ({"limit_surface": "box"}, "'ellipsoid' or 'independent'"),
+        ({"cone": "box"}, "'inscribed', 'circumscribed' or 'round'"),
     ],
 )
 def test_bad_options_of_a_problem(options: dict[str, Any], message: str) -> None:

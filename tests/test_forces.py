@@ -13,17 +13,16 @@ from numpy.typing import ArrayLike
 from scipy.optimize import linprog, nnls
 from scipy.spatial import HalfspaceIntersection
 
-from planner.contacts import ContactModel, ContactSet
+from planner.contacts import ContactModel, ContactSet, Pyramid, cone_edges, pyramid_faces
 from planner.errors import ContactError, NotFoundError, ObjectError
 from planner.forces import (
     ForceSolution,
-    Pyramid,
+    QuadraticCost,
     build_force_problem,
     distribute_forces,
     gravity_wrench,
-    pyramid_faces,
 )
-from planner.quality import cone_edges, primitive_wrenches
+from planner.quality import primitive_wrenches
 from planner.spatial import FloatArray
 
 RADIUS = 0.03  # m
@@ -78,8 +77,6 @@ def variables(solution: ForceSolution) -> FloatArray:
     problem = solution.problem
     dims = problem.contacts.dims
     parts = [f[:d] for f, d in zip(solution.forces, dims, strict=True)]
-    if problem.actuation is not None:
-        parts += [solution.actuator_forces[problem.actuators], solution.stop_forces[problem.stops]]
     return np.concatenate(parts)
 
 
@@ -103,8 +100,8 @@ def check_answer(solution: ForceSolution) -> None:
         -problem.faces[problem.faces @ x > -eps],
         eye[(x - problem.lower) / unit < eps],
         -eye[(problem.upper - x) / unit < eps],
-        problem.equality,
-        -problem.equality,
+        problem.rows[:6],
+        -problem.rows[:6],
     ]
     rows = np.vstack(active) * unit
     rows /= np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-12)
@@ -184,11 +181,13 @@ def test_bounds_on_the_normal_force_and_friction_scale() -> None:
     assert not distribute_forces(opposed(), wrench=WEIGHT, max_normal=[9.0, 0.9]).found
 
 
-def test_tangential_cost_prefers_forces_near_the_normals() -> None:
+def test_a_cost_on_tangential_forces_brings_forces_nearer_the_normals() -> None:
     contacts = on_sphere([[1, 0, -0.5], [-1, 0, -0.5], [0, 1, -0.2], [0, -1, -0.2]], mu=1.0)
+    tangential = np.delete(np.eye(12), [0, 3, 6, 9], axis=0)
     shares = []
-    for cost in (1.0, 5.0, 20.0):
-        solution = distribute_forces(contacts, wrench=WEIGHT, tangential_cost=cost)
+    for weight in (0.0, 4.0, 19.0):
+        cost = QuadraticCost.of_residual(tangential, np.zeros(8), weight=weight, name="tangential")
+        solution = distribute_forces(contacts, wrench=WEIGHT, costs=[cost])
         check_answer(solution)
         shares.append(float(solution.contacts.friction_utilisation().max()))
     assert shares[0] > shares[1] > shares[2]
@@ -226,7 +225,7 @@ def corners(mu: float, mu_torsion: float, edges: int, cone: Pyramid) -> FloatArr
 def test_faces_have_exactly_the_corners_of_the_edges(
     cone: Pyramid, edges: int, mu_torsion: float
 ) -> None:
-    """The half-spaces here and the edges of ``planner.quality`` are one polyhedron."""
+    """Faces and edges are one polyhedron."""
     wanted = cone_edges(0.6, mu_torsion, edges, cone=cone)[1:].T
     have = corners(0.6, mu_torsion, edges, cone)
     wanted = np.unique(np.round(wanted, 9) + 0.0, axis=0)
@@ -307,7 +306,6 @@ def test_forces_turn_with_everything() -> None:
         ({"max_normal": np.nan}, "max_normal holds NaN"),
         ({"max_normal": [1.0, 2.0, 3.0]}, r"give a number or \(2,\)"),
         ({"friction_scale": 0.0}, r"factor in \(0, 1\]"),
-        ({"tangential_cost": np.inf}, "finite number > 0"),
         ({"gravity_torque": [0.0]}, "without jacobians"),
         ({"jacobians": np.zeros((2, 4, 1))}, r"give \(2, 3 or 6, nv\)"),
         ({"jacobians": np.full((2, 3, 1), np.nan)}, "jacobians hold NaN"),
@@ -335,11 +333,13 @@ def test_gravity_wrench() -> None:
 def test_a_problem_prints_its_rows_and_columns() -> None:
     problem = build_force_problem(opposed(fingers=["thumb", "index"]), wrench=WEIGHT, max_normal=7)
     text = str(problem)
-    assert "2 contacts, 6 columns (6 contact, 0 actuator, 0 stop), 6 equalities" in text
+    assert (
+        "2 contacts, 6 columns (6 contact, 0 excess, 0 repeated actuator or stop), 6 rows" in text
+    )
     assert "0 <= thumb f_n <= 7" in text
     assert "force x: -1 thumb f_n +1 index f_n = 0" in text
     assert "friction of index: 8 faces" in text
-    assert len(problem.column_names) == problem.equality.shape[1] == problem.faces.shape[1]
+    assert len(problem.column_names) == problem.rows.shape[1] == problem.faces.shape[1]
 
 
 def test_contacts_of_one_finger_are_told_apart() -> None:

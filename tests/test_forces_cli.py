@@ -25,7 +25,7 @@ def plan_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_problem_and_its_answer(plan_file: Path) -> None:
     done = RUN.invoke(app, ["forces", str(plan_file)])
     assert done.exit_code == 0, done.output
-    for words in ("thumb f_n", "force x:", "friction of thumb: 8 faces", "forces found by osqp"):
+    for words in ("thumb f_n", "force x:", "friction of thumb: 8 faces", "forces found by daqp"):
         assert words in done.output
     assert "thumb: normal" in done.output
 

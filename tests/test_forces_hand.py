@@ -143,6 +143,21 @@ def test_a_torque_that_tendon_and_stop_cannot_make_is_refused(
     assert any("no actuator or stop" in n or "only pushes" in n for n in solution.limits)
 
 
+@pytest.mark.parametrize("bare", [0, 1])
+def test_the_joint_that_nothing_drives_is_named(bare: int) -> None:
+    """Contact 0 pushes by joints a and b; one of them has a motor."""
+    jacobians = np.zeros((2, 3, 2))
+    jacobians[0, 0] = -0.05
+    driven = np.zeros((1, 2))
+    driven[0, 1 - bare] = 1.0
+    solution = distribute_forces(
+        opposed(), wrench=WEIGHT, jacobians=jacobians, actuation=motors(driven, 1.0), q=[0.0, 0.0]
+    )
+    assert not solution.found
+    named = [n for n in solution.limits if "no actuator or stop" in n]
+    assert named == [f"no actuator or stop supplies that share of torque {'ab'[bare]}"]
+
+
 def test_at_a_joint_limit_the_actuator_still_carries_what_it_can() -> None:
     jacobians = np.zeros((2, 3, 1))
     jacobians[1, 0, 0] = 1.0
@@ -295,8 +310,8 @@ def test_no_contacts_resist_nothing() -> None:
 
 def test_a_solver_that_fails_is_not_an_infeasible_task(monkeypatch: pytest.MonkeyPatch) -> None:
     options = {"osqp": {"max_iter": 1, "polishing": False}}
-    monkeypatch.setattr("planner.forces.minimise.SOLVER_OPTIONS", options)
-    solution = distribute_forces(opposed(), wrench=WEIGHT)
+    monkeypatch.setattr("planner.numerics.qp_workspace._OPTIONS", options)
+    solution = distribute_forces(opposed(), wrench=WEIGHT, solver="osqp")
     assert not solution.found
     assert "forces exist, but solver 'osqp' missed them" in solution.reason
     assert solution.fraction == 1.0
@@ -308,5 +323,5 @@ def test_a_found_solution_passes_through() -> None:
     solution = jaws(2.0)
     assert solution.raise_if_infeasible() is solution
     assert solution.status == "solved"
-    assert solution.solver == "osqp"
+    assert solution.solver == "daqp"
     assert solution.solve_time_s > 0

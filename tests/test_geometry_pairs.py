@@ -53,6 +53,7 @@ def exact(task: GraspTask, base: SE3, q: FloatArray, names: tuple[str, str]) -> 
     return pair.distance(pose, task.T_world_object)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("item", ["sphere", "ellipsoid", *MESHES])
 def test_all_quick_answers_are_those_of_single_queries(right_hand: Hand, item: str) -> None:
     task = GraspTask.create(right_hand, item, table_height=None)
@@ -62,7 +63,7 @@ def test_all_quick_answers_are_those_of_single_queries(right_hand: Hand, item: s
     for base, q in places(task, 12):
         truth = {pair: exact(task, base, q, pair) for pair in pairs}
         least = min(truth.values())
-        nearest, touching = world.nearest(base, q), world.touching(base, q)
+        nearest, touching = world.nearest(base, q), world.nearest_below(base, q)
         assert (touching is None) == (least >= LEAST_LIMIT)
         negative, apart = negative + (least < 0), apart + (least > 0)
         if least < 0 and item in MESHES:  # a depth in a mesh is that of some triangle
@@ -76,7 +77,7 @@ def test_all_quick_answers_are_those_of_single_queries(right_hand: Hand, item: s
 
         within = {pair for pair in pairs if pair[1] == OBJECT}
         around = min(truth[pair] for pair in within)
-        clear = world.touching(base, q, clearance=0.01, surroundings_only=True)
+        clear = world.nearest_below(base, q, clearance=0.01, surroundings_only=True)
         assert (clear is None) == (around >= 0.01)
         if clear is not None:
             assert clear.distance == pytest.approx(around, abs=2e-6)
@@ -95,7 +96,7 @@ def test_what_may_touch_is_left_out_of_the_closest(allegro: Hand) -> None:
     base, q = next(places(task, 1))
     world = CollisionWorld(task)
     names = {g.name for g in allegro.geometries}
-    found = world.closest(base, q, 8, touching=names)
+    found = world.closest(base, q, 8, may_touch=names)
     assert len(found) >= 8
     assert all(c.second != OBJECT for c in found)
 
@@ -106,7 +107,7 @@ def test_near_pairs_tell_how_their_distance_changes(right_hand: Hand) -> None:
     world, base = CollisionWorld(plan.task), plan.T_world_base
     q = plan.q + 0.1 * (plan.q_pregrasp - plan.q)  # pads some 2 mm off
     near = world.near(base, q, 0.03)
-    assert near.mesh.any() and (~near.outward).any()
+    assert near.mesh.any() and (~near.hand_environment).any()
     state = world.moving.move(q)
     rates = state.point_rates(near.joints[:, 1], near.points_b, near.normals)
     rates = rates - state.point_rates(near.joints[:, 0], near.points_a, near.normals)

@@ -46,6 +46,7 @@ MJCF = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", MJCF)
 def test_numbers_of_no_hand_are_refused_by_name(kind: str, tmp_path: Path) -> None:
     old, new, message = MJCF[kind]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planner.collision.pad_contact import touching_of
+from planner.collision.pad_contact import pad_contact_queries
 from planner.collision.world import CollisionWorld
 from planner.hands.hand import Hand
 from planner.objects import parse_object
@@ -50,17 +50,17 @@ def test_gaps_are_what_coal_measures_and_change_as_they_say(task: GraspTask) -> 
     world, rng, options = CollisionWorld(task), np.random.default_rng(4), SynthesisOptions()
     problem, start = _start(task, 0)
     unknowns = problem.formulation.unknowns
-    names = touching_of(task).names
+    names = pad_contact_queries(task).names
     pads = [f.pad.joint_id for f in task.fingers]
     errors, outward, short = [], 0, 0
 
     def look(x: FloatArray, limit: float) -> tuple[SE3, dict[int, float]]:
         pose = problem.base_pose(start, x)
         near = world.near(
-            task.T_world_object * pose, unknowns.q(x), limit, touching=names, meshes=False
+            task.T_world_object * pose, unknowns.q(x), limit, may_touch=names, meshes=False
         )
         asked = np.where(np.isin(near.joints[:, 0], pads), options.clear_tip, LEAST_DISTANCE)
-        asked = np.where(near.outward, asked, options.clear_fingers)
+        asked = np.where(near.hand_environment, asked, options.clear_fingers)
         found = zip(near.numbers.tolist(), near.distances - asked, strict=True)
         return pose, {number: float(value) for number, value in found if value < limit}
 
@@ -117,7 +117,7 @@ def test_fingers_end_as_far_apart_as_is_asked_and_still_touch(allegro: Hand) -> 
     def least(found: Candidate) -> float:
         base = task.T_world_object * found.T_object_base
         near = world.near(base, found.q, 0.05)
-        return float(near.distances[~near.outward].min())
+        return float(near.distances[~near.hand_environment].min())
 
     for k in range(4):
         before = least(_ends(task, 0.002, k)[0])

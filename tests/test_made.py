@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import FrozenInstanceError
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from planner.shapes import (
     shape_from_dict,
     shape_to_dict,
 )
+from planner.shapes.made.scaled import read_object
 from planner.shapes.meshes.soundness import bodies_of, faults_of
 
 EXAMPLES: tuple[Mesh, ...] = (
@@ -51,6 +53,7 @@ def genus(mesh: Mesh) -> int:
     return (2 - (v - 3 * f // 2 + f)) // 2
 
 
+@pytest.mark.slow
 @each_made
 def test_it_is_the_surface_of_one_solid(mesh: Mesh) -> None:
     assert faults_of(np.array(mesh.vertices), np.array(mesh.faces)) == ()
@@ -96,6 +99,24 @@ def test_outer_sizes_are_those_asked_for() -> None:
     assert extents(Mug(0.03, 0.16))[1:] == [60, 160]
     # a trefoil of radius R: x of sin t + 2 sin 2t is at most 2.74 R/3
     assert extents(Knot(0.04, 0.007))[2] == pytest.approx(2 * (40 / 3 + 7), abs=0.1)
+
+
+@pytest.mark.parametrize("mesh", [Mug(), Hammer()], ids=lambda m: m.kind)
+def test_default_sizes_are_the_stored_mesh_and_others_its_scales(mesh: Mug | Hammer) -> None:
+    vertices, faces = read_object(mesh.kind)
+    np.testing.assert_array_equal(mesh.faces, faces)
+    np.testing.assert_allclose(mesh.vertices + mesh.offset, vertices, rtol=0, atol=1e-15)
+    double = type(mesh).from_sizes([2 * size for size in mesh.sizes])
+    np.testing.assert_allclose(double.vertices, 2 * mesh.vertices, rtol=0, atol=1e-15)
+    assert double.volume == pytest.approx(8 * mesh.volume)
+
+
+def test_sizes_cannot_be_changed_afterwards() -> None:
+    with pytest.raises(FrozenInstanceError):
+        Torus().tube = 0.01  # type: ignore[misc]
+    mesh = Mesh(Torus().vertices, Torus().faces)
+    with pytest.raises(AttributeError):
+        mesh.vertices = np.zeros((0, 3))  # type: ignore[misc]
 
 
 def test_volumes_worked_out_by_hand() -> None:

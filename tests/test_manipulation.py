@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import pairwise
 from operator import attrgetter
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
 from conftest import noting_leads, of_trimesh
+from manipulations import DT, QUICK, UP, first_in_palm, follow, task_of, with_log
 
 from planner.collision.world import CollisionWorld, shape_pair
 from planner.errors import TaskError
@@ -40,42 +41,25 @@ from sim.controllers.pads import CREEP, PadReading
 from sim.controllers.slip import SLIP_SPEED, SlipDetector
 from sim.controllers.torques import HoldingTorques
 from sim.manipulation import (
-    STEPS,
-    Bounds,
+    PHASES,
     ManipulationReport,
-    Pace,
+    SuccessCriteria,
     manipulate,
 )
-from sim.manipulation.checks import placed, tilt_between, undisturbed
 from sim.manipulation.modes import measured_modes, mode_table, planned_modes
+from sim.manipulation.results import placed, tilt_between, undisturbed
 from sim.physics import PhysicsOptions
 
-UP = np.array([0.0, 0.0, 1.0])
-DT = 0.002
 ANGLE = math.radians(40.0)
 
 HELD = ("turn", "hold", "verify again")
 """Phases in which the object is turned, or held as it is turned."""
 
-QUICK = Pace(
-    approach=0.4,
-    close=0.3,
-    squeeze=0.3,
-    verify=0.1,
-    lift=0.4,
-    hold=0.2,
-    carry=0.5,
-    lower=0.4,
-    open=0.3,
-    retreat=0.4,
-    height=0.03,
-)
-
 
 @pytest.fixture(scope="module")
 def plan() -> ManipulationPlan:
     """A small turn of a cylinder by an Allegro-type hand; the mass is what it may be at most."""
-    task = manipulation_task("allegro_hand", parse_object("cylinder:0.03x0.08", mass=0.2), mu=0.45)
+    task = task_of("cylinder:0.03x0.08", mass=0.2)
     return plan_manipulation(task, angle=ANGLE, place=(0.04, -0.02), seed=0)
 
 
@@ -90,13 +74,13 @@ def report(plan: ManipulationPlan, lead_times: list[float]) -> ManipulationRepor
     """What comes of it where the object is lighter, and stands beside its place."""
     task = plan.motion.grasp.task
     pose = task.T_world_object
-    really = replace(
+    true_task = replace(
         task,
         object=replace(task.object, mass=0.1),
         T_world_object=SE3(pin.exp3(0.05 * UP), pose.translation + np.array([0.001, -0.002, 0.0])),
     )
     with noting_leads(lead_times):
-        return manipulate(plan, really=really, physics=PhysicsOptions(mu=0.6), pace=QUICK)
+        return manipulate(plan, true_task=true_task, physics=PhysicsOptions(mu=0.6), timeline=QUICK)
 
 
 # --- signed twist ------------------------------------------------------------------------------
@@ -173,16 +157,14 @@ def test_a_slip_that_spinning_explains_is_told_apart(spin: float, beyond: int) -
 # --- the reference -----------------------------------------------------------------------------
 
 
-def led(plan: ManipulationPlan, reference: MotionReference, follow: Any) -> list[float]:
-    """Places of the reference over 4 s, while ``follow`` says how far (rad) the object has come."""
-    motion = plan.motion
-    first = motion.grasp.T_world_palm.inverse() * motion.knots[0].T_world_object
-    tips, q, places = np.zeros((4, 3)), motion.knots[0].q, []
-    for k in range(2000):
-        turn = follow(k * DT, reference)
-        pose = SE3(pin.exp3(turn * reference.axis) @ first.rotation, first.translation)
-        reference.advance(DT, pose, tips, q, missed=0.0)
-        places.append(reference.place)
+def led(
+    plan: ManipulationPlan,
+    reference: MotionReference,
+    turn: Callable[[MotionReference], float] | None = None,
+) -> list[float]:
+    """Places of the reference over 4 s; ``turn`` says how far (rad) the object has come."""
+    places: list[float] = []
+    follow(plan.motion, reference, turn, steps=2000, heard=lambda _: places.append(reference.place))
     return places
 
 
@@ -190,10 +172,8 @@ def test_a_reference_waits_for_an_object_that_stalls(plan: ManipulationPlan) -> 
     stalled = math.radians(15.0)
     reference = MotionReference(plan.motion, angle=plan.angle)
 
-    def follow(_: float, r: MotionReference) -> float:
-        return min(stalled, r.place * plan.motion.path.angle)
-
-    places = np.array(led(plan, reference, follow))
+    most = plan.motion.path.angle
+    places = np.array(led(plan, reference, lambda r: min(stalled, r.place * most)))
     ahead = places * plan.motion.path.angle - stalled
     assert ahead.max() <= LEAD + 1e-9
     assert ahead[-1] > 0.5 * LEAD  # it presses on
@@ -208,13 +188,13 @@ def test_a_reference_goes_beyond_its_goal_for_an_object_that_stays_behind(
     """By what the object is behind, less the 0.3 degrees that may be short; no further."""
     behind, most = math.radians(2.0), plan.motion.path.angle
     reference = MotionReference(plan.motion, angle=plan.angle)
-    places = led(plan, reference, lambda _, r: max(0.0, r.place * most - behind))
+    places = led(plan, reference, lambda r: max(0.0, r.place * most - behind))
     a_step = 0.3 * 1.1 * DT
     beyond = behind - math.radians(0.3)
     assert places[-1] * most == pytest.approx(plan.angle + beyond, abs=1.1 * a_step)
     # an object that is stuck is led to the end of what was planned and there it ends
     stuck = MotionReference(plan.motion, angle=plan.angle)
-    places = led(plan, stuck, lambda _, r: min(plan.angle - behind, r.place * most))
+    places = led(plan, stuck, lambda r: min(plan.angle - behind, r.place * most))
     assert plan.angle < places[-1] * most <= most + 1e-12
     assert max(places) * most - (plan.angle - behind) <= LEAD + 1e-9
 
@@ -222,13 +202,13 @@ def test_a_reference_goes_beyond_its_goal_for_an_object_that_stays_behind(
 def test_a_reference_leads_while_the_object_is_turned_and_held(
     report: ManipulationReport, lead_times: list[float]
 ) -> None:
-    led_for = sum(c.end - c.begin for c in report.checks if c.step in HELD)
+    led_for = sum(c.end - c.begin for c in report.results if c.phase in HELD)
     assert sum(lead_times) == pytest.approx(led_for, abs=2 * DT)
 
 
 def test_a_reference_goes_no_faster_than_it_may(plan: ManipulationPlan) -> None:
     reference = MotionReference(plan.motion, angle=plan.angle, rate=0.8)
-    places = np.array(led(plan, reference, lambda _, r: r.place * plan.motion.path.angle))
+    places = np.array(led(plan, reference))
     rates = np.diff(places) * plan.motion.path.angle / DT
     assert rates.max() == pytest.approx(0.8, rel=1e-6)
     assert (rates >= 0).all()
@@ -241,11 +221,7 @@ def test_a_reference_goes_no_faster_than_it_may(plan: ManipulationPlan) -> None:
 def test_missed_forces_slow_a_reference_down(plan: ManipulationPlan) -> None:
     def gone(missed: float) -> float:
         reference = MotionReference(plan.motion)
-        start = plan.motion.grasp.T_world_palm.inverse() * plan.motion.knots[0].T_world_object
-        for _ in range(250):
-            turn = reference.place * plan.motion.path.angle
-            pose = SE3(pin.exp3(turn * reference.axis) @ start.rotation, start.translation)
-            reference.advance(DT, pose, np.zeros((4, 3)), plan.motion.knots[0].q, missed=missed)
+        follow(plan.motion, reference, steps=250, missed=missed)
         return reference.place
 
     assert 0.0 < gone(1.0) < 0.5 * gone(0.0)
@@ -255,8 +231,7 @@ def test_a_reference_begins_where_the_object_is_and_ends_on_the_path(
     plan: ManipulationPlan,
 ) -> None:
     motion = plan.motion
-    T_palm_world = motion.grasp.T_world_palm.inverse()
-    first = T_palm_world * motion.knots[0].T_world_object
+    first = first_in_palm(motion)
     about = pin.exp3(0.04 * motion.grasp.T_world_palm.rotation.T @ UP)
     actual = SE3(about @ first.rotation, first.translation + np.array([0.002, 0.0, -0.001]))
     tips, q = np.zeros((4, 3)), motion.knots[0].q
@@ -264,16 +239,13 @@ def test_a_reference_begins_where_the_object_is_and_ends_on_the_path(
     target = reference.advance(DT, actual, tips, q, missed=0.0)
     assert target.T_palm_object.isApprox(actual, 1e-9)
     np.testing.assert_allclose(target.tips, tips, atol=1e-12)
-    last, before, twist = target, target.T_palm_object, target.twist
-    for _ in range(3000):
-        turn = pin.exp3(reference.place * motion.path.angle * reference.axis)
-        pose = SE3(turn @ actual.rotation, actual.translation)
-        last = reference.advance(DT, pose, tips, q, missed=0.0)
+    targets = [target]
+    last = follow(motion, reference, begin=actual, steps=3000, heard=targets.append)
+    for before, then in pairwise(targets):
         # the wanted twist is the derivative of the wanted pose, up to a step
-        moved = (last.T_palm_object.translation - before.translation) / DT
-        assert np.abs(moved - twist[:3]).max() < 4e-3
-        before, twist = last.T_palm_object, last.twist
-    end = T_palm_world * motion.knots[-1].T_world_object
+        moved = (then.T_palm_object.translation - before.T_palm_object.translation) / DT
+        assert np.abs(moved - before.twist[:3]).max() < 4e-3
+    end = motion.grasp.T_world_palm.inverse() * motion.knots[-1].T_world_object
     np.testing.assert_allclose(last.T_palm_object.translation, end.translation, atol=1e-9)
     # the heading keeps its own error: the measured turn is what was asked for
     np.testing.assert_allclose(last.T_palm_object.rotation, about @ end.rotation, atol=1e-9)
@@ -310,7 +282,7 @@ def test_a_plan_knows_how_to_let_go(plan: ManipulationPlan) -> None:
     end, task = motion.knots[-1], motion.grasp.task
     there = replace(task, T_world_object=end.T_world_object, table_height=None)
     world = CollisionWorld(there)
-    assert world.touching(motion.T_world_base, release.q, clearance=0.0005) is None
+    assert world.nearest_below(motion.T_world_base, release.q, clearance=0.0005) is None
     again = find_release(motion)
     assert not isinstance(again, Failure)
     np.testing.assert_array_equal(again.q, release.q)
@@ -322,10 +294,12 @@ def test_a_target_stands_on_the_table_turned(plan: ManipulationPlan) -> None:
     assert signed_twist(target.rotation, UP) == pytest.approx(ANGLE)
 
 
-def test_every_phase_passes_and_the_turn_is_strict(report: ManipulationReport) -> None:
+def test_every_phase_passes_and_the_turn_succeeds_with_closure(
+    report: ManipulationReport,
+) -> None:
     assert report.complete, str(report)
-    assert tuple(c.step for c in report.checks) == STEPS
-    assert report.strict
+    assert tuple(c.phase for c in report.results) == PHASES
+    assert report.success_with_closure
     assert not report.dropped
     assert report.reason == ""
     assert math.degrees(report.turned) == pytest.approx(40.0, abs=1.0)
@@ -338,7 +312,7 @@ def test_every_phase_passes_and_the_turn_is_strict(report: ManipulationReport) -
 def test_the_object_ends_where_it_was_asked_for(
     plan: ManipulationPlan, report: ManipulationReport
 ) -> None:
-    last = report.checks[-1].numbers
+    last = report.results[-1].numbers
     # it stood 2 mm and 3 degrees beside its place, and nobody was told
     assert last["off_mm"] < 3.0
     assert abs(last["heading_deg"]) < 2.0
@@ -347,10 +321,10 @@ def test_the_object_ends_where_it_was_asked_for(
 
 
 def test_samples_are_20_ms_apart_and_roll_as_planned(report: ManipulationReport) -> None:
-    track = report.track
-    np.testing.assert_allclose(np.diff(track.time), 0.02, atol=1e-9)
-    turning = track.during("turn")
-    assert (np.diff(track.turn[turning]) > -1e-3).all()
+    log = report.log
+    np.testing.assert_allclose(np.diff(log.time), 0.02, atol=1e-9)
+    turning = log.during("turn")
+    assert (np.diff(log.turn[turning]) > -1e-3).all()
     same = report.planned_modes[turning] == report.measured_modes[turning]
     assert same.mean() > 0.7
     assert (report.measured_modes[turning] == "roll").mean() > 0.5
@@ -360,57 +334,59 @@ def test_samples_are_20_ms_apart_and_roll_as_planned(report: ManipulationReport)
 
 def test_a_report_is_plain_data_and_reads_well(report: ManipulationReport) -> None:
     data = json.loads(json.dumps(finite(report.to_dict())))
-    assert data["strict"] is True
-    assert [p["phase"] for p in data["phases"]] == list(STEPS)
+    assert data["success_with_closure"] is True
+    assert [p["phase"] for p in data["phases"]] == list(PHASES)
     text = str(report)
-    assert "complete; the turn: strict" in text
+    assert "complete; the turn: success with closure" in text
     assert "thumb" in text
 
 
-def test_a_lost_contact_or_an_open_sample_is_not_strict(report: ManipulationReport) -> None:
-    air = report.track.during("turn")[3]
-    touching = report.track.touching.copy()
+def test_a_lost_contact_or_an_open_sample_has_no_closure(
+    report: ManipulationReport,
+) -> None:
+    air = report.log.during("turn")[3]
+    touching = report.log.touching.copy()
     touching[air] = 2
-    two = replace(report, track=replace(report.track, touching=touching))
-    assert two.loose
-    assert not two.strict
-    closed = report.track.closed.copy()
+    two = with_log(report, touching=touching)
+    assert two.success
+    assert not two.success_with_closure
+    closed = report.log.closed.copy()
     closed[air] = False
-    opened = replace(report, track=replace(report.track, closed=closed))
-    assert opened.loose
-    assert not opened.strict
+    opened = with_log(report, closed=closed)
+    assert opened.success
+    assert not opened.success_with_closure
     touching[air] = 0
-    gone = replace(report, track=replace(report.track, touching=touching))
+    gone = with_log(report, touching=touching)
     assert gone.dropped
-    assert not gone.loose
+    assert not gone.success
 
 
 def test_a_turn_on_ice_fails_with_a_reason(plan: ManipulationPlan) -> None:
-    told = manipulate(plan, physics=PhysicsOptions(mu=0.05), pace=QUICK)
+    told = manipulate(plan, physics=PhysicsOptions(mu=0.05), timeline=QUICK)
     assert not told.complete
-    assert not told.strict
+    assert not told.success_with_closure
     assert told.reason
 
 
 def test_a_turn_that_stalls_is_put_down_and_made_anew(plan: ManipulationPlan) -> None:
     # no time for the last degrees, and no patience
-    hasty, picky = replace(QUICK, turn_wait=0.02), Bounds(angle_deg=2.0)
-    told = manipulate(plan, pace=hasty, bounds=picky, retry=True)
+    hasty, picky = replace(QUICK, turn_wait=0.02), SuccessCriteria(angle_deg=2.0)
+    told = manipulate(plan, timeline=hasty, criteria=picky, retry=True)
     first = told.earlier
     assert first is not None and not first.complete
-    failed = next(c for c in first.checks if not c.passed)
-    assert failed.step == "turn" and "of 40.0 degrees: it did not follow" in failed.reason
+    failed = next(c for c in first.results if not c.passed)
+    assert failed.phase == "turn" and "of 40.0 degrees: it did not follow" in failed.reason
     assert "no regrasp (" in failed.then and failed.then.endswith("it is put down")
-    down = [c.step for c in first.checks if c.about == "half-way"]
+    down = [c.phase for c in first.results if c.about == "half-way"]
     assert down == ["lower", "release", "open", "retreat"]
-    assert first.checks[-1].passed
+    assert first.results[-1].passed
     # only the rest is turned then, and the object ends where it was asked for at first
     assert told.complete, str(told)
     assert math.degrees(told.asked) == pytest.approx(40.0 - failed.numbers["turn_deg"], abs=0.5)
-    assert abs(told.checks[-1].numbers["heading_deg"]) < 3.0
-    assert told.checks[-1].numbers["off_mm"] < 3.0
+    assert abs(told.results[-1].numbers["heading_deg"]) < 3.0
+    assert told.results[-1].numbers["off_mm"] < 3.0
     # but it was not turned in one go
-    assert not told.loose and not told.strict
+    assert not told.success and not told.success_with_closure
     assert "begun again:" in str(told) and "put down half-way" in str(told)
 
 
@@ -420,8 +396,7 @@ def test_a_turn_beyond_one_stroke_is_refused(plan: ManipulationPlan) -> None:
 
 
 def test_fingers_are_spared_only_where_they_may_be() -> None:
-    item = parse_object("cylinder:0.03x0.08", mass=0.3)
-    task = manipulation_task("allegro_hand", item, mu=0.45)
+    task = task_of("cylinder:0.03x0.08", mass=0.3)
     tries = list(fallback_schedule(task))
     tried = [t.task for t in tries]
     # the other three do not open 60 mm without the thumb
@@ -433,12 +408,12 @@ def test_fingers_are_spared_only_where_they_may_be() -> None:
     assert all("thumb" in t.finger_names for t in tried)
     # three fingers carry the same weight as four
     assert tried[1].grip_force * 3 == pytest.approx(tried[0].grip_force * 4)
-    named = manipulation_task("allegro_hand", item, mu=0.45, fingers=task.finger_names)
+    named = task_of("cylinder:0.03x0.08", mass=0.3, fingers=task.finger_names)
     assert all(len(t.finger_names) == 4 for t in map(attrgetter("task"), fallback_schedule(named)))
 
 
 def test_blocks_are_held_by_the_opposer_and_two_neighbours() -> None:
-    task = manipulation_task("allegro_hand", parse_object("box:0.06x0.06x0.08", mass=0.3), mu=0.45)
+    task = task_of("box:0.06x0.06x0.08", mass=0.3)
     tried = [t.task for t in fallback_schedule(task)]
     names = [set(t.finger_names) for t in tried]
     assert names[:2] == [{"thumb", "index", "middle"}, {"thumb", "middle", "ring"}]
@@ -448,13 +423,13 @@ def test_blocks_are_held_by_the_opposer_and_two_neighbours() -> None:
 
 
 def test_balls_are_turned_on_round_tips_by_three_fingers() -> None:
-    task = manipulation_task("allegro_hand", parse_object("sphere:0.03", mass=0.3), mu=0.45)
+    task = task_of("sphere:0.03", mass=0.3)
     tries = list(fallback_schedule(task))
     assert {len(t.task.finger_names) for t in tries} == {3}
     assert not any(t.task.hand.rolls for t in tries), "balls are turned on rolling pads anyway"
     # three forces carry the weight
     assert tries[0].task.grip_force == pytest.approx(0.3 * 9.81 / (0.45 * 3))
-    round_one = manipulation_task("allegro_hand", parse_object("cylinder:0.03x0.08"), mu=0.45)
+    round_one = task_of("cylinder:0.03x0.08")
     assert tries[0].overshoot < next(fallback_schedule(round_one)).overshoot, (
         "tips that turn along come less far"
     )
@@ -526,7 +501,7 @@ def test_a_ball_that_two_fingers_pinch_is_not_taken_at_once(plan: ManipulationPl
     ],
 )
 def test_an_object_lies_on_its_stand(spec: str, above: float) -> None:
-    task = on_stand(manipulation_task("allegro_hand", parse_object(spec), mu=0.45), 0.04)
+    task = on_stand(task_of(spec), 0.04)
     assert task.T_world_object.translation[2] == pytest.approx(0.04 + above, abs=2e-5)
     assert task.carrying == task.obstacles and len(task.obstacles) == 4
     assert all(o.T_world_obstacle.translation[2] == pytest.approx(0.02) for o in task.obstacles)
@@ -554,7 +529,7 @@ def test_a_rough_object_lies_on_its_highest_bump() -> None:
 
 
 def test_a_stand_needs_a_table_and_a_height() -> None:
-    task = manipulation_task("allegro_hand", parse_object("sphere:0.03"), mu=0.45)
+    task = task_of("sphere:0.03")
     assert task.carrying == ()
     with pytest.raises(TaskError, match="height is 0"):
         on_stand(task, 0.0)
@@ -563,7 +538,7 @@ def test_a_stand_needs_a_table_and_a_height() -> None:
 
 
 def test_a_stand_goes_where_the_object_goes() -> None:
-    task = on_stand(manipulation_task("allegro_hand", parse_object("sphere:0.03"), mu=0.45), 0.04)
+    task = on_stand(task_of("sphere:0.03"), 0.04)
     target = SE3(np.eye(3), task.T_world_object.translation + np.array([0.1, 0.05, 0.0]))
     moved = standing_under(task, target)
     for first, then in zip(task.obstacles, moved, strict=True):
@@ -584,22 +559,22 @@ def test_a_task_without_a_table_is_refused(plan: ManipulationPlan) -> None:
 def test_checks_on_paper() -> None:
     first = SE3.Identity()
     moved = SE3(pin.exp3(np.array([0.1, 0.0, 0.0])), np.array([0.003, 0.004, 0.0]))
-    reason, numbers = undisturbed(first, moved, Bounds())
+    reason, numbers = undisturbed(first, moved, SuccessCriteria())
     assert reason == ""
     assert numbers["moved_mm"] == pytest.approx(5.0)
     assert tilt_between(first, moved) == pytest.approx(math.degrees(0.1))
     far = SE3(np.eye(3), np.array([0.03, 0.0, 0.0]))
-    assert "moved by 30.0 mm" in undisturbed(first, far, Bounds())[0]
-    assert "30.0 mm beside" in placed(first, far, Bounds())[0]
+    assert "moved by 30.0 mm" in undisturbed(first, far, SuccessCriteria())[0]
+    assert "30.0 mm beside" in placed(first, far, SuccessCriteria())[0]
     turned = SE3(pin.exp3(math.radians(-7.0) * UP), np.zeros(3))
-    reason, numbers = placed(first, turned, Bounds())
+    reason, numbers = placed(first, turned, SuccessCriteria())
     assert "-7.0 degrees off its heading" in reason
     assert numbers["heading_deg"] == pytest.approx(-7.0)
 
 
 def test_fingers_that_cannot_close_on_the_object_alone_are_not_tried() -> None:
     """Four fingers side by side open 21 mm: without its thumb the hand cannot hold 69 mm."""
-    task = manipulation_task("shadow_hand", parse_object("cylinder:0.0345x0.08"), mu=0.45)
+    task = task_of("cylinder:0.0345x0.08", "shadow_hand")
     sets = [one.task.finger_names for one in fallback_schedule(task)]
     assert len(sets) > 2
     assert all("thumb" in names for names in sets)

@@ -324,6 +324,7 @@ def test_the_thickness_of_walls() -> None:
 # --- the field ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["mug", "torus", "lbracket"])
 def test_the_field_of_a_mesh_is_its_distance(name: str) -> None:
     mesh = example(name)
@@ -340,6 +341,7 @@ def test_the_field_of_a_mesh_is_its_distance(name: str) -> None:
         assert np.abs(field.value(points) - distance).max() < tolerance
 
 
+@pytest.mark.slow
 def test_the_field_is_as_steep_on_thin_walls() -> None:
     mug = example("mug")
     points, normals = mug.surface_samples(2000, np.random.default_rng(5))

@@ -50,6 +50,7 @@ def rest(scene: Scene, seconds: float) -> Any:
     return data
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mesh", MADE, ids=lambda m: m.kind)
 def test_object_stays_where_it_stands_in_its_stable_poses(allegro: Hand, mesh: Mesh) -> None:
     poses = [p for p in mesh.resting_poses() if (p.margin_deg or 0.0) > 10][:2]

@@ -271,7 +271,7 @@ def test_mirrored_plan_has_mirrored_fingertips(name: str) -> None:
         record=plan.record,
         approach=Approach(
             q=plan.q_pregrasp,
-            opening=plan.opening,
+            pregrasp_distance=plan.pregrasp_distance,
             T_world_base_start=mirrored(plan.T_world_base_start, m),
         ),
     )

@@ -19,6 +19,7 @@ import pytest
 from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
 from planner.errors import FileFormatError, NoGraspFoundError, TaskError
+from planner.failure import Failure
 from planner.files import read_motion, write_json, write_motion
 from planner.files.motions import motion_to_dict
 from planner.hand_loading import load_hand
@@ -30,6 +31,7 @@ from planner.motion.holds import Hold, HoldRows
 from planner.motion.interpolation import interpolate_rolling
 from planner.motion.limits import what_limits
 from planner.motion.loads import MOST_LOAD, load_function, load_parameters
+from planner.motion.plan import Knot
 from planner.motion.problem import JOINT_ROOM, MotionProblem, build_motion_problem
 from planner.motion.residuals import MotionResiduals
 from planner.motion.rolling import pivoting_function, rolling_function, slips
@@ -38,6 +40,7 @@ from planner.motion.solve import MotionSolver
 from planner.motion.starts import on_opposed_sides
 from planner.motion.terms import LOAD, MOTION_TERMS, REACH
 from planner.motion.unknowns import SHARE, placement
+from planner.motion.verify import MotionVerifier, Place
 from planner.objects import parse_object
 from planner.quality import analyse, force_closure
 from planner.spatial import SE3, FloatArray, skew
@@ -49,7 +52,7 @@ from planner.synthesis.table_and_obstacles import obstacles_in_object
 from planner.synthesis.terms.forces import BALANCE, CONE
 from planner.synthesis.unknowns import mrp_numeric
 from planner.task import GraspTask, Obstacle
-from planner.tolerances import SWING_SHARE
+from planner.tolerances import CLOSURE_EDGES, CLOSURE_MARGIN, SWING_SHARE
 from planner.verification.geometry import contacts_at, verify_geometry
 from planner.verification.grasp import plan_forces
 
@@ -578,6 +581,41 @@ def test_every_knot_passes_the_grasps_own_verdict_in_a_world_of_its_own(
         assert forces.found
 
 
+def test_a_knot_that_closes_by_less_than_the_margin_is_refused(ninety: MotionPlan) -> None:
+    """Friction is lowered until a knot's contacts still close, but by less than is asked for."""
+    task, worst = ninety.grasp.task, min(ninety.knots, key=closure_of)
+    place = Place(
+        place=worst.place,
+        T_object_base=worst.T_world_object.inverse() * ninety.T_world_base,
+        q=worst.q,
+    )
+
+    def margin(mu: float) -> float:
+        contacts = replace(worst.contacts, mu=np.full(len(task.fingers), mu))
+        return force_closure(contacts, edges=CLOSURE_EDGES).normalised_min_weight
+
+    def verified(mu: float) -> tuple[Knot, ...] | Failure:
+        return MotionVerifier(replace(task, mu=mu)).verify_knots(
+            ninety.T_world_base, [place], ninety.path, ninety.path_tolerance
+        )
+
+    weak, strong = 0.0, task.mu
+    while strong - weak > 1e-3:
+        middle = (weak + strong) / 2
+        weak, strong = (weak, middle) if margin(middle) > CLOSURE_MARGIN else (middle, strong)
+    assert 0.0 < margin(weak) < CLOSURE_MARGIN < margin(strong)
+    refused, other = verified(weak), verified(strong)
+    assert isinstance(refused, Failure) and refused.kind == "closure_margin"
+    assert refused.numbers["normalised_min_weight"] == pytest.approx(margin(weak), abs=1e-6)
+    assert "closure has a margin of 0.0" in refused.text
+    assert not isinstance(other, Failure) or other.kind != "closure_margin"
+    assert not isinstance(verified(task.mu), Failure)
+
+
+def closure_of(knot: Knot) -> float:
+    return knot.closure.normalised_min_weight
+
+
 def test_between_knots_the_object_and_the_pads_keep_together(ninety: MotionPlan) -> None:
     task = ninety.grasp.task
     for place in (0.04, 0.37, 0.96):
@@ -681,7 +719,7 @@ def test_leading_keeps_the_ends_and_lets_pads_roll(
     assert np.array_equal(led[0], ends[0].q) and np.array_equal(led[-1], ends[1].q)
     slid = _slid(task, bases, led)
     assert np.ptp(slid, axis=0).max() < 5e-5  # what the ends are apart by, in even parts
-    monkeypatch.setattr("planner.motion.between.MOST_LAPS", 1)
+    monkeypatch.setattr("planner.motion.interpolation.MOST_LAPS", 1)
     straight = _slid(task, bases, interpolate_rolling(task, bases, ends[0].q, ends[1].q))
     assert slid.max() < 0.6 * straight.max() and np.ptp(straight, axis=0).max() > 2e-4
 

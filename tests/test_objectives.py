@@ -561,6 +561,7 @@ def without(cylinder: GraspTask) -> dict[tuple[int, int], dict[str, float]]:
     return reached(cylinder, "none")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OBJECTIVES)
 def test_each_objective_improves_its_measure(
     cylinder: GraspTask, without: dict[tuple[int, int], dict[str, float]], name: str

@@ -348,6 +348,7 @@ def test_remedies_are_for_a_budget(grasped: GraspPlan) -> None:
         contact_drag(SOFT, inverse_mass=0.0, depth=0.0)
 
 
+@pytest.mark.slow
 def test_under_the_defaults_a_grasp_is_lost_and_every_remedy_holds_it(grasped: GraspPlan) -> None:
     lost = simulate(grasped, physics=SOFT)
     assert lost.reason == "slipped"
@@ -378,6 +379,7 @@ def cli(*arguments: str) -> tuple[int, str, str]:
     return code, out.getvalue(), " ".join(err.getvalue().split())
 
 
+@pytest.mark.slow
 def test_commands_take_physics_by_name_and_file(grasped: GraspPlan, tmp_path: Path) -> None:
     plan = tmp_path / "plan.json"
     write_plan(grasped, plan)
@@ -429,6 +431,7 @@ def test_changes_are_made_large_enough_for_what_is_measured(grasped: GraspPlan) 
     assert sized_remedies(grasped, scene, seen, 1e-3) == ()
 
 
+@pytest.mark.slow
 def test_the_command_creep_says_what_to_change(grasped: GraspPlan, tmp_path: Path) -> None:
     plan = tmp_path / "plan.json"
     write_plan(grasped, plan)

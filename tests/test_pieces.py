@@ -49,6 +49,7 @@ def inside_of_some(pieces: Pieces, points: FloatArray, slack: float) -> np.ndarr
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mesh", MADE, ids=lambda m: m.kind)
 def test_pieces_cover_the_solid_and_stay_near_it(mesh: Mesh) -> None:
     pieces = convex_pieces(mesh)
@@ -112,6 +113,7 @@ def test_cutting_ends_where_a_plane_cuts_nothing_off(monkeypatch: pytest.MonkeyP
     assert [h.volume for h in hulls] == [pytest.approx(whole.volume)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mesh", MADE, ids=lambda m: m.kind)
 def test_deviation_is_what_measuring_every_point_gives(mesh: Mesh) -> None:
     """Of the hull alone, which bridges centimetres: the smooth field must hide none of it."""
@@ -151,6 +153,7 @@ def test_pieces_are_the_same_again_from_the_cache_and_anew(
             np.testing.assert_array_equal(again.faces[k], runs[0].faces[k])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "damage",
     ["larger", "smaller", "one left out", "flat", "no faces", "inside out", "no deviation"],

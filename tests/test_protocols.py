@@ -460,6 +460,7 @@ def test_every_reason_is_one_of_those_listed() -> None:
 # running
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_workers(pinched: GraspPlan) -> None:
     quick = Settings(shake_s=0.2)
     some = ("shake x", "shake rz")

@@ -11,13 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from planner.contacts import ContactModel, ContactSet
+from planner.contacts import ContactModel, ContactSet, cone_edges
 from planner.errors import ContactError
 from planner.quality import (
     ClosureResult,
     RoundCones,
     closure_of_wrenches,
-    cone_edges,
     force_closure,
     measure_hull,
     min_weight,
@@ -262,6 +261,17 @@ def test_frictionless_sphere_can_always_spin() -> None:
         assert not result.closed
 
 
+def test_wrenches_with_none_against_one_of_them_do_not_close() -> None:
+    """All six axes, of which five both ways: the weight of the sixth is exactly 0."""
+    result = closure_of_wrenches(np.hstack([np.eye(6), -np.eye(6)[:, :5]]))
+    assert result.rank == 6
+    assert result.normalised_min_weight == pytest.approx(0.0, abs=1e-9)
+    assert not result.closed
+    assert result.weights is None and result.separator is not None
+    along = result.separator / np.linalg.norm(result.separator)
+    np.testing.assert_allclose(along, np.eye(6)[5], atol=1e-6)
+
+
 def test_free_axis_is_reported_where_it_is() -> None:
     contacts = ContactSet.from_arrays(
         [[0.03, 0.02, 0], [-0.03, 0.02, 0]], [[-1, 0, 0], [1, 0, 0]], center=[0, 0.01, 0]
@@ -379,7 +389,7 @@ def test_the_quick_programme_and_the_sure_one_agree(monkeypatch: pytest.MonkeyPa
         points = rng.normal(0, 0.04, (4, 3))
         cases.append(ContactSet.from_arrays(points, -points + rng.normal(0, 0.01, (4, 3)), mu=0.6))
     quick = [force_closure(c, edges=8).min_weight for c in cases]
-    monkeypatch.setattr("planner.numerics.programme.Programme.solve", lambda self, **values: None)
+    monkeypatch.setattr("planner.numerics.lp.run_daqp", lambda *given, **settings: None)
     sure = [force_closure(c, edges=8).min_weight for c in cases]
     np.testing.assert_allclose(quick, sure, rtol=0, atol=1e-9)
 

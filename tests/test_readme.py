@@ -14,6 +14,7 @@ README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8"
 NUMBER = re.compile(r"-?\d+\.?\d*")
 
 
+@pytest.mark.slow
 def test_script_prints_what_the_readme_says() -> None:
     script = README.split("```python\n")[1].split("```")[0]
     said = README.split("```text\n")[1].split("```")[0].splitlines()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -74,6 +75,7 @@ def test_only_what_is_missing_counts() -> None:
     np.testing.assert_allclose(values, [MU - 0.9], atol=1e-6)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10_000))
 def test_the_least_over_a_sample_is_that_of_the_rows_and_no_less_than_epsilon(seed: int) -> None:
     rng = np.random.default_rng(seed)

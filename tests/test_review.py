@@ -58,7 +58,9 @@ def rod_across_the_way(plan: GraspPlan, share: float) -> Obstacle:
 def test_nothing_small_hides_between_samples_of_the_approach(plan: GraspPlan, share: float) -> None:
     task = replace(plan.task, obstacles=(rod_across_the_way(plan, share),))
     approach = Approach(
-        q=plan.q_pregrasp, opening=plan.opening, T_world_base_start=plan.T_world_base_start
+        q=plan.q_pregrasp,
+        pregrasp_distance=plan.pregrasp_distance,
+        T_world_base_start=plan.T_world_base_start,
     )
     fault = verify_approach(CollisionWorld(task), plan.T_world_base, plan.q, approach)
     assert "rod" in str(fault)
@@ -93,7 +95,7 @@ def test_a_grasp_keeps_what_the_task_fixes(plan: GraspPlan) -> None:
 def test_a_pregrasp_outside_its_limits_is_refused(plan: GraspPlan) -> None:
     q = plan.q_pregrasp.copy()
     q[0] = plan.task.hand.q_upper[0] + 0.1
-    approach = Approach(q=q, opening=0.02, T_world_base_start=plan.T_world_base_start)
+    approach = Approach(q=q, pregrasp_distance=0.02, T_world_base_start=plan.T_world_base_start)
     judged = verify_grasp(
         plan.task, plan.T_world_base, plan.q, record=plan.record, approach=approach
     )

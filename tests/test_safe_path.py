@@ -21,6 +21,7 @@ print(sorted(finished(operator.neg, [1, 2], workers=2, backend=BACKEND, given_up
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", ["loky", "multiprocessing"])
 def test_a_joblib_of_the_current_folder_is_not_run(tmp_path: Path, backend: str) -> None:
     for name in ("joblib.py", "numpy.py", "planner.py"):

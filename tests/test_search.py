@@ -72,10 +72,10 @@ def check(plan: GraspPlan) -> None:
     for finger, normal in zip(task.fingers, plan.contacts.normals, strict=True):
         moved = opened.pad_center(finger) - grasp.pad_center(finger)
         moved = plan.T_world_base.rotation @ moved
-        assert -moved @ normal >= OPENED_SHARE * plan.opening - 1e-6
-        off.append(float(np.linalg.norm(moved + plan.opening * normal)))
+        assert -moved @ normal >= OPENED_SHARE * plan.pregrasp_distance - 1e-6
+        off.append(float(np.linalg.norm(moved + plan.pregrasp_distance * normal)))
     if not task.obstacles:  # which may stand where fingers open to
-        assert np.median(off) < 0.2 * plan.opening
+        assert np.median(off) < 0.2 * plan.pregrasp_distance
 
 
 def same(a: GraspPlan, b: GraspPlan) -> bool:
@@ -94,6 +94,7 @@ def test_same_seed_same_plan_to_the_last_bit_and_other_seeds_differ(allegro: Han
     assert (first.record.seed, other.record.seed) == (3, 4)
 
 
+@pytest.mark.slow
 def test_same_seed_same_plan_in_a_fresh_process_that_built_other_problems_first(
     allegro: Hand,
 ) -> None:
@@ -262,11 +263,11 @@ def test_fingers_are_spared_only_where_the_choice_was_left_open(
 ) -> None:
     tried: list[int] = []
 
-    def nothing(ground: Any, rng: Any, options: Any) -> str:
-        tried.append(len(ground.task.fingers))
-        return "nothing: for the test"
+    def nothing(context: Any, rng: Any) -> Failure:
+        tried.append(len(context.problem.task.fingers))
+        return Failure(kind="nothing", text="nothing: for the test")
 
-    monkeypatch.setattr("planner.search._attempt", nothing)
+    monkeypatch.setattr("planner.search._GraspContext.attempt", nothing)
     task = GraspTask.create(allegro, "sphere", fingers=fingers)
     with pytest.raises(NoGraspFoundError):
         plan_grasp(task, max_attempts=SPARE_AFTER + 4)
@@ -279,14 +280,14 @@ def test_a_finger_of_which_a_region_is_required_is_not_spared(
 ) -> None:
     tried: list[int] = []
 
-    def nothing(ground: Any, rng: Any, options: Any) -> str:
-        tried.append(len(ground.task.fingers))
-        return "nothing: for the test"
+    def nothing(context: Any, rng: Any) -> Failure:
+        tried.append(len(context.problem.task.fingers))
+        return Failure(kind="nothing", text="nothing: for the test")
 
     task = GraspTask.create(allegro, "sphere")
     (spared,) = set(task.finger_names) - set(seeder_for(task).tripod)
     item = replace(task.object, touch=TouchRegion(required={spared: Region(name="anywhere")}))
-    monkeypatch.setattr("planner.search._attempt", nothing)
+    monkeypatch.setattr("planner.search._GraspContext.attempt", nothing)
     with pytest.raises(NoGraspFoundError):
         plan_grasp(replace(task, object=item), max_attempts=SPARE_AFTER + 2)
     assert tried == [4] * (SPARE_AFTER + 2)
@@ -326,7 +327,7 @@ def test_the_verdict_on_a_grasp_turns_with_the_world(allegro: Hand) -> None:
     )
     approach = Approach(
         q=plan.q_pregrasp,
-        opening=plan.opening,
+        pregrasp_distance=plan.pregrasp_distance,
         T_world_base_start=move * plan.T_world_base_start,
     )
     base = move * plan.T_world_base

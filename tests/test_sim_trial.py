@@ -14,11 +14,10 @@ import pytest
 
 from planner.errors import TaskError
 from planner.hand_loading import load_hand
-from planner.paths import smooth
 from planner.plan import GraspPlan
 from planner.quality import analyse
 from planner.search import plan_grasp
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, minimum_jerk
 from planner.task import GraspTask, Obstacle
 from sim.contacts import hand_contacts
 from sim.controllers import Observation
@@ -132,8 +131,9 @@ def test_report_is_plain_json_that_follows_its_schema(report: TrialReport) -> No
     assert read.samples.object_in_palm_moved_mm[0] is None
 
 
-def test_picture_is_there_or_its_absence_is_explained(report: TrialReport) -> None:
-    assert (report.picture is None) == bool(report.picture_reason)
+def test_picture_is_there_or_its_absence_is_explained(report: TrialReport, can_draw: bool) -> None:
+    assert (report.picture is not None) == can_draw
+    assert bool(report.picture_reason) != can_draw
     if report.picture is not None:
         assert report.picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
@@ -288,12 +288,12 @@ def test_the_hand_follows_its_way(plan: GraspPlan) -> None:
             now = data.time - simulation.scene.physics.timestep  # poses are of the step's beginning
             base = simulation.scene.body_pose(data, simulation.scene.base_body).translation
             if simulation.phase == "approach":
-                s = smooth(np.array(min(1.0, now / QUICK.approach)))
+                s = minimum_jerk(np.array(min(1.0, now / QUICK.approach)))
                 start = plan.T_world_base_start.translation
                 expected = start + s * (first - start)
             else:
                 began.append(float(now))
-                s = smooth(np.array(min(1.0, (now - began[0]) / QUICK.lift)))
+                s = minimum_jerk(np.array(min(1.0, (now - began[0]) / QUICK.lift)))
                 expected = first + np.array([0.0, 0.0, float(s) * QUICK.lift_height])
             off[simulation.phase] = max(off[simulation.phase], float(np.abs(base - expected).max()))
 

@@ -1,4 +1,4 @@
-"""The smooth surfaces of the problem against the true shapes."""
+"""The smooth surfaces of the NLP against the true shapes."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def value(shape: Shape, name: str, p: FloatArray, patch: Patch | None = None) ->
 
 @cache
 def points_of(shape: Shape, number: int) -> FloatArray:
-    """Points (60, 3) that the problem admits: in the bounds of a patch, with surface error zero.
+    """Points (60, 3) that the NLP admits: in the bounds of a patch, with surface error zero.
 
     Reached by Newton's method from random points within the bounds; those that leave are dropped.
     """
@@ -108,11 +108,12 @@ def test_what_a_patch_admits_lies_on_the_true_surface_with_its_normal(shape: Sha
             )
 
 
-@each_shape
+@pytest.mark.parametrize(
+    "shape", [s for s in EXAMPLES if not isinstance(s, Box)], ids=lambda s: s.spec
+)
 def test_surface_error_is_the_distance_near_the_patch(shape: Shape) -> None:
     # In metres: 0.1 mm off the surface reads 0.1 mm, to first order.
-    if "error" not in functions(shape.kind):
-        pytest.skip("the bounds of a box's patch fix the point; there is no equation")
+    # The bounds of a box's patch fix the point: there is no equation.
     step = 1e-4
     for patch in surface_of(shape).patches(shape):
         for p in on_patch(shape, patch, 20):
@@ -216,11 +217,10 @@ def outside(shape: Shape, nearest: float, farthest: float, count: int = 300) -> 
     return np.asarray(points[(distance >= nearest) & (distance <= farthest)])
 
 
-@each_shape
+@pytest.mark.parametrize("shape", EXAMPLES[:7], ids=lambda s: s.spec)
 def test_clearance_never_promises_more_room_than_there_is(shape: Shape) -> None:
-    # What is in bounds for the problem must be free in truth, but for the 0.08 mm that are stated.
-    if isinstance(shape, Ellipsoid):
-        pytest.skip("first-order accurate only: see the next test")
+    # What is in bounds for the NLP must be free in truth, but for the 0.08 mm that are stated.
+    # Ellipsoids are accurate to first order only: see the next test.
     points = outside(shape, NEAREST_BALL, 0.05)
     assert len(points) > 300
     true = shape.signed_distance(points)
@@ -251,10 +251,9 @@ def test_clearance_of_faces_is_the_distance_of_the_face(shape: Shape) -> None:
         assert value(shape, "clearance", p)[0] == pytest.approx(0.01, abs=ABOVE)
 
 
-@sharp
+@pytest.mark.parametrize("shape", EXAMPLES[1:5], ids=lambda s: s.spec)
 def test_softening_adds_at_most_softness_times_the_log_of_the_faces(shape: Shape) -> None:
-    if isinstance(shape, Capsule):
-        pytest.skip("one smooth surface, nothing is softened")
+    # Of capsules, with one smooth surface, nothing is softened.
     rng = np.random.default_rng(3)
     for p in rng.uniform(-2, 2, size=(100, 3)) * shape.half_extents:
         if isinstance(shape, Box):

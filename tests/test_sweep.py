@@ -24,6 +24,7 @@ def least_on_way(world: CollisionWorld, base: SE3, q: FloatArray, way: FloatArra
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("item", ["box", "ellipsoid", "lbracket", "torus"])
 def test_a_way_is_free_if_and_only_if_it_is_everywhere(allegro: Hand, item: str) -> None:
     wall = Obstacle(
@@ -41,7 +42,7 @@ def test_a_way_is_free_if_and_only_if_it_is_everywhere(allegro: Hand, item: str)
         shift = rng.normal(0.0, 0.06, 3) + np.array([0.0, 0.0, 0.14])
         base = SE3(np.eye(3), task.T_world_object.translation + shift)
         way = 0.04 * direction / np.linalg.norm(direction)
-        found = world.undercut_on_way(base, q, way, CLEARANCE)
+        found = world.swept_clearance_violation(base, q, way, CLEARANCE)
         least = least_on_way(world, base, q, way)
         if found is None:
             free += 1
@@ -67,15 +68,15 @@ def test_a_way_past_a_corner_is_followed_between_its_ends(allegro: Hand) -> None
     beyond = SE3(np.eye(3), base.translation + way)
     for at in (base, beyond):
         assert world.nearest(at, q, surroundings_only=True).distance > 0.05
-    found = world.undercut_on_way(base, q, way, CLEARANCE)
+    found = world.swept_clearance_violation(base, q, way, CLEARANCE)
     assert found is not None and found.second == "wall"
-    assert world.undercut_on_way(base, q, -way / 3, CLEARANCE) is None
+    assert world.swept_clearance_violation(base, q, -way / 3, CLEARANCE) is None
 
 
 def test_a_way_of_no_length_is_a_place(allegro: Hand) -> None:
     world = CollisionWorld(GraspTask.create(allegro, "torus"))
     q, away = allegro.posture("open"), SE3(np.eye(3), np.array([0.0, 0.0, 0.5]))
-    assert world.undercut_on_way(away, q, np.zeros(3), CLEARANCE) is None
+    assert world.swept_clearance_violation(away, q, np.zeros(3), CLEARANCE) is None
     inside = SE3(np.eye(3), np.array([0.0, 0.0, 0.05]))
-    found = world.undercut_on_way(inside, q, np.zeros(3), CLEARANCE)
+    found = world.swept_clearance_violation(inside, q, np.zeros(3), CLEARANCE)
     assert found is not None and found.distance < CLEARANCE

@@ -24,7 +24,6 @@ from planner.hands.hand import Hand
 from planner.motion import plan_motion
 from planner.motion.gait import plan_gait
 from planner.motion.plan import Knot
-from planner.numerics.programme import programme
 from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.quality import force_closure
@@ -90,6 +89,7 @@ def bits_of_knots(knots: tuple[Knot, ...]) -> bytes:
 SEEDS = range(4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hand", "objects"),
     [
@@ -161,6 +161,7 @@ def test_a_search_within_the_progress_of_another_changes_neither(allegro: Hand) 
     assert set(within) == {alone[1]}
 
 
+@pytest.mark.slow
 def test_motions_of_threads_are_those_of_one(shadow: Hand) -> None:
     def turn(size: str, seed: int) -> bytes:
         task = GraspTask.create(shadow, size, fingers=["thumb", "index", "middle"])
@@ -176,6 +177,7 @@ def test_motions_of_threads_are_those_of_one(shadow: Hand) -> None:
     assert at_once(*[lambda one=one: turn(*one) for one in asked]) == alone
 
 
+@pytest.mark.slow
 def test_gaits_of_threads_are_those_of_one(allegro: Hand) -> None:
     def turn(seed: int) -> bytes:
         task = GraspTask.create(allegro, "cylinder:0.03x0.08")
@@ -222,6 +224,7 @@ def test_loops_of_threads_do_not_share_a_solver(two_plans: list[GraspPlan]) -> N
     assert at_once(*[lambda plan=plan: loop(plan) for plan in two_plans]) == alone
 
 
+@pytest.mark.slow
 def test_certificates_of_threads_are_those_of_one(two_plans: list[GraspPlan]) -> None:
     def numbers(plan: GraspPlan) -> str:
         made = certify_contacts(plan.contacts, length=0.05, width=0.5, max_points=40)
@@ -293,10 +296,11 @@ def test_what_is_kept_by_a_thread_is_its_own_and_goes_with_it() -> None:
     at_once(*[lambda: make(1) is make(1) or pytest.fail("made twice")] * 3)
     gc.collect()
     assert Kept.alive == 1
-    solvers = at_once(*[lambda: programme("daqp", 3, 2)] * 2)
-    assert solvers[0] is not solvers[1]
+    made = at_once(*[lambda: make(2)] * 2)
+    assert made[0] is not made[1]
 
 
+@pytest.mark.slow
 def test_threads_that_build_their_first_problems_at_once() -> None:
     # in a process of its own, where nothing is built yet
     code = """

@@ -8,61 +8,44 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from manipulations import DT, QUICK, task_of
 from typer.testing import CliRunner
 
 from planner.errors import TaskError
 from planner.failure import Failure
 from planner.motion.manipulation import (
     ManipulationPlan,
-    manipulation_task,
     on_stand,
     plan_manipulation,
 )
 from planner.motion.manipulation.ending import backwards, object_at_target, planned_ending, stands
 from planner.motion.manipulation.single_stroke import MOST_PIVOT
 from planner.motion.path import tilts
-from planner.objects import parse_object
 from planner.spatial import SE3
 from planner.task import GraspTask
 from sim.cli import app
 from sim.controllers.follow import MotionReference
 from sim.manipulation import (
     ManipulationReport,
-    Pace,
     manipulate,
     rests,
 )
 from sim.physics import PhysicsOptions
 
 X, Y, Z = np.eye(3)
-DT = 0.002
 ANGLE, UP = math.radians(20.0), np.array([0.0, 0.0, 0.008])
-
-QUICK = Pace(
-    approach=0.4,
-    close=0.3,
-    squeeze=0.3,
-    verify=0.1,
-    lift=0.4,
-    hold=0.2,
-    carry=0.5,
-    lower=0.4,
-    open=0.3,
-    retreat=0.4,
-    height=0.04,
-)
 
 
 @pytest.fixture(scope="module")
 def plan() -> ManipulationPlan:
     """A block that an Allegro-type hand tilts and moves up at once."""
-    task = manipulation_task("allegro_hand", parse_object("box:0.05x0.05x0.08", mass=0.1), mu=0.5)
+    task = task_of("box:0.05x0.05x0.08", mass=0.1, mu=0.5)
     return plan_manipulation(task, axis=Y, angle=ANGLE, shift=UP, place=(0.04, -0.02), seed=0)
 
 
 @pytest.fixture(scope="module")
 def report(plan: ManipulationPlan) -> ManipulationReport:
-    return manipulate(plan, physics=PhysicsOptions(mu=0.6), pace=QUICK)
+    return manipulate(plan, physics=PhysicsOptions(mu=0.6), timeline=replace(QUICK, height=0.04))
 
 
 def _task(spec: str) -> GraspTask:
@@ -115,8 +98,8 @@ def test_what_does_not_stand_is_put_down_as_it_was_picked_up(plan: ManipulationP
     np.testing.assert_array_equal(plan.ending.release.q, grasp.q_pregrasp)
     ending = planned_ending(plan.motion, math.pi / 2, None)  # on its side it would stand
     assert not isinstance(ending, Failure)
-    if not ending.back:
-        assert ending.T_world_target.rotation[2] @ Z == pytest.approx(0.0, abs=1e-12)
+    assert ending.back == ""
+    assert ending.T_world_target.rotation[2] @ Z == pytest.approx(0.0, abs=1e-12)
     assert backwards(plan.motion, None, "so").back == "so"
 
 
@@ -147,7 +130,7 @@ def test_a_tip_that_stays_while_the_object_spins_under_it_pivots(plan: Manipulat
 
 
 def test_no_regrasps_where_the_object_is_to_be_moved() -> None:
-    task = manipulation_task("allegro_hand", parse_object("cylinder:0.03x0.08"), mu=0.5)
+    task = task_of("cylinder:0.03x0.08", mu=0.5)
     with pytest.raises(TaskError, match="made in one stroke"):
         plan_manipulation(task, angle=1.0, shift=UP, regrasp=True)
     with pytest.raises(TaskError, match="made in one stroke"):
@@ -213,16 +196,16 @@ def test_a_block_is_tilted_moved_brought_back_and_placed(
     plan: ManipulationPlan, report: ManipulationReport
 ) -> None:
     assert report.complete, str(report)
-    assert report.strict
-    steps = [c.step for c in report.checks]
+    assert report.success_with_closure
+    steps = [c.phase for c in report.results]
     assert steps[steps.index("verify again") :][:3] == ["verify again", "back", "carry"]
     assert math.degrees(report.turned) == pytest.approx(20.5, abs=1.0)
     assert np.linalg.norm(report.shifted - UP) < 2e-3
-    back = report.track.during("back")
-    assert report.track.turn[back[0]] > 0.9 * ANGLE
-    assert abs(report.track.turn[back[-1]]) < math.radians(2.0)
-    assert report.checks[-1].numbers["off_mm"] < 3.0
-    assert report.checks[-1].numbers["tilt_deg"] < 0.5
+    back = report.log.during("back")
+    assert report.log.turn[back[0]] > 0.9 * ANGLE
+    assert abs(report.log.turn[back[-1]]) < math.radians(2.0)
+    assert report.results[-1].numbers["off_mm"] < 3.0
+    assert report.results[-1].numbers["tilt_deg"] < 0.5
     text = str(report)
     assert "of (0.0, 0.0, 8.0) mm in the hand" in text
     assert "made backwards before it was put down: turned so it does not stand" in text
@@ -233,8 +216,8 @@ def test_a_block_is_tilted_moved_brought_back_and_placed(
 
 def test_what_ends_elsewhere_is_not_moved_as_asked(report: ManipulationReport) -> None:
     further = replace(report, asked_shift=UP + 0.004 * X)
-    assert not further.loose
-    assert replace(report, asked_shift=np.zeros(3)).loose
+    assert not further.success
+    assert replace(report, asked_shift=np.zeros(3)).success
 
 
 # --- the command -------------------------------------------------------------------------------

@@ -217,7 +217,9 @@ def test_too_heavy_is_no_forces(allegro_plan: GraspPlan) -> None:
 def test_an_approach_that_touches_is_refused(allegro_plan: GraspPlan) -> None:
     plan, world = allegro_plan, CollisionWorld(allegro_plan.task)
     good = Approach(
-        q=plan.q_pregrasp, opening=plan.opening, T_world_base_start=plan.T_world_base_start
+        q=plan.q_pregrasp,
+        pregrasp_distance=plan.pregrasp_distance,
+        T_world_base_start=plan.T_world_base_start,
     )
     assert verify_approach(world, plan.T_world_base, plan.q, good) is None
     closed = replace(good, q=plan.q)

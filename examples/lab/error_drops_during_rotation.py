@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner import distribute_forces, manipulation_task, parse_object, plan_manipulation
-from sim.manipulation import Pace, Push, manipulate
+from sim.manipulation import ManipulationTimeline, Push, manipulate
 from sim.physics import PhysicsOptions
 
 HAND = "allegro_hand"
@@ -22,13 +22,15 @@ OBJECT = "cylinder:0.03x0.08"
 MASS, MU = 0.1, 0.45  # kg, and least friction that the plan relies on (-)
 SLIPPERY, ROUGH = 0.27, 0.6  # what there is (-)
 PUSH = Push(force=np.array([0.0, 8.0, 0.0]), after=0.5, duration=0.3)  # eight times the weight
-QUICK = Pace(approach=0.4, close=0.3, squeeze=0.3, verify=0.1, lift=0.4, height=0.03)
+QUICK = ManipulationTimeline(
+    approach=0.4, close=0.3, squeeze=0.3, verify=0.1, lift=0.4, height=0.03
+)
 SQUEEZES = (1.0, 2.0, 3.0, 4.0)  # least normal force of each finger, N
 
 task = manipulation_task(HAND, parse_object(OBJECT, mass=MASS), mu=MU)
 plan = plan_manipulation(task, angle=np.deg2rad(90.0), seed=0)
 for title, mu, push in ((f"friction {SLIPPERY}", SLIPPERY, None), ("pushed", ROUGH, PUSH)):
-    report = manipulate(plan, physics=PhysicsOptions(mu=mu), pace=QUICK, push=push)
+    report = manipulate(plan, physics=PhysicsOptions(mu=mu), timeline=QUICK, push=push)
     print(f"{title}: {'complete' if report.complete else report.reason}")
     for kind in dict.fromkeys(event.kind for event in report.events):
         first = next(event for event in report.events if event.kind == kind)

@@ -53,7 +53,7 @@ for title, q, controller in (
     ("as planned", plan.q, GraspController(plan)),
     ("crossed on purpose", crossed, Crossing(plan, crossed)),
 ):
-    closest = world.closest(plan.T_world_base, q, COUNT, touching=pads)[:COUNT]
+    closest = world.closest(plan.T_world_base, q, COUNT, may_touch=pads)[:COUNT]
     report = simulate(plan, controller=controller, timeline=QUICK)
     print(title)
     print("  nearest by planning:", "; ".join(str(pair) for pair in closest))

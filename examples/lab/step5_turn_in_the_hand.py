@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from planner import manipulation_task, parse_object, plan_manipulation
 from planner.spatial import signed_twist
-from sim.manipulation import Pace, manipulate
+from sim.manipulation import ManipulationTimeline, manipulate
 from sim.physics import PhysicsOptions
 
 HAND = "allegro_hand"
@@ -25,7 +25,7 @@ UP = np.array([0.0, 0.0, 1.0])
 ANGLE = np.deg2rad(90.0)  # about UP
 MU, SIM_MU = 0.45, 0.6  # friction that the plan relies on, and that there is (-)
 ROWS = 10  # that are printed of the turn
-QUICK = Pace(  # all but the turn, s; height in m
+QUICK = ManipulationTimeline(  # all but the turn, s; height in m
     approach=0.4,
     close=0.3,
     squeeze=0.3,
@@ -42,19 +42,20 @@ QUICK = Pace(  # all but the turn, s; height in m
 task = manipulation_task(HAND, parse_object(OBJECT), mu=MU)
 plan = plan_manipulation(task, axis=UP, angle=ANGLE, seed=0)
 print(plan.motion)
-report = manipulate(plan, physics=PhysicsOptions(mu=SIM_MU), pace=QUICK)
-track = report.track
-turning = track.during("turn")
+report = manipulate(plan, physics=PhysicsOptions(mu=SIM_MU), timeline=QUICK)
+log = report.log
+turning = log.during("turn")
 print("\ntime (s)   turned (deg)   tilt (deg)   fingers   closed")
 for i in turning[:: max(1, len(turning) // ROWS)]:
-    angles = f"{np.rad2deg(track.turn[i]):12.1f} {np.rad2deg(track.tilt[i]):12.1f}"
-    since = track.time[i] - track.time[turning[0]]
-    closed = "yes" if track.closed[i] else "no"
-    print(f"{since:8.2f} {angles} {track.touching[i]:9d}   {closed}")
+    angles = f"{np.rad2deg(log.turn[i]):12.1f} {np.rad2deg(log.tilt[i]):12.1f}"
+    since = log.time[i] - log.time[turning[0]]
+    closed = "yes" if log.closed[i] else "no"
+    print(f"{since:8.2f} {angles} {log.touching[i]:9d}   {closed}")
 end = "dropped" if report.dropped else "not dropped"
 print(f"\nturned by {np.rad2deg(report.turned):.1f} degrees, {end}", end=", ")
 print(f"at least {report.least_fingers} fingers in contact in the air")
-print(f"all of it, with force closure at every sample: {'yes' if report.strict else 'no'}")
+closed = "yes" if report.success_with_closure else "no"
+print(f"all of it, with force closure at every sample: {closed}")
 
 fallen = pin.exp3(np.pi / 2 * np.array([1.0, 0.0, 0.0]))
 lab = 2 * np.arccos(np.clip(abs(pin.Quaternion(fallen).w), -1, 1))

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from planner import SE3, manipulation_task, parse_object, plan_manipulation
-from sim.manipulation import Pace, manipulate
+from sim.manipulation import ManipulationTimeline, manipulate
 from sim.physics import PhysicsOptions
 
 HAND = "allegro_hand"
@@ -25,7 +25,7 @@ PLACE = (0.10, 0.05)  # where the object is to stand, m; it is picked from (0, 0
 MU, MAX_MASS = 0.45, 0.2  # least friction (-) and largest mass (kg) that are planned for
 TRUE_MU, TRUE_MASS = 0.6, 0.1  # what there is
 BESIDE = np.array([0.002, -0.001, 0.0])  # how far it stands from where it should, m
-QUICK = Pace(  # s; height in m
+QUICK = ManipulationTimeline(  # s; height in m
     approach=0.4, close=0.3, squeeze=0.3, lift=0.4, carry=0.4, lower=0.4, retreat=0.4, height=0.03
 )
 
@@ -39,7 +39,7 @@ truth = replace(
     object=parse_object(OBJECT, mass=TRUE_MASS),
     T_world_object=SE3(pose.rotation, pose.translation + BESIDE),
 )
-report = manipulate(plan, really=truth, physics=PhysicsOptions(mu=TRUE_MU), pace=QUICK)
+report = manipulate(plan, true_task=truth, physics=PhysicsOptions(mu=TRUE_MU), timeline=QUICK)
 print(report)
 
 for title, quality in (("grasped", report.before), ("turned", report.after)):

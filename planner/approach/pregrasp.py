@@ -1,8 +1,8 @@
 """The pre-grasp and the way to it: fingers opened along the contact normals, then straight in.
 
-Both are part of a plan: a grasp that cannot be reached without touching is no plan. How the fingers
-open is the matter of ``planner.approach.pregrasp_ik``; whether the way is free is looked at here,
-on the true geometry.
+Both are part of a plan: a grasp that cannot be reached without touching is no plan. The fingers are
+opened by ``planner.approach.pregrasp_ik``; whether the way is free is verified here, on the true
+geometry.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from planner.approach.arm_path import (
     verify_arm_path,
     verify_lift,
 )
-from planner.approach.pregrasp_ik import Opener, undetermined_joints
+from planner.approach.pregrasp_ik import PregraspIk, undetermined_joints
 from planner.collision.world import Clearance, CollisionWorld
 from planner.failure import Failure
 from planner.spatial import SE3, FloatArray
@@ -43,7 +43,7 @@ APPROACH_KINDS = frozenset(
 )
 """Kinds of failure of an approach, an arm's lift included."""
 
-OPENINGS = (0.025, 0.02, 0.015, 0.01)
+PREGRASP_DISTANCES = (0.025, 0.02, 0.015, 0.01)
 """Distances (m) by which pads are opened along the normals, tried in this order. More room absorbs
 a larger error of the object's pose; less is easier to reach."""
 
@@ -63,13 +63,13 @@ class Approach:
 
     Attributes:
         q: Pre-grasp joints (nq,), pads opened along the normals.
-        opening: By how much, m.
+        pregrasp_distance: By how much, m.
         T_world_base_start: Base pose from which it moves straight to the grasp with ``q``.
         arm: The way in and the lift of the arm that carries the hand; its root stays.
     """
 
     q: FloatArray
-    opening: float
+    pregrasp_distance: float
     T_world_base_start: SE3
     arm: ArmPath | None = None
 
@@ -98,19 +98,19 @@ def find_approach(
     lift = find_lift(world, T_world_base, q) if on_arm else None
     if isinstance(lift, Failure):
         return lift
-    openers = [Opener(world, T_world_base, q, normals)]
+    solvers = [PregraspIk(world, T_world_base, q, normals)]
     loose = undetermined_joints(world.task.hand)
     if len(loose) > 0:
-        openers.insert(0, Opener(world, T_world_base, q, normals, loose))
-    for opener, opening in product(openers, OPENINGS):
-        opened = opener.open(opening)
+        solvers.insert(0, PregraspIk(world, T_world_base, q, normals, loose))
+    for solver, distance in product(solvers, PREGRASP_DISTANCES):
+        opened = solver.solve(distance)
         if opened is None:
             continue
         failure = _verify_opened(world, T_world_base, opened)
         failure = failure or _verify_closing(world, T_world_base, q, opened)
         if failure is not None:
             continue
-        for approach in _ways_in(world, T_world_base, opened, opening, lift):
+        for approach in _ways_in(world, T_world_base, opened, distance, lift):
             failure = _verify_way_in(world, T_world_base, q, approach)
             if failure is None:
                 return approach
@@ -168,7 +168,7 @@ def _verify_closing(
 ) -> Failure | None:
     """What touches while the fingers close, None if nothing does."""
     for s in np.linspace(1.0, 0.0, CLOSING_SAMPLES, endpoint=False):
-        touching = world.touching(T_world_base, q + s * (opened - q))
+        touching = world.nearest_below(T_world_base, q + s * (opened - q))
         if touching is not None and touching.distance <= 0.0:
             return Failure(
                 kind="closing_collision",
@@ -180,7 +180,7 @@ def _verify_closing(
 
 def _verify_opened(world: CollisionWorld, T_world_base: SE3, opened: FloatArray) -> Failure | None:
     """What the opened hand is too near to at the end of any way in, None if nothing."""
-    near = world.touching(
+    near = world.nearest_below(
         T_world_base, opened, clearance=APPROACH_CLEARANCE, surroundings_only=True
     )
     return None if near is None else _collision(near)
@@ -215,7 +215,7 @@ def _verify_straight(
         return _invalid("the hand turns on its way in")
     # from the grasp outwards: what touches mostly touches there
     back = begin.translation - end.translation
-    near = world.undercut_on_way(end, approach.q, back, APPROACH_CLEARANCE)
+    near = world.swept_clearance_violation(end, approach.q, back, APPROACH_CLEARANCE)
     return None if near is None else _collision(near)
 
 
@@ -227,7 +227,7 @@ def _ways_in(
     world: CollisionWorld,
     T_world_base: SE3,
     opened: FloatArray,
-    opening: float,
+    distance: float,
     lift: FloatArray | None,
 ) -> Iterator[Approach]:
     """Approaches to be looked at; a base that is fixed without an arm stays where it is."""
@@ -235,14 +235,16 @@ def _ways_in(
     if hand.arm is not None and lift is not None:
         for path in retreats(hand, T_world_base, opened, _ways_back(world, T_world_base, opened)):
             arm = ArmPath(approach=path, lift=lift)
-            yield Approach(q=opened, opening=opening, T_world_base_start=T_world_base, arm=arm)
+            yield Approach(
+                q=opened, pregrasp_distance=distance, T_world_base_start=T_world_base, arm=arm
+            )
         return
     ways = [np.zeros(3)]
     if world.task.T_world_base is None:
         ways = _ways_back(world, T_world_base, opened)
     for way in ways:
         start = SE3(T_world_base.rotation, T_world_base.translation + way)
-        yield Approach(q=opened, opening=opening, T_world_base_start=start)
+        yield Approach(q=opened, pregrasp_distance=distance, T_world_base_start=start)
 
 
 def _ways_back(world: CollisionWorld, T_world_base: SE3, opened: FloatArray) -> list[FloatArray]:

@@ -1,14 +1,14 @@
-"""Opening the fingers of a grasp, by quadratic programmes on the true geometry.
+"""Inverse kinematics of the pre-grasp: the fingers of a grasp opened along the contact normals.
 
-    min  sum |c_i(q) - (c_i - opening n_i)|^2 / opening^2 + POSTURE_WEIGHT |q - q_grasp|^2
-    s.t. every pad opened by OPENED_SHARE of the opening at least; couplings; joint limits;
+    min  sum |c_i(q) - (c_i - distance n_i)|^2 / distance^2 + POSTURE_WEIGHT |q - q_grasp|^2
+    s.t. every pad opened by OPENED_SHARE of the distance at least; couplings; joint limits;
          hand clear of object, table, obstacles and of itself
 
 with c_i the pad centres of the grasp and n_i the normals into the object. Gauss-Newton steps, each
-a programme over the joints with everything linearised. What is near is looked at only where the
-solution without it comes too near to something. Fingers that stand close to each other may have to
-move sideways as well while they open. A bound that cannot be kept is missed by as little as can be:
-what is true of the result is for others to find out.
+a quadratic programme over the joints with everything linearised (``planner.numerics.ik_step``).
+Near pairs enter only if the solution without them comes too near to something. Fingers that stand
+close to each other may have to move sideways as well while they open. Violated bounds are
+minimised; the verdict is ``planner.approach.pregrasp``'s, on the true geometry.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ import numpy as np
 
 from planner.collision.world import CollisionWorld, NearPairs
 from planner.hands.hand import Hand
-from planner.numerics.programme import programme
+from planner.numerics.ik_step import Barrier, Task, constrained_ik_step
 from planner.spatial import SE3, FloatArray, IntArray
 
-__all__ = ["OPENED_SHARE", "Opener", "undetermined_joints"]
+__all__ = ["OPENED_SHARE", "PregraspIk", "undetermined_joints"]
 
 OPENED_SHARE = 0.7
-"""Share of the opening that every pad must really reach within its joint limits (-)."""
+"""Share of the pre-grasp distance that every pad must really reach within its joint limits (-)."""
 
 POSTURE_WEIGHT = 0.05
-"""Cost of moving a joint by one radian against missing the opening by all of it (-)."""
+"""Cost of moving a joint by one radian against missing all of the distance (-)."""
 
 OPEN_CLEARANCE = 0.003
 """Distance (m) that the opened hand keeps from object, table and obstacles, where it can."""
@@ -36,14 +36,14 @@ OPEN_CLEARANCE = 0.003
 FINGER_CLEARANCE = 0.002
 """Distance (m) that it keeps from itself, where it can."""
 
-SPARE = 0.002
-"""Share of the opening by which bounds are to be met better: the last step leaves less (-)."""
+MARGIN = 0.002
+"""Margin (-) by which bounds are tightened, in pre-grasp distances: the last step leaves less."""
 
 SEEN = 0.03
 """Distance (m) up to which pairs are looked at once one of them is too near."""
 
-MISSED = 100.0
-"""Cost of missing a bound by all of the opening (-): more than any bound is worth."""
+PRICE = 100.0
+"""Price of missing a bound by one pre-grasp distance (-): more than any task is worth."""
 
 STEPS = (3, 6)
 """Most steps without and with a look at what is near; three to six are usual in all."""
@@ -94,7 +94,7 @@ def undetermined_joints(hand: Hand) -> IntArray:
     return np.flatnonzero(out)
 
 
-class Opener:
+class PregraspIk:
     """Opens the fingers of one grasp, by one distance after the other."""
 
     def __init__(
@@ -105,7 +105,7 @@ class Opener:
         normals: FloatArray,
         still: Sequence[int] | IntArray = (),
     ) -> None:
-        """Compute what does not depend on the opening.
+        """Compute what does not depend on the distance.
 
         Args:
             world: True geometry of the task.
@@ -125,34 +125,34 @@ class Opener:
         held = np.concatenate([hand.wrist_index, hand.arm_index, np.array(still, dtype=np.int64)])
         self._free = np.setdiff1d(np.arange(hand.nq), held)
 
-    def open(self, opening: float) -> FloatArray | None:
-        """Joints (nq,) with the pads ``opening`` (m) back along the normals; None if limits forbid.
+    def solve(self, distance: float) -> FloatArray | None:
+        """Joints (nq,) with the pads back along the normals (m); None if limits forbid it.
 
-        Whether the hand touches anything there is for others to look at.
+        They may touch something there: see ``planner.approach.pregrasp.verify_approach``.
         """
-        q = self._solve(self._grasp, opening, None)
+        q = self._descend(self._grasp, distance, None)
         if q is not None:
-            clear = {"around": OPEN_CLEARANCE, "between": FINGER_CLEARANCE}
+            clear = {"environment": OPEN_CLEARANCE, "fingers": FINGER_CLEARANCE}
             if not self._world.is_clear(self._T_world_base, q, **clear):
                 near = self._world.near(self._T_world_base, q, SEEN)
-                q = self._solve(q, opening, near)
-        if q is None or self._pads(q, opening)[2].min() < OPENED_SHARE:
+                q = self._descend(q, distance, near)
+        if q is None or self._pads(q, distance)[2].min() < OPENED_SHARE:
             return None
         return q
 
-    def _solve(self, q: FloatArray, opening: float, near: NearPairs | None) -> FloatArray | None:
+    def _descend(self, q: FloatArray, distance: float, near: NearPairs | None) -> FloatArray | None:
         """Joints (nq,) after steps from q, clear of what was near there; None if limits forbid."""
         last, reach = np.zeros(len(q)), np.full(len(q), LARGEST)
         seen = None if near is None else near.numbers[~near.mesh]
         for _ in range(STEPS[near is not None]):
-            rows, misses, shares = self._pads(q, opening)
+            rows, misses, shares = self._pads(q, distance)
             rates = -np.einsum("ni,nij->nj", self._inward, rows.reshape(len(shares), 3, -1))
-            least = OPENED_SHARE + SPARE - shares
+            least = OPENED_SHARE + MARGIN - shares
             if near is not None:
                 short, moving = self._near(q, near)
-                rates = np.vstack([rates, moving / opening])
-                least = np.concatenate([least, short / opening + SPARE])
-                if (least <= SPARE).all() and np.abs(last).max() < SETTLED:
+                rates = np.vstack([rates, moving / distance])
+                least = np.concatenate([least, short / distance + MARGIN])
+                if (least <= MARGIN).all() and np.abs(last).max() < SETTLED:
                     break
             step = self._step(q, rows, misses, rates, least, reach)
             if step is None:
@@ -167,23 +167,21 @@ class Opener:
                 near = self._world.near(self._T_world_base, q, SEEN, seen)
         return np.clip(q, self._lower, self._upper)
 
-    def _pads(self, q: FloatArray, opening: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Rates (3 n, nq) of the pads' misses and misses (3 n,), by the opening; shares (n,)."""
+    def _pads(self, q: FloatArray, distance: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Rates (3 n, nq) of the pads' misses and misses (3 n,), by the distance; shares (n,)."""
         state = self._state.move(q)
         centers = np.array([state.pad_center(f) for f in self._fingers])
         n = len(centers)
         directions = np.tile(np.eye(3), (n, 1))
         rows = state.point_rates(self._pad_joints, np.repeat(centers, 3, axis=0), directions)
-        moved = (centers - self._begin) / opening
+        moved = (centers - self._begin) / distance
         shares = -np.einsum("ij,ij->i", moved, self._inward)
-        return rows / opening, (moved + self._inward).ravel(), shares
+        return rows / distance, (moved + self._inward).ravel(), shares
 
     def _near(self, q: FloatArray, near: NearPairs) -> tuple[FloatArray, FloatArray]:
         """By how much distances that can be changed are too small (k,), m, and rates (k, nq)."""
-        ahead = self._state.point_rates(near.joints[:, 1], near.points_b, near.normals)
-        behind = self._state.point_rates(near.joints[:, 0], near.points_a, near.normals)
-        rates = ahead - behind
-        short = np.where(near.outward, OPEN_CLEARANCE, FINGER_CLEARANCE) - near.distances
+        rates = near.rates(self._state)
+        short = np.where(near.hand_environment, OPEN_CLEARANCE, FINGER_CLEARANCE) - near.distances
         moving = np.abs(rates[:, self._free]).max(axis=1, initial=0.0) > STILL
         return short[moving], rates[moving]
 
@@ -200,31 +198,21 @@ class Opener:
 
         None where limits and couplings contradict each other.
         """
-        free, m = self._free, len(self._value)
-        n = len(free)
-        size = n + 2  # the last unknowns: by how much shares, and clearances, are missed
-        hessian, gradient = np.zeros((size, size)), np.zeros(size)
-        mine = rows[:, free]
-        hessian[:n, :n] = mine.T @ mine
-        hessian[np.arange(n), np.arange(n)] += POSTURE_WEIGHT + DAMPING
-        gradient[:n] = mine.T @ misses + POSTURE_WEIGHT * (q - self._grasp)[free]
-        hessian[[n, n + 1], [n, n + 1]], gradient[n:] = 1.0, MISSED
-        table = np.zeros((m + len(least), size))
-        table[:m, :n], table[m:, :n] = self._matrix[:, free], rates[:, free]
-        pads = m + len(self._fingers)
-        table[m:pads, n], table[pads:, n + 1] = 1.0, 1.0
+        free, n = self._free, len(self._fingers)
         off = self._value - self._matrix @ q
-        found = programme("daqp", size, len(table)).solve(
-            h=hessian,
-            g=gradient,
-            a=table,
-            lba=np.concatenate([off, least]),
-            uba=np.concatenate([off, np.full(len(least), np.inf)]),
-            lbx=np.append(np.clip(self._lower - q, -reach, 0.0)[free], [0.0, 0.0]),
-            ubx=np.append(np.clip(self._upper - q, 0.0, reach)[free], [np.inf, np.inf]),
+        found = constrained_ik_step(
+            Task(rows[:, free], -misses),
+            [Barrier(rates[:n, free], least[:n]), Barrier(rates[n:, free], least[n:])],
+            np.clip(self._lower - q, -reach, 0.0)[free],
+            np.clip(self._upper - q, 0.0, reach)[free],
+            equality=Task(self._matrix[:, free], off),
+            posture=(self._grasp - q)[free],
+            posture_weight=POSTURE_WEIGHT,
+            damping=DAMPING,
+            price=PRICE,
         )
         if found is None:
             return None
         step = np.zeros(len(q))
-        step[free] = found[:n]
+        step[free] = found
         return step

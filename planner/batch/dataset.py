@@ -162,7 +162,7 @@ class GraspSet:
             ),
             approach=Approach(
                 q=task.hand.checked_q(row["q_pregrasp_rad"], "q_pregrasp_rad"),
-                opening=row["opening_m"],
+                pregrasp_distance=row["opening_m"],
                 T_world_base_start=task.T_world_object * start,
                 arm=arm,
             ),

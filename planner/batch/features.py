@@ -22,7 +22,7 @@ from planner.task import GraspTask
 __all__ = ["GraspFeatures"]
 
 DRAWS_PER_START = 50
-"""Draws after which a start that the seeder cannot give is given up (-)."""
+"""Draws per start before the seeder counts as unable to give one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,7 +33,7 @@ class GraspFeatures:
         positions: Hand's base (n, 3), m.
         rotations: Hand's base (n, 3, 3).
         approach: Direction that the palm faces (n, 3), unit.
-        contacts: (n, c, 3), m, finger by finger; NaN of those that do not touch.
+        contacts: (n, c, 3), m, finger by finger; NaN where one does not touch.
         q: Joints of these fingers (n, d), rad (m for slides).
     """
 
@@ -112,7 +112,7 @@ class GraspFeatures:
     def of_random_starts(cls, task: GraspTask, n: int, *, seed: int = 0) -> GraspFeatures:
         """Of n independent starts of the search, as they are before solving.
 
-        The yardstick for the diversity of a batch: solving should not bring grasps together.
+        Reference for the diversity of a batch: solving should not bring grasps together.
 
         Raises:
             TaskError: The object cannot be grasped by this hand, or starts cannot be drawn.

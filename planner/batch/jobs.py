@@ -25,6 +25,7 @@ from planner.plan import GraspPlan
 from planner.search import Attempt, plan_grasp
 from planner.shapes import shape_key
 from planner.synthesis.options import SynthesisOptions
+from planner.system.environment import on_interrupt
 from planner.task import GraspTask
 
 __all__ = ["BatchObject", "Job", "batch_jobs", "end_with", "grasp_seed", "plan_row"]
@@ -35,9 +36,9 @@ class BatchObject:
     """One object of a batch.
 
     Attributes:
-        label: What it is called; no two of a batch are called the same.
+        label: Its name, unique in the batch.
         recipe: Its task as text (``planner.batch.recipe``).
-        key: What identifies its shape, hexadecimal (``planner.shapes.shape_key``).
+        key: Identity of its shape, hexadecimal (``planner.shapes.shape_key``).
     """
 
     label: str
@@ -60,7 +61,7 @@ class Job:
         k: Number of the grasp among those of its object.
         seed: Seed of its search.
         max_attempts: Attempts before giving up.
-        options: Margins and weights of the problem.
+        options: Margins, weights and objectives of the search.
         parent: Process that started the batch.
         max_cpu_s: CPU seconds before giving up; None for no limit.
     """
@@ -102,7 +103,7 @@ def batch_jobs(
         seed: Seed of the batch.
         wanted: Whether a request's number is still to be planned.
         max_attempts: Attempts before giving up.
-        options: Margins and weights of the problem.
+        options: Margins, weights and objectives of the search.
         max_cpu_s: CPU seconds before giving up; None for no limit.
     """
     for number, item in enumerate(objects):
@@ -124,8 +125,8 @@ def batch_jobs(
 def plan_row(job: Job) -> dict[str, Any]:
     """Plan one request; a row of ``planner.batch.rows`` whether or not a grasp was found.
 
-    What the planner refuses (an object too large for the hand) is a row with that reason; only
-    faults of the program get out.
+    A refusal by the planner (an object too large for the hand) is a row with that reason; only
+    faults of the program are raised.
     """
     made: list[Attempt[GraspPlan]] = []
     end_with(job.parent)
@@ -171,7 +172,7 @@ def end_with(parent: int) -> None:
 
 
 WATCH_S = 1.0
-"""Time (s) between two looks at whether that process is alive."""
+"""Period (s) of the check whether that process is alive."""
 
 
 @contextmanager
@@ -187,15 +188,7 @@ def _undisturbed(parent: int) -> Iterator[Callable[[], None]]:
         if pressed:
             raise KeyboardInterrupt
 
-    if threading.current_thread() is not threading.main_thread():
-        yield check  # signals are handled by the main thread
-        return
     ours = os.getpid() == parent
-    old = signal.signal(
-        signal.SIGINT, (lambda *_: pressed.append(True)) if ours else signal.SIG_IGN
-    )
-    try:
+    with on_interrupt((lambda *_: pressed.append(True)) if ours else signal.SIG_IGN):
         yield check
-    finally:
-        signal.signal(signal.SIGINT, old)
     check()

@@ -35,15 +35,14 @@ class ManifestObject(Recipe):
 
     @property
     def recipe(self) -> str:
-        """The task as ``planner.batch.recipe`` has it."""
+        """The task as text, see ``planner.batch.recipe``."""
         return Recipe(**{k: getattr(self, k) for k in Recipe.model_fields}).model_dump_json()
 
 
 class Manifest(StrictData):
     """The request of a batch.
 
-    Version 1, of which rows do not say whose they are nor with which fingers they grasp, is read,
-    but not gone on with.
+    Version 1, whose rows name neither their manifest nor their fingers, is read, but not continued.
     """
 
     format: Literal["opposable-grasps"] = "opposable-grasps"

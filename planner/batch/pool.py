@@ -9,10 +9,8 @@ its worker is found out.
 from __future__ import annotations
 
 import signal
-import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import joblib
@@ -21,7 +19,7 @@ from planner.arrays import checked_count
 from planner.batch.jobs import Job, plan_row
 from planner.batch.rows import failed_row
 from planner.errors import TaskError
-from planner.system.environment import safe_path
+from planner.system.environment import on_interrupt, safe_path
 
 __all__ = ["check_backend", "finished", "planned_rows"]
 
@@ -29,11 +27,11 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 DEATHS_ALONE = 2
-"""How often a job may kill a worker that has nothing else to do before it is given up: one
-death may be the work of the system, which ends a process when memory is short."""
+"""Deaths of a worker with this job alone before the job is given up: the system may have caused
+one, since it ends processes when memory is short."""
 
 MOST_WORKERS = 1024
-"""Most processes of a pool: each takes some 200 MB."""
+"""Most processes of a pool: each loads all libraries and models."""
 
 AT_ONCE = 4
 """Jobs per worker and wave for a backend without a stream of results."""
@@ -135,30 +133,14 @@ def _stream(
         active, n_workers = joblib.parallel.get_active_backend()
         if active.supports_return_generator:
             parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1)
-            with _deaf_children():
+            # children inherit it: one that is still loading libraries would print a traceback
+            with on_interrupt(signal.SIG_IGN):
                 results = parallel(call(work, *job) for job in jobs)
             yield from results
             return
         at_once = AT_ONCE * active.effective_n_jobs(n_workers)
         while wave := [job for _, job in zip(range(at_once), jobs, strict=False)]:
             yield from joblib.Parallel(batch_size=1)(call(work, *job) for job in wave)
-
-
-@contextmanager
-def _deaf_children() -> Iterator[None]:
-    """Processes that are started meanwhile do not hear Ctrl-C, which is for this one to answer.
-
-    They inherit that it is ignored; one that still loads its libraries would end with a traceback.
-    This process does not hear it either, for the tenths of a second that starting them takes.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _alone(

@@ -1,8 +1,8 @@
 """A grasp task as text that another process can make the task from again.
 
-Hands and problems cannot be sent between processes, and need not be: a worker makes each task once
-from its text and keeps it. The text is also what a stored batch remembers of its tasks. It gives
-the same task to the last bit, so that a request is planned as ``plan_grasp`` plans it.
+Hands and problems cannot be sent between processes: a worker makes each task once from its text and
+keeps it. Stored batches hold the same text. It gives the same task to the last bit, so that a
+request is planned as ``plan_grasp`` plans it.
 """
 
 from __future__ import annotations

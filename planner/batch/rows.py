@@ -2,7 +2,7 @@
 
 Everything is in the object's frame, whose origin is its centre of mass; the tasks, which say where
 the object stands, are kept once per object in the manifest. A row holds what ``GraspSet.plan``
-needs to rebuild and verify the plan again: 1 kB against the 6.7 kB of a plan file.
+needs to rebuild and verify the plan again, less than a plan file.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def found_row(
         "approach_object": (T_object_palm.rotation @ task.hand.palm_normal).tolist(),
         "q_rad": plan.q.tolist(),
         "q_pregrasp_rad": plan.q_pregrasp.tolist(),
-        "opening_m": plan.opening,
+        "opening_m": plan.pregrasp_distance,
         "contact_positions_object_m": contacts.positions.tolist(),
         "contact_normals_object": contacts.normals.tolist(),
         "contact_forces_object_N": contacts.forces_in_axes().tolist(),
@@ -129,8 +129,8 @@ def grasp_schema(hand: Hand) -> Any:
         ("found", pa.bool_(), "whether there is a grasp; the columns after cpu_s are null if not"),
         ("reason", pa.string(), "why not: of the last attempt; empty if found"),
         ("attempts", pa.int64(), "attempts made; the table of attempts has each"),
-        ("cpu_s", number, "CPU time of all attempts, without building the problems"),
-        ("fingers", pa.list_(pa.string()), "that touch: the task's, or those that were not spared"),
+        ("cpu_s", number, "CPU time of all attempts, without building problems"),
+        ("fingers", pa.list_(pa.string()), "that touch: the task's, or fewer if some were spared"),
         ("base_position_object_m", vector, "hand's base at the grasp, object's frame"),
         ("base_quaternion_object_wxyz", quaternion, "w, x, y, z"),
         ("start_position_object_m", vector, "hand's base where the straight approach starts"),
@@ -149,7 +149,7 @@ def grasp_schema(hand: Hand) -> Any:
         ("largest_pad_gap_m", number, "largest distance of a pad from the true surface"),
         ("iterations", pa.int64(), "evaluations of the residuals in the attempt that succeeded"),
         ("solver_status", pa.string(), "why least squares ended"),
-        ("build_s", number, "time that building the problems took in that worker"),
+        ("build_s", number, "time for building problems in that worker"),
         ("arm_approach_q_rad", pa.list_(pa.list_(number)), "arm's way in; null without an arm"),
         ("arm_lift_q_rad", pa.list_(pa.list_(number)), "arm's lift; null without an arm"),
     ]

@@ -36,8 +36,8 @@ class BatchProgress:
 
     Attributes:
         total: Requested grasps.
-        done: Those that are planned, found or not.
-        kept: Those that were there when this run began.
+        done: Planned grasps, found or not.
+        kept: Grasps planned by earlier runs.
         found: Grasps that this run found.
         elapsed_s: Time since this run began, s.
     """
@@ -76,12 +76,12 @@ def plan_grasps(
             hand, for other friction, fingers or surroundings. A request is searched for as
             ``plan_grasp`` does: its row's seed gives the same plan there.
         n: Grasps per object.
-        seed: Same seed, same grasps, whatever the workers.
+        seed: Same seed, same grasps, for any number of workers.
         workers: Processes (or what the backend has); -1 for one per core, 1 for this process.
         backend: joblib's name of a backend. Threads take turns, so they are no faster than one.
         out: Folder of the dataset; a batch that is there goes on. A temporary one if None, which
             lives as long as the result.
-        options: Margins and weights of the problem.
+        options: Margins, weights and objectives of the search.
         max_attempts: Attempts per grasp before it counts as not found.
         max_cpu_s: CPU seconds per grasp before it counts as not found, looked at between attempts;
             which grasps are found then depends on the machine. None for no limit.

@@ -91,7 +91,7 @@ def _refuse_strangers(path: Path, owner: str | None, manifest: Manifest) -> None
 
 
 def waiting_rows(folder: Path, manifest: Manifest) -> dict[int, dict[str, Any]]:
-    """Rows of the journal by their number; half a line, from the moment of a kill, is left out.
+    """Rows of the journal by their number; half a line, left by a kill, is skipped.
 
     Raises:
         FileFormatError: A row belongs to another batch.
@@ -248,7 +248,7 @@ def _refuse_rows(folder: Path) -> None:
 
 
 def _replace(folder: Path, target: Path, write: Callable[[Path], None]) -> None:
-    """Write a file under another name, see it on the disk, and rename it into place."""
+    """Write a file under another name, sync it to the disk, and rename it into place."""
     partial = folder / PARTIAL
     partial.unlink(missing_ok=True)  # of a process that was killed, or a link to elsewhere
     partial.open("xb").close()

@@ -58,15 +58,15 @@ fingers are never alike, and those without the same finger differ in nothing the
 
 
 def _placed(contacts: FloatArray) -> FloatArray:
-    """Contacts with a place for those that there are not."""
+    """Contacts, with a place for missing ones."""
     return np.where(np.isnan(contacts), AWAY, contacts)
 
 
 def thin(grasps: GraspFeatures, *, worth: FloatArray | None = None) -> IntArray:
     """Numbers of grasps, ascending, of which no two are near-duplicates, and that stand for all.
 
-    The most worthy is kept, what is like it is dropped, and so on. Among equally worthy ones the
-    order is that of their coordinates, so how the grasps are numbered makes no difference.
+    The grasp of most worth is kept, its near-duplicates are dropped, and so on. Grasps of equal
+    worth are ordered by their coordinates, so that the numbering makes no difference.
 
     Args:
         grasps: n grasps of one object.
@@ -104,4 +104,4 @@ def thin(grasps: GraspFeatures, *, worth: FloatArray | None = None) -> IntArray:
 
 
 SLACK = 1.0 + 1e-9
-"""Half-width (-) of the box in tolerances: rounding must not hide what is exactly at one."""
+"""Half-width (-) of the search box in tolerances, with room for rounding."""

@@ -82,7 +82,7 @@ def load_spec(path: Path) -> Any:
 
 
 def _check_joints(urdf: str, path: Path) -> None:
-    """See that a URDF says which joint is meant, where MuJoCo would go on in silence.
+    """Refuse ambiguous joints of a URDF, about which MuJoCo is silent.
 
     MuJoCo takes the name from the second of two joints of one name, and drops a ``<mimic>`` of a
     joint that is not there, so that its own joint moves by itself.
@@ -151,7 +151,7 @@ def compile_balanced(spec: Any, what: str) -> tuple[Any, bool]:
 
 
 def model_files(path: Path) -> tuple[Path, ...]:
-    """Those of ``named_files`` that are there."""
+    """The existing ones of ``named_files``."""
     return tuple(f for f in named_files(path) if f.is_file())
 
 

@@ -12,7 +12,7 @@ from planner.spatial import FloatArray
 __all__ = ["body_positions", "geom_distance", "joint_inertia", "touching_geoms"]
 
 FURTHEST = 1.0
-"""Distance (m) beyond which MuJoCo is not asked how far apart two geoms are."""
+"""Largest distance (m) that MuJoCo measures between two geoms."""
 
 
 def joint_inertia(model: Any, q: FloatArray) -> FloatArray:

@@ -16,8 +16,7 @@ from planner.errors import ModelError
 __all__ = ["check_numbers", "check_repeated_names", "check_sizes"]
 
 MOST_LENGTH = 10.0
-"""Size or offset (m) above which a part is none of a hand, nor of the arm that carries it: files in
-millimetres are above."""
+"""Largest size or offset (m) of a part of a hand or its arm: files in millimetres exceed it."""
 
 MOST_MASS = 1e3
 """Mass (kg) of a body above which it is a filler: links of the largest arms weigh some 300 kg."""

@@ -135,7 +135,7 @@ class ModelStructure:
 
     @property
     def hinges_and_slides(self) -> bool:
-        """Whether every joint is one, so that joint j is also degree of freedom j."""
+        """Whether all joints are hinges or slides, so that joint j is degree of freedom j."""
         return all(j.kind != "other" for j in self.joints)
 
     def children(self, link: int) -> list[int]:

@@ -38,7 +38,7 @@ from planner.certify.neighbourhood import NEAR, Changes, Neighbourhood
 from planner.contacts import ContactSet
 from planner.errors import ContactError, PlannerError
 from planner.kinematics.state import HandState
-from planner.numerics.bounded_lp import Minimum, minimise
+from planner.numerics.lp import LpSolution, solve_lp
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, skew
 
@@ -177,12 +177,12 @@ class _Search:
         self.reason = "no motion of the object was found that all contacts of all members hinder"
         return np.inf
 
-    def _solve(self) -> Minimum | None:
+    def _solve(self) -> LpSolution | None:
         """Unknowns of the least bound under the present cuts."""
         rows = np.vstack([self._rows, *self._cuts])
         limits = np.vstack([self._limits, np.tile([-np.inf, -TIGHT], (len(self._cuts), 1))])
         try:
-            return minimise(self._cost * self._unit, rows * self._unit, limits, self._bounds)
+            return solve_lp(self._cost * self._unit, rows * self._unit, limits, self._bounds)
         except PlannerError:
             return None
 

@@ -16,24 +16,26 @@ below   The answer x of the relaxation may leave cone i by v_i. With x0 a feasib
         every other constraint is convex too. So (1 - a) s is in S.
 
 Tangents at the forces found are added until the two are as near as asked; they serve all later
-directions. All statements hold up to the tolerance of HiGHS, for which ``SOLVER_MARGIN`` is given.
+directions. All statements hold up to the tolerance of ``solve_lp``, for which ``SOLVER_MARGIN`` is
+given.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from planner.contacts import ContactSet
-from planner.forces import ForceProblem, pyramid_faces
-from planner.numerics.bounded_lp import minimise
+from planner.contacts import ContactSet, Pyramid, pyramid_faces, round_cone
+from planner.forces import ForceProblem
+from planner.numerics.lp import solve_lp
 from planner.spatial import FloatArray
 
 __all__ = ["Resistance", "without_grip"]
 
 SOLVER_MARGIN = 1e-7
-"""Share of a value (-) by which bounds are set apart: a hundred times the tolerance of HiGHS."""
+"""Share of a value (-) by which bounds are set apart: a hundred times that of ``solve_lp``."""
 
 REACH = 1e3
 """Disturbances are sought up to this many times ``ForceProblem.force_scale`` (-). A hand without
@@ -81,10 +83,12 @@ class Resistance:
         self.reach = REACH * problem.force_scale
         n, k = len(problem.column_names), basis.shape[1]
         self._unit = np.concatenate([problem.column_scale, np.ones(k)])
-        below = np.zeros((len(problem.equality) - 6, k))
-        rows = np.hstack([problem.equality, np.vstack([basis, below])])
-        self._rows = problem.row_scale[:, None] * rows * self._unit
-        self._values = problem.row_scale * problem.equality_value
+        kept = np.r_[:6, 6 + problem.n_faces : len(problem.rows)]
+        below = np.zeros((len(kept) - 6, k))
+        scale = problem.row_scale[kept]
+        rows = np.hstack([problem.rows[kept], np.vstack([basis, below])])
+        self._rows = scale[:, None] * rows * self._unit
+        self._limits = np.column_stack([scale * problem.low[kept], scale * problem.high[kept]])
         self._bounds = np.column_stack(
             [
                 np.concatenate([problem.lower / problem.column_scale, np.full(k, -self.reach)]),
@@ -172,15 +176,11 @@ class Resistance:
         outer = self._solve(np.zeros(total), self._faces, still)
         return False if outer is None else None
 
-    def _pyramids(self, problem: ForceProblem, sides: int, cone: str, width: int) -> FloatArray:
+    def _pyramids(self, problem: ForceProblem, sides: int, cone: Pyramid, width: int) -> FloatArray:
         """Half-spaces D (m, width) of all friction pyramids, D x <= 0 in N."""
-        contacts = problem.contacts
         blocks, at = [np.zeros((0, width))], 0
-        for i, dim in enumerate(contacts.dims):
-            mu = float(contacts.mu[i]) if dim >= 3 else 0.0
-            twist = float(contacts.mu_torsion[i]) if dim == 4 else 0.0
-            kind = "inscribed" if cone == "inscribed" else "circumscribed"
-            faces = pyramid_faces(mu, twist, sides, kind)  # type: ignore[arg-type]
+        for mu, twist, dim in _frictions(problem.contacts):
+            faces = pyramid_faces(mu, twist, sides, cone)
             block = np.zeros((len(faces), width))
             block[:, at : at + dim] = faces[:, :dim]
             blocks.append(block * self._unit)
@@ -192,13 +192,8 @@ class Resistance:
         self.programmes += 1
         rows = np.zeros((len(self._rows), len(cost)))
         rows[:, : self._rows.shape[1]] = self._rows
-        limits = np.vstack(
-            [
-                np.column_stack([self._values, self._values]),
-                np.tile([-np.inf, 0.0], (len(faces), 1)),
-            ]
-        )
-        found = minimise(cost, np.vstack([rows, faces]), limits, bounds)
+        limits = np.vstack([self._limits, np.tile([-np.inf, 0.0], (len(faces), 1))])
+        found = solve_lp(cost, np.vstack([rows, faces]), limits, bounds)
         return None if found is None else found.x
 
 
@@ -210,14 +205,17 @@ def _cone_maps(
     A cone reads |side @ x| <= normal @ x.
     """
     maps, at = [], 0
-    for i, dim in enumerate(contacts.dims):
-        normal = np.zeros(width)
-        normal[at] = 1.0
-        size = np.array([contacts.mu[i], contacts.mu[i], contacts.mu_torsion[i]])[: dim - 1]
-        side = np.zeros((int((size > 0).sum()), width))
-        columns = at + 1 + np.flatnonzero(size > 0)
-        side[np.arange(len(columns)), columns] = unit[columns] / size[size > 0]
-        if len(side):
-            maps.append((normal, side))
+    for mu, twist, dim in _frictions(contacts):
+        rows = round_cone(mu, twist)
+        block = np.zeros((len(rows), width))
+        block[:, at : at + dim] = rows[:, :dim] * unit[at : at + dim]
+        if len(rows):
+            maps.append((block[0], block[1:]))
         at += dim
     return maps
+
+
+def _frictions(contacts: ContactSet) -> Iterator[tuple[float, float, int]]:
+    """Sliding friction (-), torsional friction (m) and force components, as contacts have them."""
+    for mu, twist, dim in zip(contacts.mu, contacts.mu_torsion, contacts.dims, strict=True):
+        yield float(mu) if dim >= 3 else 0.0, float(twist) if dim == 4 else 0.0, dim

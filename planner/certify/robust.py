@@ -41,7 +41,7 @@ from planner.arrays import checked_count
 from planner.certify.sphere import halved, icosphere
 from planner.contacts import MIN_EDGES, MOST_EDGES, ContactSet
 from planner.errors import ContactError, PlannerError
-from planner.numerics.bounded_lp import Minimum, minimise
+from planner.numerics.lp import LpSolution, solve_lp
 from planner.quality import measure_hull
 from planner.spatial import FloatArray, IntArray
 
@@ -222,7 +222,7 @@ class _Proof:
         found = self._programme(-gain, np.zeros((0, len(gain))))
         if found is None:
             return -np.inf, np.append(np.zeros(3), rotation)
-        return -found.value, np.append(found.prices[:3] * self.length, rotation)
+        return -found.value, np.append(found.row_duals[:3] * self.length, rotation)
 
     def _no(self, motion: FloatArray | None) -> Verdict:
         return Verdict(survives=False, motion=motion, programmes=self.programmes)
@@ -252,7 +252,7 @@ class _Proof:
         good = (margin > MARGIN).reshape(len(weights), -1, 3)
         return np.asarray(good.all(axis=2).any(axis=0))
 
-    def _programme(self, cost: FloatArray, rows: FloatArray) -> Minimum | None:
+    def _programme(self, cost: FloatArray, rows: FloatArray) -> LpSolution | None:
         """Least cost over balanced weights of sum 1, and more unknowns, with rows @ x >= 0."""
         self.programmes += 1
         m, extra = len(self.forces), len(cost) - len(self.forces)
@@ -261,7 +261,7 @@ class _Proof:
         limits[-1] = 1.0
         bounds = np.vstack([np.tile([0.0, np.inf], (m, 1)), np.tile([-np.inf, np.inf], (extra, 1))])
         try:
-            return minimise(cost, np.vstack([rows, balance]), limits, bounds)
+            return solve_lp(cost, np.vstack([rows, balance]), limits, bounds)
         except PlannerError:
             # Cones next to nothing bring numerical trouble: no forces, no proof.
             return None

@@ -23,12 +23,12 @@ from planner.task import GraspTask
 
 __all__ = [
     "ROUND",
-    "PadTouch",
-    "Touching",
+    "PadContact",
+    "PadContactQueries",
+    "contact_geometries",
+    "pad_contact_queries",
+    "pad_contacts",
     "pad_geometry",
-    "pad_touches",
-    "touching_geometries",
-    "touching_of",
 ]
 
 ROUND = ("sphere", "capsule")
@@ -40,7 +40,7 @@ exact, whatever the depth was."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class PadTouch:
+class PadContact:
     """How a finger's pad and the object's surface lie to each other, in the object's frame.
 
     Attributes:
@@ -70,7 +70,7 @@ class PadGaps:
     """Gaps of all pads of a task, in the object's frame.
 
     Attributes:
-        gaps: (n,), m, see ``PadTouch.pad_gap``.
+        gaps: (n,), m, see ``PadContact.pad_gap``.
         points: Nearest points of the object's surface (n, 3), m.
         outward: Unit normals (n, 3) there, out of the object.
         jacobians: (n, 3, nq), velocity of what moves with each pad at its point, base axes.
@@ -82,7 +82,7 @@ class PadGaps:
     jacobians: FloatArray
 
 
-class Touching:
+class PadContactQueries:
     """The pads of a task's fingers at one placement after the other; its queries are made once."""
 
     def __init__(self, task: GraspTask) -> None:
@@ -96,14 +96,14 @@ class Touching:
         self._pairs = [
             [
                 (shape_pair(g.geometry, shape), g.T_joint_geometry)
-                for g in touching_geometries(hand, f)
+                for g in contact_geometries(hand, f)
             ]
             for f in task.fingers
         ]
-        self.names = frozenset(g.name for f in task.fingers for g in touching_geometries(hand, f))
+        self.names = frozenset(g.name for f in task.fingers for g in contact_geometries(hand, f))
         """Geometries of the hand that may touch the object."""
 
-    def touches(self, T_world_base: SE3, q: FloatArray) -> list[PadTouch]:
+    def touches(self, T_world_base: SE3, q: FloatArray) -> list[PadContact]:
         """The touch of every finger at base pose and q (nq,), touching or not."""
         base, distances, points, outward = self._spheres(T_world_base, q)
         out = []
@@ -111,7 +111,7 @@ class Touching:
             gap, point, normal = self._whole(i, base, points[i], outward[i])
             axis = base.rotation @ self._state.pad_axis(finger)
             out.append(
-                PadTouch(
+                PadContact(
                     sphere_gap=float(distances[i]),
                     gap=gap,
                     round=is_round,
@@ -164,14 +164,14 @@ class Touching:
 
 
 @kept_by_thread(8)
-def touching_of(task: GraspTask) -> Touching:
+def pad_contact_queries(task: GraspTask) -> PadContactQueries:
     """The pads of a task, of which every thread keeps its last few."""
-    return Touching(task)
+    return PadContactQueries(task)
 
 
-def pad_touches(task: GraspTask, T_world_base: SE3, q: FloatArray) -> list[PadTouch]:
+def pad_contacts(task: GraspTask, T_world_base: SE3, q: FloatArray) -> list[PadContact]:
     """The touch of every finger of the task, touching or not."""
-    return touching_of(task).touches(T_world_base, q)
+    return pad_contact_queries(task).touches(T_world_base, q)
 
 
 def pad_geometry(hand: Hand, name: str) -> LinkGeometry:
@@ -179,7 +179,7 @@ def pad_geometry(hand: Hand, name: str) -> LinkGeometry:
     return next(g for g in hand.geometries if g.name == name)
 
 
-def touching_geometries(hand: Hand, finger: Finger) -> list[LinkGeometry]:
+def contact_geometries(hand: Hand, finger: Finger) -> list[LinkGeometry]:
     """What may touch with a finger: the geometry of its pad; of a box or a hull all of its link."""
     geometry = pad_geometry(hand, finger.pad.geom)
     if geometry.kind in ROUND:

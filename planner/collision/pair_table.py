@@ -1,6 +1,7 @@
-"""``Layout``: what there is around a hand, and which pairs of geometries must not touch.
+"""``PairTable``: what there is around a hand, and which pairs of geometries must not touch.
 
-It follows from a task alone and never changes. ``planner.collision.world`` measures the pairs.
+It follows from a task alone and never changes. ``planner.collision.world`` measures the pairs; how
+they lie is told by ``Clearance``, one pair, and ``NearPairs``, many.
 """
 
 from __future__ import annotations
@@ -17,13 +18,22 @@ from numpy.typing import NDArray
 
 from planner.errors import TaskError
 from planner.hands.hand import Hand
+from planner.kinematics.state import HandKinematics
 from planner.proximity.convex import DistancePair
 from planner.proximity.mesh import MeshPair
 from planner.shapes import Box, Mesh, Shape
-from planner.spatial import SE3, IntArray
+from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 
-__all__ = ["OBJECT", "TABLE", "TABLE_SIZE", "Layout", "shape_pair"]
+__all__ = [
+    "OBJECT",
+    "TABLE",
+    "TABLE_SIZE",
+    "Clearance",
+    "NearPairs",
+    "PairTable",
+    "shape_pair",
+]
 
 OBJECT = "object"
 TABLE = "table"
@@ -35,8 +45,58 @@ OVERLAP_TOL = 1e-5
 """Depth (m) to which the object may be inside table or obstacle: rounding, and coal's accuracy."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Clearance:
+    """Signed distance of one pair: positive apart, negative in penetration.
+
+    Attributes:
+        first: Name of a hand geometry.
+        second: Name of another one, "object", "table", or an obstacle's name.
+        distance: m.
+    """
+
+    first: str
+    second: str
+    distance: float
+
+    def __str__(self) -> str:
+        """Names and distance in mm."""
+        return f"{self.first} - {self.second}: {1e3 * self.distance:.2f} mm"
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Layout:
+class NearPairs:
+    """How pairs that are near to each other lie.
+
+    Attributes:
+        numbers: Numbers of the pairs (k,).
+        hand_environment: Whether the second is object, table or obstacle, (k,).
+        mesh: Whether it is a mesh, (k,).
+        joints: Pinocchio joints (k, 2) that the two geometries move with; 0 for what stands still.
+        distances: Signed distances (k,), m.
+        points_a: Nearest points of the first (k, 3), m.
+        points_b: Nearest points of the second (k, 3), m.
+        normals: Unit vectors (k, 3) from the first to the second.
+    """
+
+    numbers: IntArray
+    hand_environment: NDArray[np.bool_]
+    mesh: NDArray[np.bool_]
+    joints: IntArray
+    distances: FloatArray
+    points_a: FloatArray
+    points_b: FloatArray
+    normals: FloatArray
+
+    def rates(self, hand: HandKinematics) -> FloatArray:
+        """How the distances change with the joints, (k, nq), of a hand where the pairs are."""
+        ahead = hand.point_rates(self.joints[:, 1], self.points_b, self.normals)
+        behind = hand.point_rates(self.joints[:, 0], self.points_a, self.normals)
+        return ahead - behind
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PairTable:
     """The geometries of a task, those of the hand first, and the pairs that must not touch.
 
     Of hand and surroundings, the hand's is a pair's first.
@@ -50,9 +110,9 @@ class Layout:
         named: The pairs, names of geometries.
         first: The first geometry of each pair (n_pairs,).
         joints: Pinocchio's joints that carry them (n_pairs, 2).
-        outward: Which pairs (n_pairs,) are of hand and surroundings;
+        hand_environment_pairs: Which pairs (n_pairs,) are of hand and surroundings;
         of_arm: which have to do with the arm that carries the hand;
-        between: which are of links on the last three joints of two different fingers;
+        finger_pairs: which are of links on the last three joints of two different fingers;
         on_object: which are with the object;
         on_mesh: which are with an object that is a mesh.
     """
@@ -65,14 +125,14 @@ class Layout:
     named: tuple[tuple[str, str], ...]
     first: IntArray
     joints: IntArray
-    outward: NDArray[np.bool_]
+    hand_environment_pairs: NDArray[np.bool_]
     of_arm: NDArray[np.bool_]
-    between: NDArray[np.bool_]
+    finger_pairs: NDArray[np.bool_]
     on_object: NDArray[np.bool_]
     on_mesh: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, task: GraspTask) -> Layout:
+    def of(cls, task: GraspTask) -> PairTable:
         """Collect the geometries and the pairs that must not touch.
 
         Raises:
@@ -105,9 +165,9 @@ class Layout:
             named=tuple(named),
             first=np.array([a for a, _ in pairs]),
             joints=np.array([(joint[a], joint[b]) for a, b in pairs]),
-            outward=np.array([b >= n_hand for _, b in pairs]),
+            hand_environment_pairs=np.array([b >= n_hand for _, b in pairs]),
             of_arm=np.array([a in arm or b in arm for a, b in named]),
-            between=_between_fingers(hand, pairs),
+            finger_pairs=_finger_pairs(hand, pairs),
             on_object=on_object,
             on_mesh=on_object & isinstance(task.object.shape, Mesh),
         )
@@ -134,7 +194,7 @@ def _surroundings(task: GraspTask) -> list[tuple[str, SE3, Shape]]:
 def _check(
     task: GraspTask, names: Sequence[str], surroundings: Sequence[tuple[str, SE3, Shape]]
 ) -> None:
-    """Refuse names that are not unique, and an object inside the others; see ``Layout.of``."""
+    """Refuse names that are not unique, and an object inside the others; see ``PairTable.of``."""
     twice = sorted(name for name, count in Counter(names).items() if count > 1)
     if twice:
         raise TaskError(
@@ -167,7 +227,7 @@ def _pairs(hand: Hand, names: Sequence[str]) -> list[tuple[int, int]]:
     return pairs
 
 
-def _between_fingers(hand: Hand, pairs: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
+def _finger_pairs(hand: Hand, pairs: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
     """Which pairs (n_pairs,) are of links on the last three joints of two different fingers."""
     finger_of = [hand.finger_of_body.get(g.body, "") for g in hand.geometries]
     joints = np.array([g.joint_id for g in hand.geometries])

@@ -15,7 +15,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from planner.hands.hand import Hand
-from planner.proximity.convex_pairs import GeometryPairs, Lying
+from planner.proximity.convex_pairs import GeometryPairs, PairQuery
 from planner.proximity.mesh_pairs import MeshPairs
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray, IntArray
@@ -65,7 +65,7 @@ class Sweep:
         self._chosen = np.zeros(pairs.count, dtype=bool)
         self._chosen[convex] = True
 
-    def undercut(
+    def violation(
         self, q: FloatArray, fixed: list[SE3], way: FloatArray, clearance: float
     ) -> tuple[int | None, int, float] | None:
         """The first that comes nearer than a clearance (m) on a way, None if nothing does.
@@ -96,18 +96,18 @@ class Sweep:
         body = self._mesh.follow(unsure, way, clearance, LEAST_STEP, LONGEST_STEP)
         return None if body is None else (None, *body)
 
-    def _lie(self, q: FloatArray, fixed: list[SE3]) -> Lying:
+    def _lie(self, q: FloatArray, fixed: list[SE3]) -> PairQuery:
         self._pairs.place(q, fixed)
         return self._pairs.at(self._convex)
 
-    def _lie_to_hull(self, q: FloatArray, pose: SE3) -> Lying:
+    def _lie_to_hull(self, q: FloatArray, pose: SE3) -> PairQuery:
         hull: Any = self._hull
         hull.place(q, [pose])
-        lying: Lying = hull.at(np.arange(hull.count))
+        lying: PairQuery = hull.at(np.arange(hull.count))
         return lying
 
     def _stays_clear(
-        self, ends: list[Lying], way: FloatArray, clearance: float
+        self, ends: list[PairQuery], way: FloatArray, clearance: float
     ) -> NDArray[np.bool_]:
         """Which pairs (k,) are clear for certain on a way between two ends at which they are known.
 

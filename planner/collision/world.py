@@ -13,8 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.collision.clearances import Clearance, NearPairs
-from planner.collision.pair_table import OBJECT, TABLE, TABLE_SIZE, Layout, shape_pair
+from planner.collision.pair_table import (
+    OBJECT,
+    TABLE,
+    TABLE_SIZE,
+    Clearance,
+    NearPairs,
+    PairTable,
+    shape_pair,
+)
 from planner.collision.sweep import Sweep, hull_pairs
 from planner.errors import NotFoundError, TaskError
 from planner.kinematics.state import MovingHand
@@ -62,19 +69,19 @@ class CollisionWorld:
         """
         self.task = task
         hand = task.hand
-        self._layout = layout = Layout.of(task)
-        self.surroundings = layout.surroundings
+        self._table = table = PairTable.of(task)
+        self.surroundings = table.surroundings
         self.moving = MovingHand(hand, hand.q_lower)
-        self._all = np.ones(len(layout.pairs), dtype=bool)
+        self._all = np.ones(len(table.pairs), dtype=bool)
         self._queries: dict[tuple[int, int], DistancePair | MeshPair] = {}
         self._allowed: dict[frozenset[str], NDArray[np.bool_]] = {}
-        self._geometries = GeometryPairs(hand.pin_model, layout.model, layout.pairs, layout.n_hand)
+        self._geometries = GeometryPairs(hand.pin_model, table.model, table.pairs, table.n_hand)
         self._mesh: MeshPairs | None = None
         hull: GeometryPairs | None = None
         if isinstance(task.object.shape, Mesh):
             self._mesh = MeshPairs([g.geometry for g in hand.geometries], task.object.shape)
             hull = hull_pairs(hand, task.object.shape)
-        convex = np.flatnonzero(layout.outward & ~layout.on_mesh)
+        convex = np.flatnonzero(table.hand_environment_pairs & ~table.on_mesh)
         self._sweep = Sweep(self._geometries, convex, self._mesh, hull)
 
     def distances(self, T_world_base: SE3, q: FloatArray) -> list[Clearance]:
@@ -87,7 +94,7 @@ class CollisionWorld:
         return [self._clearance(k, d) for k, d in enumerate(values)]
 
     def closest(
-        self, T_world_base: SE3, q: FloatArray, count: int, *, touching: Collection[str] = ()
+        self, T_world_base: SE3, q: FloatArray, count: int, *, may_touch: Collection[str] = ()
     ) -> list[Clearance]:
         """The smallest signed distances at base pose and q (nq,), smallest first.
 
@@ -95,10 +102,10 @@ class CollisionWorld:
             T_world_base: Base pose.
             q: Joints (nq,).
             count: How many; all that are negative come with them.
-            touching: Geometries of the hand whose distance from the object is left out.
+            may_touch: Geometries of the hand whose distance from the object is left out.
         """
         self._place(T_world_base, q)
-        values = self._distances(~self._touching(frozenset(touching)), count=count)
+        values = self._distances(~self._contact_pairs(frozenset(may_touch)), count=count)
         order = np.argsort(values, kind="stable")
         kept = order[: max(count, int((values < 0.0).sum()))]
         return [self._clearance(int(k), values[k]) for k in kept if values[k] < np.inf]
@@ -108,9 +115,9 @@ class CollisionWorld:
     ) -> Clearance:
         """The pair of smallest signed distance; of hand and surroundings only if asked."""
         self._place(T_world_base, q)
-        return self._nearest(self._layout.outward if surroundings_only else self._all)
+        return self._nearest(self._table.hand_environment_pairs if surroundings_only else self._all)
 
-    def touching(
+    def nearest_below(
         self,
         T_world_base: SE3,
         q: FloatArray,
@@ -129,7 +136,7 @@ class CollisionWorld:
             surroundings_only: Whether only pairs of hand and surroundings matter.
         """
         self._place(T_world_base, q)
-        which = self._layout.outward if surroundings_only else self._all
+        which = self._table.hand_environment_pairs if surroundings_only else self._all
         if not self._is_any_below(which, clearance):
             return None
         found = self._nearest(which, clearance)
@@ -149,11 +156,11 @@ class CollisionWorld:
                 it counts then.
         """
         self._place(T_world_base, q, T_world_object)
-        moving = self._layout.outward | self._layout.of_arm
-        held = self._layout.on_object & ~self._layout.of_arm
+        moving = self._table.hand_environment_pairs | self._table.of_arm
+        held = self._table.on_object & ~self._table.of_arm
         return self._nearest(moving if T_world_object is None else moving & ~held)
 
-    def undercut_on_way(
+    def swept_clearance_violation(
         self, T_world_base: SE3, q: FloatArray, way: FloatArray, clearance: float
     ) -> Clearance | None:
         """A pair of hand and surroundings that comes nearer than a clearance on a straight way.
@@ -169,25 +176,27 @@ class CollisionWorld:
             see ``planner.collision.sweep``.
         """
         inverse = T_world_base.inverse()
-        fixed = [inverse * pose for pose in self._layout.fixed]
-        found = self._sweep.undercut(q, fixed, inverse.rotation @ way, clearance)
+        fixed = [inverse * pose for pose in self._table.fixed]
+        found = self._sweep.violation(q, fixed, inverse.rotation @ way, clearance)
         if found is None:
             return None
         pair, body, distance = found
         if pair is None:
-            pair = int(np.flatnonzero(self._layout.on_mesh & (self._layout.first == body))[0])
+            pair = int(np.flatnonzero(self._table.on_mesh & (self._table.first == body))[0])
         return self._clearance(pair, distance)
 
-    def is_clear(self, T_world_base: SE3, q: FloatArray, *, around: float, between: float) -> bool:
+    def is_clear(
+        self, T_world_base: SE3, q: FloatArray, *, environment: float, fingers: float
+    ) -> bool:
         """Whether the hand keeps distances (m) from its surroundings and between its fingers.
 
         Of fingers only the last three joints' links count: those before are side by side always.
         """
         self._place(T_world_base, q)
-        if self._nearest(self._layout.outward, around).distance < around:
+        around = self._nearest(self._table.hand_environment_pairs, environment)
+        if around.distance < environment:
             return False
-        fingers = self._nearest(self._layout.between, between)
-        return bool(fingers.distance >= between)
+        return bool(self._nearest(self._table.finger_pairs, fingers).distance >= fingers)
 
     def near(
         self,
@@ -196,7 +205,7 @@ class CollisionWorld:
         limit: float,
         among: IntArray | None = None,
         *,
-        touching: Collection[str] = (),
+        may_touch: Collection[str] = (),
         meshes: bool = True,
     ) -> NearPairs:
         """How hand and surroundings lie, and links of different fingers, that are near; base axes.
@@ -206,36 +215,38 @@ class CollisionWorld:
             q: Joints (nq,).
             limit: Pairs nearer than this (m) are looked at.
             among: Numbers of pairs that are looked at instead, but for those with a mesh.
-            touching: Geometries of the hand whose distance from the object is left out.
+            may_touch: Geometries of the hand whose distance from the object is left out.
             meshes: Whether pairs with a mesh are looked at, which takes most of the time.
         """
         self._place(T_world_base, q)
-        layout = self._layout
-        wanted = (layout.outward | layout.between) & ~self._touching(frozenset(touching))
-        convex = wanted & ~layout.on_mesh
+        table = self._table
+        wanted = (table.hand_environment_pairs | table.finger_pairs) & ~self._contact_pairs(
+            frozenset(may_touch)
+        )
+        convex = wanted & ~table.on_mesh
         numbers, distances, rows = (
             self._geometries.near(convex, limit) if among is None else self._geometries.at(among)
         )
         if self._mesh is not None and meshes:
-            on_mesh = np.flatnonzero(wanted & layout.on_mesh)
-            places, apart, more = self._mesh.near(layout.first[on_mesh], min(limit, MESH_LIMIT))
+            on_mesh = np.flatnonzero(wanted & table.on_mesh)
+            places, apart, more = self._mesh.near(table.first[on_mesh], min(limit, MESH_LIMIT))
             numbers = np.concatenate([numbers, on_mesh[places]])
             distances, rows = np.concatenate([distances, apart]), np.vstack([rows, more])
         return NearPairs(
             numbers=numbers,
-            outward=layout.outward[numbers],
-            mesh=layout.on_mesh[numbers],
-            joints=layout.joints[numbers],
+            hand_environment=table.hand_environment_pairs[numbers],
+            mesh=table.on_mesh[numbers],
+            joints=table.joints[numbers],
             distances=distances,
             points_a=rows[:, :3],
             points_b=rows[:, 3:6],
             normals=rows[:, 6:],
         )
 
-    def _touching(self, names: frozenset[str]) -> NDArray[np.bool_]:
+    def _contact_pairs(self, names: frozenset[str]) -> NDArray[np.bool_]:
         """Which pairs are of the object and a geometry that may touch it."""
         if names not in self._allowed:
-            named = self._layout.named
+            named = self._table.named
             self._allowed[names] = np.array([b == OBJECT and a in names for a, b in named])
         return self._allowed[names]
 
@@ -246,10 +257,10 @@ class CollisionWorld:
             NotFoundError: No geometry has that name.
         """
         for name in (first, second):
-            if name not in self._layout.names:
-                raise NotFoundError("geometry", name, self._layout.names)
+            if name not in self._table.names:
+                raise NotFoundError("geometry", name, self._table.names)
         self._place(T_world_base, q)
-        a, b = self._layout.names.index(first), self._layout.names.index(second)
+        a, b = self._table.names.index(first), self._table.names.index(second)
         poses = self._geometries.poses
         return self._pair(a, b).query(T_world_base * poses[a], T_world_base * poses[b])
 
@@ -262,7 +273,7 @@ class CollisionWorld:
         if not (np.isfinite(q).all() and np.isfinite(T_world_base.homogeneous).all()):
             raise TaskError("the base pose or q holds NaN or infinity; give finite numbers")
         inverse = T_world_base.inverse()
-        poses = [inverse * pose for pose in self._layout.fixed]
+        poses = [inverse * pose for pose in self._table.fixed]
         if T_world_object is not None:
             poses[0] = inverse * T_world_object
         moved = self._geometries.place(q, poses)
@@ -274,11 +285,11 @@ class CollisionWorld:
 
         With a limit (m), it is some pair at or above the limit where all are.
         """
-        convex = which & ~self._layout.on_mesh
+        convex = which & ~self._table.on_mesh
         k, distance = self._geometries.nearest(convex) if convex.any() else (0, np.inf)
         if self._mesh is not None and self._is_mesh_below(which, limit):
-            asked = np.flatnonzero(which & self._layout.on_mesh)
-            bodies = self._layout.first[asked]
+            asked = np.flatnonzero(which & self._table.on_mesh)
+            bodies = self._table.first[asked]
             found = self._mesh.nearest(bodies, min(distance, limit))
             if found is not None:
                 k, distance = int(asked[bodies == found[0]][0]), found[1]
@@ -288,14 +299,14 @@ class CollisionWorld:
         """Whether a pair among those told may be nearer than a limit (m), in one look at all."""
         if self._geometries.any_below(which, limit):
             return True
-        on_mesh = which & self._layout.on_mesh
+        on_mesh = which & self._table.on_mesh
         if self._mesh is None or not on_mesh.any():
             return False
-        return self._mesh.any_maybe_inside(self._layout.first[on_mesh])
+        return self._mesh.any_maybe_inside(self._table.first[on_mesh])
 
     def _is_mesh_below(self, which: NDArray[np.bool_], limit: float) -> bool:
         """Whether a pair of the mesh, among those told, may be nearer than a limit (m)."""
-        on_mesh = which & self._layout.on_mesh
+        on_mesh = which & self._table.on_mesh
         count = int(np.count_nonzero(on_mesh))
         if self._mesh is None or count == 0:
             return False
@@ -303,7 +314,7 @@ class CollisionWorld:
             limit == np.inf
             or count <= FEW
             or self._geometries.any_below(on_mesh, limit)
-            or self._mesh.any_maybe_inside(self._layout.first[on_mesh])
+            or self._mesh.any_maybe_inside(self._table.first[on_mesh])
         )
 
     def _distances(
@@ -314,27 +325,27 @@ class CollisionWorld:
         On a mesh, those are only bounded that are not below a limit (m) or, if a count is given,
         not of so many smallest.
         """
-        layout = self._layout
-        values = np.full(len(layout.pairs), np.inf)
-        convex, on_mesh = which & ~layout.on_mesh, np.flatnonzero(which & layout.on_mesh)
+        table = self._table
+        values = np.full(len(table.pairs), np.inf)
+        convex, on_mesh = which & ~table.on_mesh, np.flatnonzero(which & table.on_mesh)
         values[convex] = self._geometries.distances(convex)
         if self._mesh is not None and count:
-            values[on_mesh] = self._mesh.smallest(layout.first[on_mesh], values[convex], count)
+            values[on_mesh] = self._mesh.smallest(table.first[on_mesh], values[convex], count)
         elif self._mesh is not None:
-            values[on_mesh] = self._mesh.distances(layout.first[on_mesh], limit)
+            values[on_mesh] = self._mesh.distances(table.first[on_mesh], limit)
         return values
 
     def _clearance(self, k: int, distance: float) -> Clearance:
-        first, second = self._layout.named[k]
+        first, second = self._table.named[k]
         return Clearance(first=first, second=second, distance=float(distance))
 
     def _pair(self, a: int, b: int) -> DistancePair | MeshPair:
         """The query of two geometries, made when first needed."""
         if (a, b) not in self._queries:
-            first, second = (self._layout.model.geometryObjects[i].geometry for i in (a, b))
+            first, second = (self._table.model.geometryObjects[i].geometry for i in (a, b))
             self._queries[a, b] = (
                 shape_pair(first, self.task.object.shape)
-                if self._layout.names[b] == OBJECT
+                if self._table.names[b] == OBJECT
                 else DistancePair(first, second)
             )
         return self._queries[a, b]

@@ -29,11 +29,11 @@ KINEMATICS_TOL = 1e-10
 """Difference (m) between Pinocchio and MuJoCo that is rounding."""
 
 DISTANCE_TOL = 1e-4
-"""Difference (m) between coal and MuJoCo, where geometries touch, that is worth telling."""
+"""Difference (m) between coal and MuJoCo, where geometries touch, that is reported."""
 
 
 def check_hand(hand: Hand, *, seed: int = 0) -> CheckReport:
-    """Look at everything that the planner will use of a hand.
+    """Check everything that the planner uses of a hand.
 
     Args:
         hand: The hand.

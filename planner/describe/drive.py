@@ -33,15 +33,15 @@ LEAST_TRAVEL = 0.05
 
 AGREED = 0.8
 """Share of contacts that run a joint to one end of its range, less the share that run it to the
-other, below which the stop is asked about: nine of ten agree."""
+other, below which the stop becomes an open question: nine of ten agree."""
 
 NARROW = 0.25
-"""A tendon whose limits are nearer together than this share of what the joints allow ties them."""
+"""A tendon ties its joints if its limits span less than this share of the joints' ranges (-)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """Lines of a description and why; ``questions`` are for the user."""
+    """Lines of a description with reasons; ``questions`` are for the user."""
 
     couplings: tuple[CouplingDescription, ...] = ()
     actuators: tuple[ActuatorDescription, ...] = ()
@@ -51,7 +51,7 @@ class Drive:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PadContact:
-    """What a contact asks of the joints: torque (nq,) with which unit force is pressed at q."""
+    """Joint torque (nq,) with which a contact presses with unit force at q."""
 
     q: FloatArray
     torque: FloatArray
@@ -234,9 +234,9 @@ def _resisting_side(
 def _balance(row: FloatArray, held: Sequence[FloatArray], contacts: Sequence[PadContact]) -> float:
     """Share of the contacts that need a push towards larger row @ q, less that of the others.
 
-    What nothing holds decides: the wanted torque and the row are looked at outside the span of the
-    rows that hold; along the row itself where everything is held. Contacts that ask nothing of the
-    row do not count; 0 if none does.
+    Only torque that nothing holds counts: wanted torque and row are projected out of the span of
+    the rows that hold, unless everything is held. Contacts without torque along the row do not
+    count; 0 if none counts.
     """
     basis = np.array(held).reshape(-1, len(row))
     free = np.eye(len(row)) - np.linalg.pinv(basis) @ basis if len(basis) else np.eye(len(row))
@@ -262,5 +262,5 @@ def _reach(row: FloatArray, lower: FloatArray, upper: FloatArray) -> tuple[float
 
 
 def _tidy(value: float) -> float:
-    """Without the noise of the last digits."""
+    """Rounded: without the noise of the last digits."""
     return float(f"{value:.9g}") + 0.0

@@ -65,7 +65,7 @@ class Skeleton:
         return [SE3(pose) for pose in self._data.oMi]
 
     def axis(self, joint: int) -> FloatArray:
-        """Axis (3,) of joint ``joint`` of the structure in its own frame: what q turns or moves."""
+        """Axis (3,) of a joint of the structure, in its own frame: of turning or of sliding."""
         model = self.pin_model.joints[joint + 1]
         data = model.createData()
         model.calc(data, np.zeros(1))
@@ -165,7 +165,7 @@ def _bone(
 
 
 def _across(v: FloatArray, axis: FloatArray) -> FloatArray:
-    """Unit vector of what of v is orthogonal to an axis; of v itself where nothing is left."""
+    """Unit vector of the part of v orthogonal to an axis; of v itself where that is zero."""
     flat = v - axis * (axis @ v)
     flat = flat if np.linalg.norm(flat) > 1e-6 else v
     length = float(np.linalg.norm(flat))

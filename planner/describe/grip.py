@@ -22,21 +22,20 @@ LEAST_PRESS = 1.5
 grasp of 100 g."""
 
 MOST_PRESS = 100.0
-"""Force (N) up to which pressing is looked at."""
+"""Largest pressing force (N) that is considered."""
 
 LEAST_GAP, LEAST_OPENING = 0.01, 0.03
-"""Free width (m) between the pads below which pinch does not hold anything, and open is not wide
-enough for what people grasp."""
+"""Least free width (m) between the pads: in pinch, and in open for household objects."""
 
 MOVED = 1e-4
 """Change of a joint (rad, m) above which a posture counts as moved onto the couplings."""
 
 ROUND_TOL = 2e-3
-"""How far (m) a pad's geom may stand out before its sphere within the cone without a word."""
+"""How far (m) a pad's geom may stand out before its sphere within the cone without a finding."""
 
 
 def check_pads(hand: Hand, findings: list[Finding]) -> tuple[PadRow, ...]:
-    """Every pad against its geom, and whether its finger can press; what is wrong is noted."""
+    """Every pad against its geom, and whether its finger can press; faults are noted."""
     solids = {g.name: ConvexLink(g) for g in hand.geometries}
     taking_part = {f.name for f in hand.choose_fingers()}
     joint = {g.name: g.joint_id for g in hand.geometries}
@@ -160,7 +159,7 @@ def _opposer(fingers: Sequence[Finger], state: HandState) -> int:
 def check_postures(
     hand: Hand, fingers: Sequence[Finger], findings: list[Finding]
 ) -> tuple[PostureRow, ...]:
-    """Every posture: free width, how pads face each other, overlaps; what is wrong is noted."""
+    """Every posture: free width, how pads face each other, overlaps; faults are noted."""
     missing = [name for name in ("pinch", "open") if name not in hand.description.postures]
     for name in missing:
         findings.append(
@@ -217,7 +216,7 @@ def check_postures(
 
 
 def _check_moved(hand: Hand, name: str, q: FloatArray, findings: list[Finding]) -> None:
-    """Note a posture that was moved onto the couplings, by how much, and what to write instead."""
+    """Note a posture that was moved onto the couplings, by how much, and the corrected lines."""
     moved = np.abs(q - hand.described_posture(name))
     changed = np.flatnonzero(moved > MOVED)
     if changed.size:

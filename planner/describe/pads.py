@@ -41,7 +41,7 @@ TILTS = np.deg2rad([45.0, 30.0, 15.0, 0.0])
 one first."""
 
 SMALLEST_RADIUS = 1e-3
-"""Radius (m) below which an inscribed sphere says nothing of the surface: sheets are no pads."""
+"""Least radius (m) of an inscribed sphere that approximates the surface: sheets are no pads."""
 
 STEEPEST_FACE = np.deg2rad(40.0)
 """Angle (rad) between closing direction and a flat face up to which the face is the pad."""
@@ -62,7 +62,7 @@ SHEET = 1.5e-3
 """How far (m) a geom may stand out before a thicker one that it covers: a friction pad, a skin."""
 
 NEARLY_AS_WIDE = np.deg2rad(5.0)
-"""A cone that is wider by less than this (rad) is no reason for a less favoured axis or geom."""
+"""Gain in width (rad) of a cone below which the more favoured axis or geom is kept."""
 
 
 @dataclass(frozen=True, kw_only=True)

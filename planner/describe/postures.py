@@ -38,7 +38,7 @@ STARTS = 6
 """Starts of the search for a posture where resting fingers do not lead to one."""
 
 KEPT = 2
-"""How many of the results are carried on with collisions, which cost most."""
+"""Results that are refined with collisions, the costliest part."""
 
 LENGTH = 0.003
 """Deviation (m) that costs as much as one radian."""
@@ -89,7 +89,7 @@ within this angle (rad), and pads leave their cones by at most that (rad)."""
 
 @dataclass(frozen=True, kw_only=True)
 class PosturePart:
-    """A posture that was found.
+    """A posture found by the search.
 
     Attributes:
         q: (nq,), rad or m.
@@ -109,7 +109,7 @@ class PosturePart:
 
     @property
     def good(self) -> bool:
-        """Whether the planner can start from it as it is."""
+        """Whether the planner can start from it unchanged."""
         return (
             self.distance_error <= GOOD_DISTANCE
             and self.opposition_error <= GOOD_OPPOSITION
@@ -370,7 +370,7 @@ def _eliminate(matrix: FloatArray, value: FloatArray) -> tuple[list[int], FloatA
 
 
 def _badness(part: PosturePart) -> float:
-    """By how much a posture misses being good, in units of what would be good."""
+    """Excess of a posture over the limits of a good one, in shares of these limits."""
     return float(
         part.distance_error / GOOD_DISTANCE
         + part.opposition_error / GOOD_OPPOSITION

@@ -248,11 +248,11 @@ class _Proposer:
                 if value != zero
             }
             self.notes.because(
-                f"postures.{name}", f"pads {2e3 * part.radius:.0f} mm apart", _told(part)
+                f"postures.{name}", f"pads {2e3 * part.radius:.0f} mm apart", _rated(part)
             )
             if not part.good:
                 self.notes.ask(
-                    f"no good posture {name!r} was found ({_told(part)}): give a better one, in "
+                    f"no good posture {name!r} was found ({_rated(part)}): give a better one, in "
                     "which the pads look at each other"
                 )
         return description.model_copy(update={"postures": postures})
@@ -266,8 +266,8 @@ def _row(coupling: CouplingDescription, index: Mapping[str, int]) -> FloatArray:
     return row
 
 
-def _told(part: PosturePart) -> str:
-    """What is good or bad about a posture, in words."""
+def _rated(part: PosturePart) -> str:
+    """The quality of a posture, in words."""
     return (
         f"pads hold a handle of {1e3 * part.radius:.0f} mm radius to "
         f"{1e3 * part.distance_error:.1f} mm, the first finger looks "

@@ -11,12 +11,12 @@ __all__ = ["Notes", "Proposal", "Reason"]
 
 @dataclass(frozen=True, kw_only=True)
 class Reason:
-    """Why a line of a description says what it says.
+    """The reason for a line of a description.
 
     Attributes:
         key: The line: "palm_body", "fingers.index.pad", "postures.pinch".
-        value: What was chosen, in words.
-        why: What in the model led to it, and what would change it.
+        value: The choice, in words.
+        why: The evidence in the model, and evidence that would change it.
     """
 
     key: str
@@ -44,8 +44,8 @@ class Notes:
     """Notes taken while a proposal is made.
 
     Attributes:
-        reasons: Why the lines say what they say.
-        questions: What remains open.
+        reasons: One per line of the description.
+        questions: Open questions.
     """
 
     reasons: list[Reason] = field(default_factory=list)

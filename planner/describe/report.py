@@ -35,7 +35,7 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class JointRow:
-    """A joint: where it stands in both engines, its range (rad, m), torque mid-range (N m, N).
+    """A joint: its place in both engines, its range (rad, m), torque mid-range (N m, N).
 
     Attributes:
         name: Its name.
@@ -60,7 +60,7 @@ class JointRow:
 
 @dataclass(frozen=True, kw_only=True)
 class WorkspaceRow:
-    """Where a tip gets to: corners of its box in the base's frame, m."""
+    """Workspace of a tip: corners of its box in the base's frame, m."""
 
     finger: str
     lower: tuple[float, float, float]

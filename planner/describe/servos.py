@@ -22,18 +22,18 @@ LARGEST_EFFORT = {"hinge": 5.0, "slide": 500.0}
 """Efforts (N m, N) above these are not those of a finger's joint: URDF files often hold fillers."""
 
 USUAL_EFFORT = {"hinge": 0.7, "slide": 20.0}
-"""Effort (N m, N) where the model names none that is credible: 7 N at a fingertip 0.1 m from the
-joint, what servo-driven hands of a human's size do."""
+"""Effort (N m, N) where the model names no credible one: 7 N at a fingertip 0.1 m from the joint,
+as in servo-driven hands of human size."""
 
 SERVO_TRAVEL = {"hinge": 0.25, "slide": 0.005}
 """Error (rad, m) at which a proposed servo pushes with its whole force."""
 
 SLOWEST_JOINT = 0.3
-"""Time constant damping/kp (s) above which a joint's own damping makes closing a hand a matter of
+"""Time constant damping/kp (s) above which a joint's own damping slows the closing of a hand to
 seconds."""
 
 STICKIEST_JOINT = 0.3
-"""Share of a servo's force that dry friction may eat (-)."""
+"""Largest share (-) of a servo's force that dry friction may take."""
 
 USUAL_ARMATURE = 2e-4
 """Inertia (kg m2) of a small geared motor seen from the joint."""

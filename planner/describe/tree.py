@@ -231,7 +231,7 @@ _WORDS = {
     "ring": rf"(?<![a-z])ring|(?<![a-z])rf{_SHORT}",
     "little": rf"little|pinky|pinkie|(?<![a-z])lf{_SHORT}",
 }
-"""What names of bodies and joints say of a finger: whole words, and the abbreviations of
+"""Words in names of bodies and joints that name a finger: whole words, and the abbreviations of
 Shadow-type hands where a part of a finger follows."""
 
 

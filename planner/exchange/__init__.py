@@ -1,1 +1,1 @@
-"""Files of other tools: what they read of ours and we of theirs, one folder per tool."""
+"""Readers and writers of other tools' files, one folder per tool."""

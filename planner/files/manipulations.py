@@ -76,7 +76,7 @@ def manipulation_to_dict(plan: ManipulationPlan) -> dict[str, Any]:
         ending=EndingData(
             T_world_target=PoseData.of(ending.T_world_target),
             q_open_rad=list(ending.release.q),
-            opening_m=ending.release.opening,
+            opening_m=ending.release.pregrasp_distance,
             T_world_base_out=PoseData.of(ending.release.T_world_base_start),
             made_backwards_because=ending.back,
         ),
@@ -130,7 +130,7 @@ def manipulation_from_dict(
     motion = gait.motion if gait else motion_from_dict(data["motion"], source, hand=hand)
     release = Approach(
         q=motion.grasp.task.hand.checked_q(file.ending.q_open_rad, "q_open_rad"),
-        opening=file.ending.opening_m,
+        pregrasp_distance=file.ending.opening_m,
         T_world_base_start=file.ending.T_world_base_out.pose(),
     )
     plan = ManipulationPlan(

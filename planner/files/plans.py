@@ -64,7 +64,7 @@ def plan_to_dict(plan: GraspPlan) -> dict[str, Any]:
             joint_names=list(hand.joint_names),
             q_rad=list(plan.q),
             q_pregrasp_rad=list(plan.q_pregrasp),
-            opening_m=plan.opening,
+            opening_m=plan.pregrasp_distance,
             arm=None if plan.arm is None else ArmData.of(plan, plan.arm),
         ),
         contacts=contact_data(plan.contacts),
@@ -154,7 +154,7 @@ def _rebuild(file: PlanFile, hand: Hand, source: str) -> GraspPlan:
     grasp = file.grasp
     approach = Approach(
         q=hand.checked_q(grasp.q_pregrasp_rad, "q_pregrasp_rad"),
-        opening=grasp.opening_m,
+        pregrasp_distance=grasp.opening_m,
         T_world_base_start=grasp.T_world_base_start.pose(),
         arm=None if grasp.arm is None else grasp.arm.path(hand),
     )

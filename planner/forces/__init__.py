@@ -14,24 +14,24 @@ from planner.forces.compare import (
     compare_solvers,
     turning_wrenches,
 )
-from planner.forces.friction import Cone, LimitSurface, Pyramid, pyramid_faces, round_cone
+from planner.forces.costs import QuadraticCost
 from planner.forces.gaps import PyramidGap, cone_gaps
 from planner.forces.grip import ExpectedLoad, grip_for_load
 from planner.forces.infeasible import Infeasibility, explain_infeasibility
 from planner.forces.loop import ForceLoop, ForceStep
-from planner.forces.placed import turned_frames
-from planner.forces.priorities import LeastViolation, least_violation
 from planner.forces.problem import ForceProblem, ForceResiduals
 from planner.forces.solve import (
     ForceSolution,
+    LeastViolation,
     distribute_forces,
+    least_violation,
     solve_force_problem,
 )
-from planner.numerics.warm_started import QUICK_SOLVER, solver_names
+from planner.forces.workspace import turned_frames
+from planner.numerics.qp_workspace import DEFAULT_SOLVER, solver_names
 
 __all__ = [
-    "QUICK_SOLVER",
-    "Cone",
+    "DEFAULT_SOLVER",
     "ExpectedLoad",
     "ForceArguments",
     "ForceLoop",
@@ -42,9 +42,8 @@ __all__ = [
     "Infeasibility",
     "LeastViolation",
     "LimitArguments",
-    "LimitSurface",
-    "Pyramid",
     "PyramidGap",
+    "QuadraticCost",
     "SolverComparison",
     "SolverRecord",
     "build_force_problem",
@@ -55,8 +54,6 @@ __all__ = [
     "gravity_wrench",
     "grip_for_load",
     "least_violation",
-    "pyramid_faces",
-    "round_cone",
     "solve_force_problem",
     "solver_names",
     "turned_frames",

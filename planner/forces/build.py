@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Required, TypedDict, get_args
 
 import numpy as np
@@ -9,27 +10,18 @@ from numpy.typing import ArrayLike
 
 from planner.actuation import Actuation
 from planner.arrays import checked_number, finite_array, float_array, per_item
-from planner.contacts import ContactSet
+from planner.contacts import Cone, ContactSet, pyramid_faces, round_cone
 from planner.errors import ContactError, ObjectError
-from planner.forces.contact_part import ContactPart
-from planner.forces.costs import (
-    add_change_cost,
-    add_torque_cost,
-    check_not_negative,
-)
-from planner.forces.friction import Cone, LimitSurface
-from planner.forces.problem import ForceProblem
-from planner.forces.transmission import HandPart
+from planner.forces.costs import QuadraticCost
+from planner.forces.problem import ForceProblem, contact_names
+from planner.forces.torque_limits import TorqueLimits, loaded_rows
 from planner.spatial import FloatArray
 
 __all__ = ["ForceArguments", "LimitArguments", "build_force_problem", "gravity_wrench"]
 
-ACTUATOR_COST = 1e-6
-"""Cost of (actuator force / length)^2 beside that of (contact force)^2 (-): it decides where
-contact forces are equal, and moves them by a millionth."""
-
-STOP_COST = 1e-4
-"""The same for stops: an actuator that can carry a torque carries 99 % of it."""
+EXTRA_COST = 1e-4
+"""Cost of (force / length)^2 of an actuator or stop that repeats others, beside that of (contact
+force)^2 (-): it decides where contact forces are equal."""
 
 MIN_LENGTH = 1e-6
 """Contacts nearer than this to the centre (m) give no lever arm; the length is then 1 m."""
@@ -41,6 +33,7 @@ EDGE_MARGIN = 0.2
 """Share of the friction (-) that forces keep from the cone's edge where that has a cost: friction
 coefficients are seldom known better."""
 
+_COMPONENTS = ("f_n", "f_t1", "f_t2", "tau_n")
 _WRENCH_ROWS = ("force x", "force y", "force z", "torque x", "torque y", "torque z")
 
 
@@ -63,23 +56,17 @@ class LimitArguments(TypedDict, total=False):
 
     edges: int
     cone: Cone
-    limit_surface: LimitSurface
     min_normal: ArrayLike
     max_normal: ArrayLike
     friction_scale: float
-    tangential_cost: float
     edge_cost: float
-    edge_margin: float
+    costs: Sequence[QuadraticCost]
 
 
 class ForceArguments(LimitArguments, total=False):
     """Arguments of ``build_force_problem``, explained there; all but ``wrench`` may be left out."""
 
     wrench: Required[ArrayLike]
-    change_cost: float
-    previous: ArrayLike | None
-    torque_cost: float
-    balance_cost: float | None
     jacobians: ArrayLike | None
     actuation: Actuation | None
     q: ArrayLike | None
@@ -92,17 +79,11 @@ def build_force_problem(
     wrench: ArrayLike,
     edges: int = 8,
     cone: Cone = "inscribed",
-    limit_surface: LimitSurface = "ellipsoid",
     min_normal: ArrayLike = 0.0,
     max_normal: ArrayLike = np.inf,
     friction_scale: float = 1.0,
-    tangential_cost: float = 1.0,
     edge_cost: float = 0.0,
-    edge_margin: float = EDGE_MARGIN,
-    change_cost: float = 0.0,
-    previous: ArrayLike | None = None,
-    torque_cost: float = 0.0,
-    balance_cost: float | None = None,
+    costs: Sequence[QuadraticCost] = (),
     jacobians: ArrayLike | None = None,
     actuation: Actuation | None = None,
     q: ArrayLike | None = None,
@@ -118,24 +99,14 @@ def build_force_problem(
             friction; sliding and torsion together lose more, up to 29 %.
         cone: "inscribed" (what it allows the cone allows), "circumscribed", or "round": the
             second-order cone itself.
-        limit_surface: "ellipsoid", where sliding takes from torsion, or "independent".
         min_normal: Least normal force, N, a number or (n,), >= 0. 0 asks for no grip.
         max_normal: Greatest normal force, N, a number or (n,). Unlimited unless given.
         friction_scale: Factor in (0, 1] on both frictions when the pyramids are made; keeps forces
             off the cone by a margin.
-        tangential_cost: Cost of a squared tangential force beside a squared normal force, > 0. 1
-            minimises sum |f|^2; more prefers forces near the normals.
         edge_cost: Cost of the squared normal force (N^2) by which a contact falls short of keeping
-            ``edge_margin`` from its cone's edge, beside a squared normal force, >= 0.
-        edge_margin: Share of the friction, in (0, 1), that costs ``edge_cost``.
-        change_cost: Cost of a squared change of force from ``previous``, >= 0; torsion counts as
-            in the cost on force.
-        previous: Forces (n, 4) of the step before, in the contact frames; needed for
-            ``change_cost``.
-        torque_cost: Cost of a squared joint torque J^T f + gravity_torque over the squared length
-            beside a squared normal force, >= 0; needs ``jacobians``.
-        balance_cost: None for the balance as an equality; else the cost of its squared residual
-            (N^2, torque over the length) beside a squared normal force, > 0.
+            ``EDGE_MARGIN`` from its cone's edge, beside a squared normal force, >= 0.
+        costs: What forces cost beside their squares; a torsion counts in those like the normal
+            force that its friction needs.
         jacobians: (n, 3 or 6, nv), velocity of each contact point per joint velocity, linear rows
             first, in the contacts' axes. Soft contacts with torsion need all six.
         actuation: Limits the joint torques; needs ``jacobians`` and ``q``. Its springs help.
@@ -147,100 +118,144 @@ def build_force_problem(
     """
     n = len(contacts)
     balance = finite_array("wrench", wrench, (6,))
-    low, high = per_item("min_normal", min_normal, n), per_item("max_normal", max_normal, n)
-    if (low < 0).any() or (low > high).any() or np.isinf(low).any():
+    least, most = per_item("min_normal", min_normal, n), per_item("max_normal", max_normal, n)
+    if (least < 0).any() or (least > most).any() or np.isinf(least).any():
         raise ContactError(
             f"min_normal is {min_normal!r} and max_normal {max_normal!r}; give "
             "0 <= min_normal <= max_normal, min_normal finite"
         )
     if not 0 < checked_number("friction_scale", friction_scale) <= 1:
         raise ContactError(f"friction_scale is {friction_scale}; give a factor in (0, 1]")
-    checked_number("tangential_cost", tangential_cost, above=0.0)
+    if cone not in get_args(Cone):
+        raise ContactError(f"cone is {cone!r}; use 'inscribed', 'circumscribed' or 'round'")
+    checked_number("edge_cost", edge_cost, least=0.0)
     scaled = contacts.with_friction(
         friction_scale * contacts.mu, friction_scale * contacts.mu_torsion
     )
-    if cone not in get_args(Cone):
-        raise ContactError(f"cone is {cone!r}; use 'inscribed', 'circumscribed' or 'round'")
-    check_not_negative("edge_cost", edge_cost)
-    if not 0 < checked_number("edge_margin", edge_margin) < 1:
-        raise ContactError(f"edge_margin is {edge_margin}; give a share in (0, 1)")
-    if balance_cost is not None and not checked_number("balance_cost", balance_cost) > 0:
-        raise ContactError(f"balance_cost is {balance_cost}; give a finite number > 0, or None")
-    part = ContactPart(
-        scaled,
-        low,
-        high,
-        edges=edges,
-        cone=cone,
-        limit_surface=limit_surface,
-        tangential_cost=tangential_cost,
-        margin=edge_margin if edge_cost else 0.0,
-    )
+    part = _ContactPart(scaled, edges=edges, cone=cone, margin=EDGE_MARGIN if edge_cost else 0.0)
+    part.lower[part.normal], part.upper[part.normal] = least, most
     arm = float(np.linalg.norm(contacts.positions - contacts.center, axis=1).max(initial=0.0))
     length = arm if arm > MIN_LENGTH else 1.0
     joint_map, gravity = _joint_map(contacts, jacobians, gravity_torque)
-    hand = HandPart.of(joint_map, actuation, q, with_jacobians=jacobians is not None)
-    na, ns = len(hand.actuators), len(hand.stops)
-    asked = max([*np.abs(balance[:3]), *(np.abs(balance[3:]) / length), *low])
-    row_scale = np.concatenate([np.ones(3), np.full(3 + len(hand.joints), 1 / length)])
-    n_force, n_drive, excess = len(part.names), na + ns, part.excess
-    residual = 0 if balance_cost is None else 6
-    hand_cost = np.repeat([ACTUATOR_COST, STOP_COST], [na, ns]) / length**2
-    extra_cost = [np.full(excess, edge_cost), (balance_cost or 0.0) * row_scale[:residual] ** 2]
-    quadratic = np.diag(np.concatenate([part.cost, hand_cost, *extra_cost]))
-    linear = np.zeros(len(quadratic))
-    add_change_cost(quadratic, linear, part, contacts, change_cost, previous)
-    add_torque_cost(quadratic, linear, joint_map, gravity, torque_cost, length)
-    tail = np.zeros((6 + len(hand.joints), excess + residual))
-    tail[:residual, excess:] = -np.eye(residual)
-    wide = [np.zeros((len(rows), n_drive)) for rows in (part.faces, part.cones)]
-    ends = [np.zeros((len(rows), residual)) for rows in (part.faces, part.cones)]
-    faces, cones = (
-        np.hstack([rows[:, :n_force], gap, rows[:, n_force:], end])
-        for rows, gap, end in zip((part.faces, part.cones), wide, ends, strict=True)
+    limits = _torque_limits(actuation, joint_map, q, gravity, jacobians is not None)
+    torques = np.zeros((2, len(joint_map) if limits else 0))
+    if limits is not None and q is not None:
+        limits.at(np.asarray(q, dtype=np.float64), torques)
+    nf, excess = len(part.names), n if edge_cost else 0
+    z = np.zeros((0, nf)) if limits is None else limits.case.rows @ joint_map
+    extra = np.zeros((0, 0)) if limits is None else limits.case.extra_rows
+    torque_rows = np.flatnonzero(loaded_rows(z, extra))
+    ne, mf, mt = extra.shape[1], len(part.faces), len(torque_rows)
+    nx = nf + excess + ne
+    rows = np.zeros((6 + mf + mt, nx))
+    rows[:6, :nf] = contacts.grasp_map()
+    rows[6 : 6 + mf, : nf + excess] = part.faces
+    rows[6 + mf :, :nf], rows[6 + mf :, nx - ne :] = z[torque_rows], extra[torque_rows]
+    low = np.concatenate([-balance, np.full(mf, -np.inf), torques[0, torque_rows]])
+    high = np.concatenate([-balance, np.zeros(mf), torques[1, torque_rows]])
+    extra_low, extra_high = np.zeros((2, 0)) if limits is None else limits.extra_limits
+    column_scale = np.concatenate([part.unit, np.ones(excess), np.full(ne, length)])
+    quadratic = np.diag(
+        np.concatenate([np.ones(nf), np.full(excess, edge_cost), np.full(ne, EXTRA_COST)])
+        / column_scale**2
     )
-    free = np.full(residual, np.inf)
+    linear = np.zeros(nx)
+    for cost in costs:
+        cost.check_size(nf)
+        quadratic[:nf, :nf] += cost.p
+        linear[:nf] += cost.q
+    asked = max([*np.abs(balance[:3]), *(np.abs(balance[3:]) / length), *least])
     return ForceProblem(
         contacts=contacts,
         wrench=balance,
         quadratic=quadratic,
         linear=linear,
-        equality=np.block(
-            [
-                [contacts.grasp_map(), np.zeros((6, n_drive)), tail[:6]],
-                [-joint_map[hand.joints], hand.drive, tail[6:]],
-            ]
-        ),
-        equality_value=np.concatenate([-balance, gravity[hand.joints] - hand.passive]),
-        faces=faces,
-        cones=cones,
+        rows=rows,
+        low=low,
+        high=high,
+        row_names=(*_WRENCH_ROWS, *part.face_names, *_torque_names(limits, torque_rows.tolist())),
+        n_faces=mf,
+        torque_rows=torque_rows,
+        cones=np.hstack([part.cones, np.zeros((len(part.cones), ne))]),
         cone_sizes=part.cone_sizes,
-        lower=np.concatenate([part.lower, hand.limits[:, 0], np.zeros(ns + excess), -free]),
-        upper=np.concatenate([part.upper, hand.limits[:, 1], np.full(ns + excess, np.inf), free]),
+        cone_names=tuple(part.cone_names),
+        lower=np.concatenate([part.lower, np.zeros(excess), extra_low]),
+        upper=np.concatenate([part.upper, np.full(excess, np.inf), extra_high]),
         column_names=(
             *part.names,
-            *hand.column_names,
-            *part.excess_names,
-            *(f"residual {name}" for name in _WRENCH_ROWS[:residual]),
+            *(f"{label} excess" for label in contact_names(contacts)[:excess]),
+            *(() if limits is None else _made_names(limits, limits.case.extra.tolist())),
         ),
-        equality_names=(*_WRENCH_ROWS, *hand.row_names),
-        face_names=tuple(part.face_names),
-        cone_names=tuple(part.cone_names),
-        column_scale=np.concatenate(
-            [part.unit, np.full(n_drive, length), np.ones(excess), 1 / row_scale[:residual]]
+        column_scale=column_scale,
+        row_scale=np.concatenate(
+            [np.ones(3), np.full(3, 1 / length), np.ones(mf), np.full(mt, 1 / length)]
         ),
-        row_scale=row_scale,
         length=length,
         force_scale=asked if asked > MIN_SCALE else 1.0,
-        balance_cost=balance_cost,
-        joints=hand.joints,
-        actuators=hand.actuators,
-        stops=hand.stops,
+        cost_names=(
+            "contact forces",
+            *["edge of the cones"][: excess and 1],
+            *(c.name for c in costs),
+        ),
         joint_map=joint_map,
         gravity_torque=gravity,
-        actuation=actuation,
+        torque_limits=limits,
         q=None if q is None else float_array("q", q, copy=True),
     )
+
+
+class _ContactPart:
+    """Columns of the contact forces and of the excess, with their friction.
+
+    Attributes:
+        names: Of the force components (nf,).
+        normal: Which of them are normal forces (n,).
+        unit, lower, upper: (nf,).
+        faces: (m, nf + ne), rows <= 0.
+        cones: (mc, nf + ne), blocks [head, tail ...].
+        cone_sizes: Rows of each block.
+        face_names, cone_names: Of rows and blocks.
+    """
+
+    def __init__(self, contacts: ContactSet, *, edges: int, cone: Cone, margin: float) -> None:
+        """Lay them out contact by contact; a margin > 0 brings the excess."""
+        size, n, labels = sum(contacts.dims), len(contacts), contact_names(contacts)
+        width = size + (n if margin else 0)
+        self.names, self.face_names, self.cone_names = list[str](), list[str](), list[str]()
+        self.normal = np.cumsum([0, *contacts.dims])[:-1]
+        self.unit = np.ones(size)
+        self.lower, self.upper = np.full(size, -np.inf), np.full(size, np.inf)
+        faces, cones = [np.zeros((0, width))], [np.zeros((0, width))]
+        for i, (at, dim) in enumerate(zip(self.normal, contacts.dims, strict=True)):
+            self.names += [f"{labels[i]} {c}" for c in _COMPONENTS[:dim]]
+            mu = float(contacts.mu[i]) if dim >= 3 else 0.0
+            twist = float(contacts.mu_torsion[i]) if dim == 4 else 0.0
+            without = np.flatnonzero(np.array([1.0, mu, mu, twist])[:dim] == 0.0)
+            self.lower[at + without] = self.upper[at + without] = 0.0
+            if twist:
+                self.unit[at + 3] = twist  # a torsion counts like the normal force that it needs
+            name = f"friction of {labels[i]}"
+            rows = (
+                round_cone(mu, twist) if cone == "round" else pyramid_faces(mu, twist, edges, cone)
+            )
+            block = np.zeros((len(rows), width))
+            block[:, at : at + dim] = rows[:, :dim]
+            if margin:
+                block[:, size + i] = rows[:, 0]
+                block[:, at] *= 1.0 - margin
+                most = np.zeros((1, width))
+                most[0, size + i], most[0, at] = 1.0, -margin
+            if cone == "round":
+                cones.append(block)
+                self.cone_names += [name] * min(len(rows), 1)
+            else:
+                faces.append(block)
+                self.face_names += [name] * len(rows)
+            if margin:
+                faces.append(most)
+                self.face_names.append(name)
+        self.faces, self.cones = np.vstack(faces), np.vstack(cones)
+        self.cone_sizes = tuple(len(rows) for rows in cones if len(rows))
 
 
 def _joint_map(
@@ -276,3 +291,55 @@ def _joint_map(
         else finite_array("gravity_torque", gravity_torque, (nv,))
     )
     return np.hstack(columns), gravity
+
+
+def _torque_limits(
+    actuation: Actuation | None,
+    joint_map: FloatArray,
+    q: ArrayLike | None,
+    gravity: FloatArray,
+    with_jacobians: bool,
+) -> TorqueLimits | None:
+    """The limits in N m, None without an actuation.
+
+    Raises:
+        ContactError: ``actuation`` without ``q`` or Jacobians, q without ``actuation``, or their
+            sizes differ.
+    """
+    if actuation is None:
+        if q is not None:
+            raise ContactError("q is given without an actuation; give both or neither")
+        return None
+    if q is None or not with_jacobians:
+        raise ContactError("actuation limits need q (nv,) and jacobians (n, 3 or 6, nv)")
+    nv = len(actuation.joint_names)
+    at = np.array(q, dtype=np.float64)
+    if len(joint_map) != nv or at.shape != (nv,) or not np.isfinite(at).all():
+        raise ContactError(
+            f"q has shape {at.shape} and the jacobians {len(joint_map)} joints; the actuation "
+            f"has {nv} joints: give finite numbers for these, in its order"
+        )
+    limits = TorqueLimits(actuation, 1.0)
+    limits.gravity[:] = gravity
+    return limits
+
+
+def _made_names(limits: TorqueLimits, columns: Sequence[int]) -> list[str]:
+    """Names of actuators and stops by their column."""
+    names = (*limits.actuation.names, *limits.actuation.stop_names)
+    return [names[j] for j in columns]
+
+
+def _torque_names(limits: TorqueLimits | None, rows: Sequence[int]) -> list[str]:
+    """What each row of torque is: an actuator, a stop, or joints that nothing drives that way."""
+    if limits is None:
+        return []
+    joints, out = limits.actuation.joint_names, []
+    for i in rows:
+        column = limits.case.made[i]
+        if column >= 0:
+            out += _made_names(limits, [column])
+        else:
+            mixed = (joints[j] for j in np.flatnonzero(limits.case.rows[i]))
+            out.append(f"undriven torque of {', '.join(mixed)}")
+    return out

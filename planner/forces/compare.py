@@ -23,7 +23,7 @@ from planner.errors import ContactError
 from planner.forces.build import LimitArguments, build_force_problem
 from planner.forces.infeasible import explain_infeasibility
 from planner.forces.loop import STEP_TOL, ForceLoop
-from planner.numerics.warm_started import QUICK_SOLVER, solver_names
+from planner.numerics.qp_workspace import DEFAULT_SOLVER, solver_names
 from planner.spatial import FloatArray
 
 __all__ = ["SolverComparison", "SolverRecord", "compare_solvers", "turning_wrenches"]
@@ -53,7 +53,7 @@ class SolverRecord:
         primal: Greatest violation of a row or bound among its answers.
         dual: Greatest residual of stationarity and of the multipliers' signs; NaN where it gives no
             multipliers.
-        off: Greatest distance of a force component from the quick solver's exact answer.
+        off: Greatest distance of a force component from the default solver's exact answer.
     """
 
     solver: str
@@ -224,7 +224,7 @@ def compare_solvers(
         )
         return record, forces, loop
 
-    _, exact, loop = walk(QUICK_SOLVER, None)
+    _, exact, loop = walk(DEFAULT_SOLVER, None)
     names = solver_names() if solvers is None else tuple(solvers)
     records = tuple(walk(name, exact)[0] for name in names)
     return SolverComparison(

@@ -15,11 +15,10 @@ from typing import Unpack, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planner.contacts import ContactSet
+from planner.contacts import ContactSet, Pyramid
 from planner.forces.build import ForceArguments
-from planner.forces.friction import Pyramid
 from planner.forces.solve import distribute_forces
-from planner.numerics.warm_started import QUICK_SOLVER
+from planner.numerics.qp_workspace import DEFAULT_SOLVER
 
 __all__ = ["PyramidGap", "cone_gaps"]
 
@@ -82,7 +81,7 @@ def cone_gaps(
             moved, dearer, cone_only, pyramid_only = [], [], 0, 0
             for wrench, best in zip(rows, exact, strict=True):
                 given = {**arguments, "wrench": wrench, "cone": cone, "edges": edges}
-                answer = distribute_forces(contacts, solver=QUICK_SOLVER, **given)
+                answer = distribute_forces(contacts, solver=DEFAULT_SOLVER, **given)
                 cone_only += best.found and not answer.found
                 pyramid_only += answer.found and not best.found
                 if best.found and answer.found:

@@ -1,14 +1,14 @@
-"""Why no contact forces exist: linear programmes on the very constraints of a ``ForceProblem``.
+"""Why no contact forces exist: linear programmes on the very rows of a ``ForceProblem``.
 
-They share nothing with the solver of the quadratic programme (HiGHS solves them), so a failure of
-that solver and a task that cannot be done are told apart:
+They share nothing with the solver of the quadratic programme (``planner.numerics.lp``), so a
+failure of that solver and a task that cannot be done are told apart:
 
-    phase 1     min |r|_1   with  G f + wrench = r  and every other constraint
-    fraction    max s <= 1  with  G f + s wrench = 0  and every other constraint
+    phase 1     min |r|_1   with  G f + wrench = r  and every other row and bound
+    fraction    max s <= 1  with  G f + s wrench = 0  and every other row and bound
 
 |r|_1 counts torque divided by the problem's length. r = 0 if and only if forces exist; else r is
-the part of the wrench that is left over. Where the other constraints contradict each other (a grip
-that the actuators cannot produce), r is the whole wrench and the missing joint torque is minimised
+the part of the wrench that is left over. Where the other limits contradict each other (a grip that
+the actuators cannot produce), r is the whole wrench and the missing joint torque is minimised
 instead. The multipliers of phase 1 prove it, and name the limits that stand in the way. Multipliers
 are not unique: where two limits would each do, one is named.
 """
@@ -19,12 +19,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planner.forces.outlines import outlined
+from planner.contacts.friction import outline_faces
 from planner.forces.problem import RESIDUAL_TOL, ForceProblem
-from planner.numerics.programme import programme
+from planner.numerics.lp import LpSolution, solve_lp
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["FEASIBLE", "Infeasibility", "explain_infeasibility"]
+__all__ = ["FEASIBLE", "Infeasibility", "explain_infeasibility", "outlined"]
 
 MULTIPLIER_TOL = 1e-7
 """Multipliers above this (-) name a limit; those of the unbalanced part are about 1."""
@@ -78,10 +78,10 @@ def explain_infeasibility(problem: ForceProblem) -> Infeasibility:
             return FEASIBLE
         reason = f"there are no contacts to balance {_words(wrench)}"
         return Infeasibility(feasible=False, wrench=wrench, fraction=0.0, limits=(), reason=reason)
-    programme = _Programme(problem)
-    result = programme.least_unbalanced(np.arange(6))
+    phase = _Phase1(problem)
+    result = phase.least_unbalanced(np.arange(6))
     if result is None:
-        limits = programme.contradiction()
+        limits = phase.contradiction()
         return Infeasibility(
             feasible=False,
             wrench=wrench,
@@ -89,10 +89,10 @@ def explain_infeasibility(problem: ForceProblem) -> Infeasibility:
             limits=limits,
             reason="whatever the wrench, the hand's limits contradict each other" + _list(limits),
         )
-    if result.cost <= RESIDUAL_TOL:
+    if result.value <= RESIDUAL_TOL:
         return FEASIBLE
-    left, fraction = programme.unbalanced(result), programme.fraction()
-    limits = programme.limits(result)
+    left, fraction = phase.unbalanced(result), phase.fraction()
+    limits = phase.limits(result)
     return Infeasibility(
         feasible=False,
         wrench=left,
@@ -102,6 +102,28 @@ def explain_infeasibility(problem: ForceProblem) -> Infeasibility:
             f"no contact forces balance {_words(wrench)}: {_words(left)} is left over, and at best "
             f"{100 * fraction:.3g} % of the wrench is resisted" + _list(limits)
         ),
+    )
+
+
+def outlined(problem: ForceProblem, *, inner: bool) -> ForceProblem:
+    """The problem with fine pyramids around or inside its round cones in their place."""
+    faces, names, start = [problem.rows[: 6 + problem.n_faces]], list[str](), 0
+    for size, name in zip(problem.cone_sizes, problem.cone_names, strict=True):
+        faces.append(outline_faces(size, inner=inner) @ problem.cones[start : start + size])
+        names += [name] * len(faces[-1])
+        start += size
+    m, at = len(names), 6 + problem.n_faces
+    return replace(
+        problem,
+        rows=np.vstack([*faces, problem.rows[at:]]),
+        low=np.insert(problem.low, at, np.full(m, -np.inf)),
+        high=np.insert(problem.high, at, np.zeros(m)),
+        row_scale=np.insert(problem.row_scale, at, np.ones(m)),
+        row_names=(*problem.row_names[:at], *names, *problem.row_names[at:]),
+        n_faces=problem.n_faces + m,
+        cones=problem.cones[:0],
+        cone_sizes=(),
+        cone_names=(),
     )
 
 
@@ -116,50 +138,38 @@ def _list(limits: tuple[str, ...]) -> str:
     return f"; in the way: {'; '.join(limits[:LISTED])}{tail}" if limits else ""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Solved:
-    """A solution of phase 1 and its multipliers: change of the cost per unit of each limit."""
-
-    cost: float
-    x: FloatArray
-    equality_prices: FloatArray
-    face_prices: FloatArray
-    bound_prices: FloatArray
-
-
-class _Programme:
+class _Phase1:
     """A force problem in units of its own force scale and length."""
 
     def __init__(self, problem: ForceProblem) -> None:
         """Scale its rows and columns."""
         self.problem = problem
-        unit, scale = problem.column_scale, problem.force_scale
-        self.rows = problem.row_scale[:, None] * problem.equality * unit
-        self.values = problem.row_scale * problem.equality_value / scale
-        self.faces = problem.faces * unit
-        self.bounds = np.stack([problem.lower, problem.upper], axis=1) / (scale * unit)[:, None]
+        qp = problem.dense_qp(problem.force_scale)
+        self.rows, self.limits_of_rows = qp.a, np.column_stack([qp.low, qp.high])
+        self.bounds = np.column_stack([qp.lower, qp.upper])
 
-    def least_unbalanced(self, relaxed: IntArray, first: int = 0) -> _Solved | None:
-        """Least sum of absolute residuals of the ``relaxed`` rows; rows before ``first`` are off.
+    def least_unbalanced(self, relaxed: IntArray, first: int = 0) -> LpSolution | None:
+        """Least sum of absolute violations of the ``relaxed`` rows; rows before ``first`` are off.
 
         Returns:
-            A solution, or None where the other constraints have none.
+            A solution, or None where the other limits have none.
         """
         kept = np.arange(first, len(self.rows))
         slack = (kept[:, None] == relaxed).astype(float)
-        return self._solve(
-            np.ones(2 * len(relaxed)),
+        return solve_lp(
+            np.concatenate([np.zeros(len(self.bounds)), np.ones(2 * len(relaxed))]),
             np.hstack([self.rows[kept], -slack, slack]),
-            self.values[kept],
-            np.tile([0.0, np.inf], (2 * len(relaxed), 1)),
+            self.limits_of_rows[kept],
+            np.vstack([self.bounds, np.tile([0.0, np.inf], (2 * len(relaxed), 1))]),
         )
 
     def contradiction(self) -> tuple[str, ...]:
         """Limits that leave joint torques unbalanced even if the wrench does not matter."""
-        result = self.least_unbalanced(np.arange(6, len(self.rows)), first=6)
+        first = 6 + self.problem.n_faces
+        result = self.least_unbalanced(np.arange(first, len(self.rows)), first=6)
         return () if result is None else self.limits(result)
 
-    def unbalanced(self, result: _Solved) -> FloatArray:
+    def unbalanced(self, result: LpSolution) -> FloatArray:
         """G f + wrench (6,) of a solved phase 1, N and N m; rounding is taken off."""
         plus, minus = np.split(result.x[len(self.bounds) :], 2)
         left = np.where(np.abs(plus - minus) > RESIDUAL_TOL, plus - minus, 0.0)
@@ -167,76 +177,73 @@ class _Programme:
 
     def fraction(self) -> float:
         """Largest share of the wrench that can be resisted."""
-        wrench = np.where(np.arange(len(self.rows)) < 6, self.values, 0.0)  # minus the wrench
-        rows = np.column_stack([self.rows, -wrench])
-        result = self._solve(np.array([-1.0]), rows, self.values - wrench, np.array([[0.0, 1.0]]))
-        return 0.0 if result is None else max(0.0, float(result.x[-1]))
+        balance = np.where(np.arange(len(self.rows)) < 6, self.limits_of_rows[:, 0], 0.0)
+        found = solve_lp(
+            np.append(np.zeros(len(self.bounds)), -1.0),
+            np.column_stack([self.rows, -np.where(np.isfinite(balance), balance, 0.0)]),
+            np.vstack([np.zeros((6, 2)), self.limits_of_rows[6:]]),
+            np.vstack([self.bounds, [0.0, 1.0]]),
+        )
+        return 0.0 if found is None else max(0.0, float(found.x[-1]))
 
-    def limits(self, result: _Solved) -> tuple[str, ...]:
-        """Names of what has a multiplier: joints, actuators, stops, normal bounds, friction."""
-        problem, n, first = self.problem, len(self.bounds), self.problem.n_force
-        low = result.bound_prices[:n] > MULTIPLIER_TOL
-        high = result.bound_prices[:n] < -MULTIPLIER_TOL
-        # Torque rows are the last ones, with and without the balance before them.
-        rows = np.abs(result.equality_prices)[::-1][: len(problem.joints)][::-1] > MULTIPLIER_TOL
-        drive = problem.equality[6:, first:] != 0
-        free = np.flatnonzero(rows & ~(drive & (low | high)[first:]).any(axis=1))
+    def limits(self, result: LpSolution) -> tuple[str, ...]:
+        """Names of what has a multiplier: torques, normal bounds, friction."""
+        problem = self.problem
+        mt, nx = len(problem.torque_rows), len(self.bounds)
+        duals, ends = result.row_duals[len(result.row_duals) - mt :], result.bound_duals[:nx]
+        named = self._torques_in_words(duals)
+        columns = np.flatnonzero(np.abs(ends) > MULTIPLIER_TOL)
+        first = nx - problem.n_extra
+        for j in [*columns[columns >= first].tolist(), *columns[columns < first].tolist()]:
+            named.append(self._bound_in_words(j, at_lower=bool(ends[j] > 0)))
+        end, names = len(result.row_duals) - mt, problem.row_names[6 : 6 + problem.n_faces]
+        faces = result.row_duals[end - len(names) : end]
+        named += [names[j] for j in np.flatnonzero(np.abs(faces) > MULTIPLIER_TOL)]
+        return tuple(dict.fromkeys(named))
+
+    def _torques_in_words(self, duals: FloatArray) -> list[str]:
+        """What rows of torque (mt,) with these multipliers ask for, undriven joints first."""
+        problem, limits = self.problem, self.problem.torque_limits
+        if limits is None:
+            return []
+        used = np.flatnonzero(np.abs(duals) > MULTIPLIER_TOL)
+        rows, case, a = problem.torque_rows[used], limits.case, limits.actuation
+        driven = case.made[rows] >= 0
         named = []
+        # joints whose torque nothing makes, but for those of an actuator or stop at its limit
+        weight = duals[used][~driven] @ case.rows[rows[~driven]]
+        at_limit = np.vstack([a.moment, a.stop_rows])[case.made[rows[driven]]].any(axis=0)
+        free = np.flatnonzero((np.abs(weight) > MULTIPLIER_TOL) & ~at_limit)
         if len(free):
-            joints = ", ".join(problem.equality_names[6 + i] for i in free)
+            joints = ", ".join(f"torque {a.joint_names[j]}" for j in free)
             named.append(f"no actuator or stop supplies that share of {joints}")
-        columns = np.flatnonzero(low | high)
-        for j in [*columns[columns >= first], *columns[columns < first]]:
-            bound = problem.lower[j] if low[j] else problem.upper[j]
-            named.append(self._bound_in_words(int(j), bool(low[j]), float(bound)))
-        faces = np.flatnonzero(np.abs(result.face_prices) > MULTIPLIER_TOL)
-        return tuple(dict.fromkeys([*named, *(problem.face_names[j] for j in faces)]))
+        for row, dual in zip(rows[driven], duals[used][driven], strict=True):
+            side = int(dual < 0)  # a multiplier > 0 is of the lower limit
+            bound = float(limits.made_limits[side, row])
+            named.append(self._drive_in_words(int(case.made[row]), side, bound))
+        return named
 
-    def _bound_in_words(self, column: int, at_lower: bool, bound: float) -> str:
+    def _drive_in_words(self, column: int, side: int, bound: float) -> str:
+        limits = self.problem.torque_limits
+        assert limits is not None
+        names = limits.actuation.names
+        if column >= len(names):
+            return f"{limits.actuation.stop_names[column - len(names)]} only pushes"
+        return f"{names[column]} at its {('least', 'greatest')[side]} force {bound:.3g} N m"
+
+    def _bound_in_words(self, column: int, *, at_lower: bool) -> str:
         problem = self.problem
         name = problem.column_names[column]
-        if column >= problem.n_drive:  # an excess that would have to be below 0
-            return f"friction of {name.rsplit(' ', 1)[0]}"
-        which = "least" if at_lower else "greatest"
-        if column >= problem.n_force + len(problem.actuators):
-            return f"{name} only pushes"
-        if column >= problem.n_force:
-            return f"{name} at its {which} force {bound:.3g} N m"
+        bound = float((problem.lower if at_lower else problem.upper)[column])
+        first_extra = len(problem.column_names) - problem.n_extra
+        if column >= first_extra and problem.torque_limits is not None:
+            made = int(problem.torque_limits.case.extra[column - first_extra])
+            return self._drive_in_words(made, int(not at_lower), bound)
         contact = name.rsplit(" ", 1)[0]
+        if column >= problem.n_force:  # an excess that would have to be below 0
+            return f"friction of {contact}"
         if not name.endswith("f_n"):
             return f"no friction at {contact}"
         if bound == 0.0:
             return f"{contact} can only push"
-        return f"{which} normal force {bound:.3g} N at {contact}"
-
-    def _solve(
-        self,
-        slack_cost: FloatArray,
-        rows: FloatArray,
-        values: FloatArray,
-        slack_bounds: FloatArray,
-    ) -> _Solved | None:
-        """A solution, None where the constraints have none."""
-        free, n_faces = len(slack_cost), len(self.faces)
-        bounds = np.vstack([self.bounds, slack_bounds])
-        table = np.vstack([rows, np.hstack([self.faces, np.zeros((n_faces, free))])])
-        cost = np.concatenate([np.zeros(len(self.bounds)), slack_cost])
-        solver = programme("highs", len(cost), len(table))
-        x = solver.solve(
-            g=cost,
-            a=table,
-            lba=np.concatenate([values, np.full(n_faces, -np.inf)]),
-            uba=np.concatenate([values, np.zeros(n_faces)]),
-            lbx=bounds[:, 0],
-            ubx=bounds[:, 1],
-        )
-        if x is None:
-            return None
-        equalities, faces = np.split(solver.row_prices, [len(values)])
-        return _Solved(
-            cost=float(cost @ x),
-            x=x,
-            equality_prices=equalities,
-            face_prices=faces,
-            bound_prices=solver.bound_prices,
-        )
+        return f"{'least' if at_lower else 'greatest'} normal force {bound:.3g} N at {contact}"

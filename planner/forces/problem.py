@@ -1,22 +1,22 @@
 """``ForceProblem``: the programme of contact forces, with named rows and columns.
 
     minimise    1/2 x'P x + q'x
-    subject to  A x = b      balance G f - r = -wrench, and joint torques
-                             R^T F + S^T lam = J^T f + gravity_torque
-                D x <= 0     friction pyramids
-                C x          in second-order cones, head >= |tail|: round friction cones
-                lower <= x <= upper            normal force, actuator limits at q, lam >= 0
+    subject to  G f = -wrench                  balance
+                D x <= 0                       friction pyramids
+                low <= Z J'f - Z E e <= high   joint torques (``planner.forces.torque_limits``)
+                C x in second-order cones      head >= |tail|: round friction cones
+                lower <= x <= upper            normal forces, e
 
-    x = [contact forces f, actuator forces F, stop forces lam, excess e, residual r]
+    x = [contact forces f, excess, forces e of actuators and stops that repeat others]
 
 f is what the hand does to the object, in the contact frames, so J^T f is the torque that the joints
-supply to press that hard. P is diagonal unless joint torques have a cost; among equal contact
-forces, small actuator forces and then smaller stop forces decide. Excess e (one per contact) is
-there if forces near the cone's edge have a cost, residual r if the wrench is a cost and not an
-equality.
+supply to press that hard. The cost is 1/2 |f|^2 and whatever ``QuadraticCost`` adds. The excess
+(one per contact) is there if forces near the cone's edge have a cost: the tangential part of a
+contact stays within (1 - margin) f_n + excess of the friction, with excess <= margin f_n, and
+excess^2 costs. Forces that keep the margin cost no more then, and the whole cone remains open.
 
-Torques enter for the joints that a contact moves and those tied to them by a tendon or a stop; the
-other joints carry their own gravity and are no matter of the grasp.
+``distribute_forces`` solves a problem once; ``ForceLoop`` keeps one and writes what changes. Both
+give the solver what ``ForceProblem.dense_qp`` makes, and judge its answer by the same violation.
 """
 
 from __future__ import annotations
@@ -26,9 +26,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import qpsolvers
 
-from planner.actuation import Actuation
 from planner.contacts import ContactSet
+from planner.forces.torque_limits import TorqueLimits
+from planner.numerics.dense_qp import DenseQp
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["RESIDUAL_TOL", "ForceProblem", "ForceResiduals", "contact_names"]
@@ -47,8 +49,7 @@ class ForceResiduals:
         cone: Largest violation of a friction pyramid or cone, N.
         bounds: Largest violation of a bound, N; torques divided by the problem's length.
         torque: Joint torque that is missing (nv,), N m; 0 for joints outside the problem.
-        worst: Largest of all, N, torques divided by the length; infinite without an answer. Where
-            the wrench is a cost, what r takes up does not count.
+        worst: Largest of all, N, torques divided by the length; infinite without an answer.
     """
 
     wrench: FloatArray
@@ -66,52 +67,51 @@ class ForceProblem:
         contacts: n contacts.
         wrench: (6,), external wrench on the object about ``contacts.center``, N and N m.
         quadratic, linear: P (nx, nx) and q (nx,).
-        equality, equality_value: A (6 + nt, nx) and b; the first six rows are the balance.
-        faces: D (m, nx), N.
+        rows: (6 + mf + mt, nx): balance, friction faces, torques; N and N m.
+        low, high: (6 + mf + mt,), their limits; infinite where free.
+        row_names: What each row is.
+        n_faces: mf.
+        torque_rows: Which rows of the torque limits take part (mt,).
         cones: C (mc, nx), N: blocks of rows [head, tail ...].
-        cone_sizes: Rows of each block, 3 or 4; none with pyramids.
+        cone_sizes: Rows of each block, 2 to 4; none with pyramids.
+        cone_names: What each block is.
         lower, upper: (nx,), infinite where free.
-        column_names, equality_names, face_names, cone_names: What each column, row and block is.
-        column_scale: (nx,), unit of each variable per newton: 1, or a length in m.
-        row_scale: (6 + nt,), what turns an equality row into newtons.
+        column_names: What each unknown is.
+        column_scale: (nx,), unit of each unknown per newton: 1, or a length in m.
+        row_scale: (6 + mf + mt,), what turns a row into newtons.
         length: Characteristic length, m: distance of the furthest contact from the centre.
         force_scale: Size of the forces that are asked for, N; residuals are judged by it.
-        joints: Joints whose torque is balanced (nt,), index into v.
-        balance_cost: Cost of a squared residual of the balance, None where it is an equality.
-        actuators: Actuators that take part (na,).
-        stops: Active stops that take part (ns,).
+        cost_names: What costs.
         joint_map: (nv, number of force components): J^T in contact components.
         gravity_torque: (nv,), N m.
-        actuation: What limits the torques, or None.
-        q: (nv,) where ``actuation`` is given, else None.
+        torque_limits: What limits the torques, at ``q``; None without an actuation.
+        q: (nv,) where there is an actuation, else None.
     """
 
     contacts: ContactSet
     wrench: FloatArray
     quadratic: FloatArray
     linear: FloatArray
-    equality: FloatArray
-    equality_value: FloatArray
-    faces: FloatArray
+    rows: FloatArray
+    low: FloatArray
+    high: FloatArray
+    row_names: tuple[str, ...]
+    n_faces: int
+    torque_rows: IntArray
     cones: FloatArray
     cone_sizes: tuple[int, ...]
+    cone_names: tuple[str, ...]
     lower: FloatArray
     upper: FloatArray
     column_names: tuple[str, ...]
-    equality_names: tuple[str, ...]
-    face_names: tuple[str, ...]
-    cone_names: tuple[str, ...]
     column_scale: FloatArray
     row_scale: FloatArray
     length: float
     force_scale: float
-    balance_cost: float | None
-    joints: IntArray
-    actuators: IntArray
-    stops: IntArray
+    cost_names: tuple[str, ...]
     joint_map: FloatArray
     gravity_torque: FloatArray
-    actuation: Actuation | None
+    torque_limits: TorqueLimits | None
     q: FloatArray | None
 
     @property
@@ -120,18 +120,54 @@ class ForceProblem:
         return sum(self.contacts.dims)
 
     @property
+    def n_extra(self) -> int:
+        """Number of actuators and stops with unknowns of their own: they are the last columns."""
+        return 0 if self.torque_limits is None else len(self.torque_limits.case.extra)
+
+    @property
     def cost(self) -> FloatArray:
         """Diagonal of P (nx,): cost of each squared unknown."""
         return np.diag(self.quadratic)
 
     @property
-    def n_drive(self) -> int:
-        """Number of contact, actuator and stop columns: excess and residual follow."""
-        return self.n_force + len(self.actuators) + len(self.stops)
+    def faces(self) -> FloatArray:
+        """Friction faces (mf, nx), a view of the rows."""
+        return self.rows[6 : 6 + self.n_faces]
+
+    @property
+    def joints(self) -> IntArray:
+        """Joints whose torque counts: those that contacts load, and those tied to them."""
+        if self.torque_limits is None:
+            return np.zeros(0, dtype=np.int64)
+        return np.flatnonzero(self.torque_limits.case.rows[self.torque_rows].any(axis=0))
 
     def value(self, x: FloatArray) -> float:
         """Cost 1/2 x'P x + q'x at x (nx,)."""
         return float(0.5 * x @ self.quadratic @ x + self.linear @ x)
+
+    def dense_qp(self, unit: float = 1.0) -> DenseQp:
+        """The programme as solvers see it: rows and columns in newtons.
+
+        Args:
+            unit: Forces are counted in this many newtons.
+        """
+        scale, nx = self.column_scale, len(self.column_names)
+        qp = DenseQp(nx, len(self.rows), 6)
+        qp.p[:] = self.quadratic * np.outer(scale, scale)
+        qp.q[:] = self.linear * scale / unit
+        qp.a[:] = self.row_scale[:, None] * self.rows * scale
+        qp.low[:], qp.high[:] = self.row_scale * (self.low, self.high) / unit
+        qp.lower[:], qp.upper[:] = (self.lower, self.upper) / (scale * unit)
+        qp.cones, qp.cone_sizes = self.cones * scale, self.cone_sizes
+        return qp
+
+    def to_qpsolvers(self, *, sparse: bool = False) -> qpsolvers.Problem:
+        """The programme for qpsolvers; its unknowns times ``column_scale`` are x. No round cones.
+
+        Args:
+            sparse: Whether matrices are scipy.sparse.csc_matrix.
+        """
+        return self.dense_qp().to_qpsolvers(sparse=sparse)
 
     @cached_property
     def contact_names(self) -> tuple[str, ...]:
@@ -152,67 +188,62 @@ class ForceProblem:
         return np.asarray(self.joint_map @ x[: self.n_force] + self.gravity_torque)
 
     def residuals(self, x: FloatArray) -> ForceResiduals:
-        """Residuals at x (nx,). The wrench is summed by ``ContactSet.wrench``, not by A."""
+        """Residuals at x (nx,). The wrench is summed by ``ContactSet.wrench``, not by the rows."""
         if not np.isfinite(x).all():
             nothing = np.full(len(self.gravity_torque), np.inf)
             return ForceResiduals(
                 wrench=np.full(6, np.inf), cone=np.inf, bounds=np.inf, torque=nothing, worst=np.inf
             )
         wrench = self.contacts.with_forces(self.contact_forces(x)).wrench() + self.wrench
-        torque = np.zeros(len(self.gravity_torque))
-        torque[self.joints] = self.equality[6:] @ x - self.equality_value[6:]
-        outside = np.maximum(self.lower - x, x - self.upper) / self.column_scale
-        cone = max(float((self.faces @ x).max(initial=0.0)), self._outside_cones(x))
+        qp, unit = self.dense_qp(), self.column_scale
+        value = qp.a @ (x / unit)
+        off = value - np.clip(value, qp.low, qp.high)
+        faces, torque = off[6 : 6 + self.n_faces], off[6 + self.n_faces :]
+        missing = np.zeros(len(self.gravity_torque))
+        if self.torque_limits is not None:
+            rows = self.torque_limits.case.rows  # square: what is off in them is off in the joints
+            by_row = np.zeros(len(rows))
+            by_row[self.torque_rows] = self.length * torque
+            missing = np.asarray(np.linalg.solve(rows, by_row))
+        outside = np.maximum(self.lower - x, x - self.upper) / unit
+        blocks = np.split(self.cones @ x, np.cumsum(self.cone_sizes, dtype=int)[:-1])
+        round_cones = [float(np.linalg.norm(b[1:]) - b[0]) for b in blocks if len(b)]
+        cone = max([float(faces.max(initial=0.0)), *round_cones])
         bounds = float(outside.max(initial=0.0))
-        scaled = self.row_scale * np.concatenate([wrench, torque[self.joints]])
-        if self.balance_cost is not None:
-            scaled[:6] -= self.row_scale[:6] * x[-6:]
-        worst = max(float(np.abs(scaled).max()), cone, bounds)
-        return ForceResiduals(wrench=wrench, cone=cone, bounds=bounds, torque=torque, worst=worst)
-
-    def _outside_cones(self, x: FloatArray) -> float:
-        """Largest |tail| - head, N, at least 0."""
-        worst, start = 0.0, 0
-        rows = self.cones @ x
-        for size in self.cone_sizes:
-            head, tail = rows[start], rows[start + 1 : start + size]
-            worst = max(worst, float(np.linalg.norm(tail) - head))
-            start += size
-        return worst
+        missed = float(np.abs(self.row_scale[:6] * wrench).max())
+        worst = max(missed, cone, bounds, float(np.abs(torque).max(initial=0.0)))
+        return ForceResiduals(wrench=wrench, cone=cone, bounds=bounds, torque=missing, worst=worst)
 
     def __str__(self) -> str:
-        """Sizes, then every column with its bounds and every equality, one a line."""
+        """Sizes and costs, then every column with its bounds and every row, one a line."""
+        nf, ne = self.n_force, self.n_extra
+        excess = len(self.column_names) - nf - ne
+        mt = len(self.torque_rows)
         lines = [
             f"force problem: {len(self.contacts)} contacts, {len(self.column_names)} columns "
-            f"({self.n_force} contact, {len(self.actuators)} actuator, {len(self.stops)} stop"
-            + (f", {more} more" if (more := len(self.column_names) - self.n_drive) else "")
-            + f"), {len(self.equality_names)} equalities, {len(self.face_names)} friction faces"
+            f"({nf} contact, {excess} excess, {ne} repeated actuator or stop), 6 rows of balance, "
+            f"{self.n_faces} friction faces, {mt} rows of torque"
             + (f", {len(self.cone_sizes)} round cones" if self.cone_sizes else ""),
-            f"minimise {self._cost_in_words()}; lengths by {self.length:.4g} m, "
-            f"forces by {self.force_scale:.4g} N",
+            f"minimise 1/2 sum cost x^2: {', '.join(self.cost_names)}; lengths by "
+            f"{self.length:.4g} m, forces by {self.force_scale:.4g} N",
         ]
         columns = zip(self.column_names, self.lower, self.upper, self.cost, strict=True)
         lines += [f"  {lo:>10.4g} <= {n} <= {hi:<10.4g} cost {c:.4g}" for n, lo, hi, c in columns]
-        for name, row, value in zip(
-            self.equality_names, self.equality, self.equality_value, strict=True
-        ):
+        table = zip(self.row_names, self.rows, self.low, self.high, strict=True)
+        for i, (name, row, low, high) in enumerate(table):
+            if 6 <= i < 6 + self.n_faces:
+                continue
             terms = [f"{row[j]:+.4g} {self.column_names[j]}" for j in np.flatnonzero(row)]
-            lines.append(f"  {name}: {' '.join(terms) or '0'} = {value + 0.0:.4g}")
-        faces = Counter(self.face_names)
+            text = " ".join(terms) or "0"
+            sides = (
+                f"{text} = {low + 0.0:.4g}" if low == high else f"{low:.4g} <= {text} <= {high:.4g}"
+            )
+            lines.append(f"  {name}: {sides}")
+        faces = Counter(self.row_names[6 : 6 + self.n_faces])
         lines += [f"  {name}: {count} faces" for name, count in faces.items()]
-        lines += [f"  {name}: round, {n - 1} tangential" for name, n in self._named_cones()]
+        named = zip(self.cone_names, self.cone_sizes, strict=True)
+        lines += [f"  {name}: round, {size - 1} tangential" for name, size in named]
         return "\n".join(lines)
-
-    def _cost_in_words(self) -> str:
-        words = "1/2 sum cost x^2"
-        if (self.quadratic != np.diag(self.cost)).any():
-            words += " + products of contact forces"
-        if self.linear.any():
-            words += " + linear"
-        return words
-
-    def _named_cones(self) -> list[tuple[str, int]]:
-        return list(zip(self.cone_names, self.cone_sizes, strict=True))
 
 
 def contact_names(contacts: ContactSet) -> tuple[str, ...]:

@@ -1,30 +1,35 @@
 """``distribute_forces``: solve a force problem, recompute its residuals, and judge the answer.
 
-"Found" means that the residuals that are recomputed
-here are within ``RESIDUAL_TOL``, never that a solver said so. Where they are not, a linear
-programme decides whether forces exist at all (``planner.forces.infeasible``).
+"Found" means that the residuals that are recomputed here are within ``RESIDUAL_TOL``, never that a
+solver said so. Where the solver refuses, ``Relaxation`` has a second look; ``ForceLoop`` goes the
+same way, so the two accept and refuse the same problems. A linear programme then tells why there
+are no forces (``planner.forces.infeasible``).
 """
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Unpack
 
 import numpy as np
 
 from planner.contacts import ContactSet
-from planner.errors import InfeasibleError
+from planner.errors import ContactError, InfeasibleError
 from planner.forces.build import ForceArguments, build_force_problem
 from planner.forces.infeasible import FEASIBLE, explain_infeasibility
-from planner.forces.minimise import CONE_SOLVER, check_solver, minimise
+from planner.forces.least_violation import Relaxation
 from planner.forces.problem import RESIDUAL_TOL, ForceProblem, ForceResiduals
+from planner.numerics.qp_workspace import CONE_SOLVER, DEFAULT_SOLVER, qp_workspace
 from planner.spatial import FloatArray
 
-__all__ = ["ForceSolution", "distribute_forces", "solve_force_problem"]
-
-DEFAULT_SOLVER = "osqp"
-"""The solver of pyramids where none is named; round cones are Clarabel's."""
+__all__ = [
+    "ForceSolution",
+    "LeastViolation",
+    "distribute_forces",
+    "least_violation",
+    "solve_force_problem",
+]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,6 +87,22 @@ class ForceSolution:
         return self
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LeastViolation:
+    """Forces for the part of a wrench that can be met.
+
+    Attributes:
+        solution: Of the problem with the resisted part; ``solution.forces`` are the forces. Not
+            found where the limits contradict each other whatever the wrench.
+        left_over: (6,), G f + wrench, N and N m; 0 where everything is met.
+        size: |left_over| with torque divided by the length, N.
+    """
+
+    solution: ForceSolution
+    left_over: FloatArray
+    size: float
+
+
 def distribute_forces(
     contacts: ContactSet, *, solver: str | None = None, **arguments: Unpack[ForceArguments]
 ) -> ForceSolution:
@@ -91,7 +112,7 @@ def distribute_forces(
 
     Args:
         contacts: n contacts; 0 is allowed.
-        solver: "daqp", or any that qpsolvers finds; None for OSQP, or for Clarabel if the cones are
+        solver: "daqp", or any that qpsolvers finds; None for DAQP, or for Clarabel if the cones are
             round.
         **arguments: Those of ``build_force_problem``: the ``wrench``, and what limits or costs
             forces.
@@ -114,15 +135,77 @@ def solve_force_problem(problem: ForceProblem, *, solver: str | None = None) -> 
         ContactError: Round cones and another solver than Clarabel.
         NotFoundError: No such solver is installed.
     """
-    round_cones = bool(problem.cone_sizes)
-    solver = solver or (CONE_SOLVER if round_cones else DEFAULT_SOLVER)
-    check_solver(solver, round_cones=round_cones)
+    solver = _solver_for(problem, solver)
+    if not problem.column_names:
+        return _judged(problem, np.zeros(0), "", "nothing to solve", 0.0)
+    begin = time.perf_counter()
+    qp = problem.dense_qp(problem.force_scale)
+    workspace = qp_workspace(solver, qp)
+    workspace.solve()
+    x, status = workspace.x, workspace.status
+    if not qp.violation(x) <= RESIDUAL_TOL:
+        x = Relaxation(qp, solver).solve(RESIDUAL_TOL)
+    return _judged(problem, _unscaled(problem, x), solver, status, time.perf_counter() - begin)
+
+
+def least_violation(problem: ForceProblem, *, solver: str | None = None) -> LeastViolation:
+    """Solve a problem, or what comes nearest to it: the least left over, then the least cost.
+
+    Args:
+        problem: What ``build_force_problem`` gave.
+        solver: As for ``distribute_forces``.
+
+    Raises:
+        ContactError: Round cones and another solver than Clarabel.
+        NotFoundError: No such solver is installed.
+    """
+    solution = solve_force_problem(problem, solver=solver)
+    if solution.found:
+        return LeastViolation(solution=solution, left_over=np.zeros(6), size=0.0)
+    solver, x = _solver_for(problem, solver), np.zeros(0)
     begin = time.perf_counter()
     if problem.column_names:
-        x, status = minimise(problem, solver)
-    else:
-        x, status, solver = np.zeros(0), "nothing to solve", ""
-    elapsed = time.perf_counter() - begin
+        relaxation = Relaxation(problem.dense_qp(problem.force_scale), solver)
+        x = relaxation.solve(RESIDUAL_TOL, exact=True)
+        if not relaxation.loose.violation(x) <= RESIDUAL_TOL:
+            return LeastViolation(solution=solution, left_over=problem.wrench, size=np.inf)
+    x = _unscaled(problem, x)
+    wrench = problem.rows[:6] @ x
+    balance = np.concatenate([wrench, problem.low[6:]]), np.concatenate([wrench, problem.high[6:]])
+    met = replace(problem, wrench=-wrench, low=balance[0], high=balance[1])
+    left = wrench + problem.wrench
+    return LeastViolation(
+        solution=_judged(met, x, solver, "least violation", time.perf_counter() - begin),
+        left_over=left,
+        size=float(np.linalg.norm(problem.row_scale[:6] * left)),
+    )
+
+
+def _solver_for(problem: ForceProblem, solver: str | None) -> str:
+    """The solver that is asked for, or the one for the problem's cones.
+
+    Raises:
+        ContactError: Round cones and another solver than Clarabel.
+    """
+    if not problem.cone_sizes:
+        return solver or DEFAULT_SOLVER
+    if solver not in (None, CONE_SOLVER):
+        raise ContactError(
+            f"solver {solver!r} cannot do round cones; leave it out for {CONE_SOLVER!r}, or use "
+            "pyramids (cone='inscribed')"
+        )
+    return CONE_SOLVER
+
+
+def _unscaled(problem: ForceProblem, x: FloatArray) -> FloatArray:
+    """Unknowns in N and N m; bounds hold exactly: a component without friction is 0, not 1e-15."""
+    return np.clip(problem.force_scale * problem.column_scale * x, problem.lower, problem.upper)
+
+
+def _judged(
+    problem: ForceProblem, x: FloatArray, solver: str, status: str, elapsed: float
+) -> ForceSolution:
+    """The verdict on unknowns (nx,), NaN where the solver gave nothing."""
     residuals = problem.residuals(x)
     found = bool(residuals.worst <= RESIDUAL_TOL * problem.force_scale)
     verdict, reason = FEASIBLE, ""
@@ -134,7 +217,8 @@ def solve_force_problem(problem: ForceProblem, *, solver: str | None = None) -> 
         )
         x = np.full(len(x), np.nan)
     forces = problem.contact_forces(x) if found else np.full((len(problem.contacts), 4), np.nan)
-    actuator_forces, stop_forces = _hand_forces(problem, x)
+    torques = problem.joint_torques(x)
+    actuator_forces, stop_forces = _hand_forces(problem, x, torques)
     return ForceSolution(
         problem=problem,
         found=found,
@@ -142,7 +226,7 @@ def solve_force_problem(problem: ForceProblem, *, solver: str | None = None) -> 
         cost=problem.value(x),
         forces=forces,
         contacts=problem.contacts.with_forces(forces),
-        joint_torques=problem.joint_torques(x),
+        joint_torques=torques,
         actuator_forces=actuator_forces,
         stop_forces=stop_forces,
         residuals=residuals,
@@ -155,15 +239,24 @@ def solve_force_problem(problem: ForceProblem, *, solver: str | None = None) -> 
     )
 
 
-def _hand_forces(problem: ForceProblem, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Actuator forces (nu,) and stop multipliers (ns,), idle joints holding gravity alone."""
-    actuation, q = problem.actuation, problem.q
-    if actuation is None or q is None:
+def _hand_forces(
+    problem: ForceProblem, x: FloatArray, torques: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Actuator forces (nu,) and stop forces (ns,), joints outside the problem holding gravity."""
+    limits, q = problem.torque_limits, problem.q
+    if limits is None or q is None:
         return np.zeros(0), np.zeros(0)
-    idle = problem.gravity_torque.copy()
-    idle[problem.joints] = 0.0
-    force, stops = actuation.split_torque(q, idle)
-    first_stop = problem.n_force + len(problem.actuators)
-    force[problem.actuators] = x[problem.n_force : first_stop]
-    stops[problem.stops] = x[first_stop : problem.n_drive]
-    return force, stops
+    actuation = limits.actuation
+    nu, ns = len(actuation.names), len(actuation.stop_names)
+    if not np.isfinite(torques).all():
+        return np.full(nu, np.nan), np.full(ns, np.nan)
+    made = limits.shares(torques, x[len(x) - problem.n_extra :])
+    inside = np.zeros(len(torques), dtype=np.bool_)
+    inside[problem.joints] = True
+    idle = actuation.split_torque(q, np.where(inside, 0.0, problem.gravity_torque))
+    tables = actuation.moment, actuation.stop_rows
+    actuators, stops = (
+        np.where((table[:, inside] != 0).any(axis=1), mine, others)
+        for table, mine, others in zip(tables, made, idle, strict=True)
+    )
+    return actuators, stops

@@ -37,8 +37,8 @@ class ArmDescription(StrictData):
         quaternion_wxyz: The base's orientation in that site.
         base_position: Where the arm's root stands unless a task says otherwise, from the point of
             the table below the object's centre of mass, m, world axes.
-        ready: Posture, rad (m for slides), from which the arm sets out in thought: inverse
-            kinematics starts there, and synthesis keeps near it where it can.
+        ready: Posture, rad (m for slides), where inverse kinematics starts; synthesis stays near it
+            where it can.
     """
 
     model: str
@@ -61,7 +61,7 @@ class MountDescription(StrictData):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Arm:
-    """What carries a hand: the joints between its root, which stands fixed, and the palm.
+    """The arm that carries a hand: the joints between its fixed root and the palm.
 
     Attributes:
         index: Where its joints stand in q, (n,).
@@ -91,7 +91,7 @@ class Mount:
 
     Attributes:
         path: The file.
-        description: What it says.
+        description: Its content.
     """
 
     path: Path

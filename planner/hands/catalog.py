@@ -34,7 +34,7 @@ __all__ = [
 DESCRIPTION_FILE = "hand.toml"
 
 MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf")
-"""How the name of a file ends that is a model and not its description."""
+"""Suffixes of model files, as opposed to descriptions."""
 
 PACKAGE_SCHEME = "package:"
 """``package:PACKAGE/PATH`` is a file inside an installed Python package."""
@@ -166,10 +166,10 @@ def model_file(model: str, folder: Path) -> Path:
 
 
 def _how_to_install(package: str) -> str:
-    """What is said of a package without files: a command for those that we know, else none.
+    """Message about a package without files: an install command for known packages only.
 
-    The name may come out of a file that somebody else wrote; a command to install it would run
-    whatever anybody uploaded under that name.
+    The name may come from a file of unknown origin; a command to install it would run any code that
+    was uploaded under that name.
     """
     if package in sys.stdlib_module_names:
         return "is a module of Python itself, which has no models; correct the name"

@@ -20,7 +20,7 @@ NOT_CACHED = "is not cached, and a file that is read downloads nothing; if you t
 """Message about a model that a file names and that is not cached."""
 
 _no_transport = Held("GIT_ALLOW_PROTOCOL", "none")
-"""With it git neither clones nor fetches, by any protocol; what is on the disk it reads."""
+"""While it is held, git neither clones nor fetches, by any protocol, but reads local files."""
 
 
 def menagerie_model(name: str, *, download: bool) -> Path:

@@ -44,7 +44,8 @@ class Pad:
         radius: m.
         half_angle: rad; contact points lie within this cone about the axis.
         rolling_axis: (3,), unit: middle of the cone within which contacts may roll.
-        rolling_half_angle: rad; of that cone. Both are those above where none is described.
+        rolling_half_angle: rad; of that cone. Without a description, both equal ``axis`` and
+            ``half_angle``.
     """
 
     geom: str

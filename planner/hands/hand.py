@@ -201,7 +201,7 @@ class Hand:
         return kept
 
     def described_posture(self, name: str) -> FloatArray:
-        """A posture as q (nq,) to the letter of the description, whatever the couplings say.
+        """A posture as q (nq,) exactly as described, even where it violates couplings.
 
         Raises:
             NotFoundError: No such posture, or it names a joint that does not exist.

@@ -1,13 +1,9 @@
 """Inverse kinematics of the arm that carries a hand: damped least squares within the joint limits.
 
-With e the twist from the palm's pose to the wanted one and J its Jacobian over the arm's joints,
-both in the palm's frame and rotations weighed by ``LEVER``, one step is
-
-    dq = J^T (J J^T + (|e|^2 + DAMPING) I)^-1 e
-
-(Levenberg and Marquardt with a damping that vanishes with the error: Sugihara 2011, "Solvability-
-unconcerned inverse kinematics by the Levenberg-Marquardt method"). A joint that a step would take
-beyond its limit is put on the limit and the others take the step again without it.
+The task of a step (``planner.numerics.ik_step``) is the twist e from the palm's pose to the wanted
+one, with its Jacobian over the arm's joints, both in the palm's frame and rotations weighed by
+``LEVER``; the damping |e|^2 + ``DAMPING`` vanishes with the error (Sugihara 2011, "Solvability-
+unconcerned inverse kinematics by the Levenberg-Marquardt method").
 
 One start can end in a local minimum, so ``reach`` tries several: the given posture, then random
 ones that are always the same.
@@ -23,6 +19,7 @@ import pinocchio as pin
 from planner.errors import HandError
 from planner.hands.arm import Arm
 from planner.hands.hand import Hand
+from planner.numerics.ik_step import Task, ik_step
 from planner.spatial import SE3, FloatArray
 
 __all__ = ["POSITION_TOL", "ROTATION_TOL", "Reach", "follow", "palm_pose", "reach", "straight_path"]
@@ -124,9 +121,9 @@ def follow(hand: Hand, T_base_palm: SE3, q: FloatArray) -> Reach:
             best = now
         if now.there:
             break
-        q[chain] = _step(
-            weight[:, None] * jacobian[:, chain], weight * error, q[chain], lower, upper
-        )
+        task = Task(weight[:, None] * jacobian[:, chain], weight * error)
+        damping = float(task.error @ task.error) + DAMPING
+        q[chain] = ik_step(task, q[chain], lower, upper, damping=damping)
     return best
 
 
@@ -158,28 +155,6 @@ def palm_pose(hand: Hand, q: FloatArray) -> SE3:
     data = hand.pin_model.createData()
     pin.framesForwardKinematics(hand.pin_model, data, np.asarray(q))
     return SE3(data.oMf[hand.palm_frame_id])
-
-
-def _step(
-    jacobian: FloatArray, error: FloatArray, q: FloatArray, lower: FloatArray, upper: FloatArray
-) -> FloatArray:
-    """Joints (n,) after one step within their limits."""
-    free = np.ones(len(q), dtype=bool)
-    new = q
-    for _ in range(len(q)):
-        part = jacobian[:, free]
-        gram = part @ part.T + (error @ error + DAMPING) * np.eye(6)
-        new = q.copy()
-        new[free] += part.T @ np.linalg.solve(gram, error)
-        beyond = free & ((new < lower) | (new > upper))
-        new = np.clip(new, lower, upper)
-        # a joint that has moved on to its limit has done what it can; only one that stands there
-        # already takes nothing of the step
-        stuck = beyond & (new == q)
-        if not stuck.any():
-            break
-        free &= ~stuck
-    return new
 
 
 def _arm(hand: Hand) -> Arm:

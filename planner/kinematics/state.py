@@ -1,7 +1,8 @@
 """``HandState``: forward kinematics and Jacobians of a hand at one q, by Pinocchio.
 
-A ``HandState`` proves that the kinematics at its q has been computed. Everything is expressed in
-the hand's base frame; multiply by ``T_world_base`` to see it from the world.
+A ``HandState`` proves that the kinematics at its q has been computed, and stays there; a
+``MovingHand`` answers the same questions and goes from one q to the next. Everything is expressed
+in the hand's base frame; multiply by ``T_world_base`` to see it from the world.
 """
 
 from __future__ import annotations
@@ -17,29 +18,20 @@ from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.spatial import SE3, FloatArray, IntArray, skew
 
-__all__ = ["HandState", "MovingHand", "joint_axes"]
+__all__ = ["HandKinematics", "HandState", "MovingHand", "joint_axes"]
 
 
-class HandState:
-    """A hand at one configuration.
+class HandKinematics:
+    """What can be asked of a hand whose kinematics have been computed at a configuration.
 
     Attributes:
         hand: The hand.
-        q: Read-only copy of the configuration (nq,), rad or m.
+        q: The configuration (nq,), rad or m; read-only.
     """
 
-    def __init__(self, hand: Hand, q: FloatArray) -> None:
-        """Compute placements and joint Jacobians at q (nq,).
-
-        Raises:
-            HandError: ``q`` has another shape, or is not finite.
-        """
-        self.hand = hand
-        self.q = finite_array("q", q, (hand.nq,), error=HandError)
-        self.q.flags.writeable = False
-        self.pin_data: Any = hand.pin_model.createData()
-        pin.computeJointJacobians(hand.pin_model, self.pin_data, self.q)
-        pin.updateFramePlacements(hand.pin_model, self.pin_data)
+    hand: Hand
+    q: FloatArray
+    pin_data: Any
 
     @property
     def T_base_palm(self) -> SE3:
@@ -128,6 +120,53 @@ class HandState:
         return np.array(-moving_mass * com_jacobian.T @ gravity_base)
 
 
+class HandState(HandKinematics):
+    """A hand at one configuration, which never changes."""
+
+    def __init__(self, hand: Hand, q: FloatArray) -> None:
+        """Compute placements and joint Jacobians at q (nq,).
+
+        Raises:
+            HandError: ``q`` has another shape, or is not finite.
+        """
+        self.hand = hand
+        self.q = finite_array("q", q, (hand.nq,), error=HandError)
+        self.pin_data = hand.pin_model.createData()
+        self.q.flags.writeable = False
+        _compute(self)
+
+
+class MovingHand(HandKinematics):
+    """A hand that is moved from one configuration to the next, in Pinocchio data made once.
+
+    Making the data takes 0.1 ms, the kinematics 3 us. What is asked of it holds until it is moved:
+    keep a ``HandState`` where that is too short.
+    """
+
+    def __init__(self, hand: Hand, q: FloatArray) -> None:
+        """Begin at q (nq,).
+
+        Raises:
+            HandError: ``q`` has another shape, or is not finite.
+        """
+        self.hand = hand
+        self.pin_data = hand.pin_model.createData()
+        self.move(finite_array("q", q, (hand.nq,), error=HandError))
+
+    def move(self, q: FloatArray) -> MovingHand:
+        """Go to q (nq,); returns itself."""
+        self.q = np.array(q, dtype=np.float64)
+        self.q.flags.writeable = False
+        _compute(self)
+        return self
+
+
+def _compute(state: HandKinematics) -> None:
+    """Placements and joint Jacobians where it is now."""
+    pin.computeJointJacobians(state.hand.pin_model, state.pin_data, state.q)
+    pin.updateFramePlacements(state.hand.pin_model, state.pin_data)
+
+
 def joint_axes(pin_model: Any) -> FloatArray:
     """Motion subspaces (njoints, 6), [linear; angular] in each joint's frame; row 0 is zero.
 
@@ -145,19 +184,3 @@ def joint_axes(pin_model: Any) -> FloatArray:
         jac = pin.getJointJacobian(pin_model, data, j, pin.ReferenceFrame.LOCAL)
         out[j] = jac[:, pin_model.joints[j].idx_v]
     return out
-
-
-class MovingHand(HandState):
-    """A hand that is moved from one configuration to the next, in Pinocchio data made once.
-
-    Making the data takes 0.1 ms, the kinematics 3 us. What is asked of it holds until it is moved:
-    keep a ``HandState`` where that is too short.
-    """
-
-    def move(self, q: FloatArray) -> MovingHand:
-        """Go to q (nq,); returns itself."""
-        self.q = np.array(q, dtype=np.float64)
-        self.q.flags.writeable = False
-        pin.computeJointJacobians(self.hand.pin_model, self.pin_data, self.q)
-        pin.updateFramePlacements(self.hand.pin_model, self.pin_data)
-        return self

@@ -1,14 +1,13 @@
 """Joints between two knots: the pads roll evenly from contact to contact over the object's surface.
 
-With joints that move evenly the pads would leave the surface by up to a millimetre, and slide.
-Here the centre of every pad is led along the object, one radius off its surface; the joints follow
-by the least steps,
+If joints were interpolated evenly, the pads would leave the surface by up to a millimetre, and
+slide. Here the path of every pad's centre is given, one radius off the object's surface, and the
+joints follow by least steps (``planner.numerics.ik_step``),
 
     min |dq|  s.t.  J_i dq = wanted_i - c_i,   C dq = d - C q.
 
-First the centres go evenly from knot to knot. How far the tips would then roll from place to place
-(``planner.motion.rolling``) tells how far the centres have to go there, and they are led again,
-until both agree.
+The first path is even from knot to knot. The distance that the tips roll on it from place to place
+(``planner.motion.rolling``) gives the next path, until both agree.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from planner.kinematics.state import MovingHand
+from planner.numerics.ik_step import Task, ik_step
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 
@@ -35,9 +35,9 @@ RCOND = 1e-3
 follow exactly, and need not for a fraction of a millimetre."""
 
 STEADY_TOL, MOST_LAPS = 2e-5, 10
-"""The centres are led where tips roll to until that moves by no more than this (m), but no more
-often than that. Three laps do; without mixing a thumb with a joint to spare, which turns another
-way each time, needs eight, and slid by 0.5 mm between knots after two."""
+"""Change of the path (m) that ends the iteration, and most iterations. Three are usual. Without
+Anderson mixing a thumb with a redundant joint, which turns another way each time, needs eight, and
+slides by 0.5 mm between knots after two."""
 
 
 def interpolate_rolling(
@@ -150,6 +150,6 @@ def _follow(
             moving.point_jacobian(f.pad.joint_id, c)[:3]
             for f, c in zip(task.fingers, now, strict=True)
         ]
-        step = np.linalg.lstsq(np.vstack([*rows, matrix])[:, index], missing, rcond=RCOND)[0]
-        q[index] = np.clip(q[index] + step, hand.q_lower[index], hand.q_upper[index])
+        reach = Task(np.vstack([*rows, matrix])[:, index], missing)
+        q[index] = ik_step(reach, q[index], hand.q_lower[index], hand.q_upper[index], rcond=RCOND)
     return q

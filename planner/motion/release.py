@@ -1,6 +1,6 @@
-"""How a hand lets go after a motion: fingers opened where the motion ends, and a way out.
+"""The release after a motion: fingers opened where the motion ends, and a straight way out.
 
-The same as a way into a grasp, backwards, and planned by the same code. When the motion has ended
+It is an approach backwards, planned by the same code. When the motion has ended
 the table is as far below the object's lowest point as it was at first. Obstacles carry the object
 if they did, as high as it lies on them turned as it is then.
 """

@@ -1,11 +1,11 @@
 """From a start to a motion by least squares: a given path, or as much of it as there is.
 
-A start is a grasp of the object in the middle of its path. For a given path all of it is asked for
-at once: the first residuals are centimetres, and the descent takes them back. Asking for it in
+A start is a grasp of the object in the middle of its path. A given path is asked for at once
+(``solve_path``): the first residuals are centimetres, and the solver removes them. Asking for it in
 steps costs half as much again and finds hardly more (20 instead of 19 of 20 starts, Allegro-type
-hand, 95 degrees). For as much as there is the share of the path is an unknown that a residual pulls
-at; then the share is fixed a little below where the terms held it, and a last descent is for the
-terms alone.
+hand, 95 degrees). To go as far as possible (``maximise_path``) the path parameter is an unknown
+with a residual that pulls at it; then it is fixed a little below where the terms held it, and the
+terms alone are solved again.
 
 IPOPT got the same programme (five knots, 192 unknowns, even without clearances) and was not done
 after 150 iterations and a second, from any of four starts; descents took a quarter of that, with

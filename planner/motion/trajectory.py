@@ -11,9 +11,8 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from planner.errors import TaskError
-from planner.paths import smooth
 from planner.plan import GraspPlan, JointTrajectory
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, minimum_jerk
 
 __all__ = ["JOINT_RATE", "TURN_RATE", "TrajectoryBuilder"]
 
@@ -115,7 +114,7 @@ class TrajectoryBuilder:
     def _shares(self, duration: float) -> FloatArray:
         """Shares (k,) of a piece that have passed at its samples, without its beginning."""
         n = max(1, int(np.ceil(duration * self._rate_hz)))
-        return smooth(np.linspace(0.0, 1.0, n + 1)[1:])
+        return minimum_jerk(np.linspace(0.0, 1.0, n + 1)[1:])
 
     def _add(self, phase: str, duration: float, q: FloatArray, bases: list[SE3]) -> None:
         end = float(self._times[-1][-1])

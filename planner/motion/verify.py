@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from planner.collision.pad_contact import PadTouch, pad_touches, touching_of
+from planner.collision.pad_contact import PadContact, pad_contact_queries, pad_contacts
 from planner.collision.world import Clearance, CollisionWorld
 from planner.failure import Failure
 from planner.motion.interpolation import interpolate_rolling
@@ -125,9 +125,9 @@ class MotionVerifier:
         """
         start = self._task.T_world_object if T_world_start is None else T_world_start
         out: list[Knot] = []
-        before: tuple[Place, list[PadTouch]] | None = None
+        before: tuple[Place, list[PadContact]] | None = None
         for place in places:
-            touches = pad_touches(self._lifted, self._base(place), place.q)
+            touches = pad_contacts(self._lifted, self._base(place), place.q)
             wanted = path.pose(start, place.place)
             knot = self._knot(place, touches, T_world_base, wanted, path_tolerance, before)
             if isinstance(knot, Failure):
@@ -168,11 +168,11 @@ class MotionVerifier:
     def _knot(
         self,
         place: Place,
-        touches: list[PadTouch],
+        touches: list[PadContact],
         T_world_base: SE3,
         wanted: SE3,
         path_tolerance: float,
-        before: tuple[Place, list[PadTouch]] | None,
+        before: tuple[Place, list[PadContact]] | None,
     ) -> Knot | Failure:
         """One knot if it holds, and if the way there from the one before does; else why not."""
         task = self._lifted
@@ -216,7 +216,7 @@ class MotionVerifier:
         )
 
     def _slips(
-        self, before: tuple[Place, list[PadTouch]], after: tuple[Place, list[PadTouch]]
+        self, before: tuple[Place, list[PadContact]], after: tuple[Place, list[PadContact]]
     ) -> FloatArray:
         """How far each pad slides from one knot to the next, m."""
         (old, old_touches), (new, new_touches) = before, after
@@ -236,8 +236,10 @@ class MotionVerifier:
         pose = _between(before.T_object_base, after.T_object_base, 0.5)
         middle = Place(place=0.5, T_object_base=pose, q=(before.q + after.q) / 2)
         base = self._base(middle)
-        touches = pad_touches(self._lifted, base, middle.q)
-        nearest = self._free.closest(base, middle.q, 1, touching=touching_of(self._lifted).names)
+        touches = pad_contacts(self._lifted, base, middle.q)
+        nearest = self._free.closest(
+            base, middle.q, 1, may_touch=pad_contact_queries(self._lifted).names
+        )
         within = [c for c in nearest if c.distance < -BETWEEN_PENETRATION]
         return max(abs(t.pad_gap) for t in touches), within[0] if within else None
 

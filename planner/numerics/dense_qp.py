@@ -1,21 +1,21 @@
-"""``DenseQp``: a quadratic programme in arrays that are written in place; what keeps a solver.
+"""``DenseQp``: a quadratic programme in arrays that are written in place, for warm-started solvers.
 
-One size and one pattern of zeros. Whoever writes P, q or A says so (``new_p``, ``new_q``,
-``new_a``), so that a solver that is kept (``planner.numerics.warm_started``) is told of no more
-than that; limits may change every time.
+Size and pattern of zeros stay. Whoever writes P, q or A says so (``new_p``, ``new_q``, ``new_a``),
+so that a solver (``planner.numerics.qp_workspace``) is told of no more than that; limits may change
+every time.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+import qpsolvers
+from scipy.sparse import csc_matrix
 
 from planner.spatial import FloatArray
 
-__all__ = ["DenseQp", "KeptSolver", "SolverBase"]
+__all__ = ["DenseQp"]
 
 
 class DenseQp:
@@ -32,31 +32,34 @@ class DenseQp:
         low, high: (m,), views of the second part; equal for an equality.
         value: (n + m,), the unknowns and rows at which ``violation`` was last taken.
         equalities: How many of the first rows of A are always equalities.
-        pattern: (m, n), where A may ever differ from 0.
+        cones: (mc, n), blocks of rows [head; tail ...] with head >= |tail|; none unless written.
+        cone_sizes: Rows of each block.
         new_p, new_q, new_a: What was written since a solver last read it.
     """
 
-    def __init__(self, pattern: NDArray[np.bool_], equalities: int) -> None:
-        """A programme with P = 1, A = 0 and no limits."""
-        m, n = pattern.shape
+    def __init__(self, n: int, m: int, equalities: int) -> None:
+        """A programme of n unknowns and m rows with P = 1, A = 0 and no limits."""
         self.p, self.q, self.table = np.eye(n), np.zeros(n), np.eye(n + m, n)
         self.a = self.table[n:]
         self.limits = np.tile([[-np.inf], [np.inf]], n + m)
         self.least, self.most = self.limits
         self.lower, self.low = self.least[:n], self.least[n:]
         self.upper, self.high = self.most[:n], self.most[n:]
-        self.equalities, self.pattern = equalities, pattern
+        self.equalities = equalities
+        self.cones, self.cone_sizes = np.zeros((0, n)), tuple[int, ...]()
         self.new_p = self.new_q = self.new_a = True
         self.value, self._apart = np.zeros(n + m), np.zeros((2, n + m))
         self._under, self._over = self._apart
 
     def violation(self, x: FloatArray) -> float:
-        """Largest violation of a row or a bound at x (n,); infinite for NaN."""
+        """Largest violation of a row, a bound or a cone at x (n,); infinite for NaN."""
         np.dot(self.table, x, out=self.value)
         np.subtract(self.value, self.limits, out=self._apart)
         under = self._under[self._under.argmin()]  # NaN is less and greater than any number here
         over = self._over[self._over.argmax()]
         worst = float(over if over > -under or math.isnan(over) else -under)
+        if self.cone_sizes:
+            worst = max(worst, self._outside_cones(x))
         return max(worst, 0.0) if math.isfinite(worst) else math.inf
 
     def dual_residual(self, x: FloatArray, duals: FloatArray) -> float:
@@ -74,50 +77,38 @@ class DenseQp:
         wrong_down = np.where(np.isfinite(self.least), 0.0, np.maximum(-ordered, 0.0))
         return float(np.max([np.abs(slope).max(), wrong_up.max(), wrong_down.max()]))
 
+    def without_equalities(self) -> DenseQp:
+        """A copy without its first rows, the equalities."""
+        k, n = self.equalities, len(self.q)
+        other = DenseQp(n, len(self.a) - k, 0)
+        other.p[:], other.q[:], other.a[:] = self.p, self.q, self.a[k:]
+        other.limits[:] = np.delete(self.limits, slice(n, n + k), axis=1)
+        other.cones, other.cone_sizes = self.cones, self.cone_sizes
+        return other
 
-class KeptSolver(Protocol):
-    """A solver made for one ``DenseQp``; the next call sees what was written meanwhile."""
+    def to_qpsolvers(self, *, sparse: bool = False, unit: float = 1.0) -> qpsolvers.Problem:
+        """The programme for qpsolvers, without cones: G = [A; -A] of the rows with such limits.
 
-    x: FloatArray
-    """The last answer (n,), NaN where there is none; another array after the next call."""
-    iterations: int
-    """Iterations of the last call, -1 where the solver does not say."""
-    status: str
-    """What it said (informative only)."""
+        Args:
+            sparse: Whether matrices are scipy.sparse.csc_matrix.
+            unit: Of the unknowns: its answer times this is the minimiser.
+        """
+        matrix = csc_matrix if sparse else np.asarray
+        k = self.equalities
+        low, high = self.low[k:], self.high[k:]
+        up, down = np.isfinite(high), np.isfinite(low)
+        return qpsolvers.Problem(
+            P=matrix(self.p),
+            q=self.q / unit,
+            G=matrix(np.vstack([self.a[k:][up], -self.a[k:][down]])),
+            h=np.concatenate([high[up], -low[down]]) / unit,
+            A=matrix(self.a[:k]) if k else None,
+            b=self.low[:k] / unit if k else None,
+            lb=self.lower / unit,
+            ub=self.upper / unit,
+        )
 
-    @property
-    def duals(self) -> FloatArray:
-        """Multipliers (m + n,) of rows and bounds: P x + q + A'y + z = 0, >= 0 at upper limits."""
-
-    def solve(self) -> bool:
-        """Solve what the programme holds now; whether the solver claims an answer."""
-
-
-class SolverBase:
-    """What kept solvers have in common: where the answer goes."""
-
-    def __init__(self, qp: DenseQp) -> None:
-        """For one programme, which is kept, not copied."""
-        self.qp = qp
-        m, n = qp.a.shape
-        self._no_x, self._no_duals = np.full(n, np.nan), np.full(m + n, np.nan)
-        self.x = self._no_x
-        self._bounds, self._rows = self._no_duals[m:], self._no_duals[:m]
-        self.iterations, self.status = -1, ""
-
-    @property
-    def duals(self) -> FloatArray:
-        """Multipliers (m + n,) of rows and bounds, put together when they are asked for."""
-        return np.concatenate([self._rows, self._bounds])
-
-    def answer(self, x: FloatArray, rows: FloatArray, bounds: FloatArray) -> bool:
-        """Keep an answer (n,) and the multipliers of rows (m,) and bounds (n,); True."""
-        self.x, self._rows, self._bounds = x, rows, bounds
-        return True
-
-    def nothing(self, status: str) -> bool:
-        """There is no answer; False."""
-        m = len(self.qp.a)
-        self.x, self._rows, self._bounds = self._no_x, self._no_duals[:m], self._no_duals[m:]
-        self.status = status
-        return False
+    def _outside_cones(self, x: FloatArray) -> float:
+        """Largest |tail| - head."""
+        blocks = np.split(self.cones @ x, np.cumsum(self.cone_sizes)[:-1])
+        return max(float(np.linalg.norm(b[1:]) - b[0]) for b in blocks)

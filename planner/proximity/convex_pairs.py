@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from planner.proximity.convex import FAILED, DistancePair, distance_request
 from planner.spatial import SE3, FloatArray, IntArray
 
-__all__ = ["GeometryPairs", "Lying"]
+__all__ = ["GeometryPairs", "PairQuery"]
 
 Chosen = NDArray[np.bool_]
 """Which pairs, (n_pairs,)."""
 
-Lying = tuple[IntArray, FloatArray, FloatArray]
+PairQuery = tuple[IntArray, FloatArray, FloatArray]
 """Numbers of pairs (k,), their distances (k,), m, and (k, 9): the nearest points of both and the
 normal from one to the other, base axes."""
 
@@ -103,19 +103,19 @@ class GeometryPairs:
         pin.computeDistances(self._model, data)
         return self._read(data, np.flatnonzero(which))
 
-    def near(self, which: Chosen, limit: float) -> Lying:
+    def near(self, which: Chosen, limit: float) -> PairQuery:
         """How those of the pairs told lie that are nearer than a limit (m)."""
         values = self.distances(which)
         numbers = np.flatnonzero(which)[values < limit]
         results = self._measured[which.tobytes()].distanceResults
-        lying = _lying(numbers, values[values < limit], [results[int(k)] for k in numbers])
+        lying = _pair_query(numbers, values[values < limit], [results[int(k)] for k in numbers])
         told = np.isfinite(lying[2]).all(axis=1)  # coal has no points where it failed
         return lying[0][told], lying[1][told], lying[2][told]
 
-    def at(self, numbers: IntArray) -> Lying:
+    def at(self, numbers: IntArray) -> PairQuery:
         """How pairs lie by their numbers (k,), however far; NaN where coal failed."""
         results = [pin.computeDistance(self._model, self._placed, int(k)) for k in numbers]
-        return _lying(numbers, np.array([r.min_distance for r in results]), results)
+        return _pair_query(numbers, np.array([r.min_distance for r in results]), results)
 
     @property
     def count(self) -> int:
@@ -171,7 +171,7 @@ class GeometryPairs:
         return self._exact[k].distance(self._placed.oMg[a], self._placed.oMg[b])
 
 
-def _lying(numbers: IntArray, values: FloatArray, results: list[Any]) -> Lying:
+def _pair_query(numbers: IntArray, values: FloatArray, results: list[Any]) -> PairQuery:
     rows = np.empty((len(numbers), 9))
     for row, found in zip(rows, results, strict=True):
         row[:3], row[3:6] = found.getNearestPoint1(), found.getNearestPoint2()

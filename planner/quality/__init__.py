@@ -15,7 +15,7 @@ from planner.quality.closure import (
     force_closure,
     min_weight,
 )
-from planner.quality.cones import RoundCones, cone_edges, primitive_wrenches
+from planner.quality.cones import RoundCones, primitive_wrenches
 from planner.quality.interval import Interval, ball_interval, epsilon_linf, epsilon_round
 from planner.quality.isotropy import isotropy, singular_values, smallest_singular_value
 from planner.quality.report import QualityReport, analyse, closure_and_epsilon
@@ -30,7 +30,6 @@ __all__ = [
     "ball_interval",
     "closure_and_epsilon",
     "closure_of_wrenches",
-    "cone_edges",
     "epsilon_frogger",
     "epsilon_l1",
     "epsilon_linf",

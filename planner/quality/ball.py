@@ -17,9 +17,9 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from planner.arrays import checked_count, float_array
-from planner.contacts import MIN_EDGES, ContactSet
+from planner.contacts import MIN_EDGES, ContactSet, Pyramid
 from planner.errors import ContactError
-from planner.quality.cones import Cone, check_length, primitive_wrenches
+from planner.quality.cones import check_length, primitive_wrenches
 from planner.spatial import FloatArray
 
 __all__ = [
@@ -83,7 +83,7 @@ def epsilon_l1(
     *,
     length: float,
     edges: int = 8,
-    cone: Cone = "inscribed",
+    cone: Pyramid = "inscribed",
     phase: float = 0.0,
 ) -> float:
     """Epsilon of the discretised cones with unit normal components: the normal forces sum to 1.

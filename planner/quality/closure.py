@@ -25,11 +25,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import linprog
 
 from planner.contacts import ContactSet
 from planner.errors import ContactError, PlannerError
-from planner.numerics.programme import programme
+from planner.numerics.lp import solve_lp
 from planner.plain import finite
 from planner.quality.cones import primitive_wrenches
 from planner.spatial import FloatArray
@@ -43,13 +42,6 @@ rank 6 by contacts 30 nm out of line has no closure that anyone can use."""
 WEIGHT_TOL = 1e-7
 """Normalised min-weight that counts as positive must exceed this (-): a hundred times the error of
 the linear programme, and far below any useful value (planning asks for 0.1 and more)."""
-
-GAP_TOL = 1e-7
-"""Largest gap between the min-weight that weights reach and the bound of the dual, by the larger of
-the normalised weight and 1 (-): a check of the solver; 1e-12 is usual."""
-
-_LP_OPTIONS = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
-"""HiGHS at its tightest."""
 
 _NEGLIGIBLE = 1e-6
 """Components below this share of a direction are left out of the prose that describes it (-)."""
@@ -204,32 +196,21 @@ def _solve(basis: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         return -np.inf, np.zeros(m), sums
     rows = np.vstack([np.column_stack([basis, sums]), np.append(np.ones(m), m)])
     target = np.append(np.zeros(rank), 1.0)
-    cost = np.append(np.zeros(m), -1.0)
     lower = np.append(np.zeros(m), -np.inf)
-    quick = programme("proximal", m + 1, rank + 1)
-    x = quick.solve(g=cost, a=rows, lba=target, uba=target, lbx=lower, ubx=np.full(m + 1, np.inf))
-    if x is not None:
-        # -l is minimised, so the prices are minus the dual variables of the maximum.
-        weight, a = _on_rows(basis, x)
-        y = -quick.row_prices[:rank]
-        if _gap(basis, weight, y) <= GAP_TOL * max(1.0, m * abs(weight)):
-            return weight, a, y
-    # rare, where the weights are huge: without friction, or with contacts on one line
-    solved = linprog(
-        cost,
-        A_eq=rows,
-        b_eq=target,
-        bounds=np.column_stack([lower, np.full(m + 1, np.inf)]),
-        method="highs-ds",
-        options=_LP_OPTIONS,
+    # -l is minimised, so the multipliers are minus the dual variables of the maximum
+    found = solve_lp(
+        np.append(np.zeros(m), -1.0),
+        rows,
+        np.column_stack([target, target]),
+        np.column_stack([lower, np.full(m + 1, np.inf)]),
     )
-    if solved.status != 0:
+    if found is None:
         raise PlannerError(
-            f"HiGHS gave up on the min-weight programme ({solved.message}); it always has a "
-            "solution: report these contacts, and try another number of edges"
+            "the min-weight programme, which always has a solution, was called infeasible; report "
+            "these contacts, and try another number of edges"
         )
-    weight, a = _on_rows(basis, solved.x)
-    return weight, a, -solved.eqlin.marginals[:rank]
+    weight, a = _on_rows(basis, found.x)
+    return weight, a, -found.row_duals[:rank]
 
 
 def _on_rows(basis: FloatArray, x: FloatArray) -> tuple[float, FloatArray]:
@@ -238,17 +219,6 @@ def _on_rows(basis: FloatArray, x: FloatArray) -> tuple[float, FloatArray]:
     a = a - basis.T @ (basis @ a)
     a = a / a.sum()
     return float(a.min()), a
-
-
-def _gap(basis: FloatArray, weight: float, y: FloatArray) -> float:
-    """How much larger l* might be than ``weight``, given any dual y (r,).
-
-    l* <= z - b.(P'y + z): what the weights reach less is the error.
-    """
-    m = basis.shape[1]
-    z = (1.0 - y @ basis.sum(axis=1)) / m
-    short = max(0.0, -float((basis.T @ y + z).min()))
-    return float(z + short * (1.0 - m * weight) - weight)
 
 
 def _lever_arm(w: FloatArray) -> float:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from planner.contacts import cone_edges
 from planner.spatial import FloatArray
 
 __all__ = ["first_apart", "weakest_directions", "wrench_faces"]
@@ -49,9 +50,9 @@ def wrench_faces(points: FloatArray, inward: FloatArray, mu: float, length: floa
     first = np.cross(inward, np.eye(3)[least])
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = np.cross(inward, first)
-    turn = 2 * np.pi * np.arange(EDGES) / EDGES
-    across = np.cos(turn)[:, None, None] * first + np.sin(turn)[:, None, None] * second
-    force = inward + mu * across
+    _, *tangential, _ = cone_edges(1.0, 0.0, EDGES)
+    one, two = (side[:, None, None] for side in tangential)
+    force = inward + mu * (one * first + two * second)
     wrenches = np.concatenate([force, np.cross(points / length, force)], axis=2).reshape(-1, 6)
     try:
         faces = np.asarray(ConvexHull(wrenches).equations)

@@ -45,7 +45,7 @@ class Shape(ABC):
 
     Attributes:
         kind: Name of the kind, for example "box".
-        size_names: What the numbers of a specification are, in its order.
+        size_names: Names of the numbers of a specification, in its order.
         pure_numbers: Those of ``size_names`` that are numbers, not lengths.
         default_sizes: The numbers of a specification that is the name alone.
         convex: Whether every shape of this kind is; a mesh need not be.
@@ -151,6 +151,20 @@ class Shape(ABC):
         """
         n = len(points)
         return np.zeros(n), np.full(n, np.inf)
+
+    def normal_dispersion(
+        self, points: FloatArray, radius: float, *, facing: FloatArray | None = None
+    ) -> FloatArray:
+        """How much the outward normals around contacts differ (n,), rad: large on an edge.
+
+        0 where patches keep contacts off edges (``surface``), as here.
+
+        Args:
+            points: Surface points (n, 3), m.
+            radius: How far around them, m.
+            facing: Outward normals (n, 3) at the points; normals of an opposite side do not count.
+        """
+        return np.zeros(len(points))
 
     @abstractmethod
     def closest_point(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:

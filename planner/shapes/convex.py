@@ -48,7 +48,7 @@ def convex_geometry(corners: FloatArray) -> Any:
 
 
 TOO_MANY = "Too many neighbors"
-"""What coal says of a corner that has more neighbours than it can count."""
+"""coal's message about a corner with too many neighbours."""
 
 
 def _coal_hull(corners: FloatArray, options: str) -> Any | None:

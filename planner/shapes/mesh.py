@@ -1,6 +1,7 @@
 """Solids bounded by triangles: convex or not, of one body or several, with cavities.
 
-Every query is on the true triangles. ``Mesh.field`` is the smooth distance for synthesis.
+Every query is on the true triangles. ``Mesh.field`` is the smooth distance for contact
+synthesis.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class MeshSource:
 
 
 OPPOSITE = -0.5
-"""Cosine between normals below which one looks the other way: 120 degrees."""
+"""Cosine between opposite normals, at most: 120 degrees."""
 
 PLANE_DIGITS = 9
 """Decimal digits to which planes of the hull are equal: a nanometre."""
@@ -144,12 +145,12 @@ class Mesh(Shape):
 
     @classmethod
     def from_sizes(cls, sizes: Sequence[float]) -> Self:
-        """Not for meshes of files: they are named by their path."""
+        """Refused: a mesh of a file is named by its path."""
         raise ObjectError("a mesh has no sizes; give the path of a GLB, OBJ, PLY or STL file")
 
     @property
     def sizes(self) -> tuple[float, ...]:
-        """None: a mesh is its triangles."""
+        """Empty: triangles determine a mesh."""
         return ()
 
     @property

@@ -1,17 +1,22 @@
-"""Environment variables that are set for a while; processes that are started meanwhile see them."""
+"""Settings of the process for a while: environment variables, and the answer to Ctrl-C.
+
+Processes that are started meanwhile inherit them.
+"""
 
 from __future__ import annotations
 
 import os
+import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from typing import Any
 
-__all__ = ["SAFE_PATH", "Held", "safe_path"]
+__all__ = ["SAFE_PATH", "Held", "on_interrupt", "safe_path"]
 
 
 class Held:
-    """One variable with one value, for as long as anybody needs it.
+    """One variable with one value, set while at least one thread needs it.
 
     Args:
         variable: Its name.
@@ -63,3 +68,21 @@ _safe = Held(SAFE_PATH, "1")
 def safe_path() -> AbstractContextManager[None]:
     """Python processes that are started meanwhile import nothing from the current folder."""
     return _safe()
+
+
+@contextmanager
+def on_interrupt(handler: Callable[..., Any] | signal.Handlers) -> Iterator[None]:
+    """Ctrl-C calls a handler meanwhile; nothing changes outside of the main thread.
+
+    Args:
+        handler: As for ``signal.signal``; ``signal.SIG_IGN`` to ignore it, which processes that are
+            started meanwhile inherit.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals are handled by the main thread
+        return
+    before = signal.signal(signal.SIGINT, handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -35,7 +35,7 @@ other."""
 def made_once(size: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """A function whose last results are kept for all threads; one thread at a time computes.
 
-    For results that nobody changes.
+    For immutable results.
 
     Args:
         size: How many are kept.
@@ -58,7 +58,7 @@ def kept_by_thread(size: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """A function whose last results are kept for the thread that asked, and for no other.
 
     For results with a state: worlds, workspaces, solvers. Ask anew wherever one is used, since the
-    holder may have moved on to another thread; asking takes 0.3 us.
+    holder may have moved on to another thread.
 
     Args:
         size: How many a thread keeps; they go with it.
@@ -82,7 +82,7 @@ def kept_by_thread(size: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
 
 
 class _Quiet:
-    """How many blocks want no warnings at present, and what they found."""
+    """Number of open blocks without warnings, and the settings that the first one found."""
 
     def __init__(self) -> None:
         self.lock, self.blocks = threading.Lock(), 0
@@ -94,7 +94,7 @@ _QUIET = _Quiet()
 
 @contextmanager
 def without_warnings() -> Iterator[None]:
-    """No warnings meanwhile, of any thread; what the process had set is there again after the last.
+    """No warnings meanwhile, in any thread; the last block restores the process's settings.
 
     ``warnings.catch_warnings`` changes the settings of the whole process. Two threads that leave it
     in the order in which they entered leave them changed for good.

@@ -70,7 +70,7 @@ def check_folder(folder: Path) -> None:
 
 
 def is_intact(library: Path) -> bool:
-    """Whether a library is a plain file of ours, closed to others, as it was made."""
+    """Whether a library is a plain file of this user, closed to others, and undamaged."""
     try:
         state = library.lstat()
         if not is_closed(state):
@@ -110,7 +110,7 @@ def is_mine(state: os.stat_result) -> bool:
 
 
 def _too_open(state: os.stat_result, place: Path, folder: Path) -> int:
-    """Which rights to write are too many for a folder above ours.
+    """Rights to write that a folder above ours must not grant.
 
     None where it is sticky: users cannot rename each other's files there.
     """

@@ -1,8 +1,8 @@
 """The verdict on a candidate: the true geometry, by Pinocchio and coal.
 
-What least squares solved is recomputed here with other code on other geometry: Pinocchio's
-kinematics, coal's distances between the real shapes (no spheres, no softened edges), contact points
-and normals from the true surface.
+The solver's result is recomputed here by other code on other geometry: Pinocchio's kinematics,
+coal's distances between the true shapes (no spheres, no softened edges), contact points and normals
+of the true surface.
 """
 
 from __future__ import annotations
@@ -11,12 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from planner.collision.pad_contact import PadTouch, pad_touches, touching_of
+from planner.collision.pad_contact import PadContact, pad_contact_queries, pad_contacts
 from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
 from planner.failure import Failure
 from planner.plan import Verification
-from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from planner.tolerances import ANGLE_TOL, FLAT_ANGLE_TOL, JOINT_TOL, PENETRATION_TOL, TOUCH_TOL
@@ -38,12 +37,9 @@ EDGE_SPREAD = float(np.deg2rad(25.0))
 def edge_failures(task: GraspTask, points: FloatArray) -> list[Failure]:
     """Which contacts, at points (n, 3) of the object's frame, m, are on an edge of a mesh.
 
-    Primitives need no look: their contacts keep away from edges by construction.
+    Contacts on primitives keep off edges by construction: their dispersion is 0.
     """
-    shape = task.object.shape
-    if not isinstance(shape, Mesh):
-        return []
-    spreads = shape.normal_dispersion(points, EDGE_RADIUS)
+    spreads = task.object.shape.normal_dispersion(points, EDGE_RADIUS)
     return [
         Failure(
             kind="edge",
@@ -76,10 +72,10 @@ def contacts_at(task: GraspTask, T_world_base: SE3, q: FloatArray) -> ContactSet
 
     A contact is the surface point nearest to the pad (``planner.collision.pad_contact``).
     """
-    return contacts_of(task, pad_touches(task, T_world_base, q))
+    return contacts_of(task, pad_contacts(task, T_world_base, q))
 
 
-def contacts_of(task: GraspTask, touches: Sequence[PadTouch]) -> ContactSet:
+def contacts_of(task: GraspTask, touches: Sequence[PadContact]) -> ContactSet:
     """The same from the touches of all fingers, if they are at hand."""
     return ContactSet.from_arrays(
         np.array([touch.point for touch in touches]),
@@ -95,7 +91,7 @@ def verify_geometry(
     world: CollisionWorld,
     T_world_base: SE3,
     q: FloatArray,
-    touches: Sequence[PadTouch] | None = None,
+    touches: Sequence[PadContact] | None = None,
 ) -> Verification:
     """Recompute everything that must hold of a grasp, on the true geometry.
 
@@ -108,12 +104,12 @@ def verify_geometry(
     task = world.task
     hand = task.hand
     if touches is None:
-        touches = pad_touches(task, T_world_base, q)
+        touches = pad_contacts(task, T_world_base, q)
     gaps = np.array([t.pad_gap for t in touches])
     whole = np.array([t.gap for t in touches])
     angles = np.array([t.angle for t in touches])
 
-    others = world.closest(T_world_base, q, LISTED, touching=touching_of(task).names)
+    others = world.closest(T_world_base, q, LISTED, may_touch=pad_contact_queries(task).names)
 
     matrix, value = hand.coupling_matrix
     coupling = float(np.abs(matrix @ q - value).max(initial=0.0))

@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 
 from planner.approach.pregrasp import Approach, find_approach, verify_approach
-from planner.collision.pad_contact import pad_touches
+from planner.collision.pad_contact import pad_contacts
 from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
 from planner.failure import Failure
 from planner.forces import (
-    QUICK_SOLVER,
     ForceArguments,
     ForceSolution,
     distribute_forces,
@@ -62,7 +61,7 @@ def verify_grasp(
     """
     world = world or CollisionWorld(task)
     with stage("verify"):
-        touches = pad_touches(task, T_world_base, q)
+        touches = pad_contacts(task, T_world_base, q)
         verification = verify_geometry(world, T_world_base, q, touches)
     if verification.failure is not None:
         return verification.failure
@@ -85,7 +84,7 @@ def verify_grasp(
         T_world_base_start=way.T_world_base_start,
         q=q,
         q_pregrasp=way.q,
-        opening=way.opening,
+        pregrasp_distance=way.pregrasp_distance,
         arm=way.arm,
         contacts=forces.contacts,
         forces=forces,
@@ -138,10 +137,7 @@ def plan_forces(
         **options: Passed to ``distribute_forces``.
     """
     given: dict[str, Any] = {**force_arguments(task, contacts, T_world_base, q), **options}
-    quick = distribute_forces(contacts, **{"solver": QUICK_SOLVER, **given})
-    if quick.found or quick.fraction < 1.0 or "solver" in options:
-        return quick
-    return distribute_forces(contacts, **given)  # forces exist: the default solver has its turn
+    return distribute_forces(contacts, **given)
 
 
 def with_grip(plan: GraspPlan, grip_force: float) -> GraspPlan:

@@ -1,20 +1,20 @@
-"""The last step onto the true surface.
+"""Projection of a solution onto the true surface of the object.
 
-What least squares found touches a model of the object (the smooth field of a mesh) with a model of
-the pad (a sphere). Both are right to some tenths of a millimetre. Here the fingers' own joints are
+The solver's solution touches a model of the object (the smooth field of a mesh) with a model of the
+pad (a sphere). Both are right to some tenths of a millimetre. Here the fingers' own joints are
 moved by the least amount that brings every pad onto the true surface and closes the couplings,
 
     min |dq|  s.t.  n_i' J_i dq = -gap_i,   C dq = d - C q,   wrist and base as they are,
 
-repeated until gaps and couplings are met. A joint that would leave its range stays at its end, and
-the others do its share.
+repeated until gaps and couplings are met (``planner.numerics.ik_step``).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from planner.collision.pad_contact import touching_of
+from planner.collision.pad_contact import pad_contact_queries
+from planner.numerics.ik_step import Task, ik_step
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 
@@ -36,10 +36,10 @@ FARTHEST = 0.006
 def project_onto_surface(task: GraspTask, T_world_base: SE3, q: FloatArray) -> FloatArray:
     """Joints (nq,) near q with every pad on the true surface, as far as limits let them.
 
-    What is left is for ``planner.verification.geometry`` to judge; q itself if it touches already,
-    or is too far off.
+    The verdict on it is ``planner.verification.geometry``'s; q itself if it touches already, or is
+    too far off.
     """
-    hand, touching = task.hand, touching_of(task)
+    hand, touching = task.hand, pad_contact_queries(task)
     matrix, value = hand.coupling_matrix
     index = _moved(task, matrix)
     lower, upper = hand.q_lower[index], hand.q_upper[index]
@@ -53,33 +53,14 @@ def project_onto_surface(task: GraspTask, T_world_base: SE3, q: FloatArray) -> F
         if arrived or worst > FARTHEST:
             break
         rates = np.einsum("ni,nij->nj", found.outward @ turn.T, found.jacobians)
-        rows = np.vstack([rates, matrix])[:, index]
-        wanted = np.concatenate([-found.gaps, missing])
-        q[index] = _step(rows, wanted, q[index], lower, upper)
+        touch = Task(np.vstack([rates, matrix])[:, index], np.concatenate([-found.gaps, missing]))
+        q[index] = ik_step(touch, q[index], lower, upper)
     return q
 
 
 def _moved(task: GraspTask, matrix: FloatArray) -> IntArray:
     """Joints (k,) that may move: the task's fingers, and what is coupled on fingers left out."""
     coupled = np.flatnonzero(np.abs(matrix).sum(axis=0))
-    carried = np.concatenate([task.hand.wrist_index, task.hand.arm_index])
+    held = np.concatenate([task.hand.wrist_index, task.hand.arm_index])
     mine = np.concatenate([f.q_index for f in task.fingers])
-    return np.union1d(mine, np.setdiff1d(coupled, carried))
-
-
-def _step(
-    rows: FloatArray, wanted: FloatArray, q: FloatArray, lower: FloatArray, upper: FloatArray
-) -> FloatArray:
-    """Joints (k,) within their range after the least step dq from q with rows @ dq = wanted."""
-    free = np.ones(len(q), dtype=bool)
-    while True:
-        step = np.zeros(len(q))
-        step[free] = np.linalg.lstsq(rows[:, free], wanted, rcond=RCOND)[0]
-        beyond = free & (((q + step < lower) & (q <= lower)) | ((q + step > upper) & (q >= upper)))
-        if not beyond.any():
-            return np.clip(q + step, lower, upper)
-        free &= ~beyond
-
-
-RCOND = 1e-6
-"""Singular values below this share of the largest count as zero (couplings may repeat)."""
+    return np.union1d(mine, np.setdiff1d(coupled, held))

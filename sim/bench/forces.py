@@ -21,12 +21,11 @@ from typing import get_args
 import numpy as np
 from rich.table import Table
 
-from planner.contacts import ContactSet
+from planner.contacts import ContactSet, Pyramid
 from planner.forces import (
-    QUICK_SOLVER,
+    DEFAULT_SOLVER,
     ForceArguments,
     ForceLoop,
-    Pyramid,
     build_force_problem,
     distribute_forces,
     explain_infeasibility,
@@ -111,7 +110,7 @@ def _work(job: _Programme, check: Check) -> Row:
     for cone in get_args(Pyramid):
         for sides in SIDES:
             pyramid: ForceArguments = {**given, "cone": cone, "edges": sides}
-            answer = distribute_forces(contacts, solver=QUICK_SOLVER, **pyramid)
+            answer = distribute_forces(contacts, solver=DEFAULT_SOLVER, **pyramid)
             pyramids.append(
                 {
                     "cone": cone,

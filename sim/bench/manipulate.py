@@ -143,7 +143,7 @@ def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
     pose = task.T_world_object
     turned = pin.exp3(np.array([0.0, 0.0, there.heading])) @ pose.rotation
     aside = np.array([*there.shift, 0.0])
-    really = replace(
+    true_task = replace(
         task,
         object=replace(task.object, mass=there.mass),
         T_world_object=SE3(turned, pose.translation + aside),
@@ -152,24 +152,24 @@ def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
     begin = time.process_time()
     report = manipulate(
         plan,
-        really=really,
+        true_task=true_task,
         physics=replace(turn.physics, mu=there.mu),
         push=Push(force=np.array([*there.push, 0.0]), after=there.push_after, duration=PUSH_TIME),
     )
     check()
-    last = report.checks[-1].numbers
+    last = report.results[-1].numbers
     return row_of(
         turn,
         found=True,
         attempts=plan.attempts,
         planning_cpu_s=plan.cpu_s,
         simulation_cpu_s=time.process_time() - begin,
-        strict=report.strict,
-        loose=report.loose,
+        success_with_closure=report.success_with_closure,
+        success=report.success,
         complete=report.complete,
         dropped=report.dropped,
         reason=report.reason,
-        not_strict=report.not_strict,
+        faults=report.faults,
         collided=report.collision is not None,
         regrasps=plan.gait is not None,
         place_off_mm=last.get("off_mm") if report.complete else None,

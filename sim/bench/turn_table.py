@@ -14,8 +14,8 @@ __all__ = ["manipulate_table"]
 
 COLUMNS = (
     "planned",
-    "strict",
-    "loose",
+    "with closure",
+    "success",
     "complete",
     "drops",
     "hits",
@@ -30,6 +30,9 @@ COLUMNS = (
     "planning s",
 )
 
+NOW = {"strict": "success_with_closure", "loose": "success", "not_strict": "faults"}
+"""Names in rows written by version 1.0 and before -> names now."""
+
 SHIFT_COLUMN = "shift off mm"
 """Last column where the object is to be moved in the hand."""
 
@@ -38,16 +41,17 @@ def manipulate_table(result: dict[str, Any]) -> Table:
     """Counts out of all trials, and medians, per hand and kind of object."""
     moves = "shift" in result
     table = table_of(
-        f"{_movement(result)}: counts out of all trials; medians of those that are loose: time "
+        f"{_movement(result)}: counts out of all trials; medians of successes: time "
         "until they had turned, how far the turn was off, largest tilt off the planned attitude, "
         "largest distance off the path; fewest fingers and largest force (N) of a finger in any; "
         "then of those placed; hits are runs in which the hand collided"
-        + ("; last, how far the translation was off, of the loose ones" if moves else ""),
+        + ("; last, how far the translation was off, of successes" if moves else ""),
         ("hand", "object"),
         (*COLUMNS, SHIFT_COLUMN) if moves else COLUMNS,
     )
     for (hand, kind), rows in by_cell(result["rows"]).items():
-        cells = _cells(rows, result["angle_deg"])
+        named = [{NOW.get(name, name): v for name, v in row.items()} for row in rows]
+        cells = _cells(named, result["angle_deg"])
         table.add_row(hand, kind, *(cells if moves else cells[:-1]))
     return table
 
@@ -72,12 +76,13 @@ def _cells(rows: list[dict[str, Any]], asked: float) -> list[str]:
     def median(name: str, members: list[dict[str, Any]], less: float = 0.0) -> float | None:
         return median_of(abs(m[name] - less) for m in members if m.get(name) is not None)
 
-    turned = [row for row in rows if row.get("loose")]
+    turned = [row for row in rows if row.get("success")]
     found = [row for row in rows if row["found"]]
     least = [row["least_fingers"] for row in turned]
     hardest = [row["largest_force_N"] for row in turned if "largest_force_N" in row]
+    counted = ("found", "success_with_closure", "success", "complete", "dropped", "collided")
     return [
-        *(count(name) for name in ("found", "strict", "loose", "complete", "dropped", "collided")),
+        *(count(name) for name in counted),
         number(median("time_to_angle_s", turned), 2),
         number(median("turned_deg", turned, asked), 2),
         number(median("largest_tilt_deg", turned), 1),

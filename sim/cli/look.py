@@ -67,6 +67,7 @@ def schema(
 
     from planner.errors import NotFoundError
     from planner.files import ContactsFile, GaitFile, ManipulationFile, MotionFile, PlanFile
+    from sim.manipulation import ManipulationReportFile
     from sim.report import ReportFile
 
     models: dict[str, type[BaseModel]] = {
@@ -75,6 +76,7 @@ def schema(
         "gait": GaitFile,
         "manipulation": ManipulationFile,
         "report": ReportFile,
+        "manipulation-report": ManipulationReportFile,
         "contacts": ContactsFile,
     }
     if kind not in models:

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.markup import escape
 
 from sim.cli.common import (
     EXIT_NO,
+    ControllerOption,
     FingersOption,
-    HandArgument,
     JsonOption,
     MassOption,
-    ObjectArgument,
     PhysicsOption,
     SeedOption,
     SimMuOption,
     StandOption,
+    ViewOption,
     err,
     errors_for_people,
     make_folder,
@@ -32,24 +32,43 @@ from sim.cli.common import (
 )
 from sim.cli.movement import NO_SHIFT, RotateOption, ShiftOption, movement
 
+if TYPE_CHECKING:
+    from planner.motion.manipulation import ManipulationPlan
+
 OutOption = Annotated[
-    Path | None, typer.Option("--out", help="Folder for motion, report and a picture per phase.")
+    Path | None,
+    typer.Option("--out", help="Folder for plan, trajectory, report and a picture per phase."),
 ]
 
-DEMO = {"hand": "allegro_hand", "object": "cylinder:0.03x0.08"}
+DEMO_HAND, DEMO_OBJECT = "allegro_hand", "cylinder:0.03x0.08"
 """What ``demo`` shows."""
 
 MU, MAX_ATTEMPTS = 0.45, 50
-"""Friction (-) that is believed, as in ``bench manipulate``: a tenth below the least that there is
-there, 0.5, which planning alone believes. Attempts, more than planning
-a motion alone makes (30): here motions are refused too at whose end the object cannot be put down,
-and of those that are left the best of a few is taken."""
+"""Friction (-) that is believed, as in ``bench manipulate``: a tenth below the least that it draws,
+0.5. Attempts, more than planning a motion alone makes (30): here motions are refused too at whose
+end the object cannot be put down, and the best of a few is taken."""
 
 
 @errors_for_people()
 def manipulate(
-    hand: HandArgument,
-    object: ObjectArgument,
+    hand: Annotated[
+        str | None,
+        typer.Argument(
+            help="A hand's name, or the path of its hand.toml or of an MJCF or URDF file.",
+            metavar="HAND",
+        ),
+    ] = None,
+    object: Annotated[
+        str | None, typer.Argument(help="The object, as for run.", metavar="OBJECT")
+    ] = None,
+    plan_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--plan",
+            help="Execute this manipulation file, or a motion or gait file, which is put down at "
+            "--place; instead of HAND, OBJECT and what planning is told.",
+        ),
+    ] = None,
     rotate: RotateOption = None,
     shift: ShiftOption = NO_SHIFT,
     place: Annotated[
@@ -87,10 +106,12 @@ def manipulate(
         float | None,
         typer.Option(
             min=0.0,
-            help="Largest normal force with which a finger may press for the strict verdict, N; "
-            "half as much again as the plan's largest and a quarter, at least 18, if not given.",
+            help="Largest normal force of a finger in a success with closure, N; if not given, "
+            "1.5 times the plan's largest force and a quarter, at least 18.",
         ),
     ] = None,
+    controller: ControllerOption = "impedance",
+    view: ViewOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Pick an object from a table, turn it in the hand, put it down; a check after every phase.
@@ -102,24 +123,68 @@ def manipulate(
     Exits with 1 where a phase failed, or where the hand collided with itself, the table or the
     stand.
     """
-    _perform(
-        hand,
-        object,
-        rotate=rotate,
-        shift=shift,
-        place=place,
-        folder=out_dir,
-        fingers=fingers,
-        seed=seed,
-        mu=mu,
-        physics=physics_of(physics, sim_mu),
-        mass=mass,
-        stand=stand,
-        max_attempts=max_attempts,
-        gait=gait,
-        max_force=max_force,
-        as_json=as_json,
-    )
+    from planner.errors import TaskError
+    from planner.files import write_json, write_manipulation, write_trajectory
+    from sim.manipulation import SuccessCriteria
+    from sim.manipulation import manipulate as execute
+
+    computed = physics_of(physics, sim_mu)
+    x, y = numbers("--place", place, 2)
+    planning = (hand, object, rotate, fingers, mass)
+    if plan_file is not None:
+        if any(given is not None for given in planning) or shift != NO_SHIFT or stand or gait:
+            raise TaskError(
+                f"{plan_file} tells hand, object and movement; leave HAND, OBJECT and the options "
+                "of planning out, or --plan"
+            )
+        plan = _read(plan_file, (x, y))
+        mu = plan.task.mu
+    elif hand is None or object is None:
+        raise TaskError("give HAND and OBJECT, or a file: opposable manipulate --plan FILE")
+    _warn_of_friction(mu, computed.mu)
+    if out_dir is not None:
+        make_folder(out_dir)
+    if plan_file is None:
+        plan = _plan(
+            str(hand),
+            str(object),
+            movement(rotate, shift),
+            place=(x, y),
+            fingers=fingers,
+            seed=seed,
+            mu=mu,
+            mass=mass,
+            stand=stand,
+            max_attempts=max_attempts,
+            regrasp=gait,
+        )
+    if not as_json:
+        say(out, escape(str(plan)))
+        say(out, f"planned in {plan.cpu_s:.2f} s of CPU, {plan.attempts} attempts\n")
+    with err.status("executing ..."):
+        report = execute(
+            plan,
+            controller=controller,
+            physics=computed,
+            criteria=SuccessCriteria(normal_N=max_force),
+            pictures=out_dir,
+            retry=True,
+            view=view,
+        )
+    if out_dir is not None:
+        write_manipulation(plan, out_dir / "manipulation.json")
+        write_trajectory(plan.joint_trajectory(), out_dir / "trajectory.csv")
+        write_json(report.to_dict(), out_dir / "report.json")
+    if as_json:
+        print_json(report.to_dict())
+    else:
+        say(out, escape(str(report)))
+        if out_dir is not None:
+            note = report.picture_reason and f" (no pictures: {report.picture_reason})"
+            files = "manipulation.json, trajectory.csv, report.json, pictures"
+            say(out, escape(f"written to {out_dir}: {files}{note}"))
+    if not report.complete or report.collision is not None:
+        raise typer.Exit(EXIT_NO)
 
 
 @errors_for_people()
@@ -127,62 +192,40 @@ def demo(
     out_dir: OutOption = None, physics: PhysicsOption = "ours", as_json: JsonOption = False
 ) -> None:
     """The whole of it: an Allegro-type hand picks a cylinder, turns it by 90 degrees, places it."""
-    _perform(
-        DEMO["hand"],
-        DEMO["object"],
-        rotate=None,
-        shift=NO_SHIFT,
-        place="0.1,0.05",
-        folder=out_dir,
-        fingers=None,
-        seed=0,
-        mu=MU,
-        physics=physics_of(physics),
-        mass=None,
-        stand=0.0,
-        max_attempts=MAX_ATTEMPTS,
-        gait=False,
-        max_force=None,
-        as_json=as_json,
-    )
+    manipulate(DEMO_HAND, DEMO_OBJECT, out_dir=out_dir, physics=physics, as_json=as_json)
 
 
-def _perform(
+def _warn_of_friction(believed: float, true: float) -> None:
+    """Tell when there is less friction than planning relies on."""
+    if true < believed:
+        say(
+            err,
+            f"[yellow]--sim-mu {true:g} is less friction than is believed, --mu {believed:g}: plan "
+            "and controller rely on what is not there, so expect slips and drops; give "
+            f"--sim-mu {believed:g} or more, or a smaller --mu[/yellow]",
+        )
+
+
+def _plan(
     hand: str,
     object: str,
+    moved: tuple[Any, float, Any],
     *,
-    rotate: str | None,
-    shift: str,
-    place: str,
-    folder: Path | None,
+    place: tuple[float, float],
     fingers: str | None,
     seed: int,
     mu: float,
-    physics: Any,
     mass: float | None,
     stand: float,
     max_attempts: int,
-    gait: bool,
-    max_force: float | None,
-    as_json: bool,
-) -> None:
-    """Plan, execute, tell."""
-    from planner.files import write_gait, write_json, write_motion
+    regrasp: bool,
+) -> ManipulationPlan:
+    """Plan what the options tell."""
     from planner.motion.manipulation import manipulation_task, on_stand, plan_manipulation
     from planner.objects import parse_object
-    from sim.manipulation import Bounds, rests, settled
-    from sim.manipulation import manipulate as execute
+    from sim.manipulation import rests, settled
 
-    axis, degrees, moved = movement(rotate, shift)
-    if physics.mu < mu:
-        say(
-            err,
-            f"[yellow]--sim-mu {physics.mu:g} is less friction than is believed, --mu {mu:g}: plan "
-            "and controller rely on what is not there, so expect slips and drops; give "
-            f"--sim-mu {mu:g} or more, or a smaller --mu[/yellow]",
-        )
-    if folder is not None:
-        make_folder(folder)
+    axis, degrees, shift = moved
     task = manipulation_task(
         hand,
         parse_object(object, mass=mass),
@@ -190,49 +233,32 @@ def _perform(
         fingers=None if fingers is None else names(fingers),
     )
     task = settled(on_stand(task, stand) if stand else task)
-    x, y = numbers("--place", place, 2)
     with err.status(f"planning: {task.hand.name}, {task.object.name} ..."):
-        plan = plan_manipulation(
+        return plan_manipulation(
             task,
             axis=axis,
             angle=math.radians(degrees),
-            shift=moved,
-            place=(x, y),
+            shift=shift,
+            place=place,
             seed=seed,
             max_attempts=max_attempts,
-            regrasp=gait,
+            regrasp=regrasp,
             rests=rests,
         )
-    if not as_json:
-        say(out, escape(str(plan.gait or plan.motion)))
-        say(out, f"planned in {plan.cpu_s:.2f} s of CPU, {plan.attempts} attempts")
-        if plan.ending.back:
-            say(out, escape(f"made backwards before it is put down: {plan.ending.back}"))
-        say(out, "")
-    with err.status("executing ..."):
-        report = execute(
-            plan,
-            physics=physics,
-            bounds=Bounds(normal_N=max_force),
-            pictures=folder,
-            retry=True,
-        )
-    if folder is not None:
-        if plan.gait is None:
-            write_motion(plan.motion, folder / "motion.json")
-        else:
-            write_gait(plan.gait, folder / "gait.json")
-        write_json(report.to_dict(), folder / "report.json")
-    if as_json:
-        print_json(report.to_dict())
-    else:
-        say(out, escape(str(report)))
-        if folder is not None:
-            note = report.picture_reason and f" (no pictures: {report.picture_reason})"
-            plan_file = "motion.json" if plan.gait is None else "gait.json"
-            say(out, escape(f"written to {folder}: {plan_file}, report.json, pictures{note}"))
-    if not report.complete or report.collision is not None:
-        raise typer.Exit(EXIT_NO)
+
+
+def _read(file: Path, place: tuple[float, float]) -> ManipulationPlan:
+    """The manipulation of a file, which may be a motion or a gait that is put down at a place."""
+    from planner.files import read_gait, read_json, read_manipulation, read_motion
+    from planner.motion.manipulation import manipulation_of
+    from sim.manipulation import rests
+
+    kind = read_json(file, "plan file").get("format")
+    if kind == "opposable-motion":
+        return manipulation_of(read_motion(file), place=place, rests=rests)
+    if kind == "opposable-gait":
+        return manipulation_of(read_gait(file), place=place, rests=rests)
+    return read_manipulation(file)
 
 
 def register(app: typer.Typer) -> None:

@@ -31,9 +31,8 @@ import numpy as np
 
 from planner.errors import NotFoundError, TaskError
 from planner.forces import ForceLoop, turned_frames
-from planner.paths import smooth
 from planner.plan import GraspPlan
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers.base import Observation, Phase
 from sim.controllers.events import Event, EventKind
 from sim.controllers.gains import ImpedanceGains, felt_inertia
@@ -235,7 +234,7 @@ class ObjectImpedance:
         if observation.phase in ("squeeze", "release"):
             begins = observation.phase == "squeeze"
             ramp = observation.progress if begins else 1.0 - observation.progress
-        scale = FIRST_SHARE + (1.0 - FIRST_SHARE) * float(smooth(np.asarray(ramp)))
+        scale = FIRST_SHARE + (1.0 - FIRST_SHARE) * float(minimum_jerk(np.asarray(ramp)))
         holding = self.schedule.holding
         pose = T_base_palm * in_palm
         twist = self._torques.touch(self._points, pose.translation, holding) - wanted_twist

@@ -22,9 +22,8 @@ import pinocchio as pin
 from planner.actuation import Actuation
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState, MovingHand
-from planner.paths import smooth
 from planner.plan import GraspPlan
-from planner.spatial import SE3, FloatArray, skew
+from planner.spatial import SE3, FloatArray, minimum_jerk, skew
 from sim.controllers.base import Observation
 from sim.controllers.motors import MotorServo
 from sim.controllers.schedule import TOUCH_FORCE
@@ -95,7 +94,7 @@ class GraspController:
                 self._servo.rest()
                 self.q_ref = observation.q.copy()
             ramp = observation.progress if observation.phase == "squeeze" else 1.0
-            scale = FIRST_SHARE + (1.0 - FIRST_SHARE) * float(smooth(np.asarray(ramp)))
+            scale = FIRST_SHARE + (1.0 - FIRST_SHARE) * float(minimum_jerk(np.asarray(ramp)))
             torque += scale * self._pressing_torque(observation)
         torque += self._servo.torque(observation.time, self.q_ref, observation.q, observation.v)
         self._torque = torque
@@ -108,7 +107,7 @@ class GraspController:
 
     def _close(self, observation: Observation, elapsed: float) -> None:
         """Advance every finger that does not touch."""
-        goal = float(smooth(np.asarray(observation.progress)))
+        goal = float(minimum_jerk(np.asarray(observation.progress)))
         free = observation.normal_forces < TOUCH_FORCE
         arrived = self._share >= 1.0
         self._share[free] = np.minimum(goal, self._share + CLOSE_RATE * elapsed)[free]

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from planner.kinematics.state import MovingHand
-from planner.paths import smooth
 from planner.plan import GraspPlan
-from planner.spatial import FloatArray
+from planner.spatial import FloatArray, minimum_jerk
 from sim.controllers.base import Observation
 from sim.controllers.motors import MotorServo
 
@@ -37,7 +36,7 @@ class PostureServo:
         if self._begin is None:
             self._begin = observation.q.copy()
         q = self._begin.copy()
-        way = float(smooth(np.asarray(share)))
+        way = float(minimum_jerk(np.asarray(share)))
         q[self._index] += way * (self._goal - self._begin)[self._index]
         gravity = observation.T_world_base.rotation.T @ self._gravity
         torque = self._state.move(observation.q).gravity_torque(gravity)

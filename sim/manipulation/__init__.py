@@ -1,27 +1,45 @@
-"""Pick, turn in the hand, place: planned, executed phase by phase, and judged."""
+"""Pick, turn in the hand, place: executed phase by phase, and judged."""
 
 from __future__ import annotations
 
-from sim.manipulation.checks import Check
-from sim.manipulation.pace import IN_THE_AIR, STEPS, Bounds, Pace, Step
+from sim.manipulation.in_hand import (
+    InHandController,
+    ManipulationObservation,
+    TurningController,
+)
+from sim.manipulation.log import ManipulationLog
 from sim.manipulation.report import ManipulationReport
+from sim.manipulation.report_file import ManipulationReportFile, read_manipulation_report
+from sim.manipulation.results import PhaseResult
 from sim.manipulation.run import ManipulationRun, manipulate
-from sim.manipulation.samples import Track
-from sim.manipulation.stage import Push
+from sim.manipulation.simulation import ManipulationSim, Push
 from sim.manipulation.standing import rests, settled
+from sim.manipulation.timeline import (
+    IN_THE_AIR,
+    PHASES,
+    ManipulationPhase,
+    ManipulationTimeline,
+    SuccessCriteria,
+)
 
 __all__ = [
     "IN_THE_AIR",
-    "STEPS",
-    "Bounds",
-    "Check",
+    "PHASES",
+    "InHandController",
+    "ManipulationLog",
+    "ManipulationObservation",
+    "ManipulationPhase",
     "ManipulationReport",
+    "ManipulationReportFile",
     "ManipulationRun",
-    "Pace",
+    "ManipulationSim",
+    "ManipulationTimeline",
+    "PhaseResult",
     "Push",
-    "Step",
-    "Track",
+    "SuccessCriteria",
+    "TurningController",
     "manipulate",
+    "read_manipulation_report",
     "rests",
     "settled",
 ]

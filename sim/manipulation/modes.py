@@ -20,7 +20,7 @@ from scipy.interpolate import interp1d
 from planner.motion import MotionPlan
 from planner.spatial import FloatArray
 from sim.controllers.slip import SLIP_SPEED
-from sim.manipulation.pace import STEPS, Step
+from sim.manipulation.timeline import PHASES, ManipulationPhase
 
 __all__ = [
     "MODES",
@@ -81,21 +81,24 @@ def wandering(time: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def planned_points(
-    motion: MotionPlan, place: FloatArray, step: tuple[Step, ...], away: NDArray[np.bool_]
+    motion: MotionPlan,
+    path_parameter: FloatArray,
+    phase: tuple[ManipulationPhase, ...],
+    away: NDArray[np.bool_],
 ) -> FloatArray:
     """Planned contacts (m, n, 3) in the object's frame; NaN before the grip and after the release.
 
     Args:
         motion: The plan.
-        place: (m,), where on its path the reference is, 0 to 1.
-        step: m phases.
+        path_parameter: (m,), where on its path the reference is, 0 to 1.
+        phase: m phases.
         away: (m, n), which fingers are to be off the object.
     """
     points = np.array([k.contacts_in_object.positions for k in motion.knots])
-    planned = interp1d([k.place for k in motion.knots], points, axis=0)(place)
-    order = {name: k for k, name in enumerate(STEPS)}
+    planned = interp1d([k.place for k in motion.knots], points, axis=0)(path_parameter)
+    order = {name: k for k, name in enumerate(PHASES)}
     order["regrasp"] = order["back"] = order["turn"]
-    index = np.array([order[s] for s in step], dtype=int)
+    index = np.array([order[p] for p in phase], dtype=int)
     off = (index < order["verify"]) | (index > order["lower"])
     planned[off[:, None] | away] = np.nan
     return np.asarray(planned)

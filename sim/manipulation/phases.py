@@ -10,13 +10,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-from planner.motion.manipulation import ManipulationPlan
+from planner.errors import TaskError
+from planner.motion.manipulation import Ending, ManipulationPlan
 from planner.quality import QualityReport, analyse
 from planner.spatial import SE3
-from sim.contacts import hand_contacts, merge_per_finger, normal_forces
-from sim.manipulation.checks import Outcome, off_target, placed, undisturbed
-from sim.manipulation.pace import Bounds, Pace, Step
-from sim.manipulation.stage import Stage
+from sim.contacts import hand_contacts, merge_per_finger
+from sim.manipulation.machine import PhaseCall
+from sim.manipulation.regrasping import Regrasping
+from sim.manipulation.results import Measured, off_target, placed, undisturbed
+from sim.manipulation.simulation import ManipulationSim
+from sim.manipulation.timeline import ManipulationPhase, ManipulationTimeline, SuccessCriteria
 from sim.manipulation.turning import Turning
 
 __all__ = ["Phases"]
@@ -26,60 +29,76 @@ class Phases:
     """The phases of one run.
 
     Attributes:
-        plan: What is executed; its target and its release may be set anew.
         turning: The turn.
+        regrasping: Fingers that move on.
         quality: Quality of the measured contacts, of the phases that look at it.
     """
 
-    def __init__(self, plan: ManipulationPlan, stage: Stage, pace: Pace, bounds: Bounds) -> None:
+    def __init__(
+        self,
+        plan: ManipulationPlan,
+        run: ManipulationSim,
+        timeline: ManipulationTimeline,
+        criteria: SuccessCriteria,
+    ) -> None:
         """Prepare."""
-        self.plan, self._stage = plan, stage
-        self._pace, self._bounds = pace, bounds
-        self.turning = Turning(plan, stage, pace, bounds)
-        self.quality: dict[Step, QualityReport] = {}
+        self._plan, self._run = plan, run
+        self._timeline, self._criteria = timeline, criteria
+        self.turning = Turning(plan, run, timeline, criteria)
+        self.regrasping = Regrasping(plan, run, timeline)
+        self.quality: dict[ManipulationPhase, QualityReport] = {}
 
-    def of(self, step: Step) -> Callable[[], Outcome]:
-        """What performs a phase."""
-        phases: dict[Step, Callable[[], Outcome]] = {
+    def perform(self, call: PhaseCall) -> Measured:
+        """Run a phase; why it failed, "" if it did not, and its numbers."""
+        timeline, ending = self._timeline, call.ending
+        phases: dict[ManipulationPhase, Callable[[], Measured]] = {
             "stand": self._stand,
             "approach": self._approach,
             "close": self._close,
             "squeeze": self._squeeze,
             "verify": lambda: self._verify("verify"),
             "lift": self._lift,
+            "turn": self.turning.turn,
+            "regrasp": lambda: self._regrasp(call),
             "hold": self._hold,
             "verify again": lambda: self._verify("verify again"),
             "back": self.turning.back,
-            "carry": self._carry,
-            "lower": self._lower,
-            "release": lambda: self._let_go("release", self._pace.release),
-            "open": lambda: self._let_go("open", self._pace.open),
-            "retreat": self._retreat,
+            "carry": lambda: self._carry(ending),
+            "lower": lambda: self._lower(ending),
+            "release": lambda: self._let_go("release", timeline.release, ending),
+            "open": lambda: self._let_go("open", timeline.open, ending),
+            "retreat": lambda: self._retreat(ending),
         }
-        return phases[step]
+        return phases[call.phase]()
 
-    def _stand(self) -> Outcome:
-        fault = self._stage.advance("stand", self._pace.stand)
+    def _regrasp(self, call: PhaseCall) -> Measured:
+        if call.relocation is None:
+            raise TaskError("a regrasp has no relocation; give PhaseCall one")
+        fault, numbers = self.regrasping.perform(call.relocation)
+        return fault, numbers | self.turning.in_hand()
+
+    def _stand(self) -> Measured:
+        fault = self._run.run("stand", self._timeline.stand)
         return self._standing(fault)
 
-    def _approach(self) -> Outcome:
-        self._stage.mover.go(self.plan.motion.T_world_base, self._pace.approach)
-        fault = self._stage.advance("approach", self._pace.approach)
+    def _approach(self) -> Measured:
+        self._run.mover.go(self._plan.motion.T_world_base, self._timeline.approach)
+        fault = self._run.run("approach", self._timeline.approach)
         return self._standing(fault)
 
-    def _close(self) -> Outcome:
-        pace = self._pace
-        fault = self._stage.advance(
-            "close", pace.close, wait=pace.close_wait, until=lambda touching: touching
+    def _close(self) -> Measured:
+        timeline = self._timeline
+        fault = self._run.run(
+            "close", timeline.close, wait=timeline.close_wait, until=lambda seen: seen.all_touch
         )
         return self._standing(fault)
 
-    def _squeeze(self) -> Outcome:
-        fault = self._stage.advance("squeeze", self._pace.squeeze)
-        self._stage.watch.mark(self._stage.data)
+    def _squeeze(self) -> Measured:
+        fault = self._run.run("squeeze", self._timeline.squeeze)
+        self._run.recorder.mark_reference()
         reason, numbers = self._standing(fault)
-        task = self.plan.motion.grasp.task
-        forces = normal_forces(self._stage.scene, self._stage.data, task.finger_names)
+        task = self._plan.task
+        forces = self._run.simulation.normal_forces()
         each = list(zip(task.finger_names, forces.tolist(), strict=True))
         numbers |= {f"{finger}_N": force for finger, force in each}
         missing = [finger for finger, force in each if force == 0.0]
@@ -89,15 +108,16 @@ class Phases:
             reason = f"{few}; {', '.join(missing)} do not"
         return reason, numbers
 
-    def _verify(self, step: Step) -> Outcome:
+    def _verify(self, phase: ManipulationPhase) -> Measured:
         """Hold on, then analyse the measured contacts by the planner's own code."""
-        fault = self._stage.advance(step, self._pace.verify)
-        merged = merge_per_finger(hand_contacts(self._stage.scene, self._stage.data))
+        fault = self._run.run(phase, self._timeline.verify)
+        simulation = self._run.simulation
+        merged = merge_per_finger(hand_contacts(simulation.scene, simulation.data))
         if fault or len(merged) == 0:
             return fault or "nothing touches the object", {}
-        shape = self.plan.motion.grasp.task.object.shape
+        shape = self._plan.task.object.shape
         quality = analyse(merged, length=shape.bounding_radius)
-        self.quality[step] = quality
+        self.quality[phase] = quality
         numbers = {
             "contacts": float(len(merged)),
             "min_weight": quality.closure.normalised_min_weight,
@@ -106,65 +126,61 @@ class Phases:
         reason = "" if quality.closure.closed else f"no force closure: {quality.closure.reason}"
         return reason, numbers
 
-    def _lift(self) -> Outcome:
-        pace, stage = self._pace, self._stage
-        stage.mover.go(_raised(self.plan.motion.T_world_base, pace.height), pace.lift)
-        fault = stage.advance("lift", pace.lift)
+    def _lift(self) -> Measured:
+        timeline, simulation = self._timeline, self._run.simulation
+        self._run.mover.go(_raised(self._plan.motion.T_world_base, timeline.height), timeline.lift)
+        fault = self._run.run("lift", timeline.lift)
         numbers = self.turning.in_hand()
-        first = float(stage.scene.task.T_world_object.translation[2])
-        numbers["rise_mm"] = 1e3 * (float(stage.T_world_object.translation[2]) - first)
-        short = 1e3 * pace.height - numbers["rise_mm"]
-        if not fault and max(numbers["shift_mm"], short) > self._bounds.slip_mm:
+        first = float(simulation.plan.task.T_world_object.translation[2])
+        numbers["rise_mm"] = 1e3 * (float(simulation.T_world_object.translation[2]) - first)
+        short = 1e3 * timeline.height - numbers["rise_mm"]
+        if not fault and max(numbers["shift_mm"], short) > self._criteria.slip_mm:
             fault = (
                 f"the object moved {numbers['shift_mm']:.1f} mm in the hand and rose {short:.1f} "
                 "mm less than the hand"
             )
         return fault, numbers
 
-    def _hold(self) -> Outcome:
+    def _hold(self) -> Measured:
         before = self.turning.in_hand()
-        fault = self._stage.advance("hold", self._pace.hold)
+        fault = self._run.run("hold", self._timeline.hold)
         numbers = self.turning.in_hand()
         numbers["drift_mm"] = abs(numbers["shift_mm"] - before["shift_mm"])
         numbers["drift_deg"] = abs(numbers["turn_deg"] - before["turn_deg"])
-        return fault or self.turning.stalled(numbers), numbers
+        return fault or self.turning.shortfall(numbers), numbers
 
-    def _carry(self) -> Outcome:
-        above = _raised(self.plan.ending.T_world_target, self._pace.height)
-        self._stage.mover.go(self._stage.base_for(above), self._pace.carry)
-        fault = self._stage.advance("carry", self._pace.carry)
-        return fault, off_target(above, self._stage.T_world_object)
+    def _carry(self, ending: Ending) -> Measured:
+        above = _raised(ending.T_world_target, self._timeline.height)
+        self._run.mover.go(self._run.base_for(above), self._timeline.carry)
+        fault = self._run.run("carry", self._timeline.carry)
+        return fault, off_target(above, self._run.simulation.T_world_object)
 
-    def _lower(self) -> Outcome:
-        target = self.plan.ending.T_world_target
-        self._stage.mover.go(self._stage.base_for(target), self._pace.lower)
-        fault = self._stage.advance("lower", self._pace.lower)
-        return fault, off_target(target, self._stage.T_world_object)
+    def _lower(self, ending: Ending) -> Measured:
+        target = ending.T_world_target
+        self._run.mover.go(self._run.base_for(target), self._timeline.lower)
+        fault = self._run.run("lower", self._timeline.lower)
+        return fault, off_target(target, self._run.simulation.T_world_object)
 
-    def _let_go(self, step: Step, duration: float) -> Outcome:
-        fault = self._stage.advance(step, duration)
-        return self._standing_at_target(fault)
+    def _let_go(self, phase: ManipulationPhase, duration: float, ending: Ending) -> Measured:
+        fault = self._run.run(phase, duration)
+        return self._standing_at_target(fault, ending)
 
-    def _retreat(self) -> Outcome:
-        release, planned = self.plan.ending.release, self.plan.motion.T_world_base
-        now = self._stage.T_world_base
-        way = release.T_world_base_start.translation - planned.translation
-        turn = now.rotation @ planned.rotation.T
-        out = SE3(now.rotation, now.translation + turn @ way)
-        self._stage.mover.go(out, self._pace.retreat)
-        fault = self._stage.advance("retreat", self._pace.retreat)
-        if not fault and self._stage.touched:
+    def _retreat(self, ending: Ending) -> Measured:
+        out = self._plan.way_out(self._run.simulation.T_world_base, ending)
+        self._run.mover.go(out, self._timeline.retreat)
+        fault = self._run.run("retreat", self._timeline.retreat)
+        if not fault and self._run.touched:
             fault = "the hand still touches the object"
-        return self._standing_at_target(fault)
+        return self._standing_at_target(fault, ending)
 
-    def _standing(self, fault: str) -> Outcome:
-        first = self._stage.scene.task.T_world_object
-        reason, numbers = undisturbed(first, self._stage.T_world_object, self._bounds)
+    def _standing(self, fault: str) -> Measured:
+        first = self._run.simulation.plan.task.T_world_object
+        reason, numbers = undisturbed(first, self._run.simulation.T_world_object, self._criteria)
         return fault or reason, numbers
 
-    def _standing_at_target(self, fault: str) -> Outcome:
-        target = self.plan.ending.T_world_target
-        reason, numbers = placed(target, self._stage.T_world_object, self._bounds)
+    def _standing_at_target(self, fault: str, ending: Ending) -> Measured:
+        target = ending.T_world_target
+        reason, numbers = placed(target, self._run.simulation.T_world_object, self._criteria)
         return fault or reason, numbers
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.motion.manipulation import ManipulationPlan
-from sim.manipulation.samples import Track
+from sim.manipulation.log import ManipulationLog
 
 __all__ = ["ASKED_SHARE", "FingerForce", "finger_forces", "force_limit"]
 
@@ -55,11 +55,11 @@ class FingerForce:
         )
 
 
-def finger_forces(track: Track, fingers: tuple[str, ...]) -> tuple[FingerForce, ...]:
-    """Forces of all fingers, in the order of the track's columns."""
+def finger_forces(log: ManipulationLog, fingers: tuple[str, ...]) -> tuple[FingerForce, ...]:
+    """Forces of all fingers, in the order of the log's columns."""
     out = []
     for i, finger in enumerate(fingers):
-        force = track.normal_force[:, i]
+        force = log.normal_force[:, i]
         pressed = force[force > 0.0]
         if not len(pressed):
             out.append(FingerForce(finger=finger, peak=0.0, sustained=0.0, mean=0.0, peak_time=0.0))
@@ -68,10 +68,10 @@ def finger_forces(track: Track, fingers: tuple[str, ...]) -> tuple[FingerForce, 
         out.append(
             FingerForce(
                 finger=finger,
-                peak=float(track.peak_force[:, i].max()),
+                peak=float(log.peak_force[:, i].max()),
                 sustained=float(force[hardest]),
                 mean=float(np.mean(pressed)),
-                peak_time=float(track.time[hardest]),
+                peak_time=float(log.time[hardest]),
             )
         )
     return tuple(out)

@@ -61,7 +61,7 @@ def told_modes(
     return lines
 
 
-def told_forces(forces: Sequence[FingerForce], limit: float) -> str:
+def told_forces(forces: Sequence[FingerForce], limit: float) -> list[str]:
     """How hard each finger pressed, and how hard it may."""
-    each = "; ".join(str(force) for force in forces)
-    return f"normal forces, largest mean over 20 ms (at most {limit:.1f} N): {each}"
+    head = f"normal forces, largest mean over 20 ms (at most {limit:.1f} N):"
+    return [head, *(f"  {force}" for force in forces)]

@@ -16,15 +16,17 @@ from planner.contacts import ContactSet
 from planner.motion.gait import Relocation
 from planner.motion.manipulation import ManipulationPlan
 from planner.quality import force_closure
+from planner.task import GraspTask
 from planner.tolerances import CLOSURE_EDGES
 from sim.contacts import as_believed, hand_contacts, merge_per_finger
+from sim.controllers import Observation
 from sim.controllers.schedule import RAMP
-from sim.manipulation.away import FingerAway
-from sim.manipulation.checks import Outcome
-from sim.manipulation.pace import Pace
-from sim.manipulation.stage import Stage
+from sim.manipulation.results import Measured
+from sim.manipulation.simulation import ManipulationSim
+from sim.manipulation.swing import FingerSwing
+from sim.manipulation.timeline import ManipulationTimeline
 
-__all__ = ["Regrasping"]
+__all__ = ["MEASURED_MARGIN", "Regrasping", "margin_without"]
 
 MEASURED_MARGIN = 0.02
 """Least normalised min-weight (-) of the measured contacts that are to hold while a finger is away;
@@ -41,16 +43,18 @@ class Regrasping:
         refused: Fingers that could not be lifted since the last one that was.
     """
 
-    def __init__(self, plan: ManipulationPlan, stage: Stage, pace: Pace) -> None:
+    def __init__(
+        self, plan: ManipulationPlan, run: ManipulationSim, timeline: ManipulationTimeline
+    ) -> None:
         """Prepare."""
-        self._plan, self._stage, self._pace = plan, stage, pace
-        self._task = plan.motion.grasp.task
-        self._grip = stage.driver.holding.grip
+        self._plan, self._run, self._timeline = plan, run, timeline
+        self._task = plan.task
+        self._grip = run.driver.holding.grip
         self.refused: tuple[str, ...] = ()
 
-    def perform(self, move: Relocation) -> Outcome:
+    def perform(self, move: Relocation) -> Measured:
         """Move one finger on."""
-        stage, holding = self._stage, self._stage.driver.holding
+        run, holding = self._run, self._run.driver.holding
         i = self._task.finger_names.index(move.finger)
         numbers: dict[str, float] = {}
         holding.keep()
@@ -58,17 +62,17 @@ class Regrasping:
         fault = self._gated(move.finger, numbers)
         if not fault:
             holding.leave(move.finger)
-            fault = stage.advance(
+            fault = run.run(
                 "regrasp", RAMP, wait=RAMP, until=lambda _: not holding.schedule.holding[i]
             ) or self._gated(move.finger, numbers)
         if fault:
             holding.join(move.finger)
             holding.grip = self._grip
-            if stage.touched:
+            if run.touched:
                 self.refused = (*self.refused, move.finger)
             return fault, numbers
         self.refused = ()
-        fault = self._moved(move, i) or stage.advance("regrasp", RAMP)
+        fault = self._moved(move, i) or run.run("regrasp", RAMP)
         holding.grip = self._grip
         if not fault:
             off = self._off_landing(move)
@@ -79,56 +83,44 @@ class Regrasping:
 
     def _gated(self, finger: str, numbers: dict[str, float]) -> str:
         """Wait until the others hold; why they do not, "" if they do."""
-        end = self._stage.data.time + self._pace.lift_wait
-        while (why := self._refused(finger, numbers)) and self._stage.data.time < end:
-            fault = self._stage.advance("regrasp", GATE_PERIOD)
+        end = self._run.simulation.time + self._timeline.lift_wait
+        while (why := self._refused(finger, numbers)) and self._run.simulation.time < end:
+            fault = self._run.run("regrasp", GATE_PERIOD)
             if fault:
                 return fault
         return why and f"{finger} cannot be lifted: {why}"
 
     def _refused(self, finger: str, numbers: dict[str, float]) -> str:
         """Why a finger may not be lifted now, "" if it may."""
-        numbers["margin"] = margin = self._margin(finger)
+        simulation = self._run.simulation
+        measured = hand_contacts(simulation.scene, simulation.data)
+        numbers["margin"] = margin = margin_without(measured, self._task, finger)
         if margin < MEASURED_MARGIN:
             return (
                 f"the measured contacts of the others close with {margin:.3f} (at least "
                 f"{MEASURED_MARGIN})"
             )
-        return self._stage.driver.holding.gave_up
-
-    def _margin(self, without: str) -> float:
-        """Normalised min-weight (-) of the measured contacts without one finger; -inf for none."""
-        merged = merge_per_finger(hand_contacts(self._stage.scene, self._stage.data))
-        rest = [c for c in (merged[k] for k in range(len(merged))) if c.finger not in (without, "")]
-        if len(rest) < self._task.fingers_needed:
-            return -np.inf
-        contacts = ContactSet.from_contacts(rest, center=merged.center)
-        closure = force_closure(as_believed(contacts, self._task), edges=CLOSURE_EDGES)
-        return (
-            closure.normalised_min_weight
-            if closure.closed
-            else min(0.0, closure.normalised_min_weight)
-        )
+        return self._run.driver.holding.gave_up
 
     def _moved(self, move: Relocation, i: int) -> str:
         """Lead a finger along its way until it has landed; what ended it early, "" if nothing."""
-        stage, holding = self._stage, self._stage.driver.holding
-        away = FingerAway(self._plan.motion.grasp, move, self._pace.finger_rate)
+        run, holding = self._run, self._run.driver.holding
+        swing = FingerSwing(self._plan.grasp, move, self._timeline.finger_rate)
         stuck = False
 
-        def landed(_: bool) -> bool:
+        def landed(_: Observation) -> bool:
             nonlocal stuck
-            if not away.over:
+            if not swing.over:
                 return False
             if not holding.schedule.wanted[i]:
                 stuck = bool(holding.schedule.touching[i])
                 holding.join(move.finger)
             return stuck or bool(holding.schedule.touching[i])
 
-        stage.driver.away = away
-        longest = away.duration + self._pace.land_wait
-        fault = stage.advance("regrasp", 0.0, wait=longest, until=landed)
-        stage.driver.away = None
+        run.driver.swing = swing
+        longest = swing.duration + self._timeline.land_wait
+        fault = run.run("regrasp", 0.0, wait=longest, until=landed)
+        run.driver.swing = None
         if fault:
             return fault
         if stuck:
@@ -139,11 +131,32 @@ class Regrasping:
 
     def _off_landing(self, move: Relocation) -> float:
         """Distance (m) of a finger's measured contact from where it was to land, in the palm."""
-        stage = self._stage
-        merged = merge_per_finger(hand_contacts(stage.scene, stage.data))
+        scene, data = self._run.simulation.scene, self._run.simulation.data
+        merged = merge_per_finger(hand_contacts(scene, data))
         if move.finger not in merged.fingers:
             return float("nan")
-        T_palm_world = stage.scene.body_pose(stage.data, stage.scene.palm_body).inverse()
+        T_palm_world = scene.body_pose(data, scene.palm_body).inverse()
         there = T_palm_world.act(merged[merged.fingers.index(move.finger)].position)
-        planned = self._plan.motion.grasp.T_world_palm.inverse().act(move.landing.position)
+        planned = self._plan.grasp.T_world_palm.inverse().act(move.landing.position)
         return float(np.linalg.norm(there - planned))
+
+
+def margin_without(measured: ContactSet, task: GraspTask, finger: str) -> float:
+    """Margin of closure of the fingers that stay when one is lifted.
+
+    Args:
+        measured: Contacts of hand and object, world.
+        task: Whose friction and contact model are believed.
+        finger: The finger that is to leave; the palm does not count either.
+
+    Returns:
+        Normalised min-weight (-), at most 0 without closure; -inf where too few fingers stay.
+    """
+    merged = merge_per_finger(measured)
+    stay = [c for c in (merged[k] for k in range(len(merged))) if c.finger not in (finger, "")]
+    if len(stay) < task.fingers_needed:
+        return -np.inf
+    contacts = ContactSet.from_contacts(stay, center=merged.center)
+    closure = force_closure(as_believed(contacts, task), edges=CLOSURE_EDGES)
+    margin = closure.normalised_min_weight
+    return margin if closure.closed else min(0.0, margin)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -11,13 +11,21 @@ from numpy.typing import NDArray
 from planner.plain import finite
 from planner.quality import QualityReport
 from planner.spatial import FloatArray
+from planner.version import written_by
 from sim.controllers import Event
-from sim.manipulation.checks import Check
+from sim.manipulation.log import ManipulationLog
 from sim.manipulation.modes import mode_table
-from sim.manipulation.pace import IN_THE_AIR, TURNING, Bounds
 from sim.manipulation.pressing import FingerForce, finger_forces
 from sim.manipulation.prose import told_events, told_forces, told_modes
-from sim.manipulation.samples import Track
+from sim.manipulation.report_file import ManipulationReportFile
+from sim.manipulation.results import PhaseResult
+from sim.manipulation.simulation import DROPPED
+from sim.manipulation.timeline import (
+    IN_THE_AIR,
+    TURNING,
+    ManipulationTimeline,
+    SuccessCriteria,
+)
 from sim.verdict import Fault, first_collision
 
 __all__ = ["ManipulationReport"]
@@ -28,20 +36,28 @@ class ManipulationReport:
     """What happened, and whether it is what was asked for.
 
     Attributes:
-        checks: The phases that were run, in order; the last one failed if not all were run.
-        complete: Whether it came to its end, with a retry or without.
+        hand: Name of the hand.
+        object: Specification of the object's shape.
+        mass_kg: Its true mass.
+        seed: Seed of the plan.
+        controller: Name of the class of the controller that held and turned the object.
         fingers: Fingers that take part.
+        results: The phases that were run, in order; the last one failed if not all were run.
+        complete: Whether the object was placed as planned, with a retry or without.
+        put_down: Whether it was put down half-way.
         asked: Turn that was asked for, rad.
         asked_shift: Translation in the hand that was asked for with it (3,), m, world.
         back: Why the motion was made backwards before the object was put down, "" if it was not.
         R_world_palm: (3, 3), world from palm while the object was turned.
-        track: All samples.
+        log: All samples.
         planned_modes: (m, n), contact modes as planned, at every sample.
         measured_modes: (m, n), as measured.
         before: Quality of the measured contacts before the lift; None if it never came to that.
         after: After the turn.
-        bounds: Where phases fail.
-        force_limit: Largest normal force with which a finger may press for the strict verdict, N.
+        criteria: Where phases fail.
+        timeline: Durations.
+        force_limit: Largest normal force with which a finger may press for a success with closure,
+            N.
         events: What the controller noticed.
         physics: Name and numbers of ``PhysicsOptions``, as plain data.
         pictures: Files of pictures, by phase.
@@ -50,19 +66,26 @@ class ManipulationReport:
             is told here is about the rest of the turn then.
     """
 
-    checks: tuple[Check, ...]
-    complete: bool
+    hand: str
+    object: str
+    mass_kg: float
+    seed: int
+    controller: str
     fingers: tuple[str, ...]
+    results: tuple[PhaseResult, ...]
+    complete: bool
+    put_down: bool
     asked: float
     asked_shift: FloatArray
     back: str
     R_world_palm: FloatArray
-    track: Track
+    log: ManipulationLog
     planned_modes: NDArray[np.str_]
     measured_modes: NDArray[np.str_]
     before: QualityReport | None
     after: QualityReport | None
-    bounds: Bounds
+    criteria: SuccessCriteria
+    timeline: ManipulationTimeline
     force_limit: float
     events: tuple[Event, ...]
     physics: dict[str, Any]
@@ -73,46 +96,46 @@ class ManipulationReport:
     @property
     def reason(self) -> str:
         """Why it failed, "" if it did not."""
-        failed = [c for c in self.checks if not c.passed]
-        return f"{failed[-1].step}: {failed[-1].reason}" if failed and not self.complete else ""
+        failed = [r for r in self.results if not r.passed]
+        return f"{failed[-1].phase}: {failed[-1].reason}" if failed and not self.complete else ""
 
     @property
     def dropped(self) -> bool:
         """Whether the object was lost in the air: no finger touched it any more."""
-        air = self.track.during(*IN_THE_AIR)
-        return bool((self.track.touching[air] == 0).any())
+        air = self.log.during(*IN_THE_AIR)
+        return bool((self.log.touching[air] < DROPPED.fewest).any())
 
     @property
     def turned(self) -> float:
         """Signed twist at the end of the hold, rad; NaN if it never came to that."""
-        held = self.track.during("hold")
-        return float(self.track.turn[held[-1]]) if len(held) else float("nan")
+        held = self.log.during("hold")
+        return float(self.log.turn[held[-1]]) if len(held) else float("nan")
 
     @property
     def shifted(self) -> FloatArray:
         """Translation in the hand at the end of the hold (3,), m, world; NaN without one."""
-        held = self.track.during("hold")
+        held = self.log.during("hold")
         if not len(held):
             return np.full(3, np.nan)
-        return np.asarray(self.R_world_palm @ self.track.shift[held[-1]])
+        return np.asarray(self.R_world_palm @ self.log.shift[held[-1]])
 
     @property
     def least_fingers(self) -> int:
         """Fewest fingers that touched at any sample in the air; 0 if it was never in the air."""
-        air = self.track.during(*IN_THE_AIR)
-        return int(self.track.touching[air].min()) if len(air) else 0
+        air = self.log.during(*IN_THE_AIR)
+        return int(self.log.touching[air].min()) if len(air) else 0
 
     @property
     def open_samples(self) -> int:
         """Samples in the air without force closure."""
-        return int((~self.track.closed[self.track.during(*IN_THE_AIR)]).sum())
+        return int((~self.log.closed[self.log.during(*IN_THE_AIR)]).sum())
 
     @property
-    def loose(self) -> bool:
+    def success(self) -> bool:
         """Turned as far and moved as asked for, not put down half-way, and not dropped."""
         if self.earlier is not None:
             return False
-        held = self.track.during("hold")
+        held = self.log.during("hold")
         return bool(len(held)) and bool(self._reached()[held[-1]]) and not self.dropped
 
     @property
@@ -123,30 +146,28 @@ class ManipulationReport:
         """
         if self.earlier is not None and self.earlier.collision is not None:
             return self.earlier.collision
-        track = self.track
-        return first_collision(
-            track.time, track.collision_N, track.collision, self.bounds.collision_N
-        )
+        log = self.log
+        return first_collision(log.time, log.collision_N, log.collision, self.criteria.collision_N)
 
     @property
     def forces(self) -> tuple[FingerForce, ...]:
         """How hard each finger pressed on the object over the whole run."""
-        return finger_forces(self.track, self.fingers)
+        return finger_forces(self.log, self.fingers)
 
     @property
-    def strict(self) -> bool:
-        """Loose, and nothing of ``not_strict``."""
-        return self.loose and not self.not_strict
+    def success_with_closure(self) -> bool:
+        """A success, and nothing of ``faults``."""
+        return self.success and not self.faults
 
     @property
-    def not_strict(self) -> str:
-        """What is not as it should be, though the object may have been turned; "" if nothing.
+    def faults(self) -> str:
+        """What a success with closure must not have, "" if nothing.
 
         In the air enough fingers and force closure at every sample; over the whole run no collision
         of the hand, and no finger that presses harder than it may.
         """
         faults = []
-        if self.least_fingers < self.bounds.fingers:
+        if self.least_fingers < self.criteria.fingers:
             faults.append(f"only {self.least_fingers} fingers touched at times")
         if self.open_samples:
             faults.append(f"{self.open_samples} samples without force closure")
@@ -164,53 +185,57 @@ class ManipulationReport:
     @property
     def time_to_angle(self) -> float:
         """Time from the beginning of the turn until it was reached, s; NaN if never."""
-        turning = self.track.during(*TURNING)
+        turning = self.log.during(*TURNING)
         done = self._reached()[turning]
         if not done.any():
             return float("nan")
-        times = self.track.time[turning]
+        times = self.log.time[turning]
         return float(times[np.argmax(done)] - times[0])
 
     @property
     def largest_tilt(self) -> float:
         """Largest rotation beside the turn, while turning and holding, rad."""
-        return self._largest(self.track.tilt)
+        return self._largest(self.log.tilt)
 
     @property
     def largest_off_path(self) -> float:
         """Largest distance of the object from where it was wanted, while turning and holding, m."""
-        return self._largest(self.track.off_path)
+        return self._largest(self.log.off_path)
 
     def __str__(self) -> str:
         """Phase by phase, contact modes, and the verdict."""
         lines = [] if self.earlier is None else [str(self.earlier), "", "begun again:"]
-        lines += [str(check) for check in self.checks]
-        if self.track.during("turn").size:
-            turning = self.track.during("turn", "regrasp")
+        lines += [str(result) for result in self.results]
+        if self.log.during("turn").size:
+            turning = self.log.during("turn", "regrasp")
             modes = told_modes(self.fingers, self.planned_modes, self.measured_modes, turning)
             lines += ["", *modes, ""]
             numbers = self.numbers()
             lines += [
                 f"turned {numbers['turned_deg']:.2f} of {np.rad2deg(self.asked):.1f} degrees, "
-                f"reached after {numbers['time_to_angle_s']:.2f} s; tilt up to "
-                f"{numbers['largest_tilt_deg']:.2f} degrees off the planned attitude, centre up to "
-                f"{numbers['largest_off_path_mm']:.2f} mm off its path",
+                f"reached after {numbers['time_to_angle_s']:.2f} s",
+                f"tilt up to {numbers['largest_tilt_deg']:.2f} degrees off the planned attitude, "
+                f"centre up to {numbers['largest_off_path_mm']:.2f} mm off its path",
                 *self._moved(),
                 f"in the air: at least {self.least_fingers} fingers touched, "
                 f"{self.open_samples} samples without force closure",
             ]
-        if self.track.during("squeeze").size:
-            lines.append(told_forces(self.forces, self.force_limit))
+        if self.log.during("squeeze").size:
+            lines += told_forces(self.forces, self.force_limit)
         lines += [f"controller: {line}" for line in told_events(self.events)]
         verdict = "complete" if self.complete else f"failed in {self.reason}"
-        strictness = "strict" if self.strict else "loose" if self.loose else "not turned"
-        if self.earlier is not None:
-            strictness = "put down half-way"
-        if self.loose and not self.strict:
-            strictness += f", not strict: {self.not_strict}"
-        elif self.collision is not None:
-            strictness += f"; {self.collision.reason}: {self.collision.detail}"
-        return "\n".join([*lines, f"{verdict}; the turn: {strictness}"])
+        return "\n".join([*lines, f"{verdict}; the turn: {self._judged()}"])
+
+    def _judged(self) -> str:
+        """The turn in words: success with or without closure, or none."""
+        if self.success_with_closure:
+            return "success with closure"
+        if self.success:
+            return f"success, but {self.faults}"
+        told = "put down half-way" if self.earlier is not None else "not as asked"
+        if self.collision is not None:
+            told += f"; {self.collision.reason}: {self.collision.detail}"
+        return told
 
     def _moved(self) -> list[str]:
         """How far it was moved in the hand, if that was asked for; and why it was brought back."""
@@ -227,11 +252,11 @@ class ManipulationReport:
 
     def _reached(self) -> NDArray[np.bool_]:
         """At which samples (m,) the object was turned as far and moved as asked for."""
-        far = self.track.turn * np.sign(self.asked) >= abs(self.asked)
+        far = self.log.turn * np.sign(self.asked) >= abs(self.asked)
         if not self.asked_shift.any():
             return np.asarray(far)
-        off = np.linalg.norm(self.track.shift @ self.R_world_palm.T - self.asked_shift, axis=1)
-        return np.asarray(far & (1e3 * off <= self.bounds.shift_mm))
+        off = np.linalg.norm(self.log.shift @ self.R_world_palm.T - self.asked_shift, axis=1)
+        return np.asarray(far & (1e3 * off <= self.criteria.shift_mm))
 
     def numbers(self) -> dict[str, float]:
         """The figures of a row in a table."""
@@ -246,52 +271,85 @@ class ManipulationReport:
             "least_fingers": float(self.least_fingers),
             "open_samples": float(self.open_samples),
             "epsilon_after": float("nan") if after is None else after.epsilon,
-            "largest_collision_N": float(self.track.collision_N.max(initial=0.0)),
+            "largest_collision_N": float(self.log.collision_N.max(initial=0.0)),
             "largest_force_N": max(force.sustained for force in self.forces),
             "force_limit_N": self.force_limit,
-            "duration_s": self.checks[-1].end if self.checks else 0.0,
+            "duration_s": self.results[-1].end if self.results else 0.0,
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
-        return {
-            "complete": self.complete,
-            "strict": self.strict,
-            "loose": self.loose,
-            "dropped": self.dropped,
-            "reason": self.reason,
-            "not_strict": self.not_strict,
-            "collision": "" if self.collision is None else self.collision.detail,
-            "forces": [vars(force) for force in self.forces],
-            "fingers": list(self.fingers),
-            "physics": self.physics,
-            "earlier": None if self.earlier is None else self.earlier.to_dict(),
-            "asked_deg": float(np.rad2deg(self.asked)),
-            "asked_shift_mm": (1e3 * self.asked_shift).tolist(),
-            "shifted_mm": finite(1e3 * self.shifted),
-            "back": self.back,
-            "numbers": finite(self.numbers()),
-            "phases": [
-                {
-                    "phase": c.step,
-                    "about": c.about,
-                    "begin_s": c.begin,
-                    "end_s": c.end,
-                    "passed": c.passed,
-                    "reason": c.reason,
-                    "then": c.then,
-                    "numbers": finite(c.numbers),
-                }
-                for c in self.checks
-            ],
-            "contact_modes": {
-                finger: mode_table(self.planned_modes[:, i], self.measured_modes[:, i])
-                for i, finger in enumerate(self.fingers)
-            },
-            "events": [vars(e) for e in self.events],
-            "pictures": self.pictures,
-        }
+        """Plain data that follows ``ManipulationReportFile``; what is not finite becomes None."""
+        return ManipulationReportFile.model_validate(
+            {
+                "written_by": written_by(),
+                "success": self.success,
+                "success_with_closure": self.success_with_closure,
+                "complete": self.complete,
+                "put_down_half_way": self.put_down,
+                "dropped": self.dropped,
+                "reason": self.reason,
+                "faults": self.faults,
+                "collision": "" if self.collision is None else self.collision.detail,
+                "hand": self.hand,
+                "object": self.object,
+                "mass_kg": self.mass_kg,
+                "seed": self.seed,
+                "controller": self.controller,
+                "fingers": list(self.fingers),
+                "asked_deg": float(np.rad2deg(self.asked)),
+                "asked_shift_mm": (1e3 * self.asked_shift).tolist(),
+                "shifted_mm": finite(1e3 * self.shifted),
+                "made_backwards_because": self.back,
+                "numbers": finite(self.numbers()),
+                "phases": [
+                    {
+                        "phase": r.phase,
+                        "about": r.about,
+                        "begin_s": r.begin,
+                        "end_s": r.end,
+                        "passed": r.passed,
+                        "reason": r.reason,
+                        "then": r.then,
+                        "numbers": finite(r.numbers),
+                    }
+                    for r in self.results
+                ],
+                "forces": [
+                    {
+                        "finger": f.finger,
+                        "peak_N": f.peak,
+                        "sustained_N": f.sustained,
+                        "mean_N": f.mean,
+                        "time_s": f.peak_time,
+                    }
+                    for f in self.forces
+                ],
+                "contact_modes": {
+                    finger: mode_table(self.planned_modes[:, i], self.measured_modes[:, i])
+                    for i, finger in enumerate(self.fingers)
+                },
+                "quality_before": None if self.before is None else self.before.to_dict(),
+                "quality_after": None if self.after is None else self.after.to_dict(),
+                "criteria": asdict(self.criteria),
+                "timeline": asdict(self.timeline),
+                "physics": self.physics,
+                "events": [
+                    {"time_s": e.time, "kind": e.kind, "finger": e.finger, "detail": e.detail}
+                    for e in self.events
+                ],
+                "pictures": self.pictures,
+                "picture_reason": self.picture_reason,
+                "samples": finite(
+                    self.log.to_dict()
+                    | {
+                        "contact_mode_planned": self.planned_modes.tolist(),
+                        "contact_mode_measured": self.measured_modes.tolist(),
+                    }
+                ),
+                "earlier": None if self.earlier is None else self.earlier.to_dict(),
+            }
+        ).model_dump(mode="json")
 
     def _largest(self, values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
-        turning = values[self.track.during(*TURNING)]
+        turning = values[self.log.during(*TURNING)]
         return float(np.nanmax(turning)) if np.isfinite(turning).any() else float("nan")

@@ -1,23 +1,14 @@
-"""``manipulate``: execute a ``ManipulationPlan`` in MuJoCo, phase by phase, each with its check.
+"""``manipulate``: execute a ``ManipulationPlan`` in MuJoCo, phase by phase, each with its checks.
 
-    stand, approach, close, squeeze, verify, lift, turn, hold, verify again, carry, lower, release,
-    open, retreat
-
-A turn by several strokes is "turn" several times, with "regrasp" once per finger between two of
-them. An object that does not stand as it lies in the hand in the end, or that the hand cannot let
-go of there, is brought back in the hand ("back") before it is carried to its target.
-
-It ends at the first phase that fails, unless a retry is asked for: a turn that stalls then goes on
-after a regrasp if there is one from the present contacts, and where a lift is refused another
-finger moves on first if that holds; otherwise the object is put down where it
-is, and the rest of the turn is planned and made anew, once. What really is there may differ from
-what was planned for: friction, mass and the object's pose; the controller knows of it only what it
-measures.
+Which phase comes next is decided by ``sim.manipulation.machine``, what a phase does is in
+``phases``, ``turning`` and ``regrasping``. What really is there may differ from what was planned
+for: friction, mass and the object's pose; the controller knows of it only what it measures.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import copy
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,275 +16,296 @@ import numpy as np
 
 from planner.errors import PlannerError
 from planner.failure import Failure
-from planner.motion.gait import cut_motion
-from planner.motion.manipulation import ManipulationPlan, plan_manipulation
-from planner.motion.manipulation.ending import Ending, backwards, object_at_target, stands
+from planner.motion.gait import Relocation, cut_motion, plan_back, plan_others
+from planner.motion.manipulation import Ending, ManipulationPlan, plan_manipulation
+from planner.motion.manipulation.ending import backwards, object_at_target, stands
 from planner.motion.release import find_release
 from planner.spatial import SE3, signed_twist
 from planner.task import GraspTask
 from sim.controllers import Sensing
 from sim.looking.picture import save_picture
-from sim.manipulation.checks import Check
+from sim.manipulation.in_hand import AnyTurningController, GuidedController, in_hand_controller
+from sim.manipulation.log import ManipulationLog
+from sim.manipulation.machine import PhaseCall, StateMachine
 from sim.manipulation.modes import measured_modes, planned_modes, planned_points
-from sim.manipulation.pace import STEPS, TURNING, Bounds, Pace, Step
 from sim.manipulation.phases import Phases
 from sim.manipulation.pressing import ASKED_SHARE, force_limit
 from sim.manipulation.report import ManipulationReport
-from sim.manipulation.samples import Track
-from sim.manipulation.stage import Push, Stage
+from sim.manipulation.results import PhaseResult
+from sim.manipulation.simulation import ManipulationSim, Push
 from sim.manipulation.standing import rests
-from sim.manipulation.turning import Part
+from sim.manipulation.timeline import TURNING, ManipulationTimeline, SuccessCriteria
 from sim.physics import PhysicsOptions
 
 __all__ = ["ManipulationRun", "manipulate"]
 
-DOWN: tuple[Step, ...] = ("lower", "release", "open", "retreat")
-"""Phases in which an object is put down."""
-
 
 class ManipulationRun:
-    """One execution of a plan.
+    """One execution of a plan; the ``Situation`` of its state machine.
 
     Attributes:
         plan: What is executed.
-        stage: Where.
-        checks: The phases that were run.
-        put_down: Whether the object is put down half-way.
+        sim: Scene, driver and samples.
+        results: The phases that were run.
     """
 
     def __init__(
         self,
         plan: ManipulationPlan,
         *,
-        really: GraspTask | None = None,
+        controller: AnyTurningController | None = None,
+        true_task: GraspTask | None = None,
         physics: PhysicsOptions | None = None,
         sensing: Sensing | None = None,
-        pace: Pace | None = None,
-        bounds: Bounds | None = None,
+        timeline: ManipulationTimeline | None = None,
+        criteria: SuccessCriteria | None = None,
         push: Push | None = None,
     ) -> None:
         """Build the scene and put hand and object at their start; see ``manipulate``."""
         self.plan = plan
-        pace, self._bounds = pace or Pace(), bounds or Bounds()
-        self._force_limit = self._bounds.normal_N or force_limit(plan)
-        self.stage = Stage(
-            plan,
-            really=really,
-            physics=physics,
-            sensing=sensing,
-            pace=pace,
-            push=push,
-            max_normal=ASKED_SHARE * self._force_limit,
+        self.results: list[PhaseResult] = []
+        self._timeline = timeline or ManipulationTimeline()
+        self._criteria = criteria or SuccessCriteria()
+        self._force_limit = self._criteria.normal_N or force_limit(plan)
+        holding = in_hand_controller(
+            plan.grasp, controller, sensing=sensing, max_normal=ASKED_SHARE * self._force_limit
         )
-        self.put_down = False
-        self._goes_on = False
-        self._phases = Phases(plan, self.stage, pace, self._bounds)
-        self.checks: list[Check] = []
+        self.sim = ManipulationSim(
+            plan,
+            controller=holding,
+            timeline=self._timeline,
+            true_task=true_task,
+            physics=physics,
+            push=push,
+        )
+        self._phases = Phases(plan, self.sim, self._timeline, self._criteria)
 
-    def perform(self, *, pictures: Path | None = None, retry: bool = False) -> ManipulationReport:
-        """Run all phases, or up to the first that fails.
+    def perform(
+        self, *, pictures: Path | None = None, retry: bool = False, view: bool = False
+    ) -> ManipulationReport:
+        """Run all phases, or up to the first that fails and is not made up for.
 
         Args:
             pictures: Folder for a picture at the end of each phase; it must exist.
-            retry: Whether a turn that stalls goes on after a regrasp, where there is one, and
-                whether an object that cannot be turned further is put down.
+            retry: Whether failures of the turn are made up for; see ``machine``.
+            view: Show it in MuJoCo's viewer, in real time.
+
+        Raises:
+            TaskError: ``view`` without a display.
         """
-        taken: dict[str, str] = {}
-        no_picture = ""
-        for k, (step, about, perform) in enumerate(self._parts(), start=1):
-            begin = float(self.stage.data.time)
-            reason, numbers = perform()
-            end = float(self.stage.data.time)
-            then = self._after(step) if reason and retry else ""
-            goes_on = not reason or (retry and self._goes_on)
-            self.checks.append(
-                Check(
-                    step=step,
-                    about=about,
-                    begin=begin,
-                    end=end,
-                    reason=reason,
-                    numbers=numbers,
-                    then=then,
+        machine = StateMachine(self.plan, self, retry=retry)
+        album = _Album(self.sim, pictures)
+        if view:
+            self.sim.simulation.show()
+        try:
+            while (call := machine.next) is not None:
+                begin = self.sim.simulation.time
+                reason, numbers = self._phases.perform(call)
+                end = self.sim.simulation.time
+                then = machine.failed() if reason else ""
+                if not reason:
+                    machine.passed()
+                self.results.append(
+                    PhaseResult(
+                        phase=call.phase,
+                        about=call.about,
+                        begin=begin,
+                        end=end,
+                        reason=reason,
+                        numbers=numbers,
+                        then=then,
+                    )
                 )
-            )
-            if pictures is not None and not no_picture:
-                name = f"{step} {about}".strip().replace(" ", "-")
-                file = pictures / f"{k:02d}-{name}.png"
-                made = save_picture(self.stage.scene.model, self.stage.data, file)
-                no_picture = made.reason
-                if made.path is not None:
-                    taken[file.stem if about else step] = str(made.path)
-            if not goes_on:
-                break
-        return self._told(taken, no_picture)
+                album.take(len(self.results), call)
+        finally:
+            self.sim.simulation.close()
+        return self._report(machine, album)
 
-    def _parts(self) -> Iterator[Part]:
-        """All phases in order; the turn may have several."""
-        for step in STEPS:
-            if step == "carry" and self.plan.ending.back:
-                yield "back", "", self._phases.of("back")
-            if step != "turn":
-                yield step, "", self._phases.of(step)
-                continue
-            for part in self._phases.turning.parts():
-                yield part
-                if self.put_down:
-                    break
-            if self.put_down:
-                break
-        if self.put_down:
-            down: tuple[Step, ...] = ("back", *DOWN) if self._phases.plan.ending.back else DOWN
-            for step in down:
-                yield step, "half-way", self._phases.of(step)
+    # ---- the situation, for the state machine
 
-    def _after(self, step: Step) -> str:
-        """What is done after a phase that failed: a regrasp, or putting down; or why nothing is.
+    @property
+    def left(self) -> float:
+        """Turn that is still to be made, rad; negative beyond the goal."""
+        return self._phases.turning.left
 
-        "" where nothing is to be done: the object was not to be turned yet, or is lost.
-        """
-        self._goes_on = False
-        if step not in TURNING or not self.stage.touched:
-            return ""
-        no_regrasp, turning = "the turn is over", self._phases.turning
-        if step == "turn":
-            no_regrasp = turning.regrasps_on()
-        elif step == "regrasp":
-            no_regrasp = turning.another_order()
-        self._goes_on = not no_regrasp
-        if self._goes_on and step == "turn":
-            return "the fingers move on, and it is turned again"
-        if self._goes_on:
-            return "the fingers move on in another order"
-        why = self._put_down()
-        self._goes_on = not why
-        down = f"it cannot be put down either: {why}" if why else "it is put down"
-        return f"no regrasp ({no_regrasp}); {down}"
+    @property
+    def touched(self) -> bool:
+        """Whether the hand touches the object."""
+        return self.sim.touched
 
-    def _put_down(self) -> str:
-        """Let the phases put the object down where it is; why they cannot, "" if they can."""
-        plan, stage = self.plan, self.stage
-        axis = plan.motion.path.axis
-        first, now = stage.scene.task.T_world_object, stage.T_world_object
+    def fingers_back(self) -> tuple[Relocation, ...] | Failure:
+        """How all fingers go back to where the motion began; or why they cannot."""
+        return plan_back(self.plan.motion, self.sim.driver.reference.place)
+
+    def other_order(self, moved: Iterable[str]) -> tuple[Relocation, ...] | Failure:
+        """How the fingers that have not moved go on in another order; or why they cannot."""
+        refused, gait = self._phases.regrasping.refused, self.plan.gait
+        if gait is None or not refused:
+            return Failure(kind="turn_over", text="the turn is over")
+        return plan_others(gait.motion, tuple(moved), refused)
+
+    def put_down(self) -> Ending | Failure:
+        """How the object is put down where it is; or why it cannot be."""
+        plan, simulation = self.plan, self.sim.simulation
+        axis, back = plan.motion.path.axis, plan.ending.back
+        first, now = simulation.plan.task.T_world_object, simulation.T_world_object
         turned = signed_twist(now.rotation @ first.rotation.T, axis)
         x, y = now.translation[:2].tolist()
-        task = replace(plan.motion.grasp.task, T_world_object=first)
-        if plan.ending.back or not stands(task, axis, turned, rests=rests):
+        task = replace(plan.task, T_world_object=first)
+        if back or not stands(task, axis, turned, rests=rests):
             if plan.gait is not None:
-                return "it would not stand"
-            ending = backwards(
-                plan.motion, (x, y), plan.ending.back or "half-way it does not stand"
-            )
-        else:
-            found = find_release(cut_motion(plan.motion, stage.driver.reference.place))
-            if isinstance(found, Failure):
-                return found.text
-            target = object_at_target(task, axis, turned, (x, y))
-            ending = Ending(T_world_target=target, release=found, back="")
-        self._phases.plan = replace(plan, ending=ending)
-        self.put_down = True
-        return ""
+                return Failure(kind="falls", text="it would not stand")
+            return backwards(plan.motion, (x, y), back or "half-way it does not stand")
+        release = find_release(cut_motion(plan.motion, self.sim.driver.reference.place))
+        if isinstance(release, Failure):
+            return release
+        target = object_at_target(task, axis, turned, (x, y))
+        return Ending(T_world_target=target, release=release, back="")
 
-    def _told(self, pictures: dict[str, str], no_picture: str) -> ManipulationReport:
-        track = self.stage.watch.track()
-        points = planned_points(self.plan.motion, track.place, track.step, track.away)
+    def _report(self, machine: StateMachine, album: _Album) -> ManipulationReport:
+        plan, log = self.plan, self.sim.recorder.log()
+        points = planned_points(plan.motion, log.path_parameter, log.phase, log.away)
         wanted = np.isfinite(points[..., 0])
-        last = self.checks[-1]
+        simulation = self.sim.simulation
+        true_task, holding = simulation.plan.task, self.sim.driver.holding
+        driving = holding.controller if isinstance(holding, GuidedController) else holding
         return ManipulationReport(
-            checks=tuple(self.checks),
-            complete=last.step == STEPS[-1] and last.passed and not self.put_down,
-            fingers=self.plan.motion.grasp.task.finger_names,
-            asked=self.plan.angle,
-            asked_shift=self.plan.shift,
-            back=self._phases.plan.ending.back,
-            R_world_palm=self.plan.motion.grasp.T_world_palm.rotation,
-            track=track,
-            planned_modes=planned_modes(track.time, points),
-            measured_modes=measured_modes(track.time, track.points, track.sliding, wanted),
+            hand=plan.task.hand.name,
+            object=plan.task.object.shape.spec,
+            mass_kg=true_task.object.mass,
+            seed=plan.motion.record.seed,
+            controller=type(driving).__name__,
+            fingers=plan.task.finger_names,
+            results=tuple(self.results),
+            complete=machine.complete,
+            put_down=machine.put_down,
+            asked=plan.angle,
+            asked_shift=plan.shift,
+            back=machine.ending.back,
+            R_world_palm=plan.grasp.T_world_palm.rotation,
+            log=log,
+            planned_modes=planned_modes(log.time, points),
+            measured_modes=measured_modes(log.time, log.points, log.sliding, wanted),
             before=self._phases.quality.get("verify"),
             after=self._phases.quality.get("verify again"),
-            bounds=self._bounds,
+            criteria=self._criteria,
+            timeline=self._timeline,
             force_limit=self._force_limit,
-            events=self.stage.driver.events,
-            physics=self.stage.scene.physics.to_dict(),
-            pictures=pictures,
-            picture_reason=no_picture,
+            events=simulation.events,
+            physics=simulation.scene.physics.to_dict(),
+            pictures=album.files,
+            picture_reason=album.reason,
         )
+
+
+class _Album:
+    """Pictures at the ends of phases."""
+
+    def __init__(self, sim: ManipulationSim, folder: Path | None) -> None:
+        self.files: dict[str, str] = {}
+        self.reason = ""
+        self._sim, self._folder = sim, folder
+
+    def take(self, number: int, call: PhaseCall) -> None:
+        """Take one, unless none is asked for or none could be taken before."""
+        if self._folder is None or self.reason:
+            return
+        name = f"{call.phase} {call.about}".strip().replace(" ", "-")
+        file = self._folder / f"{number:02d}-{name}.png"
+        simulation = self._sim.simulation
+        made = save_picture(simulation.scene.model, simulation.data, file)
+        self.reason = made.reason
+        if made.path is not None:
+            self.files[file.stem if call.about else call.phase] = str(made.path)
 
 
 def manipulate(
     plan: ManipulationPlan,
     *,
-    really: GraspTask | None = None,
+    controller: AnyTurningController | None = None,
+    true_task: GraspTask | None = None,
     physics: PhysicsOptions | None = None,
     sensing: Sensing | None = None,
-    pace: Pace | None = None,
-    bounds: Bounds | None = None,
+    timeline: ManipulationTimeline | None = None,
+    criteria: SuccessCriteria | None = None,
     push: Push | None = None,
     pictures: Path | None = None,
     retry: bool = False,
+    view: bool = False,
 ) -> ManipulationReport:
     """Execute a plan and judge it.
 
     Args:
         plan: What to execute.
-        really: The task as it really is, where mass or pose differ from the plan's.
+        controller: What drives the fingers until they open: a name, a controller, or a class or
+            function that makes one from ``plan.grasp``; ``ObjectImpedance`` if None. What one of
+            your own sees is told in ``sim.manipulation.in_hand``.
+        true_task: The task as it really is, where mass or pose differ from the plan's.
         physics: How MuJoCo computes, with the true friction; defaults if None.
-        sensing: How well the object is known; exactly and at once if None.
-        pace: Durations; defaults if None.
-        bounds: Where phases fail; defaults if None.
+        sensing: How well the object is known to the default controller; exactly and at once if
+            None.
+        timeline: Durations; defaults if None.
+        criteria: Where phases fail; defaults if None.
         push: A disturbance during the turn.
         pictures: Folder for a picture at the end of each phase; it must exist.
-        retry: Whether a turn that stalls is tried again, once; the push is not. The hand's way
-            from where it let go to where it begins anew is not simulated.
+        retry: Whether a turn that fails is made up for, once; the push is not repeated. The way of
+            the hand from where it let go to where it begins anew is not simulated.
+        view: Show it in MuJoCo's viewer, in real time.
+
+    Raises:
+        NotFoundError: No controller has that name.
+        TaskError: The controller is none, or ``view`` without a display.
     """
-    run = ManipulationRun(
-        plan,
-        really=really,
-        physics=physics,
-        sensing=sensing,
-        pace=pace,
-        bounds=bounds,
-        push=push,
-    )
-    report = run.perform(pictures=pictures, retry=retry)
-    if not (run.put_down and report.checks[-1].passed):
+    fresh = copy.deepcopy(controller) if retry else None  # as it is before the first run
+
+    def run_of(
+        plan: ManipulationPlan,
+        controller: AnyTurningController | None,
+        there: GraspTask | None,
+        push: Push | None,
+    ) -> ManipulationRun:
+        return ManipulationRun(
+            plan,
+            controller=controller,
+            true_task=there,
+            physics=physics,
+            sensing=sensing,
+            timeline=timeline,
+            criteria=criteria,
+            push=push,
+        )
+
+    run = run_of(plan, controller, true_task, push)
+    report = run.perform(pictures=pictures, retry=retry, view=view)
+    if not report.put_down:
         return report
     try:
-        rest = _rest_of(plan, report.track, run.stage.T_world_object)
+        rest = _rest_of(plan, report.log, run.sim.simulation.T_world_object)
     except PlannerError as error:
-        last = replace(report.checks[-1], then=f"no plan for the rest of the turn: {error}")
-        return replace(report, checks=(*report.checks[:-1], last))
-    again = ManipulationRun(
-        rest,
-        really=replace(run.stage.scene.task, T_world_object=rest.motion.grasp.task.T_world_object),
-        physics=physics,
-        sensing=sensing,
-        pace=pace,
-        bounds=bounds,
-    )
-    return replace(again.perform(), earlier=report)
+        last = replace(report.results[-1], then=f"no plan for the rest of the turn: {error}")
+        return replace(report, results=(*report.results[:-1], last))
+    there = run.sim.simulation.plan.task
+    there = replace(there, T_world_object=rest.task.T_world_object)
+    return replace(run_of(rest, fresh, there, None).perform(view=view), earlier=report)
 
 
-def _rest_of(plan: ManipulationPlan, track: Track, T_world_object: SE3) -> ManipulationPlan:
+def _rest_of(plan: ManipulationPlan, log: ManipulationLog, T_world_object: SE3) -> ManipulationPlan:
     """A plan for what is left of a turn, from where the object stands now.
 
     Raises:
         PlannerError: There is none.
     """
-    motion = plan.motion
-    task = motion.grasp.task
-    first = task.T_world_object
+    task, motion = plan.task, plan.motion
     axis = motion.path.axis
-    counted = float(track.turn[track.during(*TURNING)[-1]])  # whole turns too
-    made = signed_twist(T_world_object.rotation @ first.rotation.T, axis, near=counted)
-    if plan.ending.back:  # it stands as at first
-        made = 0.0
+    made = 0.0  # brought back in the hand it stands as at first
+    if not plan.ending.back:
+        counted = float(log.turn[log.during(*TURNING)[-1]])  # whole turns too
+        turned = T_world_object.rotation @ task.T_world_object.rotation.T
+        made = signed_twist(turned, axis, near=counted)
     x, y = T_world_object.translation[:2].tolist()
-    upright = object_at_target(task, axis, made, (x, y))
     at_x, at_y = plan.ending.T_world_target.translation[:2].tolist()
     return plan_manipulation(
-        replace(task, T_world_object=upright),
+        replace(task, T_world_object=object_at_target(task, axis, made, (x, y))),
         axis=axis,
         angle=plan.angle - made,
         shift=plan.shift,

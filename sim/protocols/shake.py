@@ -16,8 +16,8 @@ import numpy as np
 
 from planner.errors import TaskError
 from planner.hands.hand import Hand
-from planner.paths import smooth
 from planner.plan import GraspPlan
+from planner.spatial import minimum_jerk
 from sim.controllers import Phase
 from sim.gantry import MOUNT_AXES, MOUNT_FREQUENCY, Mount
 from sim.protocols.cases import Conditions
@@ -149,5 +149,5 @@ class Shaker:
     def coordinate(self, time: float) -> float:
         """Wanted coordinate (m or rad) at a time since the beginning, s."""
         periods, left = time * self._frequency, (self._duration - time) * self._frequency
-        envelope = smooth(np.clip(min(periods, left), 0.0, 1.0))
+        envelope = minimum_jerk(np.clip(min(periods, left), 0.0, 1.0))
         return float(self._amplitude * envelope * np.sin(2.0 * np.pi * periods))

@@ -1,4 +1,4 @@
-"""A hand as DexGraspBench reads it: model, meshes, and what its ``config/hand`` says.
+"""A hand as DexGraspBench reads it: model, meshes, and its entry of ``config/hand``.
 
 The base stands where the hand's own model file puts it, so that a grasp's qpos, which places the
 world of that file, is right for the exported model and for the original one alike.
@@ -46,7 +46,7 @@ def file_name(label: str) -> str:
 
 
 def export_name(hand: Hand) -> str:
-    """What a hand is called in an export.
+    """Name of a hand in an export.
 
     The name in its description; for a model without one, the model's own name, or folder and file
     where it has none: "right_hand.xml" is the file name of most hands. Letters, digits, ``_`` and

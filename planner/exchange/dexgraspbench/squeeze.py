@@ -1,6 +1,6 @@
 """Squeeze pose for DexGraspBench: how far beyond the grasp its servos are commanded.
 
-The benchmark commands one posture and holds it, whatever happens: its servos are springs about that
+The benchmark commands one posture and holds it throughout: its servos are springs about that
 posture. So the forces on the object change by stiffness times displacement, and the squeeze must be
 large enough that after every change that the protocol brings, each contact still holds:
 
@@ -63,9 +63,8 @@ FRICTION = 0.6
 
 FRICTION_SHARES = (0.3, 0.5, 0.8)
 """Shares of the planned friction coefficient (-) with which pressing forces are tried: with little
-friction in use, more is left to the loads, but forces that balance may be very unequal (65 and
-1.5 N where 80 % of the friction needs 5 and 1.5 N). The set is taken whose wanted squeeze is
-farthest from buckling."""
+friction in use, more is left to the loads, but balanced forces may be very unequal. The set whose
+wanted squeeze is farthest from buckling is taken."""
 
 STABLE = 1.0 / 3.0
 """Share of the force at which a grasp buckles that a squeeze may use (-): tips roll and slide,
@@ -77,7 +76,7 @@ MISPLACED = 0.001
 finger to touch pushes the object before the last one does."""
 
 SOFTEST = 0.001
-"""Stiffness (N m/rad) of a joint that no servo holds, for numbers' sake: 0.02 % of kp 5."""
+"""Stiffness (N m/rad) of a joint without a servo, which keeps matrices invertible."""
 
 STIFFEST_SHARE = 0.01
 """Compliance of a tip where no joint moves it, as share of the mean (-): the links are stiff, and
@@ -86,7 +85,7 @@ contact and weld give way by about this much."""
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Squeeze:
-    """A squeeze, or why there is none.
+    """A squeeze, or the reason why there is none.
 
     Attributes:
         reason: Why not; "" if there is one.

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planner.collision.pad_contact import pad_touches
+from planner.collision.pad_contact import pad_contacts
 from planner.contacts import ContactSet
 from planner.failure import Failure
 from planner.motion.gait.order import NoOrder, Order, find_order, holding, standing
@@ -157,7 +157,7 @@ class _End:
         self.T_world_object = last.T_world_object
         self._base = self.T_world_object.inverse() * stroke.T_world_base
         task = planner.lifted
-        touches = pad_touches(task, task.T_world_object * self._base, first.q)
+        touches = pad_contacts(task, task.T_world_object * self._base, first.q)
         gaps = np.array([touch.pad_gap for touch in touches])
         worst = int(np.abs(gaps).argmax())
         self.failure: Failure | None = None

@@ -1,26 +1,26 @@
 """The way of one finger from contact to contact while the others hold: up, over, and down.
 
-The pad's centre is led in the object's frame: along the outward normal to one of ``HEIGHTS``, at
-that height over the surface to above the landing, and down along the normal there. Its joints
-follow by steps, each a quadratic programme over the joints of that finger,
+The path of the pad's centre is given in the object's frame: along the outward normal to one of
+``HEIGHTS``, at that height over the surface to above the landing, and down along the normal there.
+The joints of the finger follow by steps, each a quadratic programme (``planner.numerics.ik_step``),
 
     min  |J dq - (wanted - c)|^2 / height^2 + POSTURE_WEIGHT |q + dq - q_even|^2 + DAMPING |dq|^2
     s.t. what is near stays ``ROOM`` apart as far as it can; couplings; joint limits
 
-with q_even the even way between both postures. What comes of it is judged by coal at every place
-and half-way between: nothing may penetrate, and the pad stays clear of the object while it is up.
+with q_even evenly between both postures. The result is verified by coal at every place and half-way
+between: nothing may penetrate, and the pad stays clear of the object while it is lifted.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from planner.collision.pad_contact import touching_geometries
+from planner.collision.pad_contact import contact_geometries
 from planner.collision.world import CollisionWorld
 from planner.failure import Failure
 from planner.hands.fingers import Finger
 from planner.kinematics.state import MovingHand
-from planner.numerics.programme import programme
+from planner.numerics.ik_step import Barrier, Task, constrained_ik_step
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 from planner.tolerances import PENETRATION_TOL
@@ -54,7 +54,7 @@ SEEN = 0.02
 ROOM = 1e-3
 """Distance (m) that the finger keeps from what is near, where it can."""
 
-MISSED = 100.0
+PRICE = 100.0
 """Cost of missing that by one height (-)."""
 
 STILL = 1e-3
@@ -137,7 +137,7 @@ class FingerPaths:
         """Joints (nq,) near q with the finger's pad at a place (3,) of the object's frame."""
         hand, index = self._task.hand, finger.q_index
         inverse, T_world_base = base.inverse(), self._task.T_world_object * base
-        wanted, n = inverse.act(center), len(index)
+        wanted = inverse.act(center)
         matrix, value = hand.coupling_matrix
         coupled = np.flatnonzero(np.abs(matrix[:, index]).max(axis=1, initial=0.0))
         q = q.copy()
@@ -146,29 +146,22 @@ class FingerPaths:
             now = self._moving.pad_center(finger)
             rows = self._moving.point_jacobian(finger.pad.joint_id, now)[:3, index] / height
             rates, short = self._near(T_world_base, q, index)
-            hessian = np.zeros((n + 1, n + 1))
-            hessian[:n, :n] = rows.T @ rows + (POSTURE_WEIGHT + DAMPING) * np.eye(n)
-            hessian[n, n] = 1.0
-            gradient = np.append(
-                rows.T @ (now - wanted) / height + POSTURE_WEIGHT * (q - even)[index], MISSED
-            )
-            table = np.zeros((len(coupled) + len(short), n + 1))
-            table[: len(coupled), :n] = matrix[np.ix_(coupled, index)]
-            table[len(coupled) :, :n], table[len(coupled) :, n] = rates, height
             off = (value - matrix @ q)[coupled]
-            found = programme("daqp", n + 1, len(table)).solve(
-                h=hessian,
-                g=gradient,
-                a=table,
-                lba=np.concatenate([off, short]),
-                uba=np.concatenate([off, np.full(len(short), np.inf)]),
-                lbx=np.append(np.clip(hand.q_lower - q, -LARGEST, 0.0)[index], 0.0),
-                ubx=np.append(np.clip(hand.q_upper - q, 0.0, LARGEST)[index], np.inf),
+            found = constrained_ik_step(
+                Task(rows, (wanted - now) / height),
+                [Barrier(rates, short, unit=height)],
+                np.clip(hand.q_lower - q, -LARGEST, 0.0)[index],
+                np.clip(hand.q_upper - q, 0.0, LARGEST)[index],
+                equality=Task(matrix[np.ix_(coupled, index)], off),
+                posture=(even - q)[index],
+                posture_weight=POSTURE_WEIGHT,
+                damping=DAMPING,
+                price=PRICE,
             )
             if found is None:
                 break
-            q[index] = np.clip(q[index] + found[:n], hand.q_lower[index], hand.q_upper[index])
-            if np.abs(found[:n]).max() < SETTLED:
+            q[index] = np.clip(q[index] + found, hand.q_lower[index], hand.q_upper[index])
+            if np.abs(found).max() < SETTLED:
                 break
         return q
 
@@ -177,9 +170,7 @@ class FingerPaths:
     ) -> tuple[FloatArray, FloatArray]:
         """Rates (k, n) of distances that a finger's joints change, and what they lack (k,), m."""
         near = self.world.near(T_world_base, q, SEEN)
-        ahead = self._moving.point_rates(near.joints[:, 1], near.points_b, near.normals)
-        behind = self._moving.point_rates(near.joints[:, 0], near.points_a, near.normals)
-        rates = (ahead - behind)[:, index]
+        rates = near.rates(self._moving)[:, index]
         moving = np.abs(rates).max(axis=1, initial=0.0) > STILL
         return rates[moving], (ROOM - near.distances)[moving]
 
@@ -193,11 +184,11 @@ class FingerPaths:
                 numbers={"jump": float(jump)},
             )
         hand, T_world_base = self._task.hand, self._task.T_world_object * T_object_base
-        mine = {g.name for g in touching_geometries(hand, finger)}
+        mine = {g.name for g in contact_geometries(hand, finger)}
         holding = {
             g.name
             for f in self._task.fingers
-            for g in touching_geometries(hand, f)
+            for g in contact_geometries(hand, f)
             if f is not finger
         }
         halves = (postures[1:] + postures[:-1]) / 2
@@ -207,7 +198,7 @@ class FingerPaths:
         for k, q in enumerate(places[1:-1], start=1):
             leaving = k <= near or k >= len(places) - 1 - near
             touching = holding | (mine if leaving else set())
-            found = self.world.closest(T_world_base, q, 1, touching=touching)
+            found = self.world.closest(T_world_base, q, 1, may_touch=touching)
             if found and found[0].distance < (-PENETRATION_TOL if leaving else 0.0):
                 return Failure(
                     kind="swing_collision",

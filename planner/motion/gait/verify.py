@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from planner.collision.pad_contact import pad_touches
+from planner.collision.pad_contact import pad_contacts
 from planner.contacts import ContactSet
 from planner.failure import Failure
 from planner.motion.gait.order import NoOrder
@@ -111,7 +111,7 @@ class GaitVerifier:
         """
         task = self._regrasp.lifted
         base = task.T_world_object * T_world_object.inverse() * stroke.T_world_base
-        touches = pad_touches(task, base, knot.q)
+        touches = pad_contacts(task, base, knot.q)
         contacts = contacts_of(task, touches).transformed(
             T_world_object * task.T_world_object.inverse()
         )

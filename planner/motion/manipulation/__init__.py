@@ -8,7 +8,11 @@
 
 from planner.motion.manipulation.ending import Ending, Rests, planned_ending
 from planner.motion.manipulation.plan import ManipulationPlan
-from planner.motion.manipulation.search import plan_manipulation, plan_regrasping
+from planner.motion.manipulation.search import (
+    manipulation_of,
+    plan_manipulation,
+    plan_regrasping,
+)
 from planner.motion.manipulation.single_stroke import plan_single_stroke
 from planner.motion.manipulation.stand import on_stand
 from planner.motion.manipulation.task import manipulation_task
@@ -17,6 +21,7 @@ __all__ = [
     "Ending",
     "ManipulationPlan",
     "Rests",
+    "manipulation_of",
     "manipulation_task",
     "on_stand",
     "plan_manipulation",

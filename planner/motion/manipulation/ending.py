@@ -100,7 +100,9 @@ def backwards(motion: MotionPlan, place: tuple[float, float] | None, why: str) -
     """The object brought back in the hand, and put down as it was picked up."""
     grasp, path = motion.grasp, motion.path
     release = Approach(
-        q=grasp.q_pregrasp, opening=grasp.opening, T_world_base_start=grasp.T_world_base_start
+        q=grasp.q_pregrasp,
+        pregrasp_distance=grasp.pregrasp_distance,
+        T_world_base_start=grasp.T_world_base_start,
     )
     target = object_at_target(grasp.task, path.axis, 0.0, place)
     return Ending(T_world_target=target, release=release, back=why)

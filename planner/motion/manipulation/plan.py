@@ -108,7 +108,7 @@ class ManipulationPlan:
         )
         base, up = self.motion.T_world_base, np.array([0.0, 0.0, lift_m])
         builder.move_base("lift", _moved(base, up), LIFT_S)
-        T_world_object, q = self._turned(builder)
+        T_world_object, q = self._turn(builder)
         to_target = self.ending.T_world_target * T_world_object.inverse() * base
         builder.move_base("carry", _moved(to_target, up), CARRY_S)
         builder.move_base("lower", to_target, LOWER_S)
@@ -116,31 +116,52 @@ class ManipulationPlan:
         builder.move_base("retreat", self.way_out(to_target), RETREAT_S)
         return builder.built()
 
-    def way_out(self, T_world_base: SE3) -> SE3:
-        """Where the base is to go straight after the fingers have opened, from where it is then."""
-        planned = self.motion.T_world_base
-        way = self.ending.release.T_world_base_start.translation - planned.translation
+    def way_out(self, T_world_base: SE3, ending: Ending | None = None) -> SE3:
+        """Where the base goes straight after the fingers have opened.
+
+        Args:
+            T_world_base: Where it is then.
+            ending: How the object is put down; the plan's if None.
+        """
+        planned, release = self.motion.T_world_base, (ending or self.ending).release
+        way = release.T_world_base_start.translation - planned.translation
         return _moved(T_world_base, T_world_base.rotation @ planned.rotation.T @ way)
 
-    def _turned(self, builder: TrajectoryBuilder) -> tuple[SE3, FloatArray]:
-        """Append the turn; object, before any lift, and joints at its end."""
+    def turned_object(self) -> tuple[SE3, FloatArray]:
+        """Planned pose of the object and joints (nq,) when it has turned by ``angle``.
+
+        Hand and object are where the grasp is, not lifted.
+        """
         motion, gait = self.motion, self.gait
+        now, q = motion.at(self._last_place)
         if gait is None:
-            place = min(1.0, self.angle / motion.path.angle) if self.angle else 1.0
-            motion.add_to(builder, "turn", place)
-            if self.ending.back:
-                places = np.array([k.place for k in motion.knots if k.place < place] + [place])
-                way = np.array([motion.at(p)[1] for p in places[::-1]])
-                builder.turn("back", way, place - places[::-1], place * motion.path.angle)
-                return motion.knots[0].T_world_object, motion.knots[0].q
-            return motion.at(place)
-        last = min(1.0, self.angle / motion.path.angle - (gait.cycles - 1))
-        gait.add_to(builder, last)
-        stroke = next(s for s in gait.strokes if s.cycle == gait.cycles - 1)
-        begin, now, q = stroke.knots[0].T_world_object, *motion.at(last)
-        first = motion.knots[0].T_world_object
+            return now, q
+        last = next(s for s in gait.strokes if s.cycle == gait.cycles - 1)
+        begin, first = last.knots[0].T_world_object, motion.knots[0].T_world_object
         turned = now.rotation @ first.rotation.T @ begin.rotation
         return SE3(turned, begin.translation + now.translation - first.translation), q
+
+    @property
+    def _last_place(self) -> float:
+        """Where on the path of the last stroke the object has turned by ``angle``, in (0, 1]."""
+        strokes = 1 if self.gait is None else self.gait.cycles
+        if not self.angle:
+            return 1.0
+        return min(1.0, self.angle / self.motion.path.angle - (strokes - 1))
+
+    def _turn(self, builder: TrajectoryBuilder) -> tuple[SE3, FloatArray]:
+        """Append the turn, and the way back; object, before any lift, and joints at its end."""
+        motion, place = self.motion, self._last_place
+        if self.gait is not None:
+            self.gait.add_to(builder, place)
+            return self.turned_object()
+        motion.add_to(builder, "turn", place)
+        if not self.ending.back:
+            return self.turned_object()
+        places = np.array([k.place for k in motion.knots if k.place < place] + [place])
+        way = np.array([motion.at(p)[1] for p in places[::-1]])
+        builder.turn("back", way, place - places[::-1], place * motion.path.angle)
+        return motion.knots[0].T_world_object, motion.knots[0].q
 
     def __repr__(self) -> str:
         """One line."""

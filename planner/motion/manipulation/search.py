@@ -13,16 +13,17 @@ import numpy as np
 
 from planner.errors import NoGraspFoundError, PlannerError, TaskError
 from planner.failure import Failure
-from planner.motion.gait import plan_gait
+from planner.motion.gait import GaitPlan, plan_gait
 from planner.motion.manipulation.ending import Rests, planned_ending, stands
 from planner.motion.manipulation.fallbacks import LEAST_OVERSHOOT
 from planner.motion.manipulation.plan import ManipulationPlan, torque_reserve
 from planner.motion.manipulation.single_stroke import MAX_ATTEMPTS, plan_single_stroke
 from planner.motion.path import LARGEST_TURN, tilts
+from planner.motion.plan import MotionPlan
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 
-__all__ = ["ONE_STROKE", "plan_manipulation", "plan_regrasping"]
+__all__ = ["ONE_STROKE", "manipulation_of", "plan_manipulation", "plan_regrasping"]
 
 ONE_STROKE = math.radians(150.0)
 """Turn (rad) about the vertical beyond which regrasps are planned first: one stroke was found to
@@ -187,3 +188,40 @@ def plan_manipulation(
 def _neither(one_stroke: NoGraspFoundError, regrasps: PlannerError) -> NoGraspFoundError:
     """The error of a turn that neither one stroke nor regrasps make."""
     return NoGraspFoundError(f"{one_stroke}. With regrasps: {regrasps}", one_stroke.attempts)
+
+
+def manipulation_of(
+    motion: MotionPlan | GaitPlan,
+    *,
+    place: tuple[float, float] | None = None,
+    rests: Rests | None = None,
+) -> ManipulationPlan:
+    """A motion or a gait with an ending: pick the object up, move it as planned, put it down.
+
+    Args:
+        motion: What was planned, all of which is asked for: there is no overshoot.
+        place: Where the object is to stand, x and y in m, world; where it was if None.
+        rests: As for ``plan_manipulation``.
+
+    Raises:
+        TaskError: No table, or the object cannot be put down at its end.
+    """
+    gait = motion if isinstance(motion, GaitPlan) else None
+    stroke = motion if isinstance(motion, MotionPlan) else motion.motion
+    angle = gait.angle if gait else stroke.path.angle
+    if stroke.grasp.task.table_height is None:
+        raise TaskError("there is no table to pick from and to place on; plan with table_height")
+    ending = planned_ending(stroke, angle, place, rests=rests)
+    if isinstance(ending, Failure) or (gait is not None and ending.back):
+        why = ending.text if isinstance(ending, Failure) else ending.back
+        raise TaskError(f"the object cannot be put down at the end: {why}; plan another motion")
+    return ManipulationPlan(
+        motion=stroke,
+        gait=gait,
+        angle=angle,
+        shift=gait.shift if gait else stroke.path.shift,
+        ending=ending,
+        reserve=torque_reserve(stroke),
+        attempts=motion.record.attempts,
+        cpu_s=motion.record.cpu_s,
+    )

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.collision.pad_contact import touching_of
+from planner.collision.pad_contact import pad_contact_queries
 from planner.collision.world import CollisionWorld
 from planner.hands.hand import Hand
 from planner.spatial import SE3, FloatArray, IntArray
@@ -151,20 +151,20 @@ def find_link_distances(
         task.T_world_object * T_object_base,
         q,
         farthest,
-        touching=touching_of(task).names,
+        may_touch=pad_contact_queries(task).names,
         meshes=False,
     )
     pads = np.isin(near.joints[:, 0], [f.pad.joint_id for f in task.fingers])
     outward = np.where(pads, clear_tip, LEAST_DISTANCE)
-    asked = np.where(near.outward, outward, clear_fingers)
+    asked = np.where(near.hand_environment, outward, clear_fingers)
     values = near.distances - asked
     short = values < MARGIN_IN_VIEW
     if hand.arm is not None:
-        short &= ~near.outward
+        short &= ~near.hand_environment
     if not short.any():
         return None
     joints, normals = near.joints[short], near.normals[short]
-    points, out = near.points_a[short], near.outward[short][:, None]
+    points, out = near.points_a[short], near.hand_environment[short][:, None]
     state = world.moving.move(q)
     rows = np.zeros((len(joints), unknowns.size))
     unknowns.q(rows.T)[:] = (

@@ -85,7 +85,7 @@ def manipulate(
     *,
     result: ResultOptions,
 ) -> None:
-    """Pick, turn or move in the hand, place: randomised trials, strict and loose rates.
+    """Pick, turn or move in the hand, place: randomised trials, rates of success and closure.
 
     Friction is drawn, whatever --physics says.
     """

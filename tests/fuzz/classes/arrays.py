@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from planner.contacts import ContactSet
-from planner.forces import ForceLoop, distribute_forces
+from planner.forces import ForceLoop, QuadraticCost, distribute_forces
 from planner.hand_loading import load_hand
 from planner.kinematics.state import HandState
 from planner.objects import parse_object
@@ -78,13 +78,10 @@ def _distributed(rng: Random) -> Callable[[], object]:
         max_normal=lambda: rng.choice([number(rng), array(rng, 4)]),
         edges=lambda: rng.choice([2, 3, 8, 2**31, 8.0, number(rng)]),
         edge_cost=lambda: rng.choice([number(rng), array(rng, 4)]),
-        tangential_cost=lambda: number(rng),
         friction_scale=lambda: number(rng),
-        previous=lambda: array(rng, 4, 4),
-        change_cost=lambda: number(rng),
+        costs=lambda: [QuadraticCost(p=array(rng, 12, 12), q=array(rng, 12), name="drawn")],
         jacobians=lambda: array(rng, 4, 3, 5),
         gravity_torque=lambda: array(rng, 5),
-        balance_cost=lambda: number(rng),
     )
     return lambda: distribute_forces(_contacts(), **given)
 

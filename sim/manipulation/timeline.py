@@ -1,4 +1,4 @@
-"""``Pace``: how long the phases of a manipulation take, and ``Bounds``: where each one fails."""
+"""Phases of a manipulation, how long they take, and where each one fails."""
 
 from __future__ import annotations
 
@@ -8,11 +8,20 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from planner.errors import TaskError
+from sim.controllers import Phase
 from sim.verdict import COLLISION_N
 
-__all__ = ["IN_THE_AIR", "STEPS", "TURNING", "Bounds", "Pace", "Step"]
+__all__ = [
+    "CONTROLLER_PHASE",
+    "IN_THE_AIR",
+    "PHASES",
+    "TURNING",
+    "ManipulationPhase",
+    "ManipulationTimeline",
+    "SuccessCriteria",
+]
 
-Step: TypeAlias = Literal[
+ManipulationPhase: TypeAlias = Literal[
     "stand",
     "approach",
     "close",
@@ -31,20 +40,39 @@ Step: TypeAlias = Literal[
     "back",
 ]
 
-STEPS: tuple[Step, ...] = Step.__args__[:-2]  # type: ignore[attr-defined]
-"""Phases of a manipulation in order. Where one stroke is not enough, "turn" comes several times,
-and between two of them "regrasp" once for every finger. Where the object cannot be put down as it
-lies in the hand in the end, "back" comes before "carry"."""
+PHASES: tuple[ManipulationPhase, ...] = ManipulationPhase.__args__[:-2]  # type: ignore[attr-defined]
+"""Phases of a manipulation in order, of one stroke that goes as planned. What else may happen is in
+``sim.manipulation.machine``."""
 
-TURNING: tuple[Step, ...] = ("turn", "regrasp", "hold")
+TURNING: tuple[ManipulationPhase, ...] = ("turn", "regrasp", "hold")
 """Phases of the turn."""
 
-IN_THE_AIR: tuple[Step, ...] = ("lift", *TURNING, "verify again", "back", "carry")
+IN_THE_AIR: tuple[ManipulationPhase, ...] = ("lift", *TURNING, "verify again", "back", "carry")
 """Phases in which the hand alone carries the object, from the lift to the table."""
+
+CONTROLLER_PHASE: dict[ManipulationPhase, Phase] = {
+    "stand": "approach",
+    "approach": "approach",
+    "close": "close",
+    "squeeze": "squeeze",
+    "verify": "settle",
+    "lift": "lift",
+    "turn": "turn",
+    "hold": "hold",
+    "verify again": "hold",
+    "carry": "carry",
+    "lower": "lower",
+    "release": "release",
+    "open": "open",
+    "retreat": "retreat",
+    "regrasp": "hold",
+    "back": "turn",
+}
+"""What each phase is to a controller."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pace:
+class ManipulationTimeline:
     """How long each phase takes, s, and how fast and how high it goes.
 
     Attributes:
@@ -94,28 +122,28 @@ class Pace:
         for field in fields(self):
             value = getattr(self, field.name)
             if not (np.isfinite(value) and value > 0):
-                raise TaskError(f"pace: {field.name} is {value}; give a finite number > 0")
+                raise TaskError(f"timeline: {field.name} is {value}; give a finite number > 0")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bounds:
-    """Where a phase fails.
+class SuccessCriteria:
+    """Where a phase fails, and what a success with closure asks for.
 
     Attributes:
         disturbed_mm: Movement of the object before it is held, mm.
         slip_mm: Movement in the palm while it is lifted, mm.
         angle_deg: How far off the turn may be for the run to go on, degrees; and how far heading
-            and tilt may be off at last. "Turned", loose or strict, asks for all of the angle.
+            and tilt may be off at last. Success asks for all of the angle.
         tilt_deg: Tilt off the axis of the turn, and before the grip, degrees.
         shift_mm: How far from where it was to be moved in the hand the object may be, mm; asked
             only where it was to be moved.
         place_mm: How far from the target the object may stand at last, mm.
-        fingers: Fewest fingers that must touch for the strict verdict.
+        fingers: Fewest fingers that must touch in the air for a success with closure.
         collision_N: Normal force of the hand on itself, table or obstacle from which on it has
-            collided, N, as in trials of grasps; a collision is not strict.
-        normal_N: Largest normal force, N, with which a finger may press on the object for the
-            strict verdict, as a mean over 20 ms; the controller asks for two thirds of it at most.
-            If None it follows from the plan (``sim.manipulation.pressing.force_limit``).
+            collided, N, as in trials of grasps.
+        normal_N: Largest normal force, N, with which a finger may press on the object for a
+            success with closure, as a mean over 20 ms; the controller asks for two thirds of it at
+            most. If None it follows from the plan (``sim.manipulation.pressing.force_limit``).
     """
 
     disturbed_mm: float = 20.0
@@ -129,8 +157,8 @@ class Bounds:
     normal_N: float | None = None
 
     def __post_init__(self) -> None:
-        """Check that every bound is positive."""
+        """Check that every criterion is positive."""
         for field in fields(self):
             value = getattr(self, field.name)
             if value is not None and not value > 0:
-                raise TaskError(f"bounds: {field.name} is {value}; give a number > 0")
+                raise TaskError(f"success criteria: {field.name} is {value}; give a number > 0")

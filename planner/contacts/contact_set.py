@@ -1,4 +1,4 @@
-"""Contacts between a hand and an object: ``Contact``, ``ContactSet`` and the grasp map.
+"""``Contact``, ``ContactSet`` and the grasp map.
 
 A ``ContactSet`` is what planning and simulation have in common: planned contacts and the contacts
 that MuJoCo reports are both one, and everything in ``planner.quality`` and ``planner.forces`` is a
@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner.arrays import float_array, per_item
+from planner.contacts.friction import cone_utilisation
 from planner.errors import ContactError
 from planner.spatial import FloatArray, contact_frames, skew
 
@@ -34,8 +35,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CONTACT_DIM",
-    "MIN_EDGES",
-    "MOST_EDGES",
+    "MOST_FRICTION",
     "Contact",
     "ContactModel",
     "ContactSet",
@@ -47,9 +47,6 @@ ContactModel: TypeAlias = Literal["frictionless", "point", "soft"]
 CONTACT_DIM: dict[str, int] = {"frictionless": 1, "point": 3, "soft": 4}
 """Number of force components that each contact model transmits."""
 
-MIN_EDGES = 3
-"""Fewest edges of a polyhedral friction cone (-): two span no area."""
-
 FARTHEST = 1e6
 """Largest coordinate (m): beyond it torques lose the digits that a verdict needs."""
 
@@ -58,9 +55,6 @@ MOST_FRICTION = 1e3
 normal. Beyond it the normal parts drown in the tangential ones, and rank is misjudged."""
 
 _IDENTITY = np.eye(3)
-
-MOST_EDGES = 512
-"""Most edges of a polyhedral friction cone (-): its polygon is then within 2e-5 of the circle."""
 
 _ORTHONORMAL_TOL = 1e-6
 """How far a given frame may be from a rotation matrix (-)."""
@@ -331,18 +325,8 @@ class ContactSet:
 
         Infinite where a tangential force meets no friction or no normal force.
         """
-        fn = self.forces[:, 0]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            tangential = np.hypot(self.forces[:, 1], self.forces[:, 2])
-            ratio = np.where(tangential > 0, tangential / self.mu, 0.0)
-            torsion = np.where(
-                np.array([m == "soft" for m in self.models], dtype=bool) & (self.forces[:, 3] != 0),
-                np.abs(self.forces[:, 3]) / self.mu_torsion,
-                0.0,
-            )
-            load = np.hypot(ratio, torsion)
-            used = np.where(load > 0, load / np.maximum(fn, 0.0), 0.0)
-        return np.where(np.isnan(self.forces).any(axis=1), np.nan, used)
+        torsion = np.where([m == "soft" for m in self.models], self.mu_torsion, np.nan)
+        return cone_utilisation(self.forces, self.mu, torsion)
 
 
 def _listed(what: str, value: Any) -> tuple[Any, ...]:

@@ -1,4 +1,4 @@
-"""What the phases of a manipulation end in: a reason, "" if all is well, and the numbers seen."""
+"""``PhaseResult``: what a phase of a manipulation ended in, and the checks before and after."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from typing import TypeAlias
 import numpy as np
 
 from planner.spatial import SE3, FloatArray, signed_twist
-from sim.manipulation.pace import Bounds, Step
+from sim.manipulation.timeline import ManipulationPhase, SuccessCriteria
 
-__all__ = ["Check", "Outcome", "off_target", "placed", "tilt_between", "undisturbed"]
+__all__ = ["Measured", "PhaseResult", "off_target", "placed", "tilt_between", "undisturbed"]
 
-Outcome: TypeAlias = tuple[str, dict[str, float]]
+Measured: TypeAlias = tuple[str, dict[str, float]]
 """Why a phase failed, "" if it did not, and its numbers by name with unit."""
 
 UP: FloatArray = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, kw_only=True)
-class Check:
-    """The end of a phase.
+class PhaseResult:
+    """The end of one phase.
 
     Attributes:
-        step: Which.
+        phase: Which.
         about: Which one of several: a stroke's number, or the finger that moves on; "" of one.
         begin: When it began, s.
         end: When it ended, s.
@@ -32,7 +32,7 @@ class Check:
         then: What was tried after a failure, and what came of that; "" if nothing was.
     """
 
-    step: Step
+    phase: ManipulationPhase
     begin: float
     end: float
     reason: str
@@ -49,19 +49,19 @@ class Check:
         """One line."""
         told = ", ".join(f"{name} {value:.3g}" for name, value in self.numbers.items())
         mark = "ok  " if self.passed else "FAIL"
-        name = f"{self.step} {self.about}".strip()
+        name = f"{self.phase} {self.about}".strip()
         line = f"{mark} {name:<15}{self.end - self.begin:5.2f} s  {told}"
         if self.reason:
             line += f"\n     {self.reason}"
         return f"{line}\n     then: {self.then}" if self.then else line
 
 
-def undisturbed(first: SE3, now: SE3, bounds: Bounds) -> Outcome:
+def undisturbed(first: SE3, now: SE3, criteria: SuccessCriteria) -> Measured:
     """Whether an object that is not held yet stands where it stood."""
     moved = 1e3 * float(np.linalg.norm(now.translation - first.translation))
     tilted = tilt_between(first, now)
     reason = ""
-    if moved > bounds.disturbed_mm or tilted > bounds.tilt_deg:
+    if moved > criteria.disturbed_mm or tilted > criteria.tilt_deg:
         reason = f"the object was moved by {moved:.1f} mm and tilted by {tilted:.1f} degrees"
     return reason, {"moved_mm": moved, "tilt_deg": tilted}
 
@@ -77,16 +77,16 @@ def off_target(target: SE3, now: SE3) -> dict[str, float]:
     }
 
 
-def placed(target: SE3, now: SE3, bounds: Bounds) -> Outcome:
+def placed(target: SE3, now: SE3, criteria: SuccessCriteria) -> Measured:
     """Whether an object is where it was to be put."""
     numbers = off_target(target, now)
     reason = ""
-    if max(numbers["off_mm"], abs(numbers["above_mm"])) > bounds.place_mm:
+    if max(numbers["off_mm"], abs(numbers["above_mm"])) > criteria.place_mm:
         reason = (
             f"the object is {numbers['off_mm']:.1f} mm beside and {numbers['above_mm']:.1f} mm "
             "above its target"
         )
-    elif max(abs(numbers["heading_deg"]), numbers["tilt_deg"]) > bounds.angle_deg:
+    elif max(abs(numbers["heading_deg"]), numbers["tilt_deg"]) > criteria.angle_deg:
         reason = (
             f"the object is {numbers['heading_deg']:.1f} degrees off its heading and tilted by "
             f"{numbers['tilt_deg']:.1f}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planner.collision.pad_contact import pad_touches
+from planner.collision.pad_contact import pad_contacts
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
@@ -19,7 +19,7 @@ def plan(request: pytest.FixtureRequest) -> GraspPlan:
 
 
 def worst_gap(plan: GraspPlan, q: np.ndarray) -> float:
-    return max(abs(t.pad_gap) for t in pad_touches(plan.task, plan.T_world_base, q))
+    return max(abs(t.pad_gap) for t in pad_contacts(plan.task, plan.T_world_base, q))
 
 
 def test_gaps_and_couplings_are_closed(plan: GraspPlan) -> None:

@@ -1,4 +1,4 @@
-"""``FingerAway``: a finger that is off the object goes along its planned way and lands.
+"""``FingerSwing``: a finger that is off the object goes along its planned way and lands.
 
 The commands of its actuators are those of servos at the finger's way; what the contact forces would
 have them do does not count meanwhile. The way is that of a ``Relocation``, from where the finger
@@ -14,14 +14,13 @@ from scipy.interpolate import PchipInterpolator
 
 from planner.kinematics.state import MovingHand
 from planner.motion.gait import Relocation
-from planner.paths import smooth
 from planner.plan import GraspPlan
-from planner.spatial import FloatArray
+from planner.spatial import FloatArray, minimum_jerk
 from sim.controllers import Observation
 from sim.controllers.grasp import SEARCH_DAMPING
 from sim.controllers.motors import motor_servo
 
-__all__ = ["FingerAway"]
+__all__ = ["FingerSwing"]
 
 LANDING_SPEED = 0.02
 """Speed (m/s) along the normal of a pad that has come to the end of its way without touching."""
@@ -42,7 +41,7 @@ QUICKEST = 0.15
 """Least time (s) for a way: what a servo of a finger follows."""
 
 
-class FingerAway:
+class FingerSwing:
     """Leads one finger; starts when first asked.
 
     Attributes:
@@ -88,7 +87,7 @@ class FingerAway:
     @property
     def over(self) -> bool:
         """Whether it is half-way at least: lifted, and near where it goes down."""
-        return float(smooth(np.asarray(self.share))) >= self._middle
+        return float(minimum_jerk(np.asarray(self.share))) >= self._middle
 
     def command(self, observation: Observation) -> FloatArray:
         """Commands (nu,) of which the finger's count."""
@@ -113,5 +112,5 @@ class FingerAway:
 
     def _at(self, share: float, bent: FloatArray) -> FloatArray:
         """Joints (k,) at a share of the time, with what is left there of a difference (k,)."""
-        s = float(smooth(np.asarray(min(1.0, share))))
+        s = float(minimum_jerk(np.asarray(min(1.0, share))))
         return np.asarray(self._way(s) + (1.0 - s) * bent)

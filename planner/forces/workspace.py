@@ -1,14 +1,14 @@
-"""``PlacedContacts``: grasp map and J^T of moving contacts, written in place; ``turned_frames``."""
+"""``ContactWorkspace``: grasp map and J^T of moving contacts in place; ``turned_frames``."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from planner.contacts import ContactSet
 from planner.errors import ContactError
-from planner.forces.problem import ForceProblem
 from planner.spatial import FloatArray, contact_frames, skew
 
-__all__ = ["PlacedContacts", "turned_frames"]
+__all__ = ["ContactWorkspace", "turned_frames"]
 
 OPPOSED = -0.9
 """Cosine between an old and a new normal below which tangents are chosen anew (-)."""
@@ -16,7 +16,7 @@ OPPOSED = -0.9
 _IDENTITY = np.eye(3)
 
 
-class PlacedContacts:
+class ContactWorkspace:
     """Where contacts are, and what they do to the object and to the joints.
 
     Attributes:
@@ -25,20 +25,22 @@ class PlacedContacts:
         plain: Whether all are point contacts and the forces all there is.
     """
 
-    def __init__(self, problem: ForceProblem, table: FloatArray, nv: int) -> None:
+    def __init__(
+        self, contacts: ContactSet, length: float, unit: FloatArray, table: FloatArray, nv: int
+    ) -> None:
         """Lay out.
 
         Args:
-            problem: The contacts as they are at first, units and length.
-            table: (6, nx), where the grasp map goes: torque over the length, columns in units.
+            contacts: As they are at first.
+            length: Torques are divided by it, m.
+            unit: Unit of each unknown per newton (nx,); force components come first.
+            table: (6, nx), where the grasp map goes.
             nv: Number of joints.
         """
-        contacts = problem.contacts
         dims = np.array(contacts.dims, dtype=np.int64)
-        n, nx = len(dims), len(problem.column_names)
+        n, nx = len(dims), len(unit)
         wide = int(dims.max(initial=3))
-        self._table, self._length, self._nv = table, problem.length, nv
-        self._unit = problem.column_scale
+        self._table, self._length, self._nv, self._unit = table, length, nv, unit
         self._soft = wide == 4
         self.positions, self.frames = np.array(contacts.positions), np.array(contacts.frames)
         self.center = np.array(contacts.center)
@@ -50,7 +52,7 @@ class PlacedContacts:
         # [1; skew(arm)] (n, 6, 3) is linear in (arm, 1); times the frames it is the grasp map
         self._arms, self._carry = np.ones((n, 4)), np.zeros((n, 18))
         self._from_arms = np.zeros((4, 18))
-        self._from_arms[:3, 9:] = skew(np.eye(3)).reshape(3, 9) / problem.length
+        self._from_arms[:3, 9:] = skew(np.eye(3)).reshape(3, 9) / length
         self._from_arms[3, :9] = np.eye(3).ravel()
         self._six = self._carry.reshape(-1, 6, 3)
         self._moved = self._arms[:, :3]

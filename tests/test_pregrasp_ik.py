@@ -10,13 +10,13 @@ import pytest
 from scipy.optimize import minimize
 from test_describe_drive import shared
 
-from planner.approach.pregrasp import OPENINGS
+from planner.approach.pregrasp import PREGRASP_DISTANCES
 from planner.approach.pregrasp_ik import (
     FINGER_CLEARANCE,
     OPEN_CLEARANCE,
     OPENED_SHARE,
     POSTURE_WEIGHT,
-    Opener,
+    PregraspIk,
     undetermined_joints,
 )
 from planner.collision.world import CollisionWorld
@@ -41,11 +41,11 @@ def pads(hand: Hand, q: FloatArray, plan: GraspPlan) -> FloatArray:
     return np.array([plan.T_world_base.act(state.pad_center(f)) for f in plan.task.fingers])
 
 
-@pytest.mark.parametrize("opening", OPENINGS)
+@pytest.mark.parametrize("opening", PREGRASP_DISTANCES)
 def test_pads_move_back_along_the_normals(plan: GraspPlan, opening: float) -> None:
     hand, normals = plan.task.hand, plan.contacts.normals
     world = CollisionWorld(plan.task)
-    q = Opener(world, plan.T_world_base, plan.q, normals).open(opening)
+    q = PregraspIk(world, plan.T_world_base, plan.q, normals).solve(opening)
     assert q is not None
     moved = pads(hand, q, plan) - pads(hand, plan.q, plan)
     assert (-np.einsum("ij,ij->i", moved, normals) >= OPENED_SHARE * opening).all()
@@ -54,7 +54,7 @@ def test_pads_move_back_along_the_normals(plan: GraspPlan, opening: float) -> No
     np.testing.assert_allclose(matrix @ q, value, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(q[hand.wrist_index], plan.q[hand.wrist_index])
     assert world.is_clear(
-        plan.T_world_base, q, around=0.5 * OPEN_CLEARANCE, between=0.5 * FINGER_CLEARANCE
+        plan.T_world_base, q, environment=0.5 * OPEN_CLEARANCE, fingers=0.5 * FINGER_CLEARANCE
     )
 
 
@@ -65,9 +65,9 @@ def test_where_nothing_is_in_the_way_it_is_the_least_squares_solution() -> None:
         GraspTask.create("allegro_hand", "sphere"), seed=1, options=SynthesisOptions(rounds=0)
     )
     hand, opening = plan.task.hand, 0.01
-    q = Opener(CollisionWorld(plan.task), plan.T_world_base, plan.q, plan.contacts.normals).open(
-        opening
-    )
+    q = PregraspIk(
+        CollisionWorld(plan.task), plan.T_world_base, plan.q, plan.contacts.normals
+    ).solve(opening)
     assert q is not None
     goal = pads(hand, plan.q, plan) - opening * plan.contacts.normals
 
@@ -85,9 +85,9 @@ def test_where_nothing_is_in_the_way_it_is_the_least_squares_solution() -> None:
 def test_what_limits_forbid_is_not_opened() -> None:
     # a hand's breadth is more than any finger can open
     plan = plan_grasp(GraspTask.create("allegro_hand", "sphere"), seed=1)
-    opener = Opener(CollisionWorld(plan.task), plan.T_world_base, plan.q, plan.contacts.normals)
-    assert opener.open(0.3) is None
-    assert opener.open(0.02) is not None  # and nothing is left of it
+    opener = PregraspIk(CollisionWorld(plan.task), plan.T_world_base, plan.q, plan.contacts.normals)
+    assert opener.solve(0.3) is None
+    assert opener.solve(0.02) is not None  # and nothing is left of it
 
 
 def closed_in_the_air(hand: Hand, begin: FloatArray, end: FloatArray) -> FloatArray:
@@ -115,7 +115,9 @@ def test_fingers_of_shared_tendons_close_the_way_that_they_opened() -> None:
     np.testing.assert_allclose(now, plan.q, rtol=0, atol=0.01)
     # opened by all joints, the fingers are elsewhere when they have closed
     world = CollisionWorld(plan.task)
-    every = Opener(world, plan.T_world_base, plan.q, plan.contacts.normals).open(plan.opening)
+    every = PregraspIk(world, plan.T_world_base, plan.q, plan.contacts.normals).solve(
+        plan.pregrasp_distance
+    )
     assert every is not None
     assert np.abs(closed_in_the_air(hand, every, plan.q) - plan.q).max() > 0.05
 

@@ -1,6 +1,8 @@
-"""The cross-check reads whole inertia tensors, also where no movement of the model shows them."""
+"""The cross-check of masses: whole inertia tensors, and a total mass that a reader ignores."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -8,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 from planner.bridge import pinocchio_from_mujoco
-from sim.crosscheck import compare_models
+from sim.crosscheck import READER, compare_models, crosscheck
 
 WHEEL = """
 <mujoco><option gravity="0 0 -9.81"/><worldbody><body name="wheel">
@@ -42,3 +44,24 @@ def test_a_wrong_product_of_inertia_is_a_fault(
     assert not report.ok
     faults = {(d.quantity, d.part) for d in report.columns[0].faults}
     assert faults == {("inertia", "wheel")}
+
+
+SCALED = """
+<mujoco><compiler angle="radian" settotalmass="2"/><worldbody><body name="base">
+  <inertial pos="0 0 0.01" mass="0.5" diaginertia="0.01 0.02 0.03"/>
+  <body name="link"><joint name="j" axis="0 1 0" range="-1 1"/>
+    <inertial pos="0.01 0 0" mass="0.3" diaginertia="0.01 0.01 0.01"/>
+  </body>
+</body></worldbody></mujoco>
+"""
+"""0.8 kg as it is written, 2 kg as it is meant."""
+
+
+@pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass' is deprecated")
+def test_a_total_mass_that_the_reader_ignores_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "scaled.xml"
+    path.write_text(SCALED, encoding="utf-8")
+    column = crosscheck(path, n_configurations=1).column(READER)
+    assert set(column.causes) == {"mass"}
+    assert column.causes["mass"] == "settotalmass is ignored there"
+    assert column.unexplained == ()

@@ -1,7 +1,8 @@
-"""What drives a manipulation: the fingers' controller over all phases, and the base's way.
+"""What drives a manipulation: the fingers over all phases, and the way of the base.
 
-Before the squeeze and up to the lowering it is ``ObjectImpedance``, led by a ``MotionReference``
-during the turn; then the forces go down, and the fingers open to the planned posture.
+Up to the lowering the fingers are those of an ``InHandController``, which a ``MotionReference``
+gives targets to during the turn; then its forces go down, and the fingers open to the planned
+posture.
 """
 
 from __future__ import annotations
@@ -14,62 +15,47 @@ from numpy.typing import NDArray
 
 from planner.errors import TaskError
 from planner.motion.manipulation import ManipulationPlan
+from planner.motion.manipulation.idle_fingers import out_of_the_way
 from planner.motion.path import tilts
 from planner.spatial import SE3, FloatArray
-from sim.controllers import Event, ObjectImpedance, Observation, Phase, Sensing
-from sim.controllers.closed import MAX_NORMAL
+from sim.controllers import Event, Observation, Phase
 from sim.controllers.follow import MotionReference
 from sim.controllers.opening import PostureServo
 from sim.gantry import Mount
-from sim.manipulation.away import FingerAway
-from sim.manipulation.idle import out_of_the_way
+from sim.manipulation.in_hand import InHandController
+from sim.manipulation.swing import FingerSwing
 from sim.timeline import Timeline
 
-__all__ = ["BaseMover", "MotionController"]
+__all__ = ["BaseMover", "ManipulationDriver"]
 
 BEYOND, TILTED_BEYOND = np.deg2rad(0.5), np.deg2rad(1.0)
 """Turn (rad) beyond what is asked for, so that at least that is made whatever little comes back;
 and about an axis that is not vertical, where the weight pulls some of it back."""
 
 
-class MotionController:
-    """Executes a ``ManipulationPlan``: closes, holds, turns, lets go.
+class ManipulationDriver:
+    """Drives the hand through a ``ManipulationPlan``: closes, holds, turns, lets go.
 
     Attributes:
-        holding: The closed loop that holds and turns.
-        reference: What leads it during the turn, or during the stroke that it is in.
-        away: What leads a finger that is off the object; None while there is none.
+        holding: What holds and turns the object.
+        reference: What gives it targets during the turn, or during the stroke that it is in.
+        swing: What leads a finger that is off the object; None while there is none.
     """
 
-    def __init__(
-        self,
-        plan: ManipulationPlan,
-        *,
-        rate: float,
-        sensing: Sensing | None = None,
-        mass: float | None = None,
-        mu: float | None = None,
-        max_normal: float = MAX_NORMAL,
-    ) -> None:
+    def __init__(self, plan: ManipulationPlan, holding: InHandController, *, rate: float) -> None:
         """Prepare.
 
         Args:
             plan: What to execute.
+            holding: What holds and turns the object.
             rate: Largest rate of the turn, rad/s.
-            sensing: How well the object is known.
-            mass: Mass that the object is believed to have, kg; the task's if None.
-            mu: Friction that is believed (-), a lower bound; the task's if None.
-            max_normal: Largest normal force that a finger is asked for, N.
         """
-        grasp = plan.motion.grasp
-        self.holding = ObjectImpedance(
-            grasp, sensing=sensing, mass=mass, mu=mu, max_normal=max_normal
-        )
-        self.away: FingerAway | None = None
+        self.holding = holding
+        self.swing: FingerSwing | None = None
         self._plan, self._rate = plan, rate
         self._motion = out_of_the_way(plan.motion)
         self.reference = self.begin_stroke(plan.angle)
-        self._opening = PostureServo(grasp, plan.ending.release.q)
+        self._opening = PostureServo(plan.grasp, plan.ending.release.q)
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -77,7 +63,7 @@ class MotionController:
         return self.holding.events
 
     def begin_stroke(self, left: float) -> MotionReference:
-        """Lead the object along the planned motion again, from where it is.
+        """Begin a stroke: a reference along the planned motion, from where the object is.
 
         Args:
             left: Turn that is still to be made, rad, with its sign; as much of it is made as a
@@ -92,18 +78,19 @@ class MotionController:
         return self.reference
 
     def begin_back(self) -> MotionReference:
-        """Lead the object back to where the motion began, from where it is."""
-        place = self.reference.place
-        self.reference = MotionReference(self._motion, rate=self._rate, back_from=place)
+        """Begin the way back: a reference to where the motion began, from where the object is."""
+        self.reference = MotionReference(
+            self._motion, rate=self._rate, back_from=self.reference.place
+        )
         self.holding.reference = self.reference
         return self.reference
 
     @property
     def off(self) -> NDArray[np.bool_]:
         """Which fingers (n,) are to be off the object: told to leave, or on their way."""
-        led = "" if self.away is None else self.away.finger
-        names = np.array(self.holding.plan.task.finger_names)
-        return np.asarray(~self.holding.schedule.wanted | (names == led))
+        swinging = "" if self.swing is None else self.swing.finger
+        names = np.array(self._plan.task.finger_names)
+        return np.asarray(~self.holding.schedule.wanted | (names == swinging))
 
     def step(self, observation: Observation) -> FloatArray:
         """Commands (nu,) for the hand's actuators."""
@@ -111,9 +98,9 @@ class MotionController:
             share = observation.progress if observation.phase == "open" else 1.0
             return self._opening.command(observation, share)
         ctrl = self.holding.step(observation)
-        if self.away is None:
+        if self.swing is None:
             return ctrl
-        return np.where(self.away.actuators, self.away.command(observation), ctrl)
+        return np.where(self.swing.actuators, self.swing.command(observation), ctrl)
 
     def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last step wanted."""

@@ -1,0 +1,158 @@
+"""One step of inverse kinematics by least squares: all of it that a robot's joints share.
+
+Tasks say how points or frames are to move, e, and how joints move them, J. Where limits of the
+joints are all that is in the way, ``ik_step`` solves
+
+    min  |J dq - e|^2 + damping |dq|^2    s.t.  lower <= q + dq <= upper
+
+in closed form with the joints that are stuck at a limit left out; with damping 0 it is the least
+step that is best for the tasks. Where distances are to be kept as well, ``constrained_ik_step``
+solves a quadratic programme. That is not used for the first kind: it takes twice the time (33 us
+instead of 15 for the twist of a 7-joint arm, by ``timeit``), and it needs damping to have one
+solution, which couplings that are to be met to 1e-7 rad do not bear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner.numerics.qp import solve_qp
+from planner.spatial import FloatArray
+
+__all__ = ["Barrier", "Task", "constrained_ik_step", "ik_step"]
+
+
+@dataclass(frozen=True)
+class Task:
+    """How something is to move with the joints, in units in which every row counts alike.
+
+    Attributes:
+        jacobian: Its rates by the joints (m, n).
+        error: By how much it is to move (m,).
+    """
+
+    jacobian: FloatArray
+    error: FloatArray
+
+
+@dataclass(frozen=True)
+class Barrier:
+    """Quantities that are to grow by so much at least: distances that are too small.
+
+    Attributes:
+        rates: Their rates by the joints (k, n).
+        least: By how much they are to grow (k,); negative where they may shrink.
+        unit: What of them counts as one, by which the worst may miss its bound at a price.
+    """
+
+    rates: FloatArray
+    least: FloatArray
+    unit: float = 1.0
+
+
+def ik_step(
+    task: Task,
+    q: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    *,
+    damping: float = 0.0,
+    rcond: float = 1e-6,
+) -> FloatArray:
+    """Joints (n,) within their limits after one step.
+
+    Args:
+        task: All tasks, one above the other.
+        q: Joints now (n,), within their limits.
+        lower: Least joints (n,).
+        upper: Largest joints (n,).
+        damping: Cost of a squared step against the squared error of a task.
+        rcond: Without damping, singular values below this share of the largest count as zero.
+    """
+    free = np.ones(len(q), dtype=bool)
+    new = q
+    while free.any():
+        new = q.copy()
+        new[free] += _least_squares(task.jacobian[:, free], task.error, damping, rcond)
+        beyond = free & ((new < lower) | (new > upper))
+        new = np.clip(new, lower, upper)
+        # a joint that has moved on to its limit has done what it can; only one that stands there
+        # already takes nothing of the step
+        stuck = beyond & (new == q)
+        if not stuck.any():
+            break
+        free &= ~stuck
+    return new
+
+
+def constrained_ik_step(
+    task: Task,
+    barriers: Sequence[Barrier],
+    lower: FloatArray,
+    upper: FloatArray,
+    *,
+    equality: Task,
+    posture: FloatArray,
+    posture_weight: float,
+    damping: float,
+    price: float,
+) -> FloatArray | None:
+    """The step (n,) within its bounds that is best for the task and keeps distances as it can.
+
+        min  |J dq - e|^2 + posture_weight |dq - posture|^2 + damping |dq|^2 + |s|^2 + 2 price s
+        s.t. rates dq + unit s >= least for every barrier, with s >= 0 of its own
+             equality; lower <= dq <= upper
+
+    Args:
+        task: All tasks, one above the other.
+        barriers: Distances to keep.
+        lower: Least step (n,).
+        upper: Largest step (n,).
+        equality: What must be met exactly: couplings of joints.
+        posture: Step (n,) to the preferred posture.
+        posture_weight: Cost of being off that.
+        damping: Cost of a squared step.
+        price: Cost of missing a barrier by one unit: more than any task is worth.
+
+    Returns:
+        The step; None where the equalities and the bounds contradict each other.
+    """
+    n, k, m = len(lower), len(barriers), len(equality.error)
+    size = n + k  # the last unknowns: by how much barriers are missed
+    hessian, gradient = np.zeros((size, size)), np.empty(size)
+    hessian[:n, :n] = task.jacobian.T @ task.jacobian
+    hessian[np.arange(n), np.arange(n)] += posture_weight + damping
+    hessian[np.arange(n, size), np.arange(n, size)] = 1.0
+    gradient[:n] = -(task.jacobian.T @ task.error + posture_weight * posture)
+    gradient[n:] = price
+    least = np.concatenate([np.zeros(0), *(b.least for b in barriers)])
+    table = np.zeros((m + len(least), size))
+    table[:m, :n] = equality.jacobian
+    row = m
+    for i, barrier in enumerate(barriers):
+        rows = slice(row, row + len(barrier.least))
+        table[rows, :n], table[rows, n + i] = barrier.rates, barrier.unit
+        row = rows.stop
+    found = solve_qp(
+        hessian,
+        gradient,
+        table,
+        low=np.concatenate([equality.error, least]),
+        high=np.concatenate([equality.error, np.full(len(least), np.inf)]),
+        lower=np.append(lower, np.zeros(k)),
+        upper=np.append(upper, np.full(k, np.inf)),
+    )
+    return None if found is None else found[:n]
+
+
+def _least_squares(
+    jacobian: FloatArray, error: FloatArray, damping: float, rcond: float
+) -> FloatArray:
+    """The step (n,) without limits."""
+    if damping:
+        gram = jacobian @ jacobian.T + damping * np.eye(len(error))
+        return np.asarray(jacobian.T @ np.linalg.solve(gram, error))
+    return np.asarray(np.linalg.lstsq(jacobian, error, rcond=rcond)[0])

@@ -1,0 +1,219 @@
+"""``solve_lp``: small dense linear programmes, with a proof of the answer.
+
+    min  cost . x    s.t.  low <= A x <= high,  lower <= x <= upper
+
+DAQP's proximal-point method solves most of them in 0.1 ms, and is wrong now and then. Its answer
+counts only where it is proven: a solution by multipliers that bound the cost from below by the same
+figure (weak duality), the absence of any by Farkas' lemma. Everything else goes to HiGHS (SciPy's,
+3 ms). Programmes of many unknowns x >= 0 and few rows are solved by their duals, which have few
+unknowns and many rows:
+
+    max  b . y    s.t.  A'y <= cost,  y >= 0 of rows >= b,  y <= 0 of rows <= b.
+
+CasADi's HiGHS is no choice: its library bears the name of that of the package highspy, which
+qpsolvers loads where it is installed. Of the two the first that is loaded serves both, and the
+process dies. CasADi's CLP and CBC give wrong answers where rows have one limit, and its qpOASES
+gives up on one programme in fifteen of certificates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+from planner.errors import PlannerError
+from planner.numerics.qp import run_daqp, violation
+from planner.spatial import FloatArray
+
+__all__ = ["LpSolution", "solve_lp"]
+
+PROXIMAL = 1e-3
+"""Weight (-) of the step in DAQP's proximal-point method. Of 300 min-weight programmes of random
+contacts 299 are proven optimal with it, 298 with 0.1, 44 with DAQP's own choice."""
+
+GAP_TOL = 1e-9
+"""Largest gap between the cost of an answer of DAQP and the bound that its multipliers prove, by
+the larger of the cost and 1 (-)."""
+
+ALLOWED_TOL = 1e-8
+"""Largest violation of a row or a bound, by the larger of the largest unknown and 1 (-)."""
+
+BEYOND = 1e6
+"""A programme counts as infeasible where every x that is allowed would be larger than this (-)."""
+
+BY_DUAL = 64
+"""Unknowns above which the dual is solved instead (-): 50 us where the programme itself takes 4 ms,
+with 236 unknowns and 5 rows (the proofs of ``planner.certify.robust``)."""
+
+_HIGHS = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+"""HiGHS at its tightest."""
+
+_INFEASIBLE = 2
+"""SciPy's status of a programme in which nothing is allowed."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LpSolution:
+    """A solved linear programme.
+
+    Attributes:
+        value: Least cost.
+        x: (n,), where it is reached.
+        row_duals: (m,), change of the least cost per unit of each row's limit: >= 0 at a lower
+            limit, <= 0 at an upper one.
+        bound_duals: (n,), the same of the bounds.
+    """
+
+    value: float
+    x: FloatArray
+    row_duals: FloatArray
+    bound_duals: FloatArray
+
+
+def solve_lp(
+    cost: FloatArray, rows: FloatArray, row_limits: FloatArray, bounds: FloatArray
+) -> LpSolution | None:
+    """Least cost . x with row limits on rows @ x and bounds on x.
+
+    Args:
+        cost: (n,).
+        rows: A (m, n).
+        row_limits: (m, 2), least and greatest; may be infinite, or equal.
+        bounds: (n, 2), the same of x.
+
+    Returns:
+        The solution, or None where nothing is allowed, or where there is nothing to choose (n = 0).
+
+    Raises:
+        PlannerError: There is no least cost, a number is NaN, or HiGHS met numerical trouble.
+    """
+    if not len(cost):
+        return None
+    limits = np.concatenate([bounds, row_limits]).T.copy()
+    if not (np.isfinite(cost).all() and np.isfinite(rows).all()) or np.isnan(limits).any():
+        raise PlannerError("a linear programme holds NaN; give finite costs and rows")
+    if len(cost) > BY_DUAL and _is_standard(limits, len(cost)):
+        found = _by_dual(cost, rows, limits)
+        if found is None and _is_infeasible(cost, rows, limits):
+            return None
+    else:
+        found = run_daqp(None, cost, rows, *limits, eps_prox=PROXIMAL)
+    proven = None if found is None else _proven(cost, rows, limits, found[0], found[1][len(cost) :])
+    return proven or _by_highs(cost, rows, row_limits, bounds)
+
+
+def _proven(
+    cost: FloatArray, rows: FloatArray, limits: FloatArray, x: FloatArray, row_duals: FloatArray
+) -> LpSolution | None:
+    """The solution if x (n,) is allowed and multipliers (m,) prove that nothing costs less."""
+    n = len(cost)
+    if violation(x, rows, *limits) > ALLOWED_TOL * max(1.0, float(np.abs(x).max())):
+        return None
+    value, scale = float(cost @ x), max(1.0, float(np.abs(cost).max()))
+    # a multiplier of a limit that is not there proves nothing; bounds take up what rows leave over
+    row_duals = np.where(_absent(row_duals, limits[:, n:]), 0.0, row_duals)
+    bound_duals = cost - row_duals @ rows
+    loose = _absent(bound_duals, limits[:, :n])
+    if np.abs(bound_duals[loose]).max(initial=0.0) > GAP_TOL * scale:
+        return None
+    bound_duals[loose] = 0.0
+    duals = np.concatenate([bound_duals, row_duals])
+    used = duals != 0.0
+    bound = float(duals[used] @ np.where(duals > 0.0, *limits)[used])
+    if not value - bound <= GAP_TOL * max(1.0, abs(value)):
+        return None
+    return LpSolution(value=value, x=x, row_duals=row_duals, bound_duals=bound_duals)
+
+
+def _absent(duals: FloatArray, limits: FloatArray) -> NDArray[np.bool_]:
+    """Which multipliers are of a limit (2, k) that is infinite."""
+    return np.isinf(np.where(duals > 0.0, *limits))
+
+
+def _is_standard(limits: FloatArray, n: int) -> bool:
+    """Whether every x is >= 0 or free, and every row has one limit, or two that are equal."""
+    (lower, low), (upper, high) = ((side[:n], side[n:]) for side in limits)
+    one_sided = (low == high) | (np.isinf(low) != np.isinf(high))
+    return bool(
+        one_sided.all() and np.isinf(upper).all() and ((lower == 0) | (lower < -1e300)).all()
+    )
+
+
+def _dual_limits(limits: FloatArray, n: int, most: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Limits of [y; A'y] where A'y is at most ``most`` (n,)."""
+    low, high = limits[:, n:]
+    equal = low == high
+    return (
+        np.concatenate(
+            [
+                np.where(equal | np.isinf(low), -np.inf, 0.0),
+                np.where(limits[0, :n] == 0, -np.inf, most),
+            ]
+        ),
+        np.concatenate([np.where(equal | np.isinf(high), np.inf, 0.0), most]),
+    )
+
+
+def _by_dual(
+    cost: FloatArray, rows: FloatArray, limits: FloatArray
+) -> tuple[FloatArray, FloatArray] | None:
+    """The minimiser (n,) and multipliers [(n,) unused; (m,)] by DAQP on the dual."""
+    n, m = len(cost), len(rows)
+    target = np.where(np.isinf(limits[0, n:]), limits[1, n:], limits[0, n:])
+    found = run_daqp(None, -target, rows.T, *_dual_limits(limits, n, cost), eps_prox=PROXIMAL)
+    if found is None:
+        return None
+    y, duals = found
+    return -duals[m:], np.concatenate([cost, y])
+
+
+def _is_infeasible(cost: FloatArray, rows: FloatArray, limits: FloatArray) -> bool:
+    """Whether DAQP finds y with A'y <= 0 and b . y > 0 (Farkas), up to ``BEYOND``."""
+    n, m = len(cost), len(rows)
+    target = np.where(np.isinf(limits[0, n:]), limits[1, n:], limits[0, n:])
+    least, most = _dual_limits(limits, n, np.zeros(n))
+    least[:m], most[:m] = np.maximum(least[:m], -1.0), np.minimum(most[:m], 1.0)
+    found = run_daqp(None, -target, rows.T, least, most, eps_prox=PROXIMAL)
+    if found is None:
+        return False
+    y = np.clip(found[0], least[:m], most[:m])
+    missed = violation(y, rows.T, least, most)
+    # sum |x| is at least target . y / missed for every x that keeps the rows
+    return bool(target @ y > BEYOND * missed and target @ y > ALLOWED_TOL)
+
+
+def _by_highs(
+    cost: FloatArray, rows: FloatArray, row_limits: FloatArray, bounds: FloatArray
+) -> LpSolution | None:
+    """The solution by HiGHS, None where nothing is allowed."""
+    low, high = row_limits.T
+    equal = low == high
+    up, down = ~equal & np.isfinite(high), ~equal & np.isfinite(low)
+    found = linprog(
+        cost,
+        A_eq=rows[equal],
+        b_eq=low[equal],
+        A_ub=np.vstack([rows[up], -rows[down]]),
+        b_ub=np.concatenate([high[up], -low[down]]),
+        bounds=bounds,
+        method="highs-ds",
+        options=_HIGHS,
+    )
+    if found.status == _INFEASIBLE:
+        return None
+    if found.status != 0:
+        raise PlannerError(
+            f"HiGHS gave up on a linear programme ({found.message}); report these contacts, and "
+            "meanwhile try another width or number of edges"
+        )
+    row_duals = np.zeros(len(rows))
+    row_duals[equal] = found.eqlin.marginals
+    of_upper, of_lower = np.split(found.ineqlin.marginals, [int(up.sum())])
+    row_duals[up] += of_upper
+    row_duals[down] -= of_lower
+    bound_duals = np.asarray(found.lower.marginals + found.upper.marginals)
+    x = np.asarray(found.x)
+    return LpSolution(value=float(cost @ x), x=x, row_duals=row_duals, bound_duals=bound_duals)

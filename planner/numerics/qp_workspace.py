@@ -1,0 +1,283 @@
+"""``qp_workspace``: solvers for quadratic programmes that come again with other numbers.
+
+A workspace reads one ``DenseQp`` again and again. DAQP's is kept: it is told of what changed and
+starts from the constraints that were active. So is ProxQP's, which needs a setting that qpsolvers
+does not pass on. Every other solver is called anew through qpsolvers: it is there to compare with,
+and none was as fast as DAQP in a workspace of its own either (51 us a step of a ``ForceLoop`` of a
+Shadow grasp; quadprog 76, OSQP 94, PIQP 155, ProxQP 196). Programmes with second-order cones are
+Clarabel's (Goulart, Chen, "Clarabel: An interior-point solver for conic
+programs with quadratic objectives", 2024).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any, Protocol
+
+import daqp  # type: ignore[import-not-found]
+import numpy as np
+import qpsolvers
+from scipy.sparse import csc_matrix, triu
+
+from planner.errors import NotFoundError
+from planner.numerics.dense_qp import DenseQp
+from planner.spatial import FloatArray
+from planner.system.threads import without_warnings
+
+__all__ = ["CONE_SOLVER", "DEFAULT_SOLVER", "QpWorkspace", "qp_workspace", "solver_names"]
+
+DEFAULT_SOLVER = "daqp"
+"""The solver of quadratic programmes where none is named."""
+
+CONE_SOLVER = "clarabel"
+"""The solver of programmes with second-order cones."""
+
+_DAQP_SETTINGS = {"primal_tol": 1e-10}
+"""DAQP lets limits be violated by 1e-6 of its own accord, which verdicts would see."""
+
+_DAQP_EQUALITY = 5
+"""DAQP's mark of a row that is an equality."""
+
+_OPTIONS: dict[str, dict[str, Any]] = {
+    "clarabel": {"tol_feas": 1e-9, "tol_gap_abs": 1e-10, "tol_gap_rel": 1e-10},
+    "osqp": {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 100_000, "polishing": True},
+    "piqp": {"eps_abs": 1e-9, "eps_rel": 0.0},
+}
+"""Options of solvers that stop too far from the answer by default (OSQP at 1e-3, Clarabel's forces
+are 9 mN off where the cost is flat)."""
+
+_PROXQP_TOL = 1e-9
+"""ProxQP's largest residuals (-)."""
+
+_PROXQP_INFEASIBLE = 1e-10
+"""ProxQP's tolerance of a proof that nothing is allowed (-). At its own 1e-4, which qpsolvers
+cannot change, it refused 34 of 1000 programmes of five fingers that have answers."""
+
+_PROXQP_ITERATIONS = 50
+"""Iterations, and within each, before ProxQP gives up (-): it takes about ten where there is an
+answer, and seconds for the thousands of its own limits where there is none."""
+
+NEAR = 1e-6
+"""Largest residual (-), by the largest limit, of an answer that a solver does not call one."""
+
+_CONE_TOL = 1e-10
+"""Clarabel's tolerances with cones: its own 1e-8 leaves 1e-6 of error where an answer touches
+one."""
+
+
+class QpWorkspace(Protocol):
+    """A solver made for one ``DenseQp``; the next call sees what was written meanwhile."""
+
+    x: FloatArray
+    """The last answer (n,), NaN where there is none; another array after the next call."""
+    iterations: int
+    """Iterations of the last call, -1 where the solver does not say."""
+    status: str
+    """What it said (informative only)."""
+
+    @property
+    def duals(self) -> FloatArray:
+        """Multipliers (m + n,) of rows and bounds: P x + q + A'y + z = 0, >= 0 at upper limits."""
+
+    def solve(self) -> bool:
+        """Solve what the programme holds now; whether the solver claims an answer."""
+
+
+def solver_names() -> tuple[str, ...]:
+    """Solvers that can be named, the default one first."""
+    return (DEFAULT_SOLVER, *sorted(set(qpsolvers.available_solvers) - {DEFAULT_SOLVER}))
+
+
+def qp_workspace(name: str, qp: DenseQp) -> QpWorkspace:
+    """A solver for a programme.
+
+    Args:
+        name: One of ``solver_names``.
+        qp: The programme; its arrays are kept, not copied.
+
+    Raises:
+        NotFoundError: No such solver is installed, or it cannot do the programme's cones.
+    """
+    known = solver_names()
+    if qp.cone_sizes:
+        known = (CONE_SOLVER,) if find_spec(CONE_SOLVER) else ()
+    if name not in known:
+        hint = "pip install 'opposable[solvers]' installs more."
+        raise NotFoundError("installed QP solver", name, known, hint)
+    if qp.cone_sizes:
+        return _ClarabelCones(qp)
+    kinds: dict[str, Callable[[DenseQp], QpWorkspace]] = {"daqp": _Daqp, "proxqp": _Proxqp}
+    return kinds[name](qp) if name in kinds else _Qpsolvers(name, qp)
+
+
+class _Workspace:
+    """What all workspaces have in common: where the answer goes."""
+
+    def __init__(self, qp: DenseQp) -> None:
+        self.qp = qp
+        m, n = qp.a.shape
+        self._no_x, self._no_duals = np.full(n, np.nan), np.full(m + n, np.nan)
+        self.iterations = -1
+        self._nothing("")
+
+    @property
+    def duals(self) -> FloatArray:
+        """Multipliers (m + n,) of rows and bounds, put together when they are asked for."""
+        return np.concatenate([self._rows, self._bounds])
+
+    def _answer(self, x: FloatArray, rows: FloatArray, bounds: FloatArray) -> bool:
+        self.x, self._rows, self._bounds, self.status = x, rows, bounds, "solved"
+        return True
+
+    def _nothing(self, status: str) -> bool:
+        self.x, self.status = self._no_x, status
+        self._rows, self._bounds = np.split(self._no_duals, [len(self.qp.a)])
+        return False
+
+
+class _Daqp(_Workspace):
+    """DAQP's own workspace; bounds are its first rows."""
+
+    def __init__(self, qp: DenseQp) -> None:
+        super().__init__(qp)
+        m, n = qp.a.shape
+        self._sense = np.zeros(n + m, dtype=np.int32)
+        self._sense[n : n + qp.equalities] = _DAQP_EQUALITY
+        self._model: Any = None
+
+    def solve(self) -> bool:
+        """Solve; see ``QpWorkspace``."""
+        qp = self.qp
+        if self._model is None or not len(qp.a):  # its update refuses a programme without rows
+            self._model = daqp.Model()
+            self._model.settings = _DAQP_SETTINGS
+            flag, _ = self._model.setup(qp.p, qp.q, qp.a, qp.most, qp.least, self._sense)
+        else:
+            # without "sense" it starts from the active rows of its last answer
+            flag = self._model.update(
+                H=qp.p if qp.new_p else None,
+                f=qp.q if qp.new_q else None,
+                A=qp.a if qp.new_a else None,
+                bupper=qp.most,
+                blower=qp.least,
+            )
+        if flag < 0:  # a row of zeros, or equalities that contradict each other
+            return self._start_anew(flag)
+        qp.new_p = qp.new_q = qp.new_a = False
+        x, _, flag, info = self._model.solve()
+        self.iterations = info["iterations"]
+        if flag < 1:
+            return self._start_anew(flag)
+        n, lam = len(x), info["lam"]
+        return self._answer(x, lam[n:], lam[:n])
+
+    def _start_anew(self, flag: int) -> bool:
+        """Rows that were active where there is no answer are no start for anything."""
+        self._model = None
+        return self._nothing(f"exit flag {flag}")
+
+
+class _Proxqp(_Workspace):
+    """ProxQP's dense solver; equalities apart, bounds as box."""
+
+    def __init__(self, qp: DenseQp) -> None:
+        super().__init__(qp)
+        m, n = qp.a.shape
+        proxqp = import_module("proxsuite").proxqp
+        self._solver = proxqp.dense.QP(n, qp.equalities, m - qp.equalities, True)
+        settings = self._solver.settings
+        settings.eps_abs, settings.eps_rel = _PROXQP_TOL, 0.0
+        settings.max_iter = settings.max_iter_in = _PROXQP_ITERATIONS
+        # else multipliers of limits that have moved away count as an answer: 20 mN off
+        settings.check_duality_gap = True
+        settings.eps_duality_gap_abs, settings.eps_duality_gap_rel = _PROXQP_TOL, 0.0
+        settings.eps_primal_inf = _PROXQP_INFEASIBLE
+        # from the last answer, but not from its penalties: with those too (WARM_START...) answers
+        # that it called solved were 0.1 N off stationarity
+        settings.initial_guess = proxqp.InitialGuess.COLD_START_WITH_PREVIOUS_RESULT
+        self._solved = proxqp.PROXQP_SOLVED
+        self._used = False
+
+    def solve(self) -> bool:
+        """Solve; see ``QpWorkspace``."""
+        qp, k = self.qp, self.qp.equalities
+        data = (qp.p, qp.q, qp.a[:k], qp.low[:k], qp.a[k:], qp.low[k:], qp.high[k:])
+        (self._solver.update if self._used else self._solver.init)(*data, qp.lower, qp.upper)
+        self._used = True
+        qp.new_p = qp.new_q = qp.new_a = False
+        self._solver.solve()
+        results = self._solver.results
+        self.iterations = int(results.info.iter)
+        if results.info.status != self._solved:
+            self._used = False
+            return self._nothing(str(results.info.status))
+        z = np.array(results.z)
+        rows = np.concatenate([results.y, z[: len(qp.a) - k]])
+        return self._answer(np.array(results.x), rows, z[len(qp.a) - k :])
+
+
+class _Qpsolvers(_Workspace):
+    """Any other solver, called anew each time."""
+
+    def __init__(self, name: str, qp: DenseQp) -> None:
+        super().__init__(qp)
+        self._name = name
+
+    def solve(self) -> bool:
+        """Solve in units of the largest limit; see ``QpWorkspace``."""
+        qp, k, m = self.qp, self.qp.equalities, len(self.qp.a)
+        unit = max(1.0, float(np.abs(qp.limits).max(where=np.isfinite(qp.limits), initial=0.0)))
+        task = qp.to_qpsolvers(sparse=self._name not in qpsolvers.dense_solvers, unit=unit)
+        # that a solver found no solution is told by the return value
+        with without_warnings():
+            try:
+                solution = qpsolvers.solve_problem(
+                    task, solver=self._name, **_OPTIONS.get(self._name, {})
+                )
+            except (qpsolvers.ProblemError, qpsolvers.SolverError, ValueError) as error:
+                return self._nothing(str(error))
+        if solution.x is None:
+            return self._nothing("no solution")
+        x = unit * np.asarray(solution.x)
+        if solution.z is None or solution.z_box is None or (k and solution.y is None):
+            if solution.found:
+                return self._answer(x, np.full(m, np.nan), np.full(len(x), np.nan))
+            return self._nothing("no solution")
+        high, low = np.isfinite(qp.high[k:]), np.isfinite(qp.low[k:])
+        rows, z = np.zeros(m), np.asarray(solution.z)
+        if k:
+            rows[:k] = solution.y
+        rows[k:][high] = z[: high.sum()]
+        rows[k:][low] -= z[high.sum() :]
+        self._answer(x, unit * rows, unit * np.asarray(solution.z_box))
+        if not solution.found:  # some give up next to the answer: their multipliers tell
+            off = max(qp.violation(x), qp.dual_residual(x, self.duals))
+            if not off <= NEAR * unit:
+                return self._nothing("no solution")
+        return True
+
+
+class _ClarabelCones(_Workspace):
+    """Clarabel with second-order cones: A x + s = b with s = 0, s >= 0, or s in a cone."""
+
+    def solve(self) -> bool:
+        """Solve; see ``QpWorkspace``. It gives no multipliers."""
+        clarabel, qp = import_module("clarabel"), self.qp
+        equal = qp.least == qp.most
+        low, high = (np.isfinite(limit) & ~equal for limit in (qp.least, qp.most))
+        parts = [qp.table[equal], -qp.table[low], qp.table[high], -qp.cones]
+        values = [qp.least[equal], -qp.least[low], qp.most[high], np.zeros(len(qp.cones))]
+        cones = [clarabel.ZeroConeT(int(equal.sum()))]
+        cones += [clarabel.NonnegativeConeT(int(low.sum() + high.sum()))]
+        cones += [clarabel.SecondOrderConeT(size) for size in qp.cone_sizes]
+        settings = clarabel.DefaultSettings()
+        settings.verbose = False
+        settings.tol_feas = settings.tol_gap_abs = settings.tol_gap_rel = _CONE_TOL
+        task = csc_matrix(triu(qp.p)), qp.q, csc_matrix(np.vstack(parts)), np.concatenate(values)
+        solution = clarabel.DefaultSolver(*task, cones, settings).solve()
+        if str(solution.status) not in ("Solved", "AlmostSolved"):
+            return self._nothing(str(solution.status))
+        m, n = qp.a.shape
+        return self._answer(np.asarray(solution.x), np.full(m, np.nan), np.full(n, np.nan))

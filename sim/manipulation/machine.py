@@ -1,0 +1,215 @@
+"""``StateMachine``: which phase of a manipulation comes next, all transitions in one place.
+
+    state      phases                                          passed            failed, with retry
+    ---------  ----------------------------------------------  ----------------  ------------------
+    pick       stand, approach, close, squeeze, verify, lift   turn              end
+    turn       turn                                            regrasp, hold     regrasp, put down
+    regrasp    regrasp, once for each finger                   turn              regrasp, put down
+    hold       hold                                            place             put down
+    place      verify again, back, carry, lower, release,      end               end
+               open, retreat
+    put down   back, lower, release, open, retreat             end               end
+
+A turn by strokes (a gait) goes on to "regrasp" until the object has turned as far as was asked. A
+failure ends the run unless a retry is asked for and the hand still touches the object:
+
+- a turn on one grasp that stalled: the fingers go back to where the motion began, once ("regrasp"),
+  and the rest is turned;
+- a finger of a gait that could not be lifted: the fingers that are left move on in another order;
+- else the object is put down where it is, if it stands there; ``manipulate`` then plans and
+  executes the rest of the turn anew;
+- else the run ends.
+
+"back" is run only where the ending says that the motion is made backwards.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal, Protocol, TypeAlias
+
+import numpy as np
+
+from planner.failure import Failure
+from planner.motion.gait import Relocation
+from planner.motion.manipulation import Ending, ManipulationPlan
+from sim.manipulation.timeline import ManipulationPhase
+
+__all__ = ["CLOSE_TO", "PhaseCall", "Situation", "State", "StateMachine"]
+
+State: TypeAlias = Literal["pick", "turn", "regrasp", "hold", "place", "put down", "end"]
+
+PICK: tuple[ManipulationPhase, ...] = ("stand", "approach", "close", "squeeze", "verify", "lift")
+DOWN: tuple[ManipulationPhase, ...] = ("lower", "release", "open", "retreat")
+HALF_WAY = "half-way"
+
+CLOSE_TO = float(np.deg2rad(0.4))
+"""A turn this near (rad) to its end is made."""
+
+MORE_STROKES = 3
+"""Strokes beyond those planned: what was lost in regrasps is made up for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhaseCall:
+    """A phase to be run.
+
+    Attributes:
+        phase: Which.
+        about: Which one of several: a stroke's number, or the finger that moves on; "" of one.
+        relocation: How the finger of a regrasp moves on.
+        ending: How the object is put down, as far as that is known now.
+    """
+
+    phase: ManipulationPhase
+    ending: Ending
+    about: str = ""
+    relocation: Relocation | None = None
+
+
+class Situation(Protocol):
+    """What the machine asks of a run when it chooses a transition."""
+
+    @property
+    def left(self) -> float:
+        """Turn that is still to be made, rad; negative beyond the goal."""
+        ...
+
+    @property
+    def touched(self) -> bool:
+        """Whether the hand touches the object."""
+        ...
+
+    def fingers_back(self) -> tuple[Relocation, ...] | Failure:
+        """How all fingers go back to where the motion began; or why they cannot."""
+        ...
+
+    def other_order(self, moved: Iterable[str]) -> tuple[Relocation, ...] | Failure:
+        """How the fingers that have not moved go on in another order; or why they cannot."""
+        ...
+
+    def put_down(self) -> Ending | Failure:
+        """How the object is put down where it is; or why it cannot be."""
+        ...
+
+
+class StateMachine:
+    """The course of one run.
+
+    Attributes:
+        state: Where it is.
+        ending: How the object is put down.
+        complete: Whether the object was placed as planned.
+        put_down: Whether it was put down half-way.
+    """
+
+    def __init__(self, plan: ManipulationPlan, situation: Situation, *, retry: bool) -> None:
+        """Begin with picking."""
+        self.state: State = "pick"
+        self.ending = plan.ending
+        self.complete = self.put_down = False
+        self._plan, self._situation, self._retry = plan, situation, retry
+        self._stroke = 0
+        self._went_back = False
+        self._moved: list[str] = []
+        self._queue: deque[tuple[ManipulationPhase, str, Relocation | None]] = deque()
+        self._enter("pick", *PICK)
+
+    @property
+    def next(self) -> PhaseCall | None:
+        """The phase to be run now; None at the end."""
+        if not self._queue:
+            return None
+        phase, about, relocation = self._queue[0]
+        return PhaseCall(phase=phase, about=about, relocation=relocation, ending=self.ending)
+
+    def passed(self) -> None:
+        """The phase was run and passed."""
+        _, about, _ = self._queue.popleft()
+        if self.state == "regrasp":
+            self._moved.append(about)
+        if self._queue:
+            return
+        if self.state in ("pick", "regrasp"):
+            self._turn()
+        elif self.state == "turn":
+            if self._turned:
+                self._enter("hold", "hold")
+            else:
+                self._moved = []
+                self._regrasp(self._cycle)
+        elif self.state == "hold":
+            self._enter("place", "verify again", *self._back, "carry", *DOWN)
+        else:
+            self.complete = self.state == "place"
+            self.put_down = self.state == "put down"
+            self._enter("end")
+
+    def failed(self) -> str:
+        """The phase was run and failed; tells what is done about it, "" if nothing."""
+        situation, state = self._situation, self.state
+        if not self._retry or state not in ("turn", "regrasp", "hold") or not situation.touched:
+            self._enter("end")
+            return ""
+        moves: tuple[Relocation, ...] | Failure = Failure(kind="turn_over", text="the turn is over")
+        if state == "turn":
+            moves = self._fingers_back()
+        elif state == "regrasp" and self._plan.gait is not None:
+            moves = situation.other_order(self._moved)
+        if not isinstance(moves, Failure):
+            self._regrasp(moves)
+            if state == "turn":
+                return "the fingers move on, and it is turned again"
+            return "the fingers move on in another order"
+        ending = situation.put_down()
+        if isinstance(ending, Failure):
+            self._enter("end")
+            return f"no regrasp ({moves}); it cannot be put down either: {ending}"
+        self.ending = ending
+        self._enter("put down", *self._back, *DOWN, about=HALF_WAY)
+        return f"no regrasp ({moves}); it is put down"
+
+    @property
+    def _back(self) -> tuple[ManipulationPhase, ...]:
+        return ("back",) if self.ending.back else ()
+
+    @property
+    def _cycle(self) -> tuple[Relocation, ...]:
+        """How the fingers of a gait move on after a stroke."""
+        gait = self._plan.gait
+        return () if gait is None else tuple(r for r in gait.relocations if r.cycle == 0)
+
+    @property
+    def _turned(self) -> bool:
+        """Whether no stroke follows: the turn is made, or there were enough of them."""
+        gait = self._plan.gait
+        if gait is None or self._stroke == gait.cycles + MORE_STROKES:
+            return True
+        return self._situation.left <= CLOSE_TO
+
+    def _turn(self) -> None:
+        self._stroke += 1
+        if self._plan.gait is not None:
+            about = f"stroke {self._stroke}"
+        else:
+            about = "again" if self._went_back else ""
+        self._enter("turn", "turn", about=about)
+
+    def _fingers_back(self) -> tuple[Relocation, ...] | Failure:
+        if self._plan.gait is not None or self._went_back:
+            return Failure(kind="regrasped", text="regrasps were made already")
+        if self._plan.ending.back or self._plan.shift.any():
+            return Failure(kind="not_repeatable", text="it is to be moved, or turned back")
+        moves = self._situation.fingers_back()
+        self._went_back = not isinstance(moves, Failure)
+        return moves
+
+    def _regrasp(self, moves: tuple[Relocation, ...]) -> None:
+        self.state = "regrasp"
+        self._queue = deque(("regrasp", move.finger, move) for move in moves)
+
+    def _enter(self, state: State, *phases: ManipulationPhase, about: str = "") -> None:
+        self.state = state
+        self._queue = deque((phase, about, None) for phase in phases)

@@ -1,0 +1,157 @@
+"""``ManipulationSim``: a simulation with a driver, a moving base, samples and a push."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from planner.motion.manipulation import ManipulationPlan
+from planner.spatial import SE3, FloatArray
+from planner.task import GraspTask
+from sim.contacts import hand_contacts
+from sim.controllers import Observation
+from sim.manipulation.driver import BaseMover, ManipulationDriver
+from sim.manipulation.in_hand import InHandController
+from sim.manipulation.log import ManipulationRecorder
+from sim.manipulation.timeline import (
+    CONTROLLER_PHASE,
+    IN_THE_AIR,
+    ManipulationPhase,
+    ManipulationTimeline,
+)
+from sim.physics import PhysicsOptions
+from sim.simulation import Simulation
+from sim.verdict import DropCriteria, lost
+
+__all__ = ["DROPPED", "ManipulationSim", "Push"]
+
+SAMPLE_EVERY = 0.02
+"""Time between samples, s: that at which closure and forces are judged."""
+
+DROPPED = DropCriteria(fewest=1)
+"""In the air an object is dropped when nothing of the hand touches it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Push:
+    """A force on the object's centre of mass while it is turned, once.
+
+    Attributes:
+        force: (3,), N, world.
+        after: When, since the beginning of the turn, s.
+        duration: How long, s.
+    """
+
+    force: FloatArray
+    after: float
+    duration: float
+
+
+class ManipulationSim:
+    """Runs phases of one manipulation and records them.
+
+    Attributes:
+        simulation: Scene, data and the loop.
+        driver: What drives the fingers.
+        mover: What moves the base.
+        recorder: Who takes samples.
+    """
+
+    def __init__(
+        self,
+        plan: ManipulationPlan,
+        *,
+        controller: InHandController,
+        timeline: ManipulationTimeline,
+        true_task: GraspTask | None = None,
+        physics: PhysicsOptions | None = None,
+        push: Push | None = None,
+    ) -> None:
+        """Build the scene and put hand and object at their start; see ``manipulate``."""
+        grasp = plan.grasp
+        there = true_task or grasp.task
+        there = replace(there, obstacles=(*there.obstacles, *plan.under_target))
+        self.driver = ManipulationDriver(plan, controller, rate=timeline.turn_rate)
+        self.simulation = Simulation(
+            replace(grasp, task=there), physics=physics, controller=self.driver
+        )
+        self.mover = BaseMover(self.simulation.scene.mount, grasp.T_world_base_start)
+        self.simulation.carrier = self.mover
+        self.recorder = ManipulationRecorder(self.simulation, self.driver.reference.axis)
+        self._push = push
+        self._turn_began: float | None = None
+
+    def run(
+        self,
+        phase: ManipulationPhase,
+        duration: float,
+        *,
+        wait: float = 0.0,
+        until: Callable[[Observation], bool] | None = None,
+    ) -> str:
+        """Run a phase for its duration, and longer where something is waited for.
+
+        Args:
+            phase: Which phase.
+            duration: s.
+            wait: Longest further time, s.
+            until: Whether the phase may end after ``duration``, asked after every step with what
+                the controller saw; at once if None.
+
+        Returns:
+            Why it ended early, "" if it did not: diverged, stopped, or the object fell.
+        """
+        simulation, recorder, driver = self.simulation, self.recorder, self.driver
+        if phase == "turn" and self._turn_began is None:
+            self._turn_began = simulation.time
+        pushed = self._push if phase in ("turn", "regrasp") else None
+        before = None if pushed is None else lambda _: self._push_object(pushed)
+        fault = ""
+        for observation in simulation.run(
+            CONTROLLER_PHASE[phase], duration, wait=wait, until=until, before=before
+        ):
+            recorder.note_forces(observation.normal_forces)
+            due = simulation.due(SAMPLE_EVERY)
+            fault = simulation.diverged or (self._dropped(phase) if due else "")
+            if fault or due:
+                recorder.record(
+                    phase,
+                    path_parameter=driver.reference.place,
+                    wanted=driver.holding.T_palm_wanted,
+                    away=driver.off,
+                )
+            if fault:
+                break
+        simulation.data.xfrc_applied[simulation.scene.object_body] = 0.0
+        self.mover.stay()
+        return fault or (f"stopped: {simulation.stopped}" if simulation.stopped else "")
+
+    @property
+    def touched(self) -> bool:
+        """Whether anything of the hand presses on the object."""
+        return self.simulation.touching() > 0
+
+    @property
+    def touching_fingers(self) -> set[str]:
+        """Names of the fingers that press on the object, the palm left out."""
+        return set(hand_contacts(self.simulation.scene, self.simulation.data).fingers) - {""}
+
+    def base_for(self, T_world_object: SE3) -> SE3:
+        """Where the base must be for the object, as it lies in the hand now, to be at a pose."""
+        now = self.simulation
+        return T_world_object * now.T_world_object.inverse() * now.T_world_base
+
+    def _push_object(self, push: Push) -> None:
+        """Push while it is time to."""
+        since = self.simulation.time - (self._turn_began or 0.0)
+        force = push.force if 0.0 <= since - push.after < push.duration else np.zeros(3)
+        self.simulation.data.xfrc_applied[self.simulation.scene.object_body, :3] = force
+
+    def _dropped(self, phase: ManipulationPhase) -> str:
+        """Why the object counts as dropped, "" if it does not."""
+        if phase not in IN_THE_AIR or not lost(DROPPED, touching=self.simulation.touching()):
+            return ""
+        gave_up = self.driver.holding.gave_up
+        return "the object was dropped" + (f": {gave_up}" if gave_up else "")

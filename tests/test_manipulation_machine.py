@@ -1,0 +1,197 @@
+"""The course of a manipulation: all transitions of the state machine, by a scripted situation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from manipulations import task_of
+
+from planner.motion.gait import GaitPlan, Relocation, Stroke
+from planner.motion.manipulation import Ending, ManipulationPlan, plan_single_stroke
+from sim.manipulation.machine import StateMachine
+
+
+@pytest.fixture(scope="module")
+def plan() -> ManipulationPlan:
+    """A turn in one stroke."""
+    return plan_single_stroke(task_of("cylinder:0.03x0.08"), angle=math.radians(30.0))
+
+
+@pytest.fixture(scope="module")
+def strokes(plan: ManipulationPlan) -> ManipulationPlan:
+    """A turn in two strokes, between which all fingers move on."""
+    motion = plan.motion
+    moves = tuple(_move(plan, finger) for finger in plan.task.finger_names)
+    first, second = (Stroke(cycle=cycle, knots=motion.knots) for cycle in (0, 1))
+    phases: tuple[Stroke | Relocation, ...] = (first, *moves, second)
+    gait = GaitPlan(motion=motion, cycles=2, phases=phases, record=motion.record)
+    return replace(plan, gait=gait)
+
+
+def _move(plan: ManipulationPlan, finger: str) -> Relocation:
+    knot = plan.motion.knots[-1]
+    return Relocation(
+        cycle=0,
+        finger=finger,
+        T_world_object=knot.T_world_object,
+        postures=np.array([knot.q, knot.q]),
+        before=knot.contacts,
+        during=knot.contacts,
+        after=knot.contacts,
+        margin=0.1,
+        grip=1.5,
+    )
+
+
+@dataclass
+class Script:
+    """A situation that is told in advance."""
+
+    lefts: list[float] = field(default_factory=lambda: [0.0])
+    touched: bool = True
+    back: tuple[Relocation, ...] | str = "too few fingers"
+    others: tuple[Relocation, ...] | str = "no other order"
+    down: Ending | str = "it stands nowhere"
+    moved: list[tuple[str, ...]] = field(default_factory=list)
+
+    @property
+    def left(self) -> float:
+        """What is left of the turn after each stroke in turn; then always the last."""
+        return self.lefts.pop(0) if len(self.lefts) > 1 else self.lefts[0]
+
+    def fingers_back(self) -> tuple[Relocation, ...] | str:
+        return self.back
+
+    def other_order(self, moved: Iterable[str]) -> tuple[Relocation, ...] | str:
+        self.moved.append(tuple(moved))
+        return self.others
+
+    def put_down(self) -> Ending | str:
+        return self.down
+
+
+def run(
+    plan: ManipulationPlan, situation: Script, fails: Iterable[str] = (), *, retry: bool = False
+) -> tuple[list[str], StateMachine, list[str]]:
+    """Phases of a run whose phases fail once each as told, the machine, and what it did then."""
+    machine, seen, then, left = StateMachine(plan, situation, retry=retry), [], [], list(fails)
+    while (call := machine.next) is not None:
+        name = f"{call.phase} {call.about}".strip()
+        seen.append(name)
+        if name in left:
+            left.remove(name)
+            then.append(machine.failed())
+        else:
+            machine.passed()
+    assert not left, "these phases never came"
+    return seen, machine, then
+
+
+PICK = ["stand", "approach", "close", "squeeze", "verify", "lift"]
+PLACE = ["verify again", "carry", "lower", "release", "open", "retreat"]
+DOWN = [f"{phase} half-way" for phase in ("lower", "release", "open", "retreat")]
+
+
+def test_a_turn_that_goes_as_planned(plan: ManipulationPlan) -> None:
+    seen, machine, _ = run(plan, Script())
+    assert seen == [*PICK, "turn", "hold", *PLACE]
+    assert machine.complete and not machine.put_down and machine.state == "end"
+
+
+def test_what_does_not_stand_is_brought_back_before_it_is_carried(plan: ManipulationPlan) -> None:
+    backwards = replace(plan, ending=replace(plan.ending, back="it does not stand"))
+    seen, _, _ = run(backwards, Script())
+    assert seen[-6:] == ["back", *PLACE[1:]]
+
+
+def test_strokes_go_on_until_the_object_has_turned(strokes: ManipulationPlan) -> None:
+    moves = [f"regrasp {finger}" for finger in strokes.task.finger_names]
+    seen, _, _ = run(strokes, Script(lefts=[0.4, 0.2, 0.0]))
+    turns = ["turn stroke 1", *moves, "turn stroke 2", *moves, "turn stroke 3"]
+    assert seen == [*PICK, *turns, "hold", *PLACE]
+
+
+def test_strokes_end_where_nothing_turns(strokes: ManipulationPlan) -> None:
+    seen, machine, _ = run(strokes, Script(lefts=[0.2]))
+    assert sum(name.startswith("turn") for name in seen) == 2 + 3
+    assert machine.complete, "whether it has turned far enough is for the hold to tell"
+
+
+@pytest.mark.parametrize("phase", [*PICK, "turn", "hold", *PLACE])
+def test_a_failure_ends_a_run_without_a_retry(plan: ManipulationPlan, phase: str) -> None:
+    seen, machine, then = run(plan, Script(down=plan.ending), [phase])
+    assert seen[-1] == phase and then == [""]
+    assert not machine.complete and not machine.put_down
+
+
+@pytest.mark.parametrize("phase", [*PICK, *PLACE])
+def test_failures_before_and_after_the_turn_are_not_made_up_for(
+    plan: ManipulationPlan, phase: str
+) -> None:
+    seen, _, then = run(plan, Script(down=plan.ending), [phase], retry=True)
+    assert seen[-1] == phase and then == [""]
+
+
+def test_a_lost_object_is_not_put_down(plan: ManipulationPlan) -> None:
+    seen, _, then = run(plan, Script(touched=False, down=plan.ending), ["turn"], retry=True)
+    assert seen[-1] == "turn" and then == [""]
+
+
+def test_a_stalled_turn_goes_on_after_the_fingers_went_back_once(plan: ManipulationPlan) -> None:
+    back = tuple(_move(plan, finger) for finger in ("thumb", "index"))
+    seen, machine, then = run(plan, Script(back=back), ["turn"], retry=True)
+    turns = ["turn", "regrasp thumb", "regrasp index", "turn again"]
+    assert seen == [*PICK, *turns, "hold", *PLACE] and machine.complete
+    assert then == ["the fingers move on, and it is turned again"]
+    twice = ["turn", "turn again"]
+    seen, _, then = run(plan, Script(back=back), twice, retry=True)
+    assert seen[-1] == "turn again"
+    assert then[1].startswith("no regrasp (regrasps were made already); it cannot be put down")
+
+
+@pytest.mark.parametrize("phase", ["turn", "hold"])
+def test_what_cannot_be_turned_further_is_put_down_half_way(
+    plan: ManipulationPlan, phase: str
+) -> None:
+    """After a hold that failed it was carried to its target and put down twice."""
+    other = replace(plan.ending, T_world_target=plan.motion.knots[0].T_world_object)
+    seen, machine, then = run(plan, Script(down=other), [phase], retry=True)
+    assert seen[-5:] == [phase, *DOWN]
+    assert machine.put_down and not machine.complete and machine.ending is other
+    assert then[0].endswith("it is put down")
+
+
+def test_what_is_moved_is_not_regrasped(plan: ManipulationPlan) -> None:
+    back = (_move(plan, "thumb"),)
+    moved = replace(plan, shift=np.array([0.0, 0.0, 0.005]))
+    _, _, then = run(moved, Script(back=back), ["turn"], retry=True)
+    assert "it is to be moved, or turned back" in then[0]
+
+
+def test_putting_down_backwards_goes_back_first(plan: ManipulationPlan) -> None:
+    backwards = replace(plan.ending, back="half-way it does not stand")
+    seen, _, _ = run(plan, Script(down=backwards), ["turn"], retry=True)
+    assert seen[-5:] == ["back half-way", *DOWN]
+
+
+def test_fingers_that_cannot_be_lifted_let_others_go_first(strokes: ManipulationPlan) -> None:
+    first, second, *rest = strokes.task.finger_names
+    others = tuple(_move(strokes, finger) for finger in (*rest, second))
+    situation = Script(lefts=[0.2], others=others)
+    seen, _, then = run(strokes, situation, [f"regrasp {second}"], retry=True)
+    assert situation.moved == [(first,)]
+    assert then == ["the fingers move on in another order"]
+    at = seen.index(f"regrasp {second}")
+    assert seen[at + 1 :][: len(others)] == [f"regrasp {move.finger}" for move in others]
+    assert seen[at + 1 + len(others)] == "turn stroke 2"
+
+
+def test_a_failure_while_putting_down_is_the_end(plan: ManipulationPlan) -> None:
+    fails = ["turn", "open half-way"]
+    seen, machine, _ = run(plan, Script(down=plan.ending), fails, retry=True)
+    assert seen[-1] == "open half-way"
+    assert not machine.put_down
