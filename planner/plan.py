@@ -65,7 +65,7 @@ class SolveRecord(SearchRecord):
 
     Attributes:
         iterations: Evaluations of the residuals in its attempt.
-        status: Why the descent ended (informative only; the verdict is ``Verification``).
+        status: Why least squares ended (informative only; the verdict is ``Verification``).
         objective: What the grasp was to be good at, as ``SynthesisOptions.objective``.
     """
 

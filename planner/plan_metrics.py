@@ -43,10 +43,10 @@ from planner.synthesis.objectives.task_wrenches import resisted_wrenches
 from planner.synthesis.objectives.wrench import NORMAL_ERROR, POSITION_ERROR, narrowed
 
 __all__ = [
-    "MEASURES",
-    "Measure",
+    "METRICS",
+    "Metric",
+    "evaluate_metrics",
     "mean_singular_value",
-    "measured",
     "resisted_per_newton",
     "robust_epsilon",
 ]
@@ -56,7 +56,7 @@ EDGES = 8
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measure:
+class Metric:
     """A figure of a plan, more of which is better.
 
     Attributes:
@@ -68,8 +68,8 @@ class Measure:
     value: Callable[[GraspPlan, FloatArray], float]
 
 
-def measured(plan: GraspPlan, task_wrenches: ArrayLike = ()) -> dict[str, float]:
-    """Every measure of a plan, by name.
+def evaluate_metrics(plan: GraspPlan, task_wrenches: ArrayLike = ()) -> dict[str, float]:
+    """Every metric of a plan, by name.
 
     Args:
         plan: The plan.
@@ -77,7 +77,7 @@ def measured(plan: GraspPlan, task_wrenches: ArrayLike = ()) -> dict[str, float]
             any direction if there are none.
     """
     wrenches = resisted_wrenches(plan.task, task_wrenches)
-    return {name: measure.value(plan, wrenches) for name, measure in MEASURES.items()}
+    return {name: metric.value(plan, wrenches) for name, metric in METRICS.items()}
 
 
 def resisted_per_newton(contacts: ContactSet, wrenches: FloatArray, *, length: float) -> float:
@@ -175,18 +175,18 @@ def _length(plan: GraspPlan) -> float:
     return plan.task.object.shape.bounding_radius
 
 
-MEASURES: Mapping[str, Measure] = {
-    "epsilon": Measure(
+METRICS: Mapping[str, Metric] = {
+    "epsilon": Metric(
         unit="-", value=lambda plan, _: epsilon_l1(plan.contacts, length=_length(plan))
     ),
-    "min_weight": Measure(unit="-", value=lambda plan, _: min_weight(plan.contacts)),
-    "task": Measure(
+    "min_weight": Metric(unit="-", value=lambda plan, _: min_weight(plan.contacts)),
+    "task": Metric(
         unit="1/N",
         value=lambda plan, wrenches: resisted_per_newton(
             plan.contacts_in_object, wrenches, length=_length(plan)
         ),
     ),
-    "robustness": Measure(
+    "robustness": Metric(
         unit="-",
         value=lambda plan, _: robust_epsilon(
             plan.contacts,
@@ -195,8 +195,8 @@ MEASURES: Mapping[str, Measure] = {
             normal_error=NORMAL_ERROR,
         ),
     ),
-    "torque": Measure(unit="-", value=lambda plan, _: _torque_margin(plan)),
-    "manipulability": Measure(unit="m/rad", value=lambda plan, _: _manipulability(plan)),
-    "limits": Measure(unit="-", value=lambda plan, _: _limit_distance(plan)),
+    "torque": Metric(unit="-", value=lambda plan, _: _torque_margin(plan)),
+    "manipulability": Metric(unit="m/rad", value=lambda plan, _: _manipulability(plan)),
+    "limits": Metric(unit="-", value=lambda plan, _: _limit_distance(plan)),
 }
-"""All measures by name, those of ``planner.synthesis.objectives.registry``."""
+"""All metrics by name, those of ``planner.synthesis.objectives.registry``."""

@@ -16,13 +16,14 @@ from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
 from planner.failure import Failure
 from planner.plan import GraspPlan, SolveRecord
-from planner.synthesis.clearance import bones_are_true
-from planner.synthesis.optimize import NEARLY, descend_grasp
-from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.problems import Problems, problems_for
-from planner.synthesis.residuals import WEIGHTS
+from planner.synthesis.link_capsules import capsules_are_true
+from planner.synthesis.optimize import NEARLY, optimize_grasp
+from planner.synthesis.options import ProblemForm, SynthesisOptions
+from planner.synthesis.problem_cache import Problems, problems_for
 from planner.synthesis.seeds.draw import Seeder
 from planner.synthesis.seeds.mesh import seeder_for
+from planner.synthesis.symbols import GraspPoint
+from planner.synthesis.terms.term import first_failure
 from planner.system.stage_times import stage
 from planner.system.threads import kept_by_thread, made_once
 from planner.task import GraspTask
@@ -60,12 +61,12 @@ def attempts(
     """
     check_seed(seed)
     options = options or SynthesisOptions()
-    _problem(task, options.built)
+    _problem(task, options.form)
 
     def context(index: int) -> _GraspContext:
         past = index - SPARE_AFTER
         spares = task.may_spare_fingers and past >= 0 and past % 2 == 0
-        problem = (_spared_problem if spares else _problem)(task, options.built)
+        problem = (_spared_problem if spares else _problem)(task, options.form)
         _world(problem.task)  # this thread's own is made before the attempt's time begins
         return _GraspContext(problem, options)
 
@@ -150,15 +151,15 @@ class _GraspContext:
             return start
         parameters = problem.parameters(task, start, seeder.posture, options)
         with stage("solve"):
-            # the true links where the bones of the terms are not exactly those
-            links = None if bones_are_true(task.hand) else world
-            candidate = descend_grasp(problem, task, start, parameters, options, links)
-        worst = max(candidate.violation, key=lambda name: candidate.violation[name] * WEIGHTS[name])
-        violation = candidate.violation[worst]
-        if not violation * WEIGHTS[worst] <= NEARLY:
+            # the true links where the capsules of the terms are not exactly those
+            links = None if capsules_are_true(task.hand) else world
+            candidate = optimize_grasp(problem, task, start, parameters, options, links)
+        worst, weighted = problem.worst_violation(candidate.violation)
+        if not weighted <= NEARLY:
+            violation = candidate.violation[worst.name]
             return Failure(
-                kind=f"unsolved_{worst}",
-                text=f"not solved, term {worst}: violated by {violation:.1e}",
+                kind=f"unsolved_{worst.name}",
+                text=f"not solved, term {worst.name}: violated by {violation:.1e}",
                 numbers={"violation": violation},
             )
         record = SolveRecord(
@@ -170,7 +171,12 @@ class _GraspContext:
         T_world_base = task.T_world_object * candidate.T_object_base
         with stage("project"):
             q = project_onto_surface(task, T_world_base, q)
-        return verify_grasp(task, T_world_base, q, record=record, world=world)
+        plan = verify_grasp(task, T_world_base, q, record=record, world=world)
+        if isinstance(plan, Failure):
+            return plan
+        at = plan.contacts_in_object
+        point = GraspPoint(task=task, q=plan.q, points=at.positions, inward=at.normals)
+        return first_failure(problem.own_terms, point) or plan
 
 
 @kept_by_thread(8)
@@ -180,18 +186,18 @@ def _world(task: GraspTask) -> CollisionWorld:
 
 
 @made_once(8)
-def _problem(task: GraspTask, objectives: tuple[str, ...]) -> _Problem:
+def _problem(task: GraspTask, form: ProblemForm) -> _Problem:
     """Seeder and problems of a task, made once for all who ask with the same one."""
     seeder = seeder_for(task)
     _world(task)  # refuses what stands in something else, before the problems are built
-    return _Problem(task, problems_for(task, objectives), seeder)
+    return _Problem(task, problems_for(task, form), seeder)
 
 
 @made_once(8)
-def _spared_problem(task: GraspTask, objectives: tuple[str, ...]) -> _Problem:
+def _spared_problem(task: GraspTask, form: ProblemForm) -> _Problem:
     """The same with three fingers alone; with all where three cannot do what is asked."""
-    full = _problem(task, objectives)
+    full = _problem(task, form)
     try:
-        return _problem(task.with_fingers(full.seeder.tripod), objectives)
+        return _problem(task.with_fingers(full.seeder.tripod), form)
     except TaskError:  # a region is required of a spared finger, or three do not open as wide
         return full

@@ -12,7 +12,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from planner.errors import NotFoundError, PlannerError, TaskError
-from planner.plan_metrics import MEASURES
+from planner.plan_metrics import METRICS
 from planner.synthesis import OBJECTIVES
 from sim.bench.objectives import objective_tables, run_objectives, summary_of_objective
 from sim.bench.objects import bench_objects
@@ -30,7 +30,7 @@ def row(objective: str, k: int, attempts: int, value: float | None) -> dict[str,
         "k": k,
         "attempts": attempts,
         "cpu_s": 0.1 * attempts,
-        "measures": None if value is None else dict.fromkeys(MEASURES, value),
+        "measures": None if value is None else dict.fromkeys(METRICS, value),
     }
 
 
@@ -60,7 +60,7 @@ def test_nothing_found_is_a_row_without_figures() -> None:
     summary = summary_of_objective("none", [row("none", 0, 5, None)])
     assert summary["cpu_s_per_found"] is None
     assert summary["medians"]["epsilon"] is None
-    result = {"units": {n: m.unit for n, m in MEASURES.items()}, "objectives": [summary]}
+    result = {"units": {n: m.unit for n, m in METRICS.items()}, "objectives": [summary]}
     tables = objective_tables(result)
     assert len(tables) == 1
     assert tables[0].row_count == 1
@@ -74,7 +74,7 @@ def test_medians_stand_beside_those_of_their_own_cell() -> None:
         row("torque", 0, 1, 4.0) | {"object": "second"},
     ]
     summaries = [summary_of_objective(name, rows) for name in ("none", "torque")]
-    units = {name: measure.unit for name, measure in MEASURES.items()}
+    units = {name: metric.unit for name, metric in METRICS.items()}
     own = objective_tables({"units": units, "objectives": summaries})[1]
     columns = [list(column.cells) for column in own.columns]
     shown = list(zip(*columns, strict=True))
@@ -121,7 +121,7 @@ def test_a_run_has_a_row_per_request_and_a_summary_per_objective() -> None:
     result = run(["none", "limits:2"])
     assert [r["k"] for r in result["rows"]] == [0, 1, 0, 1]
     assert [e["objective"] for e in result["objectives"]] == ["none", "limits:2.0"]
-    assert all(set(r["measures"]) == set(MEASURES) for r in result["rows"])
+    assert all(set(r["measures"]) == set(METRICS) for r in result["rows"])
     json.dumps(result)
 
 

@@ -503,7 +503,7 @@ def interrupt(script: str, *arguments: str | Path) -> Result:
 
 @pytest.mark.skipif(os.name == "nt", reason="SIGINT to one process is a matter of POSIX")
 def test_ctrl_c_ends_planning_even_inside_a_solve(tmp_path: Path) -> None:
-    script = SAY_WHEN.format(module="planner.search", owner="module", name="descend_grasp", call=3)
+    script = SAY_WHEN.format(module="planner.search", owner="module", name="optimize_grasp", call=3)
     options = ("--max-attempts", "1000000", "-o", tmp_path / "plan.json")
     result = interrupt(script, "plan", *TOO_HEAVY, *options)
     assert result.code == 130

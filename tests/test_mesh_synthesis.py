@@ -29,9 +29,9 @@ from planner.regions import Region, TouchRegion, parse_region
 from planner.search import plan_grasp
 from planner.shapes import Box, Mesh, Shape, Torus
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.clearance import link_balls
-from planner.synthesis.filling import fill, span
-from planner.synthesis.optimize import descend_grasp
+from planner.synthesis.link_spheres import fill, link_spheres, span
+from planner.synthesis.mesh_surface import STEEP
+from planner.synthesis.optimize import optimize_grasp
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Start, build_problem
 from planner.synthesis.resistance import least_resisted
@@ -39,7 +39,8 @@ from planner.synthesis.seeds.draw import Seeder, opposition
 from planner.synthesis.seeds.mesh import MeshSeeder, seeder_for
 from planner.synthesis.seeds.opposed_points import FACING, opposed_pairs
 from planner.synthesis.seeds.postures import measure_postures
-from planner.synthesis.surfaces import STEEP
+from planner.synthesis.terms.contact import EDGE
+from planner.synthesis.terms.registry import TERMS
 from planner.task import GraspTask
 from planner.tolerances import TOUCH_TOL
 from planner.verification.geometry import edge_failures, verify_geometry
@@ -107,7 +108,7 @@ def test_postures_leave_about_the_gap_that_is_asked_and_know_where_links_are(
 ) -> None:
     task = GraspTask.create(allegro, "torus")
     seeder = seeder_for(task)
-    balls = link_balls(allegro)
+    balls = link_spheres(allegro)
     widest = float(seeder.gaps.max())
     rng = np.random.default_rng(1)
     drawn = [seeder.posture + rng.normal(0, 0.03, allegro.nq) for _ in range(40)]
@@ -121,7 +122,7 @@ def test_postures_leave_about_the_gap_that_is_asked_and_know_where_links_are(
         assert opposition(task, postures.q[k]).gap == pytest.approx(postures.gaps[k])
         for i, ball in enumerate(balls):
             at = state.joint_pose(ball.joint_id).act(ball.center)
-            np.testing.assert_allclose(postures.balls[k, i], at, atol=1e-12)
+            np.testing.assert_allclose(postures.spheres[k, i], at, atol=1e-12)
         for i, finger in enumerate(task.fingers):
             np.testing.assert_allclose(postures.pads[k, i], state.pad_center(finger), atol=1e-12)
     assert postures.draw(widest + 1.0, rng) >= 32
@@ -309,11 +310,11 @@ def test_contacts_leave_edges_while_they_move(
         for start in starts:
             assert isinstance(start, Start)
             parameters = problem.parameters(task, start, seeder.posture, options)
-            end = descend_grasp(problem, task, start, parameters, options)
+            end = optimize_grasp(problem, task, start, parameters, options)
             slopes = np.linalg.norm(shape.field().taylor(end.points, 1)[:, 1:4], axis=1)
             count += int((slopes < STEEP - 0.03).sum())
         return count
 
     leaving = on_edges()
-    monkeypatch.setattr("planner.synthesis.residuals.EDGE_SHARE", 0.0)
+    monkeypatch.setitem(TERMS, "edge", replace(EDGE, weight=0.0))
     assert leaving < 0.5 * on_edges()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -29,26 +30,26 @@ from planner.motion.context import finger_sets, with_rolling_pads
 from planner.motion.holds import Hold, HoldRows
 from planner.motion.interpolation import interpolate_rolling
 from planner.motion.limits import what_limits
-from planner.motion.loads import MOST_LOAD, PER_LOAD, load_function, load_parameters
+from planner.motion.loads import MOST_LOAD, load_function, load_parameters
 from planner.motion.plan import Knot
 from planner.motion.problem import JOINT_ROOM, MotionProblem, build_motion_problem
-from planner.motion.residuals import PULL, MotionResiduals
+from planner.motion.residuals import MotionResiduals
 from planner.motion.rolling import pivoting_function, rolling_function, slips
-from planner.motion.rows import described
 from planner.motion.search import MOTION_OPTIONS
 from planner.motion.solve import MotionSolver
 from planner.motion.starts import on_opposed_sides
+from planner.motion.terms import LOAD, MOTION_TERMS, REACH
 from planner.motion.unknowns import SHARE, placement
 from planner.motion.verify import MotionVerifier, Place
 from planner.objects import parse_object
 from planner.quality import analyse, force_closure
 from planner.spatial import SE3, FloatArray, skew
+from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.objectives.joint import driving
 from planner.synthesis.problem import Start
-from planner.synthesis.residuals import WEIGHTS
 from planner.synthesis.seeds.draw import Seeder
-from planner.synthesis.surfaces import surface_of
-from planner.synthesis.surroundings import obstacles_in_object
+from planner.synthesis.table_and_obstacles import obstacles_in_object
+from planner.synthesis.terms.forces import BALANCE, CONE
 from planner.synthesis.unknowns import mrp_numeric
 from planner.task import GraspTask, Obstacle
 from planner.tolerances import CLOSURE_EDGES, CLOSURE_MARGIN, SWING_SHARE
@@ -294,18 +295,20 @@ def test_derivatives_of_all_residuals_by_finite_differences(
     assert isinstance(start, Start)
     numbers = problem.numbers(task, path, start, seeder.posture, MOTION_OPTIONS, 0.002)
     residuals = MotionResiduals(problem, numbers, None)
-    residuals.pull = PULL
+    residuals.pull = REACH.weight
     rng = np.random.default_rng(1)
     z = problem.first(start)
     z += 0.01 * rng.normal(size=len(z))
     z[SHARE] = 0.4
     value, blocks = residuals(z)
-    value, jacobian, tally = value.copy(), blocks.dense(), residuals.tally(z)
+    value, jacobian, rows = value.copy(), blocks.dense(), residuals.row_names()
     normal, slope = blocks.normal_equations()
     assert np.allclose(normal, jacobian.T @ jacobian, rtol=1e-12, atol=1e-9)
     assert np.allclose(slope, jacobian.T @ value, rtol=1e-12, atol=1e-9)
-    assert tally.tube and tally.rolling and any(len(a) for a in tally.avoided)
-    assert len(tally.holds) == len(holds) and all(count >= 7 for count in tally.holds)
+    counted = Counter(row.term.name for row in rows)
+    assert counted["path"] and counted["rolling"] and counted["object"] + counted["table"]
+    equal = counted["swing_balance"] + counted["swing_level"]
+    assert equal == 7 * len(holds)
     step = 1e-6
     compared = 0
     for i in range(len(z)):
@@ -343,7 +346,7 @@ def test_loads_are_those_of_forces_that_bear_the_weight(allegro: Hand) -> None:
     assert len(x) == u.size
     out = load_function(allegro, task.fingers)(x, turn.ravel(order="F"), parameters[0])[0]
     used = driving(allegro, task.fingers)
-    loads = MOST_LOAD - out.full().ravel()[: len(used)] / PER_LOAD
+    loads = MOST_LOAD - out.full().ravel()[: len(used)] / LOAD.weight
     weight = task.object.mass * task.gravity
     length = task.object.shape.bounding_radius
     grasp = np.hstack([np.vstack([np.eye(3), skew(p) / length]) for p in points])
@@ -425,12 +428,13 @@ def test_forces_of_a_hold_balance_where_each_contact_is_seen_by_the_hand() -> No
     side = next(p for p in surface.patches(shape) if "side" in p.name)
     p = {"size": surface.size(shape), "mu": np.array([0.5]), "length": np.array([0.05])}
     rows = HoldRows(surface, 3)
-    values, slopes = rows(points, -outward, shares, path, p, np.array([side.code] * 3))
+    values, slopes, which = rows(points, -outward, shares, path, p, np.array([side.code] * 3))
     assert np.allclose(values, 0.0, atol=1e-12) and slopes.shape == (7, 21)
+    assert which.tolist() == list(range(7))
     tilted = -outward + 0.6 * UP  # outside the cones, and not in balance
-    values, _ = rows(points, tilted, shares, path, p, np.array([side.code] * 3))
-    assert values[2] == pytest.approx(WEIGHTS["balance"] * 1.8)
-    cone = WEIGHTS["cone"] * ((SWING_SHARE * 0.5) ** 2 - 0.36)
+    values, _, _ = rows(points, tilted, shares, path, p, np.array([side.code] * 3))
+    assert values[2] == pytest.approx(BALANCE.weight * 1.8)
+    cone = CONE.weight * ((SWING_SHARE * 0.5) ** 2 - 0.36)
     assert np.allclose(values[7:], cone)
 
 
@@ -444,11 +448,12 @@ def test_rows_are_told_in_their_order_with_their_units(allegro: Hand) -> None:
     residuals = MotionResiduals(problem, numbers, None)
     z = problem.first(start) + 0.01 * np.random.default_rng(2).normal(size=problem.unknowns.size)
     z[SHARE] = 0.3
-    r, jacobian = residuals(z)
-    rows = described(residuals, z, jacobian.dense())
-    assert len(rows) == residuals.n_terms
-    for value, row in zip(r, rows, strict=False):
-        assert row.equality or value < 0
+    r, _ = residuals(z)
+    rows = residuals.row_names()
+    assert len(rows) == len(r)
+    assert sum(not row.term.role.is_cost for row in rows) == residuals.n_terms
+    for value, row in zip(r, rows, strict=True):
+        assert not row.term.role.one_sided or value < 0
     base, u = SE3(numbers.reference, np.zeros(3)), problem.unknowns.grasp
     for k, x in enumerate(residuals.grasps(z)):
         state = HandState(allegro, u.q(x))
@@ -456,11 +461,42 @@ def test_rows_are_told_in_their_order_with_their_units(allegro: Hand) -> None:
             outward = np.array([point[0], point[1], 0.0]) / 0.03  # the first side of the cylinder
             gap = u.pose(x, base).act(state.pad_center(finger)) - point - 0.012 * outward
             told = [
-                value / row.weight
-                for value, row in zip(r, rows, strict=False)
-                if (row.what, row.knot) == (f"touch of {finger.name}", k)
+                value / row.term.weight
+                for value, row in zip(r, rows, strict=True)
+                if (str(row), row.knot) == (f"touch of {finger.name}", k)
             ]
             assert np.allclose(told, gap, atol=1e-9)
+
+
+def test_what_is_printed_of_a_motion_is_what_is_solved(allegro: Hand) -> None:
+    """All rows that count at any place are among those printed, and all of equalities and costs."""
+    task = GraspTask.create(allegro, "cylinder:0.03x0.1", fingers=["thumb", "index", "middle"])
+    path = ObjectPath(axis=UP, angle=1.0, shift=np.array([0.0, 0.0, 0.01]))
+    problem = replace(problem_of(allegro, 3), holds=(Hold(lifted=0, knots=(-1, 0, 1)),))
+    seeder = Seeder(task)
+    start = seeder.draw(np.random.default_rng(0))
+    assert isinstance(start, Start)
+    numbers = problem.numbers(task, path, start, seeder.posture, MOTION_OPTIONS, 0.002)
+    residuals = MotionResiduals(problem, replace(numbers, pivoting_costs=True), None)
+    residuals.pull = REACH.weight
+    printed = {(w.term.name, row.number, row.knot) for w in problem.terms for row in w.rows}
+    always = {
+        (w.term.name, row.number, row.knot)
+        for w in problem.terms
+        if not w.term.role.one_sided
+        for row in w.rows
+    }
+    rng, seen = np.random.default_rng(2), set[tuple[str, int, int]]()
+    for size in (0.0, 0.01, 0.1, 0.3):
+        residuals(problem.first(start) + size * rng.normal(size=problem.unknowns.size))
+        names = [(row.term.name, row.number, row.knot) for row in residuals.row_names()]
+        assert len(set(names)) == len(names)
+        assert always <= set(names) <= printed
+        seen |= set(names)
+    assert {term.name for term in MOTION_TERMS} <= {name for name, _, _ in seen}
+    text = str(problem)
+    for w in problem.terms:
+        assert f"{w.term.name:14s} {len(w.rows):5d}  {w.term.role.value}" in text
 
 
 def test_the_turning_hand_turns_as_far_as_its_hinges_and_says_so(turning: GraspTask) -> None:

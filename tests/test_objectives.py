@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from planner import plan_metrics as measures
+from planner import plan_metrics as metrics
 from planner.contacts import ContactSet
 from planner.errors import NotFoundError, TaskError
 from planner.failure import Failure
@@ -22,9 +22,9 @@ from planner.files import PlanFile, plan_to_dict, read_plan, write_plan
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.plan_metrics import (
-    MEASURES,
+    METRICS,
+    evaluate_metrics,
     mean_singular_value,
-    measured,
     resisted_per_newton,
     robust_epsilon,
 )
@@ -32,29 +32,30 @@ from planner.quality import closure_of_wrenches, epsilon_l1, min_weight, primiti
 from planner.search import attempts
 from planner.spatial import FloatArray
 from planner.synthesis import SynthesisOptions, gravity_any_direction, tool_torque
+from planner.synthesis.formulation import Formulation, formulate
+from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.objectives.joint import (
-    LIMIT_AIM,
-    REACH_AIM,
+    LIMIT_TARGET,
+    MANIPULABILITY_TARGET,
     SINGULAR,
     driving,
     free_velocities,
 )
-from planner.synthesis.objectives.linearisation import Moment
 from planner.synthesis.objectives.registry import EPSILON, OBJECTIVES, objective_parameters
 from planner.synthesis.objectives.task_wrenches import resisted_wrenches
 from planner.synthesis.objectives.wrench import (
+    MIN_WEIGHT_TARGET,
     NORMAL_ERROR,
     POSITION_ERROR,
-    ROBUST_AIM,
-    TASK_AIM,
-    WEIGHT_AIM,
+    ROBUSTNESS_TARGET,
+    TASK_TARGET,
     narrowed,
 )
+from planner.synthesis.options import ProblemForm
 from planner.synthesis.problem import Start
-from planner.synthesis.problems import problems_for
+from planner.synthesis.problem_cache import problems_for
 from planner.synthesis.seeds.mesh import seeder_for
-from planner.synthesis.surfaces import surface_of
-from planner.synthesis.terms import Formulation, formulate
+from planner.synthesis.symbols import GraspPoint
 from planner.task import GraspTask
 
 BUILT = tuple(name for name in OBJECTIVES if name != EPSILON)
@@ -63,10 +64,8 @@ BUILT = tuple(name for name in OBJECTIVES if name != EPSILON)
 @lru_cache
 def written(task: GraspTask) -> tuple[Formulation, Any]:
     """All objectives of a task as they are written, and rows and Jacobian as a function."""
-    f = formulate(
-        task.hand, task.fingers, surface_of(task.object.shape), 0, BUILT, clearances=False
-    )
-    rows = f.objective_rows
+    f = formulate(task.hand, task.fingers, surface_of(task.object.shape), 0, BUILT)
+    rows = ca.vertcat(*[w.expression for w in f.written if w.term.name in BUILT])
     return f, ca.Function("rows", [f.x, f.p], [rows, ca.jacobian(rows, f.x)])
 
 
@@ -109,10 +108,8 @@ class Place:
             "length": shape.bounding_radius,
             "posture": self.q,
             **SynthesisOptions().values(),
-            "aim": 0.0,
-            "directions": 0.0,
         }
-        self.moment = Moment(
+        self.point = GraspPoint(
             task=task,
             q=self.q,
             points=self.points,
@@ -120,33 +117,33 @@ class Place:
             wrenches=resisted_wrenches(task),
         )
         self.T_object_base = unknowns.pose(self.x, start.T_object_base)
-        self.aim({name: 1.0})
+        self.update({name: 1.0})
 
-    def aim(self, weights: dict[str, float]) -> None:
+    def update(self, weights: dict[str, float]) -> None:
         """Switch objectives on; rows of the others get weight 0."""
         all_weights = dict.fromkeys(BUILT, 0.0) | weights
-        aims = objective_parameters(BUILT, all_weights, self.moment)
+        aims = objective_parameters(BUILT, all_weights, self.point)
         self.p = self.formulation.pack({**self.values_of_p, "objectives": aims})
 
     def put(self, contacts: ContactSet) -> ContactSet:
         """Take these contacts instead, wherever the surface is; returns them."""
-        self.moment = replace(self.moment, points=contacts.positions, inward=contacts.normals)
+        self.point = replace(self.point, points=contacts.positions, inward=contacts.normals)
         return contacts
 
     def row_values(self, name: str) -> FloatArray:
-        """Rows of a wrench objective at the contacts of the moment, as functions of them alone."""
-        n = len(self.moment.points)
+        """Rows of a wrench objective at the contacts of the point, as functions of them alone."""
+        n = len(self.point.points)
         points = [ca.SX.sym(f"p{i}", 3) for i in range(n)]
         outward = [ca.SX.sym(f"n{i}", 3) for i in range(n)]
         symbols = SimpleNamespace(
-            points=points, outward=outward, mu=ca.SX(self.task.mu), length=ca.SX(self.moment.length)
+            points=points, outward=outward, mu=ca.SX(self.task.mu), length=ca.SX(self.point.length)
         )
         rows, parameters = OBJECTIVES[name].rows(symbols)  # type: ignore[misc, arg-type]
         function = ca.Function(
             "rows", [ca.horzcat(*points), ca.horzcat(*outward), parameters], [rows]
         )
-        aim = OBJECTIVES[name].aim(self.moment)
-        return np.array(function(self.moment.points.T, -self.moment.inward.T, aim)).ravel()
+        aim = OBJECTIVES[name].update(self.point)
+        return np.array(function(self.point.points.T, -self.point.inward.T, aim)).ravel()
 
     def values(self, x: FloatArray) -> FloatArray:
         """Rows (m,) of all objectives at x."""
@@ -157,10 +154,10 @@ class Place:
         return np.array(ca.DM(self._function(x, self.p)[1]))
 
     def rows(self, name: str) -> FloatArray:
-        """Rows of an objective here, without its share."""
+        """Rows of an objective here, without its weight."""
         sizes = self.sizes()
         at = sum(sizes[other] for other in BUILT[: BUILT.index(name)])
-        return self.values(self.x)[at : at + sizes[name]] / OBJECTIVES[name].share
+        return self.values(self.x)[at : at + sizes[name]] / OBJECTIVES[name].weight
 
     def sizes(self) -> dict[str, int]:
         """How many rows each objective has."""
@@ -223,23 +220,28 @@ def test_rows_are_off_without_parameters_and_grow_with_the_root_of_their_weight(
 ) -> None:
     place = Place(cylinder, "torque", 0)
     one = place.rows("torque").copy()
-    place.aim({"torque": 4.0})
+    place.update({"torque": 4.0})
     np.testing.assert_allclose(place.rows("torque"), 2 * one, rtol=1e-12)
-    place.aim({})
+    place.update({})
     for name in BUILT:
         assert not place.rows(name).any()
 
 
 def test_residuals_count_objectives_while_they_are_on(cylinder: GraspTask) -> None:
-    problem, place = problems_for(cylinder, ("torque",)).grasp, Place(cylinder, "torque", 0)
+    problem, place = (
+        problems_for(cylinder, ProblemForm(objectives=("torque",))).grasp,
+        Place(cylinder, "torque", 0),
+    )
     seeder = seeder_for(cylinder)
     start = next(
         s for s in map(seeder.draw, repeat(np.random.default_rng(0))) if not isinstance(s, Failure)
     )
     residuals = problem.residuals
-    residuals.bind(problem.parameters(cylinder, start, seeder.posture, SynthesisOptions()), None)
+    residuals.set_parameters(
+        problem.parameters(cylinder, start, seeder.posture, SynthesisOptions()), None
+    )
     off = len(residuals(place.x)[0])
-    residuals.set_objectives(objective_parameters(("torque",), {"torque": 1.0}, place.moment))
+    residuals.set_objectives(objective_parameters(("torque",), {"torque": 1.0}, place.point))
     values, jacobian = residuals(place.x)
     assert len(values) == len(jacobian) == off + place.sizes()["torque"]
     residuals.set_objectives(np.zeros(0))
@@ -250,7 +252,7 @@ def test_residuals_count_objectives_while_they_are_on(cylinder: GraspTask) -> No
 def fine_faces(monkeypatch: pytest.MonkeyPatch) -> None:
     """Directions out of a hull so fine that nearly the worst ones are among them."""
     monkeypatch.setattr(weakest, "EDGES", 16)
-    monkeypatch.setattr(measures, "EDGES", 16)
+    monkeypatch.setattr(metrics, "EDGES", 16)
 
 
 CLOSED = (0, 3, 8, 10)
@@ -265,7 +267,7 @@ def test_min_weight_rows_are_the_linear_programme(cylinder: GraspTask, seed: int
     contacts = place.put(random_contacts(seed, n=4, mu=cylinder.mu))
     exact = min_weight(contacts, 64)
     assert exact > 0.05
-    reached = place.row_values("min_weight").min() + WEIGHT_AIM
+    reached = place.row_values("min_weight").min() + MIN_WEIGHT_TARGET
     assert exact - 1e-6 <= reached <= exact + 0.02
 
 
@@ -280,13 +282,13 @@ def test_task_and_robustness_rows_are_their_measures(cylinder: GraspTask, seed: 
     exact = resisted_per_newton(contacts, wrenches, length=length)
     largest = np.linalg.norm(wrenches[:, :3], axis=1).max()
     rows = place.row_values("task")
-    reached = (rows + TASK_AIM)[rows != 0].min()
+    reached = (rows + TASK_TARGET)[rows != 0].min()
     assert exact * largest - 1e-6 <= reached <= exact * largest + 0.025
 
     exact = robust_epsilon(
         contacts, length=length, position_error=POSITION_ERROR, normal_error=NORMAL_ERROR
     )
-    reached = place.row_values("robustness").min() + ROBUST_AIM
+    reached = place.row_values("robustness").min() + ROBUSTNESS_TARGET
     assert exact - 1e-6 <= reached <= exact + 0.008
 
 
@@ -332,7 +334,7 @@ def test_manipulability_rows_are_what_pinocchio_says(
     ):
         point = state.pad_center(finger) + finger.pad.radius * (into_base.rotation @ inward)
         jacobian = state.point_jacobian(finger.pad.joint_id, point)[:3, finger.q_index]
-        values = np.linalg.svd(jacobian / REACH_AIM, compute_uv=False)
+        values = np.linalg.svd(jacobian / MANIPULABILITY_TARGET, compute_uv=False)
         assert row == pytest.approx(np.log(values**2 + SINGULAR).sum() / 6, abs=1e-9)
 
 
@@ -342,7 +344,7 @@ def test_limits_rows_are_shares_of_the_range(cylinder: GraspTask) -> None:
     index = np.concatenate([f.q_index for f in cylinder.fingers])
     share = ((place.q - hand.q_lower) / (hand.q_upper - hand.q_lower))[index]
     np.testing.assert_allclose(
-        place.rows("limits") + LIMIT_AIM, np.concatenate([share, 1 - share]), atol=1e-12
+        place.rows("limits") + LIMIT_TARGET, np.concatenate([share, 1 - share]), atol=1e-12
     )
 
 
@@ -526,11 +528,11 @@ def test_bad_task_wrenches_are_named() -> None:
 def test_the_default_has_no_rows_of_objectives_and_weights_do_not_rebuild(
     cylinder: GraspTask,
 ) -> None:
-    plain = problems_for(cylinder, SynthesisOptions().built).grasp
-    assert plain.formulation.objective_rows.numel() == 0
+    plain = problems_for(cylinder, SynthesisOptions().form).grasp
+    assert not {w.term.name for w in plain.terms} & set(BUILT)
     assert plain.formulation.parameters["objectives"].numel() == 0
-    first = problems_for(cylinder, SynthesisOptions(objective="limits:1").built).grasp
-    again = problems_for(cylinder, SynthesisOptions(objective="limits:7,epsilon").built).grasp
+    first = problems_for(cylinder, SynthesisOptions(objective="limits:1").form).grasp
+    again = problems_for(cylinder, SynthesisOptions(objective="limits:7,epsilon").form).grasp
     assert first is again
     assert first is not plain
 
@@ -547,7 +549,7 @@ def reached(task: GraspTask, objective: str) -> dict[tuple[int, int], dict[str, 
     """The measures of what each of the first attempts of every seed finds."""
     options = SynthesisOptions(objective=objective)
     return {
-        (seed, a.index): measured(a.plan)
+        (seed, a.index): evaluate_metrics(a.plan)
         for seed in SEEDS
         for a in islice(attempts(task, seed=seed, options=options), ATTEMPTS)
         if a.plan is not None
@@ -580,7 +582,7 @@ def test_given_wrenches_are_what_is_worked_on(cylinder: GraspTask) -> None:
     ):
         made = islice(attempts(cylinder, seed=3, options=options), 7)
         plans = [a.plan for a in made if a.plan is not None]
-        resisted[label] = np.median([measured(plan, turn)["task"] for plan in plans])
+        resisted[label] = np.median([evaluate_metrics(plan, turn)["task"] for plan in plans])
     assert resisted["with"] > 1.2 * resisted["none"]
 
 
@@ -596,4 +598,4 @@ def test_a_plan_remembers_its_objective(cylinder: GraspTask, tmp_path: Any) -> N
 
 
 def test_every_objective_has_a_measure() -> None:
-    assert list(MEASURES) == list(OBJECTIVES)
+    assert list(METRICS) == list(OBJECTIVES)

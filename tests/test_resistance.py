@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from planner.contacts import ContactSet
 from planner.quality import epsilon_l1
-from planner.spatial import FloatArray
+from planner.spatial import FloatArray, IntArray
+from planner.synthesis.contact_wrenches import support
 from planner.synthesis.resistance import SAMPLE, least_resisted, missing_resistance
-from planner.synthesis.wrenches import support
 
 MU, LENGTH = 0.7, 1.3
 
@@ -22,14 +22,16 @@ def on_sphere(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     radii = np.linalg.norm(points, axis=1)[:, None]
     normals = points / np.sqrt(radii)
     unit = points / radii
-    bending = (np.eye(3) - unit[:, :, None] * unit[:, None, :] / 2) / np.sqrt(radii)[:, :, None]
-    return normals, bending
+    slopes = (np.eye(3) - unit[:, :, None] * unit[:, None, :] / 2) / np.sqrt(radii)[:, :, None]
+    return normals, slopes
 
 
-def missing(points: FloatArray, directions: FloatArray, aim: float) -> tuple[FloatArray, ...]:
+def missing(
+    points: FloatArray, directions: FloatArray, aim: float
+) -> tuple[FloatArray, FloatArray, IntArray]:
     """Rows at contacts about a sphere."""
-    normals, bending = on_sphere(points)
-    return missing_resistance(directions, points, normals, bending, mu=MU, length=LENGTH, aim=aim)
+    normals, slopes = on_sphere(points)
+    return missing_resistance(directions, points, normals, slopes, mu=MU, length=LENGTH, target=aim)
 
 
 @given(st.integers(0, 10_000))
@@ -37,7 +39,8 @@ def test_values_are_those_of_the_expression_and_derivatives_those_of_steps(seed:
     rng = np.random.default_rng(seed)
     points, directions = rng.normal(size=(4, 3)), rng.normal(size=(9, 6))
     far = 100.0  # so that every direction counts
-    values, rows = missing(points, directions, far)
+    values, rows, which = missing(points, directions, far)
+    assert which.tolist() == list(range(9))
     normals, _ = on_sphere(points)
     told = [
         float(
@@ -65,7 +68,8 @@ def test_only_what_is_missing_counts() -> None:
     """Two contacts face each other along x: mu times the press across, one along the axis."""
     points = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
     along, across = np.eye(6)[0], np.eye(6)[1]
-    values, rows = missing(points, np.array([along, across]), 0.9)
+    values, rows, which = missing(points, np.array([along, across]), 0.9)
+    assert len(which) == len(values)
     assert values.shape == (1,)
     assert rows.shape == (1, 6)
     np.testing.assert_allclose(values, [MU - 0.9], atol=1e-6)
@@ -80,7 +84,7 @@ def test_the_least_over_a_sample_is_that_of_the_rows_and_no_less_than_epsilon(se
     told = least_resisted(points, outward, mu=MU, length=LENGTH)
     for value, at, n in zip(told, points, outward, strict=True):
         flat = np.zeros((4, 3, 3))
-        rows = missing_resistance(SAMPLE, at, n, flat, mu=MU, length=LENGTH, aim=100.0)[0]
+        rows = missing_resistance(SAMPLE, at, n, flat, mu=MU, length=LENGTH, target=100.0)[0]
         assert abs(value - rows.min() - 100.0) < 1e-5
         contacts = ContactSet.from_arrays(at, -n, mu=MU)
         assert max(value, 0.0) >= epsilon_l1(contacts, length=LENGTH) - 1e-9

@@ -13,7 +13,7 @@ from planner.errors import ObjectError
 from planner.shapes import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
 from planner.shapes.surface import CODE_DIM, EDGE_MARGIN, SIZE_DIM, SOFTNESS, Patch
 from planner.spatial import FloatArray
-from planner.synthesis.surfaces import surface_of
+from planner.synthesis.mesh_surface import surface_of
 
 EXAMPLES: tuple[Shape, ...] = (
     Sphere(0.035),

@@ -1,4 +1,4 @@
-"""The grasp NLP: every term means what its name says.
+"""The grasp problem: every term means what its name says.
 
 The terms are compared with numpy, Pinocchio and coal, at points that do not satisfy them, so that a
 wrong term cannot hide behind a residual of zero; then a solution is checked with the same code.
@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
+from constrained import Constrained
 
 from planner.contacts import ContactSet
 from planner.hand_loading import load_hand
@@ -20,20 +21,20 @@ from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.shapes.surface import EDGE_MARGIN
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.clearance import LinkBall, hull_balls, link_balls
+from planner.synthesis.link_spheres import LinkSphere, hull_spheres, link_spheres
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start
-from planner.synthesis.problems import problems_for
+from planner.synthesis.problem_cache import problems_for
 from planner.synthesis.seeds.draw import Seeder
-from planner.synthesis.terms import LEVER, PRESS_MIN
+from planner.synthesis.terms.forces import LEVER, PRESS_MIN
 from planner.task import GraspTask, Obstacle
 
 SOFT = 4e-5
-"""How far (m) a ball that keeps its margin in the NLP may miss it: softened face distances."""
+"""How far (m) a ball that keeps its margin in the problem may miss it: softened face distances."""
 
 OPTIONS = SynthesisOptions()
 
-NLP_TOL = 1e-5
+SOLVED_TOL = 1e-5
 """Largest violation of a term (in its unit) that IPOPT may leave."""
 
 
@@ -86,6 +87,7 @@ def pack(s: Candidate, turn: FloatArray) -> FloatArray:
 
 def solve(task: GraspTask) -> Solved:
     problem, seeder = problems_for(task).grasp, Seeder(task)
+    programme = Constrained(problem)
 
     def parameters(start: Start) -> FloatArray:
         return problem.parameters(task, start, seeder.posture, OPTIONS)
@@ -93,8 +95,8 @@ def solve(task: GraspTask) -> Solved:
     for seed in range(20):
         start = seeder.draw(np.random.default_rng(seed))
         assert isinstance(start, Start)
-        solution = problem.solve(task, start, parameters(start))
-        if max(solution.violation.values()) <= NLP_TOL:
+        solution = programme.solve(task, start, parameters(start))
+        if max(solution.violation.values()) <= SOLVED_TOL:
             here = replace(start, T_object_base=solution.T_object_base)
             return Solved(task, problem, solution, here, parameters(here))
     pytest.fail("no start of twenty leads to a solution")
@@ -115,15 +117,11 @@ def solved(request: pytest.FixtureRequest, allegro: Hand, shadow: Hand) -> Solve
 
 def terms(case: Solved, x: FloatArray) -> dict[str, FloatArray]:
     """Value of every term at x."""
-    problem = case.problem
-    form, _ = problem.whole
-    f = ca.Function("t", [form.x, form.p], [t.expression for t in problem.terms])
-    values = f(x, case.parameters)
-    return {t.name: np.array(v).ravel() for t, v in zip(problem.terms, values, strict=True)}
+    return Constrained(case.problem).values(x, case.parameters, case.task)
 
 
 class Reference:
-    """The same unknowns in numpy and Pinocchio: nothing of the NLP's own code."""
+    """The same unknowns in numpy and Pinocchio: nothing of the problem's own code."""
 
     def __init__(self, case: Solved, x: FloatArray) -> None:
         """Kinematics and contacts at x."""
@@ -210,7 +208,7 @@ def test_stop_torque_is_half_the_difference_of_the_two_joints_that_share_a_tendo
         torque = Reference(solved, x).torque()
         by_hand = [(torque[a] - torque[b]) / 2 / LEVER for a, b in pairs]
         np.testing.assert_allclose(terms(solved, x)["stop"], by_hand, rtol=0, atol=1e-9)
-    assert (terms(solved, solved.x)["stop"] >= -NLP_TOL).all()
+    assert (terms(solved, solved.x)["stop"] >= -SOLVED_TOL).all()
 
 
 def test_table_and_object_terms_are_clearances_of_the_right_balls(solved: Solved) -> None:
@@ -220,12 +218,12 @@ def test_table_and_object_terms_are_clearances_of_the_right_balls(solved: Solved
         ref, values = Reference(solved, x), terms(solved, x)
         heights = [
             task.T_world_object.act(ref.ball(b.joint_id, b.center))[2] - b.radius
-            for b in hull_balls(task.hand)
+            for b in hull_spheres(task.hand)
         ]
         expected = np.array(heights) - task.table_height - OPTIONS.clear_table
         np.testing.assert_allclose(values["table"], expected, rtol=0, atol=1e-12)
         counted = [
-            b for b in link_balls(task.hand) if not (b.is_pad and b.finger in task.finger_names)
+            b for b in link_spheres(task.hand) if not (b.is_pad and b.finger in task.finger_names)
         ]
         surface = solved.problem.surface
         size = surface.size(task.object.shape)
@@ -238,7 +236,7 @@ def test_table_and_object_terms_are_clearances_of_the_right_balls(solved: Solved
         )
 
 
-def least_gap(task: GraspTask, ball: LinkBall) -> float:
+def least_gap(task: GraspTask, ball: LinkSphere) -> float:
     """Distance (m) that a ball must keep from the object."""
     on_tip = ball.on_tip and ball.finger in task.finger_names
     return OPTIONS.clear_tip if on_tip else OPTIONS.clear_object
@@ -247,7 +245,7 @@ def least_gap(task: GraspTask, ball: LinkBall) -> float:
 def test_a_solution_keeps_its_margins_on_the_true_shapes(solved: Solved) -> None:
     """Balls of a solution, measured by the shape's own distance, the obstacle's by numpy."""
     task, ref = solved.task, Reference(solved, solved.x)
-    for b in link_balls(task.hand):
+    for b in link_spheres(task.hand):
         center = ref.ball(b.joint_id, b.center)
         if not (b.is_pad and b.finger in task.finger_names):
             gap = float(task.object.shape.signed_distance(center[None])[0]) - b.radius
@@ -259,8 +257,9 @@ def test_a_solution_keeps_its_margins_on_the_true_shapes(solved: Solved) -> None
 
 
 def test_a_solution_satisfies_every_term_with_its_own_base_as_reference(solved: Solved) -> None:
-    g = solved.problem.nlp.bind(None).evaluate(solved.x, solved.parameters)
-    assert max(solved.problem.violations(g).values()) <= NLP_TOL
+    programme = Constrained(solved.problem)
+    violations = programme.violations(solved.x, solved.parameters, solved.task)
+    assert max(violations.values()) <= SOLVED_TOL
     ref = Reference(solved, solved.x)
     check(terms(solved, solved.x), ref, tolerance=1e-6)
     np.testing.assert_allclose(ref.outward, solved.normals, atol=1e-6)

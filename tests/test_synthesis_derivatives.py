@@ -1,4 +1,4 @@
-"""Derivatives that IPOPT gets, and the balls and bones that stand for links, against coal."""
+"""Derivatives of the expressions; spheres and capsules that stand for links, against coal."""
 
 from __future__ import annotations
 
@@ -11,59 +11,62 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from constrained import Constrained
 from hypothesis import given
 from hypothesis import strategies as st
 
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
-from planner.kinematics.symbolic import SymbolicHand
+from planner.objects import parse_object
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.clearance import (
-    MEETING_MARGIN,
-    ClearanceTerms,
-    LinkBone,
+from planner.synthesis.link_capsules import (
+    COLLISION_MARGIN,
+    LinkCapsule,
     closest_on_segments,
-    finger_bones,
-    hull_balls,
-    meeting_bones,
+    collision_pairs,
+    finger_capsules,
 )
+from planner.synthesis.link_spheres import hull_spheres
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.problem import Start
-from planner.synthesis.problems import problems_for
+from planner.synthesis.problem import GraspProblem, Start, build_problem
+from planner.synthesis.problem_cache import problems_for
 from planner.synthesis.seeds.draw import Seeder
+from planner.synthesis.terms.clearance import FINGERS
 from planner.task import GraspTask, Obstacle
 
 STEP = 1e-6
 """Step of the central differences (m, rad or -)."""
 
 
-class Nlp:
-    """The functions that IPOPT calls, and values to call them with."""
+class Derivatives:
+    """Exact derivatives of a problem's expressions at a place, by CasADi."""
 
-    def __init__(self, solver: Any, x: FloatArray, p: FloatArray) -> None:
-        """Take them out of a solver."""
+    def __init__(self, problem: GraspProblem, x: FloatArray, p: FloatArray) -> None:
+        """Differentiate cost and constraints twice."""
+        programme = Constrained(problem)
         self.x, self.p = x, p
-        self.f, self.g = solver.get_function("nlp_f"), solver.get_function("nlp_g")
-        self._slope = solver.get_function("nlp_grad_f")
-        self._rows = solver.get_function("nlp_jac_g")
-        self._hessian = solver.get_function("nlp_hess_l")
+        both = ca.vertcat(programme.cost, programme.g)
+        weights, inputs = ca.SX.sym("w", both.numel()), [programme.x, programme.p]
+        lagrangian = ca.dot(weights, both)
+        self._values = ca.Function("values", inputs, [both])
+        self._jacobian = ca.Function("jacobian", inputs, [ca.jacobian(both, programme.x)])
+        hessian = ca.hessian(lagrangian, programme.x)[0]
+        self._hessian = ca.Function("hessian", [*inputs, weights], [hessian])
 
     def values(self, x: FloatArray) -> FloatArray:
         """Cost and constraints (1 + m,)."""
-        return np.concatenate([np.array(f(x, self.p)).ravel() for f in (self.f, self.g)])
+        return np.array(self._values(x, self.p)).ravel()
 
     def jacobian(self, x: FloatArray) -> FloatArray:
         """Exact derivatives (1 + m, n) of ``values``."""
-        slope, rows = self._slope(x, self.p)[1], self._rows(x, self.p)[1]
-        return np.vstack([np.array(ca.DM(slope)).reshape(1, -1), np.array(ca.DM(rows))])
+        return np.array(ca.DM(self._jacobian(x, self.p)))
 
-    def hessian(self, factor: float, multipliers: FloatArray) -> FloatArray:
-        """Exact second derivatives (n, n) of factor * cost + multipliers . constraints."""
-        upper = np.array(ca.DM(self._hessian(self.x, self.p, factor, multipliers)))
-        return np.asarray(upper + np.triu(upper, 1).T)
+    def hessian(self, weights: FloatArray) -> FloatArray:
+        """Exact second derivatives (n, n) of weights . values."""
+        return np.array(ca.DM(self._hessian(self.x, self.p, weights)))
 
 
-def check_derivatives(nlp: Nlp) -> None:
+def check_derivatives(nlp: Derivatives) -> None:
     """Central differences of values, and of the gradient of the Lagrangian, along every axis.
 
     1e-6 and 1e-5 of the largest entry allow for rounding and for edges softened over 2 mm.
@@ -77,7 +80,7 @@ def check_derivatives(nlp: Nlp) -> None:
     assert (np.abs(exact - by_steps).max(axis=0) <= 1e-6 * scale).all()
 
     weights = np.random.default_rng(7).normal(size=len(exact))
-    second = nlp.hessian(float(weights[0]), weights[1:])
+    second = nlp.hessian(weights)
     by_steps = np.array(
         [weights @ (nlp.jacobian(nlp.x + e) - nlp.jacobian(nlp.x - e)) / (2 * STEP) for e in axes]
     )
@@ -100,7 +103,12 @@ def task(shadow: Hand) -> GraspTask:
 def test_grasp_problem_has_exact_derivatives(task: GraspTask, seed: int) -> None:
     rng = np.random.default_rng(seed)
     problem, seeder, hand = problems_for(task).grasp, Seeder(task), task.hand
-    assert {t.name for t in problem.terms} >= {"surface", "coupling", "stop", "obstacle"}
+    assert {w.term.name for w in problem.terms if w.rows} >= {
+        "surface",
+        "coupling",
+        "stop",
+        "obstacle",
+    }
     start = seeder.draw(rng)
     assert isinstance(start, Start)
     parameters = problem.parameters(task, start, seeder.posture, SynthesisOptions())
@@ -113,28 +121,28 @@ def test_grasp_problem_has_exact_derivatives(task: GraspTask, seed: int) -> None
             (start.forces + rng.normal(0, 0.3, start.forces.shape)).ravel(),
         ]
     )
-    check_derivatives(Nlp(problem.nlp.bind(None)._solve, x, parameters))
+    check_derivatives(Derivatives(problem, x, parameters))
 
 
-def bone_geometry(bone: LinkBone, pose: SE3) -> tuple[Any, SE3]:
-    """A bone as a coal capsule and its pose in the base."""
-    inner, outer = pose.act(bone.inner), pose.act(bone.outer)
+def capsule_geometry(capsule: LinkCapsule, pose: SE3) -> tuple[Any, SE3]:
+    """A link capsule as coal's and its pose in the base."""
+    inner, outer = pose.act(capsule.inner), pose.act(capsule.outer)
     along = outer - inner
     length = float(np.linalg.norm(along))
     z = along / length if length > 0 else np.array([0.0, 0.0, 1.0])
     side = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
     side /= np.linalg.norm(side)
     rotation = np.column_stack([side, np.cross(z, side), z])
-    return coal.Capsule(bone.radius, length), SE3(rotation, (inner + outer) / 2)
+    return coal.Capsule(capsule.radius, length), SE3(rotation, (inner + outer) / 2)
 
 
-def between_bones(first: LinkBone, second: LinkBone, state: HandState) -> float:
-    """Signed distance (m) of two bones by coal."""
+def between_capsules(first: LinkCapsule, second: LinkCapsule, state: HandState) -> float:
+    """Signed distance (m) of two capsules by coal."""
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     placed = []
-    for bone in (first, second):
-        capsule, pose = bone_geometry(bone, state.joint_pose(bone.joint_id))
-        placed += [capsule, coal.Transform3s(pose.rotation, pose.translation)]
+    for capsule in (first, second):
+        geometry, pose = capsule_geometry(capsule, state.joint_pose(capsule.joint_id))
+        placed += [geometry, coal.Transform3s(pose.rotation, pose.translation)]
     return float(coal.distance(*placed, request, result))
 
 
@@ -142,20 +150,25 @@ def random_state(hand: Hand, seed: int) -> HandState:
     return HandState(hand, np.random.default_rng(seed).uniform(hand.q_lower, hand.q_upper))
 
 
-def test_fingers_term_is_the_distance_of_bones(right_hand: Hand) -> None:
+def test_fingers_term_is_the_distance_of_capsules(right_hand: Hand) -> None:
     """By coal, to its tolerance of 1e-6 m, at random joints, through the squares of the term."""
-    q = ca.SX.sym("q", right_hand.nq)
-    terms = ClearanceTerms(SymbolicHand(right_hand, q), ca.SX.eye(3), ca.SX.zeros(3))
-    rows = ca.Function("rows", [q], [ca.vertcat(*terms.between_fingers(0.002))])
-    bones = finger_bones(right_hand)
+    fingers, sphere = tuple(right_hand.fingers.values()), parse_object("sphere").shape
+    problem = build_problem(right_hand, fingers, sphere)
+    f = problem.formulation
+    expression = next(w.expression for w in problem.terms if w.term is FINGERS)
+    inputs = [f.x, f.symbols.reference, f.symbols.option["clear_fingers"]]
+    rows = ca.Function("rows", inputs, [expression])
+    x = np.zeros(f.unknowns.size)
+    capsules = finger_capsules(right_hand)
     apart_seen = 0
     for seed in range(5):
         state = random_state(right_hand, seed)
-        squares = np.array(rows(state.q)).ravel()
-        for (i, j), row in zip(meeting_bones(right_hand), squares, strict=True):
-            radii = bones[i].radius + bones[j].radius
+        f.unknowns.q(x)[:] = state.q
+        squares = np.array(rows(x, np.eye(3), 0.002)).ravel()
+        for (i, j), row in zip(collision_pairs(right_hand), squares, strict=True):
+            radii = capsules[i].radius + capsules[j].radius
             apart = np.sqrt(row + (radii + 0.002) ** 2) - radii
-            theirs = between_bones(bones[i], bones[j], state)
+            theirs = between_capsules(capsules[i], capsules[j], state)
             if apart > 0.0:  # of what overlaps coal tells the way out instead
                 assert apart == pytest.approx(theirs, abs=3e-6)
                 apart_seen += 1
@@ -188,24 +201,24 @@ def test_meeting_bones_are_the_same_every_time_and_contain_pairs_that_often_meet
     right_hand: Hand,
 ) -> None:
     """Pairs that meet in 8 of 200 other configurations; what counts as often is 1 of 100."""
-    found = meeting_bones(right_hand)
-    meeting_bones.cache_clear()
-    assert meeting_bones(right_hand) == found
-    bones = finger_bones(right_hand)
+    found = collision_pairs(right_hand)
+    collision_pairs.cache_clear()
+    assert collision_pairs(right_hand) == found
+    capsules = finger_capsules(right_hand)
     times: Counter[tuple[int, int]] = Counter()
     for seed in range(100, 300):
         state = random_state(right_hand, seed)
-        places = [state.joint_pose(b.joint_id) for b in bones]
-        middles = [T.act((b.inner + b.outer) / 2) for T, b in zip(places, bones, strict=True)]
-        reach = [float(np.linalg.norm(b.outer - b.inner)) / 2 + b.radius for b in bones]
-        for i, j in combinations(range(len(bones)), 2):
-            far = np.linalg.norm(middles[i] - middles[j]) > reach[i] + reach[j] + MEETING_MARGIN
-            if not far and bones[i].finger != bones[j].finger:
-                times[i, j] += between_bones(bones[i], bones[j], state) < MEETING_MARGIN
+        places = [state.joint_pose(b.joint_id) for b in capsules]
+        middles = [T.act((b.inner + b.outer) / 2) for T, b in zip(places, capsules, strict=True)]
+        reach = [float(np.linalg.norm(b.outer - b.inner)) / 2 + b.radius for b in capsules]
+        for i, j in combinations(range(len(capsules)), 2):
+            far = np.linalg.norm(middles[i] - middles[j]) > reach[i] + reach[j] + COLLISION_MARGIN
+            if not far and capsules[i].finger != capsules[j].finger:
+                times[i, j] += between_capsules(capsules[i], capsules[j], state) < COLLISION_MARGIN
     often = {pair for pair, count in times.items() if count >= 8}
     assert len(often) >= 3
     assert often <= set(found)
-    assert len(found) < sum(a.finger != b.finger for a, b in combinations(bones, 2))
+    assert len(found) < sum(a.finger != b.finger for a, b in combinations(capsules, 2))
 
 
 def relatives(hand: Hand, joint: int) -> set[int]:
@@ -221,7 +234,7 @@ def test_hull_balls_hold_every_link_and_reach_no_further(right_hand: Hand) -> No
 
     A ball that is shared by links which meet in a joint is kept once, on one of them.
     """
-    balls = hull_balls(right_hand)
+    balls = hull_spheres(right_hand)
     rng = np.random.default_rng(3)
     plane, origin = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0), coal.Transform3s.Identity()
     for seed in range(5):

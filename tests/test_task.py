@@ -199,7 +199,7 @@ def test_a_turned_box_is_refused_exactly_where_it_is_below_the_table_or_floats(
 def test_objects_of_impossible_size_are_found_out_before_solving(
     right_hand: Hand, spec: str, message: str
 ) -> None:
-    """Under a second, where building the NLP alone takes longer and forty attempts a minute."""
+    """Under a second, where building the problem alone takes longer and forty attempts a minute."""
     task = GraspTask.create(right_hand, spec)
     begin = time.process_time()
     with pytest.raises(TaskError, match=message):

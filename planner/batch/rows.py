@@ -148,7 +148,7 @@ def grasp_schema(hand: Hand) -> Any:
         ("epsilon", number, f"L1 epsilon, {EDGES} edges, torque / bounding radius"),
         ("largest_pad_gap_m", number, "largest distance of a pad from the true surface"),
         ("iterations", pa.int64(), "evaluations of the residuals in the attempt that succeeded"),
-        ("solver_status", pa.string(), "why the descent ended"),
+        ("solver_status", pa.string(), "why least squares ended"),
         ("build_s", number, "time for building problems in that worker"),
         ("arm_approach_q_rad", pa.list_(pa.list_(number)), "arm's way in; null without an arm"),
         ("arm_lift_q_rad", pa.list_(pa.list_(number)), "arm's lift; null without an arm"),

@@ -19,7 +19,7 @@ from planner.errors import TaskError
 from planner.failure import Failure
 from planner.motion.holds import Hold
 from planner.motion.path import ObjectPath
-from planner.motion.plan import MotionPlan, MotionRecord
+from planner.motion.plan import Knot, MotionPlan, MotionRecord
 from planner.motion.problems import motion_problem_for
 from planner.motion.solve import MotionCandidate, MotionSolver
 from planner.motion.starts import on_opposed_sides
@@ -28,6 +28,8 @@ from planner.plan import SolveRecord
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.seeds.draw import TRIPOD, Seeder
 from planner.synthesis.seeds.mesh import turning_seeder_for
+from planner.synthesis.symbols import GraspPoint
+from planner.synthesis.terms.term import first_failure
 from planner.system.threads import kept_by_thread, made_once
 from planner.task import GraspTask
 
@@ -137,7 +139,7 @@ class MotionContext:
             holds: What must hold while a finger is away.
         """
         seeder = turning_seeder_for(task)
-        problem, build_s = motion_problem_for(task, n_knots, holds)
+        problem, build_s = motion_problem_for(task, n_knots, holds, options.form.terms)
         solver = MotionSolver(
             problem,
             task,
@@ -194,6 +196,9 @@ class MotionContext:
         if isinstance(found, Failure):
             return found
         grasp, knots = found
+        refused = self._refused_by_own_terms(knots)
+        if refused is not None:
+            return refused
         return MotionPlan(
             grasp=grasp,
             path=covered,
@@ -202,6 +207,19 @@ class MotionContext:
             limits=candidate.limits,
             record=MotionRecord(iterations=candidate.iterations, worst=candidate.worst),
         )
+
+    def _refused_by_own_terms(self, knots: tuple[Knot, ...]) -> Failure | None:
+        """Why a term of the user refuses a knot; None if all accept all knots."""
+        terms = self.solver.problem.grasp.own_terms
+        for knot in knots if terms else ():
+            at = knot.contacts.transformed(knot.T_world_object.inverse())
+            point = GraspPoint(
+                task=self.solver.task, q=knot.q, points=at.positions, inward=at.normals
+            )
+            failure = first_failure(terms, point)
+            if failure is not None:
+                return failure.at(f"at {100 * knot.place:.0f} % of the path")
+        return None
 
 
 def merit(plan: MotionPlan, full: bool) -> float:

@@ -19,10 +19,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.motion.terms import SWING
 from planner.shapes.surface import CODE_DIM, SIZE_DIM, Surface
-from planner.spatial import FloatArray
-from planner.synthesis.residuals import WEIGHTS
-from planner.synthesis.terms import PRESS_MIN
+from planner.spatial import FloatArray, IntArray
+from planner.synthesis.terms.forces import PRESS_MIN
 from planner.synthesis.unknowns import mrp_matrix
 from planner.tolerances import SWING_SHARE
 
@@ -52,7 +52,7 @@ class HoldRows:
         """Differentiate.
 
         Args:
-            surface: NLP form of the object's shape; one that needs no distance field.
+            surface: Form of the object's shape; one that needs no distance field.
             n_contacts: How many contacts hold.
         """
         m = n_contacts
@@ -72,13 +72,14 @@ class HoldRows:
             level += pressed / m
             cones.append((SWING_SHARE * mu * pressed) ** 2 - ca.dot(g, g) + pressed**2)
             presses.append(pressed - PRESS_MIN)
+        balance, mean, cone, press = (term.weight for term in SWING)
         rows = ca.densify(
             ca.vertcat(
-                WEIGHTS["balance"] * total,
-                WEIGHTS["balance"] * torque / length,
-                WEIGHTS["level"] * (level - 1),
-                WEIGHTS["cone"] * ca.vertcat(*cones),
-                WEIGHTS["press"] * ca.vertcat(*presses),
+                balance * total,
+                balance * torque / length,
+                mean * (level - 1),
+                cone * ca.vertcat(*cones),
+                press * ca.vertcat(*presses),
             )
         )
         jacobian = ca.densify(ca.jacobian(rows, ca.vertcat(points, forces, shares)))
@@ -94,8 +95,8 @@ class HoldRows:
         path: tuple[FloatArray, float, FloatArray],
         p: dict[str, FloatArray],
         codes: FloatArray,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Rows (k,) that count, and their Jacobian (k, 7 m) by points, forces and shares.
+    ) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Rows (k,) that count, their Jacobian (k, 7 m) by points, forces and shares, and which.
 
         Args:
             points: Contact points (m, 3), each in the object's frame at its knot.
@@ -109,7 +110,7 @@ class HoldRows:
         found = self._call(points.ravel(), forces.ravel(), shares, *path, *grasp)
         values, slopes = found[0].full().ravel(), found[1].full()
         counts = self._both | (values < 0.0)
-        return values[counts], slopes[counts]
+        return values[counts], slopes[counts], np.flatnonzero(counts)
 
 
 N_EQUAL = 7

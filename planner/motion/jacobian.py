@@ -1,17 +1,19 @@
 """``MotionJacobian``: rows that depend on what all knots share and on one knot or two neighbours.
 
-Kept as blocks. A descent needs J'J and J'r; of blocks they take a tenth of what the product of the
-whole matrix does, which has some 900 rows and 220 columns and is mostly zeros.
+Kept as blocks. Least squares need J'J and J'r; of blocks they take a tenth of the time that the
+product of the whole matrix takes, which has some 900 rows and 220 columns and is mostly zeros.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from planner.motion.unknowns import SHARED
 from planner.spatial import FloatArray
+from planner.synthesis.terms.term import Row
 
 __all__ = ["Block", "MotionJacobian"]
 
@@ -24,19 +26,29 @@ class Block:
         values: Residuals (m,).
         rows: Derivatives (m, SHARED + w): by what all knots share, then by the unknowns ``at``.
         at: Which w unknowns those are, after the shared ones.
+        names: Tells the names of the rows (m).
     """
 
     values: FloatArray
     rows: FloatArray
     at: slice
+    names: Callable[[], Sequence[Row]]
 
     def head(self, n: int) -> Block:
         """The first n rows."""
-        return Block(values=self.values[:n], rows=self.rows[:n], at=self.at)
+        return self._part(slice(n))
 
     def tail(self, n: int) -> Block:
         """All rows but the first n."""
-        return Block(values=self.values[n:], rows=self.rows[n:], at=self.at)
+        return self._part(slice(n, None))
+
+    def _part(self, which: slice) -> Block:
+        return Block(
+            values=self.values[which],
+            rows=self.rows[which],
+            at=self.at,
+            names=lambda: self.names()[which],
+        )
 
 
 class MotionJacobian:
@@ -61,6 +73,10 @@ class MotionJacobian:
             slope[at] += pull[SHARED:]
         normal[SHARED:, :SHARED] = normal[:SHARED, SHARED:].T
         return normal, slope
+
+    def row_names(self) -> list[Row]:
+        """The names of all rows, in their order."""
+        return [row for block in self._blocks for row in block.names()]
 
     def dense(self) -> FloatArray:
         """The whole matrix (m, size)."""

@@ -1,4 +1,4 @@
-"""What keeps a path from being longer: multipliers of the descent that pulled at it.
+"""What keeps a path from being longer: multipliers of the least squares that pulled at it.
 
 Where the pull r0 = w (1 - share) and the violated terms r_i balance, least squares are stationary:
 
@@ -6,7 +6,7 @@ Where the pull r0 = w (1 - share) and the violated terms r_i balance, least squa
 
 So r_i / (w (1 - share)) tells by how much the share grows when the limit behind r_i gives way by
 one of its units, and likewise what a bound pushes back. Named: a joint's end, a pad's rim, a
-clearance, a friction cone, the tube; with the knot at which it happens.
+clearance, a friction cone, the path tolerance; with the knot at which it happens.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ import numpy as np
 
 from planner.failure import Failure
 from planner.motion.residuals import MotionResiduals
-from planner.motion.rows import described
-from planner.motion.unknowns import SHARE, TUBE
+from planner.motion.terms import REACH
+from planner.motion.unknowns import OFFSET, SHARE
 from planner.spatial import FloatArray
+from planner.synthesis.terms.term import Role
 
 __all__ = ["Limit", "what_limits", "worst_term"]
 
@@ -72,7 +73,7 @@ def what_limits(
 
     Args:
         residuals: With the pull on.
-        z: Where a descent ended.
+        z: Where least squares ended.
         lower: Least z.
         upper: Largest z.
     """
@@ -83,7 +84,7 @@ def what_limits(
         return ()
     scale = 1.0 / (residuals.pull * missing)
     found = [*_joints(residuals, z, jacobian.T @ r, lower, upper, scale)]
-    found += _terms(residuals, z, r, jacobian, scale)
+    found += _terms(residuals, r, scale)
     found.sort(key=lambda limit: -limit.gain)
     best: dict[str, Limit] = {}
     for limit in found:
@@ -104,7 +105,7 @@ def _joints(
     hand, u = problem.grasp.hand, problem.unknowns
     degree, unit = PER_UNIT["rad"]
     for k in range(u.n_knots):
-        at = u.columns(k).start + TUBE
+        at = u.columns(k).start + OFFSET
         for j, name in enumerate(hand.joint_names):
             i = at + j
             if upper[i] <= lower[i]:
@@ -123,40 +124,35 @@ def _joints(
                 )
 
 
-def _terms(
-    residuals: MotionResiduals,
-    z: FloatArray,
-    r: FloatArray,
-    jacobian: FloatArray,
-    scale: float,
-) -> Iterator[Limit]:
+def _terms(residuals: MotionResiduals, r: FloatArray, scale: float) -> Iterator[Limit]:
     """Violated inequalities."""
-    for row, value in zip(described(residuals, z, jacobian), r, strict=False):
-        if row.equality:
+    fingers = residuals.problem.grasp.hand.fingers
+    for row, value in zip(residuals.row_names(), r, strict=True):
+        if row.term.role is not Role.INEQUALITY:
             continue
-        step, unit = PER_UNIT[row.unit]
+        step, unit = PER_UNIT[row.term.unit]
         yield Limit(
-            what=row.what,
-            finger=row.finger,
+            what=str(row),
+            finger=next((name for name in row.about if name in fingers), ""),
             joint="",
             place=float(residuals.numbers.places[row.knot]),
-            gain=abs(float(value)) * row.weight * scale * step,
+            gain=abs(float(value)) * row.term.weight * scale * step,
             unit=unit,
         )
 
 
 def worst_term(residuals: MotionResiduals, z: FloatArray) -> Failure:
-    """The term with the largest weighted residual at z; terms of one name are of one kind."""
-    r, jacobian = residuals(z)
-    rows = described(residuals, z, jacobian.dense())
+    """The term with the largest weighted residual at z; a failure's kind is that of its term."""
+    r, _ = residuals(z)
+    rows = [row for row in residuals.row_names()[: residuals.n_terms] if row.term is not REACH]
     k = int(np.abs(r[: len(rows)]).argmax())
-    step, unit = WORDS[rows[k].unit]
-    place = 100 * residuals.numbers.places[rows[k].knot]
-    off = abs(float(r[k])) / rows[k].weight / step
+    term, place = rows[k].term, float(residuals.numbers.places[rows[k].knot])
+    step, unit = WORDS[term.unit]
+    off = abs(float(r[k])) / term.weight
     return Failure(
-        kind=f"unsolved_{rows[k].what.replace(' ', '_')}",
-        text=f"{rows[k].what} at {place:.0f} % of the path, off by {off:.2g}{unit}",
-        numbers={"place": residuals.numbers.places[rows[k].knot], "off": off * step},
+        kind=f"unsolved_{term.name}",
+        text=f"{rows[k]} at {100 * place:.0f} % of the path, off by {off / step:.2g}{unit}",
+        numbers={"place": place, "off": off},
     )
 
 

@@ -27,25 +27,19 @@ from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.kinematics.symbolic import SymbolicHand
 from planner.motion.path import ObjectPath
+from planner.motion.terms import BEARING, LOAD
 from planner.numerics.casadi_compiled import compiled
 from planner.spatial import FloatArray
+from planner.synthesis.contact_wrenches import contact_torque
 from planner.synthesis.objectives.joint import LEAST_LIMIT, LEAST_PRESS, driving
 from planner.synthesis.unknowns import Unknowns, mrp_matrix
-from planner.synthesis.wrenches import contact_torque
 from planner.task import GraspTask
 from planner.tolerances import FRICTION_SHARE
 
-__all__ = ["MOST_LOAD", "PER_HOLD", "PER_LOAD", "load_function", "load_parameters"]
+__all__ = ["MOST_LOAD", "load_function", "load_parameters"]
 
 MOST_LOAD = 0.75
 """Largest share of an actuator's limit (-) that pressing may take."""
-
-PER_LOAD = 2.0
-"""Residual of an actuator that spends all of its limit more than it may: a motion that spends a
-tenth more is still worth a look."""
-
-PER_HOLD = 5.0
-"""Residual of a tangential force that is too large by the mean normal force, as for ``press``."""
 
 LEAST_GRAM = 1e-6
 """Added to G G^T (-), for contacts on a line."""
@@ -99,7 +93,7 @@ def load_function(hand: Hand, fingers: tuple[Finger, ...]) -> Any:
     drive = np.linalg.pinv(np.column_stack([hand.actuation.moment.T, *firm]))
     effort = ca.DM(drive[used]) @ torque
     spare = MOST_LOAD - ca.fmax(effort * per_limit[:, 0], effort * per_limit[:, 1])
-    out = ca.densify(ca.vertcat(PER_LOAD * spare, PER_HOLD * ca.vertcat(*holds)))
+    out = ca.densify(ca.vertcat(LOAD.weight * spare, BEARING.weight * ca.vertcat(*holds)))
     parameters = ca.vertcat(grip, carry, mu, length, weight, ca.vec(per_limit))
     jacobian = ca.densify(ca.jacobian(out, x))
     return compiled(ca.Function("loads", [x, ca.vec(r0), parameters], [out, jacobian]))

@@ -5,7 +5,7 @@ internal force, clearances, couplings, limits) hold there with the same margins.
 
     base     one pose for all knots (``planner.motion.unknowns``)
     rolling  what a tip slides from knot to knot = 0 (``planner.motion.rolling``)
-    tube     how far the object leaves its path <= the tube's radius
+    path     how far the object leaves its path <= the path tolerance
     reach    the share of the path that is covered: at least what is asked, or as much as there is
     holds    where a finger is to move on, closure by the others (``planner.motion.holds``)
     pivoting what a tip turns by on its contact: a cost, where that counts
@@ -17,7 +17,7 @@ Table and obstacles count at the first knot alone: the object is lifted before i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,16 +28,25 @@ from planner.motion.loads import load_function, load_parameters
 from planner.motion.path import ObjectPath, tilts
 from planner.motion.rolling import pivoting_function, rolling_function
 from planner.motion.surfaces import turned_surface_of
+from planner.motion.terms import (
+    MOTION_TERMS,
+    PATH,
+    PIVOTING,
+    REACH,
+    ROLLING,
+    load_rows,
+    rows_of_fingers,
+    steady_rows,
+    swing_rows,
+)
 from planner.motion.unknowns import MotionUnknowns, placement
 from planner.numerics.casadi_buffers import BufferedFunction
 from planner.shapes import Shape
 from planner.spatial import FloatArray
-from planner.synthesis.avoid import Avoidance
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.problem import GraspProblem, Start
-from planner.synthesis.residuals import Residuals
-from planner.synthesis.surroundings import NO_TABLE
-from planner.synthesis.terms import formulate
+from planner.synthesis.problem import GraspProblem, Start, problem_on
+from planner.synthesis.table_and_obstacles import NO_TABLE
+from planner.synthesis.terms.term import WrittenTerm, table_of
 from planner.system.threads import built
 from planner.task import GraspTask
 
@@ -55,9 +64,9 @@ class MotionNumbers:
         axis: Axis in the object's frame at the start (3,), unit.
         angle: Turn, rad.
         shift: Translation in the same frame (3,), m.
-        tube: Radius within which the object may leave its path, m.
+        path_tolerance: How far the object may leave its path, m.
         loads: Parameters (n_knots, m) of the actuators' loads.
-        pivot: Residual of a radian by which a tip pivots on its contact from knot to knot: a cost.
+        pivoting_costs: Whether a tip that pivots on its contact from knot to knot has a cost.
     """
 
     knots: FloatArray
@@ -66,9 +75,9 @@ class MotionNumbers:
     axis: FloatArray
     angle: float
     shift: FloatArray
-    tube: float
+    path_tolerance: float
     loads: FloatArray
-    pivot: float
+    pivoting_costs: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +93,43 @@ class MotionProblem:
     grasp: GraspProblem
     n_knots: int
     holds: tuple[Hold, ...] = ()
+
+    @property
+    def terms(self) -> tuple[WrittenTerm, ...]:
+        """All terms with the names of all rows that they can have: of all grasps, of the motion.
+
+        Pivoting costs where ``MotionNumbers`` says so; the path is pulled at in ``stretch`` alone.
+        """
+        hand, fingers, n = self.grasp.hand, self.grasp.fingers, self.n_knots
+        motion = [row for k in range(1, n) for row in rows_of_fingers(ROLLING, fingers, 3, k)]
+        motion += [PATH.row(number=k, knot=k) for k in range(n)]
+        for hold in self.holds:
+            motion += swing_rows(fingers, hold.lifted, n - 1)
+        motion += [row for k in range(n) for row in load_rows(hand, fingers, k)]
+        motion.append(REACH.row())
+        motion += [row for k in range(1, n) for row in rows_of_fingers(PIVOTING, fingers, 1, k)]
+        motion += [row for k in range(1, n - 1) for row in steady_rows(hand, k)]
+        of_grasps = [
+            WrittenTerm(
+                term=one.term,
+                rows=tuple(replace(row, knot=k) for k in range(n) for row in one.rows),
+            )
+            for one in self.grasp.terms
+        ]
+        of_motion = [
+            WrittenTerm(term=term, rows=tuple(row for row in motion if row.term is term))
+            for term in MOTION_TERMS
+        ]
+        return (*of_grasps, *of_motion)
+
+    def __str__(self) -> str:
+        """Unknowns and all terms, one line each."""
+        names = ", ".join(f.name for f in self.grasp.fingers)
+        return (
+            f"motion problem: {self.grasp.hand.name}, {names}, {self.grasp.surface.kind}\n"
+            f"  {self.n_knots} knots, {len(self.holds)} regrasps, {self.unknowns.size} unknowns\n"
+            f"{table_of(self.terms)}"
+        )
 
     @built
     def unknowns(self) -> MotionUnknowns:
@@ -127,7 +173,7 @@ class MotionProblem:
         start: Start,
         posture: FloatArray,
         options: SynthesisOptions,
-        tube: float,
+        path_tolerance: float,
     ) -> MotionNumbers:
         """What the expressions need, for a start that grasps the object in the middle of its path.
 
@@ -137,7 +183,7 @@ class MotionProblem:
             start: Gives the base's reference orientation and the patches.
             posture: Preferred joints (nq,).
             options: Margins and weights.
-            tube: m.
+            path_tolerance: m.
         """
         first = self.grasp.parameters(task, start, posture, options)
         later = first.copy()
@@ -153,9 +199,9 @@ class MotionProblem:
             axis=to_object @ path.axis,
             angle=path.angle,
             shift=to_object @ path.shift,
-            tube=tube,
+            path_tolerance=path_tolerance,
             loads=load_parameters(task, path, along, start.q),
-            pivot=PER_PIVOT if self._pivoting_costs(task, path) else 0.0,
+            pivoting_costs=self._pivoting_costs(task, path),
         )
 
     def _pivoting_costs(self, task: GraspTask, path: ObjectPath) -> bool:
@@ -177,17 +223,17 @@ class MotionProblem:
         return self.unknowns.pack(shared, np.zeros((n, 3)), np.tile(x[6:], (n, 1)), held)
 
     def bounds(
-        self, start: Start, tube: float, *, exact_end: bool = False
+        self, start: Start, path_tolerance: float, *, exact_end: bool = False
     ) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds of the unknowns; the first knot is where the object is.
 
         Args:
             start: Gives the base where that is fixed, and the patches.
-            tube: Radius within which the object may leave its path, m.
+            path_tolerance: How far the object may leave its path, m.
             exact_end: Whether the last knot is on the path as well.
         """
         n = self.n_knots
-        reach = np.full((n, 3), tube)
+        reach = np.full((n, 3), path_tolerance)
         reach[0] = 0.0
         if exact_end:
             reach[-1] = 0.0
@@ -204,13 +250,6 @@ class MotionProblem:
             for bound, share, sign in ((least, 0.0, -1), (most, 1.0, 1))
         )
         return lower, upper
-
-
-PER_PIVOT = 12.0
-"""Residual of a radian by which a tip pivots, on balls (``Shape.ball_like``) and where an object is
-tilted or moved: torsional friction holds up what is turned so. With pads as wide as the tips are
-round, it turns balls of 54 and 60 mm in the Shadow-type hand with 4 to 12 mN m (6 plans), at 5 with
-8 to 17 (7 plans); at 20 fewer starts hold."""
 
 
 def _level(path: ObjectPath) -> bool:
@@ -239,6 +278,7 @@ def build_motion_problem(
     n_knots: int,
     n_obstacles: int = 0,
     holds: tuple[Hold, ...] = (),
+    terms: tuple[str, ...] = (),
 ) -> MotionProblem:
     """Build the problem of a motion.
 
@@ -249,10 +289,8 @@ def build_motion_problem(
         n_knots: Number of knots, 2 or more.
         n_obstacles: Number of obstacle boxes.
         holds: What must hold while a finger is away.
+        terms: Registered terms that every knot has beside the standard ones, by name.
     """
-    fingers = tuple(fingers)
     surface = turned_surface_of(kind_of)
-    formulation = formulate(hand, fingers, surface, n_obstacles, (), clearances=False)
-    residuals = Residuals(formulation, surface.field, Avoidance(formulation, surface))
-    grasp = GraspProblem(hand, fingers, surface, n_obstacles, residuals, ())
+    grasp = problem_on(hand, tuple(fingers), surface, n_obstacles, (), terms)
     return MotionProblem(grasp, n_knots, holds)

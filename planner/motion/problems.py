@@ -9,7 +9,8 @@ from planner.hands.hand import Hand
 from planner.motion.holds import Hold
 from planner.motion.problem import MotionProblem, build_motion_problem
 from planner.shapes import Shape
-from planner.synthesis.surfaces import surface_of
+from planner.synthesis.mesh_surface import surface_of
+from planner.synthesis.terms.term import Term
 from planner.system.threads import BUILDING, made_once
 from planner.task import GraspTask
 
@@ -17,9 +18,19 @@ __all__ = ["motion_problem_for"]
 
 
 def motion_problem_for(
-    task: GraspTask, n_knots: int, holds: tuple[Hold, ...] = ()
+    task: GraspTask,
+    n_knots: int,
+    holds: tuple[Hold, ...] = (),
+    terms: tuple[Term, ...] = (),
 ) -> tuple[MotionProblem, float]:
-    """The problem of a task's hand, fingers and kind of shape, and the time to build it, s."""
+    """The problem of a task's hand, fingers and kind of shape, and the time to build it, s.
+
+    Args:
+        task: The task.
+        n_knots: Number of knots.
+        holds: What must hold while a finger is away.
+        terms: Terms of users that every knot has, see ``SynthesisOptions.form``.
+    """
     begin = time.perf_counter()
     shape = task.object.shape
     form = _Form(
@@ -29,6 +40,7 @@ def motion_problem_for(
         n_knots=n_knots,
         n_obstacles=len(task.obstacles),
         holds=holds,
+        terms=terms,
         hand=task.hand,
         shape=shape,
     )
@@ -48,6 +60,7 @@ class _Form:
     n_knots: int
     n_obstacles: int
     holds: tuple[Hold, ...]
+    terms: tuple[Term, ...]
     hand: Hand = field(compare=False)
     shape: Shape = field(compare=False)
 
@@ -56,5 +69,11 @@ class _Form:
 def _built(form: _Form) -> MotionProblem:
     fingers = form.hand.choose_fingers(form.finger_names)
     return build_motion_problem(
-        form.hand, fingers, form.shape, form.n_knots, form.n_obstacles, form.holds
+        form.hand,
+        fingers,
+        form.shape,
+        form.n_knots,
+        form.n_obstacles,
+        form.holds,
+        tuple(term.name for term in form.terms),
     )

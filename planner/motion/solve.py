@@ -23,9 +23,10 @@ from planner.failure import Failure
 from planner.motion.limits import Limit, what_limits, worst_term
 from planner.motion.path import ObjectPath
 from planner.motion.problem import MotionProblem
-from planner.motion.residuals import PULL, MotionResiduals
+from planner.motion.residuals import MotionResiduals
+from planner.motion.terms import REACH
 from planner.motion.unknowns import SHARE
-from planner.numerics.levenberg_marquardt import PATIENCE, STALLED, descend
+from planner.numerics.levenberg_marquardt import PATIENCE, STALLED, levenberg_marquardt
 from planner.quality.weakest import weakest_directions
 from planner.spatial import FloatArray
 from planner.synthesis.optimize import (
@@ -35,7 +36,7 @@ from planner.synthesis.optimize import (
     SHIFT_SCALE,
     SMALLEST_RANGE,
     TURN_SCALE,
-    descend_grasp,
+    optimize_grasp,
 )
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Start
@@ -61,7 +62,7 @@ with those of grasps; 22 with 3 steps, and 22 with 2 % and 5 steps."""
 DIRECTIONS = 12
 """Directions of wrench that a round works on at each knot."""
 
-RESISTANCE_AIM = 0.3
+RESISTANCE_TARGET = 0.3
 """Resistance (normal forces sum to 1) that is aimed at in each: more than grasps reach."""
 
 STRENGTHENING = 10
@@ -156,8 +157,10 @@ class MotionSolver:
         run.in_haste = not self.problem.holds
         run.fix(1.0)
         run.descend(REACHING)
-        if run.worst > WORTH_A_LOOK and run.residuals.numbers.pivot:  # a cost, not a term: drop it
-            run.residuals.numbers = replace(run.residuals.numbers, pivot=0.0)
+        if (
+            run.worst > WORTH_A_LOOK and run.residuals.numbers.pivoting_costs
+        ):  # a cost, not a term: drop it
+            run.residuals.numbers = replace(run.residuals.numbers, pivoting_costs=False)
             run.descend(HOLDING)
         yield run.candidate(())
         if run.worst <= WORTH_A_LOOK and self._rounds:
@@ -170,7 +173,7 @@ class MotionSolver:
     def maximise_path(self, start: Start) -> Iterator[MotionCandidate]:
         """As much of the path as there is, from a start in its middle; then less and less of it."""
         run = _Run(self, start)
-        run.residuals.pull = PULL * run.residuals.length
+        run.residuals.pull = REACH.weight * run.residuals.length
         run.descend(REACHING)
         limits = what_limits(run.residuals, run.z, run.lower, run.upper)
         run.residuals.pull = 0.0
@@ -185,7 +188,7 @@ class MotionSolver:
         """The same start with the grasp that it leads to."""
         one = self.problem.grasp
         parameters = one.parameters(self.task, start, self._posture, self._options)
-        found = descend_grasp(one, self.task, start, parameters, self._first)
+        found = optimize_grasp(one, self.task, start, parameters, self._first)
         return replace(
             start,
             T_object_base=found.T_object_base,
@@ -225,7 +228,7 @@ class _Run:
 
     def descend(self, budget: int) -> None:
         """Move on by at most ``budget`` evaluations."""
-        end = descend(
+        end = levenberg_marquardt(
             self.residuals,
             np.clip(self.z, self.lower, self.upper),
             lower=self.lower,
@@ -247,7 +250,7 @@ class _Run:
             points, outward = shape.closest_point(u.grasp.points(x))
             found = weakest_directions(points, -outward, task.mu, shape.bounding_radius, DIRECTIONS)
             found = found / np.sqrt(u.n_knots)  # all knots together count like one grasp
-            one.set_directions(found, RESISTANCE_AIM)
+            one.set_directions(found, RESISTANCE_TARGET)
         self.descend(budget)
 
     def weaken(self) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from planner.shapes import Mesh, Shape
 from planner.shapes.surface import Surface
-from planner.synthesis.surfaces import mesh_surface, surface_of
+from planner.synthesis.mesh_surface import mesh_surface, surface_of
 
 __all__ = ["turned_surface_of"]
 

@@ -36,7 +36,7 @@ SHARED = 7
 SHARE = 6
 """Where the share of the path stands."""
 
-TUBE = 3
+OFFSET = 3
 """Unknowns of a knot's place in the tube."""
 
 
@@ -57,7 +57,7 @@ class MotionUnknowns:
     @cached_property
     def own(self) -> int:
         """Unknowns of one knot alone: place in the tube, joints, points and forces."""
-        return TUBE + self.grasp.size - 6
+        return OFFSET + self.grasp.size - 6
 
     @property
     def size(self) -> int:
@@ -89,11 +89,11 @@ class MotionUnknowns:
 
     def offsets(self, z: FloatArray) -> FloatArray:
         """Places in the tube (n_knots, 3), m, middle frame; a view."""
-        return self.knots(z)[:, :TUBE]
+        return self.knots(z)[:, :OFFSET]
 
     def rests(self, z: FloatArray) -> FloatArray:
         """[q, points, forces] of every knot (n_knots, grasp.size - 6); a view."""
-        return self.knots(z)[:, TUBE:]
+        return self.knots(z)[:, OFFSET:]
 
     def columns(self, k: int) -> slice:
         """Where knot k stands in z."""
@@ -107,7 +107,7 @@ def placement() -> Any:
     Axis and shift are in the object's frame at the start. Gives [s_k, t_k] (6,) and its
     Jacobian (6, 10).
     """
-    y, r0 = ca.SX.sym("y", SHARED + TUBE), ca.SX.sym("R0", 3, 3)
+    y, r0 = ca.SX.sym("y", SHARED + OFFSET), ca.SX.sym("R0", 3, 3)
     axis, angle, shift = ca.SX.sym("a", 3), ca.SX.sym("angle"), ca.SX.sym("d", 3)
     place = ca.SX.sym("c")
     s, t, share, offset = y[:3], y[3:6], y[SHARE], y[SHARED:]

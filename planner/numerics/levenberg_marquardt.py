@@ -3,9 +3,9 @@
     min |r_e(x)|^2 + |min(r_i(x), 0)|^2,   lower <= x <= upper
 
 Damped Gauss-Newton steps, cut to the bounds; unknowns at a bound that are pushed against it stay.
-Damping follows Nielsen (1999), Damping parameter in Marquardt's method. scipy's least_squares does
-the same in ten times as long: its steps by singular values and its checks cost more than the
-residuals of a grasp.
+Damping follows Nielsen (1999), Damping parameter in Marquardt's method. scipy's least_squares takes
+ten times as long: its steps by singular values and its checks cost more than the residuals of a
+grasp.
 """
 
 from __future__ import annotations
@@ -18,19 +18,26 @@ from scipy.linalg.lapack import dposv
 
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["PATIENCE", "STALLED", "Descent", "Residuals", "Rows", "descend"]
+__all__ = [
+    "PATIENCE",
+    "STALLED",
+    "LMResult",
+    "ResidualFunction",
+    "StructuredJacobian",
+    "levenberg_marquardt",
+]
 
 MAX_ITERATIONS = 40
-"""Evaluations of the residuals in one descent."""
+"""Evaluations of the residuals in one run."""
 
 SOLVED = 0.05
-"""Largest residual of a term with which a descent is content, in weighted units."""
+"""Largest residual of a term that counts as solved, weighted."""
 
 SLOW = 0.05
 """Share of the sum of squares below which a step's gain is not worth another one when solved."""
 
 STALLED, PATIENCE = 1e-3, 3
-"""Steps in a row (number) that gain less than this share end a descent that is not solved."""
+"""So many steps in a row that each gain less than this share end a run that is not solved."""
 
 FIRST_DAMPING = 1e-3
 """Damping of the first step over the largest diagonal entry of J'J."""
@@ -40,15 +47,15 @@ LEAST_GAIN = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Descent:
-    """Where a descent ended.
+class LMResult:
+    """Where a run ended.
 
     Attributes:
         x: Unknowns (n,).
         worst: Largest residual of a term, weighted.
         status: Why it ended.
         iterations: Evaluations of the residuals.
-        damping: What the next step would have had; None before the first.
+        damping: Damping of the next step; None before the first.
     """
 
     x: FloatArray
@@ -58,15 +65,15 @@ class Descent:
     damping: float | None
 
 
-class Rows(Protocol):
+class StructuredJacobian(Protocol):
     """A Jacobian (m, n) that is kept in another way than as an array."""
 
     def normal_equations(self) -> tuple[FloatArray, FloatArray]:
         """J'J (n, n) and J'r (n,) with the residuals r (m,) that it came with."""
 
 
-class Residuals(Protocol):
-    """What is descended.
+class ResidualFunction(Protocol):
+    """What is minimised.
 
     Attributes:
         n_terms: After a call: the first so many rows must vanish; the others are a cost.
@@ -74,7 +81,7 @@ class Residuals(Protocol):
 
     n_terms: int
 
-    def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray | Rows]:
+    def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray | StructuredJacobian]:
         """The residuals r (m,) that count at x and their Jacobian (m, n).
 
         Those that count on one side of zero are left out on the other. Both arrays may be
@@ -82,8 +89,8 @@ class Residuals(Protocol):
         """
 
 
-def descend(
-    residuals: Residuals,
+def levenberg_marquardt(
+    residuals: ResidualFunction,
     x: FloatArray,
     *,
     lower: FloatArray,
@@ -94,8 +101,8 @@ def descend(
     slow: float = SLOW,
     stalled: float = STALLED,
     patience: int = PATIENCE,
-) -> Descent:
-    """Descend from x. The last call of the residuals is at the x that is returned.
+) -> LMResult:
+    """Minimise from x. The last call of the residuals is at the x that is returned.
 
     Args:
         residuals: What is to vanish.
@@ -114,12 +121,12 @@ def descend(
     scale, lower, upper = scale[free], lower[free], upper[free]
     x, last = x.copy(), x[free]
 
-    def look(at: FloatArray) -> tuple[FloatArray, FloatArray | Rows, float]:
+    def evaluate(at: FloatArray) -> tuple[FloatArray, FloatArray | StructuredJacobian, float]:
         x[free] = at
         r, jacobian = residuals(x)
         return r, jacobian, float(np.abs(r[: residuals.n_terms]).max(initial=0.0))
 
-    r, jacobian, worst = look(last)
+    r, jacobian, worst = evaluate(last)
     total = float(r @ r)
     growth, idle, iterations, status = 2.0, 0, 1, "out of iterations"
     while iterations < max_iterations:
@@ -135,7 +142,7 @@ def descend(
             step = _step(normal, slope, damping, least, most)
             expected = -float(2 * slope @ step + step @ normal @ step)
             to = np.clip(last + step * scale, lower, upper)
-            r_to, jacobian, worst_to = look(to)
+            r_to, jacobian, worst_to = evaluate(to)
             iterations += 1
             total_to = float(r_to @ r_to)
             gain = (total - total_to) / expected if expected > 0 else -1.0
@@ -156,12 +163,12 @@ def descend(
         if idle >= patience:
             status = "stalled"
             break
-    look(last)
-    return Descent(x=x, worst=worst, status=status, iterations=iterations, damping=damping)
+    evaluate(last)
+    return LMResult(x=x, worst=worst, status=status, iterations=iterations, damping=damping)
 
 
 def _normal_equations(
-    r: FloatArray, jacobian: FloatArray | Rows, free: IntArray, scale: FloatArray
+    r: FloatArray, jacobian: FloatArray | StructuredJacobian, free: IntArray, scale: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """J'J (k, k) and J'r (k,) of the free unknowns, in units of their scale (k,)."""
     if isinstance(jacobian, np.ndarray):

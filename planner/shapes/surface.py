@@ -78,10 +78,6 @@ class Surface(ABC):
     distance_error: float = 0.0
     """How far (m) ``clearance`` may be from the true one; links keep that much more away."""
 
-    def anew(self) -> Surface:
-        """A new one of the same kind for another problem, without field points."""
-        return type(self)()
-
     def field_of(self, shape: Any) -> Any:
         """The distance field of a shape, where ``field`` is not None."""
         return None

@@ -5,14 +5,24 @@ from planner.synthesis.objectives.task_wrenches import gravity_any_direction, to
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import GraspProblem, Start, build_problem
 from planner.synthesis.seeds.draw import Seeder
+from planner.synthesis.symbols import GraspPoint, GraspSymbols
+from planner.synthesis.terms.registry import TERMS, register_term
+from planner.synthesis.terms.term import Role, Rows, Term
 
 __all__ = [
     "OBJECTIVES",
+    "TERMS",
+    "GraspPoint",
     "GraspProblem",
+    "GraspSymbols",
+    "Role",
+    "Rows",
     "Seeder",
     "Start",
     "SynthesisOptions",
+    "Term",
     "build_problem",
     "gravity_any_direction",
+    "register_term",
     "tool_torque",
 ]

@@ -1,15 +1,15 @@
-"""From a start to a strong grasp by least squares: reach one, strengthen it, mend it.
+"""From a start to a strong grasp by least squares: reach a grasp, improve it, repair it.
 
-A first descent (``planner.numerics.levenberg_marquardt``) satisfies the terms and stops; where that
-fails the start is given up. Then, in rounds, the directions of wrench in which the grasp resists
-least are looked for (``planner.quality.weakest``), and a descent works on its resistance there as a
-further cost; likewise on the other objectives (``planner.synthesis.objectives.registry``). Where
-terms have suffered from that, a last descent without objectives mends them.
+A first run (``planner.numerics.levenberg_marquardt``) satisfies the terms; a start from which it
+fails is given up. Rounds improve the objectives (``planner.synthesis.objectives.registry``). Each
+round finds the directions of wrench in which the grasp resists least (``planner.quality.weakest``)
+and takes a few steps with resistance there as a further cost. A last run without objectives repairs
+the terms that suffered.
 
-Bars and hulls are wider in places than the balls and bones that stand for them. For hands with such
-links the true distances are looked at where a descent has come to, and those that are too small are
-kept from then on (``planner.synthesis.gaps``): on ten scans with a hand of bars
-1.5 attempts a grasp so 1.7, with four rounds 1.7 so 1.9.
+Bars and hulls are wider in places than the spheres and capsules that stand for them. For hands with
+such links the true distances are measured after each run, and pairs that are too near are kept
+apart in the next one (``planner.synthesis.terms.link_distance``). On ten scans with a hand of bars
+this takes 1.5 attempts a grasp instead of 1.7, and 1.7 instead of 1.9 with four rounds.
 """
 
 from __future__ import annotations
@@ -19,47 +19,53 @@ import time
 import numpy as np
 
 from planner.collision.world import CollisionWorld
-from planner.numerics.levenberg_marquardt import MAX_ITERATIONS, SLOW, SOLVED, Descent, descend
+from planner.numerics.levenberg_marquardt import (
+    MAX_ITERATIONS,
+    SLOW,
+    SOLVED,
+    LMResult,
+    levenberg_marquardt,
+)
 from planner.quality.weakest import wrench_faces
 from planner.shapes import Mesh, Shape
 from planner.spatial import FloatArray
-from planner.synthesis.gaps import find_gaps
-from planner.synthesis.objectives.registry import EPSILON, Moment, objective_parameters
+from planner.synthesis.objectives.registry import EPSILON, GraspPoint, objective_parameters
 from planner.synthesis.objectives.task_wrenches import resisted_wrenches
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start
-from planner.synthesis.terms import N_DIRECTIONS
+from planner.synthesis.terms.link_distance import find_link_distances
+from planner.synthesis.terms.resistance import N_DIRECTIONS
 from planner.system.stage_times import stage
 from planner.task import GraspTask
 
-__all__ = ["NEARLY", "descend_grasp"]
+__all__ = ["NEARLY", "optimize_grasp"]
 
 TURN_SCALE, SHIFT_SCALE, JOINT_SCALE, POINT_SCALE, FORCE_SCALE = 0.3, 0.02, 0.3, 0.01, 0.5
 """Steps that count as alike in least squares: Rodrigues parameters (-), base (m), joints (rad or
 m), contact points (m), forces (in units of the mean normal force)."""
 
 GAIN = 0.2
-"""By how much more than the least a round aims to resist (normal forces sum to 1). Pyramids say
-0.04 less than round cones, so that 0.05 moves little; with 0.3 half of the attempts do not come
-back to the surface."""
+"""Target of a round over the least resistance (normal forces sum to 1). Pyramids underestimate
+round cones by 0.04, so that 0.05 moves little; with 0.3 half of the attempts do not come back to
+the surface."""
 
 NEARLY = 0.5
-"""Largest weighted residual of a term with which a grasp is worth strengthening, and a look at the
-true geometry, which has the verdict: half a millimetre."""
+"""Largest weighted residual of a term with which a grasp is worth improving and verifying: half a
+millimetre."""
 
 ROUND_ITERATIONS = 4
-"""Evaluations of one round: after some four the directions in which a grasp was weak are no longer
-those in which it is. Three rounds of eight reach less than five of four."""
+"""Evaluations of one round: after some four, other directions are the weakest. Three rounds of
+eight reach less than five of four."""
 
 MEND_ITERATIONS = 30
-"""Evaluations of the last descent, without objectives; most need six. With 12, an eighth of the
+"""Evaluations of the last run, without objectives; most need six. With 12, an eighth of the
 grasps of mugs and brackets are lost that come back to the surface."""
 
 SMALLEST_RANGE = 1e-3
 """Least scale (rad or m) of a joint that can hardly move."""
 
 
-def descend_grasp(
+def optimize_grasp(
     problem: GraspProblem,
     task: GraspTask,
     start: Start,
@@ -67,10 +73,10 @@ def descend_grasp(
     options: SynthesisOptions,
     world: CollisionWorld | None = None,
 ) -> Candidate:
-    """Where least squares lead from a start.
+    """The grasp that least squares reach from a start.
 
     Everything that changes on the way belongs to this call: the problem is only read, so that any
-    number of descents may go on at once. The world belongs to the thread that calls.
+    number of calls may go on at once. The world belongs to the thread that calls.
 
     Args:
         problem: The problem of the task's hand, fingers and kind of shape.
@@ -78,27 +84,27 @@ def descend_grasp(
         start: The start.
         parameters: From ``GraspProblem.parameters``.
         options: Objectives and rounds; without either the first grasp that is reached stays.
-        world: True geometry of the task; without it links are as near as their bones tell.
+        world: True geometry of the task; without it spheres and capsules stand for links.
     """
     rounds = options.rounds if options.weights else 0
     begin = time.process_time()
     run = _Run(problem, task, start, parameters)
-    run.descend(MAX_ITERATIONS)
+    run.solve(MAX_ITERATIONS)
     status = run.end.status
     if run.end.worst <= NEARLY:
         damping = None
         for k in range(rounds):
             with stage("weakest"):
-                run.aim(options)
-            if k % 2 == 0:  # what was in view stays in view for two rounds
-                run.look(world, options)
-            run.descend(ROUND_ITERATIONS, damping)
-            damping = run.end.damping  # what the steps of one round tell holds for the next
+                run.update_objectives(options)
+            if k % 2 == 0:  # measured distances serve two rounds
+                run.refresh_link_distances(world, options)
+            run.solve(ROUND_ITERATIONS, damping)
+            damping = run.end.damping  # the trust region carries over
         run.residuals.set_directions(np.zeros((0, 6)))
         run.residuals.set_objectives(np.zeros(0))
-        near = run.look(world, options)
+        near = run.refresh_link_distances(world, options)
         if near or (rounds and run.end.worst > SOLVED):
-            run.descend(MEND_ITERATIONS, slow=np.inf)
+            run.solve(MEND_ITERATIONS, slow=np.inf)
     violation = run.residuals.violations()
     return problem.candidate(start, run.x, violation, status, run.iterations, begin)
 
@@ -109,8 +115,8 @@ class _Run:
     def __init__(
         self, problem: GraspProblem, task: GraspTask, start: Start, parameters: FloatArray
     ) -> None:
-        self.residuals = problem.residuals.twin()
-        self.residuals.bind(parameters, problem.surface.field_of(task.object.shape))
+        self.residuals = problem.residuals.clone()
+        self.residuals.set_parameters(parameters, problem.surface.field_of(task.object.shape))
         self._problem, self._task, self._start = problem, task, start
         self._unknowns = problem.formulation.unknowns
         self._lower, self._upper = problem.bounds(start)
@@ -124,12 +130,12 @@ class _Run:
             np.full((n, 3), FORCE_SCALE),
         )
         self.x = problem.first(start)
-        self.end: Descent
+        self.end: LMResult
         self.iterations = 0
 
-    def descend(self, budget: int, damping: float | None = None, slow: float = SLOW) -> None:
+    def solve(self, budget: int, damping: float | None = None, slow: float = SLOW) -> None:
         """Move on by at most ``budget`` evaluations."""
-        self.end = descend(
+        self.end = levenberg_marquardt(
             self.residuals,
             np.clip(self.x, self._lower, self._upper),
             lower=self._lower,
@@ -142,18 +148,27 @@ class _Run:
         self.x = self.end.x
         self.iterations += self.end.iterations
 
-    def look(self, world: CollisionWorld | None, options: SynthesisOptions) -> bool:
-        """See what is near in truth and keep it apart from now on; whether anything is too near."""
+    def refresh_link_distances(
+        self, world: CollisionWorld | None, options: SynthesisOptions
+    ) -> bool:
+        """Measure true distances and keep near pairs apart from now on; whether any is too near."""
         if world is None:
             return False
         with stage("links"):
             pose = self._problem.base_pose(self._start, self.x)
-            gaps = find_gaps(world, self._unknowns, self.x, pose, options)
-        self.residuals.keep_apart(gaps)
-        return gaps is not None and gaps.urgent
+            near = find_link_distances(
+                world,
+                self._unknowns,
+                self.x,
+                pose,
+                clear_tip=options.clear_tip,
+                clear_fingers=options.clear_fingers,
+            )
+        self.residuals.keep_apart(near)
+        return near is not None and near.urgent
 
-    def aim(self, options: SynthesisOptions) -> None:
-        """Tell the residuals where the objectives are to be worked on from here."""
+    def update_objectives(self, options: SynthesisOptions) -> None:
+        """Linearise the objectives at the present grasp."""
         problem, task, weights = self._problem, self._task, options.weights
         shape = task.object.shape
         points, outward = _contacts(shape, self._unknowns.points(self.x))
@@ -164,14 +179,14 @@ class _Run:
             found = np.sqrt(weights[EPSILON]) * faces[:, :6]
             self.residuals.set_directions(found, least + GAIN)
         if problem.objectives:
-            moment = Moment(
+            point = GraspPoint(
                 task=task,
                 q=self._unknowns.q(self.x),
                 points=points,
                 inward=-outward,
                 wrenches=resisted_wrenches(task, options.task_wrenches),
             )
-            self.residuals.set_objectives(objective_parameters(problem.objectives, weights, moment))
+            self.residuals.set_objectives(objective_parameters(problem.objectives, weights, point))
 
 
 def _contacts(shape: Shape, points: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -13,22 +13,37 @@ from planner.errors import NotFoundError, TaskError
 from planner.spatial import FloatArray
 from planner.synthesis.objectives.registry import EPSILON, OBJECTIVES
 from planner.synthesis.objectives.task_wrenches import checked_wrenches
+from planner.synthesis.terms.registry import TERMS, checked_terms
+from planner.synthesis.terms.term import Term
 from planner.tolerances import SYNTHESIS_SHARE
 
-__all__ = ["NO_OBJECTIVE", "OPTION_NAMES", "SynthesisOptions"]
+__all__ = ["NO_OBJECTIVE", "OPTION_NAMES", "ProblemForm", "SynthesisOptions"]
 
 NO_OBJECTIVE = "none"
 """Name for no objective at all: the first grasp that is reached."""
 
 
 @dataclass(frozen=True, kw_only=True)
+class ProblemForm:
+    """Which rows a problem has beside the standard ones; each form is built once.
+
+    Attributes:
+        objectives: Names of the objectives that need rows of their own.
+        terms: Terms of users.
+    """
+
+    objectives: tuple[str, ...] = ()
+    terms: tuple[Term, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
 class SynthesisOptions:
-    """Margins and weights of the NLP, effort and objectives; a new set of objectives is built once.
+    """Margins, weights, objectives, own terms and effort; a new set of rows is built once.
 
     Attributes:
         cone_share: Share k of the friction coefficient that the internal force may use (-).
-        clear_object: Distance from the object that is asked of the balls in the links (not pads),
-            m. Between two balls the true link may be nearer; the verdict is on the true geometry.
+        clear_object: Distance from the object that is asked of the spheres in the links (not pads),
+            m. Between two spheres the true link may be nearer; the verdict is on the true geometry.
         clear_tip: The same for the body that carries a pad, m.
         clear_table: Distance from table and obstacles that is asked of the links, m.
         clear_fingers: Distance asked between two fingers, m.
@@ -43,6 +58,8 @@ class SynthesisOptions:
             "none" for nothing. Kept as text.
         task_wrenches: Wrenches (k, 6) that the objective "task" is about, object frame, about the
             centre of mass, N and N m; if there are none, the object's weight in any direction.
+        terms: Names of registered terms (``planner.synthesis.terms.registry``) that the problem has
+            beside the standard ones.
     """
 
     cone_share: float = SYNTHESIS_SHARE
@@ -57,12 +74,14 @@ class SynthesisOptions:
     rounds: int = 4
     objective: str | Mapping[str, float] = EPSILON
     task_wrenches: tuple[tuple[float, ...], ...] | FloatArray = ()
+    terms: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the objectives, and keep them and the wrenches as plain data."""
         weights = _checked_weights(self.objective)
         text = ",".join(n if w == 1.0 else f"{n}:{w!r}" for n, w in weights.items())
         object.__setattr__(self, "objective", text or NO_OBJECTIVE)
+        object.__setattr__(self, "terms", checked_terms(self.terms))
         object.__setattr__(self, "task_wrenches", checked_wrenches(self.task_wrenches))
         if len(self.task_wrenches) and TASK not in weights:
             raise TaskError(
@@ -76,17 +95,22 @@ class SynthesisOptions:
         return _checked_weights(self.objective)
 
     @property
-    def built(self) -> tuple[str, ...]:
-        """The objectives that need rows of their own."""
-        return tuple(name for name in self.weights if name != EPSILON)
+    def form(self) -> ProblemForm:
+        """What of the options decides which rows a problem has."""
+        return ProblemForm(
+            objectives=tuple(name for name in self.weights if name != EPSILON),
+            terms=tuple(TERMS[name] for name in self.terms),
+        )
 
     def values(self) -> dict[str, float]:
-        """The NLP's parameters by name."""
+        """Margins and weights that are parameters of the problem, by name."""
         return {name: getattr(self, name) for name in OPTION_NAMES}
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data, as JSON gives it back."""
-        return {**asdict(self), "task_wrenches": [list(row) for row in self.task_wrenches]}
+        """Plain data, as JSON gives it back; without ``terms`` as in files from before them."""
+        data = {**asdict(self), "task_wrenches": [list(row) for row in self.task_wrenches]}
+        terms = data.pop("terms")
+        return {**data, "terms": list(terms)} if terms else data
 
 
 TASK = "task"
@@ -95,9 +119,9 @@ TASK = "task"
 OPTION_NAMES = tuple(
     n
     for n in SynthesisOptions.__dataclass_fields__
-    if n not in ("rounds", "objective", "task_wrenches")
+    if n not in ("rounds", "objective", "task_wrenches", "terms")
 )
-"""Names of the options that are parameters of the NLP."""
+"""Names of the options that are parameters of the problem."""
 
 
 def _checked_weights(objective: str | Mapping[str, float]) -> dict[str, float]:

@@ -8,46 +8,22 @@ Unknowns, all in the object's frame:
     p_i     (3,)     contact point of finger i on the object's surface, m
     f_i     (3,)     force of finger i on the object, in units of the mean normal force
 
-Terms (named residuals, each an equality or an inequality):
-
-    touch    c_i(q) - (p_i + r_i n_i)            = 0    pad centre is one radius off the surface
-    surface  g(p_i)                              = 0    contact point on its patch
-    balance  sum f_i, sum p_i x f_i / length     = 0    an internal force ...
-    level    (sum f_i . -n_i) / n_contacts - 1   = 0    ... of unit mean normal force ...
-    cone     (k mu)^2 fn_i^2 - |ft_i|^2         >= 0    ... strictly inside every friction cone,
-    press    fn_i - PRESS_MIN                   >= 0
-    facing   pad axis . -n_i - cos(half angle)  >= 0    the pad touches, not the nail
-    stop     torque of each one-sided stop      >= 0    a stop can only push
-    object   clearance of link balls            >= 0    (the true links may be a little nearer)
-    table    height of all balls over the table >= 0
-    obstacle clearance of balls from obstacles  >= 0
-    fingers  squared distance of bones of different fingers, less the least     >= 0
-    coupling C q - d                             = 0
-    arm      where the arm's joints put its last link, less where s and t put it = 0
+``print(build_problem(...))`` lists the terms: what each means, its role, unit, weight and margin,
+how many rows it has, and who judges it (``planner.synthesis.terms``, one family a file). They are
+the rows that ``planner.synthesis.optimize`` solves as least squares, where an inequality counts
+while it is violated: a few milliseconds from a start to a grasp or to nothing.
 
 The base of a hand on an arm is the arm's root, which is fixed. There s and t move the arm's last
-link, to which the arm's joints are tied by the term ``arm``: the terms of the hand stay as they are
-for a floating one. With the joints alone as unknowns 30 of 60 attempts were solved, so 41.
-
-An internal force strictly inside all cones together with rank G = 6 is force closure (Murray, Li,
-Sastry 1994, proposition 5.3); rank follows from three contacts that are not on a line. The cost
-keeps forces near the normals, shares them evenly, keeps contacts around the centre of mass and
-joints near the pinch posture.
-
-The same terms are solved in two ways. ``planner.synthesis.optimize`` takes them as residuals of a
-least-squares problem, inequalities counting where they are violated and the cost
-weighing little: a few milliseconds from a start to a grasp or to nothing. ``solve`` gives them to
-IPOPT as the constrained programme they are, with exact second derivatives: to its optimum, in ten
-times as long.
+link, to which the term ``arm`` ties the arm's joints: the terms of the hand stay as they are for a
+floating one. With the joints alone as unknowns 30 of 60 attempts were solved instead of 41.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 
 from planner.hands.fingers import Finger
@@ -56,17 +32,17 @@ from planner.kinematics.state import HandState
 from planner.shapes import Shape
 from planner.shapes.surface import Patch, Surface
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.avoid import Avoidance
-from planner.synthesis.nlp import Nlp
+from planner.synthesis.formulation import Formulation, formulate
+from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.residuals import Residuals
-from planner.synthesis.surfaces import surface_of
-from planner.synthesis.surroundings import obstacles_in_object, table_in_object
-from planner.synthesis.terms import Formulation, Term, formulate
+from planner.synthesis.table_and_obstacles import obstacles_in_object, table_in_object
+from planner.synthesis.terms.registry import TERMS
+from planner.synthesis.terms.term import Term, WrittenTerm, table_of
 from planner.system.threads import built
 from planner.task import GraspTask
 
-__all__ = ["Candidate", "GraspProblem", "Start", "build_problem"]
+__all__ = ["Candidate", "GraspProblem", "Start", "build_problem", "problem_on"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,89 +101,56 @@ class GraspProblem:
         hand: The hand.
         fingers: Fingers that take part, in order of the contacts.
         surface: Form of the shape in the terms.
-        n_obstacles: How many obstacle boxes there are.
-        residuals: The terms and the cost as residuals with their Jacobian, to be looked at; a
-            descent works with a twin of them, since threads share the problem.
+        residuals: The terms as residuals with their Jacobian, to be looked at; a run of least
+            squares works with a clone of them, since threads share the problem.
         objectives: Names of the objectives that have rows of their own here.
+        own_terms: The terms that are here beside the standard ones.
     """
 
     hand: Hand
     fingers: tuple[Finger, ...]
     surface: Surface
-    n_obstacles: int
     residuals: Residuals
     objectives: tuple[str, ...] = ()
+    own_terms: tuple[Term, ...] = ()
 
     @property
     def formulation(self) -> Formulation:
-        """Unknowns, parameters, terms without clearances, and cost."""
+        """Unknowns, parameters, and the terms that are written as expressions."""
         return self.residuals.formulation
 
     @built
-    def whole(self) -> tuple[Formulation, Surface]:
-        """All as expressions, clearances too, and the surface that collected its field points."""
-        surface = self.surface.anew()
-        formulation = formulate(self.hand, self.fingers, surface, self.n_obstacles, self.objectives)
-        return formulation, surface
+    def terms(self) -> tuple[WrittenTerm, ...]:
+        """All terms with their rows, in the order of the residuals.
 
-    @property
-    def terms(self) -> tuple[Term, ...]:
-        """The constraints."""
-        return self.whole[0].terms
-
-    @built
-    def nlp(self) -> Nlp:
-        """The terms as a programme for IPOPT, built when it is first asked for."""
-        f, surface = self.whole
-        return Nlp(
-            "grasp",
-            x=f.x,
-            p=f.p,
-            cost=ca.sumsqr(f.cost_rows),
-            g=ca.vertcat(*[t.expression for t in f.terms]),
-            options=IPOPT_OPTIONS,
-            points=surface.field,
-        )
+        Clearances from primitives, table, obstacles and other fingers are expressions too, so that
+        any solver of CasADi can be given the problem. Those from a mesh are looked up in its field.
+        """
+        return self.residuals.written
 
     def __str__(self) -> str:
-        """Variables, parameters and terms, one line each."""
-        f = self.formulation
-        lines = [
-            f"grasp problem: {self.hand.name}, {', '.join(f.name for f in self.fingers)}, "
-            f"{self.surface.kind}",
-            f"  {f.x.numel()} variables, {f.p.numel()} parameters",
-        ]
-        lines += [
-            f"  {t.name:10s} {t.expression.numel():4d} {' =' if t.equality else '>='} 0  [{t.unit}]"
-            for t in self.terms
-        ]
-        return "\n".join(lines)
+        """Variables, parameters and all terms, one line each."""
+        return f"{self._head}\n{table_of(self.terms)}"
 
-    def solve(self, task: GraspTask, start: Start, parameters: FloatArray) -> Candidate:
-        """Run IPOPT from one start: all terms and the cost, without objectives.
+    @property
+    def _head(self) -> str:
+        f = self.formulation
+        names = ", ".join(f.name for f in self.fingers)
+        return (
+            f"grasp problem: {self.hand.name}, {names}, {self.surface.kind}\n"
+            f"  {f.x.numel()} variables, {f.p.numel()} parameters, "
+            f"{sum(len(t.rows) for t in self.terms)} rows"
+        )
+
+    def worst_violation(self, violation: Mapping[str, float]) -> tuple[Term, float]:
+        """The term whose violation weighs most, and its weighted residual.
 
         Args:
-            task: The task.
-            start: The start.
-            parameters: From ``parameters``.
+            violation: Largest violation of each term, in its unit.
         """
-        solver = self.nlp.bind(self.surface.field_of(task.object.shape))
-        lower, upper = self.bounds(start)
-        sizes = [(t.expression.numel(), t.equality) for t in self.terms]
-        ubg = np.concatenate([np.full(m, 0.0 if equality else np.inf) for m, equality in sizes])
-        begin = time.process_time()
-        x, stats = solver(
-            x0=np.clip(self.first(start), lower, upper),
-            p=parameters,
-            lbx=lower,
-            ubx=upper,
-            lbg=np.zeros(len(ubg)),
-            ubg=ubg,
-        )
-        x = np.clip(x, lower, upper)  # IPOPT goes 1e-8 beyond bounds
-        violation = self.violations(solver.evaluate(x, parameters))
-        status, iterations = str(stats["return_status"]), int(stats["iter_count"])
-        return self.candidate(start, x, violation, status, iterations, begin)
+        required = self.residuals.required
+        worst = max(violation, key=lambda name: violation[name] * required[name].weight)
+        return required[worst], violation[worst] * required[worst].weight
 
     def candidate(
         self,
@@ -274,16 +217,6 @@ class GraspProblem:
         state = HandState(self.hand, start.q)
         return start.T_object_base * state.joint_pose(self.hand.arm.flange)
 
-    def violations(self, g: FloatArray) -> dict[str, float]:
-        """Largest violation of each term, in its unit, from the values of all constraints."""
-        out, at = {}, 0
-        for t in self.terms:
-            part = g[at : at + t.expression.numel()]
-            at += len(part)
-            bad = np.abs(part) if t.equality else np.maximum(-part, 0)
-            out[t.name] = float(bad.max(initial=0.0))
-        return out
-
     def parameters(
         self, task: GraspTask, start: Start, posture: FloatArray, options: SynthesisOptions
     ) -> FloatArray:
@@ -315,8 +248,6 @@ class GraspProblem:
                 "posture": posture,
                 **options.values(),
                 "objectives": 0.0,
-                "aim": 0.0,
-                "directions": 0.0,
             }
         )
 
@@ -334,6 +265,7 @@ def build_problem(
     kind_of: Shape,
     n_obstacles: int = 0,
     objectives: tuple[str, ...] = (),
+    terms: tuple[str, ...] = (),
 ) -> GraspProblem:
     """Build the problem for a hand, the fingers that take part and a kind of shape.
 
@@ -343,29 +275,21 @@ def build_problem(
         kind_of: Any shape of the kind; its size does not matter.
         n_obstacles: How many obstacle boxes there are.
         objectives: Objectives that are asked for and have rows of their own, by name.
+        terms: Registered terms that are asked for beside the standard ones, by name.
     """
-    fingers = tuple(fingers)
     surface = surface_of(kind_of)
-    formulation = formulate(hand, fingers, surface, n_obstacles, objectives, clearances=False)
-    avoidance = Avoidance(formulation, surface)
-    residuals = Residuals(formulation, surface.field, avoidance)
-    return GraspProblem(hand, fingers, surface, n_obstacles, residuals, objectives)
+    return problem_on(hand, tuple(fingers), surface, n_obstacles, objectives, terms)
 
 
-IPOPT_TOL = 1e-4
-"""IPOPT's scaled optimality tolerance (-). Constraints are held to 1e-7 m; the cost only ranks."""
-
-IPOPT_ITERATIONS = 60
-"""IPOPT iterations of one attempt; nine of ten that succeed need under 50."""
-
-IPOPT_OPTIONS = {
-    "ipopt.max_iter": IPOPT_ITERATIONS,
-    "ipopt.tol": IPOPT_TOL,
-    "ipopt.constr_viol_tol": 1e-7,
-    "ipopt.acceptable_tol": 1e-2,
-    "ipopt.acceptable_constr_viol_tol": 1e-6,
-    "ipopt.acceptable_iter": 3,
-    "ipopt.mu_strategy": "adaptive",
-    "ipopt.adaptive_mu_globalization": "never-monotone-mode",
-}
-"""Never-monotone adaptive barrier: more attempts succeed than with any other of IPOPT's."""
+def problem_on(
+    hand: Hand,
+    fingers: tuple[Finger, ...],
+    surface: Surface,
+    n_obstacles: int,
+    objectives: tuple[str, ...] = (),
+    terms: tuple[str, ...] = (),
+) -> GraspProblem:
+    """``build_problem`` on a given form of the shape."""
+    formulation = formulate(hand, fingers, surface, n_obstacles, objectives, terms)
+    own = tuple(TERMS[name] for name in terms)
+    return GraspProblem(hand, fingers, surface, Residuals(formulation), objectives, own)

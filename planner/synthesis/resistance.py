@@ -1,13 +1,13 @@
 """What a grasp resists in given directions of wrench, as rows with derivatives by contact points.
 
-The formula is ``support`` of ``planner.synthesis.wrenches``; here it is evaluated with numbers, for
-many directions at once, and only the contact that resists most in a direction has derivatives:
+The formula is ``support`` of ``planner.synthesis.contact_wrenches``, here in numbers for many
+directions at once; only the contact that resists most in a direction has derivatives:
 
     h = a + mu |t|,   g = u_f + u_t x p / length,   a = -g . n,   t = g + a n,
     dh = w . dg + z . dn,   w = mu t/|t| - c n,   z = mu a t/|t| - c g,   c = 1 + mu t . n/|t|,
     dg = u_t x dp / length,   dn = N dp,
 
-with outward normal n and its change N with the point. Off the surface, where a descent passes, n
+with outward normal n and its change N with the point. Off the surface, where least squares pass, n
 need not be a unit vector; on it c is 1.
 """
 
@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.spatial import FloatArray
-from planner.synthesis.wrenches import TINY
+from planner.spatial import FloatArray, IntArray
+from planner.synthesis.contact_wrenches import TINY
 
 __all__ = ["least_resisted", "missing_resistance"]
 
@@ -25,22 +25,24 @@ def missing_resistance(
     directions: FloatArray,
     points: FloatArray,
     outward: FloatArray,
-    bending: FloatArray,
+    normal_jacobians: FloatArray,
     *,
     mu: float,
     length: float,
-    aim: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Resistance less what is aimed at, (k,), where it is negative, and its derivatives (k, 3 n).
+    target: float,
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Resistance less its target, (k,), where that is negative, derivatives (k, 3 n), directions.
+
+    The last are the numbers (k,) of the directions that fall short.
 
     Args:
-        directions: Directions of wrench u (m, 6), torques over ``length``; aims scale with them.
+        directions: Directions of wrench u (m, 6), torques over ``length``; targets scale with them.
         points: Contact points (n, 3), m.
         outward: Normals (n, 3).
-        bending: Derivative of each normal by its point (n, 3, 3), 1/m.
+        normal_jacobians: Derivative of each normal by its point (n, 3, 3), 1/m.
         mu: Friction (-).
         length: Characteristic length, m.
-        aim: Resistance (normal forces sum to 1) that is aimed at per unit of ``directions``.
+        target: Resistance (normal forces sum to 1) to reach per unit of ``directions``.
     """
     # contacts come first, so that every product below is a product of matrices
     g = directions[:, :3] + directions[:, 3:] @ _turning(points / length)  # (n, m, 3)
@@ -50,7 +52,7 @@ def missing_resistance(
     resisted = pressed + mu * across
     best = resisted.argmax(axis=0)
     every = np.arange(len(directions))
-    values = resisted[best, every] - aim * np.sqrt(np.einsum("mi,mi->m", directions, directions))
+    values = resisted[best, every] - target * np.sqrt(np.einsum("mi,mi->m", directions, directions))
     short = np.flatnonzero(values < 0.0)
     i = best[short]
     n, g, pressed = outward[i], g[i, short], pressed[i, short][:, None]
@@ -58,10 +60,10 @@ def missing_resistance(
     c = 1.0 + np.einsum("ki,ki->k", along, n)[:, None]
     u, w, z = directions[short, 3:], along - c * n, pressed * along - c * g
     slope = (w[:, NEXT] * u[:, AFTER] - w[:, AFTER] * u[:, NEXT]) / length
-    slope += (z[:, None, :] @ bending[i])[:, 0]
+    slope += (z[:, None, :] @ normal_jacobians[i])[:, 0]
     rows = np.zeros((len(short), *points.shape))
     rows[np.arange(len(short)), i] = slope
-    return values[short], rows.reshape(len(short), points.size)
+    return values[short], rows.reshape(len(short), points.size), short
 
 
 def least_resisted(

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from planner.errors import NoGraspFoundError, PlannerError
 from planner.search import plan_grasp
-from planner.synthesis.problems import problems_for
+from planner.synthesis.problem_cache import problems_for
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, task_for
 from sim.bench.run import ObjectJob, measure

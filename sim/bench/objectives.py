@@ -15,7 +15,7 @@ from rich.table import Table
 
 from planner.batch.jobs import grasp_seed
 from planner.errors import PlannerError
-from planner.plan_metrics import MEASURES, measured
+from planner.plan_metrics import METRICS, evaluate_metrics
 from planner.search import attempts
 from planner.shapes import shape_key
 from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions
@@ -89,7 +89,7 @@ def run_objectives(
         version=2,
         seed=seed,
         max_attempts=max_attempts,
-        units={name: measure.unit for name, measure in MEASURES.items()},
+        units={name: metric.unit for name, metric in METRICS.items()},
     )
     return result | {"objectives": [summary_of_objective(text, result["rows"]) for text in asked]}
 
@@ -108,7 +108,7 @@ def _made(request: _Request, check: Check) -> Row:
             cpu += attempt.cpu_s
             check()
             if attempt.plan is not None:
-                values = measured(attempt.plan)
+                values = evaluate_metrics(attempt.plan)
             if values is not None or made >= request.max_attempts:
                 break
     except PlannerError as error:
@@ -140,7 +140,7 @@ def summary_of_objective(objective: str, rows: Sequence[Row]) -> Row:
         "medians": _medians(mine),
         "better_than_none": {
             name: ratio(sum(ours[name] > theirs[name] for ours, theirs in pairs), len(pairs))
-            for name in MEASURES
+            for name in METRICS
         },
         "cells": [{"hand": h, "object": o, "medians": _medians(m)} for (h, o), m in cells],
     }
@@ -153,7 +153,7 @@ def _place(row: Row) -> tuple[str, str, int]:
 def _medians(rows: Sequence[Row]) -> dict[str, float | None]:
     """Of what was found."""
     found = [row["measures"] for row in rows if row["measures"] is not None]
-    return {name: median_of(values[name] for values in found) for name in MEASURES}
+    return {name: median_of(values[name] for values in found) for name in METRICS}
 
 
 def objective_tables(result: Row) -> list[Table]:
@@ -171,7 +171,7 @@ def objective_tables(result: Row) -> list[Table]:
             percent(each["found"], each["attempts"], 0),
             number(each["cpu_s_per_attempt"], 0, 1e3),
             number(each["cpu_s_per_found"], 0, 1e3),
-            *(_digits(each["medians"][name]) for name in MEASURES),
+            *(_digits(each["medians"][name]) for name in METRICS),
         )
     own = table_of(
         "its own measure: without objective, with it, and share of paired seeds that are better",
@@ -184,7 +184,7 @@ def objective_tables(result: Row) -> list[Table]:
         return [whole]
     # after Ctrl-C a cell may have no request without an objective
     before = {(c["hand"], c["object"]): c["medians"] for c in plain["cells"]}
-    for name in (n for n in summaries if n in MEASURES):
+    for name in (n for n in summaries if n in METRICS):
         each = summaries[name]
         for cell in each["cells"]:
             place = cell["hand"], cell["object"]

@@ -2,7 +2,7 @@
 
 Request k of an object has the seed that ``planner.batch`` gives it, so that what is measured here
 is what ``opposable batch`` would plan. CPU time is that of the process with all its threads; what
-a task's attempts share (mesh, field, NLPs) is told apart from the attempts.
+a task's attempts share (mesh, field, problems) is told apart from the attempts.
 """
 
 from __future__ import annotations

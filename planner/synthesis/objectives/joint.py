@@ -24,26 +24,26 @@ from scipy.linalg import null_space
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.spatial import FloatArray, IntArray
-from planner.synthesis.objectives.linearisation import GraspSymbols, Moment
-from planner.synthesis.wrenches import contact_torque
+from planner.synthesis.contact_wrenches import contact_torque
+from planner.synthesis.symbols import GraspPoint, GraspSymbols
 
 __all__ = [
-    "aim_torque",
     "driving",
     "free_velocities",
     "limits_rows",
     "manipulability_rows",
     "torque_rows",
+    "update_torque",
 ]
 
-REACH_AIM = 0.15
-"""Manipulability that is aimed at, more than fingers reach, m/rad."""
+MANIPULABILITY_TARGET = 0.15
+"""Target of manipulability, more than fingers reach, m/rad."""
 
 SINGULAR = 2e-4
-"""Added to the eigenvalues of J J^T / ``REACH_AIM``^2 (-): 2 mm/rad."""
+"""Added to the eigenvalues of J J^T / ``MANIPULABILITY_TARGET``^2 (-): 2 mm/rad."""
 
-LIMIT_AIM = 0.25
-"""Distance from a limit that is aimed at, as a share of the range (-): the middle half is good."""
+LIMIT_TARGET = 0.25
+"""Target of the distance from a limit over the range (-): the middle half is good."""
 
 LEAST_PRESS = 0.1
 """Least normal force over the mean (-) below which forces are not scaled up further; the term
@@ -92,18 +92,18 @@ def torque_rows(g: GraspSymbols) -> tuple[Any, Any]:
     return -(share**2), ca.vertcat(grip, weight, ca.vec(per_limit))
 
 
-def aim_torque(moment: Moment) -> FloatArray:
+def update_torque(point: GraspPoint) -> FloatArray:
     """Grip (N), weight in the object's frame (N), inverse limits of the actuators."""
-    task = moment.task
+    task = point.task
     used = driving(task.hand, task.fingers)
-    limits = task.hand.actuation.force_limits(moment.q)[used]
+    limits = task.hand.actuation.force_limits(point.q)[used]
     low, high = np.minimum(limits[:, 0], -LEAST_LIMIT), np.maximum(limits[:, 1], LEAST_LIMIT)
     weight = task.object.mass * task.T_world_object.rotation.T @ task.gravity
     return np.concatenate([[task.grip_force], weight, 1 / low, 1 / high])
 
 
 def manipulability_rows(g: GraspSymbols) -> tuple[Any, Any]:
-    """Logarithm of each finger's manipulability over what is aimed at."""
+    """Logarithm of each finger's manipulability over its target."""
     rows = []
     for finger, normal in zip(g.fingers, g.outward, strict=True):
         pad = finger.pad
@@ -114,17 +114,17 @@ def manipulability_rows(g: GraspSymbols) -> tuple[Any, Any]:
                 for axis in np.eye(3)
             ]
         )
-        free = jacobian @ ca.DM(free_velocities(g.symbolic.hand, finger)) / REACH_AIM
+        free = jacobian @ ca.DM(free_velocities(g.symbolic.hand, finger)) / MANIPULABILITY_TARGET
         rows.append(ca.log(ca.det(free @ free.T + SINGULAR * ca.SX.eye(3))) / 6)
     return ca.vertcat(*rows), ca.SX(0, 1)
 
 
 def limits_rows(g: GraspSymbols) -> tuple[Any, Any]:
-    """Distance of each joint from both limits over its range, less what is aimed at."""
+    """Distance of each joint from both limits over its range, less its target."""
     hand = g.symbolic.hand
     index = np.concatenate([f.q_index for f in g.fingers])
     index = index[hand.q_upper[index] > hand.q_lower[index]]
     lower, upper = hand.q_lower[index], hand.q_upper[index]
     q = g.q[index.tolist()]
     rows = ca.vertcat((q - lower) / (upper - lower), (upper - q) / (upper - lower))
-    return rows - LIMIT_AIM, ca.SX(0, 1)
+    return rows - LIMIT_TARGET, ca.SX(0, 1)

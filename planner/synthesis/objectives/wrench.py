@@ -28,19 +28,19 @@ import numpy as np
 
 from planner.quality.weakest import first_apart, wrench_faces
 from planner.spatial import FloatArray
-from planner.synthesis.objectives.linearisation import GraspSymbols, Moment
-from planner.synthesis.wrenches import support
+from planner.synthesis.contact_wrenches import support
+from planner.synthesis.symbols import GraspPoint, GraspSymbols
 
 __all__ = [
     "NORMAL_ERROR",
     "POSITION_ERROR",
-    "aim_min_weight",
-    "aim_robustness",
-    "aim_task",
     "min_weight_rows",
     "narrowed",
     "robustness_rows",
     "task_rows",
+    "update_min_weight",
+    "update_robustness",
+    "update_task",
 ]
 
 CUTS = 12
@@ -53,16 +53,16 @@ POSITION_ERROR = 2e-3
 NORMAL_ERROR = float(np.deg2rad(5.0))
 """Error of a contact's normal that "robustness" allows for, rad."""
 
-WEIGHT_AIM = 0.85
-"""Min-weight that is aimed at (-); 1 is the most there is."""
+MIN_WEIGHT_TARGET = 0.85
+"""Target of min-weight (-), of which 1 is the most."""
 
-ROBUST_AIM = 0.15
-"""Robustness that is aimed at (-), little more than grasps reach, so that the weakest directions
+ROBUSTNESS_TARGET = 0.15
+"""Target of robustness (-), little more than grasps reach, so that the weakest directions
 count most: on four pairs of hand and primitive it rises by 0.05 in the median, with twice as much
 by 0.03."""
 
-TASK_AIM = 0.6
-"""What is aimed at for the largest task wrench, per sum of normal forces (-). With 0.5 the least
+TASK_TARGET = 0.6
+"""Target for the largest task wrench, per sum of normal forces (-). With 0.5 the least
 that is resisted rises by 30 % in the median, with 0.6 by 50 %, with 1 by 35 %."""
 
 
@@ -73,7 +73,7 @@ def narrowed(mu: Any, angle: float) -> Any:
 
 
 def min_weight_rows(g: GraspSymbols) -> tuple[Any, Any]:
-    """The min-weight that each direction allows, less what is aimed at."""
+    """The min-weight that each direction allows, less its target."""
     u = ca.SX.sym("u_min_weight", 6, CUTS)
     n = len(g.points)
     mean = ca.vertcat(
@@ -84,36 +84,36 @@ def min_weight_rows(g: GraspSymbols) -> tuple[Any, Any]:
     rows = []
     for k in range(CUTS):
         reach = support(u[:, k], g.points, g.outward, g.mu, g.length)
-        rows.append(reach / (reach - ca.dot(u[:, k], mean)) - WEIGHT_AIM)
+        rows.append(reach / (reach - ca.dot(u[:, k], mean)) - MIN_WEIGHT_TARGET)
     return ca.vertcat(*rows), ca.vec(u)
 
 
-def aim_min_weight(moment: Moment) -> FloatArray:
+def update_min_weight(point: GraspPoint) -> FloatArray:
     """The directions that bound the min-weight most (6 CUTS,)."""
-    faces = wrench_faces(moment.points, moment.inward, moment.task.mu, moment.length)
-    torque = np.cross(moment.points, moment.inward).mean(axis=0) / moment.length
-    along = faces[:, :6] @ np.concatenate([moment.inward.mean(axis=0), torque])
+    faces = wrench_faces(point.points, point.inward, point.task.mu, point.length)
+    torque = np.cross(point.points, point.inward).mean(axis=0) / point.length
+    along = faces[:, :6] @ np.concatenate([point.inward.mean(axis=0), torque])
     bound = -faces[:, 6] / (-faces[:, 6] - along)
     faces = faces[np.argsort(bound, kind="stable"), :6]
     return _filled(faces[first_apart(faces, CUTS)])
 
 
 def task_rows(g: GraspSymbols) -> tuple[Any, Any]:
-    """What is resisted of each task wrench, less what is aimed at."""
+    """What is resisted of each task wrench, less its target."""
     u = ca.SX.sym("u_task", 6, CUTS)
     on = ca.SX.sym("on_task", CUTS)
     rows = [
-        support(u[:, k], g.points, g.outward, g.mu, g.length) - TASK_AIM * on[k]
+        support(u[:, k], g.points, g.outward, g.mu, g.length) - TASK_TARGET * on[k]
         for k in range(CUTS)
     ]
     return ca.vertcat(*rows), ca.vertcat(ca.vec(u), on)
 
 
-def aim_task(moment: Moment) -> FloatArray:
+def update_task(point: GraspPoint) -> FloatArray:
     """The directions that bound the worst task wrenches most, and which are used (7 CUTS,)."""
-    wrenches = moment.wrenches / np.repeat([1.0, moment.length], 3)
+    wrenches = point.wrenches / np.repeat([1.0, point.length], 3)
     wrenches = wrenches / np.linalg.norm(wrenches, axis=1).max()
-    faces = wrench_faces(moment.points, moment.inward, moment.task.mu, moment.length)
+    faces = wrench_faces(point.points, point.inward, point.task.mu, point.length)
     against = -faces[:, :6] @ wrenches.T  # (faces, wrenches)
     face, wrench = np.nonzero(against > FACING)
     reach = -faces[face, 6]
@@ -131,24 +131,24 @@ FACING = 1e-3
 
 
 def robustness_rows(g: GraspSymbols) -> tuple[Any, Any]:
-    """What is resisted in each direction whatever the error, less what is aimed at."""
+    """What is resisted in each direction whatever the error, less its target."""
     u = ca.SX.sym("u_robustness", 6, CUTS)
     mu = ca.fmax(narrowed(g.mu, NORMAL_ERROR), 0)
     lost = POSITION_ERROR / g.length * ca.sqrt(1 + mu**2)
     rows = [
         support(u[:, k], g.points, g.outward, mu, g.length)
         - lost * ca.norm_2(u[3:, k])
-        - ROBUST_AIM * ca.norm_2(u[:, k])
+        - ROBUSTNESS_TARGET * ca.norm_2(u[:, k])
         for k in range(CUTS)
     ]
     return ca.vertcat(*rows), ca.vec(u)
 
 
-def aim_robustness(moment: Moment) -> FloatArray:
+def update_robustness(point: GraspPoint) -> FloatArray:
     """The directions in which errors leave least (6 CUTS,)."""
-    mu = max(float(narrowed(moment.task.mu, NORMAL_ERROR)), 0.0)
-    faces = wrench_faces(moment.points, moment.inward, mu, moment.length)
-    lost = POSITION_ERROR / moment.length * np.sqrt(1 + mu**2)
+    mu = max(float(narrowed(point.task.mu, NORMAL_ERROR)), 0.0)
+    faces = wrench_faces(point.points, point.inward, mu, point.length)
+    lost = POSITION_ERROR / point.length * np.sqrt(1 + mu**2)
     left = -faces[:, 6] - lost * np.linalg.norm(faces[:, 3:6], axis=1)
     faces = faces[np.argsort(left, kind="stable"), :6]
     return _filled(faces[first_apart(faces, CUTS)])

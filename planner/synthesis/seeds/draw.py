@@ -1,4 +1,4 @@
-"""Starts for the NLP: put the hand where its fingers oppose each other across the object.
+"""Starts of grasp synthesis: put the hand where its fingers oppose each other across the object.
 
 In the pinch posture the finger whose pad faces the others is the opposer (a thumb). The line
 from its pad to the mean of the other pads is the hand's opposition axis. A start lays that axis
@@ -20,8 +20,8 @@ from planner.kinematics.arm_ik import reach
 from planner.kinematics.state import HandState
 from planner.shapes.surface import Patch, Surface
 from planner.spatial import SE3, FloatArray
+from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.problem import Start
-from planner.synthesis.surfaces import surface_of
 from planner.task import GraspTask
 
 __all__ = ["Opposition", "Seeder", "frame_of", "opposition"]

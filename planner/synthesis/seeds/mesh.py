@@ -17,7 +17,7 @@ import numpy as np
 from planner.errors import TaskError
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.clearance import link_balls
+from planner.synthesis.link_spheres import link_spheres
 from planner.synthesis.resistance import least_resisted
 from planner.synthesis.seeds.draw import STEEPEST, Seeder, opposition
 from planner.synthesis.seeds.opposed_points import opposed_pairs
@@ -114,9 +114,11 @@ class MeshSeeder(Seeder):
         weight = np.where(able, np.exp(-(far**2)), 0.0)
         self._pairs, self._chance = pairs, weight / weight.sum()
         arm = task.hand.arm.geometries if task.hand.arm is not None else frozenset()
-        self._balls = [b for b in link_balls(task.hand) if b.geometry not in arm]
-        self._radii = np.array([b.radius for b in self._balls])
-        self._touching = np.array([b.is_pad and b.finger in task.finger_names for b in self._balls])
+        self._spheres = [b for b in link_spheres(task.hand) if b.geometry not in arm]
+        self._radii = np.array([b.radius for b in self._spheres])
+        self._touching = np.array(
+            [b.is_pad and b.finger in task.finger_names for b in self._spheres]
+        )
         self._widest_stretch = float(self.stretches[np.argmax(self.gaps)])
         self._postures = self._drawn_postures()
 
@@ -133,7 +135,7 @@ class MeshSeeder(Seeder):
         axes, centers, which = (np.repeat(v, TURNS, axis=0) for v in (axes, centers, which))
         turns = _frames(axes, self._sides(axes, rng)) @ postures.frames[which].transpose(0, 2, 1)
         shifts = centers - (turns @ postures.centers[which][:, :, None])[:, :, 0]
-        merits = self._merits(turns, shifts, postures.balls[which])
+        merits = self._merits(turns, shifts, postures.spheres[which])
         best = np.argsort(-merits, kind="stable")[:LOOKED_AT]
         pads = postures.pads[which[best]] @ turns[best].transpose(0, 2, 1) + shifts[best, None]
         found = mesh.field().taylor(pads.reshape(-1, 3), 1)
@@ -157,7 +159,7 @@ class MeshSeeder(Seeder):
             q = np.clip(q, task.hand.q_lower, task.hand.q_upper)
             drawn.append(self._with_wrist(q))
         opposed = partial(opposition, task)
-        return measure_postures(task.hand, task.fingers, self._balls, drawn, opposed)
+        return measure_postures(task.hand, task.fingers, self._spheres, drawn, opposed)
 
     def _sides(self, axes: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Directions across axes (n, 3) for the palm: from above, with much noise, over a table."""
@@ -169,10 +171,10 @@ class MeshSeeder(Seeder):
         turn = rng.normal(0, self.turn_noise, (len(axes), 1))
         return np.cos(turn) * up + np.sin(turn) * np.cross(axes, up)
 
-    def _merits(self, turns: FloatArray, shifts: FloatArray, balls: FloatArray) -> FloatArray:
+    def _merits(self, turns: FloatArray, shifts: FloatArray, spheres: FloatArray) -> FloatArray:
         """How well bases at (n, 3, 3), (n, 3) in the object suit, (n,), m: room less pads' gaps."""
         task = self.task
-        points = balls @ turns.transpose(0, 2, 1) + shifts[:, None]
+        points = spheres @ turns.transpose(0, 2, 1) + shifts[:, None]
         gaps = self._mesh.field().rough_value(points.reshape(-1, 3)).reshape(points.shape[:2])
         gaps -= self._radii
         room = np.where(self._touching, ROOM, gaps)

@@ -15,7 +15,7 @@ from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.spatial import FloatArray
-from planner.synthesis.clearance import LinkBall
+from planner.synthesis.link_spheres import LinkSphere
 from planner.synthesis.seeds.draw import Opposition, frame_of
 
 __all__ = ["Postures", "measure_postures"]
@@ -33,7 +33,7 @@ class Postures:
         gaps: Free width between the pads, (m,), m, ascending.
         centers: Half-way between opposed pads (m, 3), m.
         frames: (m, 3, 3), columns: opposition axis, direction of the palm, their product.
-        balls: Centres of link balls (m, b, 3), m.
+        spheres: Centres of link spheres (m, b, 3), m.
         pads: Centres of the pads (m, n, 3), m.
     """
 
@@ -41,7 +41,7 @@ class Postures:
     gaps: FloatArray
     centers: FloatArray
     frames: FloatArray
-    balls: FloatArray
+    spheres: FloatArray
     pads: FloatArray
 
     def draw(self, gap: float, rng: np.random.Generator) -> int:
@@ -54,7 +54,7 @@ class Postures:
 def measure_postures(
     hand: Hand,
     fingers: Sequence[Finger],
-    balls: Sequence[LinkBall],
+    spheres: Sequence[LinkSphere],
     drawn: Sequence[FloatArray],
     opposed: Callable[[FloatArray], Opposition],
 ) -> Postures:
@@ -63,14 +63,14 @@ def measure_postures(
     Args:
         hand: The hand.
         fingers: Fingers that take part.
-        balls: Balls in the links.
+        spheres: Spheres in the links.
         drawn: The postures.
         opposed: How the fingers oppose each other in one.
     """
     found = [opposed(q) for q in drawn]
     order = np.argsort([o.gap for o in found], kind="stable")
-    joints = np.array([b.joint_id for b in balls])
-    local = np.array([b.center for b in balls])[:, :, None]
+    joints = np.array([b.joint_id for b in spheres])
+    local = np.array([b.center for b in spheres])[:, :, None]
     places, pads = [], []
     for k in order:
         state = HandState(hand, drawn[k])
@@ -84,6 +84,6 @@ def measure_postures(
         gaps=np.array([found[k].gap for k in order]),
         centers=np.array([found[k].center for k in order]),
         frames=np.array([frame_of(found[k].axis, found[k].palm_side) for k in order]),
-        balls=np.array(places),
+        spheres=np.array(places),
         pads=np.array(pads),
     )

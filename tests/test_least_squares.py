@@ -8,22 +8,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+from constrained import Constrained
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from planner.hands.hand import Hand
-from planner.numerics.levenberg_marquardt import Descent, descend
+from planner.numerics.levenberg_marquardt import LMResult, levenberg_marquardt
 from planner.objects import parse_object
 from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.optimize import descend_grasp
+from planner.synthesis.optimize import optimize_grasp
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import GraspProblem, Start
-from planner.synthesis.problems import problems_for
-from planner.synthesis.residuals import SPARE, WEIGHTS
+from planner.synthesis.problem_cache import problems_for
 from planner.synthesis.seeds.mesh import seeder_for
+from planner.synthesis.terms.registry import TERMS
 from planner.task import GraspTask, Obstacle
 
 
@@ -51,7 +52,7 @@ def run(
     equality: NDArray[np.bool_] | None = None,
     n_terms: int | None = None,
     **options: Any,
-) -> Descent:
+) -> LMResult:
     """Descend with every residual an equality of unit scale unless told otherwise."""
     free = {
         "lower": np.full(len(x), -np.inf),
@@ -59,7 +60,9 @@ def run(
         "scale": np.ones(len(x)),
         "max_iterations": 200,
     }
-    return descend(Given(function, equality, n_terms), np.array(x), **{**free, **options})
+    return levenberg_marquardt(
+        Given(function, equality, n_terms), np.array(x), **{**free, **options}
+    )
 
 
 def test_rosenbrock_ends_at_its_known_minimum() -> None:
@@ -137,10 +140,10 @@ def test_numbers_of_one_twin_are_not_those_of_another(allegro: Hand) -> None:
     icy = replace(task, mu=0.1)
     x = problem.first(start)
     problem.formulation.unknowns.forces(x)[:, 2] += 0.3  # in the cones of one, not of the other
-    first, second = problem.residuals.twin(), problem.residuals.twin()
-    first.bind(problem.parameters(task, start, seeder.posture, SynthesisOptions()), None)
+    first, second = problem.residuals.clone(), problem.residuals.clone()
+    first.set_parameters(problem.parameters(task, start, seeder.posture, SynthesisOptions()), None)
     alone, slopes = (a.copy() for a in first(x))
-    second.bind(problem.parameters(icy, start, seeder.posture, wide), None)
+    second.set_parameters(problem.parameters(icy, start, seeder.posture, wide), None)
     beside = second(x)[0]
     assert len(beside) > len(alone), "more is too near, and slips"
     again = first(x)
@@ -186,7 +189,7 @@ def posed(request: pytest.FixtureRequest) -> tuple[GraspProblem, GraspTask, Floa
     joints += rng.normal(0.0, 0.15, len(joints))
     problem.formulation.unknowns.points(x)[:] += 0.002
     problem.formulation.unknowns.forces(x)[:] += 0.1
-    problem.residuals.bind(parameters, problem.surface.field_of(task.object.shape))
+    problem.residuals.set_parameters(parameters, problem.surface.field_of(task.object.shape))
     origin = x[3:6].copy()
     for _ in range(2000):
         x[3:6] = origin + rng.uniform(-0.3, 0.3, 3)
@@ -207,7 +210,7 @@ def test_residuals_of_a_grasp_have_exact_derivatives(
 ) -> None:
     problem, task, parameters, x = posed
     residuals = problem.residuals
-    residuals.bind(parameters, problem.surface.field_of(task.object.shape))
+    residuals.set_parameters(parameters, problem.surface.field_of(task.object.shape))
     residuals.set_directions(np.random.default_rng(2).normal(size=(5, 6)), 0.6)
     exact = residuals(x)[1].copy()
     violated = {name for name, value in residuals.violations().items() if value > 0.0}
@@ -225,20 +228,20 @@ def test_residuals_of_a_grasp_have_exact_derivatives(
 def test_least_squares_and_the_programme_have_the_same_terms(
     posed: tuple[GraspProblem, GraspTask, FloatArray, FloatArray],
 ) -> None:
-    """Violations told by the residuals are those of IPOPT's constraints at the same place."""
+    """Violations told by the residuals are those of the expressions at the same place."""
     problem, task, parameters, x = posed
     field = problem.surface.field_of(task.object.shape)
-    problem.residuals.bind(parameters, field)
+    problem.residuals.set_parameters(parameters, field)
     rng = np.random.default_rng(6)
-    seen = set()
+    seen, programme = set(), Constrained(problem)
     # on meshes what was far is not looked up at once: from place to place it must be seen again
     for k in range(12):
         x = x + rng.normal(0.0, 3e-3 if k % 2 else 1e-4, len(x))
         problem.residuals(x)
         mine = problem.residuals.violations()
-        theirs = problem.violations(problem.nlp.bind(field).evaluate(x, parameters))
+        theirs = programme.violations(x, parameters, task)
         assert set(mine) - set(theirs) <= {"fingers", "obstacle", "links"}, "terms without rows"
-        assert set(SPARE) <= set(mine)
+        assert {t.name for t in TERMS.values() if t.margin} <= set(mine)
         for name, value in theirs.items():
             assert mine[name] == pytest.approx(value, abs=1e-12), name
         seen |= {name for name, value in mine.items() if value > 0.0}
@@ -252,15 +255,15 @@ def test_links_that_meet_are_told_apart(shadow: Hand) -> None:
     start = seeder.draw(np.random.default_rng(3))
     assert isinstance(start, Start)
     parameters = problem.parameters(task, start, seeder.posture, SynthesisOptions())
-    problem.residuals.bind(parameters, None)
+    problem.residuals.set_parameters(parameters, None)
     rng = np.random.default_rng(0)
-    x, met = problem.first(start), 0
+    x, met, programme = problem.first(start), 0, Constrained(problem)
     for _ in range(40):
         problem.formulation.unknowns.q(x)[:] = rng.uniform(shadow.q_lower, shadow.q_upper)
         exact = problem.residuals(x)[1].copy()
         mine = problem.residuals.violations()["fingers"]
         if mine > 0.0:
-            theirs = problem.violations(problem.nlp.bind(None).evaluate(x, parameters))
+            theirs = programme.violations(x, parameters, task)
             assert mine == pytest.approx(theirs["fingers"], abs=1e-12)
             at, step = int(shadow.fingers["index"].q_index[0]) + 6, 1e-7
             ahead, behind = x.copy(), x.copy()
@@ -283,10 +286,10 @@ def test_descent_and_ipopt_agree_that_a_start_leads_to_a_grasp(allegro: Hand) ->
         assert isinstance(start, Start)
         parameters = problem.parameters(task, start, seeder.posture, SynthesisOptions())
         quick, slow = (
-            descend_grasp(problem, task, start, parameters, SynthesisOptions(rounds=0)),
-            problem.solve(task, start, parameters),
+            optimize_grasp(problem, task, start, parameters, SynthesisOptions(rounds=0)),
+            Constrained(problem).solve(task, start, parameters),
         )
-        good = max(v * WEIGHTS[name] for name, v in quick.violation.items()) < 0.1
+        good = max(v * TERMS[name].weight for name, v in quick.violation.items()) < 0.1
         both += good and max(slow.violation.values()) < 1e-5
     assert both >= 5
 

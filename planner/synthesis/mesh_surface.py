@@ -11,7 +11,7 @@ import numpy as np
 from planner.shapes import Mesh, Shape
 from planner.shapes.surface import Patch, Surface, soft_norm, whole_surface
 from planner.spatial import FloatArray
-from planner.synthesis.nlp import Field, FieldPoints
+from planner.synthesis.field_points import Field, FieldPoints
 
 __all__ = ["mesh_surface", "surface_of"]
 
@@ -27,7 +27,7 @@ to 100 % of the others more."""
 
 
 class _MeshSurface(Surface):
-    """The zero level of a mesh's smooth distance field; one object per programme."""
+    """The zero level of a mesh's smooth distance field; one object per problem."""
 
     kind = "mesh"
 
@@ -39,20 +39,11 @@ class _MeshSurface(Surface):
         steep_on_walls: float,
         edge_worth: float,
     ) -> None:
-        """Begin to collect the points at which the programme needs the field."""
+        """Begin to collect the points at which the problem needs the field."""
         self.field: FieldPoints = FieldPoints()
         self.normal_error, self.distance_error = normal_error, distance_error
         self._steep, self._steep_on_walls = steep, steep_on_walls
         self._edge_worth = edge_worth
-
-    def anew(self) -> Surface:
-        return _MeshSurface(
-            self.normal_error,
-            self.distance_error,
-            self._steep,
-            self._steep_on_walls,
-            self._edge_worth,
-        )
 
     def field_of(self, shape: Mesh) -> Field:
         return shape.field()
@@ -68,18 +59,18 @@ class _MeshSurface(Surface):
         return self.patches(shape)[0]
 
     def outward_normal(self, size: Any, code: Any, p: Any) -> Any:
-        gradient = self.field.on_surface(p)[1]
+        gradient = self.field.at(p)[1]
         return gradient / soft_norm(gradient[0], gradient[1], gradient[2])
 
     def surface_error(self, size: Any, code: Any, p: Any) -> Any:
-        return self.field.on_surface(p)[0]
+        return self.field.at(p)[0]
 
     def flatness(self, size: Any, p: Any) -> Any:
-        gradient = self.field.on_surface(p)[1]
+        gradient = self.field.at(p)[1]
         return self._edge_worth * (ca.sumsqr(gradient) - size[0] ** 2) / (2 * size[0])
 
     def clearance(self, size: Any, c: Any) -> Any:
-        return self.field.value(c)
+        return self.field.at(c)[0]
 
 
 WALL = 0.006
@@ -105,7 +96,7 @@ def mesh_surface(
     steep_on_walls: float | None = None,
     edge_worth: float = 1.0,
 ) -> Surface:
-    """The NLP form of a mesh.
+    """The form of a mesh in the grasp problem.
 
     Args:
         normal_error: How far (rad) normals may be from the true ones.
@@ -120,7 +111,7 @@ def mesh_surface(
 
 
 def surface_of(shape: Shape) -> Surface:
-    """The NLP form of a shape.
+    """The form of a shape in the grasp problem.
 
     Raises:
         ObjectError: Synthesis does not know this kind of shape.

@@ -12,13 +12,17 @@ from planner.collision.world import CollisionWorld
 from planner.hands.hand import Hand
 from planner.objects import parse_object
 from planner.spatial import SE3, FloatArray
-from planner.synthesis.clearance import bones_are_true
-from planner.synthesis.gaps import AHEAD, ROOM, find_gaps
-from planner.synthesis.optimize import descend_grasp
+from planner.synthesis.link_capsules import capsules_are_true
+from planner.synthesis.optimize import optimize_grasp
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start
-from planner.synthesis.problems import problems_for
+from planner.synthesis.problem_cache import problems_for
 from planner.synthesis.seeds.mesh import seeder_for
+from planner.synthesis.terms.link_distance import (
+    LEAST_DISTANCE,
+    MARGIN_IN_VIEW,
+    find_link_distances,
+)
 from planner.task import GraspTask
 
 
@@ -34,11 +38,11 @@ def _start(task: GraspTask, k: int) -> tuple[GraspProblem, Start]:
     return problems_for(task).grasp, start
 
 
-def test_only_hands_of_spheres_and_capsules_have_bones_that_are_true(
+def test_only_hands_of_spheres_and_capsules_have_capsules_that_are_true(
     allegro: Hand, shadow: Hand
 ) -> None:
-    assert bones_are_true(shadow)
-    assert not bones_are_true(allegro)
+    assert capsules_are_true(shadow)
+    assert not capsules_are_true(allegro)
 
 
 def test_gaps_are_what_coal_measures_and_change_as_they_say(task: GraspTask) -> None:
@@ -55,7 +59,7 @@ def test_gaps_are_what_coal_measures_and_change_as_they_say(task: GraspTask) -> 
         near = world.near(
             task.T_world_object * pose, unknowns.q(x), limit, may_touch=names, meshes=False
         )
-        asked = np.where(np.isin(near.joints[:, 0], pads), options.clear_tip, ROOM)
+        asked = np.where(np.isin(near.joints[:, 0], pads), options.clear_tip, LEAST_DISTANCE)
         asked = np.where(near.hand_environment, asked, options.clear_fingers)
         found = zip(near.numbers.tolist(), near.distances - asked, strict=True)
         return pose, {number: float(value) for number, value in found if value < limit}
@@ -65,8 +69,15 @@ def test_gaps_are_what_coal_measures_and_change_as_they_say(task: GraspTask) -> 
         x[:6] += rng.normal(0, [0.3, 0.3, 0.3, 0.02, 0.02, 0.02])
         x[6 : 6 + task.hand.nq] = rng.uniform(task.hand.q_lower, task.hand.q_upper)
         pose, there = look(x, 0.006)
-        gaps = find_gaps(world, unknowns, x, pose, options)
-        kept = {number: value for number, value in there.items() if value < AHEAD}
+        gaps = find_link_distances(
+            world,
+            unknowns,
+            x,
+            pose,
+            clear_tip=options.clear_tip,
+            clear_fingers=options.clear_fingers,
+        )
+        kept = {number: value for number, value in there.items() if value < MARGIN_IN_VIEW}
         if gaps is None:
             assert not kept
             continue
@@ -93,13 +104,13 @@ def _ends(task: GraspTask, apart: float, k: int) -> tuple[Candidate, Candidate]:
     asked = replace(options, clear_fingers=apart)
     world = CollisionWorld(task)
     return (
-        descend_grasp(problem, task, start, parameters, options),
-        descend_grasp(problem, task, start, parameters, asked, world),
+        optimize_grasp(problem, task, start, parameters, options),
+        optimize_grasp(problem, task, start, parameters, asked, world),
     )
 
 
 def test_fingers_end_as_far_apart_as_is_asked_and_still_touch(allegro: Hand) -> None:
-    """Over twice as far as they come to be without: bones know nothing of it, the look does."""
+    """Over twice as far as they come to be without: capsules know nothing of it, the look does."""
     task = GraspTask.create(allegro, parse_object("cylinder"))
     world, better = CollisionWorld(task), 0
 

@@ -1,4 +1,4 @@
-"""The NLP of a task, built once and kept: for the search and for the check of a plan."""
+"""The grasp problem of a task, built once and kept."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 from planner.hands.hand import Hand
 from planner.shapes import Shape
+from planner.synthesis.mesh_surface import surface_of
+from planner.synthesis.options import ProblemForm
 from planner.synthesis.problem import GraspProblem, build_problem
-from planner.synthesis.surfaces import surface_of
 from planner.system.threads import BUILDING, made_once
 from planner.task import GraspTask
 
@@ -17,23 +18,25 @@ __all__ = ["Problems", "problems_for"]
 
 @dataclass(frozen=True)
 class Problems:
-    """The NLP of a task, and the time (s) that it took to build."""
+    """The grasp problem of a task, and the time (s) that it took to build."""
 
     grasp: GraspProblem
     build_s: float
 
 
-def problems_for(task: GraspTask, objectives: tuple[str, ...] = ()) -> Problems:
-    """The NLP for a task; built once per hand, fingers, kind of shape and number of obstacles.
-
-    ``objectives`` are the names of those that have rows of their own; each set is built once too.
+def problems_for(task: GraspTask, form: ProblemForm | None = None) -> Problems:
+    """The problem of a task; built once per hand, fingers, kind of shape, obstacles and form.
 
     A mesh's field is made here too, so that attempts take no time for either.
+
+    Args:
+        task: The task.
+        form: Objectives and terms beside the standard ones; None for neither.
     """
     kind = _Kind(task.object.shape)
-    problems = _cached_problems(
-        _SameHand(task.hand), task.finger_names, kind, len(task.obstacles), objectives
-    )
+    same, n_obstacles = _SameHand(task.hand), len(task.obstacles)
+    form = form or ProblemForm()
+    problems = _cached_problems(same, task.finger_names, kind, n_obstacles, form)
     begin = time.perf_counter()
     with BUILDING:  # fitting a field takes seconds: one thread does it and the others wait
         problems.grasp.surface.field_of(task.object.shape)
@@ -41,7 +44,7 @@ def problems_for(task: GraspTask, objectives: tuple[str, ...] = ()) -> Problems:
 
 
 class _Kind:
-    """A shape that compares by the NLP form of its kind, for the cache."""
+    """A shape that compares by its form in the problem, for the cache."""
 
     def __init__(self, shape: Shape) -> None:
         self.shape, self.kind = shape, surface_of(shape).kind
@@ -72,9 +75,16 @@ def _cached_problems(
     finger_names: tuple[str, ...],
     kind: _Kind,
     n_obstacles: int,
-    objectives: tuple[str, ...],
+    form: ProblemForm,
 ) -> Problems:
     begin = time.perf_counter()
     fingers = same.hand.choose_fingers(finger_names)
-    grasp = build_problem(same.hand, fingers, kind.shape, n_obstacles, objectives)
+    grasp = build_problem(
+        same.hand,
+        fingers,
+        kind.shape,
+        n_obstacles,
+        form.objectives,
+        tuple(term.name for term in form.terms),
+    )
     return Problems(grasp=grasp, build_s=time.perf_counter() - begin)

@@ -1,0 +1,164 @@
+"""A grasp in symbols, which terms and objectives are written in, and the same one in numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from planner.hands.fingers import Finger
+from planner.hands.hand import Hand
+from planner.kinematics.symbolic import SymbolicHand
+from planner.shapes.surface import CODE_DIM, SIZE_DIM, Surface
+from planner.spatial import FloatArray
+from planner.synthesis.contact_wrenches import contact_torque
+from planner.synthesis.unknowns import Unknowns, mrp_matrix
+from planner.task import GraspTask
+
+__all__ = ["GraspPoint", "GraspSymbols"]
+
+
+class GraspSymbols:
+    """The unknowns and parameters of a grasp, and what follows from them: CasADi SX.
+
+    Points, normals and forces are in the object's frame, whose origin is the centre of mass. What
+    several terms use is written once.
+
+    Attributes:
+        hand: The hand.
+        fingers: Fingers that take part, in order of the contacts.
+        surface: Form of the shape in the problem.
+        unknowns: Layout of ``x``.
+        x: All unknowns, a column.
+        q: Joints (nq,).
+        points: Contact points (3,) each, m.
+        forces: Forces on the object (3,) each, in units of the mean normal force.
+        reference: Orientation (3, 3) of the base, or of the arm's last link, at the start.
+        root: Rotation (3, 3) and origin (3,) of an arm's root; None for a hand without an arm.
+        size: Size of the shape, see ``Surface.size``.
+        codes: Patch of each finger.
+        table: Unit normal and offset d of the table: points above have n . x - d >= 0, m.
+        boxes: Obstacles: rotation and translation into the obstacle's frame, half extents, m.
+        mu: Friction (-).
+        length: Characteristic length, m.
+        posture: Preferred joints (nq,).
+        option: Margins and weights by name, see ``SynthesisOptions.values``.
+        rotation: Orientation (3, 3) of the base, or of the arm's last link.
+        shift: Its origin (3,), m.
+        symbolic: Kinematics at q, from the arm's last link if there is an arm.
+        outward: Outward normals (3,) at the contact points.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        fingers: tuple[Finger, ...],
+        surface: Surface,
+        n_obstacles: int,
+        options: tuple[str, ...],
+    ) -> None:
+        """Make the symbols.
+
+        Args:
+            hand: The hand.
+            fingers: Fingers that take part.
+            surface: Form of the shape.
+            n_obstacles: Number of obstacle boxes.
+            options: Names of the margins and weights.
+        """
+        n = len(fingers)
+        self.hand, self.fingers, self.surface = hand, fingers, surface
+        self.unknowns = Unknowns(n_joints=hand.nq, n_contacts=n)
+        s, self.shift, self.q, self.points, self.forces = self.unknowns.symbols()
+        self.x = ca.vertcat(s, self.shift, self.q, *self.points, *self.forces)
+        self.reference = ca.SX.sym("R0", 3, 3)
+        self.root = (
+            (ca.SX.sym("R_root", 3, 3), ca.SX.sym("t_root", 3)) if hand.arm is not None else None
+        )
+        self.size = ca.SX.sym("size", SIZE_DIM)
+        self.codes = [ca.SX.sym(f"code{i}", CODE_DIM) for i in range(n)]
+        self.table = (ca.SX.sym("table_n", 3), ca.SX.sym("table_d"))
+        self.boxes = [
+            (ca.SX.sym("R_ob", 3, 3), ca.SX.sym("t_ob", 3), ca.SX.sym("h_ob", 3))
+            for _ in range(n_obstacles)
+        ]
+        self.mu, self.length = ca.SX.sym("mu"), ca.SX.sym("length")
+        self.posture = ca.SX.sym("posture", hand.nq)
+        self.option = {name: ca.SX.sym(name) for name in options}
+        self.rotation = self.reference @ mrp_matrix(s)
+        self.symbolic = SymbolicHand(hand, self.q, from_flange=True)
+        self.outward = [
+            surface.outward_normal(self.size, code, p)
+            for code, p in zip(self.codes, self.points, strict=True)
+        ]
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Columns of the parameters, by name."""
+        root = self.root
+        return {
+            "reference": ca.vec(self.reference),
+            "root": ca.SX(0, 1) if root is None else ca.vertcat(ca.vec(root[0]), root[1]),
+            "size": self.size,
+            "codes": ca.vertcat(*self.codes),
+            "table": ca.vertcat(*self.table),
+            "obstacles": ca.vertcat(*[v for r, t, h in self.boxes for v in (ca.vec(r), t, h)]),
+            "mu": self.mu,
+            "length": self.length,
+            "posture": self.posture,
+            **self.option,
+        }
+
+    @cached_property
+    def centers(self) -> list[Any]:
+        """Centres (3,) of the pads, in the frame of the base or of the arm's last link, m."""
+        return [self.symbolic.point(f.pad.joint_id, f.pad.center) for f in self.fingers]
+
+    @cached_property
+    def normal_forces(self) -> list[Any]:
+        """Normal force of each finger, in units of their mean."""
+        return [-ca.dot(f, n) for f, n in zip(self.forces, self.outward, strict=True)]
+
+    @cached_property
+    def torque(self) -> Any:
+        """Joint torques (nq,) with which the fingers press these forces."""
+        total = ca.SX.zeros(self.hand.nq)
+        for finger, center, normal, force in zip(
+            self.fingers, self.centers, self.outward, self.forces, strict=True
+        ):
+            total += contact_torque(self.symbolic, finger, self.rotation, center, normal, force)
+        return total
+
+    def place(self, joint_id: int, local: FloatArray) -> Any:
+        """A point (3,) fixed in a joint's frame, in the object's frame, m."""
+        rotation, shift = self.rotation, self.shift
+        if self.root is not None and self.symbolic.is_cut_off(joint_id):
+            rotation, shift = self.root
+        return rotation @ self.symbolic.point(joint_id, local) + shift
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GraspPoint:
+    """A grasp in numbers: where objectives are linearised, and what a term's own verdict sees.
+
+    Attributes:
+        task: The task, with the fingers that take part.
+        q: Joints (nq,).
+        points: Contact points (n, 3), object frame, m.
+        inward: Unit normals into the object (n, 3).
+        wrenches: Task wrenches (k, 6), object frame, N and N m.
+    """
+
+    task: GraspTask
+    q: FloatArray
+    points: FloatArray
+    inward: FloatArray
+    wrenches: FloatArray = field(default_factory=lambda: np.zeros((0, 6)))
+
+    @property
+    def length(self) -> float:
+        """Characteristic length, m."""
+        return self.task.object.shape.bounding_radius

@@ -1,0 +1,109 @@
+"""Terms of contact: pads touch the surface with their pads, on smooth places, around the centre."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import casadi as ca
+import numpy as np
+
+from planner.synthesis.symbols import GraspSymbols
+from planner.synthesis.terms.term import Role, Rows, Term
+
+__all__ = ["CENTER", "EDGE", "FACING", "PER_METRE", "SURFACE", "TOUCH"]
+
+PER_METRE = 1e3
+"""Weight of a length: a millimetre is one unit of residual."""
+
+COST_WEIGHT = 0.2
+"""Weight of the root of a cost, which ranks grasps but must not outweigh contact. With half of it
+forces are infeasible more often, with twice of it least squares take more iterations."""
+
+EDGE_WEIGHT = 20.0
+"""Weight of the slope that the smooth distance is short of at a contact: 0.2 short at an edge."""
+
+
+def _touch(g: GraspSymbols) -> Iterator[Rows]:
+    for finger, center, point, normal in zip(
+        g.fingers, g.centers, g.points, g.outward, strict=True
+    ):
+        gap = g.rotation @ center + g.shift - point - finger.pad.radius * normal
+        yield Rows(expression=gap, about=(finger.name,))
+
+
+def _surface(g: GraspSymbols) -> Iterator[Rows]:
+    for finger, code, point in zip(g.fingers, g.codes, g.points, strict=True):
+        error = g.surface.surface_error(g.size, code, point)
+        if error is not None:
+            yield Rows(expression=error, about=(finger.name,))
+
+
+def _facing(g: GraspSymbols) -> Iterator[Rows]:
+    for finger, normal in zip(g.fingers, g.outward, strict=True):
+        axis = g.rotation @ g.symbolic.direction(finger.pad.joint_id, finger.pad.axis)
+        rim = max(finger.pad.half_angle - g.surface.normal_error, 0.0)
+        yield Rows(expression=-ca.dot(axis, normal) - float(np.cos(rim)), about=(finger.name,))
+
+
+def _edge(g: GraspSymbols) -> Iterator[Rows]:
+    for finger, point in zip(g.fingers, g.points, strict=True):
+        flatness = g.surface.flatness(g.size, point)
+        if flatness is not None:
+            yield Rows(expression=flatness, about=(finger.name,))
+
+
+def _center(g: GraspSymbols) -> Iterator[Rows]:
+    middle = sum(g.points[1:], g.points[0]) / len(g.points)
+    yield Rows(expression=ca.sqrt(g.option["weight_center"]) * middle / g.length)
+
+
+TOUCH = Term(
+    name="touch",
+    meaning="pad centre c_i(q) - (p_i + r_i n_i): one radius off the surface",
+    role=Role.EQUALITY,
+    unit="m",
+    weight=PER_METRE,
+    write=_touch,
+    judged="pad within 0.5 mm of the true surface",
+)
+
+SURFACE = Term(
+    name="surface",
+    meaning="g(p_i): contact point on its patch",
+    role=Role.EQUALITY,
+    unit="m",
+    weight=PER_METRE,
+    write=_surface,
+    judged="contacts are computed on the true surface",
+)
+
+FACING = Term(
+    name="facing",
+    meaning="pad axis . -n_i - cos(half angle): the pad touches, not the nail",
+    role=Role.INEQUALITY,
+    unit="-",
+    weight=20.0,
+    margin=0.02,
+    write=_facing,
+    wording="{} at the rim of its pad",
+    judged="pad angle to the true normal",
+)
+
+EDGE = Term(
+    name="edge",
+    meaning="slope of a mesh's smooth distance at a contact, short of flat",
+    role=Role.COST_BELOW_ZERO,
+    unit="-",
+    weight=EDGE_WEIGHT,
+    write=_edge,
+    judged="spread of the true normals around a contact",
+)
+
+CENTER = Term(
+    name="center",
+    meaning="mean contact point over the characteristic length, times the root of weight_center",
+    role=Role.COST,
+    unit="-",
+    weight=COST_WEIGHT,
+    write=_center,
+)

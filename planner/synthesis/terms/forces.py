@@ -1,0 +1,149 @@
+"""Terms of forces: an internal force strictly inside all friction cones, which stops can bear.
+
+An internal force strictly inside all cones together with rank G = 6 is force closure (Murray, Li,
+Sastry 1994, proposition 5.3); rank follows from three contacts that are not on a line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import casadi as ca
+import numpy as np
+
+from planner.synthesis.symbols import GraspSymbols
+from planner.synthesis.terms.contact import COST_WEIGHT
+from planner.synthesis.terms.term import Role, Rows, Term
+
+__all__ = ["BALANCE", "CONE", "FORCES", "LEVEL", "LEVER", "PRESS", "PRESS_MIN", "STOP"]
+
+PRESS_MIN = 0.25
+"""Smallest normal force of a finger over the mean normal force (-)."""
+
+LEVER = 0.05
+"""Typical lever arm of a fingertip force, m; makes stop torques comparable to unit forces."""
+
+ALIGNED_TOL = 1e-9
+"""A stop is left to actuators and couplings if less than this of it is outside their range (-)."""
+
+
+def _balance(g: GraspSymbols) -> Iterator[Rows]:
+    pairs = zip(g.points, g.forces, strict=True)
+    torque = sum((ca.cross(p, f) for p, f in pairs), ca.SX.zeros(3))
+    yield Rows(expression=sum(g.forces[1:], g.forces[0]))
+    yield Rows(expression=torque / g.length)
+
+
+def _level(g: GraspSymbols) -> Iterator[Rows]:
+    normal = g.normal_forces
+    yield Rows(expression=sum(normal[1:], normal[0]) / len(normal) - 1)
+
+
+def _cone(g: GraspSymbols) -> Iterator[Rows]:
+    for finger, force, normal in zip(g.fingers, g.forces, g.normal_forces, strict=True):
+        tangential = ca.dot(force, force) - normal**2
+        most = (g.option["cone_share"] * g.mu * normal) ** 2
+        yield Rows(expression=most - tangential, about=(finger.name,))
+
+
+def _press(g: GraspSymbols) -> Iterator[Rows]:
+    for finger, normal in zip(g.fingers, g.normal_forces, strict=True):
+        yield Rows(expression=normal - PRESS_MIN, about=(finger.name,))
+
+
+def _stop(g: GraspSymbols) -> Iterator[Rows]:
+    """Multiplier of each one-sided coupling: tau = R^T F + C^T mu + S^T lam, by least squares.
+
+    A stop bears what actuators (F) and two-sided couplings (mu) cannot. A stop for which nothing is
+    left has no row.
+    """
+    hand = g.hand
+    moving = {int(i): f.name for f in g.fingers for i in f.q_index}
+    firm = [c.row for c in hand.couplings if not c.one_sided]
+    drive = np.column_stack([hand.actuation.moment.T, *firm])
+    rest = np.eye(hand.nq) - drive @ np.linalg.pinv(drive)
+    stops = [c for c in hand.couplings if c.one_sided and set(np.flatnonzero(c.row)) <= set(moving)]
+    used = [c for c in stops if np.linalg.norm(rest @ c.row) > ALIGNED_TOL]
+    if not used:
+        return
+    left = np.linalg.pinv(np.column_stack([rest @ c.row for c in used]))
+    multipliers = ca.DM(left) @ g.torque / LEVER
+    for k, stop in enumerate(used):
+        joints = np.flatnonzero(stop.row)
+        names = dict.fromkeys(moving[int(i)] for i in joints)
+        yield Rows(expression=multipliers[k], about=tuple(names))
+
+
+def _forces(g: GraspSymbols) -> Iterator[Rows]:
+    n = len(g.fingers)
+    for finger, force, outward, normal in zip(
+        g.fingers, g.forces, g.outward, g.normal_forces, strict=True
+    ):
+        tangential = force + normal * outward
+        aside = ca.sqrt(g.option["weight_tangential"] / n) / g.mu * tangential
+        uneven = ca.sqrt(g.option["weight_share"] / n) * (normal - 1)
+        yield Rows(expression=ca.vertcat(aside, uneven), about=(finger.name,))
+
+
+CLOSURE = "force closure and the force programme"
+
+BALANCE = Term(
+    name="balance",
+    meaning="sum f_i and sum p_i x f_i / length: an internal force",
+    role=Role.EQUALITY,
+    unit="-",
+    weight=20.0,
+    write=_balance,
+    judged=CLOSURE,
+)
+
+LEVEL = Term(
+    name="level",
+    meaning="mean of the normal forces f_i . -n_i, less 1",
+    role=Role.EQUALITY,
+    unit="-",
+    weight=20.0,
+    write=_level,
+)
+
+CONE = Term(
+    name="cone",
+    meaning="(cone_share mu fn_i)^2 - |ft_i|^2: strictly inside every friction cone",
+    role=Role.INEQUALITY,
+    unit="-",
+    weight=20.0,
+    write=_cone,
+    wording="force of {} at the edge of its cone",
+    judged=CLOSURE,
+)
+
+PRESS = Term(
+    name="press",
+    meaning=f"fn_i - {PRESS_MIN:g}: every finger presses",
+    role=Role.INEQUALITY,
+    unit="-",
+    weight=20.0,
+    write=_press,
+    wording="force of {} at its least",
+    judged=CLOSURE,
+)
+
+STOP = Term(
+    name="stop",
+    meaning=f"torque of each one-sided stop over {LEVER:g} m: a stop can only push",
+    role=Role.INEQUALITY,
+    unit="-",
+    weight=10.0,
+    write=_stop,
+    wording="a stop that can only push",
+    judged="the force programme",
+)
+
+FORCES = Term(
+    name="forces",
+    meaning="ft_i / mu and fn_i - 1, times the roots of weight_tangential and weight_share",
+    role=Role.COST,
+    unit="-",
+    weight=COST_WEIGHT,
+    write=_forces,
+)

@@ -1,0 +1,92 @@
+"""All terms by name: the standard ones, which every problem has, and those of users.
+
+A term of your own is one ``Term`` and one call of ``register_term``. A problem has it where
+``SynthesisOptions(terms=("name",))`` asks for it: by name, since options are plain data, which go
+into files of jobs, to other processes, and into the key under which a built problem is kept.
+"""
+
+from __future__ import annotations
+
+from planner.errors import NotFoundError, TaskError
+from planner.synthesis.objectives.registry import OBJECTIVES
+from planner.synthesis.terms.clearance import FINGERS, OBJECT, OBSTACLE, TABLE
+from planner.synthesis.terms.contact import CENTER, EDGE, FACING, SURFACE, TOUCH
+from planner.synthesis.terms.forces import BALANCE, CONE, FORCES, LEVEL, PRESS, STOP
+from planner.synthesis.terms.joints import ARM, COUPLING, POSTURE
+from planner.synthesis.terms.link_distance import LINKS
+from planner.synthesis.terms.resistance import RESISTANCE
+from planner.synthesis.terms.term import Term
+
+__all__ = ["STANDARD", "TERMS", "checked_terms", "register_term"]
+
+_STANDARD: tuple[Term, ...] = (
+    TOUCH,
+    SURFACE,
+    BALANCE,
+    LEVEL,
+    COUPLING,
+    ARM,
+    FACING,
+    CONE,
+    PRESS,
+    STOP,
+    OBJECT,
+    TABLE,
+    OBSTACLE,
+    FINGERS,
+    LINKS,
+    FORCES,
+    POSTURE,
+    CENTER,
+    EDGE,
+    RESISTANCE,
+)
+
+TERMS: dict[str, Term] = {term.name: term for term in _STANDARD}
+"""All terms by name."""
+
+STANDARD: tuple[str, ...] = tuple(TERMS)
+"""Names of the terms that every problem has, in the order of their rows within a role."""
+
+
+def register_term(term: Term) -> Term:
+    """Make a term known by its name.
+
+    Raises:
+        TaskError: The name is taken or no identifier, there are no rows, or the weight is not > 0.
+    """
+    if term.name in TERMS or term.name in OBJECTIVES:
+        raise TaskError(f"the name {term.name!r} is taken; give the term another one")
+    if not term.name.isidentifier():
+        raise TaskError(f"the name of the term is {term.name!r}; give one word of letters")
+    if term.write is None:
+        raise TaskError(
+            f"term {term.name!r} has no rows; give it write=, a function of GraspSymbols"
+        )
+    if not (term.weight > 0 and term.margin >= 0):
+        raise TaskError(
+            f"term {term.name!r} has weight {term.weight} and margin {term.margin}; "
+            "give a weight > 0 and a margin >= 0"
+        )
+    TERMS[term.name] = term
+    return term
+
+
+def checked_terms(names: object) -> tuple[str, ...]:
+    """Names of terms that may be asked for beside the standard ones.
+
+    Raises:
+        TaskError: Not a sequence of names, a name twice, or that of a standard term.
+        NotFoundError: A term that is not registered.
+    """
+    if isinstance(names, str) or not isinstance(names, list | tuple):
+        raise TaskError(f"terms are {names!r}; give a tuple of names, for example ('my_term',)")
+    for name in names:
+        if name not in TERMS:
+            hint = "Register it with planner.synthesis.register_term, in every process."
+            raise NotFoundError("term", str(name), [n for n in TERMS if n not in STANDARD], hint)
+        if name in STANDARD:
+            raise TaskError(f"every problem has the term {name!r}; leave it out of terms")
+    if len(set(names)) < len(names):
+        raise TaskError(f"terms {names!r} name one twice; give each name once")
+    return tuple(names)

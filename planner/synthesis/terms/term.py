@@ -1,0 +1,178 @@
+"""``Term``: one named residual of the grasp or motion problem, with all that belongs to it.
+
+A term says what it means, in which unit, whether it must hold or is a cost, how much one unit of it
+weighs, how its rows are written, and who judges it when the solver has finished. It is added by
+``planner.synthesis.terms.register_term``; nothing else has to know of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import casadi as ca
+
+from planner.failure import Failure
+from planner.synthesis.symbols import GraspPoint, GraspSymbols
+
+__all__ = ["Role", "Row", "Rows", "Term", "WrittenTerm", "first_failure", "table_of"]
+
+
+class Role(Enum):
+    """What a term is in the problem; the value is how it is printed."""
+
+    EQUALITY = "= 0"
+    INEQUALITY = ">= 0"
+    COST = "cost"
+    COST_BELOW_ZERO = "cost < 0"
+
+    @property
+    def is_cost(self) -> bool:
+        """Whether the term ranks grasps and need not hold."""
+        return self in (Role.COST, Role.COST_BELOW_ZERO)
+
+    @property
+    def one_sided(self) -> bool:
+        """Whether only negative values count."""
+        return self in (Role.INEQUALITY, Role.COST_BELOW_ZERO)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rows:
+    """Some rows of a term that concern the same fingers, joints or links.
+
+    Attributes:
+        expression: CasADi expression (m,), in the term's unit.
+        about: Names of what the rows concern; empty for the whole grasp.
+    """
+
+    expression: Any
+    about: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Term:
+    """One named residual.
+
+    Attributes:
+        name: One word, unique.
+        meaning: Its definition in one line, for print.
+        role: Whether it must vanish, must not be negative, or is a cost.
+        unit: Unit of the residual, "-" for none; forces are over the mean normal force.
+        weight: Weighted residual per unit; one millimetre weighs 1. Where no length is involved,
+            some 0.05 of a normal force, of a cosine or of a radian weighs as much.
+        margin: By how much (in the unit) the solver asks for more than the term does: least squares
+            end on the wrong side of an inequality by a little.
+        write: The rows at a grasp in symbols. None for terms whose rows come from a ``RowSource``
+            (``planner.synthesis.terms.source``).
+        wording: One row in words; ``{}`` stands for what it concerns, ``elsewhere`` if nothing.
+        elsewhere: See ``wording``.
+        judged: How the verdict on the true geometry judges it, for print.
+        judge: A verdict of its own on a grasp, or on a knot of a motion, that all others have
+            passed: None, or why it fails. The task of a knot is that of the motion's start.
+    """
+
+    name: str
+    meaning: str
+    role: Role
+    unit: str
+    weight: float
+    margin: float = 0.0
+    write: Callable[[GraspSymbols], Iterable[Rows]] | None = None
+    wording: str = ""
+    elsewhere: str = "the grasp"
+    judged: str = "not judged"
+    judge: Callable[[GraspPoint], Failure | None] | None = None
+
+    def row(self, about: tuple[str, ...] = (), number: int = 0, knot: int = 0) -> Row:
+        """The name of one row.
+
+        Args:
+            about: What the row concerns.
+            number: Its number among the rows of the term.
+            knot: In a motion, the number of its knot.
+        """
+        return Row(term=self, about=about, number=number, knot=knot)
+
+    def words(self, about: tuple[str, ...]) -> str:
+        """One row in words."""
+        if not self.wording:
+            return f"{self.name} of {' and '.join(about)}" if about else self.name
+        return self.wording.format(" and ".join(about) or self.elsewhere)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """The name of one scalar row of the residuals.
+
+    Attributes:
+        term: The term.
+        about: Names of what it concerns: fingers, actuators; empty for the whole grasp.
+        number: Its number among the rows of the term.
+        knot: In a motion, the number of its knot.
+    """
+
+    term: Term
+    about: tuple[str, ...] = ()
+    number: int = 0
+    knot: int = 0
+
+    def __str__(self) -> str:
+        """The row in words."""
+        return self.term.words(self.about)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WrittenTerm:
+    """A term with its rows in one problem.
+
+    Attributes:
+        term: The term.
+        rows: The names of its rows.
+        expression: Its rows (m,) as CasADi expression, in the term's unit and without weight and
+            margin; None where they exist in numbers alone.
+    """
+
+    term: Term
+    rows: tuple[Row, ...]
+    expression: Any = None
+
+    @classmethod
+    def of(cls, term: Term, rows: Iterable[Rows]) -> WrittenTerm:
+        """Stack the rows of a term."""
+        rows = tuple(rows)
+        about = [r.about for r in rows for _ in range(r.expression.numel())]
+        return cls(
+            term=term,
+            rows=tuple(term.row(a, k) for k, a in enumerate(about)),
+            expression=ca.vertcat(*[r.expression for r in rows]),
+        )
+
+    def __str__(self) -> str:
+        """One line of the table that a problem prints."""
+        t = self.term
+        margin = f"{t.margin:g}" if t.margin else ""
+        return (
+            f"{t.name:14s} {len(self.rows):5d}  {t.role.value:8s} {t.unit:4s} {t.weight:9.4g} "
+            f"{margin:>6s}  {t.meaning}; {t.judged}"
+        )
+
+
+HEADER = (
+    f"{'term':14s} {'rows':>5s}  {'role':8s} {'unit':4s} {'weight':>9s} {'margin':>6s}  "
+    "meaning; how it is judged"
+)
+"""Head of the table of terms."""
+
+
+def first_failure(terms: Iterable[Term], point: GraspPoint) -> Failure | None:
+    """Why the first term that judges for itself refuses a grasp; None if all accept it."""
+    verdicts = (term.judge(point) for term in terms if term.judge is not None)
+    return next((failure for failure in verdicts if failure is not None), None)
+
+
+def table_of(terms: Iterable[WrittenTerm]) -> str:
+    """Terms as a table, one line each."""
+    return "\n".join(f"  {line}" for line in (HEADER, *terms))
