@@ -114,10 +114,11 @@ def _proven(
         return None
     value, scale = float(cost @ x), max(1.0, float(np.abs(cost).max()))
     # a multiplier of a limit that is not there proves nothing; bounds take up what rows leave over
-    row_ends = np.where(row_duals > 0.0, *limits[:, n:])
+    (lower, low), (upper, high) = ((side[:n], side[n:]) for side in limits)
+    row_ends = np.where(row_duals > 0.0, low, high)
     row_duals = np.where(np.isinf(row_ends), 0.0, row_duals)
     bound_duals = cost - row_duals @ rows
-    ends = np.where(bound_duals > 0.0, *limits[:, :n])
+    ends = np.where(bound_duals > 0.0, lower, upper)
     absent = np.isinf(ends)
     if np.abs(bound_duals[absent]).max(initial=0.0) > GAP_TOL * scale:
         return None
