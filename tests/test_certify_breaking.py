@@ -53,18 +53,22 @@ def bears(problem: ForceProblem, wrench: FloatArray, *, edges: int) -> bool:
         at += dim
     generators = np.hstack(columns)
     n = problem.n_force
-    kept = np.flatnonzero(problem.low == problem.high)  # all but friction: there is no hand
-    rest = problem.rows[kept][:, n:]
-    a_eq = np.hstack([problem.rows[kept][:, :n] @ generators, rest])
-    b_eq = problem.low[kept].copy()
-    b_eq[:6] -= wrench
-    normals = generators[unit_normal]
+    torques = slice(6 + problem.n_faces, None)
+    balance, limited = (
+        np.hstack([table[:, :n] @ generators, table[:, n:]])
+        for table in (problem.rows[:6], problem.rows[torques])
+    )
+    normals = np.pad(generators[unit_normal], ((0, 0), (0, len(problem.lower) - n)))
+    tables = [normals, limited, -limited]
+    most = [np.minimum(problem.upper[unit_normal], 1e6), problem.high[torques]]
+    ends = np.concatenate([*most, -problem.low[torques]])
+    bounded = np.isfinite(ends)
     result = linprog(
-        np.zeros(a_eq.shape[1]),
-        A_ub=np.hstack([normals, np.zeros((len(normals), rest.shape[1]))]),
-        b_ub=np.minimum(problem.upper[unit_normal], 1e6),
-        A_eq=a_eq,
-        b_eq=b_eq,
+        np.zeros(balance.shape[1]),
+        A_ub=np.vstack(tables)[bounded],
+        b_ub=ends[bounded],
+        A_eq=balance,
+        b_eq=problem.low[:6] - wrench,
         bounds=[
             *[(0, None)] * generators.shape[1],
             *zip(problem.lower[n:], problem.upper[n:], strict=True),

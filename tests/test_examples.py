@@ -35,7 +35,7 @@ EXPECTED: dict[str, tuple[str, ...]] = {
         "epsilon, L-infinity",
     ),
     "04_distribute_forces": (
-        "carry 0.5 kg: found thumb: presses 4.91 N, carries 2.45 N by friction, 100 % of the cone",
+        "carry 0.5 kg: found thumb: presses 4.90 N, carries 2.45 N by friction, 100 % of the cone",
         "thumb: presses 8.00 N, carries 2.45 N by friction, 61 % of the cone",
         "carry it with 4.0 N at most: INFEASIBLE",
         "[0, 0, -0.905] N, [0, 0, 0] N m is left over",

@@ -24,8 +24,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from planner.actuation import STOP_TOL
-from planner.certify.pose import PoseErrors
-from planner.certify.turning import largest_turn
+from planner.certify.pose import PoseErrors, largest_turn
 from planner.errors import TaskError
 from planner.kinematics.state import HandState, joint_axes
 from planner.plan import GraspPlan

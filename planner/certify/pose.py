@@ -11,10 +11,22 @@ and t = p' - p. Both points are in the object, so n . t <= 0 and n' . t >= 0, he
     e^2 = |t + d n' - rho n|^2 = |t|^2 + 2 t . (d n' - rho n) + |d n' - rho n|^2
         >= |t|^2 + |d n' - rho n|^2 >= |t|^2 + rho^2 sin^2(n, n')      while d >= 0 and e < rho:
 
-the contact moves by at most e and its normal turns by at most asin(e / rho), or by less where the
-shape is known (``planner.certify.turning``). A shift of the object
+the contact moves by at most e and its normal turns by at most asin(e / rho). A shift of the object
 by s gives e = s for every pad; a turn by phi about the centre of mass e = 2 sin(phi / 2) |c|.
 For other objects, where the nearest point can jump, nothing is promised.
+
+Of shapes that are known more can be said of the turn (``largest_turn``):
+
+round   A body in which a ball of radius R rolls freely is a smaller convex body blown up by R
+        (Blaschke), with the same normals. So rho may be replaced by rho + R. R is the radius of a
+        sphere or capsule, and the least radius of curvature of an ellipsoid, c^2 / a for its
+        shortest and longest half axes. A flat face has no turn at all.
+edge    Where the contact is h from the edge of its face, the point must overhang the edge before
+        the normal turns over it. Seen along the edge, the point begins at the distance
+        D = sqrt(h^2 + rho^2) from it, atan(h / rho) short of overhanging, and e takes it
+        asin(e / D) further: the normal turns by at most asin(e / D) - atan(h / rho), if that is
+        positive. A corner adds nothing, since |o| + h <= |o + (h, h)| for overhangs o >= 0. The rim
+        of a cylinder is such an edge for its caps and for its side, whose round turn is added.
 """
 
 from __future__ import annotations
@@ -25,12 +37,11 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from planner.certify.errors import random_directions, rotations
-from planner.certify.turning import largest_turn
 from planner.contacts import ContactSet
 from planner.shapes import Shape
 from planner.spatial import FloatArray
 
-__all__ = ["PoseError", "PoseErrors"]
+__all__ = ["PoseError", "PoseErrors", "largest_turn"]
 
 PoseError: TypeAlias = Literal["shift", "turn"]
 
@@ -116,3 +127,28 @@ def at_nearest(shape: Shape, contacts: ContactSet, points: FloatArray) -> Contac
     surface, outward = shape.closest_point(points)
     moved = ContactSet.from_arrays(surface, -outward, center=contacts.center)
     return replace(contacts, positions=moved.positions, frames=moved.frames)
+
+
+def largest_turn(
+    shape: Shape, points: FloatArray, normals: FloatArray, radii: FloatArray, moved: FloatArray
+) -> FloatArray:
+    """Bound of the turn of the normal at nearest points, (n,), rad.
+
+    Args:
+        shape: A convex shape.
+        points: Nearest surface points (n, 3) at first, m, shape's frame.
+        normals: Outward normals (n, 3) there; the moving points are at ``points`` + radius normal.
+        radii: Distances rho (n,) from the surface at first, m.
+        moved: Largest way e (n,) of each point, m; nothing (pi / 2) is known from the radius on.
+    """
+    curvature, gap = shape.curvature_and_edges(points, normals)
+    gap = np.maximum(gap, 0.0)
+    any_shape = _arcsin(moved / radii)
+    over = _arcsin(moved / np.hypot(gap, radii)) - np.arctan2(gap, radii)
+    this_shape = _arcsin(moved / (radii + curvature)) + np.maximum(over, 0.0)
+    return np.where(moved < radii, np.minimum(any_shape, this_shape), np.pi / 2)
+
+
+def _arcsin(sine: FloatArray) -> FloatArray:
+    """The angle, rad; pi / 2 beyond a sine of 1."""
+    return np.asarray(np.arcsin(np.minimum(sine, 1.0)))

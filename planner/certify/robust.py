@@ -37,9 +37,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arrays import checked_count
 from planner.certify.sphere import halved, icosphere
-from planner.contacts import MIN_EDGES, MOST_EDGES, ContactSet
+from planner.contacts import ContactSet
+from planner.contacts.friction import check_edges
 from planner.errors import ContactError, PlannerError
 from planner.numerics.lp import LpSolution, solve_lp
 from planner.quality import measure_hull
@@ -108,9 +108,7 @@ def closure_survives(
         ContactError: A size is negative or not finite, there are not n of them, or ``edges`` is
             below 3.
     """
-    checked_count(
-        "the number of sides per friction pyramid", edges, least=MIN_EDGES, most=MOST_EDGES
-    )
+    check_edges(edges)
     for name, value in (("shifts", shifts), ("tilts", tilts)):
         if np.shape(value) != (len(contacts),) or not (np.asarray(value) >= 0).all():
             raise ContactError(f"{name} is {value!r}; give {len(contacts)} numbers >= 0")
