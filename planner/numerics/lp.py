@@ -106,7 +106,7 @@ def solve_lp(
         if found is None and _is_infeasible(cost, rows, limits):
             return None
     else:
-        found = run_daqp(None, cost, rows, *limits, **_SETTINGS)
+        found = run_daqp(None, cost, rows, limits[0], limits[1], **_SETTINGS)
     proven = None if found is None else _proven(cost, rows, limits, found[0], found[1][len(cost) :])
     return proven or _by_highs(cost, rows, row_limits, bounds)
 
@@ -166,7 +166,8 @@ def _by_dual(
     """The minimiser (n,) and multipliers [(n,) unused; (m,)] by DAQP on the dual."""
     n, m = len(cost), len(rows)
     target = np.where(np.isinf(limits[0, n:]), limits[1, n:], limits[0, n:])
-    found = run_daqp(None, -target, rows.T, *_dual_limits(limits, n, cost), **_SETTINGS)
+    least, most = _dual_limits(limits, n, cost)
+    found = run_daqp(None, -target, rows.T, least, most, **_SETTINGS)
     if found is None:
         return None
     y, duals = found

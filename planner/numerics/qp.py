@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import daqp  # type: ignore[import-not-found]
+import daqp
 import numpy as np
 
 from planner.spatial import FloatArray

@@ -16,7 +16,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, Protocol
 
-import daqp  # type: ignore[import-not-found]
+import daqp
 import numpy as np
 import qpsolvers
 from scipy.sparse import csc_matrix, triu

@@ -41,8 +41,9 @@ def manipulate_table(result: dict[str, Any]) -> Table:
     """Counts out of all trials, and medians, per hand and kind of object."""
     moves = "shift" in result
     table = table_of(
-        f"{_movement(result)}: counts out of all trials (closed: successes with closure); medians of successes: time "
-        "until they had turned, how far the turn was off, largest tilt off the planned attitude, "
+        f"{_movement(result)}: counts out of all trials (closed: successes with closure); "
+        "medians of successes: time until they had turned, how far the turn was off, "
+        "largest tilt off the planned attitude, "
         "largest distance off the path; fewest fingers and largest force (N) of a finger in any; "
         "then of those placed; hits are runs in which the hand collided"
         + ("; last, how far the translation was off, of successes" if moves else ""),
