@@ -146,7 +146,7 @@ EXPECTED: dict[str, tuple[str, ...]] = {
         "object beside its place: no contact",
         "did not touch; 3 fingers are needed",
         "too little friction: slipped before the lift: 4 of 4 fingers touch (thumb, index, middle, "
-        "ring), closed: True, cone used 100 %",
+        "ring), closed: True, cone used 99 %",
     ),
     "error_fingers_collide": (
         "as planned nearest by planning: ",
