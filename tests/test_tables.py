@@ -45,6 +45,7 @@ class Report(screen.OnScreen):
     """A report with one line."""
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """The line."""
         yield "held: [bold]yes[/bold]"
 
 
