@@ -26,18 +26,18 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.motion import MotionPlan, ObjectPath, motion_attempts, plan_motion
-from planner.motion.context import finger_sets, with_rolling_pads
 from planner.motion.holds import Hold, HoldRows
 from planner.motion.interpolation import interpolate_rolling
 from planner.motion.limits import what_limits
 from planner.motion.loads import MOST_LOAD, load_function, load_parameters
 from planner.motion.plan import Knot
-from planner.motion.problem import JOINT_ROOM, MotionProblem, build_motion_problem
+from planner.motion.problem import JOINT_ROOM, MotionProblem
+from planner.motion.problem_cache import build_motion_problem
 from planner.motion.residuals import MotionResiduals
 from planner.motion.rolling import pivoting_function, rolling_function, slips
 from planner.motion.search import MOTION_OPTIONS
 from planner.motion.solve import MotionSolver
-from planner.motion.starts import on_opposed_sides
+from planner.motion.starts import finger_sets, on_opposed_sides, with_rolling_pads
 from planner.motion.terms import LOAD, MOTION_TERMS, REACH
 from planner.motion.unknowns import SHARE, placement
 from planner.motion.verify import MotionVerifier, Place

@@ -16,18 +16,14 @@ Table and obstacles count at the first knot alone: the object is lifted before i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planner.hands.fingers import Finger
-from planner.hands.hand import Hand
 from planner.motion.holds import Hold, HoldRows
 from planner.motion.loads import load_function, load_parameters
 from planner.motion.path import ObjectPath, tilts
 from planner.motion.rolling import pivoting_function, rolling_function
-from planner.motion.surfaces import turned_surface_of
 from planner.motion.terms import (
     MOTION_TERMS,
     PATH,
@@ -41,16 +37,15 @@ from planner.motion.terms import (
 )
 from planner.motion.unknowns import MotionUnknowns, placement
 from planner.numerics.casadi_buffers import BufferedFunction
-from planner.shapes import Shape
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.problem import GraspProblem, Start, problem_on
+from planner.synthesis.problem import GraspProblem, Start
 from planner.synthesis.table_and_obstacles import NO_TABLE
 from planner.synthesis.terms.term import WrittenTerm, table_of
 from planner.system.threads import built
 from planner.task import GraspTask
 
-__all__ = ["MotionNumbers", "MotionProblem", "build_motion_problem"]
+__all__ = ["MotionNumbers", "MotionProblem"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -269,28 +264,3 @@ JOINT_ROOM = 0.05
 could not press any more, and an object that stands 3 mm beside its place bends joints by 0.03. As
 many starts hold as with 0.02: 3, 2 and 1 of 8 on blocks of 5, 6 and 7 cm, 93 degrees, Shadow-type
 hand."""
-
-
-def build_motion_problem(
-    hand: Hand,
-    fingers: Sequence[Finger],
-    kind_of: Shape,
-    n_knots: int,
-    n_obstacles: int = 0,
-    holds: tuple[Hold, ...] = (),
-    terms: tuple[str, ...] = (),
-) -> MotionProblem:
-    """Build the problem of a motion.
-
-    Args:
-        hand: The hand; it floats.
-        fingers: The fingers that take part.
-        kind_of: Any shape of the kind; its size does not matter.
-        n_knots: Number of knots, 2 or more.
-        n_obstacles: Number of obstacle boxes.
-        holds: What must hold while a finger is away.
-        terms: Registered terms that every knot has beside the standard ones, by name.
-    """
-    surface = turned_surface_of(kind_of)
-    grasp = problem_on(hand, tuple(fingers), surface, n_obstacles, (), terms)
-    return MotionProblem(grasp, n_knots, holds)

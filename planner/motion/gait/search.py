@@ -29,8 +29,8 @@ from planner.motion.path import ObjectPath, check_shift
 from planner.motion.search import MOTION_OPTIONS, PATH_TOLERANCE, UP, check_task
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.seeds.draw import frame_of
 from planner.synthesis.seeds.mesh import seeder_for
+from planner.synthesis.seeds.opposition import frame_of
 from planner.task import GraspTask
 
 __all__ = ["plan_gait"]
