@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.failure import Failure
-from planner.motion.holds import Hold
 from planner.motion.path import ObjectPath
 from planner.motion.plan import Knot, MotionPlan, MotionRecord
 from planner.motion.problem_cache import motion_problem_for
 from planner.motion.solve import MotionCandidate, MotionSolver
+from planner.motion.stances import Stance
 from planner.motion.starts import on_opposed_sides
 from planner.motion.verify import MotionVerifier
 from planner.plan import SolveRecord
@@ -63,7 +63,7 @@ class MotionContext:
         path_tolerance: float,
         rounds: int = 0,
         exact_end: bool = False,
-        holds: tuple[Hold, ...] = (),
+        stances: tuple[Stance, ...] = (),
     ) -> MotionContext:
         """Build it.
 
@@ -76,10 +76,10 @@ class MotionContext:
             path_tolerance: How far the object may leave the path, m.
             rounds: How many rounds work on closure once all of the path is reached.
             exact_end: Whether the object ends on its path.
-            holds: What must hold while a finger is away.
+            stances: Contacts that must close the grasp while a finger swings.
         """
         seeder = turning_seeder_for(task)
-        problem, build_s = motion_problem_for(task, n_knots, holds, options.form.terms)
+        problem, build_s = motion_problem_for(task, n_knots, stances, options.form.terms)
         solver = MotionSolver(
             problem,
             task,

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.motion.holds import Hold
 from planner.motion.problem import MotionProblem
+from planner.motion.stances import Stance
 from planner.shapes import Mesh, Shape
 from planner.shapes.surface import Surface
 from planner.synthesis.mesh_surface import mesh_surface, surface_of
@@ -63,7 +63,7 @@ def build_motion_problem(
     kind_of: Shape,
     n_knots: int,
     n_obstacles: int = 0,
-    holds: tuple[Hold, ...] = (),
+    stances: tuple[Stance, ...] = (),
     terms: tuple[str, ...] = (),
 ) -> MotionProblem:
     """Build the problem of a motion.
@@ -74,18 +74,18 @@ def build_motion_problem(
         kind_of: Any shape of the kind; its size does not matter.
         n_knots: Number of knots, 2 or more.
         n_obstacles: Number of obstacle boxes.
-        holds: What must hold while a finger is away.
+        stances: Contacts that must close the grasp while a finger swings.
         terms: Registered terms that every knot has beside the standard ones, by name.
     """
     surface = turned_surface_of(kind_of)
     grasp = problem_on(hand, tuple(fingers), surface, n_obstacles, (), terms)
-    return MotionProblem(grasp, n_knots, holds)
+    return MotionProblem(grasp, n_knots, stances)
 
 
 def motion_problem_for(
     task: GraspTask,
     n_knots: int,
-    holds: tuple[Hold, ...] = (),
+    stances: tuple[Stance, ...] = (),
     terms: tuple[Term, ...] = (),
 ) -> tuple[MotionProblem, float]:
     """The problem of a task's hand, fingers and kind of shape, and the time to build it, s.
@@ -93,7 +93,7 @@ def motion_problem_for(
     Args:
         task: The task.
         n_knots: Number of knots.
-        holds: What must hold while a finger is away.
+        stances: Contacts that must close the grasp while a finger swings.
         terms: Terms of users that every knot has, see ``SynthesisOptions.form``.
     """
     begin = time.perf_counter()
@@ -104,7 +104,7 @@ def motion_problem_for(
         kind=surface_of(shape).kind,
         n_knots=n_knots,
         n_obstacles=len(task.obstacles),
-        holds=holds,
+        stances=stances,
         terms=terms,
         hand=task.hand,
         shape=shape,
@@ -124,7 +124,7 @@ class _Form:
     kind: str
     n_knots: int
     n_obstacles: int
-    holds: tuple[Hold, ...]
+    stances: tuple[Stance, ...]
     terms: tuple[Term, ...]
     hand: Hand = field(compare=False)
     shape: Shape = field(compare=False)
@@ -139,6 +139,6 @@ def _built(form: _Form) -> MotionProblem:
         form.shape,
         form.n_knots,
         form.n_obstacles,
-        form.holds,
+        form.stances,
         tuple(term.name for term in form.terms),
     )
