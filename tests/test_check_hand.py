@@ -18,7 +18,7 @@ from planner.errors import TaskError
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
-from planner.synthesis.seeds.draw import opposition
+from planner.synthesis.seeds.opposition import opposition
 from planner.system.models import models_dir
 from planner.task import GraspTask
 from sim.cli import hands

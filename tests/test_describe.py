@@ -30,7 +30,7 @@ from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.proximity.convex import DistancePair
 from planner.spatial import SE3
-from planner.synthesis.seeds.draw import opposition
+from planner.synthesis.seeds.opposition import opposition
 from planner.system.models import models_dir
 from planner.task import GraspTask
 

@@ -26,18 +26,18 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.motion import MotionPlan, ObjectPath, motion_attempts, plan_motion
-from planner.motion.context import finger_sets, with_rolling_pads
-from planner.motion.holds import Hold, HoldRows
 from planner.motion.interpolation import interpolate_rolling
 from planner.motion.limits import what_limits
 from planner.motion.loads import MOST_LOAD, load_function, load_parameters
 from planner.motion.plan import Knot
-from planner.motion.problem import JOINT_ROOM, MotionProblem, build_motion_problem
+from planner.motion.problem import JOINT_ROOM, MotionProblem
+from planner.motion.problem_cache import build_motion_problem
 from planner.motion.residuals import MotionResiduals
 from planner.motion.rolling import pivoting_function, rolling_function, slips
 from planner.motion.search import MOTION_OPTIONS
 from planner.motion.solve import MotionSolver
-from planner.motion.starts import on_opposed_sides
+from planner.motion.stances import Stance, StanceRows
+from planner.motion.starts import finger_sets, on_opposed_sides, with_rolling_pads
 from planner.motion.terms import LOAD, MOTION_TERMS, REACH
 from planner.motion.unknowns import SHARE, placement
 from planner.motion.verify import MotionVerifier, Place
@@ -283,13 +283,13 @@ def test_rolling_by_casadi_is_rolling_by_pinocchio(allegro: Hand) -> None:
         assert pivots[i, 0] == pytest.approx(about, abs=2e-3)
 
 
-@pytest.mark.parametrize("holds", [(), (Hold(lifted=0, knots=(-1, 0, 1)),)])
+@pytest.mark.parametrize("stances", [(), (Stance(swinging=0, knots=(-1, 0, 1)),)])
 def test_derivatives_of_all_residuals_by_finite_differences(
-    allegro: Hand, holds: tuple[Hold, ...]
+    allegro: Hand, stances: tuple[Stance, ...]
 ) -> None:
     task = GraspTask.create(allegro, "cylinder:0.03x0.1", fingers=["thumb", "index", "middle"])
     path = ObjectPath(axis=np.array([0.2, 0.0, 1.0]), angle=2.0, shift=np.array([0.0, 0.01, 0.01]))
-    problem = replace(problem_of(allegro, 3), holds=holds)
+    problem = replace(problem_of(allegro, 3), stances=stances)
     seeder = Seeder(task)
     start = seeder.draw(np.random.default_rng(0))
     assert isinstance(start, Start)
@@ -308,7 +308,7 @@ def test_derivatives_of_all_residuals_by_finite_differences(
     counted = Counter(row.term.name for row in rows)
     assert counted["path"] and counted["rolling"] and counted["object"] + counted["table"]
     equal = counted["swing_balance"] + counted["swing_level"]
-    assert equal == 7 * len(holds)
+    assert equal == 7 * len(stances)
     step = 1e-6
     compared = 0
     for i in range(len(z)):
@@ -427,7 +427,7 @@ def test_forces_of_a_hold_balance_where_each_contact_is_seen_by_the_hand() -> No
     points[1] = pin.exp3(-0.5 * path[1] * UP) @ (points[1] - 0.5 * shift)
     side = next(p for p in surface.patches(shape) if "side" in p.name)
     p = {"size": surface.size(shape), "mu": np.array([0.5]), "length": np.array([0.05])}
-    rows = HoldRows(surface, 3)
+    rows = StanceRows(surface, 3)
     values, slopes, which = rows(points, -outward, shares, path, p, np.array([side.code] * 3))
     assert np.allclose(values, 0.0, atol=1e-12) and slopes.shape == (7, 21)
     assert which.tolist() == list(range(7))
@@ -472,7 +472,7 @@ def test_what_is_printed_of_a_motion_is_what_is_solved(allegro: Hand) -> None:
     """All rows that count at any place are among those printed, and all of equalities and costs."""
     task = GraspTask.create(allegro, "cylinder:0.03x0.1", fingers=["thumb", "index", "middle"])
     path = ObjectPath(axis=UP, angle=1.0, shift=np.array([0.0, 0.0, 0.01]))
-    problem = replace(problem_of(allegro, 3), holds=(Hold(lifted=0, knots=(-1, 0, 1)),))
+    problem = replace(problem_of(allegro, 3), stances=(Stance(swinging=0, knots=(-1, 0, 1)),))
     seeder = Seeder(task)
     start = seeder.draw(np.random.default_rng(0))
     assert isinstance(start, Start)

@@ -1,92 +1,32 @@
-"""What all attempts at a motion share, for each set of fingers that may hold the object.
-
-Where the caller names no fingers, attempts take turns between the sets. Three fingers go further
-than four, though four have a contact to spare. Of four starts on each of six cylinders of 5 to 7 cm
-with 50 to 300 g and friction 0.5 to 1, 90 degrees about the vertical, these hold on the
-Allegro-type hand: 22 with thumb, index and middle, 13 with middle and ring (the two nearest to the
-thumb), 14 with all four; on the Shadow-type hand, of four starts on four of them, 12, 13 and 10,
-and none with ring and little.
-"""
+"""What all attempts at a motion with one set of fingers share: starts, solver and verdict."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass
 
 import numpy as np
 
-from planner.errors import TaskError
 from planner.failure import Failure
-from planner.motion.holds import Hold
 from planner.motion.path import ObjectPath
 from planner.motion.plan import Knot, MotionPlan, MotionRecord
-from planner.motion.problems import motion_problem_for
+from planner.motion.problem_cache import motion_problem_for
 from planner.motion.solve import MotionCandidate, MotionSolver
+from planner.motion.stances import Stance
 from planner.motion.starts import on_opposed_sides
 from planner.motion.verify import MotionVerifier
 from planner.plan import SolveRecord
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.seeds.draw import TRIPOD, Seeder
+from planner.synthesis.seeds.draw import Seeder
 from planner.synthesis.seeds.mesh import turning_seeder_for
 from planner.synthesis.symbols import GraspPoint
 from planner.synthesis.terms.term import first_failure
-from planner.system.threads import kept_by_thread, made_once
+from planner.system.threads import kept_by_thread
 from planner.task import GraspTask
 
-__all__ = ["MotionContext", "finger_sets", "merit", "tripods", "with_rolling_pads"]
+__all__ = ["MotionContext", "merit"]
 
 LEAST_SHARE = 0.02
 """Share of a path (-) below which nothing of it is reached."""
-
-
-def with_rolling_pads(task: GraspTask) -> GraspTask:
-    """The task with pads as wide as the tips are round, where its object has faces or is a ball.
-
-    Of 8 starts for 94 degrees on blocks of 5, 6 and 7 cm, 60 mm high, path tolerance 30 mm, 3, 3
-    and 2 hold with thumb, index and middle of the Shadow-type hand; none with the pads of a grasp.
-    Torsional friction of tips that pivot turns balls of 55 to 70 mm with 0 to 3 mN m in an
-    Allegro-type hand (9 plans), with the pads of a grasp with up to 23 (4 plans).
-    """
-    if not task.object.shape.turns_tips or task.hand.rolls:
-        return task
-    return replace(task, hand=task.hand.rolling)
-
-
-@made_once(4)
-def finger_sets(task: GraspTask) -> tuple[GraspTask, ...]:
-    """The task for each set of fingers that attempts take turns between.
-
-    Of the first ``PAIRS`` tripods those that open wide enough, then all; all alone where the caller
-    chose.
-    """
-    if not task.may_spare_fingers or len(task.fingers) <= TRIPOD:
-        return (task,)
-    chosen = [tripod for names in tripods(task)[:PAIRS] if (tripod := _alone(task, names))]
-    return (*chosen, task)
-
-
-PAIRS = 2
-"""Tripods that take turns; little fingers come last and seldom turn anything."""
-
-
-def tripods(task: GraspTask) -> list[tuple[str, ...]]:
-    """The finger that opposes the others with each pair of neighbours among those."""
-    opposer = task.finger_names[turning_seeder_for(task).pinch.opposer]
-    others = [name for name in task.finger_names if name != opposer]
-    return [(opposer, *pair) for pair in pairwise(others)]
-
-
-def _alone(task: GraspTask, names: tuple[str, ...]) -> GraspTask | None:
-    """The task for these fingers, if they can do it.
-
-    A region may be required of a spared finger, and without a thumb some do not open wide enough.
-    """
-    try:
-        alone = task.with_fingers(names)
-        turning_seeder_for(alone)
-    except TaskError:
-        return None
-    return alone
 
 
 @kept_by_thread(8)
@@ -123,7 +63,7 @@ class MotionContext:
         path_tolerance: float,
         rounds: int = 0,
         exact_end: bool = False,
-        holds: tuple[Hold, ...] = (),
+        stances: tuple[Stance, ...] = (),
     ) -> MotionContext:
         """Build it.
 
@@ -136,10 +76,10 @@ class MotionContext:
             path_tolerance: How far the object may leave the path, m.
             rounds: How many rounds work on closure once all of the path is reached.
             exact_end: Whether the object ends on its path.
-            holds: What must hold while a finger is away.
+            stances: Contacts that must close the grasp while a finger swings.
         """
         seeder = turning_seeder_for(task)
-        problem, build_s = motion_problem_for(task, n_knots, holds, options.form.terms)
+        problem, build_s = motion_problem_for(task, n_knots, stances, options.form.terms)
         solver = MotionSolver(
             problem,
             task,

@@ -1,12 +1,12 @@
-"""What keeps a path from being longer: multipliers of the least squares that pulled at it.
+"""What limits a path: multipliers of the least squares that pulled it longer.
 
 Where the pull r0 = w (1 - share) and the violated terms r_i balance, least squares are stationary:
 
-    sum_i r_i dr_i/dz = w (w (1 - share)) e_share - (what bounds push back).
+    sum_i r_i dr_i/dz = w (w (1 - share)) e_share - (forces of the bounds).
 
-So r_i / (w (1 - share)) tells by how much the share grows when the limit behind r_i gives way by
-one of its units, and likewise what a bound pushes back. Named: a joint's end, a pad's rim, a
-clearance, a friction cone, the path tolerance; with the knot at which it happens.
+So r_i / (w (1 - share)) is the growth of the share per unit by which the limit behind r_i is
+relaxed; the same holds for the force of a bound. Limits are joint ends, pad rims, clearances,
+friction cones and the path tolerance, each with its knot.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from planner.synthesis.terms.term import Role
 __all__ = ["Limit", "what_limits", "worst_term"]
 
 LISTED = 6
-"""Limits that are told."""
+"""Largest number of limits in a report."""
 
 AT_BOUND = 1e-9
-"""Distance from a bound (rad or m) that is none."""
+"""Distance (rad or m) from a bound below which an unknown is on it."""
 
 PER_UNIT = {
     "m": (1e-3, "mm"),
@@ -37,20 +37,19 @@ PER_UNIT = {
     "m2": (1e-6, "mm2"),
     "-": (0.01, "0.01"),
 }
-"""A step of each unit that a person thinks in, and its name."""
+"""A step of each unit for reports, and its name."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """One thing that is in the way.
+    """One limit of a path's length.
 
     Attributes:
         what: In words: a joint and its end, or a term and the finger it concerns.
         finger: Name of the finger, "" for none.
         joint: Name of the joint, "" for none.
-        place: Where on the path, 0 to 1.
-        gain: How much longer the path becomes, as a share of what was asked for, when it gives way
-            by one ``unit``.
+        place: Path parameter, 0 to 1.
+        gain: Growth of the path, as a share of what was asked for, per ``unit`` of relaxation.
         unit: A millimetre, a degree, a hundredth of a number.
     """
 
@@ -69,7 +68,7 @@ class Limit:
 def what_limits(
     residuals: MotionResiduals, z: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> tuple[Limit, ...]:
-    """The limits that count most where a pull at the path has come to rest, largest gain first.
+    """The limits that count most where the pull has come to rest, largest gain first.
 
     Args:
         residuals: With the pull on.
@@ -100,7 +99,7 @@ def _joints(
     upper: FloatArray,
     scale: float,
 ) -> Iterator[Limit]:
-    """Ends of joints' ranges that push back."""
+    """Ends of joints' ranges with a force against them."""
     problem = residuals.problem
     hand, u = problem.grasp.hand, problem.unknowns
     degree, unit = PER_UNIT["rad"]
@@ -118,7 +117,7 @@ def _joints(
                     what=f"joint {name} at its {'lower' if low else 'upper'} limit",
                     finger=finger,
                     joint=name,
-                    place=float(residuals.numbers.places[k]),
+                    place=float(residuals.numbers.path_parameters[k]),
                     gain=abs(float(slope[i])) * scale * degree,
                     unit=unit,
                 )
@@ -135,7 +134,7 @@ def _terms(residuals: MotionResiduals, r: FloatArray, scale: float) -> Iterator[
             what=str(row),
             finger=next((name for name in row.about if name in fingers), ""),
             joint="",
-            place=float(residuals.numbers.places[row.knot]),
+            place=float(residuals.numbers.path_parameters[row.knot]),
             gain=abs(float(value)) * row.term.weight * scale * step,
             unit=unit,
         )
@@ -146,7 +145,7 @@ def worst_term(residuals: MotionResiduals, z: FloatArray) -> Failure:
     r, _ = residuals(z)
     rows = [row for row in residuals.row_names()[: residuals.n_terms] if row.term is not REACH]
     k = int(np.abs(r[: len(rows)]).argmax())
-    term, place = rows[k].term, float(residuals.numbers.places[rows[k].knot])
+    term, place = rows[k].term, float(residuals.numbers.path_parameters[rows[k].knot])
     step, unit = WORDS[term.unit]
     off = abs(float(r[k])) / term.weight
     return Failure(
@@ -157,4 +156,4 @@ def worst_term(residuals: MotionResiduals, z: FloatArray) -> Failure:
 
 
 WORDS = {"m": (1e-3, " mm"), "rad": (np.pi / 180, " degrees"), "m2": (1e-6, " mm2"), "-": (1.0, "")}
-"""A unit that a person reads for every unit, and its name."""
+"""For each unit the one in messages, and its name."""

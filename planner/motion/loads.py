@@ -1,15 +1,15 @@
-"""Loads: what bearing the weight takes of contacts and actuators while the object goes its way.
+"""Loads of contacts and actuators that bear the weight along the path.
 
-The forces f of a knot balance each other and are known up to a factor. Pressed are
+The forces f of a knot balance each other and are known up to a factor. The fingers press with
 
     F = scale f + G^+ (-w),    scale = max(grip / min_i f_i, weight / (FRICTION_SHARE mu n))
 
-with the wrench w of the weight and normal forces f_i of mean 1: every finger presses with the
-task's grip, all together carry the weight by friction, and the least forces that do balance it. How
-far f leans which way is the solver's to choose. Asked for are
+with the wrench w of the weight and normal forces f_i of mean 1. Every finger presses with the
+task's grip at least, friction of all together can carry the weight, and G^+ (-w), the least forces
+that balance it, are added. The solver chooses the direction of f within its cones. Required are
 
     load    share of its limit that an actuator spends on F  <= MOST_LOAD
-    hold    FRICTION_SHARE mu F_n - |F_t|                    >= 0,   in units of the scale
+    bearing FRICTION_SHARE mu F_n - |F_t|                    >= 0,   in units of the scale
 
 A grasp that is far from the centre of mass, or presses by a long lever, has forces that balance
 each other, but none that also bear the weight.
@@ -39,7 +39,7 @@ from planner.tolerances import FRICTION_SHARE
 __all__ = ["MOST_LOAD", "load_function", "load_parameters"]
 
 MOST_LOAD = 0.75
-"""Largest share of an actuator's limit (-) that pressing may take."""
+"""Largest share (-) of an actuator's limit that the contact forces may take."""
 
 LEAST_GRAM = 1e-6
 """Added to G G^T (-), for contacts on a line."""
@@ -51,8 +51,8 @@ TINY = 1e-12
 def load_function(hand: Hand, fingers: tuple[Finger, ...]) -> Any:
     """CasADi function of a knot's grasp unknowns, R0 (9, by columns) and ``load_parameters``.
 
-    Gives what is to be >= 0, ``MOST_LOAD`` less the load of every actuator of the fingers (k,) and
-    then the holds (n,), as residuals; and their Jacobian (k + n, size).
+    Gives margins >= 0: ``MOST_LOAD`` less the load of every actuator of the fingers (k,) and
+    then the friction margins (n,), as residuals; and their Jacobian (k + n, size).
     """
     unknowns = Unknowns(n_joints=hand.nq, n_contacts=len(fingers))
     n, at = len(fingers), 6 + hand.nq
@@ -78,38 +78,38 @@ def load_function(hand: Hand, fingers: tuple[Finger, ...]) -> Any:
         columns.append(ca.vertcat(ca.SX.eye(3), ca.skew(point) / length))
     grasp = ca.horzcat(*columns)
     gram = grasp @ grasp.T + LEAST_GRAM * ca.SX.eye(6)
-    parts = ca.ldl(gram)  # a third fewer operations in all than with the default, by QR
+    parts = ca.ldl(gram)  # fewer operations than with the default, QR
     bearing = grasp.T @ ca.ldl_solve(ca.vertcat(-weight, ca.SX.zeros(3)), *parts)
     scale = ca.fmax(grip / ca.fmax(least, LEAST_PRESS), carry)
     torque = ca.SX.zeros(hand.nq)
-    holds = []
+    friction = []
     for i, finger in enumerate(fingers):
         pressed = scale * forces[i] + bearing[3 * i : 3 * i + 3]
         torque += contact_torque(symbolic, finger, rotation, centers[i], normals[i], pressed)
         normal = -ca.dot(pressed, normals[i])
         aside = ca.sqrt(ca.sumsqr(pressed + normal * normals[i]) + TINY)
-        holds.append((FRICTION_SHARE * mu * normal - aside) / scale)
+        friction.append((FRICTION_SHARE * mu * normal - aside) / scale)
     firm = [c.row for c in hand.couplings if not c.one_sided]
     drive = np.linalg.pinv(np.column_stack([hand.actuation.moment.T, *firm]))
     effort = ca.DM(drive[used]) @ torque
     spare = MOST_LOAD - ca.fmax(effort * per_limit[:, 0], effort * per_limit[:, 1])
-    out = ca.densify(ca.vertcat(LOAD.weight * spare, BEARING.weight * ca.vertcat(*holds)))
+    out = ca.densify(ca.vertcat(LOAD.weight * spare, BEARING.weight * ca.vertcat(*friction)))
     parameters = ca.vertcat(grip, carry, mu, length, weight, ca.vec(per_limit))
     jacobian = ca.densify(ca.jacobian(out, x))
     return compiled(ca.Function("loads", [x, ca.vec(r0), parameters], [out, jacobian]))
 
 
 def load_parameters(
-    task: GraspTask, path: ObjectPath, places: FloatArray, q: FloatArray
+    task: GraspTask, path: ObjectPath, path_parameters: FloatArray, q: FloatArray
 ) -> FloatArray:
     """Parameters (n_knots, m) of ``load_function`` along a path.
 
-    The weight turns in the object's frame as if all of the path were gone.
+    The weight turns in the object's frame as if the whole path were covered.
 
     Args:
         task: The task.
         path: Where the object is to go.
-        places: Where each knot is on the path (n_knots,), 0 to 1.
+        path_parameters: Of each knot (n_knots,), 0 to 1.
         q: Joints (nq,) at which the actuators' limits are taken.
     """
     used = driving(task.hand, task.fingers)
@@ -123,11 +123,11 @@ def load_parameters(
             np.concatenate(
                 [
                     [task.grip_force, carry, task.mu, task.object.shape.bounding_radius],
-                    to_object @ pin.exp3(-place * path.angle * path.axis) @ weight,
+                    to_object @ pin.exp3(-c * path.angle * path.axis) @ weight,
                     1 / low,
                     1 / high,
                 ]
             )
-            for place in places
+            for c in path_parameters
         ]
     )

@@ -4,30 +4,26 @@ Every knot is a grasp of ``planner.synthesis``: its terms (touch, surface, frict
 internal force, clearances, couplings, limits) hold there with the same margins. What binds them:
 
     base     one pose for all knots (``planner.motion.unknowns``)
-    rolling  what a tip slides from knot to knot = 0 (``planner.motion.rolling``)
-    path     how far the object leaves its path <= the path tolerance
-    reach    the share of the path that is covered: at least what is asked, or as much as there is
-    holds    where a finger is to move on, closure by the others (``planner.motion.holds``)
-    pivoting what a tip turns by on its contact: a cost, where that counts
-    loads    what pressing takes of each actuator <= a share of its limit (``planner.motion.loads``)
+    rolling  slip of each tip from knot to knot = 0 (``planner.motion.rolling``)
+    path     distance of the object from its path <= the path tolerance
+    reach    covered share of the path: at least what is asked, or the largest
+    stances  where a finger is to swing, closure by the others (``planner.motion.stances``)
+    pivoting turn of each tip about its contact normal: a cost, where that counts
+    loads    share of its limit that each actuator spends <= a bound (``planner.motion.loads``)
 
 Table and obstacles count at the first knot alone: the object is lifted before it is moved.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planner.hands.fingers import Finger
-from planner.hands.hand import Hand
-from planner.motion.holds import Hold, HoldRows
 from planner.motion.loads import load_function, load_parameters
 from planner.motion.path import ObjectPath, tilts
 from planner.motion.rolling import pivoting_function, rolling_function
-from planner.motion.surfaces import turned_surface_of
+from planner.motion.stances import Stance, StanceRows
 from planner.motion.terms import (
     MOTION_TERMS,
     PATH,
@@ -41,16 +37,15 @@ from planner.motion.terms import (
 )
 from planner.motion.unknowns import MotionUnknowns, placement
 from planner.numerics.casadi_buffers import BufferedFunction
-from planner.shapes import Shape
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.problem import GraspProblem, Start, problem_on
+from planner.synthesis.problem import GraspProblem, Start
 from planner.synthesis.table_and_obstacles import NO_TABLE
 from planner.synthesis.terms.term import WrittenTerm, table_of
 from planner.system.threads import built
 from planner.task import GraspTask
 
-__all__ = ["MotionNumbers", "MotionProblem", "build_motion_problem"]
+__all__ = ["MotionNumbers", "MotionProblem"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +55,7 @@ class MotionNumbers:
     Attributes:
         knots: Parameters (n_knots, n_p) of every knot as a grasp.
         reference: R0 (3, 3) of the base in the middle frame.
-        places: Where each knot is on the path (n_knots,), 0 to 1.
+        path_parameters: Of each knot (n_knots,), 0 to 1.
         axis: Axis in the object's frame at the start (3,), unit.
         angle: Turn, rad.
         shift: Translation in the same frame (3,), m.
@@ -71,7 +66,7 @@ class MotionNumbers:
 
     knots: FloatArray
     reference: FloatArray
-    places: FloatArray
+    path_parameters: FloatArray
     axis: FloatArray
     angle: float
     shift: FloatArray
@@ -87,24 +82,24 @@ class MotionProblem:
     Attributes:
         grasp: The problem of a single knot.
         n_knots: Number of knots.
-        holds: What must hold while a finger is away.
+        stances: Contacts that must close the grasp while a finger swings.
     """
 
     grasp: GraspProblem
     n_knots: int
-    holds: tuple[Hold, ...] = ()
+    stances: tuple[Stance, ...] = ()
 
     @property
     def terms(self) -> tuple[WrittenTerm, ...]:
         """All terms with the names of all rows that they can have: of all grasps, of the motion.
 
-        Pivoting costs where ``MotionNumbers`` says so; the path is pulled at in ``stretch`` alone.
+        Pivoting costs where ``MotionNumbers`` says so; ``reach`` counts in ``maximise_path`` alone.
         """
         hand, fingers, n = self.grasp.hand, self.grasp.fingers, self.n_knots
         motion = [row for k in range(1, n) for row in rows_of_fingers(ROLLING, fingers, 3, k)]
         motion += [PATH.row(number=k, knot=k) for k in range(n)]
-        for hold in self.holds:
-            motion += swing_rows(fingers, hold.lifted, n - 1)
+        for stance in self.stances:
+            motion += swing_rows(fingers, stance.swinging, n - 1)
         motion += [row for k in range(n) for row in load_rows(hand, fingers, k)]
         motion.append(REACH.row())
         motion += [row for k in range(1, n) for row in rows_of_fingers(PIVOTING, fingers, 1, k)]
@@ -127,7 +122,7 @@ class MotionProblem:
         names = ", ".join(f.name for f in self.grasp.fingers)
         return (
             f"motion problem: {self.grasp.hand.name}, {names}, {self.grasp.surface.kind}\n"
-            f"  {self.n_knots} knots, {len(self.holds)} regrasps, {self.unknowns.size} unknowns\n"
+            f"  {self.n_knots} knots, {len(self.stances)} regrasps, {self.unknowns.size} unknowns\n"
             f"{table_of(self.terms)}"
         )
 
@@ -135,7 +130,7 @@ class MotionProblem:
     def unknowns(self) -> MotionUnknowns:
         """Layout of the unknowns."""
         return MotionUnknowns(
-            grasp=self.grasp.formulation.unknowns, n_knots=self.n_knots, n_holds=len(self.holds)
+            grasp=self.grasp.formulation.unknowns, n_knots=self.n_knots, n_stances=len(self.stances)
         )
 
     @built
@@ -162,9 +157,9 @@ class MotionProblem:
         return BufferedFunction(placement().map(self.n_knots))
 
     @built
-    def hold_rows(self) -> HoldRows:
-        """The residuals of a hold."""
-        return HoldRows(self.grasp.surface, len(self.grasp.fingers) - 1)
+    def stance_rows(self) -> StanceRows:
+        """The residuals of a stance."""
+        return StanceRows(self.grasp.surface, len(self.grasp.fingers) - 1)
 
     def numbers(
         self,
@@ -175,7 +170,7 @@ class MotionProblem:
         options: SynthesisOptions,
         path_tolerance: float,
     ) -> MotionNumbers:
-        """What the expressions need, for a start that grasps the object in the middle of its path.
+        """The parameters for a start that grasps the object in the middle of its path.
 
         Args:
             task: The task; object, table and friction.
@@ -195,7 +190,7 @@ class MotionProblem:
         return MotionNumbers(
             knots=np.vstack([first, *[later] * (self.n_knots - 1)]),
             reference=np.array(start.T_object_base.rotation),
-            places=along,
+            path_parameters=along,
             axis=to_object @ path.axis,
             angle=path.angle,
             shift=to_object @ path.shift,
@@ -207,11 +202,11 @@ class MotionProblem:
     def _pivoting_costs(self, task: GraspTask, path: ObjectPath) -> bool:
         """Whether pivoting has a cost: on balls, and on paths that are no turn about the vertical.
 
-        Not between regrasps: strokes are short, and what counts is closure by those that hold. With
+        Not between regrasps: strokes are short, and closure of the stances is what counts. With
         the cost the least margin of a lift was 0.25 to 0.34 on a ball in a hand of four fingers in
         a circle (four seeds, strokes of 23 degrees), without it 0.33 to 0.58.
         """
-        return not self.holds and (task.object.shape.ball_like or not _level(path))
+        return not self.stances and (task.object.shape.ball_like or not _level(path))
 
     def first(self, start: Start) -> FloatArray:
         """The unknowns where all knots are the start: none of the path is covered."""
@@ -219,8 +214,10 @@ class MotionProblem:
         shared = np.concatenate([x[:6], [0.0]])
         n = self.n_knots
         forces = start.forces
-        held = np.array([np.delete(forces, hold.lifted, axis=0) for hold in self.holds])
-        return self.unknowns.pack(shared, np.zeros((n, 3)), np.tile(x[6:], (n, 1)), held)
+        in_stance = np.array(
+            [np.delete(forces, stance.swinging, axis=0) for stance in self.stances]
+        )
+        return self.unknowns.pack(shared, np.zeros((n, 3)), np.tile(x[6:], (n, 1)), in_stance)
 
     def bounds(
         self, start: Start, path_tolerance: float, *, exact_end: bool = False
@@ -242,7 +239,9 @@ class MotionProblem:
         room = np.minimum(JOINT_ROOM, (most - least)[joints] / 4)
         least[joints] += room
         most[joints] -= room
-        pushed = np.full((len(self.holds), self.unknowns.held), 4.0 * len(self.grasp.fingers))
+        pushed = np.full(
+            (len(self.stances), self.unknowns.stance_size), 4.0 * len(self.grasp.fingers)
+        )
         lower, upper = (
             self.unknowns.pack(
                 np.append(bound[:6], share), sign * reach, np.tile(bound[6:], (n, 1)), sign * pushed
@@ -262,35 +261,10 @@ def _level(path: ObjectPath) -> bool:
 
 
 OBSTACLE_DIM = 15
-"""Numbers of an obstacle: rotation, translation and half extents (``surroundings``)."""
+"""Numbers of an obstacle: rotation, translation and half extents (``table_and_obstacles``)."""
 
 JOINT_ROOM = 0.05
 """How far (rad or m) joints stay from the ends of their ranges: a servo whose command ends there
 could not press any more, and an object that stands 3 mm beside its place bends joints by 0.03. As
 many starts hold as with 0.02: 3, 2 and 1 of 8 on blocks of 5, 6 and 7 cm, 93 degrees, Shadow-type
 hand."""
-
-
-def build_motion_problem(
-    hand: Hand,
-    fingers: Sequence[Finger],
-    kind_of: Shape,
-    n_knots: int,
-    n_obstacles: int = 0,
-    holds: tuple[Hold, ...] = (),
-    terms: tuple[str, ...] = (),
-) -> MotionProblem:
-    """Build the problem of a motion.
-
-    Args:
-        hand: The hand; it floats.
-        fingers: The fingers that take part.
-        kind_of: Any shape of the kind; its size does not matter.
-        n_knots: Number of knots, 2 or more.
-        n_obstacles: Number of obstacle boxes.
-        holds: What must hold while a finger is away.
-        terms: Registered terms that every knot has beside the standard ones, by name.
-    """
-    surface = turned_surface_of(kind_of)
-    grasp = problem_on(hand, tuple(fingers), surface, n_obstacles, (), terms)
-    return MotionProblem(grasp, n_knots, holds)

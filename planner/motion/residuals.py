@@ -1,8 +1,8 @@
 """A motion as weighted residuals with their Jacobian, for Levenberg-Marquardt steps.
 
-The residuals of a grasp are evaluated once for every knot; their derivatives by the knot's base
-pose are carried on to what all knots share. Units and weights are those of a grasp: a millimetre is
-one.
+The residuals of a grasp are evaluated once for every knot. The chain rule turns their derivatives
+by the knot's base pose into derivatives by the unknowns that all knots share. Units and weights are
+those of a grasp: a millimetre is one.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ class MotionResiduals:
 
     Attributes:
         n_terms: After a call: how many of the first rows belong to terms that must hold.
-        pull: Residual per unit of the path's share that is missing; 0 for none.
+        pull: Residual per missing share of the path; 0 for none.
         grasped: Of every knot the residuals of its grasp.
     """
 
     def __init__(self, problem: MotionProblem, numbers: MotionNumbers, field: Field | None) -> None:
         """Bind a problem to numbers, and to the distance field of a mesh.
 
-        What belongs to single knots is taken over here; later changes of it are not seen.
+        Parameters of single knots are copied; later changes of them have no effect.
         """
         self.problem, self.numbers = problem, numbers
         self.n_terms = 0
@@ -70,7 +70,7 @@ class MotionResiduals:
     def knots(self, z: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
         """Of every knot its unknowns as a grasp (size,), and the derivative (6, 10) of the first 6.
 
-        The derivative is by what all knots share and by the offset from the path.
+        The derivative is by the shared unknowns and by the offset from the path.
         """
         u, n = self.problem.unknowns, self.numbers
         shared = np.broadcast_to(z[:SHARED], (u.n_knots, SHARED))
@@ -80,7 +80,7 @@ class MotionResiduals:
             n.axis,
             n.angle,
             n.shift,
-            n.places[:, None],
+            n.path_parameters[:, None],
         )
         width, x = SHARED + OFFSET, np.hstack([bases, u.rests(z)])
         rates = slopes.copy()
@@ -95,7 +95,7 @@ class MotionResiduals:
         return self._jacobian.row_names()
 
     def __call__(self, x: FloatArray) -> tuple[FloatArray, MotionJacobian]:
-        """Those that count at the unknowns x."""
+        """The active residuals at the unknowns x, and their Jacobian."""
         with stage("residuals"):
             return self._evaluate(x)
 
@@ -115,10 +115,10 @@ class MotionResiduals:
             terms.append(rows.head(one.n_terms))
             costs.append(rows.tail(one.n_terms))
         terms += self._stepwise(self.problem.rolling, ROLLING, 3, placed)
-        terms += self._tube(z)
+        terms += self._off_path(z)
         if self.numbers.pivoting_costs:
             costs += self._stepwise(self.problem.pivoting, PIVOTING, 1, placed)
-        terms += [self._hold(h, z) for h in range(len(self.problem.holds))]
+        terms += [self._stance(k, z) for k in range(len(self.problem.stances))]
         terms += self._loads(placed)
         costs += [
             replace(block, values=block.rows[:, SHARED:] @ z[block.at])
@@ -127,7 +127,7 @@ class MotionResiduals:
         if self.pull:
             row = np.zeros((1, SHARED))
             row[0, SHARE] = -self.pull
-            # a term: as long as much of the path is missing, least squares go on
+            # a term, not a cost: least squares go on as long as much of the path is missing
             missing = np.array([self.pull * (1.0 - z[SHARE])])
             at = slice(SHARED, SHARED)
             terms.append(Block(values=missing, rows=row, at=at, names=_just(REACH.row())))
@@ -165,20 +165,22 @@ class MotionResiduals:
             out.append(Block(values=mine, rows=rows, at=at, names=names))
         return out
 
-    def _spare(self, placed: list[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
-        """What is to spare at each knot (n_knots, k), and its Jacobian (n_knots size, k)."""
+    def _load_margins(
+        self, placed: list[tuple[FloatArray, FloatArray]]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Margins of loads at each knot (n_knots, k), and their Jacobian (n_knots size, k)."""
         n = self.numbers
         x = np.array([x for x, _ in placed])
-        spare, slopes = self.problem.loads(x, n.reference.T.ravel(), n.loads)
-        return spare, slopes
+        margins, slopes = self.problem.loads(x, n.reference.T.ravel(), n.loads)
+        return margins, slopes
 
     def _loads(self, placed: list[tuple[FloatArray, FloatArray]]) -> list[Block]:
-        """What bears more than it may, knot by knot."""
+        """Actuators and contacts beyond their limits, knot by knot."""
         u = self.problem.unknowns
-        spare, slopes = self._spare(placed)
+        margins, slopes = self._load_margins(placed)
         size = u.grasp.size
         out = []
-        for k, mine in enumerate(spare):
+        for k, mine in enumerate(margins):
             over = np.flatnonzero(mine < 0.0)
             if len(over):
                 local = slopes[size * k : size * (k + 1), over].T
@@ -192,15 +194,15 @@ class MotionResiduals:
         rows = load_rows(grasp.hand, grasp.fingers, k)
         return [rows[i] for i in which.tolist()]
 
-    def _hold(self, h: int, z: FloatArray) -> Block:
-        """What hold h asks for."""
+    def _stance(self, number: int, z: FloatArray) -> Block:
+        """Closure of a stance."""
         problem, n = self.problem, self.numbers
-        u, hold = problem.unknowns, problem.holds[h]
+        u, stance = problem.unknowns, problem.stances[number]
         n_contacts = u.grasp.n_contacts
-        others = [j for j in range(n_contacts) if j != hold.lifted]
-        knots = [hold.knots[j] % u.n_knots for j in others]
+        others = [j for j in range(n_contacts) if j != stance.swinging]
+        knots = [stance.knots[j] % u.n_knots for j in others]
         p = problem.grasp.formulation.unpack(n.knots[0])
-        shares = n.places[knots] * z[SHARE]
+        parameters = n.path_parameters[knots] * z[SHARE]
         first = OFFSET + u.grasp.n_joints
         columns = np.concatenate(
             [
@@ -208,11 +210,11 @@ class MotionResiduals:
                 for j, k in zip(others, knots, strict=True)
             ]
         )
-        mine = np.arange(u.size)[u.hold_columns(h)]
-        values, slopes, which = problem.hold_rows(
+        mine = np.arange(u.size)[u.stance_columns(number)]
+        values, slopes, which = problem.stance_rows(
             z[columns].reshape(-1, 3),
             z[mine].reshape(-1, 3),
-            shares,
+            parameters,
             (n.axis, n.angle, n.shift),
             p,
             p["codes"].reshape(n_contacts, -1)[others],
@@ -220,16 +222,16 @@ class MotionResiduals:
         rows = np.zeros((len(values), u.size))
         own = 6 * len(others)
         rows[:, np.concatenate([columns, mine])] = slopes[:, :own]
-        rows[:, SHARE] += slopes[:, own:] @ n.places[knots]
-        names = partial(self._swing_rows, hold.lifted, which)
+        rows[:, SHARE] += slopes[:, own:] @ n.path_parameters[knots]
+        names = partial(self._swing_rows, stance.swinging, which)
         return Block(values=values, rows=rows, at=slice(SHARED, u.size), names=names)
 
-    def _swing_rows(self, lifted: int, which: IntArray) -> list[Row]:
-        rows = swing_rows(self.problem.grasp.fingers, lifted, self.problem.n_knots - 1)
+    def _swing_rows(self, swinging: int, which: IntArray) -> list[Row]:
+        rows = swing_rows(self.problem.grasp.fingers, swinging, self.problem.n_knots - 1)
         return [rows[i] for i in which.tolist()]
 
     def _steady(self) -> list[Block]:
-        """Rows by which joints are asked to go evenly: their second differences over the knots."""
+        """Second differences of the joints over the knots: a cost of uneven motion."""
         u, hand = self.problem.unknowns, self.problem.grasp.hand
         span = np.maximum(hand.q_upper - hand.q_lower, SMALLEST_RANGE)
         joints = np.arange(u.grasp.n_joints)
@@ -246,8 +248,8 @@ class MotionResiduals:
             for k in range(1, u.n_knots - 1)
         ]
 
-    def _tube(self, z: FloatArray) -> list[Block]:
-        """Knots that are further from the path than the path tolerance."""
+    def _off_path(self, z: FloatArray) -> list[Block]:
+        """Knots that are beyond the path tolerance."""
         u = self.problem.unknowns
         offsets = u.offsets(z)
         far = np.linalg.norm(offsets, axis=1)
@@ -262,16 +264,16 @@ class MotionResiduals:
 
 
 def _just(row: Row) -> Callable[[], list[Row]]:
-    """What names a single row."""
+    """A function that names a single row."""
     return lambda: [row]
 
 
 def _carried(local: FloatArray, slope: FloatArray) -> FloatArray:
-    """Derivatives (m, size) by one knot's grasp unknowns, by what is shared and the knot's own.
+    """Derivatives (m, size) by one knot's grasp unknowns, turned into shared ones and its own.
 
     Args:
         local: By the grasp's unknowns, of which the first 6 place the base.
-        slope: Of those (6, 10), by what is shared and by the offset from the path.
+        slope: Of those (6, 10), by the shared unknowns and the offset from the path.
     """
     return np.hstack([local[:, :6] @ slope, local[:, 6:]])
 
@@ -280,4 +282,4 @@ SMALLEST_RANGE = 1e-3
 """Least range (rad or m) of a joint, so that a share of it is a number."""
 
 LEAST_TOLERANCE = 1e-9
-"""Offset (m) from the path that is none."""
+"""Offset (m) from the path that counts as zero."""

@@ -10,9 +10,10 @@ import numpy as np
 
 from planner.attempt import Attempt, check_seed, nothing_found, run_attempts, search
 from planner.errors import NoGraspFoundError, TaskError
-from planner.motion.context import MotionContext, finger_sets, merit, with_rolling_pads
+from planner.motion.context import MotionContext, merit
 from planner.motion.path import LARGEST_TURN, ObjectPath
 from planner.motion.plan import MotionPlan
+from planner.motion.starts import finger_sets, with_rolling_pads
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask

@@ -148,13 +148,13 @@ class MotionSolver:
             shared,
             np.full((k, 3), OFFSET_SCALE),
             np.tile(rest, (k, 1)),
-            np.full((u.n_holds, u.held), FORCE_SCALE),
+            np.full((u.n_stances, u.stance_size), FORCE_SCALE),
         )
 
     def solve_path(self, start: Start) -> Iterator[MotionCandidate]:
         """All of the path, from a start in its middle; then what rounds on closure make of it."""
         run = _Run(self, start)
-        run.in_haste = not self.problem.holds
+        run.in_haste = not self.problem.stances
         run.fix(1.0)
         run.descend(REACHING)
         if (

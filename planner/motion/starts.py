@@ -1,26 +1,37 @@
-"""Starts of motions on objects with faces: the opposer on one side, all others opposite to it.
+"""Starts of motions: which fingers hold the object, with which pads, and where they touch it.
 
-``Seeder`` and ``TurningSeeder`` (``planner.synthesis``) draw starts; this puts contacts elsewhere.
+Fingers. Where the caller names none, attempts take turns between several sets. Three fingers go
+further than four, though four have a contact to spare. Of four starts on each of six cylinders of 5
+to 7 cm with 50 to 300 g and friction 0.5 to 1, 90 degrees about the vertical, these hold on the
+Allegro-type hand: 22 with thumb, index and middle, 13 with middle and ring (the two nearest to the
+thumb), 14 with all four; on the Shadow-type hand, of four starts on four of them, 12, 13 and 10,
+and none with ring and little.
 
-Which side a finger is on is told by where the fingers are, not by where each pad faces nor by what
-is nearest to it: a finger that looks to the side would be given to a neighbouring face, where
-nothing opposes it. That was the case with two of five starts of the Shadow-type hand on a block.
+Contacts. ``planner.synthesis.seeds`` draws the hand's pose and posture. On objects with faces the
+opposer's contact is then put on one side and all others on the opposite one. A finger's side
+follows from where the finger is, not from its pad's axis or the nearest face: a finger that looks
+to the side would get a neighbouring face, where nothing opposes it. Two of five starts of the
+Shadow-type hand on a block had such a finger.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
+from planner.errors import TaskError
 from planner.kinematics.state import HandState
 from planner.shapes import Mesh
 from planner.spatial import FloatArray
 from planner.synthesis.problem import Start
-from planner.synthesis.seeds.draw import Seeder
+from planner.synthesis.seeds.draw import TRIPOD, Seeder
+from planner.synthesis.seeds.mesh import turning_seeder_for
 from planner.system.threads import made_once
+from planner.task import GraspTask
 
-__all__ = ["on_opposed_sides"]
+__all__ = ["finger_sets", "on_opposed_sides", "tripods", "with_rolling_pads"]
 
 FACING = float(np.cos(np.deg2rad(45.0)))
 """Least cosine between the normal of a side and the line across: less belongs to a neighbour."""
@@ -30,6 +41,56 @@ SAMPLES = 3000
 
 EDGE_RADIUS, EDGE_SPREAD = 0.004, float(np.deg2rad(20.0))
 """A point around which (m) normals are dispersed by more (rad) is on an edge."""
+
+
+def with_rolling_pads(task: GraspTask) -> GraspTask:
+    """The task with pads as wide as the tips are round, where its object has faces or is a ball.
+
+    Of 8 starts for 94 degrees on blocks of 5, 6 and 7 cm, 60 mm high, path tolerance 30 mm, 3, 3
+    and 2 hold with thumb, index and middle of the Shadow-type hand; none with the pads of a grasp.
+    Torsional friction of tips that pivot turns balls of 55 to 70 mm with 0 to 3 mN m in an
+    Allegro-type hand (9 plans), with the pads of a grasp with up to 23 (4 plans).
+    """
+    if not task.object.shape.turns_tips or task.hand.rolls:
+        return task
+    return replace(task, hand=task.hand.rolling)
+
+
+@made_once(4)
+def finger_sets(task: GraspTask) -> tuple[GraspTask, ...]:
+    """The task for each set of fingers that attempts take turns between.
+
+    Of the first ``PAIRS`` tripods those that open wide enough, then all; all alone where the caller
+    chose.
+    """
+    if not task.may_spare_fingers or len(task.fingers) <= TRIPOD:
+        return (task,)
+    chosen = [tripod for names in tripods(task)[:PAIRS] if (tripod := _alone(task, names))]
+    return (*chosen, task)
+
+
+PAIRS = 2
+"""Tripods that take turns; little fingers come last and seldom turn anything."""
+
+
+def tripods(task: GraspTask) -> list[tuple[str, ...]]:
+    """The finger that opposes the others with each pair of neighbours among those."""
+    opposer = task.finger_names[turning_seeder_for(task).pinch.opposer]
+    others = [name for name in task.finger_names if name != opposer]
+    return [(opposer, *pair) for pair in pairwise(others)]
+
+
+def _alone(task: GraspTask, names: tuple[str, ...]) -> GraspTask | None:
+    """The task for these fingers, if they can do it.
+
+    A region may be required of a spared finger, and without a thumb some do not open wide enough.
+    """
+    try:
+        alone = task.with_fingers(names)
+        turning_seeder_for(alone)
+    except TaskError:
+        return None
+    return alone
 
 
 def on_opposed_sides(start: Start, seeder: Seeder) -> Start:

@@ -29,7 +29,7 @@ __all__ = [
 
 ROLLING = Term(
     name="rolling",
-    meaning="way that each tip slides from knot to knot",
+    meaning="slip of each tip from knot to knot",
     role=Role.EQUALITY,
     unit="m",
     weight=PER_METRE,
@@ -61,25 +61,25 @@ SWING: tuple[Term, ...] = tuple(
     replace(
         term,
         name=f"swing_{term.name}",
-        meaning=f"while a finger is away, by forces of the others: {term.meaning}",
+        meaning=f"while a finger swings, of the others' forces: {term.meaning}",
         write=None,
         wording="closure without {}",
         judged="closure at each regrasp",
     )
     for term in (BALANCE, LEVEL, CONE, PRESS)
 )
-"""What a grasp is asked for, of the contacts that hold while one finger is away."""
+"""Force closure of the stance: the contacts that hold the object while one finger swings."""
 
 LOAD = Term(
     name="load",
-    meaning="largest share of its limit that an actuator may spend, less what it spends",
+    meaning="largest share of its limit that an actuator may spend, less the share it spends",
     role=Role.INEQUALITY,
     unit="-",
     weight=2.0,
     wording="load of actuator {}",
     judged="the force programme at every knot",
 )
-"""A motion that spends a tenth more is still worth verifying."""
+"""With this weight a motion that spends a tenth more is still worth verifying."""
 
 BEARING = Term(
     name="bearing",
@@ -98,11 +98,11 @@ STEADY = Term(
     unit="-",
     weight=1.0,
 )
-"""Fingers with joints to spare would take another posture at every knot."""
+"""Without this cost redundant fingers take another posture at every knot."""
 
 REACH = Term(
     name="reach",
-    meaning="share of the path that is missing, while least squares pull at it",
+    meaning="missing share of the path, where its length is maximised",
     role=Role.EQUALITY,
     unit="rad",
     weight=4.0,
@@ -116,16 +116,16 @@ MOTION_TERMS = (ROLLING, PATH, *SWING, LOAD, BEARING, REACH, PIVOTING, STEADY)
 
 
 def rows_of_fingers(term: Term, fingers: tuple[Finger, ...], each: int, knot: int) -> list[Row]:
-    """Names of rows of which every finger has as many, finger by finger."""
+    """Names of rows, ``each`` for every finger, finger by finger."""
     about = [f.name for f in fingers for _ in range(each)]
     return [term.row((name,), i, knot) for i, name in enumerate(about)]
 
 
-def swing_rows(fingers: tuple[Finger, ...], lifted: int, knot: int) -> list[Row]:
-    """Names of the rows of closure while one finger is away, in the order of ``SwingRows``."""
+def swing_rows(fingers: tuple[Finger, ...], swinging: int, knot: int) -> list[Row]:
+    """Names of the rows of closure while one finger swings, in the order of ``StanceRows``."""
     n = len(fingers) - 1
     sizes = zip(SWING, (6, 1, n, n), strict=True)
-    about = (fingers[lifted].name,)
+    about = (fingers[swinging].name,)
     return [term.row(about, i, knot) for term, size in sizes for i in range(size)]
 
 
@@ -137,5 +137,5 @@ def load_rows(hand: Hand, fingers: tuple[Finger, ...], knot: int) -> list[Row]:
 
 
 def steady_rows(hand: Hand, knot: int) -> list[Row]:
-    """Names of the rows by which joints go evenly past a knot."""
+    """Names of the rows of even motion of the joints past a knot."""
     return [STEADY.row((name,), i, knot) for i, name in enumerate(hand.joint_names)]

@@ -1,18 +1,18 @@
-"""What stands where among the unknowns of a motion, and where the base is at each knot.
+"""Layout of the unknowns of a motion, and the pose of the base at each knot.
 
 Unknowns: z = [s (3), t (3), share (1), then for each knot o (3), q, contact points, forces; then
-the forces of holds (``planner.motion.holds``)].
+the forces of stances (``planner.motion.stances``)].
 
 The base stands still while the object moves. s and t place it in the middle frame, which has the
 object's orientation half-way and its origin at the start, as in a grasp: base = R0 M(s), at t. The
-object at knot k, at place c in [0, 1] of the path and with all of it scaled by the unknown share,
+object at knot k, at path parameter c in [0, 1] and with the path scaled by the unknown share,
 is turned there by th = (c - 1/2) share angle about the axis a, and is off by d = c share R' shift
-+ o, where o is its freedom within the tube. In the object's own frame the base is then at
++ o, where o is its freedom within the path tolerance. In the object's own frame the base is then at
 
     R(a, -th) R0 M(s) = R0 M(s_k),    t_k = R(a, -th) (t - d),
 
 and s_k, t_k, q, points and forces of one knot are the unknowns of a grasp
-(``planner.synthesis.unknowns``): whatever is asked of a grasp can be asked of every knot.
+(``planner.synthesis.unknowns``): every term of a grasp applies to every knot.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from planner.system.threads import made_once
 __all__ = ["SHARED", "MotionUnknowns", "placement"]
 
 SHARED = 7
-"""Unknowns that all knots have in common: turn, shift, and the share of the path."""
+"""Unknowns that all knots share: turn, shift, and the covered share of the path."""
 
 SHARE = 6
-"""Where the share of the path stands."""
+"""Index of the covered share of the path."""
 
 OFFSET = 3
-"""Unknowns of a knot's place in the tube."""
+"""Unknowns of a knot's offset from the path."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,48 +47,50 @@ class MotionUnknowns:
     Attributes:
         grasp: Layout of one knot's unknowns as a grasp.
         n_knots: Number of knots.
-        n_holds: Number of holds, each with the forces of all contacts but one.
+        n_stances: Number of stances, each with the forces of all contacts but one.
     """
 
     grasp: Unknowns
     n_knots: int
-    n_holds: int = 0
+    n_stances: int = 0
 
     @cached_property
     def own(self) -> int:
-        """Unknowns of one knot alone: place in the tube, joints, points and forces."""
+        """Unknowns of one knot alone: offset from the path, joints, points and forces."""
         return OFFSET + self.grasp.size - 6
 
     @property
     def size(self) -> int:
         """Length of z."""
-        return self._end + self.n_holds * self.held
+        return self._end + self.n_stances * self.stance_size
 
     @property
-    def held(self) -> int:
-        """Unknowns of one hold."""
+    def stance_size(self) -> int:
+        """Unknowns of one stance."""
         return 3 * (self.grasp.n_contacts - 1)
 
     @property
     def _end(self) -> int:
         return SHARED + self.n_knots * self.own
 
-    def hold_columns(self, h: int) -> slice:
-        """Where the forces of hold h stand in z."""
-        return slice(self._end + h * self.held, self._end + (h + 1) * self.held)
+    def stance_columns(self, number: int) -> slice:
+        """Where the forces of a stance stand in z."""
+        return slice(
+            self._end + number * self.stance_size, self._end + (number + 1) * self.stance_size
+        )
 
     def pack(
-        self, shared: FloatArray, offsets: FloatArray, rests: FloatArray, held: FloatArray
+        self, shared: FloatArray, offsets: FloatArray, rests: FloatArray, forces: FloatArray
     ) -> FloatArray:
-        """One column of its parts: (7,), (n_knots, 3), [q, points, forces] of every knot, holds."""
-        return np.concatenate([shared, np.hstack([offsets, rests]).ravel(), held.ravel()])
+        """One column of its parts: (7,), (n_knots, 3), [q, points, forces] of knots, stances."""
+        return np.concatenate([shared, np.hstack([offsets, rests]).ravel(), forces.ravel()])
 
     def knots(self, z: FloatArray) -> FloatArray:
         """Rows (n_knots, own) of what belongs to one knot each; a view."""
         return z[SHARED : self._end].reshape(self.n_knots, self.own)
 
     def offsets(self, z: FloatArray) -> FloatArray:
-        """Places in the tube (n_knots, 3), m, middle frame; a view."""
+        """Offsets from the path (n_knots, 3), m, middle frame; a view."""
         return self.knots(z)[:, :OFFSET]
 
     def rests(self, z: FloatArray) -> FloatArray:
@@ -102,21 +104,21 @@ class MotionUnknowns:
 
 @made_once(1)
 def placement() -> Any:
-    """CasADi function of [s, t, share, o], R0 (9, by columns), axis, angle, shift and place c.
+    """CasADi function of [s, t, share, o], R0 (9, by columns), axis, angle, shift and c.
 
     Axis and shift are in the object's frame at the start. Gives [s_k, t_k] (6,) and its
     Jacobian (6, 10).
     """
     y, r0 = ca.SX.sym("y", SHARED + OFFSET), ca.SX.sym("R0", 3, 3)
     axis, angle, shift = ca.SX.sym("a", 3), ca.SX.sym("angle"), ca.SX.sym("d", 3)
-    place = ca.SX.sym("c")
+    c = ca.SX.sym("c")
     s, t, share, offset = y[:3], y[3:6], y[SHARE], y[SHARED:]
-    turn = (place - 0.5) * share * angle
+    turn = (c - 0.5) * share * angle
     half = share * angle / 2
-    away = place * share * (_rotation(axis, -half) @ shift) + offset
+    away = c * share * (_rotation(axis, -half) @ shift) + offset
     back = _compose(*_quaternion(r0.T @ axis, -turn), *_of_mrp(s))
     out = ca.vertcat(back, _rotation(axis, -turn) @ (t - away))
-    inputs = [y, ca.vec(r0), axis, angle, shift, place]
+    inputs = [y, ca.vec(r0), axis, angle, shift, c]
     return ca.Function("placement", inputs, [out, ca.densify(ca.jacobian(out, y))])
 
 

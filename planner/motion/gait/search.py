@@ -24,13 +24,13 @@ from planner.motion.context import MotionContext
 from planner.motion.gait.order import NO_ORDER
 from planner.motion.gait.plan import GaitPlan
 from planner.motion.gait.verify import GaitVerifier
-from planner.motion.holds import Hold
 from planner.motion.path import ObjectPath, check_shift
 from planner.motion.search import MOTION_OPTIONS, PATH_TOLERANCE, UP, check_task
+from planner.motion.stances import Stance
 from planner.spatial import FloatArray
 from planner.synthesis.options import SynthesisOptions
-from planner.synthesis.seeds.draw import frame_of
 from planner.synthesis.seeds.mesh import seeder_for
+from planner.synthesis.seeds.opposition import frame_of
 from planner.task import GraspTask
 
 __all__ = ["plan_gait"]
@@ -103,7 +103,7 @@ def plan_gait(
             full=True,
             path_tolerance=path_tolerance,
             exact_end=True,
-            holds=_holds(task, path) if held and cycles > 1 else (),
+            stances=_stances(task, path) if held and cycles > 1 else (),
         )
         return _GaitContext(stroke, cycles, verifier)
 
@@ -196,7 +196,7 @@ LONGER = 0.1
 who needs a degree more than a full turn is not to pay for it with a whole cycle."""
 
 
-def _holds(task: GraspTask, path: ObjectPath) -> tuple[Hold, ...]:
+def _stances(task: GraspTask, path: ObjectPath) -> tuple[Stance, ...]:
     """The opposing finger away, those that trail moved on; none on a mesh, which has no formula."""
     seeder = seeder_for(task)
     if seeder.surface.field_of(task.object.shape) is not None:
@@ -217,4 +217,4 @@ def _holds(task: GraspTask, path: ObjectPath) -> tuple[Hold, ...]:
         roots = [float(state.joint_pose(joint).translation @ ahead) for joint in knuckles]
         others.sort(key=lambda i: roots[i])
         moved = set(others[: len(others) // 2])
-    return (Hold(lifted=opposer, knots=tuple(0 if i in moved else -1 for i in range(n))),)
+    return (Stance(swinging=opposer, knots=tuple(0 if i in moved else -1 for i in range(n))),)

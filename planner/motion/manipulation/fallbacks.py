@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from planner.errors import TaskError
-from planner.motion.context import tripods, with_rolling_pads
 from planner.motion.manipulation.task import with_fingers
+from planner.motion.starts import tripods, with_rolling_pads
 from planner.synthesis.seeds.mesh import turning_seeder_for
 from planner.task import GraspTask
 

@@ -9,7 +9,7 @@ pads. Which face each finger is assigned to follows from those points.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -22,9 +22,10 @@ from planner.shapes.surface import Patch, Surface
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.problem import Start
+from planner.synthesis.seeds.opposition import frame_of, opposition
 from planner.task import GraspTask
 
-__all__ = ["Opposition", "Seeder", "frame_of", "opposition"]
+__all__ = ["Seeder"]
 
 PINCH, OPEN = "pinch", "open"
 """Postures that every description gives: pads opposed, and wide open."""
@@ -57,50 +58,6 @@ TRIPOD = 3
 
 AXIS_NOISE = 0.15
 """Standard deviation (rad) of the opposition axis about the chosen direction of the object."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Opposition:
-    """How the fingers of a hand oppose each other in a posture, in the base's frame.
-
-    Attributes:
-        opposer: Number of the finger that opposes the others.
-        axis: (3,), unit, from the opposer's pad to the mean of the others'.
-        center: (3,), m, half-way between.
-        palm_side: (3,), unit, from the centre to the palm, orthogonal to ``axis``.
-        gap: Free width between the pads along the axis, m.
-    """
-
-    opposer: int
-    axis: FloatArray
-    center: FloatArray
-    palm_side: FloatArray
-    gap: float
-
-
-def opposition(task: GraspTask, q: FloatArray) -> Opposition:
-    """Opposition of the task's fingers at q."""
-    state = HandState(task.hand, q)
-    centers = np.array([state.pad_center(f) for f in task.fingers])
-    axes = np.array([state.pad_axis(f) for f in task.fingers])
-    # the opposer's pad faces against the sum of the other pads
-    against = axes @ axes.sum(axis=0) - 1.0
-    opposer = int(np.argmin(against))
-    others = np.delete(centers, opposer, axis=0).mean(axis=0)
-    across = others - centers[opposer]
-    width = float(np.linalg.norm(across))
-    axis = across / width
-    center = (others + centers[opposer]) / 2
-    side = np.array(state.T_base_palm.translation) - center
-    side -= axis * (axis @ side)
-    pads = [f.pad.radius for f in task.fingers]
-    return Opposition(
-        opposer=opposer,
-        axis=axis,
-        center=center,
-        palm_side=side / np.linalg.norm(side),
-        gap=width - pads[opposer] - float(np.mean(np.delete(pads, opposer))),
-    )
 
 
 class Seeder:
@@ -354,11 +311,6 @@ below the object would have to pass through the table."""
 def _half_width(shape: object, direction: FloatArray) -> float:
     """Half the width (m) of a convex shape across a unit direction of its frame."""
     return float(shape.support(direction))  # type: ignore[attr-defined]
-
-
-def frame_of(axis: FloatArray, side: FloatArray) -> FloatArray:
-    """Rotation (3, 3) whose columns are two orthogonal unit vectors and their product."""
-    return np.column_stack([axis, side, np.cross(axis, side)])
 
 
 def _opposed_forces(normals: FloatArray, opposer: int) -> FloatArray:

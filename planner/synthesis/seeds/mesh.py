@@ -1,16 +1,19 @@
 """Starts on a mesh: the hand's opposition axis through a pair of opposed surface points.
 
-Pairs are drawn from ``planner.synthesis.seeds.opposed_points``, near the centre of mass by
-preference; the fingers are opened a little wider than each is
-(``planner.synthesis.seeds.postures``). Of a few turns of the hand about each axis those are kept at
-which pads are near the surface and the rest of the hand is not in it, nor in the table; and of
-these the one is taken whose nearest surface points would resist most in the direction in which they
-resist least.
+Pairs are found along rays through the body, from points spread over the surface: at the first exit,
+of a wall, a handle or a rim, and at the last one, across a hollow. Where the other side faces back,
+within the friction cone or nearly, the two points can be pressed against each other.
+
+A start draws pairs, near the centre of mass by preference, and postures whose pads leave a slightly
+wider gap. Of a few turns of the hand about each axis those are kept at which pads are near the
+surface and the rest of the hand is clear of it and of the table. Of these the start is the one
+whose nearest surface points have the greatest resistance in their weakest direction of wrench.
 """
 
 from __future__ import annotations
 
-from functools import partial
+from dataclasses import dataclass
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -19,12 +22,18 @@ from planner.shapes import Mesh
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import link_spheres
 from planner.synthesis.resistance import least_resisted
-from planner.synthesis.seeds.draw import STEEPEST, Seeder, opposition
-from planner.synthesis.seeds.opposed_points import opposed_pairs
-from planner.synthesis.seeds.postures import Postures, measure_postures
+from planner.synthesis.seeds.draw import STEEPEST, Seeder
+from planner.synthesis.seeds.opposition import Postures, measure_postures, opposition
 from planner.task import GraspTask
 
-__all__ = ["MeshSeeder", "TurningSeeder", "seeder_for", "turning_seeder_for"]
+__all__ = [
+    "MeshSeeder",
+    "OpposedPairs",
+    "TurningSeeder",
+    "opposed_pairs",
+    "seeder_for",
+    "turning_seeder_for",
+]
 
 POSTURES, NOISES = 128, (0.03, 0.1)
 """Postures that starts are made of, and least and largest standard deviation of their joints, in
@@ -57,6 +66,62 @@ ROOM = 0.004
 
 ABOVE_TABLE = 0.004
 """Height (m) over the table, on top of a pad's radius, that a pair's middle needs."""
+
+SAMPLES = 600
+"""Surface points from which one looks through the body."""
+
+STEP = 0.001
+"""Step (m) of the look through the body: the thinnest wall that is found is twice as thick."""
+
+FACING = float(np.cos(np.deg2rad(35.0)))
+"""Smallest cosine between the line through both points and each normal: a little more than a
+friction cone of 0.5 (27 degrees), since contacts move while the programme is solved."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OpposedPairs:
+    """Pairs of opposed surface points, in the object's frame.
+
+    Attributes:
+        centers: (n, 3), half-way between, m.
+        directions: (n, 3), unit, from one point to the other.
+        widths: (n,), distance of the two, m.
+    """
+
+    centers: FloatArray
+    directions: FloatArray
+    widths: FloatArray
+
+
+@lru_cache(maxsize=16)
+def opposed_pairs(mesh: Mesh) -> OpposedPairs:
+    """Opposed pairs of a mesh; always the same ones."""
+    points, normals = mesh.surface_samples(SAMPLES, np.random.default_rng(0))
+    field = mesh.field()
+    depths = np.arange(STEP, 2 * mesh.bounding_radius, STEP)
+    first, last = np.zeros(len(points)), np.zeros(len(points))
+    before = np.full(len(points), -STEP)
+    for depth in depths:
+        value = field.taylor(points - depth * normals, 0)[:, 0]
+        out = (before < 0.0) & (value >= 0.0) & (depth > STEP)
+        share = value / np.where(out, value - before, 1.0)
+        last[out] = (depth - STEP * np.clip(share, 0.0, 1.0))[out]
+        first[out & (first == 0.0)] = last[out & (first == 0.0)]
+        before = value
+    through = last > first
+    points = np.vstack([points, points[through]])
+    directions = -np.vstack([normals, normals[through]])
+    width = np.concatenate([first, last[through]])
+    found = width > 0.0
+    points, directions, width = points[found], directions[found], width[found]
+    gradients = field.taylor(points + width[:, None] * directions, 1)[:, 1:4]
+    gradients /= np.maximum(np.linalg.norm(gradients, axis=1, keepdims=True), 1e-9)
+    back = np.einsum("ij,ij->i", gradients, directions) >= FACING
+    return OpposedPairs(
+        centers=(points + width[:, None] / 2 * directions)[back],
+        directions=directions[back],
+        widths=width[back],
+    )
 
 
 class MeshSeeder(Seeder):

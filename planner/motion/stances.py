@@ -1,12 +1,12 @@
-"""Holding the object while one finger is away: what a stroke must allow if it is to be repeated.
+"""Stances: closure by the other fingers while one swings, which a stroke needs to be repeated.
 
-A finger that moves on leaves n - 1 contacts. They close the grasp if an internal force strictly
-inside their cones exists, so its forces g_j are unknowns, and there holds what holds for a grasp:
+A finger that swings to its next contact leaves n - 1 in stance. They close the grasp if an internal
+force strictly inside their cones exists. Its forces g_j are unknowns, with the terms of a grasp:
 
     sum g_j = 0,  sum x_j x g_j / length = 0,  mean normal force = 1,
     (share mu g_n)^2 - |g_t|^2 >= 0,           g_n - PRESS_MIN >= 0.
 
-x_j is the contact of finger j at a knot of its own, as the hand sees it: fingers that have moved on
+x_j is the contact of finger j at a knot of its own, in the hand's frame: fingers that have swung
 stand where the stroke begins, the others where it ends.
 """
 
@@ -26,24 +26,24 @@ from planner.synthesis.terms.forces import PRESS_MIN
 from planner.synthesis.unknowns import mrp_matrix
 from planner.tolerances import SWING_SHARE
 
-__all__ = ["Hold", "HoldRows"]
+__all__ = ["Stance", "StanceRows"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hold:
-    """Which contacts hold while one finger is away.
+class Stance:
+    """Which contacts hold the object while one finger swings.
 
     Attributes:
-        lifted: Number of the finger that is away.
-        knots: At which knot each finger stands, -1 for the last; of all fingers.
+        swinging: Number of the finger that swings.
+        knots: The knot at which each of all fingers stands, -1 for the last.
     """
 
-    lifted: int
+    swinging: int
     knots: tuple[int, ...]
 
 
-class HoldRows:
-    """Weighted residuals of one hold, by contacts, forces and places of those that hold.
+class StanceRows:
+    """Weighted residuals of one stance, by its contacts, their forces and path parameters.
 
     Everything is in the object's frame where its path begins.
     """
@@ -53,11 +53,11 @@ class HoldRows:
 
         Args:
             surface: Form of the object's shape; one that needs no distance field.
-            n_contacts: How many contacts hold.
+            n_contacts: Number of contacts in stance.
         """
         m = n_contacts
         points, forces = ca.SX.sym("x", 3 * m), ca.SX.sym("g", 3 * m)
-        shares, codes = ca.SX.sym("c", m), ca.SX.sym("codes", CODE_DIM * m)
+        parameters, codes = ca.SX.sym("c", m), ca.SX.sym("codes", CODE_DIM * m)
         axis, angle, shift = ca.SX.sym("a", 3), ca.SX.sym("angle"), ca.SX.sym("d", 3)
         size, mu, length = ca.SX.sym("size", SIZE_DIM), ca.SX.sym("mu"), ca.SX.sym("length")
         total, torque, level = ca.SX.zeros(3), ca.SX.zeros(3), ca.SX.zeros(1)
@@ -65,10 +65,10 @@ class HoldRows:
         presses: list[Any] = []
         for j in range(m):
             p, g = points[3 * j : 3 * j + 3], forces[3 * j : 3 * j + 3]
-            turn = mrp_matrix(axis * ca.tan(shares[j] * angle / 4))
+            turn = mrp_matrix(axis * ca.tan(parameters[j] * angle / 4))
             code = codes[CODE_DIM * j : CODE_DIM * (j + 1)]
             pressed = -ca.dot(g, turn @ surface.outward_normal(size, code, p))
-            total, torque = total + g, torque + ca.cross(turn @ p + shares[j] * shift, g)
+            total, torque = total + g, torque + ca.cross(turn @ p + parameters[j] * shift, g)
             level += pressed / m
             cones.append((SWING_SHARE * mu * pressed) ** 2 - ca.dot(g, g) + pressed**2)
             presses.append(pressed - PRESS_MIN)
@@ -82,36 +82,36 @@ class HoldRows:
                 press * ca.vertcat(*presses),
             )
         )
-        jacobian = ca.densify(ca.jacobian(rows, ca.vertcat(points, forces, shares)))
-        inputs = [points, forces, shares, axis, angle, shift, codes, size, mu, length]
-        self._call = ca.Function("hold", inputs, [rows, jacobian])
+        jacobian = ca.densify(ca.jacobian(rows, ca.vertcat(points, forces, parameters)))
+        inputs = [points, forces, parameters, axis, angle, shift, codes, size, mu, length]
+        self._call = ca.Function("stance", inputs, [rows, jacobian])
         self._both: NDArray[np.bool_] = np.arange(rows.numel()) < N_EQUAL
 
     def __call__(
         self,
         points: FloatArray,
         forces: FloatArray,
-        shares: FloatArray,
+        parameters: FloatArray,
         path: tuple[FloatArray, float, FloatArray],
         p: dict[str, FloatArray],
         codes: FloatArray,
     ) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Rows (k,) that count, their Jacobian (k, 7 m) by points, forces and shares, and which.
+        """Active rows (k,), their Jacobian (k, 7 m) by points, forces and parameters, and numbers.
 
         Args:
             points: Contact points (m, 3), each in the object's frame at its knot.
             forces: (m, 3), in units of the mean normal force.
-            shares: How much of the path the object has gone at each one's knot (m,).
+            parameters: Path parameter of the object at the knot of each contact (m,), 0 to 1.
             path: Axis (3,), angle (rad) and shift (3,), m, of the whole path.
             p: Parameters of a grasp, by name.
             codes: Codes of the patches (m, k).
         """
         grasp = (codes.ravel(), p["size"], p["mu"], p["length"])
-        found = self._call(points.ravel(), forces.ravel(), shares, *path, *grasp)
+        found = self._call(points.ravel(), forces.ravel(), parameters, *path, *grasp)
         values, slopes = found[0].full().ravel(), found[1].full()
         counts = self._both | (values < 0.0)
         return values[counts], slopes[counts], np.flatnonzero(counts)
 
 
 N_EQUAL = 7
-"""Rows that are to be zero: force, torque and the mean of the normal forces."""
+"""Number of equality rows: force (3), torque (3) and the mean normal force."""

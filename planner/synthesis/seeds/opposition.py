@@ -1,8 +1,4 @@
-"""Postures in which a hand may start: from pinch to open and beyond, with noise, measured once.
-
-The seeder of meshes takes those whose pads leave the gap that it needs, and has their links' places
-at hand without asking for kinematics again.
-"""
+"""How the fingers of a hand oppose each other in its postures, measured once for many starts."""
 
 from __future__ import annotations
 
@@ -16,12 +12,61 @@ from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.spatial import FloatArray
 from planner.synthesis.link_spheres import LinkSphere
-from planner.synthesis.seeds.draw import Opposition, frame_of
+from planner.task import GraspTask
 
-__all__ = ["Postures", "measure_postures"]
+__all__ = ["Opposition", "Postures", "frame_of", "measure_postures", "opposition"]
 
 ALIKE = 8
 """Postures of about the wanted gap among which one is drawn."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Opposition:
+    """How the fingers of a hand oppose each other in a posture, in the base's frame.
+
+    Attributes:
+        opposer: Number of the finger that opposes the others.
+        axis: (3,), unit, from the opposer's pad to the mean of the others'.
+        center: (3,), m, half-way between.
+        palm_side: (3,), unit, from the centre to the palm, orthogonal to ``axis``.
+        gap: Free width between the pads along the axis, m.
+    """
+
+    opposer: int
+    axis: FloatArray
+    center: FloatArray
+    palm_side: FloatArray
+    gap: float
+
+
+def opposition(task: GraspTask, q: FloatArray) -> Opposition:
+    """Opposition of the task's fingers at q."""
+    state = HandState(task.hand, q)
+    centers = np.array([state.pad_center(f) for f in task.fingers])
+    axes = np.array([state.pad_axis(f) for f in task.fingers])
+    # the opposer's pad faces against the sum of the other pads
+    against = axes @ axes.sum(axis=0) - 1.0
+    opposer = int(np.argmin(against))
+    others = np.delete(centers, opposer, axis=0).mean(axis=0)
+    across = others - centers[opposer]
+    width = float(np.linalg.norm(across))
+    axis = across / width
+    center = (others + centers[opposer]) / 2
+    side = np.array(state.T_base_palm.translation) - center
+    side -= axis * (axis @ side)
+    pads = [f.pad.radius for f in task.fingers]
+    return Opposition(
+        opposer=opposer,
+        axis=axis,
+        center=center,
+        palm_side=side / np.linalg.norm(side),
+        gap=width - pads[opposer] - float(np.mean(np.delete(pads, opposer))),
+    )
+
+
+def frame_of(axis: FloatArray, side: FloatArray) -> FloatArray:
+    """Rotation (3, 3) whose columns are two orthogonal unit vectors and their product."""
+    return np.column_stack([axis, side, np.cross(axis, side)])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
