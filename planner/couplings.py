@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linprog
 
 from planner.errors import HandError
+from planner.numerics.lp import solve_lp
 from planner.numerics.qp import solve_qp
 from planner.spatial import FloatArray
 
@@ -20,6 +20,7 @@ __all__ = [
     "Coupling",
     "check_couplings",
     "check_held",
+    "coupled_extreme",
     "independent_couplings",
     "nearest_on_couplings",
 ]
@@ -111,16 +112,35 @@ def check_couplings(
                 f"[{low:.4f}, {high:.4f}]; correct the ranges, or write drop_couplings = "
                 f"[{c.name!r}] under [repair] and describe the right coupling"
             )
-    if couplings:
-        matrix = np.array([c.row for c in couplings])
-        value = np.array([c.value for c in couplings])
-        bounds = np.column_stack([lower, upper])
-        found = linprog(np.zeros(len(lower)), A_eq=matrix, b_eq=value, bounds=bounds)
-        if found.status == 2:  # infeasible
-            raise HandError(
-                f"{what}: no q within the joint ranges keeps all couplings "
-                f"{[c.name for c in couplings]} at once; correct them or the ranges"
-            )
+    if couplings and coupled_extreme(np.zeros(len(lower)), couplings, lower, upper) is None:
+        raise HandError(
+            f"{what}: no q within the joint ranges keeps all couplings "
+            f"{[c.name for c in couplings]} at once; correct them or the ranges"
+        )
+
+
+def coupled_extreme(
+    cost: FloatArray, couplings: Sequence[Coupling], lower: FloatArray, upper: FloatArray
+) -> FloatArray | None:
+    """The joints (nq,) of least cost . q that keep every coupling and range; None if none do.
+
+    Args:
+        cost: (nq,).
+        couplings: The couplings.
+        lower: Joint limits (nq,), finite.
+        upper: Joint limits (nq,), finite.
+
+    Raises:
+        PlannerError: A number is NaN, or the solver met numerical trouble.
+    """
+    value = np.array([c.value for c in couplings])
+    found = solve_lp(
+        cost,
+        np.array([c.row for c in couplings]).reshape(-1, len(cost)),
+        np.column_stack([value, value]),
+        np.column_stack([lower, upper]),
+    )
+    return None if found is None else found.x
 
 
 def nearest_on_couplings(

@@ -16,12 +16,14 @@ from scipy.spatial import HalfspaceIntersection
 from planner.contacts import ContactModel, ContactSet, Pyramid, cone_edges, pyramid_faces
 from planner.errors import ContactError, NotFoundError, ObjectError
 from planner.forces import (
+    ForceLoop,
     ForceSolution,
     QuadraticCost,
     build_force_problem,
     distribute_forces,
     gravity_wrench,
 )
+from planner.forces.screen import torque_table
 from planner.quality import primitive_wrenches
 from planner.spatial import FloatArray
 
@@ -340,6 +342,49 @@ def test_a_problem_prints_its_rows_and_columns() -> None:
     assert "force x: -1 thumb f_n +1 index f_n = 0" in text
     assert "friction of index: 8 faces" in text
     assert len(problem.column_names) == problem.rows.shape[1] == problem.faces.shape[1]
+
+
+@pytest.mark.parametrize("n", [2, 24])
+def test_answers_print_as_a_screen(n: int) -> None:
+    at = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    places = 0.03 * np.stack([np.cos(at), np.sin(at), 0 * at], axis=1)
+    contacts = ContactSet.from_arrays(
+        places, -places, model="soft", mu_torsion=0.01, fingers=["a finger"] * n
+    )
+    found = distribute_forces(contacts, wrench=WEIGHT)
+    refused = distribute_forces(contacts, wrench=WEIGHT, max_normal=0.01)
+    texts = [str(found), str(refused), str(found.problem)]
+    assert all(0 < len(text) < 3000 for text in texts)
+    assert all(len(repr(x)) < 200 for x in (found, refused, found.problem))
+    assert "found by daqp" in texts[0]
+    used = 100 * found.contacts.friction_utilisation()[0]
+    words = next(line for line in texts[0].splitlines() if "contact 0 (a finger)" in line).split()
+    assert words[4] == f"{found.forces[0, 0]:.3f}" and words[-2:] == [f"{used:.0f}", "%"]
+    assert texts[1].startswith("contact forces: not found") and refused.reason in texts[1]
+
+
+def test_torques_print_beside_their_limits() -> None:
+    shown = torque_table(
+        ["strong", "weak", "open"],
+        np.array([1.0, -0.9, 5.0]),
+        np.array([[-10.0, 10.0], [-1.0, 2.0], [-np.inf, np.inf]]),
+        ["stop", "idle stop"],
+        np.array([0.2, 0.0]),
+    )
+    assert [row.split()[0] for row in shown[1:4]] == ["weak", "strong", "open"]
+    assert shown[1].split()[1:] == ["-0.9000", "-1", "2", "90", "%"]
+    assert shown[4] == "  stops that carry (N m): stop 0.2000"
+
+
+def test_a_loop_prints_its_last_step() -> None:
+    loop = ForceLoop(opposed(fingers=["thumb", "index"]))
+    assert "no step yet" in str(loop)
+    loop.step(np.array(WEIGHT))
+    for text in (str(loop), str(loop.result)):
+        assert text.startswith("contact forces: balanced") and len(text) < 3000
+    assert "thumb" in str(loop) and "friction used" in str(loop)
+    loop.step(np.array(WEIGHT), max_normal=0.1)
+    assert "left over: force" in str(loop)
 
 
 def test_contacts_of_one_finger_are_told_apart() -> None:

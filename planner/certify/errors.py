@@ -76,9 +76,8 @@ def worst_errors(
     size = float(np.linalg.norm(w))
     if size == 0.0:
         return tilted
-    dims = np.array(contacts.dims)
-    mu = np.where(dims >= 3, contacts.mu, 0.0)
-    torsion = np.where(dims == 4, contacts.mu_torsion, 0.0) * (tilted.normals @ w)
+    mu, mu_torsion = contacts.friction.T
+    torsion = mu_torsion * (tilted.normals @ w)
     across = contact_frames(w)[0, :, 1:].T  # two unit vectors perpendicular to w
     axis_values = np.linspace(-1.0, 1.0, _SIDE)
     grid = np.stack(np.meshgrid(axis_values, axis_values), axis=2).reshape(-1, 1, 2)

@@ -121,9 +121,7 @@ class _Search:
         state, inverse = HandState(hand, plan.q), plan.T_world_base.inverse()
         turn = plan.T_world_base.rotation
         self._changes, self._contacts = changes, contacts
-        dims = np.array(contacts.dims)
-        self._mu = np.where(dims >= 3, contacts.mu, 0.0)
-        self._twist = np.where(dims == 4, np.nan_to_num(contacts.mu_torsion), 0.0)
+        self._mu, self._twist = contacts.friction.T
         self._linear, self._angular = np.zeros((2, len(contacts), 3, 6 + nv))
         for i, (finger, point) in enumerate(zip(task.fingers, contacts.positions, strict=True)):
             jac = turn @ state.point_jacobian(finger.pad.joint_id, inverse.act(point)).reshape(
@@ -159,7 +157,7 @@ class _Search:
         self._along = along * np.repeat([1.0, 1 / self._length], 3)
         self._size = float(np.linalg.norm(self._along))
         self._rows, self._limits = self._fixed(actuation.moment, actuation.stop_rows)
-        self._cuts = [self._cut(i, s) for i in range(len(contacts)) for s in self._first(i)]
+        self._cuts = [self._gradient(i, s) for i in range(len(contacts)) for s in self._first(i)]
 
     def run(self) -> float:
         """The least bound found, at least 0; infinite where there is none."""
@@ -168,12 +166,11 @@ class _Search:
             if found is None:
                 break
             x = found.x * self._unit
-            worst = [self._excess(i, x) for i in range(len(self._contacts))]
+            rows = [self._gradient(i, x) for i in range(len(self._contacts))]
+            worst = [float(row @ x) for row in rows]  # phi_i and all that it may grow by
             if max(worst) <= 0.0:
                 return max(0.0, found.value * (1.0 + SOLVER_MARGIN) / self._size)
-            for i, excess in enumerate(worst):
-                if excess > 0.0:
-                    self._cuts.append(self._cut(i, x))
+            self._cuts += [row for row, excess in zip(rows, worst, strict=True) if excess > 0.0]
         self.reason = "no motion of the object was found that all contacts of all members hinder"
         return np.inf
 
@@ -209,16 +206,11 @@ class _Search:
         )
         return np.vstack([one, absolute, parts, held]), limits
 
-    def _excess(self, i: int, x: FloatArray) -> float:
-        """phi_i and all that it may grow by, at x."""
-        return float(self._gradient(i, x) @ x)
-
-    def _cut(self, i: int, x: FloatArray) -> FloatArray:
-        """Row (width,) of the half-space that touches the constraint of contact i at x."""
-        return self._gradient(i, x)
-
     def _gradient(self, i: int, x: FloatArray) -> FloatArray:
-        """Gradient of the constraint, which is homogeneous: its value at x is this times x."""
+        """Gradient (width,) at x of the constraint of contact i: its tangent half-space.
+
+        The constraint is homogeneous: its value at x is this times x.
+        """
         n_x, changes = 6 + self._nv, self._changes
         linear, angular = self._linear[i], self._angular[i]
         normal, mu, twist = self._contacts.normals[i], self._mu[i], self._twist[i]

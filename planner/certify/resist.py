@@ -22,7 +22,6 @@ given.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -179,7 +178,8 @@ class Resistance:
     def _pyramids(self, problem: ForceProblem, sides: int, cone: Pyramid, width: int) -> FloatArray:
         """Half-spaces D (m, width) of all friction pyramids, D x <= 0 in N."""
         blocks, at = [np.zeros((0, width))], 0
-        for mu, twist, dim in _frictions(problem.contacts):
+        contacts = problem.contacts
+        for (mu, twist), dim in zip(contacts.friction.tolist(), contacts.dims, strict=True):
             faces = pyramid_faces(mu, twist, sides, cone)
             block = np.zeros((len(faces), width))
             block[:, at : at + dim] = faces[:, :dim]
@@ -205,7 +205,7 @@ def _cone_maps(
     A cone reads |side @ x| <= normal @ x.
     """
     maps, at = [], 0
-    for mu, twist, dim in _frictions(contacts):
+    for (mu, twist), dim in zip(contacts.friction.tolist(), contacts.dims, strict=True):
         rows = round_cone(mu, twist)
         block = np.zeros((len(rows), width))
         block[:, at : at + dim] = rows[:, :dim] * unit[at : at + dim]
@@ -213,9 +213,3 @@ def _cone_maps(
             maps.append((block[0], block[1:]))
         at += dim
     return maps
-
-
-def _frictions(contacts: ContactSet) -> Iterator[tuple[float, float, int]]:
-    """Sliding friction (-), torsional friction (m) and force components, as contacts have them."""
-    for mu, twist, dim in zip(contacts.mu, contacts.mu_torsion, contacts.dims, strict=True):
-        yield float(mu) if dim >= 3 else 0.0, float(twist) if dim == 4 else 0.0, dim

@@ -159,13 +159,8 @@ class _Proof:
         self.length = arm if arm > 0 else 1.0
         self.programmes = 0
         forces, torques, slack, owner = [], [], [], []
-        for i in range(len(contacts)):
-            local = _robust_forces(
-                float(contacts.mu[i]) if contacts.dims[i] >= 3 else 0.0,
-                float(contacts.mu_torsion[i]) if contacts.dims[i] == 4 else 0.0,
-                float(tilts[i]),
-                edges,
-            )
+        for i, (mu, mu_torsion) in enumerate(contacts.friction.tolist()):
+            local = _robust_forces(mu, mu_torsion, float(tilts[i]), edges)
             force = local[:, :3] @ contacts.frames[i].T
             forces.append(force)
             torque = np.cross(arms[i], force) + local[:, 3:] * contacts.frames[i, :, 0]

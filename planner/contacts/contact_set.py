@@ -264,6 +264,12 @@ class ContactSet:
         """Number of force components per contact: 1, 3 or 4."""
         return tuple(CONTACT_DIM[m] for m in self.models)
 
+    @property
+    def friction(self) -> FloatArray:
+        """Sliding (-) and torsional friction (m) as far as the models have them, (n, 2)."""
+        dims = np.array(self.dims, dtype=int)
+        return np.stack([self.mu * (dims >= 3), self.mu_torsion * (dims == 4)], axis=1)
+
     def with_forces(self, forces: ArrayLike) -> ContactSet:
         """The same contacts with forces (n, 4) in the contact frames."""
         return replace(self, forces=float_array("forces", forces))

@@ -11,10 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linprog
 
 from planner.bridge.structure import ModelStructure, TendonPart
-from planner.couplings import Coupling
+from planner.couplings import Coupling, coupled_extreme
 from planner.describe.reasons import Reason
 from planner.description import ActuatorDescription, CouplingDescription
 from planner.spatial import FloatArray
@@ -61,14 +60,11 @@ def impossible_couplings(
     couplings: Sequence[Coupling], lower: FloatArray, upper: FloatArray
 ) -> tuple[str, ...]:
     """Names of equalities that the joint ranges forbid, or that freeze every joint they tie."""
-    bounds = np.column_stack([lower, upper])
     span = np.maximum(upper - lower, 1e-12)
     out = []
     kept: list[Coupling] = []
     for coupling in couplings:
         trial = [*kept, coupling]
-        matrix = np.array([c.row for c in trial])
-        value = np.array([c.value for c in trial])
         joints = np.flatnonzero(coupling.row)
         travel = 0.0
         for k in joints:
@@ -76,8 +72,8 @@ def impossible_couplings(
             for sign in (1.0, -1.0):
                 cost = np.zeros(len(lower))
                 cost[k] = sign
-                found = linprog(cost, A_eq=matrix, b_eq=value, bounds=bounds)
-                ends.append(float(found.x[k]) if found.status == 0 else np.nan)
+                found = coupled_extreme(cost, trial, lower, upper)
+                ends.append(np.nan if found is None else float(found[k]))
             travel = max(travel, np.nan_to_num((ends[1] - ends[0]) / span[k]))
         if travel >= LEAST_TRAVEL:
             kept.append(coupling)

@@ -226,10 +226,10 @@ class _ContactPart:
         self.unit = np.ones(size)
         self.lower, self.upper = np.full(size, -np.inf), np.full(size, np.inf)
         faces, cones = [np.zeros((0, width))], [np.zeros((0, width))]
+        friction = contacts.friction.tolist()
         for i, (at, dim) in enumerate(zip(self.normal, contacts.dims, strict=True)):
             self.names += [f"{labels[i]} {c}" for c in _COMPONENTS[:dim]]
-            mu = float(contacts.mu[i]) if dim >= 3 else 0.0
-            twist = float(contacts.mu_torsion[i]) if dim == 4 else 0.0
+            mu, twist = friction[i]
             without = np.flatnonzero(np.array([1.0, mu, mu, twist])[:dim] == 0.0)
             self.lower[at + without] = self.upper[at + without] = 0.0
             if twist:

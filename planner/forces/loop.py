@@ -27,6 +27,7 @@ from planner.errors import ContactError
 from planner.forces.build import EXTRA_COST, LimitArguments, build_force_problem
 from planner.forces.costs import QuadraticCost
 from planner.forces.least_violation import Relaxation
+from planner.forces.screen import force_table, wrench_text
 from planner.forces.torque_limits import TorqueCase, TorqueLimits, loaded_rows
 from planner.forces.workspace import ContactWorkspace
 from planner.numerics.dense_qp import DenseQp
@@ -67,6 +68,24 @@ class ForceStep:
     iterations: int = -1
     solver_s: float = 0.0
     total_s: float = 0.0
+
+    def __str__(self) -> str:
+        """A screen: the verdict, forces and what is left over."""
+        return self.text([f"contact {i}" for i in range(len(self.forces))])
+
+    def text(self, names: Sequence[str], used: FloatArray | None = None) -> str:
+        """The screen with n names of contacts and shares (n,) of their friction cones (-)."""
+        verdict = "balanced" if self.balanced else "allowed, not balanced"
+        lines = [
+            f"contact forces: {verdict if self.allowed else 'not found'}, "
+            f"in {1e6 * self.total_s:.0f} us ({1e6 * self.solver_s:.0f} us in the solver)",
+            *force_table(names, self.forces, used),
+        ]
+        if not self.balanced:
+            lines.append(f"  left over: {wrench_text(self.left_over)}")
+        if len(self.joint_torques):
+            lines.append(f"  largest joint torque {np.abs(self.joint_torques).max():.4f} N m")
+        return "\n".join([*lines, f"  largest violation {self.violation:.1e} N"])
 
 
 class ForceLoop:
@@ -155,6 +174,17 @@ class ForceLoop:
             forces=np.zeros((n, 4)), joint_torques=np.zeros(nv), left_over=np.zeros(6)
         )
         self._vectors = self.result.forces[:, :3]
+
+    def __repr__(self) -> str:
+        """One line; ``str`` shows the last step."""
+        return f"<ForceLoop of {len(self._least)} contacts by {self._solver_name}>"
+
+    def __str__(self) -> str:
+        """A screen: the last step, with the contacts' names and the friction that they use."""
+        if not self.result.total_s:
+            return f"{self!r}, no step yet; str(loop.problem) prints the programme"
+        used = self.problem.contacts.with_forces(self.result.forces).friction_utilisation()
+        return self.result.text(self.problem.contact_names, used)
 
     def step(
         self,

@@ -29,6 +29,7 @@ import numpy as np
 import qpsolvers
 
 from planner.contacts import ContactSet
+from planner.forces.screen import at_most, wrench_text
 from planner.forces.torque_limits import TorqueLimits
 from planner.numerics.dense_qp import DenseQp
 from planner.spatial import FloatArray, IntArray
@@ -38,6 +39,9 @@ __all__ = ["RESIDUAL_TOL", "ForceProblem", "ForceResiduals", "contact_names"]
 RESIDUAL_TOL = 1e-6
 """Largest residual of an answer, in units of ``ForceProblem.force_scale`` (-): 1e-6 N for a weight
 of 1 N, far below what any sensor or simulator resolves."""
+
+BALANCE_TERMS, TORQUE_TERMS = 3, 2
+"""Terms of a row that are printed; the others are counted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -214,12 +218,16 @@ class ForceProblem:
         worst = max(missed, cone, bounds, float(np.abs(torque).max(initial=0.0)))
         return ForceResiduals(wrench=wrench, cone=cone, bounds=bounds, torque=missing, worst=worst)
 
+    def __repr__(self) -> str:
+        """One line; the attributes hold the rest."""
+        return f"<ForceProblem of {len(self.contacts)} contacts against {wrench_text(self.wrench)}>"
+
     def __str__(self) -> str:
-        """Sizes and costs, then every column with its bounds and every row, one a line."""
+        """A screen: sizes and costs, bounded unknowns, rows by their largest terms, friction."""
         nf, ne = self.n_force, self.n_extra
         excess = len(self.column_names) - nf - ne
         mt = len(self.torque_rows)
-        lines = [
+        head = [
             f"force problem: {len(self.contacts)} contacts, {len(self.column_names)} columns "
             f"({nf} contact, {excess} excess, {ne} repeated actuator or stop), 6 rows of balance, "
             f"{self.n_faces} friction faces, {mt} rows of torque"
@@ -227,23 +235,38 @@ class ForceProblem:
             f"minimise 1/2 sum cost x^2: {', '.join(self.cost_names)}; lengths by "
             f"{self.length:.4g} m, forces by {self.force_scale:.4g} N",
         ]
-        columns = zip(self.column_names, self.lower, self.upper, self.cost, strict=True)
-        lines += [f"  {lo:>10.4g} <= {n} <= {hi:<10.4g} cost {c:.4g}" for n, lo, hi, c in columns]
-        table = zip(self.row_names, self.rows, self.low, self.high, strict=True)
-        for i, (name, row, low, high) in enumerate(table):
-            if 6 <= i < 6 + self.n_faces:
-                continue
-            terms = [f"{row[j]:+.4g} {self.column_names[j]}" for j in np.flatnonzero(row)]
-            text = " ".join(terms) or "0"
-            sides = (
-                f"{text} = {low + 0.0:.4g}" if low == high else f"{low:.4g} <= {text} <= {high:.4g}"
-            )
-            lines.append(f"  {name}: {sides}")
+        free = np.isinf(self.lower) & np.isinf(self.upper)
+        columns = [
+            f"  {self.lower[j]:.4g} <= {self.column_names[j]} <= {self.upper[j]:.4g}, "
+            f"cost {self.cost[j]:.4g}"
+            for j in np.flatnonzero(~free)
+        ]
+        torques = range(6 + self.n_faces, len(self.rows))
         faces = Counter(self.row_names[6 : 6 + self.n_faces])
-        lines += [f"  {name}: {count} faces" for name, count in faces.items()]
+        friction = [f"  {name}: {count} faces" for name, count in faces.items()]
         named = zip(self.cone_names, self.cone_sizes, strict=True)
-        lines += [f"  {name}: round, {size - 1} tangential" for name, size in named]
-        return "\n".join(lines)
+        friction += [f"  {name}: round, {size - 1} tangential" for name, size in named]
+        return "\n".join(
+            [
+                *head,
+                *at_most(columns),
+                *([f"  {free.sum()} unknowns without bounds"] if free.any() else []),
+                *(self._row_text(i, BALANCE_TERMS) for i in range(6)),
+                *at_most([self._row_text(i, TORQUE_TERMS) for i in torques], 20),
+                *at_most(friction, 8),
+            ]
+        )
+
+    def _row_text(self, i: int, most: int) -> str:
+        """One row with its limits and its largest terms."""
+        row, low, high = self.rows[i], self.low[i], self.high[i]
+        there = np.flatnonzero(row)
+        largest = np.sort(there[np.argsort(-np.abs(row[there]), kind="stable")[:most]])
+        text = " ".join(f"{row[j]:+.3g} {self.column_names[j]}" for j in largest) or "0"
+        if len(there) > most:
+            text += f" and {len(there) - most} more"
+        sides = f"{text} = {low + 0.0:.3g}" if low == high else f"{low:.3g} <= {text} <= {high:.3g}"
+        return f"  {self.row_names[i]}: {sides}"
 
 
 def contact_names(contacts: ContactSet) -> tuple[str, ...]:

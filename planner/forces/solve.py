@@ -20,6 +20,7 @@ from planner.forces.build import ForceArguments, build_force_problem
 from planner.forces.infeasible import FEASIBLE, explain_infeasibility
 from planner.forces.least_violation import Relaxation
 from planner.forces.problem import RESIDUAL_TOL, ForceProblem, ForceResiduals
+from planner.forces.screen import force_table, torque_table, wrench_text
 from planner.numerics.qp_workspace import CONE_SOLVER, DEFAULT_SOLVER, qp_workspace
 from planner.spatial import FloatArray
 
@@ -85,6 +86,40 @@ class ForceSolution:
             remedy = "Move the contacts, raise friction or limits, or ask for less."
             raise InfeasibleError(f"{self.reason}. {remedy}", self.unresisted_wrench)
         return self
+
+    def __repr__(self) -> str:
+        """One line; the attributes hold the rest."""
+        return f"<ForceSolution of {len(self.contacts)} contacts, {self._verdict}>"
+
+    def __str__(self) -> str:
+        """A screen: forces with their friction, torques beside their limits, or why not."""
+        p = self.problem
+        lines = [f"contact forces: {self._verdict}", f"  against {wrench_text(p.wrench)}"]
+        if not self.found:
+            lines.append(f"  {self.reason}")
+            return "\n".join(lines)
+        lines += force_table(p.contact_names, self.forces, self.contacts.friction_utilisation())
+        if p.torque_limits is not None and p.q is not None:
+            a = p.torque_limits.actuation
+            limits = a.force_limits(p.q)
+            lines += torque_table(
+                a.names, self.actuator_forces, limits, a.stop_names, self.stop_forces
+            )
+        elif len(self.joint_torques):
+            lines.append(f"  largest joint torque {np.abs(self.joint_torques).max():.4f} N m")
+        lines.append(
+            f"  largest residual {self.residuals.worst:.1e} N (torques divided by "
+            f"{1e3 * p.length:.3g} mm); cost {self.cost:.4g}"
+        )
+        return "\n".join(lines)
+
+    @property
+    def _verdict(self) -> str:
+        if not self.found:
+            return "not found"
+        if not self.solver:
+            return "found, nothing to solve"
+        return f"found by {self.solver} in {1e3 * self.solve_time_s:.2g} ms"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -105,9 +105,7 @@ class RoundCones:
         maps[:, 3:, :3] = np.cross(arms[:, :, None], contacts.frames, axis=1) / length
         maps[:, 3:, 3] = contacts.normals / length
         maps *= (np.arange(4) < dims[:, None])[:, None, :]
-        sliding = contacts.mu * (dims >= 3)
-        torsion = contacts.mu_torsion * (dims == 4)
-        return cls(maps=maps, semi_axes=np.stack([sliding, sliding, torsion], axis=1))
+        return cls(maps=maps, semi_axes=contacts.friction[:, [0, 0, 1]])
 
     def extremes(self, directions: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Furthest point of each cone's section along given directions.
