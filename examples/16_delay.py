@@ -18,7 +18,7 @@ import numpy as np
 from planner import GraspTask, plan_grasp
 from planner.spatial import FloatArray
 from sim.controllers import ImpedanceGains, ObjectImpedance, Sensing
-from sim.controllers.gains import BANDWIDTH, LEARNING_RATE, felt_inertia
+from sim.controllers.impedance import BANDWIDTH, LEARNING_RATE, felt_inertia
 from sim.protocols.disturbance import DisturbanceTrial
 
 HAND = "allegro_hand"

@@ -15,9 +15,9 @@ from rich.console import Console
 
 from planner.batch import BatchProgress, GraspSet
 from planner.files import read_plan
-from sim.batch_report import BatchBar
 from sim.cli import batch as commands
 from sim.cli import grasp, main
+from sim.cli.batch_report import BatchBar
 
 pytest.importorskip("pyarrow")
 

@@ -39,7 +39,7 @@ from sim.bench.control.slip_trial import Watched, slip_row
 from sim.bench.objects import BenchObject
 from sim.contacts import hand_contacts
 from sim.controllers import CONTROLLERS, GraspController, Observation, PadReading, Sensing
-from sim.controllers.slip import SLIP_SPEED
+from sim.controllers.monitors import SLIP_SPEED
 from sim.pads import read_pads
 from sim.protocols.dexgraspbench import dexgraspbench_cases
 from sim.protocols.disturbance import DROPPED, DisturbanceTrial

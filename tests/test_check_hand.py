@@ -23,7 +23,7 @@ from planner.system.models import models_dir
 from planner.task import GraspTask
 from sim.cli import hands
 from sim.cli.common import EXIT_BAD_INPUT, EXIT_NO
-from sim.inspection import inspect_hand
+from sim.cli.inspection import inspect_hand
 
 EditHand = Callable[..., Path]
 

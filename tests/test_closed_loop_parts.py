@@ -26,11 +26,10 @@ from sim.controllers import (
     Sensing,
     named_controller,
 )
-from sim.controllers.gains import felt_inertia
-from sim.controllers.impedance import ImpedanceLaw
+from sim.controllers.impedance import ImpedanceLaw, felt_inertia
+from sim.controllers.monitors import SlipDetector
 from sim.controllers.schedule import LOST_TIME, RAMP, TOUCH_TIME, ContactSchedule
 from sim.controllers.sensing import Senses
-from sim.controllers.slip import SlipDetector
 from sim.controllers.torques import HoldingTorques, grasp_matrix
 
 DT = 0.002

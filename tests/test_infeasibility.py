@@ -1,10 +1,10 @@
-"""``sim.controllers.infeasibility``: when a missed wrench is noted, gives way, and is given up."""
+"""``InfeasibilityMonitor``: when a missed wrench is noted, gives way, and is given up."""
 
 from __future__ import annotations
 
 import pytest
 
-from sim.controllers.infeasibility import (
+from sim.controllers.monitors import (
     GIVING_TIME,
     GIVING_TOL,
     INFEASIBLE_TIME,

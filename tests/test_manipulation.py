@@ -37,8 +37,8 @@ from planner.shapes import Box
 from planner.spatial import SE3, FloatArray, signed_twist
 from planner.task import GraspTask
 from sim.controllers.follow import LEAD, RATE, MotionReference
+from sim.controllers.monitors import SLIP_SPEED, SlipDetector
 from sim.controllers.pads import CREEP, PadReading
-from sim.controllers.slip import SLIP_SPEED, SlipDetector
 from sim.controllers.torques import HoldingTorques
 from sim.manipulation import (
     PHASES,

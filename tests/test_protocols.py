@@ -35,9 +35,7 @@ from sim.cli import main
 from sim.controllers import Controller, GraspController, MakeController, Observation, Phase
 from sim.physics import PhysicsOptions
 from sim.protocols import Outcome, Settings, protocol_table, run_protocol, write_csv
-from sim.protocols.bounds import proven_bound
 from sim.protocols.cases import AXES, Conditions
-from sim.protocols.catalog import PROTOCOLS, cases_of, trials_of, unsuitable
 from sim.protocols.dexgraspbench import (
     DexGraspBenchCase,
     Replay,
@@ -45,9 +43,9 @@ from sim.protocols.dexgraspbench import (
     dexgraspbench_cases,
 )
 from sim.protocols.disturbance import DisturbanceTrial
-from sim.protocols.forces import GravityCase, PushCase, forces_cases
+from sim.protocols.forces import GravityCase, PushCase, forces_cases, proven_bound
 from sim.protocols.robust import RobustCase, displaced, robust_cases
-from sim.protocols.run import physics_of
+from sim.protocols.run import PROTOCOLS, cases_of, physics_of, trials_of, unsuitable
 from sim.protocols.shake import ShakeCase, Shaker, shake_cases
 from sim.verdict import REASONS, DropCriteria
 

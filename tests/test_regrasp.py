@@ -26,13 +26,13 @@ from sim.bench.conditions import FRICTION, REGRASP_FRICTION
 from sim.bench.manipulate import Turn
 from sim.bench.star_hand import write_star_hand
 from sim.controllers import Event, ObjectImpedance, Observation
+from sim.controllers.events import told_events
 from sim.controllers.follow import MotionReference
 from sim.manipulation import (
     ManipulationReport,
     manipulate,
     regrasping,
 )
-from sim.manipulation.prose import told_events
 from sim.manipulation.regrasping import margin_without
 from sim.manipulation.swing import FingerSwing
 from sim.physics import PhysicsOptions

@@ -63,7 +63,7 @@ def batch(
     from planner.exchange.dexgraspbench import export_dexgraspbench
     from planner.files import write_json
     from planner.hand_loading import load_hand
-    from sim.batch_report import BatchBar, batch_summary, batch_table
+    from sim.cli.batch_report import BatchBar, batch_summary, batch_table
 
     loaded = load_hand(hand)
     tasks = [request.task(loaded, item) for item in objects]

@@ -78,7 +78,7 @@ def check_hand(hand: HandArgument, as_json: JsonOption = False) -> None:
     """What the planner will see of a hand, and what stands in its way."""
     from planner.describe import check_hand as check
     from planner.hand_loading import load_hand
-    from sim.inspection import print_check
+    from sim.cli.inspection import print_check
 
     report = check(load_hand(hand))
     if as_json:

@@ -21,7 +21,7 @@ from sim.cli.common import (
 def inspect(hand: HandArgument, as_json: JsonOption = False) -> None:
     """What a hand is made of: joints per finger with limits, actuators, tips, masses, torques."""
     from planner.hand_loading import load_hand
-    from sim.inspection import hand_tables, inspect_hand
+    from sim.cli.inspection import hand_tables, inspect_hand
 
     loaded = load_hand(hand)
     if as_json:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.markup import escape
@@ -31,6 +33,7 @@ from sim.cli.common import (
     say,
 )
 from sim.cli.movement import NO_SHIFT, RotateOption, ShiftOption, movement
+from sim.cli.options import with_options
 
 if TYPE_CHECKING:
     from planner.motion.manipulation import ManipulationPlan
@@ -49,7 +52,104 @@ MU, MAX_ATTEMPTS = 0.45, 50
 end the object cannot be put down, and the best of a few is taken."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class TurnOptions:
+    """What a manipulation is planned with."""
+
+    rotate: RotateOption = None
+    shift: ShiftOption = NO_SHIFT
+    place: Annotated[
+        str, typer.Option(help="Where the object is put, m: x,y; it stands at 0,0.")
+    ] = "0.1,0.05"
+    fingers: FingersOption = None
+    seed: SeedOption = 0
+    mu: Annotated[
+        float,
+        typer.Option(
+            help="Sliding friction that planning relies on (-); 0.45 is a tenth below the least "
+            "that bench manipulate draws, whose figures hold for it. Planning alone takes 0.5."
+        ),
+    ] = MU
+    mass: MassOption = None
+    stand: StandOption = 0.0
+    max_attempts: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            help="Attempts before giving up; more than the 30 of plan-motion, since motions are "
+            "refused too at whose end the object cannot be put down.",
+        ),
+    ] = MAX_ATTEMPTS
+    gait: Annotated[
+        bool,
+        typer.Option(
+            "--gait", help="Turn by strokes, the fingers moving on between them, in any case."
+        ),
+    ] = False
+
+    @property
+    def tells_the_task(self) -> bool:
+        """Whether anything is given that a plan file holds."""
+        given = any(option is not None for option in (self.rotate, self.fingers, self.mass))
+        return given or self.shift != NO_SHIFT or self.stand > 0.0 or self.gait
+
+    def target(self) -> tuple[float, float]:
+        """Where the object is put (2,), m."""
+        x, y = numbers("--place", self.place, 2)
+        return x, y
+
+    def plan(self, hand: str, object: str) -> ManipulationPlan:
+        """Plan with a spinner on stderr.
+
+        Raises:
+            PlannerError: Bad input, or nothing was found.
+        """
+        from planner.motion.manipulation import manipulation_task, on_stand, plan_manipulation
+        from planner.objects import parse_object
+        from sim.manipulation import rests, settled
+
+        axis, degrees, shift = movement(self.rotate, self.shift)
+        task = manipulation_task(
+            hand,
+            parse_object(object, mass=self.mass),
+            mu=self.mu,
+            fingers=None if self.fingers is None else names(self.fingers),
+        )
+        task = settled(on_stand(task, self.stand) if self.stand else task)
+        with err.status(f"planning: {task.hand.name}, {task.object.name} ..."):
+            return plan_manipulation(
+                task,
+                axis=axis,
+                angle=math.radians(degrees),
+                shift=shift,
+                place=self.target(),
+                seed=self.seed,
+                max_attempts=self.max_attempts,
+                regrasp=self.gait,
+                rests=rests,
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExecutionOptions:
+    """How a manipulation is executed."""
+
+    sim_mu: SimMuOption = None
+    physics: PhysicsOption = "ours"
+    max_force: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            help="Largest normal force of a finger in a success with closure, N; if not given, "
+            "1.5 times the plan's largest force and a quarter, at least 18.",
+        ),
+    ] = None
+    controller: ControllerOption = "impedance"
+    view: ViewOption = False
+
+
 @errors_for_people()
+@with_options
 def manipulate(
     hand: Annotated[
         str | None,
@@ -69,49 +169,10 @@ def manipulate(
             "--place; instead of HAND, OBJECT and what planning is told.",
         ),
     ] = None,
-    rotate: RotateOption = None,
-    shift: ShiftOption = NO_SHIFT,
-    place: Annotated[
-        str, typer.Option(help="Where the object is put, m: x,y; it stands at 0,0.")
-    ] = "0.1,0.05",
+    *,
+    request: TurnOptions,
+    execution: ExecutionOptions,
     out_dir: OutOption = None,
-    fingers: FingersOption = None,
-    seed: SeedOption = 0,
-    mu: Annotated[
-        float,
-        typer.Option(
-            help="Sliding friction that planning relies on (-); 0.45 is a tenth below the least "
-            "that bench manipulate draws, whose figures hold for it. Planning alone takes 0.5."
-        ),
-    ] = MU,
-    sim_mu: SimMuOption = None,
-    physics: PhysicsOption = "ours",
-    mass: MassOption = None,
-    stand: StandOption = 0.0,
-    max_attempts: Annotated[
-        int,
-        typer.Option(
-            min=1,
-            help="Attempts before giving up; more than the 30 of plan-motion, since motions are "
-            "refused too at whose end the object cannot be put down.",
-        ),
-    ] = MAX_ATTEMPTS,
-    gait: Annotated[
-        bool,
-        typer.Option(
-            "--gait", help="Turn by strokes, the fingers moving on between them, in any case."
-        ),
-    ] = False,
-    max_force: Annotated[
-        float | None,
-        typer.Option(
-            min=0.0,
-            help="Largest normal force of a finger in a success with closure, N; if not given, "
-            "1.5 times the plan's largest force and a quarter, at least 18.",
-        ),
-    ] = None,
-    controller: ControllerOption = "impedance",
-    view: ViewOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Pick an object from a table, turn it in the hand, put it down; a check after every phase.
@@ -124,52 +185,68 @@ def manipulate(
     stand.
     """
     from planner.errors import TaskError
+
+    if plan_file is None:
+        if hand is None or object is None:
+            raise TaskError("give HAND and OBJECT, or a file: opposable manipulate --plan FILE")
+        hand_name, object_name = hand, object
+        _execute(
+            lambda: request.plan(hand_name, object_name), request.mu, execution, out_dir, as_json
+        )
+        return
+    if hand is not None or object is not None or request.tells_the_task:
+        raise TaskError(
+            f"{plan_file} tells hand, object and movement; leave HAND, OBJECT and the options "
+            "of planning out, or --plan"
+        )
+    plan = _read(plan_file, request.target())
+    _execute(lambda: plan, plan.task.mu, execution, out_dir, as_json)
+
+
+@errors_for_people()
+def demo(
+    out_dir: OutOption = None, physics: PhysicsOption = "ours", as_json: JsonOption = False
+) -> None:
+    """The whole of it: an Allegro-type hand picks a cylinder, turns it by 90 degrees, places it."""
+    request = TurnOptions()
+    execution = ExecutionOptions(physics=physics)
+    _execute(lambda: request.plan(DEMO_HAND, DEMO_OBJECT), request.mu, execution, out_dir, as_json)
+
+
+def _execute(
+    make_plan: Callable[[], ManipulationPlan],
+    believed_mu: float,
+    execution: ExecutionOptions,
+    out_dir: Path | None,
+    as_json: bool,
+) -> None:
+    """Plan once all other options are known to be sound, execute, and report.
+
+    Raises:
+        PlannerError: Bad input, or no plan.
+        Exit: A phase failed, or the hand collided.
+    """
     from planner.files import write_json, write_manipulation, write_trajectory
     from sim.manipulation import SuccessCriteria
-    from sim.manipulation import manipulate as execute
+    from sim.manipulation import manipulate as simulate
 
-    computed = physics_of(physics, sim_mu)
-    x, y = numbers("--place", place, 2)
-    planning = (hand, object, rotate, fingers, mass)
-    if plan_file is not None:
-        if any(given is not None for given in planning) or shift != NO_SHIFT or stand or gait:
-            raise TaskError(
-                f"{plan_file} tells hand, object and movement; leave HAND, OBJECT and the options "
-                "of planning out, or --plan"
-            )
-        plan = _read(plan_file, (x, y))
-        mu = plan.task.mu
-    elif hand is None or object is None:
-        raise TaskError("give HAND and OBJECT, or a file: opposable manipulate --plan FILE")
-    _warn_of_friction(mu, computed.mu)
+    physics = physics_of(execution.physics, execution.sim_mu)
+    _warn_of_friction(believed_mu, physics.mu)
     if out_dir is not None:
         make_folder(out_dir)
-    if plan_file is None:
-        plan = _plan(
-            str(hand),
-            str(object),
-            movement(rotate, shift),
-            place=(x, y),
-            fingers=fingers,
-            seed=seed,
-            mu=mu,
-            mass=mass,
-            stand=stand,
-            max_attempts=max_attempts,
-            regrasp=gait,
-        )
+    plan = make_plan()
     if not as_json:
         say(out, escape(str(plan)))
         say(out, f"planned in {plan.cpu_s:.2f} s of CPU, {plan.attempts} attempts\n")
     with err.status("executing ..."):
-        report = execute(
+        report = simulate(
             plan,
-            controller=controller,
-            physics=computed,
-            criteria=SuccessCriteria(normal_N=max_force),
+            controller=execution.controller,
+            physics=physics,
+            criteria=SuccessCriteria(normal_N=execution.max_force),
             pictures=out_dir,
             retry=True,
-            view=view,
+            view=execution.view,
         )
     if out_dir is not None:
         write_manipulation(plan, out_dir / "manipulation.json")
@@ -187,14 +264,6 @@ def manipulate(
         raise typer.Exit(EXIT_NO)
 
 
-@errors_for_people()
-def demo(
-    out_dir: OutOption = None, physics: PhysicsOption = "ours", as_json: JsonOption = False
-) -> None:
-    """The whole of it: an Allegro-type hand picks a cylinder, turns it by 90 degrees, places it."""
-    manipulate(DEMO_HAND, DEMO_OBJECT, out_dir=out_dir, physics=physics, as_json=as_json)
-
-
 def _warn_of_friction(believed: float, true: float) -> None:
     """Tell when there is less friction than planning relies on."""
     if true < believed:
@@ -203,47 +272,6 @@ def _warn_of_friction(believed: float, true: float) -> None:
             f"[yellow]--sim-mu {true:g} is less friction than is believed, --mu {believed:g}: plan "
             "and controller rely on what is not there, so expect slips and drops; give "
             f"--sim-mu {believed:g} or more, or a smaller --mu[/yellow]",
-        )
-
-
-def _plan(
-    hand: str,
-    object: str,
-    moved: tuple[Any, float, Any],
-    *,
-    place: tuple[float, float],
-    fingers: str | None,
-    seed: int,
-    mu: float,
-    mass: float | None,
-    stand: float,
-    max_attempts: int,
-    regrasp: bool,
-) -> ManipulationPlan:
-    """Plan what the options tell."""
-    from planner.motion.manipulation import manipulation_task, on_stand, plan_manipulation
-    from planner.objects import parse_object
-    from sim.manipulation import rests, settled
-
-    axis, degrees, shift = moved
-    task = manipulation_task(
-        hand,
-        parse_object(object, mass=mass),
-        mu=mu,
-        fingers=None if fingers is None else names(fingers),
-    )
-    task = settled(on_stand(task, stand) if stand else task)
-    with err.status(f"planning: {task.hand.name}, {task.object.name} ..."):
-        return plan_manipulation(
-            task,
-            axis=axis,
-            angle=math.radians(degrees),
-            shift=shift,
-            place=place,
-            seed=seed,
-            max_attempts=max_attempts,
-            regrasp=regrasp,
-            rests=rests,
         )
 
 

@@ -10,11 +10,11 @@ from sim.controllers.base import (
     ReportsEvents,
     ReportsLimits,
 )
-from sim.controllers.closed import ObjectImpedance
 from sim.controllers.events import Event, EventKind
 from sim.controllers.follow import MotionReference
-from sim.controllers.gains import ImpedanceGains
 from sim.controllers.grasp import GraspController
+from sim.controllers.impedance import ImpedanceGains
+from sim.controllers.monitors import SlipDetector
 from sim.controllers.named import (
     CONTROLLERS,
     AnyController,
@@ -24,10 +24,10 @@ from sim.controllers.named import (
     controller_name,
     named_controller,
 )
+from sim.controllers.object_impedance import ObjectImpedance
 from sim.controllers.pads import PadReading
 from sim.controllers.reference import Reference, Target
 from sim.controllers.sensing import Sensing
-from sim.controllers.slip import SlipDetector
 
 __all__ = [
     "CONTROLLERS",

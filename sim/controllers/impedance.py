@@ -1,23 +1,105 @@
-"""``ImpedanceLaw``: where the object is and should be -> the wrench that the hand should exert.
+"""Impedance of a held object: ``ImpedanceGains`` and ``ImpedanceLaw``.
+
+The law gives the wrench that the hand should exert, from where the object is and should be:
 
     w = K e - D (twist - wanted twist) + load,    e = [p* - p; log(R* R^T)]
     d load/dt = learning_rate (K e + missed)
 
 K and D are diagonal, the same along and the same about every axis. ``missed`` is what the contact
-forces give less what was asked of them, so that the load stops growing where no more can be given.
-With learning_rate = 0 a constant push P leaves e = P / K; otherwise the load becomes -P and e goes
-to 0. Everything is about the object's centre of mass, in the axes of the poses given.
+forces give less what was asked of them: the load stops growing where the forces are exhausted. With
+learning_rate = 0 a constant push P leaves e = P / K; otherwise the load becomes -P and e goes to 0.
+Everything is about the object's centre of mass, in the axes of the poses given.
+
+The gains follow from bandwidth and the inertia felt at the object, which includes the links of the
+fingers that hold it (Khatib 1987, operational space inertia):
+
+    M = diag(m, I) + sum_i G_i (J_i H^-1 J_i^T)^-1 G_i^T,    G_i = [1; r_i x]
+
+with H the joint-space inertia and J_i the Jacobian of contact i. K = M w^2 and D = 2 z M w give the
+natural frequency w and the damping ratio z.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields
+
 import numpy as np
 import pinocchio as pin
 
-from planner.spatial import SE3, FloatArray
-from sim.controllers.gains import ImpedanceGains
+from planner.errors import TaskError
+from planner.kinematics.state import HandState
+from planner.plan import GraspPlan
+from planner.spatial import SE3, FloatArray, skew
 
-__all__ = ["ImpedanceLaw"]
+__all__ = ["ImpedanceGains", "ImpedanceLaw", "felt_inertia"]
+
+BANDWIDTH = 60.0
+"""Natural frequency (rad/s) of the held object. Contacts give way at 200 rad/s in simulation, and
+a control step of 2 ms at 60 rad/s is a phase of 7 degrees."""
+
+DAMPING_RATIO = 1.0
+"""Damping ratio (-): critical, so that a push does not ring."""
+
+LEARNING_RATE = 8.0
+"""Rate (1/s) at which the spring's force becomes known load: a constant push is carried without
+deflection after some tenths of a second, well below the bandwidth."""
+
+SOFTEST = 1e-6
+"""Added to J H^-1 J^T (1/kg), for a finger that cannot move along some direction."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImpedanceGains:
+    """Gains of ``ImpedanceLaw``.
+
+    Attributes:
+        stiffness: Force per displacement, N/m.
+        damping: Force per velocity, N s/m.
+        turning_stiffness: Torque per angle, N m/rad.
+        turning_damping: Torque per angular velocity, N m s/rad.
+        learning_rate: Rate at which the spring's wrench goes over to the learned load, 1/s. With 0
+            a constant push leaves the deflection push / stiffness.
+    """
+
+    stiffness: float
+    damping: float
+    turning_stiffness: float
+    turning_damping: float
+    learning_rate: float = LEARNING_RATE
+
+    def __post_init__(self) -> None:
+        """Check every number."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (np.isfinite(value) and value >= 0):
+                raise TaskError(f"gains: {field.name} is {value}; give a finite number >= 0")
+
+    @classmethod
+    def of_body(
+        cls,
+        *,
+        mass: float,
+        inertia: float,
+        bandwidth: float = BANDWIDTH,
+        damping_ratio: float = DAMPING_RATIO,
+        learning_rate: float = LEARNING_RATE,
+    ) -> ImpedanceGains:
+        """Gains that give a body a natural frequency and a damping ratio.
+
+        Args:
+            mass: What moves, kg.
+            inertia: Mean moment of inertia about the centre of mass, kg m^2.
+            bandwidth: Natural frequency, rad/s.
+            damping_ratio: -.
+            learning_rate: 1/s.
+        """
+        return cls(
+            stiffness=mass * bandwidth**2,
+            damping=2.0 * damping_ratio * mass * bandwidth,
+            turning_stiffness=inertia * bandwidth**2,
+            turning_damping=2.0 * damping_ratio * inertia * bandwidth,
+            learning_rate=learning_rate,
+        )
 
 
 class ImpedanceLaw:
@@ -59,3 +141,32 @@ class ImpedanceLaw:
             missed: (6,), what the contact forces give less the wrench that was asked of them.
         """
         self.load += elapsed * self.gains.learning_rate * (self._spring + missed)
+
+
+def felt_inertia(plan: GraspPlan, mass: float) -> tuple[float, float]:
+    """Mass (kg) and moment of inertia (kg m^2) of a held object with what moves along.
+
+    By the mean of the mobility over all directions, M^-1: a mean of M itself is that of the
+    directions in which fingers are stretched and hardly move, several times what moves in the
+    others, and a damper for it there is more than a control step of 2 ms bears.
+
+    Args:
+        plan: The grasp.
+        mass: Mass of the object as it is believed, kg; its own inertia is that of a ball as large
+            as its bounding sphere, an upper bound.
+    """
+    hand, state = plan.task.hand, HandState(plan.task.hand, plan.q)
+    joint_inertia = pin.crba(hand.pin_model, hand.pin_model.createData(), plan.q)
+    joint_inertia = np.triu(joint_inertia) + np.triu(joint_inertia, 1).T
+    contacts = plan.contacts.transformed(plan.T_world_base.inverse())
+    radius = plan.task.object.shape.bounding_radius
+    felt: FloatArray = np.diag([mass] * 3 + [0.4 * mass * radius**2] * 3)
+    for finger, point in zip(plan.task.fingers, contacts.positions, strict=True):
+        k = finger.q_index
+        jac = state.point_jacobian(finger.pad.joint_id, point)[:3, k]
+        mobility = jac @ np.linalg.solve(joint_inertia[np.ix_(k, k)], jac.T)
+        tip = np.linalg.inv(mobility + SOFTEST * np.eye(3))
+        arm = np.vstack([np.eye(3), skew(point - contacts.center)])
+        felt += arm @ tip @ arm.T
+    mean = np.diag(np.linalg.inv(felt)).reshape(2, 3).mean(axis=1)
+    return 1.0 / float(mean[0]), 1.0 / float(mean[1])

@@ -11,8 +11,8 @@ from typing import TypeAlias
 from planner.errors import NotFoundError, TaskError
 from planner.plan import GraspPlan
 from sim.controllers.base import Controller
-from sim.controllers.closed import ObjectImpedance
 from sim.controllers.grasp import GraspController
+from sim.controllers.object_impedance import ObjectImpedance
 
 __all__ = [
     "CONTROLLERS",

@@ -45,7 +45,7 @@ from sim.controllers import (
     Target,
     controller_for,
 )
-from sim.controllers.closed import LED
+from sim.controllers.object_impedance import LED
 from sim.controllers.schedule import TOUCH_FORCE, ContactSchedule
 
 __all__ = [

@@ -11,6 +11,7 @@ Where sticking ends and rolling begins is a matter of speed: any round tip rolls
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -18,8 +19,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import interp1d
 
 from planner.motion import MotionPlan
-from planner.spatial import FloatArray
-from sim.controllers.slip import SLIP_SPEED
+from planner.spatial import FloatArray, IntArray
+from sim.controllers.monitors import SLIP_SPEED
 from sim.manipulation.timeline import PHASES, ManipulationPhase
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "mode_table",
     "planned_modes",
     "planned_points",
+    "told_modes",
 ]
 
 Mode: TypeAlias = Literal["off", "break", "slip", "roll", "stick"]
@@ -39,6 +41,12 @@ MODES: tuple[Mode, ...] = Mode.__args__  # type: ignore[attr-defined]
 ROLL_SPEED = 0.002
 """Speed (m/s) of the contact over the object from which on it rolls: a tip of 12 mm that turns by
 10 degrees a second against the object."""
+
+MODE_LETTERS = 60
+"""Letters in which the contact modes of a turn are told, about."""
+
+LETTERS = (("stick", "s"), ("roll", "r"), ("slip", "S"), ("break", "!"), ("off", "-"))
+"""One for each mode."""
 
 SPAN = 2
 """Samples to either side over which the speed of a contact is taken: the centre of several contacts
@@ -112,3 +120,27 @@ def mode_table(planned: NDArray[np.str_], measured: NDArray[np.str_]) -> dict[st
         if any(row.values()):
             out[mode] = {m: n for m, n in row.items() if n}
     return out
+
+
+def told_modes(
+    fingers: Sequence[str],
+    planned: NDArray[np.str_],
+    measured: NDArray[np.str_],
+    turning: IntArray,
+) -> list[str]:
+    """Contact modes of each finger while the object is turned, planned above measured.
+
+    Args:
+        fingers: Names of n fingers.
+        planned: (m, n), modes of all samples.
+        measured: (m, n), likewise.
+        turning: Numbers of the samples of the turn.
+    """
+    index = turning[:: max(1, len(turning) // MODE_LETTERS)]
+    lines = [f"contact modes during the turn ({', '.join(f'{v} {k}' for k, v in LETTERS)}):"]
+    width = max(len(f) for f in fingers)
+    for i, finger in enumerate(fingers):
+        for name, modes in (("planned", planned), ("measured", measured)):
+            row = "".join(dict(LETTERS)[str(m)] for m in modes[index, i])
+            lines.append(f"  {finger:<{width}} {name:<8} {row}")
+    return lines

@@ -1,7 +1,8 @@
-"""``Phases``: what every phase of a manipulation does and checks, but for the turn.
+"""``Phases``: what every phase of a manipulation does and checks; a regrasp is in ``regrasping``.
 
-The base is sent to planned poses up to the turn, and then to where the measured object gets to its
-target.
+The base is sent to planned poses up to the turn, and afterwards to where the measured object gets
+to its target. The turn is measured as the signed twist of the object in the palm since the turn
+began, and each stroke begins at the measured pose: rolling and regrasps are compensated.
 """
 
 from __future__ import annotations
@@ -15,21 +16,26 @@ from planner.motion.manipulation import Ending, ManipulationPlan
 from planner.quality import QualityReport, analyse
 from planner.spatial import SE3
 from sim.contacts import hand_contacts, merge_per_finger
-from sim.manipulation.machine import PhaseCall
+from sim.controllers import Observation
+from sim.manipulation.machine import CLOSE_TO, PhaseCall
 from sim.manipulation.regrasping import Regrasping
 from sim.manipulation.results import Measured, off_target, placed, undisturbed
 from sim.manipulation.simulation import ManipulationSim
 from sim.manipulation.timeline import ManipulationPhase, ManipulationTimeline, SuccessCriteria
-from sim.manipulation.turning import Turning
 
 __all__ = ["Phases"]
+
+STILL_SPEED = np.deg2rad(3.0)
+"""Rate (rad/s) below which a turn that has reached its angle has ended."""
+
+LEAST_OF_STROKE = 0.4
+"""Least share (-) of the asked angle that a stroke must make for another one to follow."""
 
 
 class Phases:
     """The phases of one run.
 
     Attributes:
-        turning: The turn.
         regrasping: Fingers that move on.
         quality: Quality of the measured contacts, of the phases that look at it.
     """
@@ -44,9 +50,14 @@ class Phases:
         """Prepare."""
         self._plan, self._run = plan, run
         self._timeline, self._criteria = timeline, criteria
-        self.turning = Turning(plan, run, timeline, criteria)
+        self._turn_begun = False
         self.regrasping = Regrasping(plan, run, timeline)
         self.quality: dict[ManipulationPhase, QualityReport] = {}
+
+    @property
+    def left(self) -> float:
+        """Turn that is still to be made, rad; negative beyond the goal."""
+        return float(np.sign(self._plan.angle)) * (self._plan.angle - self._turned)
 
     def perform(self, call: PhaseCall) -> Measured:
         """Run a phase; why it failed, "" if it did not, and its numbers."""
@@ -58,11 +69,11 @@ class Phases:
             "squeeze": self._squeeze,
             "verify": lambda: self._verify("verify"),
             "lift": self._lift,
-            "turn": self.turning.turn,
+            "turn": self._turn,
             "regrasp": lambda: self._regrasp(call),
             "hold": self._hold,
             "verify again": lambda: self._verify("verify again"),
-            "back": self.turning.back,
+            "back": self._back,
             "carry": lambda: self._carry(ending),
             "lower": lambda: self._lower(ending),
             "release": lambda: self._let_go("release", timeline.release, ending),
@@ -75,7 +86,7 @@ class Phases:
         if call.relocation is None:
             raise TaskError("a regrasp has no relocation; give PhaseCall one")
         fault, numbers = self.regrasping.perform(call.relocation)
-        return fault, numbers | self.turning.in_hand()
+        return fault, numbers | self._in_hand()
 
     def _stand(self) -> Measured:
         fault = self._run.run("stand", self._timeline.stand)
@@ -130,7 +141,7 @@ class Phases:
         timeline, simulation = self._timeline, self._run.simulation
         self._run.mover.go(_raised(self._plan.motion.T_world_base, timeline.height), timeline.lift)
         fault = self._run.run("lift", timeline.lift)
-        numbers = self.turning.in_hand()
+        numbers = self._in_hand()
         first = float(simulation.plan.task.T_world_object.translation[2])
         numbers["rise_mm"] = 1e3 * (float(simulation.T_world_object.translation[2]) - first)
         short = 1e3 * timeline.height - numbers["rise_mm"]
@@ -141,13 +152,109 @@ class Phases:
             )
         return fault, numbers
 
+    @property
+    def _turned(self) -> float:
+        """How far the object has come since the turn began, rad, with its sign."""
+        return self._run.recorder.moved()[0]
+
+    def _turn(self) -> Measured:
+        """The turn, or its next stroke, from where the object is."""
+        first, self._turn_begun = not self._turn_begun, True
+        if first:
+            self._run.recorder.mark_reference()
+        if self._plan.gait is not None:
+            return self._stroke()
+        if not first:  # fingers went back to where the motion began
+            self._run.driver.begin_stroke(self._plan.angle - self._turned)
+        fault = self._follow("turn")
+        numbers = self._in_hand()
+        return fault or self._shortfall(numbers), numbers
+
+    def _back(self) -> Measured:
+        """The motion backwards, to where it began."""
+        self._run.driver.begin_back()
+        fault = self._follow("back")
+        numbers = self._in_hand()
+        fault = fault or self._tilted(numbers)
+        if not fault and abs(numbers["turn_deg"]) > self._criteria.angle_deg:
+            fault = f"{numbers['turn_deg']:.1f} degrees are left of the turn: {self._obstacle()}"
+        return fault, numbers
+
+    def _in_hand(self) -> dict[str, float]:
+        """How the object lies in the palm, against how it lay when the turn began."""
+        turn, tilt, shift = self._run.recorder.moved()
+        numbers = {
+            "turn_deg": float(np.rad2deg(turn)),
+            "tilt_deg": float(np.rad2deg(tilt)),
+            "shift_mm": 1e3 * float(np.linalg.norm(shift)),
+            "fingers": float(len(self._run.touching_fingers)),
+        }
+        if self._plan.shift.any():
+            asked = self._plan.grasp.T_world_palm.rotation.T @ self._plan.shift
+            numbers["shift_off_mm"] = 1e3 * float(np.linalg.norm(shift - asked))
+        return numbers
+
+    def _shortfall(self, numbers: dict[str, float]) -> str:
+        """Why the turn is not what was asked for, "" if it is."""
+        asked = float(np.rad2deg(self._plan.angle))
+        turned = numbers["turn_deg"]
+        if abs(asked - turned) > self._criteria.angle_deg:
+            return f"turned {turned:.1f} of {asked:.1f} degrees: {self._obstacle()}"
+        off = numbers.get("shift_off_mm", 0.0)
+        fault = self._tilted(numbers)
+        if not fault and off > self._criteria.shift_mm:
+            fault = f"{off:.1f} mm from where it was to be moved: {self._obstacle()}"
+        return fault
+
+    def _stroke(self) -> Measured:
+        before = self._turned
+        asked = abs(self._run.driver.begin_stroke(self._plan.angle - before).goal)
+        fault = self._follow("turn")
+        numbers = self._in_hand()
+        made = abs(self._turned - before)
+        numbers["stroke_deg"] = float(np.rad2deg(made))
+        if not fault and self.left > CLOSE_TO and made < LEAST_OF_STROKE * asked:
+            fault = (
+                f"turned {np.rad2deg(made):.1f} of the stroke's {np.rad2deg(asked):.1f} degrees: "
+                f"{self._obstacle()}"
+            )
+        return fault or self._tilted(numbers), numbers
+
+    def _follow(self, phase: ManipulationPhase) -> str:
+        """Run until the reference's turn is made; what ended it early, "" if nothing."""
+        reference, dt = self._run.driver.reference, self._run.simulation.timestep
+        last = reference.left
+
+        def made(_: Observation) -> bool:
+            nonlocal last
+            rate = (reference.left - last) / dt
+            last = reference.left
+            there = reference.arrived if reference.goal == 0.0 else reference.left <= CLOSE_TO
+            return bool(there and abs(rate) < STILL_SPEED)
+
+        fastest = abs(reference.goal) / self._timeline.turn_rate
+        return self._run.run(phase, fastest, wait=self._timeline.turn_wait, until=made)
+
+    def _tilted(self, numbers: dict[str, float]) -> str:
+        tilt = numbers["tilt_deg"]
+        if tilt <= self._criteria.tilt_deg:
+            return ""
+        return f"tilted by {tilt:.1f} degrees off the axis"
+
+    def _obstacle(self) -> str:
+        """What the controller says about why the object does not follow."""
+        holding = self._run.driver.holding
+        saturated = ", ".join(self._run.driver.saturated_actuators())
+        had_no_more = f"{saturated} had no more to give" if saturated else "it did not follow"
+        return holding.gave_up or had_no_more
+
     def _hold(self) -> Measured:
-        before = self.turning.in_hand()
+        before = self._in_hand()
         fault = self._run.run("hold", self._timeline.hold)
-        numbers = self.turning.in_hand()
+        numbers = self._in_hand()
         numbers["drift_mm"] = abs(numbers["shift_mm"] - before["shift_mm"])
         numbers["drift_deg"] = abs(numbers["turn_deg"] - before["turn_deg"])
-        return fault or self.turning.shortfall(numbers), numbers
+        return fault or self._shortfall(numbers), numbers
 
     def _carry(self, ending: Ending) -> Measured:
         above = _raised(ending.T_world_target, self._timeline.height)

@@ -13,10 +13,10 @@ from planner.quality import QualityReport
 from planner.spatial import FloatArray
 from planner.version import written_by
 from sim.controllers import Event
+from sim.controllers.events import told_events
 from sim.manipulation.log import ManipulationLog
-from sim.manipulation.modes import mode_table
+from sim.manipulation.modes import mode_table, told_modes
 from sim.manipulation.pressing import FingerForce, finger_forces
-from sim.manipulation.prose import told_events, told_forces, told_modes
 from sim.manipulation.report_file import ManipulationReportFile
 from sim.manipulation.results import PhaseResult
 from sim.manipulation.simulation import DROPPED
@@ -26,7 +26,7 @@ from sim.manipulation.timeline import (
     ManipulationTimeline,
     SuccessCriteria,
 )
-from sim.verdict import Fault, first_collision
+from sim.verdict import Fault, first_collision, lost
 
 __all__ = ["ManipulationReport"]
 
@@ -101,9 +101,9 @@ class ManipulationReport:
 
     @property
     def dropped(self) -> bool:
-        """Whether the object was lost in the air: no finger touched it any more."""
+        """Whether the object was dropped in the air at any sample, by ``DROPPED``."""
         air = self.log.during(*IN_THE_AIR)
-        return bool((self.log.touching[air] < DROPPED.fewest).any())
+        return any(lost(DROPPED, touching=n) for n in self.log.touching[air])
 
     @property
     def turned(self) -> float:
@@ -221,7 +221,9 @@ class ManipulationReport:
                 f"{self.open_samples} samples without force closure",
             ]
         if self.log.during("squeeze").size:
-            lines += told_forces(self.forces, self.force_limit)
+            limit = f"(at most {self.force_limit:.1f} N)"
+            lines += [f"normal forces, largest mean over 20 ms {limit}:"]
+            lines += [f"  {force}" for force in self.forces]
         lines += [f"controller: {line}" for line in told_events(self.events)]
         verdict = "complete" if self.complete else f"failed in {self.reason}"
         return "\n".join([*lines, f"{verdict}; the turn: {self._judged()}"])

@@ -1,8 +1,8 @@
 """``manipulate``: execute a ``ManipulationPlan`` in MuJoCo, phase by phase, each with its checks.
 
 Which phase comes next is decided by ``sim.manipulation.machine``, what a phase does is in
-``phases``, ``turning`` and ``regrasping``. What really is there may differ from what was planned
-for: friction, mass and the object's pose; the controller knows of it only what it measures.
+``phases`` and ``regrasping``. The true friction, mass and object pose may differ from the planned
+ones; the controller knows of that only what it measures.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ class ManipulationRun:
     @property
     def left(self) -> float:
         """Turn that is still to be made, rad; negative beyond the goal."""
-        return self._phases.turning.left
+        return self._phases.left
 
     @property
     def touched(self) -> bool:

@@ -31,7 +31,7 @@ SAMPLE_EVERY = 0.02
 """Time between samples, s: that at which closure and forces are judged."""
 
 DROPPED = DropCriteria(fewest=1)
-"""In the air an object is dropped when nothing of the hand touches it."""
+"""In the air an object is dropped when no finger touches it, be it on the palm."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,7 +151,7 @@ class ManipulationSim:
 
     def _dropped(self, phase: ManipulationPhase) -> str:
         """Why the object counts as dropped, "" if it does not."""
-        if phase not in IN_THE_AIR or not lost(DROPPED, touching=self.simulation.touching()):
+        if phase not in IN_THE_AIR or not lost(DROPPED, touching=len(self.touching_fingers)):
             return ""
         gave_up = self.driver.holding.gave_up
         return "the object was dropped" + (f": {gave_up}" if gave_up else "")

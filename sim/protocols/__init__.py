@@ -10,10 +10,9 @@
 
 from __future__ import annotations
 
-from sim.protocols.catalog import PROTOCOLS, trials_of, unsuitable
 from sim.protocols.outcome import Outcome
 from sim.protocols.report import ProtocolReport, protocol_table, write_csv
-from sim.protocols.run import run_protocol
+from sim.protocols.run import PROTOCOLS, run_protocol, trials_of, unsuitable
 from sim.protocols.settings import Settings
 
 __all__ = [

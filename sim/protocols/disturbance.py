@@ -22,7 +22,7 @@ from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from sim.carrier import Carrier
 from sim.controllers import AnyController, Phase
-from sim.controllers.slip import SLIP_SPEED
+from sim.controllers.monitors import SLIP_SPEED
 from sim.physics import PhysicsOptions
 from sim.recorder import Recorder
 from sim.samples import Samples

@@ -19,8 +19,8 @@ from planner.spatial import FloatArray
 from planner.task import GRAVITY
 from sim.bench.control.slips import SLIP_TIME, Slip, score_slips, true_slips
 from sim.controllers import CONTROLLERS, Controller, Observation, Sensing, SlipDetector
+from sim.controllers.monitors import LOADED, SLIP_SPEED
 from sim.controllers.sensing import TIME_TOL, Senses
-from sim.controllers.slip import LOADED, SLIP_SPEED
 from sim.protocols.disturbance import DisturbanceTrial
 from sim.verdict import Fault
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.spatial import FloatArray
-from sim.controllers.slip import LOADED, SLIP_SPEED
+from sim.controllers.monitors import LOADED, SLIP_SPEED
 
 __all__ = ["LATENCY", "SLIP_TIME", "Slip", "SlipScore", "score_slips", "true_slips"]
 

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from planner.batch import GraspSet
-from sim.batch_report import batch_summary
+from sim.cli.batch_report import batch_summary
 
 from ..hostile import changed_json, damaged
 from ..samples import Samples

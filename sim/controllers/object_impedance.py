@@ -35,15 +35,13 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers.base import Observation, Phase
 from sim.controllers.events import Event, EventKind
-from sim.controllers.gains import ImpedanceGains, felt_inertia
 from sim.controllers.grasp import FIRST_SHARE, GraspController
-from sim.controllers.impedance import ImpedanceLaw
-from sim.controllers.infeasibility import InfeasibilityMonitor
+from sim.controllers.impedance import ImpedanceGains, ImpedanceLaw, felt_inertia
+from sim.controllers.monitors import InfeasibilityMonitor, SlipDetector
 from sim.controllers.pads import PadReading
 from sim.controllers.reference import Reference
 from sim.controllers.schedule import TOUCH_FORCE, ContactSchedule
 from sim.controllers.sensing import Senses, Sensing
-from sim.controllers.slip import SlipDetector
 from sim.controllers.torques import HoldingTorques
 
 __all__ = ["ObjectImpedance"]

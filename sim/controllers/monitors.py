@@ -1,0 +1,150 @@
+"""``SlipDetector`` and ``InfeasibilityMonitor``: failures of a grasp, noticed as they happen.
+
+A slip is a tangential speed above ``SLIP_SPEED`` for 10 ms at a loaded contact. The detector sees a
+pad's sliding velocity with noise and averages it over some milliseconds; a slip that it reports
+ends when the average has fallen to half of the speed of the alarm. A pad that spins creeps far
+inside its friction cone (``sim.controllers.pads.CREEP``): such sliding is a slip if it is fast
+enough, but no sign of too little friction, and is reported separately.
+
+A wrench is infeasible while no contact forces within friction, normal forces and actuators give it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.controllers.events import EventKind
+from sim.controllers.pads import PadReading
+
+__all__ = ["LOADED", "SLIP_SPEED", "InfeasibilityMonitor", "SlipDetector"]
+
+SLIP_SPEED = 0.005
+"""Tangential speed (m/s) of an object over a pad that counts as a slip."""
+
+AVERAGE_TIME = 0.008
+"""Time constant (s) of the average of the measured velocity: white noise of 2 mm/s at 500 Hz leaves
+0.7 mm/s, and a slip at 6 mm/s is seen some 20 ms after it began."""
+
+ALARM_SPEED, ALARM_TIME = 0.0045, 0.008
+"""Averaged speed (m/s) that raises the alarm when it lasts this long (s). A little below what is
+called a slip, so that short ones are found; slower creeping is then sometimes called one."""
+
+LOADED = 0.05
+"""Normal force (N) from which on a contact is loaded: below, sliding means that it opens."""
+
+MISSED_TOL = 0.05
+"""A wrench counts as missed when more than this share of it, or this many N, is left over."""
+
+GIVING_TOL = 0.002
+"""The least normal forces give way when more than this share of a wrench, or this many N, is left
+over: the wrench comes before the grip. Residuals of the force programme are a thousandth of it."""
+
+LEAST_GIVEN, GIVING_TIME, TAKING_TIME = 0.1, 0.05, 0.5
+"""While a wrench is missed the least normal forces give way to this share of them, as fast as all
+of them would in the first time (s), and come back in the second: a finger that must press where
+its force cannot be balanced is itself what is in the way. After a slip too: the larger grip that it
+brought is for the time when there is force to spare."""
+
+INFEASIBLE_TIME, PATIENCE = 0.006, 0.5
+"""How long (s) a wrench must be missed to be called infeasible, and to give up."""
+
+
+class SlipDetector:
+    """Watches the pads of n fingers.
+
+    Attributes:
+        begun_beyond_spin: (n,), which have just begun to slip faster than spinning explains.
+        speed: (n,), averaged sliding speed, m/s.
+    """
+
+    def __init__(self, n: int) -> None:
+        """Nothing slips yet."""
+        self.begun_beyond_spin: NDArray[np.bool_] = np.zeros(n, dtype=bool)
+        self.speed = np.zeros(n)
+        self._average = np.zeros((n, 3))
+        self._creep = np.zeros(n)
+        # of the speed, and of what spinning leaves of it
+        self._speeds, self._above = np.zeros((2, 2, n))
+        self._slipping: NDArray[np.bool_] = np.zeros((2, n), dtype=bool)
+
+    @property
+    def slipping(self) -> NDArray[np.bool_]:
+        """Which fingers slip now, (n,)."""
+        return np.asarray(self._slipping[0])
+
+    def update(self, elapsed: float, pads: PadReading) -> NDArray[np.bool_]:
+        """Which fingers have just begun to slip, (n,).
+
+        Args:
+            elapsed: Time since the last call, s.
+            pads: What the pads say.
+        """
+        share = elapsed / (AVERAGE_TIME + elapsed)
+        loaded = pads.normal_force > LOADED
+        if loaded.all():
+            self._average += share * (pads.sliding - self._average)
+            self._creep += share * (pads.creep_speed - self._creep)
+        else:
+            seen = np.where(loaded[:, None], pads.sliding, 0.0)
+            self._average = loaded[:, None] * (self._average + share * (seen - self._average))
+            self._creep += share * (loaded * pads.creep_speed - self._creep)
+        self.speed = np.sqrt((self._average * self._average).sum(axis=1))
+        self._speeds[0], self._speeds[1] = self.speed, self.speed - self._creep
+        self._above = (self._above + elapsed) * (self._speeds > ALARM_SPEED)
+        begins = (self._above >= ALARM_TIME - elapsed / 2) & ~self._slipping
+        self._slipping = (self._slipping | begins) & (self._speeds > ALARM_SPEED / 2)
+        self.begun_beyond_spin = np.asarray(begins[1])
+        return np.asarray(begins[0])
+
+
+class InfeasibilityMonitor:
+    """How long a wrench has been missed, and what follows from it.
+
+    Attributes:
+        missed: Share of the last wrench that is missed (-).
+        given: Share of the least normal forces that is asked for (-).
+        gave_up: Why it gave up, "" while it has not; "" again when it is over.
+    """
+
+    def __init__(self, needed: int) -> None:
+        """For a grasp that this many fingers can hold."""
+        self.missed, self.given, self.gave_up = 0.0, 1.0, ""
+        self._needed = needed
+        self._missed_for = self._few_for = 0.0
+
+    def update(
+        self, elapsed: float, *, short: float, asked: float, holding: int
+    ) -> list[tuple[EventKind, str]]:
+        """Take over a step; returns what is to be noted.
+
+        Args:
+            elapsed: Since the last step, s.
+            short: Size of what is left over of the wrench, N.
+            asked: Size of the wrench, N.
+            holding: Fingers that hold.
+        """
+        self.missed = short / max(1.0, asked)
+        wanting = self.missed > MISSED_TOL
+        rate = -1.0 / GIVING_TIME if self.missed > GIVING_TOL else 1.0 / TAKING_TIME
+        self.given = min(1.0, max(LEAST_GIVEN, self.given + elapsed * rate))
+        before = self._missed_for
+        self._missed_for = before + elapsed if wanting else 0.0
+        few = holding < self._needed
+        self._few_for = self._few_for + elapsed if few else 0.0
+        notes: list[tuple[EventKind, str]] = []
+        detail = f"{short:.2f} N of {asked:.2f} N cannot be had"
+        if before < INFEASIBLE_TIME <= self._missed_for:
+            notes.append(("infeasible", f"{detail}; the nearest forces are given"))
+        if before >= INFEASIBLE_TIME and self._missed_for == 0.0:
+            notes.append(("feasible again", f"after {before:.3f} s"))
+        if self.gave_up and (wanting or few):
+            return notes
+        self.gave_up = ""
+        if self._few_for > PATIENCE:
+            self.gave_up = f"only {holding} fingers hold, for {PATIENCE} s"
+        elif self._missed_for > PATIENCE:
+            self.gave_up = f"{detail}, for {PATIENCE} s"
+        if self.gave_up:
+            notes.append(("gave up", self.gave_up))
+        return notes
