@@ -19,7 +19,7 @@ import numpy as np
 from planner.failure import Failure
 from planner.motion.residuals import MotionResiduals
 from planner.motion.terms import REACH
-from planner.motion.unknowns import OFFSET, SHARE
+from planner.motion.unknowns import OFFSET, PARAMETER
 from planner.spatial import FloatArray
 from planner.synthesis.terms.term import Role
 
@@ -48,7 +48,7 @@ class Limit:
         what: In words: a joint and its end, or a term and the finger it concerns.
         finger: Name of the finger, "" for none.
         joint: Name of the joint, "" for none.
-        place: Where on the path, 0 to 1.
+        path_parameter: Where on the path, 0 to 1.
         gain: How much longer the path becomes, as a share of what was asked for, when it gives way
             by one ``unit``.
         unit: A millimetre, a degree, a hundredth of a number.
@@ -57,13 +57,13 @@ class Limit:
     what: str
     finger: str
     joint: str
-    place: float
+    path_parameter: float
     gain: float
     unit: str
 
     def __str__(self) -> str:
         """One line."""
-        return f"{self.what}, at {100 * self.place:.0f} % of the path"
+        return f"{self.what}, at {100 * self.path_parameter:.0f} % of the path"
 
 
 def what_limits(
@@ -79,7 +79,7 @@ def what_limits(
     """
     r, blocks = residuals(z)
     jacobian = blocks.dense()
-    missing = residuals.pull * (1.0 - z[SHARE])
+    missing = residuals.pull * (1.0 - z[PARAMETER])
     if missing <= 0.0:
         return ()
     scale = 1.0 / (residuals.pull * missing)
@@ -118,7 +118,7 @@ def _joints(
                     what=f"joint {name} at its {'lower' if low else 'upper'} limit",
                     finger=finger,
                     joint=name,
-                    place=float(residuals.numbers.places[k]),
+                    path_parameter=float(residuals.numbers.places[k]),
                     gain=abs(float(slope[i])) * scale * degree,
                     unit=unit,
                 )
@@ -135,7 +135,7 @@ def _terms(residuals: MotionResiduals, r: FloatArray, scale: float) -> Iterator[
             what=str(row),
             finger=next((name for name in row.about if name in fingers), ""),
             joint="",
-            place=float(residuals.numbers.places[row.knot]),
+            path_parameter=float(residuals.numbers.places[row.knot]),
             gain=abs(float(value)) * row.term.weight * scale * step,
             unit=unit,
         )

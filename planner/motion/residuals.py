@@ -26,7 +26,7 @@ from planner.motion.terms import (
     steady_rows,
     swing_rows,
 )
-from planner.motion.unknowns import OFFSET, SHARE, SHARED
+from planner.motion.unknowns import OFFSET, PARAMETER, SHARED
 from planner.numerics.casadi_buffers import BufferedFunction
 from planner.spatial import FloatArray, IntArray
 from planner.synthesis.field_points import Field
@@ -126,9 +126,9 @@ class MotionResiduals:
         ]
         if self.pull:
             row = np.zeros((1, SHARED))
-            row[0, SHARE] = -self.pull
+            row[0, PARAMETER] = -self.pull
             # a term: as long as much of the path is missing, least squares go on
-            missing = np.array([self.pull * (1.0 - z[SHARE])])
+            missing = np.array([self.pull * (1.0 - z[PARAMETER])])
             at = slice(SHARED, SHARED)
             terms.append(Block(values=missing, rows=row, at=at, names=_just(REACH.row())))
         self.n_terms = sum(len(block.values) for block in terms)
@@ -200,7 +200,7 @@ class MotionResiduals:
         others = [j for j in range(n_contacts) if j != hold.lifted]
         knots = [hold.knots[j] % u.n_knots for j in others]
         p = problem.grasp.formulation.unpack(n.knots[0])
-        shares = n.places[knots] * z[SHARE]
+        shares = n.places[knots] * z[PARAMETER]
         first = OFFSET + u.grasp.n_joints
         columns = np.concatenate(
             [
@@ -220,7 +220,7 @@ class MotionResiduals:
         rows = np.zeros((len(values), u.size))
         own = 6 * len(others)
         rows[:, np.concatenate([columns, mine])] = slopes[:, :own]
-        rows[:, SHARE] += slopes[:, own:] @ n.places[knots]
+        rows[:, PARAMETER] += slopes[:, own:] @ n.places[knots]
         names = partial(self._swing_rows, hold.lifted, which)
         return Block(values=values, rows=rows, at=slice(SHARED, u.size), names=names)
 

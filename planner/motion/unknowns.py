@@ -1,13 +1,13 @@
 """What stands where among the unknowns of a motion, and where the base is at each knot.
 
-Unknowns: z = [s (3), t (3), share (1), then for each knot o (3), q, contact points, forces; then
-the forces of holds (``planner.motion.holds``)].
+Unknowns: z = [s (3), t (3), path parameter (1), then for each knot o (3), q, contact points,
+forces; then the forces of holds (``planner.motion.holds``)].
 
 The base stands still while the object moves. s and t place it in the middle frame, which has the
 object's orientation half-way and its origin at the start, as in a grasp: base = R0 M(s), at t. The
 object at knot k, at place c in [0, 1] of the path and with all of it scaled by the unknown share,
 is turned there by th = (c - 1/2) share angle about the axis a, and is off by d = c share R' shift
-+ o, where o is its freedom within the tube. In the object's own frame the base is then at
++ o, where o is its freedom within the path tolerance. In the object's own frame the base is then at
 
     R(a, -th) R0 M(s) = R0 M(s_k),    t_k = R(a, -th) (t - d),
 
@@ -31,13 +31,13 @@ from planner.system.threads import made_once
 __all__ = ["SHARED", "MotionUnknowns", "placement"]
 
 SHARED = 7
-"""Unknowns that all knots have in common: turn, shift, and the share of the path."""
+"""Unknowns that all knots have in common: turn, shift, and the path parameter."""
 
-SHARE = 6
-"""Where the share of the path stands."""
+PARAMETER = 6
+"""Where the path parameter stands."""
 
 OFFSET = 3
-"""Unknowns of a knot's place in the tube."""
+"""Unknowns of a knot's offset from the path."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +56,7 @@ class MotionUnknowns:
 
     @cached_property
     def own(self) -> int:
-        """Unknowns of one knot alone: place in the tube, joints, points and forces."""
+        """Unknowns of one knot alone: offset from the path, joints, points and forces."""
         return OFFSET + self.grasp.size - 6
 
     @property
@@ -102,7 +102,7 @@ class MotionUnknowns:
 
 @made_once(1)
 def placement() -> Any:
-    """CasADi function of [s, t, share, o], R0 (9, by columns), axis, angle, shift and place c.
+    """CasADi function of [s, t, parameter, o], R0 (9, by columns), axis, angle, shift and place c.
 
     Axis and shift are in the object's frame at the start. Gives [s_k, t_k] (6,) and its
     Jacobian (6, 10).
@@ -110,10 +110,10 @@ def placement() -> Any:
     y, r0 = ca.SX.sym("y", SHARED + OFFSET), ca.SX.sym("R0", 3, 3)
     axis, angle, shift = ca.SX.sym("a", 3), ca.SX.sym("angle"), ca.SX.sym("d", 3)
     place = ca.SX.sym("c")
-    s, t, share, offset = y[:3], y[3:6], y[SHARE], y[SHARED:]
-    turn = (place - 0.5) * share * angle
-    half = share * angle / 2
-    away = place * share * (_rotation(axis, -half) @ shift) + offset
+    s, t, parameter, offset = y[:3], y[3:6], y[PARAMETER], y[SHARED:]
+    turn = (place - 0.5) * parameter * angle
+    half = parameter * angle / 2
+    away = place * parameter * (_rotation(axis, -half) @ shift) + offset
     back = _compose(*_quaternion(r0.T @ axis, -turn), *_of_mrp(s))
     out = ca.vertcat(back, _rotation(axis, -turn) @ (t - away))
     inputs = [y, ca.vec(r0), axis, angle, shift, place]
