@@ -28,8 +28,12 @@ from planner.motion.manipulation import (
     plan_single_stroke,
 )
 from planner.motion.manipulation.ending import standing_under
-from planner.motion.manipulation.fallbacks import Fallback, fallback_schedule
-from planner.motion.manipulation.single_stroke import good_enough, merit
+from planner.motion.manipulation.single_stroke import (
+    Fallback,
+    fallback_schedule,
+    good_enough,
+    merit,
+)
 from planner.motion.release import find_release
 from planner.objects import GraspObject, parse_object
 from planner.plain import finite

@@ -40,7 +40,7 @@ from planner.motion.stances import Stance, StanceRows
 from planner.motion.starts import finger_sets, on_opposed_sides, with_rolling_pads
 from planner.motion.terms import LOAD, MOTION_TERMS, REACH
 from planner.motion.unknowns import SHARE, placement
-from planner.motion.verify import MotionVerifier, Place
+from planner.motion.verify import MotionVerifier, Waypoint
 from planner.objects import parse_object
 from planner.quality import analyse, force_closure
 from planner.spatial import SE3, FloatArray, skew
@@ -509,7 +509,7 @@ def test_the_turning_hand_turns_as_far_as_its_hinges_and_says_so(turning: GraspT
     solver = solver_of(turning, path)
     paper = 2 * (HINGE - JOINT_ROOM)
     candidate = next(solver.maximise_path(from_above(turning)))
-    assert 0.9 * paper < candidate.share * np.pi <= paper * 1.001
+    assert 0.9 * paper < candidate.path_parameter * np.pi <= paper * 1.001
     first = candidate.limits[0]
     assert first.joint.endswith("_turn") and "limit" in first.what
     hinges = [limit for limit in candidate.limits if limit.joint.endswith("_turn")]
@@ -584,8 +584,8 @@ def test_every_knot_passes_the_grasps_own_verdict_in_a_world_of_its_own(
 def test_a_knot_that_closes_by_less_than_the_margin_is_refused(ninety: MotionPlan) -> None:
     """Friction is lowered until a knot's contacts still close, but by less than is asked for."""
     task, worst = ninety.grasp.task, min(ninety.knots, key=closure_of)
-    place = Place(
-        place=worst.place,
+    place = Waypoint(
+        path_parameter=worst.path_parameter,
         T_object_base=worst.T_world_object.inverse() * ninety.T_world_base,
         q=worst.q,
     )

@@ -290,8 +290,8 @@ def test_a_finger_goes_from_where_it_was_to_where_it_lands(
 def test_fingers_find_back_from_half_way(gait: GaitPlan) -> None:
     motion = gait.motion
     half = cut_motion(motion, 0.5)
-    assert half.knots[-1].place == pytest.approx(0.5, abs=0.3)
-    assert half.path.angle == pytest.approx(half.knots[-1].place * motion.path.angle)
+    assert half.knots[-1].path_parameter == pytest.approx(0.5, abs=0.3)
+    assert half.path.angle == pytest.approx(half.knots[-1].path_parameter * motion.path.angle)
     back = plan_back(motion, 1.0)
     assert not isinstance(back, Failure)
     assert sorted(r.finger for r in back) == sorted(motion.grasp.task.finger_names)

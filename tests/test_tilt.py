@@ -121,12 +121,12 @@ def test_a_tip_that_stays_while_the_object_spins_under_it_pivots(plan: Manipulat
     spin = SE3(pin.exp3(0.3 * first.contacts.normals[0]), np.zeros(3))
     pose = spin * first.T_world_object
     second = replace(
-        first, place=1.0, T_world_object=pose, contacts=first.contacts.transformed(spin)
+        first, path_parameter=1.0, T_world_object=pose, contacts=first.contacts.transformed(spin)
     )
     pivoted = replace(motion, knots=(first, second)).pivoted
     along = np.abs(first.contacts.normals @ first.contacts.normals[0])
     np.testing.assert_allclose(pivoted, 0.3 * along, atol=1e-9)
-    assert replace(motion, knots=(first, replace(first, place=1.0))).pivoted.max() < 1e-12
+    assert replace(motion, knots=(first, replace(first, path_parameter=1.0))).pivoted.max() < 1e-12
 
 
 def test_no_regrasps_where_the_object_is_to_be_moved() -> None:

@@ -24,7 +24,7 @@ from planner.files.plans import (
 )
 from planner.hands.hand import Hand
 from planner.motion import Knot, Limit, MotionPlan, MotionRecord, ObjectPath
-from planner.motion.verify import MotionVerifier, Place
+from planner.motion.verify import MotionVerifier, Waypoint
 from planner.plan import GraspPlan
 from planner.schema import StrictData
 from planner.version import written_by
@@ -66,6 +66,16 @@ class LimitData(StrictData):
     gain: NotNegative
     unit: str
 
+    @classmethod
+    def of(cls, limit: Limit) -> LimitData:
+        """From a limit."""
+        same = {k: getattr(limit, k) for k in cls.model_fields if k != "place"}
+        return cls(place=limit.path_parameter, **same)
+
+    def limit(self) -> Limit:
+        """As a limit."""
+        return Limit(path_parameter=self.place, **self.model_dump(exclude={"place"}))
+
 
 class MotionRecordData(StrictData):
     """Where the motion comes from."""
@@ -103,10 +113,7 @@ def motion_to_dict(plan: MotionPlan) -> dict[str, Any]:
         ),
         tube_m=plan.path_tolerance,
         knots=[_knot_data(knot) for knot in plan.knots],
-        limits=[
-            LimitData(**{k: getattr(limit, k) for k in LimitData.model_fields})
-            for limit in plan.limits
-        ],
+        limits=[LimitData.of(limit) for limit in plan.limits],
         record=MotionRecordData(
             **{k: getattr(plan.record, k) for k in MotionRecordData.model_fields}
         ),
@@ -116,7 +123,7 @@ def motion_to_dict(plan: MotionPlan) -> dict[str, Any]:
 
 def _knot_data(knot: Knot) -> KnotData:
     return KnotData(
-        place=knot.place,
+        place=knot.path_parameter,
         T_world_object=PoseData.of(knot.T_world_object),
         q_rad=list(knot.q),
         contacts=contact_data(knot.contacts),
@@ -178,18 +185,18 @@ def _rebuild(file: MotionFile, grasp: GraspPlan, path: str) -> MotionPlan:
     given = [k.place for k in file.knots]
     if len(given) < 2 or given[0] != 0.0 or given[-1] != 1.0 or np.diff(given).min() <= 0:
         raise FileFormatError(f"{path}: its knots do not go from 0 to 1 in order; it is damaged")
-    places = [
-        Place(
-            place=k.place,
+    waypoints = [
+        Waypoint(
+            path_parameter=k.place,
             T_object_base=k.T_world_object.pose().inverse() * grasp.T_world_base,
             q=grasp.task.hand.checked_q(k.q_rad, "q_rad"),
         )
         for k in file.knots
     ]
-    if not np.allclose(places[0].q, grasp.q, rtol=0.0, atol=SAME):
+    if not np.allclose(waypoints[0].q, grasp.q, rtol=0.0, atol=SAME):
         raise FileFormatError(f"{path}: its first knot is not its grasp; it is damaged")
     verifier = MotionVerifier(grasp.task)
-    knots = verifier.verify_knots(grasp.T_world_base, places, covered, file.tube_m)
+    knots = verifier.verify_knots(grasp.T_world_base, waypoints, covered, file.tube_m)
     if isinstance(knots, Failure):
         raise FileFormatError(f"{path} holds a motion that fails its checks: {knots}")
     for stored, knot in zip(file.knots, knots, strict=True):
@@ -206,6 +213,6 @@ def _rebuild(file: MotionFile, grasp: GraspPlan, path: str) -> MotionPlan:
         path=covered,
         knots=knots,
         path_tolerance=file.tube_m,
-        limits=tuple(Limit(**limit.model_dump()) for limit in file.limits),
+        limits=tuple(data.limit() for data in file.limits),
         record=MotionRecord(**file.record.model_dump()),
     )

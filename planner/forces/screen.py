@@ -80,7 +80,8 @@ def torque_table(
     ]
     head = f"  {'actuator':16}{'N m':>10}{'least':>10}{'greatest':>10}{'used':>10}"
     carried = [
-        f"{stop_names[i]} {stop_forces[i]:.4f}" for i in np.flatnonzero(stop_forces > CARRIES)
+        f"{stop_names[i]} {stop_forces[i]:.4f}"
+        for i in np.flatnonzero(stop_forces > CARRIES).tolist()
     ]
     stops = [f"  stops that carry (N m): {', '.join(at_most(carried))}"] if carried else []
     return [head, *at_most(rows), *stops]

@@ -123,13 +123,13 @@ class MotionContext:
         """A plan out of what the solver found, or why not."""
         if candidate.failure is not None:
             return candidate.failure.at("not solved")
-        if candidate.share < LEAST_SHARE:
+        if candidate.path_parameter < LEAST_SHARE:
             return Failure(
                 kind="path_too_short",
-                text=f"only {100 * candidate.share:.1f} % of the path are reached",
-                numbers={"share": candidate.share},
+                text=f"only {100 * candidate.path_parameter:.1f} % of the path are reached",
+                numbers={"path_parameter": candidate.path_parameter},
             )
-        covered = self.solver.path.cut(candidate.share)
+        covered = self.solver.path.cut(candidate.path_parameter)
         record = SolveRecord(iterations=candidate.iterations, status="motion", objective="motion")
         verifier = _verifier(self.solver.task)  # that of the thread which asks now
         found = verifier.verify(candidate, covered, self.solver.path_tolerance, record)
@@ -158,7 +158,7 @@ class MotionContext:
             )
             failure = first_failure(terms, point)
             if failure is not None:
-                return failure.at(f"at {100 * knot.place:.0f} % of the path")
+                return failure.at(f"at {100 * knot.path_parameter:.0f} % of the path")
         return None
 
 

@@ -48,21 +48,22 @@ class Limit:
         what: In words: a joint and its end, or a term and the finger it concerns.
         finger: Name of the finger, "" for none.
         joint: Name of the joint, "" for none.
-        place: Path parameter, 0 to 1.
-        gain: Growth of the path, as a share of what was asked for, per ``unit`` of relaxation.
+        path_parameter: Where on the path, 0 to 1.
+        gain: How much longer the path becomes, as a share of what was asked for, when it gives way
+            by one ``unit``.
         unit: A millimetre, a degree, a hundredth of a number.
     """
 
     what: str
     finger: str
     joint: str
-    place: float
+    path_parameter: float
     gain: float
     unit: str
 
     def __str__(self) -> str:
         """One line."""
-        return f"{self.what}, at {100 * self.place:.0f} % of the path"
+        return f"{self.what}, at {100 * self.path_parameter:.0f} % of the path"
 
 
 def what_limits(
@@ -117,7 +118,7 @@ def _joints(
                     what=f"joint {name} at its {'lower' if low else 'upper'} limit",
                     finger=finger,
                     joint=name,
-                    place=float(residuals.numbers.path_parameters[k]),
+                    path_parameter=float(residuals.numbers.path_parameters[k]),
                     gain=abs(float(slope[i])) * scale * degree,
                     unit=unit,
                 )
@@ -134,7 +135,7 @@ def _terms(residuals: MotionResiduals, r: FloatArray, scale: float) -> Iterator[
             what=str(row),
             finger=next((name for name in row.about if name in fingers), ""),
             joint="",
-            place=float(residuals.numbers.path_parameters[row.knot]),
+            path_parameter=float(residuals.numbers.path_parameters[row.knot]),
             gain=abs(float(value)) * row.term.weight * scale * step,
             unit=unit,
         )

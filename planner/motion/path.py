@@ -1,7 +1,7 @@
 """The path of an object in the hand: a turn about an axis, a translation, or both at once.
 
-At share s of the path the object has been turned by s * angle about an axis through the origin of
-its frame, and its origin moved by s * shift. Axis and shift are in world axes.
+At path parameter s in [0, 1] the object has turned by s * angle about an axis through the origin of
+its frame, and its origin has moved by s * shift. Axis and shift are in world axes.
 """
 
 from __future__ import annotations
@@ -87,14 +87,16 @@ class ObjectPath:
         object.__setattr__(self, "angle", float(self.angle))
         freeze(self, arrays=("axis", "shift"))
 
-    def cut(self, share: float) -> ObjectPath:
-        """The first part of the path."""
-        return ObjectPath(axis=self.axis, angle=share * self.angle, shift=share * self.shift)
+    def cut(self, path_parameter: float) -> ObjectPath:
+        """The path up to a path parameter in (0, 1]."""
+        s = path_parameter
+        return ObjectPath(axis=self.axis, angle=s * self.angle, shift=s * self.shift)
 
-    def pose(self, T_world_start: SE3, share: float) -> SE3:
-        """Pose of the object at a share of the path that begins at ``T_world_start``."""
-        turn = pin.exp3(share * self.angle * self.axis)
-        return SE3(turn @ T_world_start.rotation, T_world_start.translation + share * self.shift)
+    def pose(self, T_world_start: SE3, path_parameter: float) -> SE3:
+        """Pose of the object at a path parameter; the path begins at ``T_world_start``."""
+        s = path_parameter
+        turn = pin.exp3(s * self.angle * self.axis)
+        return SE3(turn @ T_world_start.rotation, T_world_start.translation + s * self.shift)
 
     def __str__(self) -> str:
         """Turn and translation in words."""

@@ -25,10 +25,10 @@ __all__ = ["Knot", "MotionPlan", "MotionRecord"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Knot:
-    """The object in the hand at one place of its path, verified like a grasp.
+    """The object in the hand at one point of its path, verified like a grasp.
 
     Attributes:
-        place: Where on the path, 0 to 1.
+        path_parameter: Where on the path, 0 to 1.
         T_world_object: Pose of the object; the base stands where the grasp has it.
         q: Joints (nq,), pads just touching.
         contacts: Contacts with the true surface, world, with the planned forces.
@@ -40,7 +40,7 @@ class Knot:
         between: Largest pad gap, m, half-way from the knot before if all joints move evenly.
     """
 
-    place: float
+    path_parameter: float
     T_world_object: SE3
     q: FloatArray
     contacts: ContactSet
@@ -126,7 +126,7 @@ class MotionPlan:
         q = np.array([k.q[index] for k in self.knots])
         room = np.minimum(q - lower, upper - q) / np.maximum(upper - lower, SMALLEST_RANGE)
         k, j = np.unravel_index(int(np.argmin(room)), room.shape)
-        return hand.joint_names[index[j]], float(room[k, j]), self.knots[k].place
+        return hand.joint_names[index[j]], float(room[k, j]), self.knots[k].path_parameter
 
     @property
     def slipped(self) -> FloatArray:
@@ -151,16 +151,16 @@ class MotionPlan:
                 out.append(abs(pin.log3(new @ old.T) @ normal) / np.linalg.norm(normal))
         return np.asarray(np.reshape(out, (-1, len(task.fingers))).sum(axis=0))
 
-    def at(self, place: float) -> tuple[SE3, FloatArray]:
-        """Pose of the object and joints (nq,) at a place of the path, 0 to 1, between knots.
+    def at(self, path_parameter: float) -> tuple[SE3, FloatArray]:
+        """Pose of the object and joints (nq,) at a path parameter, 0 to 1, between knots.
 
         The object is interpolated along its screw, the joints evenly.
         """
-        places = np.array([k.place for k in self.knots])
-        i = int(np.clip(np.searchsorted(places, place, side="right") - 1, 0, len(places) - 2))
-        share = float(np.clip((place - places[i]) / (places[i + 1] - places[i]), 0.0, 1.0))
+        at = np.array([k.path_parameter for k in self.knots])
+        i = int(np.clip(np.searchsorted(at, path_parameter, side="right") - 1, 0, len(at) - 2))
+        part = float(np.clip((path_parameter - at[i]) / (at[i + 1] - at[i]), 0.0, 1.0))
         a, b = self.knots[i], self.knots[i + 1]
-        return SE3.Interpolate(a.T_world_object, b.T_world_object, share), a.q + share * (b.q - a.q)
+        return SE3.Interpolate(a.T_world_object, b.T_world_object, part), a.q + part * (b.q - a.q)
 
     def joint_trajectory(
         self,
@@ -197,10 +197,11 @@ class MotionPlan:
         return builder.built()
 
     def add_to(self, builder: TrajectoryBuilder, phase: str, until: float = 1.0) -> None:
-        """Append the motion up to a place of its path, in (0, 1], to a trajectory."""
-        places = np.array([k.place for k in self.knots if k.place < until] + [until])
-        postures = np.array([self.at(place)[1] for place in places])
-        builder.turn(phase, postures, places, until * self.path.angle)
+        """Append the motion up to a path parameter in (0, 1] to a trajectory."""
+        before = [k.path_parameter for k in self.knots if k.path_parameter < until]
+        parameters = np.array([*before, until])
+        postures = np.array([self.at(s)[1] for s in parameters])
+        builder.turn(phase, postures, parameters, until * self.path.angle)
 
     def __repr__(self) -> str:
         """One line."""

@@ -73,7 +73,8 @@ WORTH_A_LOOK = 0.3
 for a grasp, since every term is met by the least-squares descent at every knot."""
 
 RELAX, RELAXINGS = 0.95, 5
-"""Factor on the share that pulling reached, applied again and again until the verdict is good."""
+"""Factor on the path parameter that the pull reached, and how often it is applied at most: until a
+candidate has a good verdict."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +82,7 @@ class MotionCandidate:
     """Where a solver ended.
 
     Attributes:
-        share: Share of the path that is covered.
+        path_parameter: How far along the path the candidate goes, 0 to 1.
         grasps: Every knot as a grasp's unknowns (n_knots, size).
         reference: R0 (3, 3) of those.
         worst: Largest weighted residual of a term.
@@ -90,7 +91,7 @@ class MotionCandidate:
         iterations: Evaluations.
     """
 
-    share: float
+    path_parameter: float
     grasps: FloatArray
     reference: FloatArray
     worst: float
@@ -177,10 +178,10 @@ class MotionSolver:
         run.descend(REACHING)
         limits = what_limits(run.residuals, run.z, run.lower, run.upper)
         run.residuals.pull = 0.0
-        share = run.z[SHARE]
+        path_parameter = run.z[SHARE]
         for _ in range(RELAXINGS):
-            share *= RELAX
-            run.fix(share)
+            path_parameter *= RELAX
+            run.fix(path_parameter)
             run.descend(HOLDING)
             yield run.candidate(limits)
 
@@ -222,9 +223,9 @@ class _Run:
         self.in_haste = False  # whether small gains end a descent
         self._iterations = 0
 
-    def fix(self, share: float) -> None:
+    def fix(self, path_parameter: float) -> None:
         """From now on exactly up to this path parameter."""
-        self.lower[SHARE] = self.upper[SHARE] = self.z[SHARE] = share
+        self.lower[SHARE] = self.upper[SHARE] = self.z[SHARE] = path_parameter
 
     def descend(self, budget: int) -> None:
         """Move on by at most ``budget`` evaluations."""
@@ -261,7 +262,7 @@ class _Run:
     def candidate(self, limits: tuple[Limit, ...]) -> MotionCandidate:
         """Where it is now."""
         return MotionCandidate(
-            share=float(self.z[SHARE]),
+            path_parameter=float(self.z[SHARE]),
             grasps=self.residuals.grasps(self.z),
             reference=self.residuals.numbers.reference,
             worst=self.worst,

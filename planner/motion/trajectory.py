@@ -71,22 +71,22 @@ class TrajectoryBuilder:
         self._phases, self._bases = list(first.phases), list(first.T_world_base)
 
     def turn(
-        self, phase: str, postures: FloatArray, places: FloatArray, angle: float = 0.0
+        self, phase: str, postures: FloatArray, parameters: FloatArray, angle: float = 0.0
     ) -> None:
         """Joints go along postures, the base stays.
 
         Args:
             phase: Name of the piece.
             postures: Joints (m, nq), the first where the trajectory is now; two at least.
-            places: (m,), where on the way each of them is, increasing.
+            parameters: Path parameter (m,) of each posture, increasing.
             angle: By how much the object turns meanwhile, rad.
         """
-        way = PchipInterpolator(places, postures)
-        at = np.linspace(places[0], places[-1], LOOKS)
+        way = PchipInterpolator(parameters, postures)
+        at = np.linspace(parameters[0], parameters[-1], LOOKS)
         steps = np.abs(np.diff(way(at), axis=0)).max() * (LOOKS - 1)
         duration = PEAK * max(float(steps) / self._joint_rate, abs(angle) / self._turn_rate)
         share = self._shares(duration)
-        here = way(places[0] + share * (places[-1] - places[0]))
+        here = way(parameters[0] + share * (parameters[-1] - parameters[0]))
         self._add(phase, duration, here, [self._bases[-1]] * len(share))
 
     def move_base(self, phase: str, T_world_base: SE3, duration: float) -> None:

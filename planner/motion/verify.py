@@ -1,7 +1,7 @@
 """The verdict on a motion: every knot by the true geometry, Pinocchio and coal, like a grasp.
 
 The solver's knots are up to 30 degrees apart. Between them the object goes on along its path,
-and the pads over its surface (``planner.motion.interpolation``); these places count as knots too.
+and the pads over its surface (``planner.motion.interpolation``); these points count as knots too.
 The first is verified as a grasp on the table with its way in, all by the same checks: contact,
 penetration, couplings and limits, force closure with a margin, and forces that bear the weight.
 """
@@ -32,7 +32,7 @@ from planner.verification.geometry import contacts_of, verify_geometry
 from planner.verification.grasp import no_closure, no_forces, plan_forces, verify_grasp
 from planner.verification.projection import project_onto_surface
 
-__all__ = ["MotionVerifier", "Place"]
+__all__ = ["MotionVerifier", "Waypoint"]
 
 SUBKNOTS = 3
 """Knots of a plan for every one of the solver: 10 degrees apart where those are 30."""
@@ -56,16 +56,16 @@ PATH_SLACK = 2e-4
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place:
+class Waypoint:
     """A knot before it is verified.
 
     Attributes:
-        place: Where on the path, 0 to 1.
+        path_parameter: Where on the path, 0 to 1.
         T_object_base: The base as the object sees it.
         q: Joints (nq,).
     """
 
-    place: float
+    path_parameter: float
     T_object_base: SE3
     q: FloatArray
 
@@ -95,20 +95,20 @@ class MotionVerifier:
             path_tolerance: How far the object may be off its path, m.
             record: Where the candidate comes from.
         """
-        places = [self._projected(place) for place in self._places(candidate)]
-        T_world_base = self._task.T_world_object * places[0].T_object_base
+        waypoints = [self._projected(waypoint) for waypoint in self._waypoints(candidate)]
+        T_world_base = self._task.T_world_object * waypoints[0].T_object_base
         grasp = verify_grasp(
-            self._task, T_world_base, places[0].q, record=record, world=self._world
+            self._task, T_world_base, waypoints[0].q, record=record, world=self._world
         )
         if isinstance(grasp, Failure):
             return grasp.at("start")
-        knots = self.verify_knots(T_world_base, places, path, path_tolerance)
+        knots = self.verify_knots(T_world_base, waypoints, path, path_tolerance)
         return knots if isinstance(knots, Failure) else (grasp, knots)
 
     def verify_knots(
         self,
         T_world_base: SE3,
-        places: Sequence[Place],
+        waypoints: Sequence[Waypoint],
         path: ObjectPath,
         path_tolerance: float,
         *,
@@ -118,25 +118,25 @@ class MotionVerifier:
 
         Args:
             T_world_base: Pose of the base.
-            places: Where the object is, and the joints; from 0 to 1 in order.
+            waypoints: Where the object is, and the joints; from 0 to 1 in order.
             path: The path that they cover.
             path_tolerance: How far the object may be off its path, m.
             T_world_start: Pose of the object where the path begins; where the task has it if None.
         """
         start = self._task.T_world_object if T_world_start is None else T_world_start
         out: list[Knot] = []
-        before: tuple[Place, list[PadContact]] | None = None
-        for place in places:
-            touches = pad_contacts(self._lifted, self._base(place), place.q)
-            wanted = path.pose(start, place.place)
-            knot = self._knot(place, touches, T_world_base, wanted, path_tolerance, before)
+        before: tuple[Waypoint, list[PadContact]] | None = None
+        for waypoint in waypoints:
+            touches = pad_contacts(self._lifted, self._base(waypoint), waypoint.q)
+            wanted = path.pose(start, waypoint.path_parameter)
+            knot = self._knot(waypoint, touches, T_world_base, wanted, path_tolerance, before)
             if isinstance(knot, Failure):
-                return knot.at(f"at {100 * place.place:.0f} % of the path")
+                return knot.at(f"at {100 * waypoint.path_parameter:.0f} % of the path")
             out.append(knot)
-            before = place, touches
+            before = waypoint, touches
         return tuple(out)
 
-    def _places(self, candidate: MotionCandidate) -> list[Place]:
+    def _waypoints(self, candidate: MotionCandidate) -> list[Waypoint]:
         """The solver's knots and those between them."""
         task = self._task
         u = Unknowns(n_joints=task.hand.nq, n_contacts=len(task.fingers))
@@ -145,41 +145,43 @@ class MotionVerifier:
         lower, upper = task.hand.q_lower, task.hand.q_upper
         postures = [np.clip(u.q(x), lower, upper) for x in candidate.grasps]
         n = SUBKNOTS * (len(poses) - 1)
-        out = [Place(place=0.0, T_object_base=poses[0], q=postures[0])]
+        out = [Waypoint(path_parameter=0.0, T_object_base=poses[0], q=postures[0])]
         for k in range(len(poses) - 1):
-            shares = np.linspace(0.0, 1.0, SUBKNOTS + 1)
-            bases = [_between(poses[k], poses[k + 1], share) for share in shares]
+            parts = np.linspace(0.0, 1.0, SUBKNOTS + 1)
+            bases = [_between(poses[k], poses[k + 1], part) for part in parts]
             between = interpolate_rolling(self._lifted, bases, postures[k], postures[k + 1])
             out += [
-                Place(place=(SUBKNOTS * k + i) / n, T_object_base=bases[i], q=between[i])
+                Waypoint(
+                    path_parameter=(SUBKNOTS * k + i) / n, T_object_base=bases[i], q=between[i]
+                )
                 for i in range(1, SUBKNOTS + 1)
             ]
         return out
 
-    def _projected(self, place: Place) -> Place:
-        """The place with the pads on the true surface."""
-        q = project_onto_surface(self._lifted, self._base(place), place.q)
-        return replace(place, q=q)
+    def _projected(self, waypoint: Waypoint) -> Waypoint:
+        """The waypoint with the pads on the true surface."""
+        q = project_onto_surface(self._lifted, self._base(waypoint), waypoint.q)
+        return replace(waypoint, q=q)
 
-    def _base(self, place: Place) -> SE3:
+    def _base(self, waypoint: Waypoint) -> SE3:
         """Where the base is if the object is held where the task has it: one world for all."""
-        return self._lifted.T_world_object * place.T_object_base
+        return self._lifted.T_world_object * waypoint.T_object_base
 
     def _knot(
         self,
-        place: Place,
+        waypoint: Waypoint,
         touches: list[PadContact],
         T_world_base: SE3,
         wanted: SE3,
         path_tolerance: float,
-        before: tuple[Place, list[PadContact]] | None,
+        before: tuple[Waypoint, list[PadContact]] | None,
     ) -> Knot | Failure:
         """One knot if it holds, and if the way there from the one before does; else why not."""
         task = self._lifted
-        verification = verify_geometry(self._free, self._base(place), place.q, touches)
+        verification = verify_geometry(self._free, self._base(waypoint), waypoint.q, touches)
         if verification.failure is not None:
             return verification.failure
-        T_world_object = T_world_base * place.T_object_base.inverse()
+        T_world_object = T_world_base * waypoint.T_object_base.inverse()
         contacts = contacts_of(task, touches).transformed(
             T_world_object * task.T_world_object.inverse()
         )
@@ -187,14 +189,14 @@ class MotionVerifier:
         unclosed = _verify_closure(closure)
         if unclosed is not None:
             return unclosed
-        forces = plan_forces(task, contacts, T_world_base, place.q)
+        forces = plan_forces(task, contacts, T_world_base, waypoint.q)
         if not forces.found:
             return no_forces(task, forces)
         off, turned = _off_path(T_world_object, wanted)
         slid, gap, within = np.zeros(len(touches)), 0.0, None
         if before is not None:
-            slid = self._slips(before, (place, touches))
-            gap, within = self._between(before[0], place)
+            slid = self._slips(before, (waypoint, touches))
+            gap, within = self._between(before[0], waypoint)
         failure = (
             _verify_path(off, turned, path_tolerance)
             or _verify_slips(slid, task.finger_names)
@@ -203,9 +205,9 @@ class MotionVerifier:
         if failure is not None:
             return failure
         return Knot(
-            place=place.place,
+            path_parameter=waypoint.path_parameter,
             T_world_object=T_world_object,
-            q=place.q,
+            q=waypoint.q,
             contacts=forces.contacts,
             forces=forces,
             closure=closure,
@@ -216,7 +218,7 @@ class MotionVerifier:
         )
 
     def _slips(
-        self, before: tuple[Place, list[PadContact]], after: tuple[Place, list[PadContact]]
+        self, before: tuple[Waypoint, list[PadContact]], after: tuple[Waypoint, list[PadContact]]
     ) -> FloatArray:
         """How far each pad slides from one knot to the next, m."""
         (old, old_touches), (new, new_touches) = before, after
@@ -231,10 +233,10 @@ class MotionVerifier:
             ),
         )
 
-    def _between(self, before: Place, after: Place) -> tuple[float, Clearance | None]:
+    def _between(self, before: Waypoint, after: Waypoint) -> tuple[float, Clearance | None]:
         """Half-way between two knots: the largest pad gap, m, and what penetrates, if anything."""
         pose = _between(before.T_object_base, after.T_object_base, 0.5)
-        middle = Place(place=0.5, T_object_base=pose, q=(before.q + after.q) / 2)
+        middle = Waypoint(path_parameter=0.5, T_object_base=pose, q=(before.q + after.q) / 2)
         base = self._base(middle)
         touches = pad_contacts(self._lifted, base, middle.q)
         nearest = self._free.closest(
@@ -313,12 +315,12 @@ def _off_path(T_world_object: SE3, wanted: SE3) -> tuple[float, float]:
     return float(np.linalg.norm(off.translation)), rotation_angle(off.rotation)
 
 
-def _between(a: SE3, b: SE3, share: float) -> SE3:
+def _between(a: SE3, b: SE3, part: float) -> SE3:
     """Base in the object's frame while the object goes from one pose to another.
 
     Its origin goes on a line, and it turns about one axis.
     """
     old, new = a.inverse(), b.inverse()
-    turn = pin.exp3(share * pin.log3(new.rotation @ old.rotation.T)) @ old.rotation
-    shift = old.translation + share * (new.translation - old.translation)
+    turn = pin.exp3(part * pin.log3(new.rotation @ old.rotation.T)) @ old.rotation
+    shift = old.translation + part * (new.translation - old.translation)
     return SE3(turn, shift).inverse()

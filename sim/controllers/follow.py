@@ -221,7 +221,7 @@ class _Path:
             for pose, knot in zip(poses, motion.knots, strict=True)
         ]
         self._n = 3 * len(motion.grasp.task.fingers)
-        self._spline = CubicSpline([k.place for k in motion.knots], rows)
+        self._spline = CubicSpline([k.path_parameter for k in motion.knots], rows)
 
     def place(self, share: float) -> float:
         """Where on the path a share of the way is."""

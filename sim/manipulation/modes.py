@@ -103,7 +103,7 @@ def planned_points(
         away: (m, n), which fingers are to be off the object.
     """
     points = np.array([k.contacts_in_object.positions for k in motion.knots])
-    planned = interp1d([k.place for k in motion.knots], points, axis=0)(path_parameter)
+    planned = interp1d([k.path_parameter for k in motion.knots], points, axis=0)(path_parameter)
     order = {name: k for k, name in enumerate(PHASES)}
     order["regrasp"] = order["back"] = order["turn"]
     index = np.array([order[p] for p in phase], dtype=int)

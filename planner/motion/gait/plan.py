@@ -167,15 +167,15 @@ class GaitPlan:
 
         Args:
             builder: The trajectory.
-            last: Share, in (0, 1], of the last stroke.
+            last: Path parameter, in (0, 1], at which the last stroke ends.
         """
         for phase in self.phases:
             if isinstance(phase, Stroke):
                 until = last if phase.cycle == self.cycles - 1 else 1.0
                 self.motion.add_to(builder, f"stroke {phase.cycle + 1}", until)
             else:
-                places = np.linspace(0.0, 1.0, len(phase.postures))
-                builder.turn(f"regrasp {phase.finger}", phase.postures, places)
+                parameters = np.linspace(0.0, 1.0, len(phase.postures))
+                builder.turn(f"regrasp {phase.finger}", phase.postures, parameters)
 
     def __repr__(self) -> str:
         """One line."""

@@ -91,33 +91,31 @@ class RegraspPlanner:
         return end.build(found, moved) if isinstance(found, Order) else found
 
 
-def cut_motion(motion: MotionPlan, place: float) -> MotionPlan:
-    """The part of a motion up to the knot that is nearest to a place, at least to the second.
+def cut_motion(motion: MotionPlan, path_parameter: float) -> MotionPlan:
+    """The part of a motion up to the knot nearest to a path parameter, at least to the second.
 
     Args:
         motion: The whole.
-        place: Where on its path, 0 to 1.
+        path_parameter: Where on its path, 0 to 1.
     """
-    places = np.array([knot.place for knot in motion.knots])
-    last = max(1, int(np.abs(places - place).argmin()))
-    return replace(
-        motion, knots=motion.knots[: last + 1], path=motion.path.cut(float(places[last]))
-    )
+    at = np.array([knot.path_parameter for knot in motion.knots])
+    last = max(1, int(np.abs(at - path_parameter).argmin()))
+    return replace(motion, knots=motion.knots[: last + 1], path=motion.path.cut(float(at[last])))
 
 
-def plan_back(motion: MotionPlan, place: float) -> tuple[Relocation, ...] | Failure:
-    """Relocations of all fingers from a place of a motion to its beginning; or why there are none.
+def plan_back(motion: MotionPlan, path_parameter: float) -> tuple[Relocation, ...] | Failure:
+    """Relocations of all fingers from a point of a motion back to its beginning; or why not.
 
     Args:
         motion: The motion.
-        place: Where on its path it is now, 0 to 1; the nearest knot stands for it.
+        path_parameter: Where on its path it is now, 0 to 1; the nearest knot stands for it.
     """
     task = motion.grasp.task
     if len(task.fingers) - 1 < task.fingers_needed:
         n = len(task.fingers)
         text = f"{n} fingers are too few to lift one of them"
         return Failure(kind="too_few_fingers", text=text, numbers={"fingers": n})
-    found = RegraspPlanner(task).relocations(cut_motion(motion, place))
+    found = RegraspPlanner(task).relocations(cut_motion(motion, path_parameter))
     return found.failure if isinstance(found, NoOrder) else found
 
 

@@ -18,7 +18,7 @@ from planner.motion.gait.order import NoOrder
 from planner.motion.gait.plan import GaitPlan, Relocation, Stroke
 from planner.motion.gait.regrasp import RegraspPlanner
 from planner.motion.plan import Knot, MotionPlan
-from planner.motion.verify import MotionVerifier, Place
+from planner.motion.verify import MotionVerifier, Waypoint
 from planner.shapes import Shape
 from planner.spatial import SE3
 from planner.task import GraspTask
@@ -90,16 +90,20 @@ class GaitVerifier:
         same = [knot for knot in alike if knot is not None]
         if len(same) == len(alike):
             return Stroke(cycle=cycle, knots=tuple(same))
-        places = [
-            Place(
-                place=knot.place,
+        waypoints = [
+            Waypoint(
+                path_parameter=knot.path_parameter,
                 T_object_base=pose.inverse() * stroke.T_world_base,
                 q=knot.q,
             )
             for knot, pose in zip(stroke.knots, poses, strict=True)
         ]
         knots = self._motion.verify_knots(
-            stroke.T_world_base, places, stroke.path, stroke.path_tolerance, T_world_start=poses[0]
+            stroke.T_world_base,
+            waypoints,
+            stroke.path,
+            stroke.path_tolerance,
+            T_world_start=poses[0],
         )
         return knots if isinstance(knots, Failure) else Stroke(cycle=cycle, knots=knots)
 
@@ -153,7 +157,7 @@ def same_space(shape: Shape, one: SE3, other: SE3) -> bool:
 
 
 def _displaced(T_world_object: SE3, stroke: MotionPlan, cycle: int) -> SE3:
-    """Where the object is so many strokes later, in the same place of a stroke."""
+    """Where the object is so many strokes later, at the same path parameter."""
     path = stroke.path
     turn = pin.exp3(cycle * path.angle * path.axis)
     return SE3(turn @ T_world_object.rotation, T_world_object.translation + cycle * path.shift)

@@ -14,8 +14,7 @@ from planner.motion.manipulation.search import (
     plan_regrasping,
 )
 from planner.motion.manipulation.single_stroke import plan_single_stroke
-from planner.motion.manipulation.stand import on_stand
-from planner.motion.manipulation.task import manipulation_task
+from planner.motion.manipulation.task import manipulation_task, on_stand
 
 __all__ = [
     "Ending",

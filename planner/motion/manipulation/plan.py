@@ -133,7 +133,7 @@ class ManipulationPlan:
         Hand and object are where the grasp is, not lifted.
         """
         motion, gait = self.motion, self.gait
-        now, q = motion.at(self._last_place)
+        now, q = motion.at(self._final_parameter)
         if gait is None:
             return now, q
         last = next(s for s in gait.strokes if s.cycle == gait.cycles - 1)
@@ -142,8 +142,8 @@ class ManipulationPlan:
         return SE3(turned, begin.translation + now.translation - first.translation), q
 
     @property
-    def _last_place(self) -> float:
-        """Where on the path of the last stroke the object has turned by ``angle``, in (0, 1]."""
+    def _final_parameter(self) -> float:
+        """Path parameter in (0, 1] at which the last stroke has turned the object by ``angle``."""
         strokes = 1 if self.gait is None else self.gait.cycles
         if not self.angle:
             return 1.0
@@ -151,16 +151,17 @@ class ManipulationPlan:
 
     def _turn(self, builder: TrajectoryBuilder) -> tuple[SE3, FloatArray]:
         """Append the turn, and the way back; object, before any lift, and joints at its end."""
-        motion, place = self.motion, self._last_place
+        motion, end = self.motion, self._final_parameter
         if self.gait is not None:
-            self.gait.add_to(builder, place)
+            self.gait.add_to(builder, end)
             return self.turned_object()
-        motion.add_to(builder, "turn", place)
+        motion.add_to(builder, "turn", end)
         if not self.ending.back:
             return self.turned_object()
-        places = np.array([k.place for k in motion.knots if k.place < place] + [place])
-        way = np.array([motion.at(p)[1] for p in places[::-1]])
-        builder.turn("back", way, place - places[::-1], place * motion.path.angle)
+        before = [k.path_parameter for k in motion.knots if k.path_parameter < end]
+        parameters = np.array([*before, end])[::-1]
+        way = np.array([motion.at(s)[1] for s in parameters])
+        builder.turn("back", way, end - parameters, end * motion.path.angle)
         return motion.knots[0].T_world_object, motion.knots[0].q
 
     def __repr__(self) -> str:

@@ -15,9 +15,12 @@ from planner.errors import NoGraspFoundError, PlannerError, TaskError
 from planner.failure import Failure
 from planner.motion.gait import GaitPlan, plan_gait
 from planner.motion.manipulation.ending import Rests, planned_ending, stands
-from planner.motion.manipulation.fallbacks import LEAST_OVERSHOOT
 from planner.motion.manipulation.plan import ManipulationPlan, torque_reserve
-from planner.motion.manipulation.single_stroke import MAX_ATTEMPTS, plan_single_stroke
+from planner.motion.manipulation.single_stroke import (
+    LEAST_OVERSHOOT,
+    MAX_ATTEMPTS,
+    plan_single_stroke,
+)
 from planner.motion.path import LARGEST_TURN, tilts
 from planner.motion.plan import MotionPlan
 from planner.spatial import FloatArray

@@ -1,14 +1,15 @@
 """``plan_single_stroke``: pick an object up, turn or move it on one grasp, put it down.
 
-Turns about the vertical are what hands do best: tips roll around the object. Where it is tilted or
-moved, tips may have to pivot on their contacts instead, which is bounded here.
+Turns about the vertical come easily to hands: tips roll around the object. Where the object is
+tilted or moved, tips may pivot on their contacts instead; the pivot is bounded here. The fallback
+schedule tells which fingers and pads are tried in turn, and how far beyond the angle they turn.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,15 +17,26 @@ from planner.attempt import nothing_found
 from planner.errors import TaskError
 from planner.failure import Failure
 from planner.motion.manipulation.ending import Rests, planned_ending
-from planner.motion.manipulation.fallbacks import fallback_schedule
 from planner.motion.manipulation.plan import ManipulationPlan, torque_reserve
+from planner.motion.manipulation.task import with_fingers
 from planner.motion.path import LARGEST_TURN, ObjectPath, tilts
 from planner.motion.plan import MotionPlan
 from planner.motion.search import MotionAttempt, motion_attempts
+from planner.motion.starts import tripods, with_rolling_pads
 from planner.spatial import FloatArray
+from planner.synthesis.seeds.mesh import turning_seeder_for
 from planner.task import GraspTask
 
-__all__ = ["MAX_ATTEMPTS", "MOST_PIVOT", "good_enough", "merit", "plan_single_stroke"]
+__all__ = [
+    "LEAST_OVERSHOOT",
+    "MAX_ATTEMPTS",
+    "MOST_PIVOT",
+    "Fallback",
+    "fallback_schedule",
+    "good_enough",
+    "merit",
+    "plan_single_stroke",
+]
 
 CANDIDATES = 3
 """Plans of which the best is taken, unless one is good enough to be taken at once; fewer where the
@@ -32,32 +44,101 @@ schedule gives no more."""
 
 GOOD_RESERVE, GOOD_MARGIN = 0.1, 0.15
 """Share of its limit that every actuator keeps, and margin of closure (-), with which a plan is
-good enough. The rest moves the fingers and answers to what was not planned for: pushes, slips,
-an object that stands beside its place. Of 21 turns by the Allegro-type hand the one that stalled
-kept 0.01; of 22 turns of cylinders by the Shadow-type hand the two that failed had margins of 0.06
-and 0.09, those looked at beside them 0.17 and more."""
+good enough. The reserve moves the fingers and answers pushes, slips and an object beside its
+planned place."""
 
 GOOD_ON_BALLS = 0.4
-"""Margin of closure (-) that is asked of a plan for a ball, and nothing else. Those plans are of
-two sorts. Either one finger opposes another with 12 to 20 N, which leaves a margin of 0.25 to 0.34
-and much torsional friction; or all press alike, with less than 9 N, and leave 0.44 to 0.73. In the
-Shadow-type hand 4 of 6 turns of the first sort fell short of 90 degrees, and none of a dozen of the
-second."""
+"""Margin of closure (-) with which a plan for a ball is good enough, whatever its reserve. Below it
+one finger opposes another with most of the force, and torsional friction of the pivoting tips holds
+the ball back; above it all fingers press alike."""
 
-TUBE, TILT_TUBE, SHIFT_TUBE = 0.03, 0.01, 0.0
-"""Default path tolerance (m) of turns about the vertical, of tilts, and of translations: what is
-tilted or moved is to get where it was asked to. The freedom of a turn gives some ten degrees more.
-A finger of the Shadow-type hand has to go a third of the way around with a face, and no further
-than 40 degrees to the side; with 20 mm it turns blocks by 89 degrees, with 30 by 97. Of 6 starts
-for 98 degrees on cylinders of 64 and 70 mm 5 and 5 hold with three of its fingers and 30 mm, 1 and
-0 with 20."""
+TURN_TOLERANCE, TILT_TOLERANCE, SHIFT_TOLERANCE = 0.03, 0.01, 0.0
+"""Default path tolerance (m) of turns about the vertical, of tilts, and of translations. An object
+that is tilted or moved is to end where it was asked to. A turn about the vertical gains angle by
+the tolerance: a finger follows a face a third of the way around and cannot go as far to the side.
+"""
 
 MAX_ATTEMPTS = 50
 """Attempts before giving up."""
 
 MOST_PIVOT = math.radians(12.0)
-"""Most (rad) that a tip may pivot while the object is tilted or moved. Of 15 tilts by 30 degrees
-with more, boxes, cylinders and balls in both hands, 5 were made, of 24 with less all."""
+"""Most (rad) that a tip may pivot while the object is tilted or moved. With more,
+torsional friction may stop the object short of its target."""
+
+OVERSHOOT, TIPS_OVERSHOOT, LEAST_OVERSHOOT = (math.radians(degrees) for degrees in (8.0, 5.0, 2.0))
+"""Planned overshoot (rad) of the turn. A grasp made beside its planned place meets a joint limit
+early, and the reference of an object that lags continues into the overshoot. Objects that turn the
+fingertips along (``Shape.turns_tips``) get less, because hands can hardly turn wide ones further.
+The least is for the last resort, and for turns by several strokes, whose last stroke makes up for
+what is missing."""
+
+FIRST, FIRST_TIPS, LATER = 3, 6, 8
+"""Attempts of the first entry, of the first entry for objects that turn the tips along, whose
+starts hold less often, and of each later entry."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fallback:
+    """One entry of the schedule.
+
+    Attributes:
+        task: The task, with the fingers and the pads of this entry.
+        overshoot: Turn planned beyond what is asked for, rad.
+        attempts: Attempts before the next entry; None until a plan is found.
+    """
+
+    task: GraspTask
+    overshoot: float
+    attempts: int | None
+
+
+def fallback_schedule(task: GraspTask) -> Iterator[Fallback]:
+    """The entries in the order in which they are tried.
+
+    An entry ends the search if it gives a good plan, or enough plans with those before it:
+
+        object       fingers and pads                     overshoot       attempts
+        cylinder     all fingers                          8 degrees       3
+                     one less, for each; thumb last       8               8
+                     all, pads as wide as tips are round  8               3
+        block, mesh  thumb and the first two neighbours   5               6
+                     each other pair of neighbours        5               8
+        ball         the same, and after its first entry  2               6
+        any          the first fingers                    2               until one is found
+
+    Fingers that the caller names all take part.
+    """
+    tips = task.object.shape.turns_tips
+    sets = [task]
+    if task.may_spare_fingers and len(task.finger_names) > task.fingers_needed:
+        if tips:
+            # a fourth finger would have to go all the way as well: on a block it stays on its face
+            sets = [with_fingers(task, names) for names in tripods(task)]
+        else:
+            # the thumb comes first and is left out last
+            for left_out in reversed(task.finger_names):
+                names = [name for name in task.finger_names if name != left_out]
+                sets.append(with_fingers(task, names))
+    overshoot, first = (TIPS_OVERSHOOT, FIRST_TIPS) if tips else (OVERSHOOT, FIRST)
+    yield Fallback(task=sets[0], overshoot=overshoot, attempts=first)
+    if task.object.shape.ball_like:
+        yield Fallback(task=sets[0], overshoot=LEAST_OVERSHOOT, attempts=first)
+    for one in filter(_closes, sets[1:]):
+        yield Fallback(task=one, overshoot=overshoot, attempts=LATER)
+    # contacts are nearer to the rims of pads on cylinders that are wide for a hand
+    if not with_rolling_pads(sets[0]).hand.rolls:
+        rolling = replace(sets[0], hand=task.hand.rolling)
+        yield Fallback(task=rolling, overshoot=overshoot, attempts=first)
+    yield Fallback(task=sets[0], overshoot=LEAST_OVERSHOOT, attempts=None)
+
+
+def _closes(task: GraspTask) -> bool:
+    """Whether the fingers open wide enough for the object: without a thumb they may not."""
+    try:
+        turning_seeder_for(task)
+    except TaskError:
+        return False
+    return True
 
 
 def plan_single_stroke(
@@ -67,7 +148,7 @@ def plan_single_stroke(
     angle: float,
     shift: Sequence[float] | FloatArray = (0.0, 0.0, 0.0),
     place: tuple[float, float] | None = None,
-    tube: float | None = None,
+    path_tolerance: float | None = None,
     seed: int = 0,
     max_attempts: int = MAX_ATTEMPTS,
     rests: Rests | None = None,
@@ -81,8 +162,8 @@ def plan_single_stroke(
         angle: Turn in the hand, rad, with its sign.
         shift: Translation in the hand (3,), m, world, evenly along the turn.
         place: Where the object is to stand, x and y in m, world; where it was if None.
-        tube: Path tolerance: how far the object may leave its path, m; if None ``TUBE``, or
-            ``TILT_TUBE`` or ``SHIFT_TUBE`` where it is tilted or moved.
+        path_tolerance: How far the object may leave its path, m; if None ``TURN_TOLERANCE``, or
+            ``TILT_TOLERANCE`` or ``SHIFT_TOLERANCE`` where it is tilted or moved.
         seed: Same seed, same plan.
         max_attempts: Budget in attempts.
         rests: Tells whether an object stays where a task has it, as ``sim.manipulation.rests``;
@@ -98,8 +179,9 @@ def plan_single_stroke(
         raise TaskError(f"max_attempts is {max_attempts}; give at least 1")
     direction = np.asarray(axis, dtype=np.float64)
     moved = np.asarray(shift, dtype=np.float64)
-    if tube is None:
-        tube = SHIFT_TUBE if moved.any() else TILT_TUBE if tilts(direction) else TUBE
+    if path_tolerance is None:
+        turning = TILT_TOLERANCE if tilts(direction) else TURN_TOLERANCE
+        path_tolerance = SHIFT_TOLERANCE if moved.any() else turning
     made: list[MotionAttempt] = []
     tried: list[tuple[str, ...]] = []
     found: list[ManipulationPlan] = []
@@ -110,7 +192,9 @@ def plan_single_stroke(
         tried.append(fallback.task.finger_names)
         path = _with_overshoot(direction, angle, moved, fallback.overshoot)
         most = max_attempts if attempts is None else min(max_attempts, len(made) + attempts)
-        for attempt in motion_attempts(fallback.task, path, path_tolerance=tube, seed=seed):
+        for attempt in motion_attempts(
+            fallback.task, path, path_tolerance=path_tolerance, seed=seed
+        ):
             if len(made) >= most or good_enough(found):
                 break
             made.append(attempt)
@@ -141,7 +225,7 @@ def plan_single_stroke(
     raise nothing_found(
         f"way to turn or move {task.object.name} by {asked} with {task.hand.name} ({sets})",
         made,
-        "Try a smaller turn, a wider tube, other fingers or more attempts",
+        "Try a smaller turn, a larger path tolerance, other fingers or more attempts",
     )
 
 
@@ -171,7 +255,7 @@ def _with_overshoot(
 def _pivoting(motion: MotionPlan) -> Failure | None:
     """Which tip pivots too far on its contact when the object is tilted or moved, None for none.
 
-    Torsional friction, which the controller does not know of, would hold the object up.
+    Torsional friction, which the controller does not model, would hold the object back.
     """
     if not (motion.path.shift.any() or tilts(motion.path.axis)):
         return None

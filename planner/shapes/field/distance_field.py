@@ -6,8 +6,6 @@ coarser one, refined to the finer grid by the two-scale relation of B-splines, p
 whose outermost coefficients are zero. So value, gradient and Hessian are continuous across the rims
 of the levels too. Beyond the coarsest level the value is |p| - r, to which the coarsest level is
 blended before its rim; what is left of a step there is below ``planner.shapes.field.fit.RIM_STEP``.
-
-Third derivatives are those of the cubic pieces: exact, constant along their own axis within a cell.
 """
 
 from __future__ import annotations
@@ -25,8 +23,8 @@ from planner.spatial import FloatArray, IntArray
 
 __all__ = ["DistanceField", "Level", "taylor_size"]
 
-ORDERS = (0, 1, 2, 3)
-"""Orders of derivatives that a cubic spline has."""
+ORDERS = (0, 1, 2)
+"""Orders of the derivatives that are continuous."""
 
 # Pieces of the cubic B-spline on a cell as polynomials of t in [0, 1]: row = power of t, column =
 # coefficient i-1 .. i+2 (de Boor, "A practical guide to splines", uniform knots).
@@ -34,7 +32,7 @@ _PIECES = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]])
 
 
 def taylor_size(order: int) -> int:
-    """Partial derivatives in 3D up to an order: 1, 4, 10, 20."""
+    """Partial derivatives in 3D up to an order: 1, 4, 10."""
     return comb(order + 3, 3)
 
 
@@ -94,20 +92,22 @@ class DistanceField:
 
         Args:
             points: (n, 3), m, in the shape's frame; anywhere.
-            order: Highest order of the derivatives, 0 to 3.
+            order: Highest order of the derivatives, 0 to 2.
 
         Returns:
             (n, ``taylor_size(order)``), units m^(1 - order of the derivative), in the order [phi,
-            x, y, z, xx, xy, xz, yy, yz, zz, xxx, xxy, xxz, xyy, xyz, xzz, yyy, yyz, yzz, zzz].
+            x, y, z, xx, xy, xz, yy, yz, zz].
 
         Raises:
-            ObjectError: Not finite, not of shape (n, 3), or an order that a cubic spline has not.
+            ObjectError: Not finite, not of shape (n, 3), or another order.
         """
         p = np.asarray(points, dtype=np.float64)
         if p.ndim != 2 or p.shape[1] != 3:
             raise ObjectError(f"points have shape {p.shape}; give an array of shape (n, 3), in m")
         if order not in ORDERS:
-            raise ObjectError(f"order is {order!r}; a cubic spline has derivatives of {ORDERS}")
+            raise ObjectError(
+                f"order is {order!r}; give the order of a derivative, one of {ORDERS}"
+            )
         out, inside = self._tables.evaluate(p, order)
         if not inside.all():
             far = ~inside
@@ -173,7 +173,7 @@ class _Tables:
         # cell k of a level lies between its nodes k + 1 and k + 2
         self.first = np.array([level.first + 1 for level in levels], dtype=np.float64)
         self.inverse = np.array([[1.0 / level.spacing] for level in levels])  # (n_levels, 1)
-        # per cell width^derivative to per m^derivative, (20, n_levels)
+        # per cell width^derivative to per m^derivative, (10, n_levels)
         self.scale = (self.inverse ** _MIXED.sum(axis=0)).T
         n = len(levels)
         self.level_of = np.array([n - 1, *range(n - 1, -1, -1)])  # of how many levels hold a point
@@ -244,12 +244,12 @@ def _weights(t: FloatArray, order: int) -> FloatArray:
 
 def _derived_pieces() -> FloatArray:
     """Polynomials of the pieces and their derivatives: (4 derivative + coefficient, power)."""
-    out = np.zeros((4, 4, 4))
+    out = np.zeros((len(ORDERS), 4, 4))
     pieces = _PIECES.copy()
-    for d in range(4):
+    for d in ORDERS:
         out[d] = pieces.T
         pieces = np.vstack([pieces[1:] * np.arange(1, 4)[:, None], np.zeros((1, 4))])
-    return out.reshape(16, 4)
+    return out.reshape(-1, 4)
 
 
 _PIECES_OF = _derived_pieces()
@@ -259,7 +259,7 @@ _AXES = [axes for order in ORDERS for axes in combinations_with_replacement(rang
 """Axes of the derivative in each column of the Taylor rows."""
 
 _MIXED = np.array([[axes.count(k) for axes in _AXES] for k in range(3)])
-"""(3, 20): order of the derivative along x, y, z in each column."""
+"""(3, 10): order of the derivative along x, y, z in each column."""
 
 
 def _far_taylor(p: FloatArray, radius: float, order: int) -> FloatArray:
@@ -272,11 +272,7 @@ def _far_taylor(p: FloatArray, radius: float, order: int) -> FloatArray:
             out[:, k] = r - radius
         elif len(axes) == 1:
             out[:, k] = e[:, axes[0]]
-        elif len(axes) == 2:
+        else:
             i, j = axes
             out[:, k] = (float(i == j) - e[:, i] * e[:, j]) / r
-        else:
-            i, j, m = axes
-            mixed = (i == j) * e[:, m] + (j == m) * e[:, i] + (i == m) * e[:, j]
-            out[:, k] = (3 * e[:, i] * e[:, j] * e[:, m] - mixed) / r**2
     return out
