@@ -65,3 +65,25 @@ def test_a_total_mass_that_the_reader_ignores_is_named(tmp_path: Path) -> None:
     assert set(column.causes) == {"mass"}
     assert column.causes["mass"] == "settotalmass is ignored there"
     assert column.unexplained == ()
+
+
+CARRIED = """
+<mujoco><worldbody><body name="link"><joint name="j" axis="0 1 0"/>
+  <inertial pos="0 0 0" mass="{link}" diaginertia="1e-4 1e-4 1e-4"/>
+  <body name="tool" pos="0 0 0.1">
+    <inertial pos="0 0 -0.1" mass="{tool}" diaginertia="1e-4 1e-4 1e-4"/>
+  </body>
+</body></worldbody></mujoco>
+"""
+"""A body fixed to a link, with its centre of mass in the link's."""
+
+
+def test_a_body_that_is_fixed_to_a_link_has_a_mass_of_its_own() -> None:
+    true, moved = (
+        mujoco.MjModel.from_xml_string(CARRIED.format(link=link, tool=tool))
+        for link, tool in ((0.4, 0.2), (0.5, 0.1))
+    )
+    assert compare_models(true, true, n_configurations=1).ok
+    # as a whole both move alike, and the masses of both bodies are still faults
+    faults = compare_models(true, moved, n_configurations=2).columns[0].faults
+    assert {(d.quantity, d.part) for d in faults} == {("mass", "link"), ("mass", "tool")}
