@@ -11,6 +11,7 @@ import pytest
 
 from planner.bridge import pinocchio_from_mujoco
 from sim.crosscheck import READER, compare_models, crosscheck
+from sim.crosscheck.mujoco_facts import efforts
 
 WHEEL = """
 <mujoco><option gravity="0 0 -9.81"/><worldbody><body name="wheel">
@@ -87,3 +88,14 @@ def test_a_body_that_is_fixed_to_a_link_has_a_mass_of_its_own() -> None:
     # as a whole both move alike, and the masses of both bodies are still faults
     faults = compare_models(true, moved, n_configurations=2).columns[0].faults
     assert {(d.quantity, d.part) for d in faults} == {("mass", "link"), ("mass", "tool")}
+
+
+def test_an_actuator_that_only_pulls_has_a_limit() -> None:
+    model = mujoco.MjModel.from_xml_string("""
+        <mujoco><worldbody>
+          <body><joint name="pulled"/><geom size="0.1"/></body>
+          <body><joint name="free"/><geom size="0.1"/></body>
+        </worldbody>
+        <actuator><motor joint="pulled" gear="3" forcelimited="true" forcerange="0 2"/></actuator>
+        </mujoco>""")
+    np.testing.assert_allclose(efforts(model), [[0.0, 6.0], [-np.inf, np.inf]])
