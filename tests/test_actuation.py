@@ -310,3 +310,21 @@ def test_an_actuation_cannot_be_changed_from_outside() -> None:
     assert hand.moment[0, 0] == 1.0
     with pytest.raises(ValueError, match="read-only"):
         hand.moment[0, 0] = 5.0
+
+
+def test_the_limit_of_a_tendon_is_that_of_its_own_actuator_alone() -> None:
+    model = mujoco.MjModel.from_xml_string("""
+        <mujoco><worldbody>
+          <body><joint name="j"/><geom size="0.1"/></body>
+          <body><joint name="k"/><geom size="0.1"/></body>
+        </worldbody>
+        <tendon><fixed name="t" actuatorfrclimited="true" actuatorfrcrange="-3 5">
+          <joint joint="j" coef="1"/></fixed></tendon>
+        <actuator>
+          <position tendon="t" kp="1000"/>
+          <position joint="k" kp="1000" forcelimited="true" forcerange="-8 8"/>
+        </actuator></mujoco>""")
+    np.testing.assert_array_equal(actuation_from_mujoco(model).force_range, [[-3, 5], [-8, 8]])
+    for ctrl, torque in ((10.0, [5.0, 8.0]), (-10.0, [-3.0, -8.0])):
+        made = actuator_torque(model, np.zeros(2), np.zeros(2), np.full(2, ctrl))
+        np.testing.assert_allclose(made, torque)

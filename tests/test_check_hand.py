@@ -8,12 +8,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import typer
 from typer.testing import CliRunner
 
 from planner.describe import CheckReport, check_hand
-from planner.describe.overlaps import frequent_overlaps
+from planner.describe.overlaps import HandGaps, frequent_overlaps
 from planner.errors import TaskError
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
@@ -302,3 +303,25 @@ def test_hands_command_lists_ours_and_those_of_others(app: typer.Typer, runner: 
     assert result.exit_code == 0
     assert "allegro_hand" in result.output
     assert "robosuite:inspire_right" in result.output
+
+
+def test_an_overlap_on_the_way_to_the_pinch_alone_is_found(edit_hand: EditHand) -> None:
+    # a ball on the index's first link, where its pad is when the next two joints are at 0.85, 0.67
+    bent, tip = 0.85, 0.85 + 0.67
+    x = 0.0384 * np.sin(bent) + 0.0267 * np.sin(tip)
+    z = 0.054 + 0.0384 * np.cos(bent) + 0.0267 * np.cos(tip)
+    link = '<geom name="index_proximal"'
+    ball = f'<geom name="ball" type="sphere" size="0.006" pos="{x} 0 {z}"/>'
+    hand = load_hand(edit_hand(xml={link: ball + link}))
+    gaps = HandGaps(hand, 0.0)
+    pair = next(k for k, p in enumerate(gaps.pairs) if {g.name for g in p} == {"ball", "index_pad"})
+    shares = np.linspace(0.0, 1.0, 21)
+    wide, narrow = hand.posture("open"), hand.posture("pinch")
+    touching = np.zeros(len(shares), dtype=bool)
+    data = hand.pin_model.createData()
+    for k, share in enumerate(shares):
+        pin.forwardKinematics(hand.pin_model, data, wide + share * (narrow - wide))
+        touching[k] = gaps.between_parts(data.oMi)[pair] < 0.0
+    assert touching[-1] and not touching[: len(shares) // 2].any()
+    found = [set(overlap.bodies) for overlap in frequent_overlaps(hand)]
+    assert {"index_proximal", "index_distal"} in found

@@ -11,6 +11,7 @@ import pytest
 
 from planner.bridge import pinocchio_from_mujoco
 from sim.crosscheck import READER, compare_models, crosscheck
+from sim.crosscheck.mujoco_facts import efforts
 
 WHEEL = """
 <mujoco><option gravity="0 0 -9.81"/><worldbody><body name="wheel">
@@ -65,3 +66,36 @@ def test_a_total_mass_that_the_reader_ignores_is_named(tmp_path: Path) -> None:
     assert set(column.causes) == {"mass"}
     assert column.causes["mass"] == "settotalmass is ignored there"
     assert column.unexplained == ()
+
+
+CARRIED = """
+<mujoco><worldbody><body name="link"><joint name="j" axis="0 1 0"/>
+  <inertial pos="0 0 0" mass="{link}" diaginertia="1e-4 1e-4 1e-4"/>
+  <body name="tool" pos="0 0 0.1">
+    <inertial pos="0 0 -0.1" mass="{tool}" diaginertia="1e-4 1e-4 1e-4"/>
+  </body>
+</body></worldbody></mujoco>
+"""
+"""A body fixed to a link, with its centre of mass in the link's."""
+
+
+def test_a_body_that_is_fixed_to_a_link_has_a_mass_of_its_own() -> None:
+    true, moved = (
+        mujoco.MjModel.from_xml_string(CARRIED.format(link=link, tool=tool))
+        for link, tool in ((0.4, 0.2), (0.5, 0.1))
+    )
+    assert compare_models(true, true, n_configurations=1).ok
+    # as a whole both move alike, and the masses of both bodies are still faults
+    faults = compare_models(true, moved, n_configurations=2).columns[0].faults
+    assert {(d.quantity, d.part) for d in faults} == {("mass", "link"), ("mass", "tool")}
+
+
+def test_an_actuator_that_only_pulls_has_a_limit() -> None:
+    model = mujoco.MjModel.from_xml_string("""
+        <mujoco><worldbody>
+          <body><joint name="pulled"/><geom size="0.1"/></body>
+          <body><joint name="free"/><geom size="0.1"/></body>
+        </worldbody>
+        <actuator><motor joint="pulled" gear="3" forcelimited="true" forcerange="0 2"/></actuator>
+        </mujoco>""")
+    np.testing.assert_allclose(efforts(model), [[0.0, 6.0], [-np.inf, np.inf]])

@@ -182,3 +182,19 @@ def test_joints_without_a_rotor_get_one_beside_those_that_have_one() -> None:
     expected[hand.joint_index("thumb_a")] = 0.05
     np.testing.assert_allclose(hand.mj_model.dof_armature, expected)
     assert share >= 0.95
+
+
+def test_a_posture_is_looked_for_within_the_ranges_of_joints_that_follow(tmp_path: Path) -> None:
+    # free joints could bend to 1.4, but their followers, at half of it, end at 0.2
+    text = urdf(mimic=True)
+    for n in ("f1", "f2", "f3"):
+        head, tail = text.split(f'<joint name="{n}.1"')
+        tail = tail.replace('upper="1.4"', 'upper="0.2"', 1)
+        text = f'{head}<joint name="{n}.1"{tail}'
+    path = written(tmp_path, text, "claw.urdf")
+    hand = hand_from_spec(load_spec(path), propose(path).description)
+    solver = PostureSolver(hand, hand.choose_fingers())
+    q = solver.solve([0.01]).q
+    matrix, value = hand.coupling_matrix
+    # clipped to its ranges, a posture that ignored them would leave the couplings
+    np.testing.assert_allclose(matrix @ q, value, atol=0.02)

@@ -26,6 +26,7 @@ from planner.motion import plan_motion
 from planner.motion.gait import GaitPlan, NoOrder, Order, Relocation, find_order, plan_gait
 from planner.motion.gait.order import holding, standing
 from planner.motion.gait.regrasp import RegraspPlanner
+from planner.motion.gait.relocate import FingerPaths
 from planner.motion.gait.verify import GaitVerifier, same_space
 from planner.objects import parse_object
 from planner.quality import force_closure
@@ -340,3 +341,18 @@ def test_a_way_that_is_none_in_a_hand_is_refused(shift: tuple[float, ...]) -> No
     task = GraspTask.create("allegro_hand", "cylinder")
     with pytest.raises(TaskError, match="shift is"):
         plan_gait(task, angle=1.0, shift=shift)
+
+
+def test_the_other_fingers_go_evenly_along_while_one_is_lifted(twice: GaitPlan) -> None:
+    task, relocation = twice.motion.grasp.task, twice.relocations[0]
+    finger = task.hand.fingers[relocation.finger]
+    others = np.setdiff1d(np.arange(task.hand.nq), finger.q_index)
+    begin, landed = relocation.postures[0], relocation.postures[-1].copy()
+    landed[others] += 1e-5
+    lifted = replace(task, table_height=None)
+    base = relocation.T_world_object.inverse() * twice.T_world_base
+    postures = FingerPaths(lifted).path(finger, base, begin, landed)
+    assert not isinstance(postures, Failure), str(postures)
+    shares = np.linspace(0.0, 1.0, len(postures))[:, None]
+    even = begin[others] + shares * (landed - begin)[others]
+    np.testing.assert_allclose(postures[:, others], even, rtol=0, atol=1e-9)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -19,6 +20,7 @@ from planner.spatial import SE3, FloatArray
 from sim.controllers import ImpedanceGains, ObjectImpedance, Observation, Sensing
 from sim.controllers.impedance import ImpedanceLaw
 from sim.manipulation import InHandController, ManipulationObservation, manipulate
+from sim.manipulation.driver import ManipulationDriver
 from sim.manipulation.in_hand import AnyTurningController
 from sim.pads import read_pads
 from sim.simulation import Simulation
@@ -191,3 +193,35 @@ def test_a_pad_feels_sliding_along_its_surface_alone(plan: ManipulationPlan) -> 
         assert abs(sliding @ normal) < 1e-3
         assert sliding @ aside == pytest.approx(0.01, rel=0.1)
         assert np.linalg.norm(sliding) == pytest.approx(0.01, rel=0.1)
+
+
+def test_the_hand_stays_open_while_it_retreats(plan: ManipulationPlan) -> None:
+    class Holding:
+        """What holds the object, and is not to be asked any more."""
+
+        reference: Any = None
+
+        def step(self, observation: Observation) -> FloatArray:
+            raise AssertionError(f"asked in the phase {observation.phase}")
+
+    grasp = plan.grasp
+    observation = Observation(
+        time=1.0,
+        phase="open",
+        progress=0.0,
+        q=grasp.q,
+        v=np.zeros_like(grasp.q),
+        T_world_base=grasp.T_world_base,
+        T_world_object=grasp.task.T_world_object,
+        normal_forces=np.zeros(len(grasp.task.fingers)),
+        read_twist=lambda: np.zeros(6),
+        read_contacts=lambda: grasp.contacts,
+    )
+    holding: Any = Holding()
+    driver = ManipulationDriver(plan, holding, rate=1.0)
+    closed = driver.step(observation)
+    opened = driver.step(replace(observation, phase="open", progress=1.0))
+    assert np.abs(opened - closed).max() > 0.01
+    for progress in (0.0, 0.5, 1.0):
+        retreating = replace(observation, phase="retreat", progress=progress)
+        np.testing.assert_array_equal(driver.step(retreating), opened)

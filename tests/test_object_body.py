@@ -153,3 +153,10 @@ def test_a_body_without_mass_gets_the_default(tmp_path: Path) -> None:
         '<mujoco><worldbody><body name="b"><geom size="0.03" mass="0"/></body></worldbody></mujoco>'
     )
     assert parse_object(f"{tmp_path / 'a.xml'}#b").mass == DEFAULT_MASS
+
+
+@pytest.mark.parametrize("bits", ['contype="1" conaffinity="0"', 'contype="0" conaffinity="1"'])
+def test_a_geom_collides_by_either_of_its_masks(scene: Scene, bits: str) -> None:
+    drawn = '<geom type="box" size="0.05 0.05 0.05" contype="0" conaffinity="0"/>'
+    path = scene(f'{drawn}<geom type="sphere" size="0.03" {bits}/>')
+    assert object_body(path, "thing").shape == Sphere(0.03)

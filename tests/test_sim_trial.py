@@ -371,3 +371,10 @@ def test_viewer_without_a_display_says_so(plan: GraspPlan, monkeypatch: pytest.M
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(TaskError, match="no display"):
         simulate(plan, timeline=QUICK, view=True)
+
+
+def test_progress_is_told_with_every_sample(plan: GraspPlan) -> None:
+    told: list[float] = []
+    report = simulate(plan, timeline=QUICK, progress=told.append)
+    assert told == sorted(told) and told[-1] <= 1.0
+    assert len(told) == pytest.approx(len(report.samples), abs=1)
