@@ -1,18 +1,17 @@
-"""What a plan is worth by each objective of synthesis, by full definitions on the true geometry.
+"""Metrics of a plan: each objective of synthesis by its full definition on the true geometry.
 
-The objectives (``planner.synthesis.objectives.registry``) work on smooth rows at a few directions;
-these are the figures that they stand for, from other code: Pinocchio's Jacobians, Qhull on
-primitive wrenches, the linear programme of closure, the planned forces. More is better for all of
-them.
+The objectives (``planner.synthesis.objectives.registry``) are smooth rows in a few directions of
+wrench. The metrics are computed independently: with Pinocchio's Jacobians, Qhull on primitive
+wrenches, the linear programme of closure, and the planned forces. For all of them more is better.
 
 epsilon         (-)      Radius of the largest ball in the hull of unit contact wrenches, L1,
                          8 edges (Ferrari and Canny 1992).
 min_weight      (-)      Normalised min-weight (FRoGGeR, Li et al. 2023), 8 edges.
 task            (1/N)    How much of every task wrench one newton of normal force, shared freely,
                          resists: min over wrenches t of max {l: -l t in that hull}.
-robustness      (-)      Epsilon that is left when every contact point may err by 2 mm and every
-                         normal by 5 degrees: of the hull with friction narrowed, less what the
-                         torque may err (``planner.synthesis.objectives.wrench``).
+robustness      (-)      Epsilon that remains under errors of every contact point by 2 mm and of
+                         every normal by 5 degrees: of the hull with friction narrowed, less the
+                         error of the torque (``planner.synthesis.objectives.wrench``).
 torque          (-)      1 less the largest share of its limit that an actuator of the fingers
                          spends on the planned forces.
 manipulability  (m/rad)  Least over fingers of the geometric mean of the singular values of the
@@ -57,7 +56,7 @@ EDGES = 8
 
 @dataclass(frozen=True, kw_only=True)
 class Metric:
-    """A figure of a plan, more of which is better.
+    """A metric of a plan; more is better.
 
     Attributes:
         unit: "-" for none.
@@ -73,8 +72,8 @@ def evaluate_metrics(plan: GraspPlan, task_wrenches: ArrayLike = ()) -> dict[str
 
     Args:
         plan: The plan.
-        task_wrenches: What "task" is about (k, 6), object frame, N and N m; the object's weight in
-            any direction if there are none.
+        task_wrenches: Wrenches (k, 6) of the metric "task", object frame, N and N m; if empty, the
+            object's weight in any direction.
     """
     wrenches = resisted_wrenches(plan.task, task_wrenches)
     return {name: metric.value(plan, wrenches) for name, metric in METRICS.items()}
@@ -88,7 +87,7 @@ def resisted_per_newton(contacts: ContactSet, wrenches: FloatArray, *, length: f
     Args:
         contacts: n contacts.
         wrenches: t (k, 6), in the contacts' frame about their centre, N and N m.
-        length: Torque is divided by it, m; a matter of conditioning alone.
+        length: Torque is divided by it, m; it affects conditioning only.
 
     Raises:
         ContactError: ``wrenches`` are not finite (k, 6), or ``length`` is not positive.
@@ -108,10 +107,10 @@ def resisted_per_newton(contacts: ContactSet, wrenches: FloatArray, *, length: f
 def robust_epsilon(
     contacts: ContactSet, *, length: float, position_error: float, normal_error: float
 ) -> float:
-    """Epsilon that is left under errors of every contact; negative where closure may be lost.
+    """Epsilon that remains under errors of every contact; negative where closure may be lost.
 
-    A face n . w <= d of the hull with narrowed friction moves in by what a force of unit normal
-    component can err in torque along it, r |f| |n_t| / length: exact for the hull eroded so.
+    A face n . w <= d of the hull with narrowed friction moves in by r |f| |n_t| / length, the error
+    of the torque of a force of unit normal component: exact for the hull eroded by that.
 
     Args:
         contacts: n contacts.

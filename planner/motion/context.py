@@ -42,7 +42,7 @@ class MotionContext:
     Attributes:
         seeder: Draws starts.
         solver: Solves from them.
-        full: Whether all of the path is asked for, else as much of it as there is.
+        full: Whether the whole path is asked for; else the longest part is.
         build_s: Time that building the problem took, s.
     """
 
@@ -72,7 +72,7 @@ class MotionContext:
             path: Where the object is to go.
             options: Margins and weights at each knot.
             n_knots: Knots of the solver.
-            full: Whether all of the path is asked for, else as much of it as there is.
+            full: Whether the whole path is asked for; else the longest part is.
             path_tolerance: How far the object may leave the path, m.
             rounds: How many rounds work on closure once all of the path is reached.
             exact_end: Whether the object ends on its path.
@@ -94,7 +94,7 @@ class MotionContext:
         return cls(seeder=seeder, solver=solver, full=full, build_s=build_s)
 
     def attempt(self, rng: np.random.Generator) -> MotionPlan | Failure:
-        """What comes of a start: the best candidate that holds, or why the last one does not.
+        """One attempt: the best candidate that passes the verdict, or why the last one fails.
 
         Where all of the path is asked for that is the one with the largest margin, else the
         longest, which comes first.
@@ -163,7 +163,7 @@ class MotionContext:
 
 
 def merit(plan: MotionPlan, full: bool) -> float:
-    """What makes one motion better than another: margin, or length of the path."""
+    """The order of motions: by margin, or by length of the path."""
     if full:
         return plan.margin
     return abs(plan.path.angle) + float(np.linalg.norm(plan.path.shift))

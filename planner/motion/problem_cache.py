@@ -28,24 +28,24 @@ from planner.task import GraspTask
 __all__ = ["build_motion_problem", "motion_problem_for", "turned_surface_of"]
 
 NORMAL_ERROR, STEEP, EDGE_WORTH = 0.08, 0.97, 10.0
-"""How far (rad) normals may be off at a contact; slope (-) of the smooth distance from which on a
-contact is off edges; and what counts a slope that is missing there, in those of a grasp. Thumb,
+"""Largest error (rad) of normals at a contact; least slope (-) of the smooth distance at a contact
+that is on no edge; and weight factor (-) of a lower slope, 1 in a grasp. Thumb,
 index and middle of the Shadow-type hand, a block of 6 cm and a hexagonal prism as meshes: with
-those of a grasp none of 6 and 6 starts held for 95 degrees, with these 4 and 1 of 5 for 92."""
+the values of a grasp none of 6 and 6 starts held for 95 degrees, with these 4 and 1 of 5 for 92."""
 
 STEEP_ON_WALLS = 0.87
-"""The slope on thin walls. There it is 0.95 to 0.99 even in the middle of a mug's side, and fingers
-drawn to where it is most find no way around. For four mugs 50 to 66 mm wide on a stand the
+"""The least slope on thin walls. There it is 0.95 to 0.99 even in the middle of a mug's side, and
+fingers drawn to its maximum find no path around. For four mugs 50 to 66 mm wide on a stand the
 Allegro-type hand found turns within 2 to 14 attempts, with 0.97 for one of two within 30."""
 
 DISTANCE_ERROR = 0.0035
-"""How much (m) links keep away beyond what is asked for. Balls inside a palm leave its corners out:
-with the 0.7 mm of a grasp they reached up to 0.7 mm into a bottle 16 cm high at all of 5 starts of
-the Allegro-type hand; with these 2 of 5 hold."""
+"""Added to every clearance of links, m: the spheres inside a palm leave its corners out. With the
+0.7 mm of a grasp corners penetrated a bottle 16 cm high by up to 0.7 mm at all of 5 starts of the
+Allegro-type hand; with 3.5 mm 2 of 5 hold."""
 
 
 def turned_surface_of(shape: Shape) -> Surface:
-    """The form of a shape in the programme of a motion."""
+    """The form of a shape in the problem of a motion."""
     if not isinstance(shape, Mesh):
         return surface_of(shape)
     return mesh_surface(

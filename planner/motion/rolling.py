@@ -1,4 +1,4 @@
-"""Rolling: a round tip does not slide on the object, so where it touches changes as it turns.
+"""Rolling: a round tip does not slide on the object, and its contact moves as it turns.
 
 In the object's frame let c be the centre of a pad of radius r, n the outward normal at the
 contact, and w the tip's angular velocity. The point of the tip at the contact is at rest if
@@ -11,9 +11,9 @@ rotation vector v from one orientation of the tip to the next and n in the middl
     c' - c - r v x n = 0    along the tangents.
 
 The chord of a turn by v differs from its arc by |v|^2/24, so this is right to 1 % for 30 degrees
-between knots. A turn about the normal, v . n, is free: the contact pivots. Contacts have torsional
-friction though, which a force of 10 N and a patch of 5 mm make 0.05 N m, as much as a hand can do
-about a small object; so pivoting has a cost on balls, and where objects are tilted or moved.
+between knots. A turn about the normal, v . n, is free: the contact pivots. Torsional friction
+resists it: a force of 10 N on a patch of 5 mm gives 0.05 N m, as much as a hand can exert about a
+small object. Pivoting therefore has a cost on balls, and where objects are tilted or moved.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ __all__ = ["pivoting_function", "rolling_function", "slips"]
 def rolling_function(hand: Hand, fingers: tuple[Finger, ...]) -> Any:
     """CasADi function of two knots' grasp unknowns and R0 (9, by columns).
 
-    Gives what each pad slides by (3 n,), m, object frame, and its Jacobian by both, (3 n, 2 size).
+    Gives the slip of each pad (3 n,), m, object frame, and its Jacobian by both, (3 n, 2 size).
     """
     return _between_knots(hand, fingers)[0]
 
 
 def pivoting_function(hand: Hand, fingers: tuple[Finger, ...]) -> Any:
-    """The same for what each tip turns by about its contact's normal, (n,), rad."""
+    """The same for the turn of each tip about its contact's normal, (n,), rad."""
     return _between_knots(hand, fingers)[1]
 
 

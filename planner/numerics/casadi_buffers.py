@@ -1,4 +1,4 @@
-"""``BufferedFunction``: a CasADi function that reads and writes NumPy arrays which are kept.
+"""``BufferedFunction``: a CasADi function that reads and writes the same NumPy arrays every time.
 
 Calling a function with matrices copies every number into CasADi's own and back, entry by entry;
 for a Jacobian of a thousand entries that takes longer than evaluating it.
@@ -34,13 +34,17 @@ def into_buffers(
 
 
 class BufferedFunction:
-    """A function of dense matrices, with arguments and results that every thread has for itself.
+    """A function of dense matrices, with arguments and results of every thread's own.
 
     All are transposed: CasADi stores columns, NumPy rows.
     """
 
     def __init__(self, function: Any) -> None:
-        """Keep the function, whose entries must all be stored."""
+        """Keep the function.
+
+        Raises:
+            TypeError: An argument or result is sparse.
+        """
         sparse = [
             name
             for names, sparsity in (

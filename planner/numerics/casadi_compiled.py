@@ -1,8 +1,8 @@
 """CasADi functions as compiled libraries: an option, the same numbers, kept on disk.
 
-CasADi evaluates expressions in a virtual machine. As C, compiled once, the residuals of a grasp
-take a seventh of the time (0.02 instead of 0.11 ms). The compiler needs 5 to 15 s for each kind of
-problem, so this is for many grasps and is asked for: environment variable ``OPPOSABLE_COMPILE=1``.
+CasADi evaluates expressions in a virtual machine. As compiled C the residuals of a grasp take a
+fraction of the time. The compiler needs seconds for each kind of problem, which pays for many
+grasps only; the environment variable ``OPPOSABLE_COMPILE=1`` switches it on.
 Libraries lie in the cache directory under the digest of source, compiler and flags; no fast-math,
 no fused multiplication, so that rounding is the virtual machine's. See
 ``planner.system.trusted_files`` for what is checked before one is loaded.
@@ -32,7 +32,7 @@ COMPILE_VARIABLE = "OPPOSABLE_COMPILE"
 """Environment variable: "1" compiles, "" or "0" does not."""
 
 FLAGS = ("-O1", "-ffp-contract=off", "-shared", "-fPIC")
-"""Of the compiler; -O2 takes three times as long and wins nothing."""
+"""Flags of the compiler; -O2 compiles longer and gains nothing."""
 
 WITHOUT = f"unset {COMPILE_VARIABLE}: all works without it"
 
@@ -87,13 +87,13 @@ def _compiler() -> str:
 
 @lru_cache(maxsize=4)
 def _version(compiler: str) -> str:
-    """What a compiler says of itself, "" if nothing: another version makes another library."""
+    """Version text of a compiler, "" if none: another version makes another library."""
     done = _run([compiler, "--version"])
     return done.stdout
 
 
 def _compile(source: str, compiler: str, library: Path) -> None:
-    """Compile C text to a library, which is there whole or not at all."""
+    """Compile C text to a library, atomically."""
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
         text, made = Path(folder) / "source.c", Path(folder) / "library.so"
         text.write_text(source, encoding="utf-8")

@@ -1,8 +1,8 @@
 """``DenseQp``: a quadratic programme in arrays that are written in place, for warm-started solvers.
 
-Size and pattern of zeros stay. Whoever writes P, q or A says so (``new_p``, ``new_q``, ``new_a``),
-so that a solver (``planner.numerics.qp_workspace``) is told of no more than that; limits may change
-every time.
+Size and pattern of zeros are fixed. A writer of P, q or A sets ``new_p``, ``new_q`` or ``new_a``,
+and a solver (``planner.numerics.qp_workspace``) reads only those again; limits may change every
+time.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class DenseQp:
         p: P (n, n), symmetric, positive definite.
         q: (n,).
         a: A (m, n), a view of the last rows of ``table``.
-        table: [1; A] (n + m, n), what all limits are about.
+        table: [1; A] (n + m, n), whose products with x the limits bound.
         limits: (2, n + m), least and greatest of the unknowns and, after them, of the rows.
         least, most: (n + m,), its two rows.
         lower, upper: (n,), views of the first part.

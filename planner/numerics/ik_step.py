@@ -1,15 +1,14 @@
-"""One step of inverse kinematics by least squares: all of it that a robot's joints share.
+"""One step of inverse kinematics by least squares, with limits and distances.
 
-Tasks say how points or frames are to move, e, and how joints move them, J. Where limits of the
-joints are all that is in the way, ``ik_step`` solves
+Tasks give the motion e of points or frames and its Jacobian J by the joints. With limits of the
+joints alone ``ik_step`` solves
 
     min  |J dq - e|^2 + damping |dq|^2    s.t.  lower <= q + dq <= upper
 
 in closed form with the joints that are stuck at a limit left out; with damping 0 it is the least
-step that is best for the tasks. Where distances are to be kept as well, ``constrained_ik_step``
-solves a quadratic programme. That is not used for the first kind: it takes twice the time (33 us
-instead of 15 for the twist of a 7-joint arm, by ``timeit``), and it needs damping to have one
-solution, which couplings that are to be met to 1e-7 rad do not bear.
+step that is best for the tasks. With distances to keep, ``constrained_ik_step`` solves a quadratic
+programme. It does not replace the first: it is slower, and it needs damping for a unique solution,
+which keeps couplings from being met to 1e-7 rad.
 """
 
 from __future__ import annotations
@@ -27,11 +26,11 @@ __all__ = ["Barrier", "Task", "constrained_ik_step", "ik_step"]
 
 @dataclass(frozen=True)
 class Task:
-    """How something is to move with the joints, in units in which every row counts alike.
+    """A desired motion of points or frames, in units in which all rows have the same weight.
 
     Attributes:
         jacobian: Its rates by the joints (m, n).
-        error: By how much it is to move (m,).
+        error: The motion (m,).
     """
 
     jacobian: FloatArray
@@ -40,12 +39,12 @@ class Task:
 
 @dataclass(frozen=True)
 class Barrier:
-    """Quantities that are to grow by so much at least: distances that are too small.
+    """Distances with a least growth in a step.
 
     Attributes:
         rates: Their rates by the joints (k, n).
-        least: By how much they are to grow (k,); negative where they may shrink.
-        unit: What of them counts as one, by which the worst may miss its bound at a price.
+        least: Least growth (k,); negative where they may shrink.
+        unit: Unit of the slack by which the worst may miss its bound at a penalty.
     """
 
     rates: FloatArray
@@ -79,8 +78,8 @@ def ik_step(
         new[free] += _least_squares(task.jacobian[:, free], task.error, damping, rcond)
         beyond = free & ((new < lower) | (new > upper))
         new = np.clip(new, lower, upper)
-        # a joint that has moved on to its limit has done what it can; only one that stands there
-        # already takes nothing of the step
+        # a joint that moved to its limit has used its share; only one that was there already is
+        # stuck
         stuck = beyond & (new == q)
         if not stuck.any():
             break
@@ -100,7 +99,7 @@ def constrained_ik_step(
     damping: float,
     price: float,
 ) -> FloatArray | None:
-    """The step (n,) within its bounds that is best for the task and keeps distances as it can.
+    """The step (n,) within its bounds that is best for the task, with soft barriers.
 
         min  |J dq - e|^2 + posture_weight |dq - posture|^2 + damping |dq|^2 + |s|^2 + 2 price s
         s.t. rates dq + unit s >= least for every barrier, with s >= 0 of its own
@@ -111,9 +110,9 @@ def constrained_ik_step(
         barriers: Distances to keep.
         lower: Least step (n,).
         upper: Largest step (n,).
-        equality: What must be met exactly: couplings of joints.
+        equality: Met exactly: couplings of joints.
         posture: Step (n,) to the preferred posture.
-        posture_weight: Cost of being off that.
+        posture_weight: Cost of a squared deviation from it.
         damping: Cost of a squared step.
         price: Cost of missing a barrier by one unit: more than any task is worth.
 

@@ -1,11 +1,10 @@
-"""Levenberg and Marquardt's method with bounds, and with residuals that count on one side of zero.
+"""Levenberg-Marquardt with bounds, and with residuals that count on one side of zero.
 
     min |r_e(x)|^2 + |min(r_i(x), 0)|^2,   lower <= x <= upper
 
 Damped Gauss-Newton steps, cut to the bounds; unknowns at a bound that are pushed against it stay.
-Damping follows Nielsen (1999), Damping parameter in Marquardt's method. scipy's least_squares takes
-ten times as long: its steps by singular values and its checks cost more than the residuals of a
-grasp.
+Damping follows Nielsen (1999), Damping parameter in Marquardt's method. SciPy's least_squares is
+much slower: its singular value decompositions and checks cost more than the residuals of a grasp.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ SOLVED = 0.05
 """Largest residual of a term that counts as solved, weighted."""
 
 SLOW = 0.05
-"""Share of the sum of squares below which a step's gain is not worth another one when solved."""
+"""Share of the sum of squares below which the gain of a step ends a run that is solved."""
 
 STALLED, PATIENCE = 1e-3, 3
 """So many steps in a row that each gain less than this share end a run that is not solved."""
@@ -73,7 +72,7 @@ class StructuredJacobian(Protocol):
 
 
 class ResidualFunction(Protocol):
-    """What is minimised.
+    """The residuals to minimise.
 
     Attributes:
         n_terms: After a call: the first so many rows must vanish; the others are a cost.
@@ -114,8 +113,8 @@ def levenberg_marquardt(
         damping: Of the first step; None for ``FIRST_DAMPING``.
         slow: Share of the sum of squares below which a step's gain ends it when solved; infinite to
             end with the first step that solves the terms, whatever the cost.
-        stalled: Share of the sum of squares below which a step brings nothing.
-        patience: So many of those in a row end it.
+        stalled: Share of the sum of squares below which a step stalls.
+        patience: Stalled steps in a row that end it.
     """
     free = np.flatnonzero(upper > lower)
     scale, lower, upper = scale[free], lower[free], upper[free]
@@ -216,7 +215,7 @@ def _step(
 
 
 ROUNDS = 4
-"""Rounds in which unknowns are put on their bounds in one step; the last ones are cut."""
+"""Rounds that fix unknowns on their bounds in one step; after the last the step is clipped."""
 
 NOTHING = 1e-18
-"""Sum of squares that is zero."""
+"""Sum of squares below which it counts as zero."""

@@ -2,11 +2,11 @@
 
     min  cost . x    s.t.  low <= A x <= high,  lower <= x <= upper
 
-DAQP's proximal-point method solves most of them in 0.1 ms, and is wrong now and then. Its answer
-counts only where it is proven: a solution by multipliers that bound the cost from below by the same
-figure (weak duality), the absence of any by Farkas' lemma. Everything else goes to HiGHS (SciPy's,
-3 ms). Programmes of many unknowns x >= 0 and few rows are solved by their duals, which have few
-unknowns and many rows:
+DAQP's proximal-point method solves most of them fast, and is sometimes wrong. Its answer counts
+only with a proof: of a solution, multipliers that bound the cost from below by the same value (weak
+duality); of infeasibility, Farkas' lemma. Everything else goes to SciPy's HiGHS, which is slower.
+Programmes of many unknowns x >= 0 and few rows are solved by their duals, which have few unknowns
+and many rows:
 
     max  b . y    s.t.  A'y <= cost,  y >= 0 of rows >= b,  y <= 0 of rows <= b.
 
@@ -48,7 +48,7 @@ ALLOWED_TOL = 1e-8
 """Largest violation of a row or a bound, by the larger of the largest unknown and 1 (-)."""
 
 BEYOND = 1e6
-"""A programme counts as infeasible where every x that is allowed would be larger than this (-)."""
+"""A programme counts as infeasible where every feasible x would be larger than this (-)."""
 
 BY_DUAL = 64
 """Unknowns above which the dual is solved instead (-): 50 us where the programme itself takes 4 ms,
@@ -58,7 +58,7 @@ _HIGHS = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1
 """HiGHS at its tightest."""
 
 _INFEASIBLE = 2
-"""SciPy's status of a programme in which nothing is allowed."""
+"""SciPy's status of an infeasible programme."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,7 +91,7 @@ def solve_lp(
         bounds: (n, 2), the same of x.
 
     Returns:
-        The solution, or None where nothing is allowed, or where there is nothing to choose (n = 0).
+        The solution; None if the programme is infeasible, or has no unknowns (n = 0).
 
     Raises:
         PlannerError: There is no least cost, a number is NaN, or HiGHS met numerical trouble.
@@ -114,7 +114,7 @@ def solve_lp(
 def _proven(
     cost: FloatArray, rows: FloatArray, limits: FloatArray, x: FloatArray, row_duals: FloatArray
 ) -> LpSolution | None:
-    """The solution if x (n,) is allowed and multipliers (m,) prove that nothing costs less."""
+    """The solution if x (n,) is feasible and multipliers (m,) prove it optimal."""
     n = len(cost)
     if violation(x, rows, *limits) > ALLOWED_TOL * max(1.0, float(np.abs(x).max())):
         return None
@@ -192,7 +192,7 @@ def _is_infeasible(cost: FloatArray, rows: FloatArray, limits: FloatArray) -> bo
 def _by_highs(
     cost: FloatArray, rows: FloatArray, row_limits: FloatArray, bounds: FloatArray
 ) -> LpSolution | None:
-    """The solution by HiGHS, None where nothing is allowed."""
+    """The solution by HiGHS; None if infeasible."""
     low, high = row_limits.T
     equal = low == high
     up, down = ~equal & np.isfinite(high), ~equal & np.isfinite(low)

@@ -4,8 +4,8 @@
 
 DAQP (Arnström, Bemporad, Axehill, "A dual active-set solver for embedded quadratic programming
 using recursive LDL' updates", 2022) solves those of this project to rounding in 20 to 300 us. It is
-a dual method: what it gives is the minimum if it is allowed, and that is checked. A programme that
-comes again with other numbers keeps a ``planner.numerics.qp_workspace``.
+a dual method: its answer is the minimum if it is feasible, which is checked. A programme that is
+solved again with other numbers keeps a ``planner.numerics.qp_workspace``.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from planner.spatial import FloatArray
 __all__ = ["run_daqp", "solve_qp", "violation"]
 
 ALLOWED_TOL = 1e-8
-"""Largest violation of a row or a bound, by the larger of the largest unknown and 1 (-), of what
-counts as a solution."""
+"""Largest violation (-) of a row or a bound by a solution, over the larger of its largest unknown
+and 1."""
 
 _PRIMAL_TOL = 1e-10
 """DAQP's own largest violation (-)."""
@@ -71,7 +71,7 @@ def run_daqp(
     most: FloatArray,
     **settings: float,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """What DAQP calls a solution: x (n,) and its multipliers (n + m,), None where it has none.
+    """DAQP's solution: x (n,) and its multipliers (n + m,); None if it claims none.
 
     Args:
         p: P (n, n), or None for a linear programme.

@@ -1,11 +1,10 @@
-"""``qp_workspace``: solvers for quadratic programmes that come again with other numbers.
+"""``qp_workspace``: solvers for quadratic programmes that are solved again with other numbers.
 
-A workspace reads one ``DenseQp`` again and again. DAQP's is kept: it is told of what changed and
-starts from the constraints that were active. So is ProxQP's, which needs a setting that qpsolvers
-does not pass on. Every other solver is called anew through qpsolvers: it is there to compare with,
-and none was as fast as DAQP in a workspace of its own either (51 us a step of a ``ForceLoop`` of a
-Shadow grasp; quadprog 76, OSQP 94, PIQP 155, ProxQP 196). Programmes with second-order cones are
-Clarabel's (Goulart, Chen, "Clarabel: An interior-point solver for conic
+A workspace reads one ``DenseQp`` again and again. DAQP's is kept: it reads what changed and is
+warm-started with the active constraints. So is ProxQP's, which needs a setting that qpsolvers does
+not pass on. Every other solver is called anew through qpsolvers, for comparison; none was as fast
+as DAQP in a workspace of its own either. Programmes with second-order cones are solved by
+Clarabel (Goulart, Chen, "Clarabel: An interior-point solver for conic
 programs with quadratic objectives", 2024).
 """
 
@@ -35,7 +34,7 @@ CONE_SOLVER = "clarabel"
 """The solver of programmes with second-order cones."""
 
 _DAQP_SETTINGS = {"primal_tol": 1e-10}
-"""DAQP lets limits be violated by 1e-6 of its own accord, which verdicts would see."""
+"""DAQP's default lets limits be violated by 1e-6, which verdicts would refuse."""
 
 _DAQP_EQUALITY = 5
 """DAQP's mark of a row that is an equality."""
@@ -52,15 +51,15 @@ _PROXQP_TOL = 1e-9
 """ProxQP's largest residuals (-)."""
 
 _PROXQP_INFEASIBLE = 1e-10
-"""ProxQP's tolerance of a proof that nothing is allowed (-). At its own 1e-4, which qpsolvers
-cannot change, it refused 34 of 1000 programmes of five fingers that have answers."""
+"""ProxQP's tolerance (-) of a proof of infeasibility. At its default of 1e-4, which qpsolvers
+cannot change, it refuses feasible programmes of five fingers."""
 
 _PROXQP_ITERATIONS = 50
 """Iterations, and within each, before ProxQP gives up (-): it takes about ten where there is an
 answer, and seconds for the thousands of its own limits where there is none."""
 
 NEAR = 1e-6
-"""Largest residual (-), by the largest limit, of an answer that a solver does not call one."""
+"""Largest residual (-), over the largest limit, of an answer that its solver does not claim."""
 
 _CONE_TOL = 1e-10
 """Clarabel's tolerances with cones: its own 1e-8 leaves 1e-6 of error where an answer touches
@@ -68,14 +67,14 @@ one."""
 
 
 class QpWorkspace(Protocol):
-    """A solver made for one ``DenseQp``; the next call sees what was written meanwhile."""
+    """A solver of one ``DenseQp``; each call reads what was written meanwhile."""
 
     x: FloatArray
     """The last answer (n,), NaN where there is none; another array after the next call."""
     iterations: int
     """Iterations of the last call, -1 where the solver does not say."""
     status: str
-    """What it said (informative only)."""
+    """Status text of the solver (informative only)."""
 
     @property
     def duals(self) -> FloatArray:
@@ -113,7 +112,7 @@ def qp_workspace(name: str, qp: DenseQp) -> QpWorkspace:
 
 
 class _Workspace:
-    """What all workspaces have in common: where the answer goes."""
+    """Storage of the answer, common to all workspaces."""
 
     def __init__(self, qp: DenseQp) -> None:
         self.qp = qp
@@ -174,7 +173,7 @@ class _Daqp(_Workspace):
         return self._answer(x, lam[n:], lam[:n])
 
     def _start_anew(self, flag: int) -> bool:
-        """Rows that were active where there is no answer are no start for anything."""
+        """Discard the active rows: without an answer they are no warm start."""
         self._model = None
         return self._nothing(f"exit flag {flag}")
 
@@ -230,7 +229,7 @@ class _Qpsolvers(_Workspace):
         qp, k, m = self.qp, self.qp.equalities, len(self.qp.a)
         unit = max(1.0, float(np.abs(qp.limits).max(where=np.isfinite(qp.limits), initial=0.0)))
         task = qp.to_qpsolvers(sparse=self._name not in qpsolvers.dense_solvers, unit=unit)
-        # that a solver found no solution is told by the return value
+        # the return value says whether there is a solution
         with without_warnings():
             try:
                 solution = qpsolvers.solve_problem(
@@ -252,7 +251,7 @@ class _Qpsolvers(_Workspace):
         rows[k:][high] = z[: high.sum()]
         rows[k:][low] -= z[high.sum() :]
         self._answer(x, unit * rows, unit * np.asarray(solution.z_box))
-        if not solution.found:  # some give up next to the answer: their multipliers tell
+        if not solution.found:  # some give up next to the answer: the residuals decide
             off = max(qp.violation(x), qp.dual_residual(x, self.duals))
             if not off <= NEAR * unit:
                 return self._nothing("no solution")

@@ -1,4 +1,4 @@
-"""Grasp synthesis: the problem with its terms, its starts, and what makes a grasp better."""
+"""Grasp synthesis: the problem with its terms, its starts, and its objectives."""
 
 from planner.synthesis.objectives.registry import OBJECTIVES
 from planner.synthesis.objectives.task_wrenches import gravity_any_direction, tool_torque

@@ -1,4 +1,4 @@
-"""What contacts can do to the object, and what it costs the joints, as CasADi expressions.
+"""Wrenches of contacts on the object, and their joint torques, as CasADi expressions.
 
 The terms (``planner.synthesis.terms``) and the objectives share these.
 """

@@ -1,16 +1,16 @@
 """Distance fields in expressions: a mesh's smooth distance by its Taylor coefficients.
 
-A primitive's distance is an expression. A mesh has a sampled field
-(``planner.shapes.field.distance_field``), a table, which no expression holds. So expressions are
-written in the field's Taylor coefficients at the points where they need it: with the coefficients
-a, b, H of phi at a point y that depends on the unknowns,
+A primitive's distance is an expression. A mesh has a sampled field, a table
+(``planner.shapes.field.distance_field``). Expressions are therefore written in the field's Taylor
+coefficients at the points where they need it: with the coefficients a, b, H of phi at a point y
+that depends on the unknowns,
 
     phi(y)      = a + b . d + d'Hd/2       with d = y - y0 = 0,
     grad phi(y) = b + H d.
 
 The first derivatives of these polynomials at d = 0 are those of phi and of its gradient, exactly.
-So all derivatives are taken symbolically, once; whoever evaluates them looks the coefficients up at
-the present points.
+All derivatives are taken symbolically, once; an evaluation looks the coefficients up at the present
+points.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 import casadi as ca
-import numpy as np
 
 from planner.spatial import FloatArray
 
@@ -29,7 +28,7 @@ COEFFICIENTS = 10
 
 
 class Field(Protocol):
-    """What expressions ask of a distance field."""
+    """The interface of a distance field for expressions."""
 
     def taylor(self, points: FloatArray, order: int) -> FloatArray:
         """Value and partial derivatives up to an order at points (n, 3), m: (n, 10) for two."""
@@ -40,7 +39,7 @@ class FieldPoints:
     """The points at which expressions need a field, and the symbols of its coefficients there."""
 
     def __init__(self) -> None:
-        """Begin with none."""
+        """Make an empty collection."""
         self._points: list[Any] = []
         self._symbols: list[Any] = []
         self._known: dict[tuple[Any, ...], tuple[Any, Any]] = {}
@@ -70,10 +69,6 @@ class FieldPoints:
     def symbols(self) -> Any:
         """Base point and coefficients of every point, one column (13 n,), in their order."""
         return ca.vertcat(*self._symbols)
-
-    def coefficients(self, field: Field, points: FloatArray) -> FloatArray:
-        """Numbers (13 n,) for ``symbols`` where the points are (n, 3), m."""
-        return np.hstack([points, field.taylor(points, 2)]).ravel()
 
 
 def _symmetric(v: Any) -> Any:

@@ -89,7 +89,7 @@ def formulate(
         surface: Form of the shape.
         n_obstacles: Number of obstacle boxes.
         objectives: Those of ``planner.synthesis.objectives.registry`` that have rows of their own.
-        terms: Registered terms that are asked for beside the standard ones, by name.
+        terms: Registered terms beside the standard ones, by name.
     """
     symbols = GraspSymbols(hand, fingers, surface, n_obstacles, OPTION_NAMES)
     asked = [TERMS[name] for name in (*STANDARD, *terms)]

@@ -99,7 +99,7 @@ def collision_pairs(hand: Hand) -> tuple[tuple[int, int], ...]:
     """Pairs (i, j), i < j, of ``finger_capsules`` of different fingers that can meet.
 
     Found by sampling the joint ranges: most pairs of fingers that are not neighbours never meet.
-    What sampling misses, the verdict on the true geometry catches.
+    The verdict on the true geometry catches pairs that sampling misses.
     """
     capsules = finger_capsules(hand)
     pairs = [
@@ -152,7 +152,7 @@ COLLISION_SAMPLES = 400
 """Random configurations that ``collision_pairs`` tries, from a fixed seed."""
 
 COLLISION_MARGIN = 0.005
-"""Distance (m) below which two capsules meet: the clearance, and what few samples miss."""
+"""Distance (m) below which two capsules meet: the clearance, and an allowance for few samples."""
 
 POINT_LENGTH = 1e-6
 """Length (m) below which a capsule is a sphere."""

@@ -1,7 +1,7 @@
 """Links as spheres: spheres that fill them, and spheres that span them.
 
 The clearance of a sphere from a smooth surface is that of its centre less its radius. Against the
-object, spheres fill the links, so that the problem sees a slightly smaller link. Against table and
+object, spheres fill the links and are slightly smaller than they are. Against table and
 obstacles' planes the corners of the hull are enough, and exact for spheres, capsules and boxes: a
 capsule's two ends, a box's eight corners, a prism around a cylinder (spheres of radius 0). The
 verdict on the true geometry is coal's (``planner.verification.geometry``).
@@ -39,8 +39,8 @@ SPACING = 2.0
 
 SLENDER = 1.4
 """A bar of a finger is filled with spheres of the geometric mean of its half widths, at most this
-many times the smaller: 1.4 reaches to the edges of a square bar. What a plain filling leaves out at
-the edges, up to 0.4 half widths, is what fingers with square links collide with."""
+many times the smaller: 1.4 reaches to the edges of a square bar. A plain filling leaves out up to
+0.4 half widths at the edges, with which fingers with square links collide."""
 
 THINNEST = 0.3
 """Spheres in a hull are kept if their radius is at least this share of its smallest half extent."""
@@ -77,7 +77,7 @@ class LinkSphere:
 
 
 def margin_of(sphere: LinkSphere, touching: Sequence[str]) -> str | None:
-    """Which margin a sphere keeps from the object; None for the pads of touching fingers."""
+    """The margin of a sphere from the object, by name; None for the pads of touching fingers."""
     touches = sphere.finger in touching
     if sphere.is_pad and touches:
         return None
@@ -190,7 +190,7 @@ def _sphere(
 
 
 def fill(geometry: LinkGeometry, *, slender: bool = False) -> tuple[FloatArray, FloatArray]:
-    """Ball centres (n, 3), m, and radii (n,), m, all through a geometry.
+    """Sphere centres (n, 3), m, and radii (n,), m, all through a geometry.
 
     Spheres are inside it, but for bars of fingers (``slender``), where they are a little too large.
     """

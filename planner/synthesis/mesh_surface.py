@@ -16,14 +16,13 @@ from planner.synthesis.field_points import Field, FieldPoints
 __all__ = ["mesh_surface", "surface_of"]
 
 NORMAL_ERROR, DISTANCE_ERROR = 0.1, 0.0007
-"""How far normals (rad) and values (m) of the smooth distance may be from the true ones: near edges
-the ones, on the surface the others."""
+"""Largest errors of the smooth distance: of its normals (rad) near edges, and of its values (m) on
+the surface."""
 
 STEEP = 0.93
-"""Slope (-) of the smooth distance from which on a contact is off edges. The slope is the length of
-the mean of the normals within the smoothing's reach: 1 on flat and evenly round places, 0.75 on a
-right-angled edge. On seven meshes 99 % of the places that the verdict calls edges have less, and 60
-to 100 % of the others more."""
+"""Least slope (-) of the smooth distance at a contact that is on no edge. The slope is the length
+of the mean normal within the radius of smoothing: 1 on flat and evenly round places, 0.75 on a
+right-angled edge."""
 
 
 class _MeshSurface(Surface):
@@ -74,15 +73,15 @@ class _MeshSurface(Surface):
 
 
 WALL = 0.006
-"""Thickness (m) below which a mesh is one of thin walls, or a small solid: a cube of 18 mm."""
+"""Thickness (m) below which a mesh has thin walls, or is a small solid: a cube of 18 mm."""
 
 SAMPLES = 1000
-"""Surface points from which the usual slope is estimated: on thin walls it is less everywhere."""
+"""Surface points for the median slope, which thin walls lower everywhere."""
 
 
 @lru_cache(maxsize=16)
 def _steepness(mesh: Mesh, steep: float) -> float:
-    """Slope (-) of the smooth distance from which on a place of a mesh is no edge."""
+    """Least slope (-) of the smooth distance at points of a mesh that are on no edge."""
     points, _ = mesh.surface_samples(SAMPLES, np.random.default_rng(0))
     slopes = np.linalg.norm(mesh.field().taylor(points, 1)[:, 1:4], axis=1)
     return min(steep, float(np.median(slopes)))
@@ -99,12 +98,12 @@ def mesh_surface(
     """The form of a mesh in the grasp problem.
 
     Args:
-        normal_error: How far (rad) normals may be from the true ones.
-        distance_error: How much (m) links keep away beyond what is asked for.
-        steep: Slope (-) of the smooth distance from which on a contact is off edges.
+        normal_error: Largest error of the normals, rad.
+        distance_error: Added to every clearance of links, m.
+        steep: Least slope (-) of the smooth distance at a contact that is on no edge.
         steep_on_walls: The same on an object of thin walls, where the slope varies; ``steep`` if
             None.
-        edge_worth: What a slope that is missing there counts.
+        edge_worth: Weight factor (-) of a lower slope.
     """
     on_walls = steep if steep_on_walls is None else steep_on_walls
     return _MeshSurface(normal_error, distance_error, steep, on_walls, edge_worth)

@@ -1,15 +1,14 @@
 """From a start to a strong grasp by least squares: reach a grasp, improve it, repair it.
 
 A first run (``planner.numerics.levenberg_marquardt``) satisfies the terms; a start from which it
-fails is given up. Rounds improve the objectives (``planner.synthesis.objectives.registry``). Each
+fails is abandoned. Rounds improve the objectives (``planner.synthesis.objectives.registry``). Each
 round finds the directions of wrench in which the grasp resists least (``planner.quality.weakest``)
 and takes a few steps with resistance there as a further cost. A last run without objectives repairs
-the terms that suffered.
+the violated terms.
 
 Bars and hulls are wider in places than the spheres and capsules that stand for them. For hands with
 such links the true distances are measured after each run, and pairs that are too near are kept
-apart in the next one (``planner.synthesis.terms.link_distance``). On ten scans with a hand of bars
-this takes 1.5 attempts a grasp instead of 1.7, and 1.7 instead of 1.9 with four rounds.
+apart in the next one (``planner.synthesis.terms.link_distance``), which saves attempts.
 """
 
 from __future__ import annotations
@@ -46,20 +45,19 @@ m), contact points (m), forces (in units of the mean normal force)."""
 
 GAIN = 0.2
 """Target of a round over the least resistance (normal forces sum to 1). Pyramids underestimate
-round cones by 0.04, so that 0.05 moves little; with 0.3 half of the attempts do not come back to
-the surface."""
+round cones by 0.04: a gain of 0.05 moves little, and with 0.3 contacts do not return to the
+surface."""
 
 NEARLY = 0.5
 """Largest weighted residual of a term with which a grasp is worth improving and verifying: half a
 millimetre."""
 
 ROUND_ITERATIONS = 4
-"""Evaluations of one round: after some four, other directions are the weakest. Three rounds of
-eight reach less than five of four."""
+"""Evaluations of one round: after some four, other directions are the weakest."""
 
 MEND_ITERATIONS = 30
-"""Evaluations of the last run, without objectives; most need six. With 12, an eighth of the
-grasps of mugs and brackets are lost that come back to the surface."""
+"""Evaluations of the last run, without objectives; most need six, contacts on mugs and brackets
+more than 12 to return to the surface."""
 
 SMALLEST_RANGE = 1e-3
 """Least scale (rad or m) of a joint that can hardly move."""
@@ -75,8 +73,7 @@ def optimize_grasp(
 ) -> Candidate:
     """The grasp that least squares reach from a start.
 
-    Everything that changes on the way belongs to this call: the problem is only read, so that any
-    number of calls may go on at once. The world belongs to the thread that calls.
+    The problem is only read: any number of threads may call at once, each with a world of its own.
 
     Args:
         problem: The problem of the task's hand, fingers and kind of shape.
@@ -110,7 +107,7 @@ def optimize_grasp(
 
 
 class _Run:
-    """Where a solution has come to, and within which bounds it may move on."""
+    """The state of one optimisation: unknowns, their bounds and the residuals."""
 
     def __init__(
         self, problem: GraspProblem, task: GraspTask, start: Start, parameters: FloatArray
@@ -151,7 +148,7 @@ class _Run:
     def refresh_link_distances(
         self, world: CollisionWorld | None, options: SynthesisOptions
     ) -> bool:
-        """Measure true distances and keep near pairs apart from now on; whether any is too near."""
+        """Measure true distances and constrain near pairs from now on; whether any is too near."""
         if world is None:
             return False
         with stage("links"):

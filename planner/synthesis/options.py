@@ -1,4 +1,4 @@
-"""Margins and weights of grasp synthesis, and what makes one grasp better than another."""
+"""Margins, weights and objectives of grasp synthesis."""
 
 from __future__ import annotations
 
@@ -53,10 +53,10 @@ class SynthesisOptions:
         weight_center: Cost of the mean contact point's squared distance from the centre of mass, in
             characteristic lengths (-): a grasp far from it bears the weight with torsion.
         rounds: How many rounds work on the objectives.
-        objective: What is worked on (``planner.synthesis.objectives.registry``): a name, several as
-            "epsilon:1,torque:0.5", or a mapping of names to weights > 0 of their squared residuals;
-            "none" for nothing. Kept as text.
-        task_wrenches: Wrenches (k, 6) that the objective "task" is about, object frame, about the
+        objective: What rounds improve (``planner.synthesis.objectives.registry``): a name, several
+            as "epsilon:1,torque:0.5", or a mapping of names to weights > 0 of their squared
+            residuals; "none" for nothing. Kept as text.
+        task_wrenches: Wrenches (k, 6) of the objective "task", object frame, about the
             centre of mass, N and N m; if there are none, the object's weight in any direction.
         terms: Names of registered terms (``planner.synthesis.terms.registry``) that the problem has
             beside the standard ones.
@@ -96,7 +96,7 @@ class SynthesisOptions:
 
     @property
     def form(self) -> ProblemForm:
-        """What of the options decides which rows a problem has."""
+        """The part of the options that decides which rows a problem has."""
         return ProblemForm(
             objectives=tuple(name for name in self.weights if name != EPSILON),
             terms=tuple(TERMS[name] for name in self.terms),
@@ -107,7 +107,7 @@ class SynthesisOptions:
         return {name: getattr(self, name) for name in OPTION_NAMES}
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data, as JSON gives it back; without ``terms`` as in files from before them."""
+        """Plain data, as JSON gives it back; ``terms`` only where there are any."""
         data = {**asdict(self), "task_wrenches": [list(row) for row in self.task_wrenches]}
         terms = data.pop("terms")
         return {**data, "terms": list(terms)} if terms else data

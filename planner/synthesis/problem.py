@@ -11,11 +11,11 @@ Unknowns, all in the object's frame:
 ``print(build_problem(...))`` lists the terms: what each means, its role, unit, weight and margin,
 how many rows it has, and who judges it (``planner.synthesis.terms``, one family a file). They are
 the rows that ``planner.synthesis.optimize`` solves as least squares, where an inequality counts
-while it is violated: a few milliseconds from a start to a grasp or to nothing.
+while it is violated.
 
 The base of a hand on an arm is the arm's root, which is fixed. There s and t move the arm's last
-link, to which the term ``arm`` ties the arm's joints: the terms of the hand stay as they are for a
-floating one. With the joints alone as unknowns 30 of 60 attempts were solved instead of 41.
+link, to which the term ``arm`` ties the arm's joints: the terms of the hand are those of a floating
+one. With the joints alone as unknowns fewer attempts are solved.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Start:
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """Where a solver ended; ``violation`` is recomputed from the terms, never the solver's word.
+    """Where a solver ended; ``violation`` is recomputed from the terms, not taken from the solver.
 
     Attributes:
         T_object_base: Pose of the base in the object's frame.
@@ -78,8 +78,8 @@ class Candidate:
         points: (n, 3), m.
         forces: (n, 3), object frame, in units of the mean normal force.
         violation: Largest violation per term, in its unit.
-        status: What the solver says.
-        iterations: Its iterations.
+        status: Status of the solver.
+        iterations: Evaluations of the residuals.
         cpu_s: CPU time, s.
     """
 
@@ -101,10 +101,10 @@ class GraspProblem:
         hand: The hand.
         fingers: Fingers that take part, in order of the contacts.
         surface: Form of the shape in the terms.
-        residuals: The terms as residuals with their Jacobian, to be looked at; a run of least
-            squares works with a clone of them, since threads share the problem.
+        residuals: The terms as residuals with their Jacobian, read only; a run of least squares
+            works with a clone of them, since threads share the problem.
         objectives: Names of the objectives that have rows of their own here.
-        own_terms: The terms that are here beside the standard ones.
+        own_terms: The terms beside the standard ones.
     """
 
     hand: Hand
@@ -123,8 +123,8 @@ class GraspProblem:
     def terms(self) -> tuple[WrittenTerm, ...]:
         """All terms with their rows, in the order of the residuals.
 
-        Clearances from primitives, table, obstacles and other fingers are expressions too, so that
-        any solver of CasADi can be given the problem. Those from a mesh are looked up in its field.
+        Clearances from primitives, table, obstacles and other fingers are expressions too: any
+        solver of CasADi can take the problem. Those from a mesh are looked up in its field.
         """
         return self.residuals.written
 
@@ -143,7 +143,7 @@ class GraspProblem:
         )
 
     def worst_violation(self, violation: Mapping[str, float]) -> tuple[Term, float]:
-        """The term whose violation weighs most, and its weighted residual.
+        """The term with the largest weighted violation, and that.
 
         Args:
             violation: Largest violation of each term, in its unit.
@@ -161,7 +161,7 @@ class GraspProblem:
         iterations: int,
         begin: float,
     ) -> Candidate:
-        """What a solver found: unknowns x, violations, its words, and CPU time since ``begin``."""
+        """A solver's result: unknowns x, violations, status, and CPU time since ``begin``."""
         unknowns = self.formulation.unknowns
         return Candidate(
             T_object_base=self.base_pose(start, x),
@@ -211,7 +211,7 @@ class GraspProblem:
         return lower, upper
 
     def _carrier(self, start: Start) -> SE3:
-        """Pose in the object's frame of what s and t move: the base, or the last link of an arm."""
+        """Pose of the link that s and t move, object frame: the base, or an arm's last link."""
         if self.hand.arm is None:
             return start.T_object_base
         state = HandState(self.hand, start.q)
@@ -256,7 +256,7 @@ TURN_MAX = 1.0
 """Bound of each modified Rodrigues parameter: a full half turn from the start's orientation."""
 
 SHIFT_MAX = 0.25
-"""How far (m) the base may move from where the start put it, along each axis."""
+"""Largest shift (m) of the base from its start, along each axis."""
 
 
 def build_problem(
@@ -274,8 +274,8 @@ def build_problem(
         fingers: The fingers that take part.
         kind_of: Any shape of the kind; its size does not matter.
         n_obstacles: How many obstacle boxes there are.
-        objectives: Objectives that are asked for and have rows of their own, by name.
-        terms: Registered terms that are asked for beside the standard ones, by name.
+        objectives: Objectives with rows of their own, by name.
+        terms: Registered terms beside the standard ones, by name.
     """
     surface = surface_of(kind_of)
     return problem_on(hand, tuple(fingers), surface, n_obstacles, objectives, terms)

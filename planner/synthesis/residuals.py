@@ -1,9 +1,9 @@
-"""The terms of a grasp as weighted residuals with their Jacobian, as least squares see them.
+"""The terms of a grasp as weighted residuals with their Jacobian, for least squares.
 
-CasADi differentiates the written terms once; each call writes into arrays that are kept, with no
-conversion of matrices in between. Further rows come in numbers from sources
+CasADi differentiates the written terms once; each call writes into the same arrays, without
+conversion of matrices. Further rows come in numbers from sources
 (``planner.synthesis.terms.source``): clearances, true distances of links, resistance. Every row
-has a name: ``row_names`` tells those of the last call.
+has a name: ``row_names`` gives those of the last call.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ __all__ = ["Residuals"]
 
 
 class Residuals:
-    """Weighted residuals r(x) that count, (m,), and their Jacobian (m, n): terms, then costs.
+    """Active weighted residuals r(x), (m,), and their Jacobian (m, n): terms, then costs.
 
     In this order: clearances, equalities, inequalities; costs, objectives, resistance. One run of
     least squares at a time works with them; another takes a ``clone``.
@@ -99,7 +99,7 @@ class Residuals:
         self._call = into_buffers(f, arguments, [self._values, self._entries, *rest])
 
     def clone(self) -> Residuals:
-        """The same expressions with parameters and results of their own, in 0.06 ms."""
+        """The same expressions with parameters and results of their own."""
         other = copy(self)
         other._clearances = self._clearances.clone()
         other._true_links = self._true_links.clone()
@@ -129,11 +129,11 @@ class Residuals:
         self._p[self.formulation.places["objectives"]] = values if values.size else 0.0
 
     def keep_apart(self, distances: LinkDistances | None) -> None:
-        """Distances of the true links that count from now on; None for none."""
+        """Constrain these distances of the true links from now on; None for none."""
         self._true_links.keep(distances)
 
     def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Those that count at x: overwritten by the next call."""
+        """The active residuals at x and their Jacobian: overwritten by the next call."""
         with stage("residuals"):
             return self._evaluate(x)
 
@@ -181,7 +181,7 @@ class Residuals:
     def written(self) -> tuple[WrittenTerm, ...]:
         """All terms in the order of their rows, with the names of the rows that they have now.
 
-        Resistance and true distances of links, and clearances from a mesh, are no expressions.
+        Resistance, true distances of links and clearances from a mesh have no expression.
         """
         with BUILDING:
             expressions = self._clearances.expressions

@@ -1,4 +1,4 @@
-"""What a grasp resists in given directions of wrench, as rows with derivatives by contact points.
+"""Resistance of a grasp in given directions of wrench, with derivatives by contact points.
 
 The formula is ``support`` of ``planner.synthesis.contact_wrenches``, here in numbers for many
 directions at once; only the contact that resists most in a direction has derivatives:
@@ -94,7 +94,7 @@ def _sample(count: int) -> FloatArray:
 
 
 SAMPLE = _sample(128)
-"""Directions in which starts are compared (128 of the 6-sphere: a ranking, not a measure)."""
+"""Directions in which starts are compared: enough for a ranking, too few for epsilon."""
 
 
 def _turning(p: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""A grasp in symbols, which terms and objectives are written in, and the same one in numbers."""
+"""A grasp in symbols, in which terms and objectives are written, and a grasp in numbers."""
 
 from __future__ import annotations
 
@@ -22,10 +22,9 @@ __all__ = ["GraspPoint", "GraspSymbols"]
 
 
 class GraspSymbols:
-    """The unknowns and parameters of a grasp, and what follows from them: CasADi SX.
+    """The unknowns and parameters of a grasp, and expressions that terms share: CasADi SX.
 
-    Points, normals and forces are in the object's frame, whose origin is the centre of mass. What
-    several terms use is written once.
+    Points, normals and forces are in the object's frame, whose origin is the centre of mass.
 
     Attributes:
         hand: The hand.
@@ -142,7 +141,7 @@ class GraspSymbols:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GraspPoint:
-    """A grasp in numbers: where objectives are linearised, and what a term's own verdict sees.
+    """A grasp in numbers: linearisation point of objectives, argument of a term's verdict.
 
     Attributes:
         task: The task, with the fingers that take part.

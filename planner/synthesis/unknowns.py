@@ -1,4 +1,4 @@
-"""What stands where in the column x of unknowns: written here once, for all who pack or read it."""
+"""Layout of the column x of unknowns of a grasp, and modified Rodrigues parameters."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Unknowns:
         )
 
     def pose(self, x: FloatArray, reference: SE3) -> SE3:
-        """Pose that turn and shift of x stand for; turns count from the reference's orientation."""
+        """Pose of turn and shift of x; the turn is relative to the reference's orientation."""
         return SE3(reference.rotation @ mrp_numeric(x[:3]), x[3:6])
 
     def q(self, x: FloatArray) -> FloatArray:
@@ -70,7 +70,7 @@ class Unknowns:
 
     @property
     def point_columns(self) -> slice:
-        """Where the contact points stand."""
+        """Columns of the contact points."""
         return slice(6 + self.n_joints, 6 + self.n_joints + 3 * self.n_contacts)
 
 

@@ -1,1 +1,1 @@
-"""Objectives of grasp synthesis: what a grasp can be made good at, one registration each."""
+"""Objectives of grasp synthesis, one registration each."""

@@ -1,14 +1,13 @@
-"""Objectives that are a matter of the hand: torque margin, manipulability, distance from limits.
+"""Objectives of the hand's joints: torque margin, manipulability, distance from limits.
 
-torque           The share of its limit that each actuator spends when the internal force, so large
-                 that every finger presses with the task's grip at least, and an equal share of the
-                 weight are pressed. Squared, so that the worst counts most; the weight of the links
-                 is left out.
+torque           The share of its limit that each actuator spends on the internal force, scaled such
+                 that every finger presses with the task's grip at least, and on an equal share of
+                 the weight. Squared: the worst counts most. The weight of the links is left out.
 manipulability   log det(J J^T / a^2 + e I) / 6 for the velocity Jacobian J of every finger at its
                  contact, of the joint velocities that couplings allow: the logarithm of Yoshikawa's
                  measure (1985, Manipulability of robotic mechanisms) per direction of motion. Its
-                 derivative weighs each singular value by its inverse, so that the least one counts
-                 most, yet unlike the least one it is smooth where two are equal; e keeps it finite.
+                 derivative weighs each singular value by its inverse: the least one counts most,
+                 and the measure is smooth where two are equal; e keeps it finite.
 limits           How far every joint of the fingers is from its nearer limit, as a share of its
                  range.
 """

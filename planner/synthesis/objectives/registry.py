@@ -1,9 +1,9 @@
-"""What a grasp can be made good at, by name: rows that rounds of least squares improve.
+"""The objectives by name: rows that rounds of least squares improve.
 
-Each objective gives rows that count where they are negative: a figure in its own unit, less its
-target. Their numeric parameters are updated when a round begins and are zero outside rounds.
-``planner.plan_metrics`` evaluates what a plan reaches, each figure by its full definition on the
-true geometry.
+Each objective gives rows that count where they are negative: a metric less its target. Their
+numeric parameters are updated when a round begins and are zero outside rounds.
+``planner.plan_metrics`` evaluates the metrics of a plan by their full definitions on the true
+geometry.
 """
 
 from __future__ import annotations
@@ -46,14 +46,14 @@ EPSILON = "epsilon"
 """The default; its rows are the term ``planner.synthesis.terms.resistance``."""
 
 
-def _nothing(_moment: GraspPoint) -> FloatArray:
+def _nothing(_point: GraspPoint) -> FloatArray:
     """Parameters of rows that have none."""
     return np.zeros(0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Objective:
-    """Something that a grasp can be made good at.
+    """One objective.
 
     Attributes:
         weight: Weight of its rows against those of epsilon (-), so that weight 1 is sensible.

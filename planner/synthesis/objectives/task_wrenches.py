@@ -1,4 +1,4 @@
-"""Wrenches that a grasp is to resist: given by the user, or made ready for common cases.
+"""Wrenches that a grasp should resist: given by the user, or ready-made for common cases.
 
 A task wrench acts on the object about its centre of mass, in the object's frame, [N; N m].
 """
@@ -32,8 +32,9 @@ _INRADIUS = _GOLDEN**2 / 3**0.5
 def gravity_any_direction(task: GraspTask) -> FloatArray:
     """The object's weight in any direction, (12, 6), N: corners of an icosahedron around its ball.
 
-    What a grasp resists is convex, so one that resists the corners resists every weight inside. The
-    corners are 1.26 times as heavy as the object. Without gravity they are those of one newton.
+    The set of resisted wrenches is convex: a grasp that resists the corners resists every weight
+    inside. The corners are 1.26 times as heavy as the object. Without gravity they are those of one
+    newton.
     """
     weight = task.object.mass * float(np.linalg.norm(task.gravity)) or 1.0
     forces = weight / _INRADIUS * _ICOSAHEDRON
@@ -61,7 +62,7 @@ def tool_torque(axis: ArrayLike, torque: float) -> FloatArray:
 
 
 def resisted_wrenches(task: GraspTask, wrenches: ArrayLike = ()) -> FloatArray:
-    """The wrenches (k, 6) that a task is about: those given, else the weight in any direction.
+    """The task wrenches (k, 6): those given, else the weight in any direction.
 
     Raises:
         TaskError: As ``checked_wrenches`` does.

@@ -1,11 +1,10 @@
-"""Objectives that are a matter of contacts alone: min-weight, task wrenches, robustness.
+"""Objectives of the contacts: min-weight, task wrenches, robustness.
 
-Each is the least, over directions u of wrench, of something that the support function h of the unit
-contact wrenches says (normal forces sum to 1, torques over the characteristic length; h(u) = max
-u . w). Where it is least is looked for once per round on the faces of the hull with coarse
-pyramids; the rows are then exact functions of the grasp for the true cones, in up to ``CUTS`` of
-those directions. So the inner problem is solved numerically and its envelope is differentiated, as
-for epsilon.
+Each is the minimum, over directions u of wrench, of a function of the support h(u) = max u . w of
+the unit contact wrenches (normal forces sum to 1, torques over the characteristic length). The
+minimising directions are found once per round, among the faces of the hull with coarse pyramids. In
+up to ``CUTS`` of them the rows are then exact functions of the grasp for the true cones. The inner
+problem is solved numerically and its envelope is differentiated, as for epsilon.
 
 min_weight   The normalised min-weight s = m l* is where the ray from the origin against the mean
              w0 of the primitive wrenches leaves their hull: a = l* + b with b >= 0 and W a = 0 say
@@ -16,7 +15,7 @@ task         The multiple of the task wrench t that one newton of normal force r
 robustness   With every contact point off by up to r and every normal by up to a, forces in the cone
              narrowed by a stay in the true one, and their torque errs by at most r |f|. So
              min_u h'(u) - r / length sqrt(1 + mu'^2) |u_t| over unit u, with mu' = tan(atan(mu) -
-             a), is a ball of wrenches that is left whatever the error. Both sizes are constants.
+             a), is the radius of a ball of wrenches that is resisted under any error up to r and a.
 """
 
 from __future__ import annotations
@@ -99,7 +98,7 @@ def update_min_weight(point: GraspPoint) -> FloatArray:
 
 
 def task_rows(g: GraspSymbols) -> tuple[Any, Any]:
-    """What is resisted of each task wrench, less its target."""
+    """Resistance to each task wrench, less its target."""
     u = ca.SX.sym("u_task", 6, CUTS)
     on = ca.SX.sym("on_task", CUTS)
     rows = [
@@ -127,11 +126,11 @@ def update_task(point: GraspPoint) -> FloatArray:
 
 
 FACING = 1e-3
-"""Faces of the hull turned less than this against a wrench (-) are nowhere near its ray."""
+"""Least cosine (-) between a wrench and the inward normal of a face that its ray may hit."""
 
 
 def robustness_rows(g: GraspSymbols) -> tuple[Any, Any]:
-    """What is resisted in each direction whatever the error, less its target."""
+    """Resistance in each direction under the largest errors, less its target."""
     u = ca.SX.sym("u_robustness", 6, CUTS)
     mu = ca.fmax(narrowed(g.mu, NORMAL_ERROR), 0)
     lost = POSITION_ERROR / g.length * ca.sqrt(1 + mu**2)
@@ -145,7 +144,7 @@ def robustness_rows(g: GraspSymbols) -> tuple[Any, Any]:
 
 
 def update_robustness(point: GraspPoint) -> FloatArray:
-    """The directions in which errors leave least (6 CUTS,)."""
+    """The directions with the least resistance under errors (6 CUTS,)."""
     mu = max(float(narrowed(point.task.mu, NORMAL_ERROR)), 0.0)
     faces = wrench_faces(point.points, point.inward, mu, point.length)
     lost = POSITION_ERROR / point.length * np.sqrt(1 + mu**2)

@@ -1,4 +1,4 @@
-"""Starts of grasp synthesis: put the hand where its fingers oppose each other across the object.
+"""Starts of grasp synthesis: hand poses with the fingers opposed across the object.
 
 In the pinch posture the finger whose pad faces the others is the opposer (a thumb). The line
 from its pad to the mean of the other pads is the hand's opposition axis. A start lays that axis
@@ -43,15 +43,15 @@ MOST_OPEN = 0.6
 """Starts lie between the pinch posture and this share of the way to the open one (-)."""
 
 MOST_STRETCHED, STRETCHES = 4.0, 17
-"""How far beyond the open posture (1) the fingers are stretched to find the widest object (-), and
-how many postures are looked at."""
+"""How far (-) beyond the open posture (1) the fingers are stretched to find the widest object, and
+the number of postures tried."""
 
 DRAWS = 8
-"""How many palm poses are drawn in search of one that the arm reaches."""
+"""Palm poses drawn in search of one that the arm reaches."""
 
 SPARE_REACH = 2.0
-"""How far from the palm an object may be grasped, in distances of a pinched one from it (-):
-only what is surely out of reach is refused unseen."""
+"""Largest distance of an object from the palm, in distances (-) of a pinched one: only objects that
+are certainly out of reach are refused without an attempt."""
 
 TRIPOD = 3
 """Fingers that close a grasp with friction and without torsion."""
@@ -64,7 +64,7 @@ class Seeder:
     """Draws starts for one task."""
 
     def __init__(self, task: GraspTask) -> None:
-        """Compute what all starts share.
+        """Compute the postures and directions that all starts share.
 
         Raises:
             TaskError: The object is too wide for the hand in every direction.
@@ -97,7 +97,7 @@ class Seeder:
         self._check_size()
 
     def draw(self, rng: np.random.Generator) -> Start | Failure:
-        """One start; or why there is none."""
+        """One start, or why there is none."""
         task = self.task
         if task.hand.arm is None:
             T_world_base, q = self._place(rng)

@@ -36,14 +36,14 @@ __all__ = [
 ]
 
 POSTURES, NOISES = 128, (0.03, 0.1)
-"""Postures that starts are made of, and least and largest standard deviation of their joints, in
-shares of their range."""
+"""Postures of the starts, and least and largest standard deviation of their joints, in shares of
+their range."""
 
 PLACES, TURNS = 12, 4
-"""Pairs that are looked at for one start, and turns of the hand about the axis of each."""
+"""Pairs tried for one start, and turns of the hand about the axis of each."""
 
 LOOKED_AT = 16
-"""Of these places, with most room and nearest pads, so many are compared by what they resist."""
+"""Number of poses, those with most room and nearest pads, that are compared by resistance."""
 
 RESISTANCE_WORTH = 0.3
 """Room (m) that counts like one unit of resistance (normal forces sum to 1): a grasp that is
@@ -68,14 +68,14 @@ ABOVE_TABLE = 0.004
 """Height (m) over the table, on top of a pad's radius, that a pair's middle needs."""
 
 SAMPLES = 600
-"""Surface points from which one looks through the body."""
+"""Surface points from which rays go through the body."""
 
 STEP = 0.001
-"""Step (m) of the look through the body: the thinnest wall that is found is twice as thick."""
+"""Step (m) along a ray: the thinnest wall that is found is twice as thick."""
 
 FACING = float(np.cos(np.deg2rad(35.0)))
 """Smallest cosine between the line through both points and each normal: a little more than a
-friction cone of 0.5 (27 degrees), since contacts move while the programme is solved."""
+friction cone of 0.5 (27 degrees), since the solver moves contacts."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -188,7 +188,7 @@ class MeshSeeder(Seeder):
         self._postures = self._drawn_postures()
 
     def _place(self, rng: np.random.Generator) -> tuple[SE3, FloatArray]:
-        """Of some places the one where the hand has room, and its pads would resist most."""
+        """Of some poses the one with room for the hand and the greatest resistance of its pads."""
         task, postures, mesh = self.task, self._postures, self._mesh
         numbers = rng.choice(len(self._chance), size=PLACES, p=self._chance)
         gaps = self._pairs.widths[numbers] + rng.uniform(0.0, SPARE, PLACES)
@@ -260,8 +260,8 @@ def _frames(axes: FloatArray, sides: FloatArray) -> FloatArray:
 class TurningSeeder(MeshSeeder):
     """Draws starts from which a mesh is turned: level, near its centre, from above.
 
-    What is pinched beside the centre of mass hangs on one side of the fingers, and wanders on a
-    circle as it turns; what is pinched askew makes tips pivot.
+    An object pinched beside its centre of mass hangs on one side of the fingers, and moves on a
+    circle as it turns; one pinched askew makes tips pivot.
     """
 
     near_center = 0.45

@@ -1,10 +1,10 @@
 """Clearances of links from object, table, obstacles and each other, where they are violated.
 
 Spheres and capsules stand for the links (``planner.synthesis.link_spheres``, ``.link_capsules``).
-Of some hundreds of clearances few are violated at a time. So CasADi computes the values of all, and
-the places of all points; the derivatives of those that are violated are made from the joints'
-Jacobians (``planner.synthesis.terms.hand_points``). On a mesh a sphere that was far from the object
-is not looked up again until it may have come near: distances change no faster than points move.
+Of some hundreds of clearances few are violated at a time. CasADi computes all values and points;
+derivatives are computed for the violated ones alone, from the joints' Jacobians
+(``planner.synthesis.terms.hand_points``). On a mesh a sphere that was far from the object is looked
+up again only when it may be near: distances change no faster than points move.
 """
 
 from __future__ import annotations
@@ -222,7 +222,7 @@ class Clearances:
         return [ActiveRows(OBJECT, gaps[bad], rows, bad)]
 
     def _looked_up(self) -> tuple[FloatArray, IntArray, FloatArray]:
-        """Gaps of all, as far as they are known, which ones are violated, and their gradients."""
+        """Last known gaps of all spheres, numbers of the violated ones, and their gradients."""
         centers = self._found["centers"]
         moved = centers - self._seen
         moved *= moved

@@ -1,4 +1,4 @@
-"""Terms of contact: pads touch the surface with their pads, on smooth places, around the centre."""
+"""Terms of contact: pads touch the surface off its edges, around the centre of mass."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ COST_WEIGHT = 0.2
 forces are infeasible more often, with twice of it least squares take more iterations."""
 
 EDGE_WEIGHT = 20.0
-"""Weight of the slope that the smooth distance is short of at a contact: 0.2 short at an edge."""
+"""Weight of the shortfall of the smooth distance's slope at a contact: 0.2 at an edge."""
 
 
 def _touch(g: GraspSymbols) -> Iterator[Rows]:

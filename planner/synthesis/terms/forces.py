@@ -1,4 +1,4 @@
-"""Terms of forces: an internal force strictly inside all friction cones, which stops can bear.
+"""Terms of forces: an internal force strictly inside all friction cones, borne by the stops.
 
 An internal force strictly inside all cones together with rank G = 6 is force closure (Murray, Li,
 Sastry 1994, proposition 5.3); rank follows from three contacts that are not on a line.
@@ -24,7 +24,7 @@ LEVER = 0.05
 """Typical lever arm of a fingertip force, m; makes stop torques comparable to unit forces."""
 
 ALIGNED_TOL = 1e-9
-"""A stop is left to actuators and couplings if less than this of it is outside their range (-)."""
+"""Share (-) of a stop outside the range of actuators and couplings below which they bear it."""
 
 
 def _balance(g: GraspSymbols) -> Iterator[Rows]:
@@ -54,8 +54,8 @@ def _press(g: GraspSymbols) -> Iterator[Rows]:
 def _stop(g: GraspSymbols) -> Iterator[Rows]:
     """Multiplier of each one-sided coupling: tau = R^T F + C^T mu + S^T lam, by least squares.
 
-    A stop bears what actuators (F) and two-sided couplings (mu) cannot. A stop for which nothing is
-    left has no row.
+    A stop bears the torque that actuators (F) and two-sided couplings (mu) cannot; a stop in their
+    range has no row.
     """
     hand = g.hand
     moving = {int(i): f.name for f in g.fingers for i in f.q_index}

@@ -1,6 +1,6 @@
 """Distances of the true links, linear in the unknowns from where they were measured.
 
-Spheres and capsules stand for links in the other terms; bars and hulls are wider than those in
+In the other terms spheres and capsules stand for links, and bars and hulls are wider than those in
 places. Pairs that coal finds too near at the end of a run of least squares are kept apart in the
 next one:
 
@@ -31,15 +31,15 @@ from planner.synthesis.unknowns import Unknowns, mrp_rates
 __all__ = ["LINKS", "LinkDistances", "TrueLinks", "find_link_distances"]
 
 LEAST_DISTANCE = 0.0015
-"""Distance (m) that is asked of true links from object, table and obstacles, where no pad is."""
+"""Least distance (m) of true links without pads from object, table and obstacles."""
 
 MARGIN_IN_VIEW = 0.0015
-"""A pair is kept in view if it lacks less than this (m) of being too near: the next steps may close
-the rest."""
+"""A pair gets a row if its distance is less than this (m) above the least one: the next steps may
+close the rest."""
 
 ROUNDING = 1e-8
-"""A shortfall below this (m) is none: steps end on linear constraints up to rounding, which must
-not decide whether a row counts."""
+"""A shortfall below this (m) counts as zero: steps end on linear constraints up to rounding, which
+must not decide whether a row counts."""
 
 LINKS = Term(
     name="links",
@@ -55,14 +55,14 @@ LINKS = Term(
 
 @dataclass(frozen=True, kw_only=True)
 class LinkDistances:
-    """Distances that are too small, or nearly.
+    """Linearised distances that are too small, or nearly.
 
     Attributes:
         x: Unknowns (n,) at which they were measured.
-        values: Distance less what is asked there, (k,), m.
+        values: Distance less the least one, (k,), m.
         rows: Their derivatives by the unknowns (k, n).
-        joints: Pinocchio joints (k, 2) that the two links move with; 0 for what stands still.
-        urgent: Whether any distance is less than half of what is asked.
+        joints: Pinocchio joints (k, 2) that the two links move with; 0 for fixed geometry.
+        urgent: Whether any distance is less than half of the least one.
     """
 
     x: FloatArray
@@ -73,7 +73,7 @@ class LinkDistances:
 
 
 class TrueLinks:
-    """The linearised distances that count at present: a ``RowSource``.
+    """The linearised distances that are constrained at present: a ``RowSource``.
 
     Attributes:
         outputs: See ``RowSource``.
@@ -106,7 +106,7 @@ class TrueLinks:
         self._kept = None
 
     def keep(self, distances: LinkDistances | None) -> None:
-        """The distances that count from now on, in place of those before."""
+        """Constrain these distances from now on, in place of those before."""
         self._kept = distances
 
     def __call__(self, x: FloatArray) -> list[ActiveRows]:
@@ -132,9 +132,8 @@ def find_link_distances(
 ) -> LinkDistances | None:
     """Which pairs are too near, or nearly, at the unknowns x (n,); None if there are none.
 
-    On an arm only fingers are measured: the base there is not what s and t place. Distances from a
-    mesh are left out: they take as much time as they save attempts (1.3 attempts a grasp instead of
-    1.5).
+    On an arm only fingers are measured: s and t do not place the base there. Distances from a mesh
+    are left out: measuring them takes as much time as the saved attempts.
 
     Args:
         world: True geometry of the task.

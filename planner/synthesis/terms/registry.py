@@ -1,8 +1,8 @@
 """All terms by name: the standard ones, which every problem has, and those of users.
 
-A term of your own is one ``Term`` and one call of ``register_term``. A problem has it where
-``SynthesisOptions(terms=("name",))`` asks for it: by name, since options are plain data, which go
-into files of jobs, to other processes, and into the key under which a built problem is kept.
+A term of your own is one ``Term`` and one call of ``register_term``. A problem has it if
+``SynthesisOptions(terms=("name",))`` names it: options are plain data, which go into files of jobs,
+to other processes, and into the key of a built problem.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ STANDARD: tuple[str, ...] = tuple(TERMS)
 
 
 def register_term(term: Term) -> Term:
-    """Make a term known by its name.
+    """Register a term under its name.
 
     Raises:
         TaskError: The name is taken or no identifier, there are no rows, or the weight is not > 0.
@@ -73,7 +73,7 @@ def register_term(term: Term) -> Term:
 
 
 def checked_terms(names: object) -> tuple[str, ...]:
-    """Names of terms that may be asked for beside the standard ones.
+    """Names of terms beside the standard ones, after a check.
 
     Raises:
         TaskError: Not a sequence of names, a name twice, or that of a standard term.

@@ -1,4 +1,4 @@
-"""The objective epsilon: what a grasp resists in the directions of wrench where it is weakest.
+"""The objective epsilon: resistance of a grasp in its weakest directions of wrench.
 
 A round of least squares works on up to ``N_DIRECTIONS`` directions
 (``planner.synthesis.resistance``); outside rounds there are none, and no rows.
@@ -22,8 +22,7 @@ from planner.synthesis.terms.term import Role, Row, Term
 __all__ = ["N_DIRECTIONS", "RESISTANCE", "RESISTANCE_WEIGHT", "Resistance"]
 
 N_DIRECTIONS = 64
-"""Directions of wrench in which one round can work on what a grasp resists. With 12 a round makes
-others weak."""
+"""Most directions of wrench in one round: with few of them a round makes other directions weak."""
 
 RESISTANCE_WEIGHT = 25.0
 """Weight of missing resistance: enough to move contacts by centimetres."""

@@ -1,8 +1,7 @@
 """``RowSource``: rows of terms that are computed in numbers, beside those written as expressions.
 
-Of some hundreds of clearances few are violated at a time, and of directions of wrench only the
-contact that resists most has derivatives: writing all of them as expressions with Jacobian would
-cost many times what is used.
+Of some hundreds of clearances few are violated at a time, and in each direction of wrench only one
+contact has derivatives. As expressions all of them would be differentiated at every evaluation.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ __all__ = ["ActiveRows", "RowSource", "names_of"]
 
 
 class ActiveRows(NamedTuple):
-    """Rows of one term that count at present.
+    """Active rows of one term.
 
     Attributes:
         term: The term.
@@ -37,7 +36,7 @@ class RowSource(Protocol):
     """Computes rows of one or more terms.
 
     Attributes:
-        outputs: Expressions of the unknowns and parameters that it needs the values of, by name.
+        outputs: Expressions of the unknowns and parameters whose values it needs, by name.
     """
 
     outputs: dict[str, Any]

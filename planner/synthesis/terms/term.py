@@ -1,7 +1,7 @@
-"""``Term``: one named residual of the grasp or motion problem, with all that belongs to it.
+"""``Term``: one named residual of the grasp or motion problem.
 
-A term says what it means, in which unit, whether it must hold or is a cost, how much one unit of it
-weighs, how its rows are written, and who judges it when the solver has finished. It is added by
+A term has a meaning, a unit, a role (equality, inequality or cost), a weight per unit, rows, and a
+verdict after the solver has finished. It is added by
 ``planner.synthesis.register_term``; nothing else has to know of it.
 """
 
@@ -21,7 +21,7 @@ __all__ = ["Role", "Row", "Rows", "Term", "WrittenTerm", "first_failure", "table
 
 
 class Role(Enum):
-    """What a term is in the problem; the value is how it is printed."""
+    """Role of a term in the problem; the value is how it is printed."""
 
     EQUALITY = "= 0"
     INEQUALITY = ">= 0"
@@ -63,8 +63,8 @@ class Term:
         unit: Unit of the residual, "-" for none; forces are over the mean normal force.
         weight: Weighted residual per unit; one millimetre weighs 1. Where no length is involved,
             some 0.05 of a normal force, of a cosine or of a radian weighs as much.
-        margin: By how much (in the unit) the solver asks for more than the term does: least squares
-            end on the wrong side of an inequality by a little.
+        margin: Added to the requirement for the solver, in the unit: least squares end slightly on
+            the wrong side of an inequality.
         write: The rows at a grasp in symbols. None for terms whose rows come from a ``RowSource``
             (``planner.synthesis.terms.source``).
         wording: One row in words; ``{}`` stands for what it concerns, ``elsewhere`` if nothing.
@@ -168,7 +168,7 @@ HEADER = (
 
 
 def first_failure(terms: Iterable[Term], point: GraspPoint) -> Failure | None:
-    """Why the first term that judges for itself refuses a grasp; None if all accept it."""
+    """Why the first term with a verdict of its own refuses a grasp; None if all accept it."""
     verdicts = (term.judge(point) for term in terms if term.judge is not None)
     return next((failure for failure in verdicts if failure is not None), None)
 
