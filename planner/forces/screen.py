@@ -76,11 +76,12 @@ def torque_table(
     rows = [
         f"  {names[i]:16}{forces[i]:10.4f}{limits[i, 0]:10.4g}{limits[i, 1]:10.4g}"
         f"{100 * share[i]:8.0f} %"
-        for i in np.argsort(-share, kind="stable")
+        for i in np.argsort(-share, kind="stable").tolist()
     ]
     head = f"  {'actuator':16}{'N m':>10}{'least':>10}{'greatest':>10}{'used':>10}"
     carried = [
-        f"{stop_names[i]} {stop_forces[i]:.4f}" for i in np.flatnonzero(stop_forces > CARRIES)
+        f"{stop_names[i]} {stop_forces[i]:.4f}"
+        for i in np.flatnonzero(stop_forces > CARRIES).tolist()
     ]
     stops = [f"  stops that carry (N m): {', '.join(at_most(carried))}"] if carried else []
     return [head, *at_most(rows), *stops]

@@ -2,7 +2,7 @@
 
 A term says what it means, in which unit, whether it must hold or is a cost, how much one unit of it
 weighs, how its rows are written, and who judges it when the solver has finished. It is added by
-``planner.synthesis.terms.register_term``; nothing else has to know of it.
+``planner.synthesis.terms.registry.register_term``; nothing else has to know of it.
 """
 
 from __future__ import annotations
