@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from planner.certify.breaking import Breaking, breaking_along, smallest_breaking
-from planner.certify.build import certify, certify_contacts
-from planner.certify.certificate import Certificate
+from planner.certify.certificate import (
+    Certificate,
+    CertifyOptions,
+    certify,
+    certify_contacts,
+)
 from planner.certify.nearby import NearBound, bound_nearby
 from planner.certify.neighbourhood import NEAR, Neighbourhood
 from planner.certify.pose import PoseErrors
@@ -15,6 +19,7 @@ __all__ = [
     "NEAR",
     "Breaking",
     "Certificate",
+    "CertifyOptions",
     "NearBound",
     "Neighbourhood",
     "PoseErrors",

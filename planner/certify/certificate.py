@@ -1,18 +1,32 @@
-"""``Certificate``: what is proven of a grasp, what was only found, and the time it took."""
+"""``certify``: everything that can be proven of a planned grasp, at a cost of its own.
+
+A ``Certificate`` tells what is proven of a grasp, what was only found, and the time it took.
+"""
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypedDict, Unpack, get_args
 
 import numpy as np
 
-from planner.certify.breaking import Breaking
-from planner.certify.tolerance import Tolerance
-from planner.quality import Interval
+from planner.certify.breaking import Breaking, Disturbance, smallest_breaking
+from planner.certify.pose import PoseErrors
+from planner.certify.tolerance import (
+    Tolerance,
+    contact_tolerances,
+    pose_tolerances,
+    sampled,
+)
+from planner.contacts import ContactSet
+from planner.errors import TaskError
+from planner.forces import ForceProblem
+from planner.plan import GraspPlan
+from planner.quality import Interval, epsilon_linf, epsilon_round, force_closure
 from planner.spatial import FloatArray
 
-__all__ = ["SCHEMA_VERSION", "Certificate"]
+__all__ = ["SCHEMA_VERSION", "Certificate", "CertifyOptions", "certify", "certify_contacts"]
 
 SCHEMA_VERSION = 1
 """Version of ``Certificate.as_dict``."""
@@ -22,6 +36,12 @@ BEST_CONTROL = (
     "  what a controller bears of it: opposable bench control --parts promise"
 )
 """What breaking loads are proven for, said where they are printed."""
+
+DEFAULT_WIDTH = 0.01
+"""Relative width of an interval at which its refinement ends (-)."""
+
+DEFAULT_POINTS = 300
+"""Points of a hull at which its refinement ends (-)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,6 +93,12 @@ class Certificate:
             "cpu_s": self.cpu_s,
         }
 
+    def __repr__(self) -> str:
+        """One line; the attributes hold the rest."""
+        low, high = self.epsilon.lower, self.epsilon.upper
+        closed = "closed" if self.closed else "not closed"
+        return f"<Certificate: {closed}, epsilon {low:.4g} to {high:.4g}>"
+
     def __str__(self) -> str:
         """A small table: proven from, proven to or found, unit, and where it acts."""
         lines = [
@@ -106,6 +132,133 @@ class Certificate:
                 tail += f"  no promise: {t.note}"
             lines.append(_row(f"  {t.kind}", t.promised, t.broken_at, tail))
         return "\n".join(lines)
+
+
+class CertifyOptions(TypedDict, total=False):
+    """How much work goes into a certificate.
+
+    Attributes:
+        width: Relative width of intervals that is aimed at, in (0, 1); 0.01 if not given.
+        max_points: Budget of each interval; it stays as wide as it is then, and valid; 300 if not
+            given.
+        edges: Edges of the inscribed pyramids by which closure and the promises are decided, at
+            least 3; 8 if not given. All else is about the true cones.
+        samples: Random errors to try of every kind, up to its promise; 0 tries none.
+        seed: Of random errors.
+    """
+
+    width: float
+    max_points: int
+    edges: int
+    samples: int
+    seed: int
+
+
+def certify(plan: GraspPlan, **options: Unpack[CertifyOptions]) -> Certificate:
+    """Bounds of epsilon, the smallest breaking disturbances, and errors that closure tolerates.
+
+    May be called from any number of threads.
+
+    Disturbances are judged with the hand's actuators, stops and weight and the object's weight, as
+    the plan's own forces are, without the plan's grip and without its reserve of friction: what is
+    proven is what the best control bears in the planned posture. Torque is divided by the radius of
+    the object's bounding sphere.
+
+    Args:
+        plan: What to certify.
+        **options: Those of ``CertifyOptions``.
+
+    Returns:
+        The certificate; tolerances are empty where the grasp is not closed.
+
+    Raises:
+        ContactError: ``edges`` is below 3.
+        TaskError: ``width``, ``max_points`` or ``samples`` is out of range.
+        PlannerError: A linear programme met numerical trouble.
+    """
+    task = plan.task
+    return certify_contacts(
+        plan.contacts,
+        length=task.object.shape.bounding_radius,
+        problem=plan.forces.problem,
+        poses=PoseErrors.of(
+            task.object.shape,
+            plan.contacts_in_object,
+            np.array([finger.pad.radius for finger in task.fingers]),
+        ),
+        rotation=np.array(task.T_world_object.rotation),
+        **options,
+    )
+
+
+def certify_contacts(
+    contacts: ContactSet,
+    *,
+    length: float,
+    problem: ForceProblem | None = None,
+    poses: PoseErrors | None = None,
+    rotation: FloatArray | None = None,
+    width: float = DEFAULT_WIDTH,
+    max_points: int = DEFAULT_POINTS,
+    edges: int = 8,
+    samples: int = 0,
+    seed: int = 0,
+) -> Certificate:
+    """The same of bare contacts.
+
+    Args:
+        contacts: n contacts.
+        length: Torque is divided by it, m.
+        problem: Weight and limits for the breaking disturbances; none are sought without it.
+        poses: Pads and object for the errors of its pose; none are judged without it.
+        rotation: (3, 3), world from object; the identity if not given.
+        width: As in ``CertifyOptions``, like all that follow.
+        max_points: Budget of each interval.
+        edges: Edges of the inscribed pyramids.
+        samples: Random errors of every kind.
+        seed: Of random errors.
+
+    Raises:
+        ContactError: ``length`` is not positive, or ``edges`` is below 3.
+        TaskError: ``width``, ``max_points`` or ``samples`` is out of range.
+        PlannerError: A linear programme met numerical trouble.
+    """
+    if not 0 < width < 1:
+        raise TaskError(f"width is {width}; give a relative width in (0, 1), for example 0.01")
+    if max_points < 1 or samples < 0:
+        raise TaskError(
+            f"max_points is {max_points} and samples is {samples}; give at least 1 and at least 0"
+        )
+    begin = time.process_time()
+    closure = force_closure(contacts, edges)
+    epsilon = epsilon_round(contacts, length=length, rel_tol=width, max_points=max_points)
+    bounded = Interval(lower=0.0, upper=0.0)
+    if epsilon.upper > 0:
+        bounded = epsilon_linf(contacts, length=length, rel_tol=width, max_points=max_points)
+    breaking: tuple[Breaking, ...] = ()
+    if problem is not None:
+        breaking = tuple(
+            smallest_breaking(problem, kind, length=length, rel_tol=width, max_points=max_points)
+            for kind in get_args(Disturbance)
+        )
+    tolerances: tuple[Tolerance, ...] = ()
+    if closure.closed:
+        tolerances = contact_tolerances(contacts, edges=edges)
+        if poses is not None:
+            tolerances += pose_tolerances(poses, edges=edges, seed=seed)
+        if samples:
+            tolerances = tuple(sampled(t, samples, seed) for t in tolerances)
+    return Certificate(
+        closed=closure.closed,
+        reason=closure.reason,
+        length=length,
+        epsilon=epsilon,
+        epsilon_linf=bounded,
+        breaking=breaking,
+        tolerances=tolerances,
+        rotation=np.eye(3) if rotation is None else rotation,
+        cpu_s=time.process_time() - begin,
+    )
 
 
 def _row(name: str, low: float | None, high: float | None, tail: str) -> str:

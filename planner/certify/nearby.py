@@ -48,7 +48,7 @@ SIDES = 16
 """Cuts per contact to begin with (-)."""
 
 CUTS = 80
-"""Rounds of cutting planes (-); 10 to 30 were needed."""
+"""Most rounds of cutting planes (-)."""
 
 TIGHT = 1e-5
 """By how much (-) cuts are tighter than they must be, in units of the object's velocity: what is
@@ -58,7 +58,7 @@ FASTEST = 1e4
 """Largest unknown (-) in units of the velocity of the object: more is no bound of use."""
 
 SOLVER_MARGIN = 1e-7
-"""Share of a bound (-) that is added to it for the tolerance of HiGHS."""
+"""Share of a bound (-) that is added to it for the tolerance of ``solve_lp``."""
 
 
 @dataclass(frozen=True, kw_only=True)

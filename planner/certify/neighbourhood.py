@@ -76,8 +76,7 @@ class Neighbourhood:
 
 
 NEAR = Neighbourhood()
-"""What bounds are given for beside the planned posture. They are then 1.2 to 2.2 times those of the
-planned posture (24 loads on six grasps of both hands): each part of it costs 10 to 20 %."""
+"""Neighbourhood for which bounds are given beside the planned posture, unless another is named."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

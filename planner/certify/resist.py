@@ -47,7 +47,7 @@ INNER_SIDES = 32
 """Sides of the inscribed pyramids in which the interior point is sought (-): 0.5 % inside."""
 
 ROUNDS = 20
-"""Times that tangents are added for one direction (-); 1 to 12 were needed for a gap of 0.1 %."""
+"""Most times that tangents are added for one direction (-)."""
 
 
 def without_grip(problem: ForceProblem) -> ForceProblem:

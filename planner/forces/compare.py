@@ -168,7 +168,6 @@ def compare_solvers(
 
     Raises:
         ContactError: The arguments do not fit together.
-        HandError: The actuators repeat each other.
         NotFoundError: A solver is not installed.
     """
     rows = np.array(wrenches, dtype=np.float64).reshape(-1, 6)

@@ -33,7 +33,7 @@ that bear it by a friction of 0.1 have 50. Of a wrench that can be met, the firs
 most this over ``VIOLATION_WEIGHT``."""
 
 ROUNDS = 20
-"""Most rounds (-); 3 to 6 were needed."""
+"""Most rounds (-)."""
 
 AGREED = 1e-10
 """Change of what is left over at which rounds agree, beside the wrench's size (-)."""

@@ -76,7 +76,7 @@ def torque_table(
     rows = [
         f"  {names[i]:16}{forces[i]:10.4f}{limits[i, 0]:10.4g}{limits[i, 1]:10.4g}"
         f"{100 * share[i]:8.0f} %"
-        for i in np.argsort(-share, kind="stable")
+        for i in np.argsort(-share, kind="stable").tolist()
     ]
     head = f"  {'actuator':16}{'N m':>10}{'least':>10}{'greatest':>10}{'used':>10}"
     carried = [

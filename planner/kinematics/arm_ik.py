@@ -38,7 +38,7 @@ DAMPING = 1e-6
 """Damping (m2) that is left at the goal; keeps a stretched arm from swinging."""
 
 STEPS = 60
-"""Most steps from one start; from a start that leads to the goal 10 to 25 are usual."""
+"""Most steps from one start."""
 
 RESTARTS = 6
 """Random starts after the given one."""

@@ -34,10 +34,10 @@ TOLERANCE = 2e-6
 """Distance (m) at which a geometry counts as having just left: twice coal's accuracy."""
 
 TURNS = 5
-"""Directions that are tried from one start; two or three are usual."""
+"""Most directions that are tried from one start."""
 
 STEPS = 16
-"""Queries along one direction on the way back to the surface; two to four are usual."""
+"""Most queries along one direction on the way back to the surface."""
 
 GROWTH = 2.0
 """Factor by which a way is lengthened that has not yet led out."""
@@ -210,7 +210,7 @@ def _pushed(moved: Movement, way: FloatArray, at: Moved) -> tuple[FloatArray, Mo
 
 
 PUSHES = 6
-"""Planes that a translation is pushed across before it is given up; one or two are usual."""
+"""Most planes that a translation is pushed across before it is given up."""
 
 LEAST_PUSH = 0.02
 """Least depth that is believed of triangles, by the way so far: they are said to be too shallow."""

@@ -27,7 +27,7 @@ COUPLING_TOL = 1e-7
 """Violation of a coupling (rad) that counts as none: a tenth of what is allowed in the verdict."""
 
 STEPS = 8
-"""Most steps; two or three are usual."""
+"""Most steps."""
 
 FARTHEST = 0.006
 """Largest gap (m) that is still a matter of models; more than that is no solution."""
