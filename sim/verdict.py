@@ -168,7 +168,7 @@ def lost(
 def put_down_to_actuators(
     fault: Fault, saturated: Sequence[tuple[str, ...]], share: float = 0.5
 ) -> Fault:
-    """The same fault, or "torque limit reached" if an actuator had no more to give before it.
+    """The same fault, or "torque limit reached" if an actuator was saturated before it.
 
     Args:
         fault: What happened.

@@ -108,7 +108,7 @@ def edit_hand(tmp_path: Path) -> Callable[..., Path]:
 
 
 @contextmanager
-def noting_leads(times: list[float]) -> Iterator[None]:
+def noting_advances(times: list[float]) -> Iterator[None]:
     """Note how long (s) references lead, step by step, in all that is executed meanwhile."""
     advance = MotionReference.advance
 

@@ -332,7 +332,7 @@ def test_what_cannot_be_held_is_said(plan: GraspPlan) -> None:
     report = run(plan, controller, on_hold, timeline=replace(SHORT, hold=1.0))
     assert not report.success
     first = next(e for e in controller.events if e.kind == "infeasible")
-    assert "cannot be had; the nearest forces are given" in first.detail
+    assert "cannot be exerted; the nearest forces are given" in first.detail
     assert first.time - begun[0] < 0.05
     assert controller.gave_up
     assert controller.events[-1].detail == controller.gave_up

@@ -134,7 +134,7 @@ EXPECTED: dict[str, tuple[str, ...]] = {
         "friction 0.27: ",
         " slip ",
         "pushed: turn: the object was dropped",
-        "cannot be had",
+        "cannot be exerted",
         " poses nothing",
         "4.0 0 of ",
         "at its greatest force 0.7 N m",

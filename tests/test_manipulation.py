@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
-from conftest import noting_leads, of_trimesh
+from conftest import noting_advances, of_trimesh
 from manipulations import DT, QUICK, UP, first_in_palm, follow, task_of, with_log
 
 from planner.collision.world import CollisionWorld, shape_pair
@@ -40,7 +40,7 @@ from planner.plain import finite
 from planner.shapes import Box
 from planner.spatial import SE3, FloatArray, signed_twist
 from planner.task import GraspTask
-from sim.controllers.follow import LEAD, RATE, MotionReference
+from sim.controllers.follow import MAX_ADVANCE, RATE, MotionReference
 from sim.controllers.monitors import SLIP_SPEED, SlipDetector
 from sim.controllers.pads import CREEP, PadReading
 from sim.controllers.torques import HoldingTorques
@@ -83,7 +83,7 @@ def report(plan: ManipulationPlan, lead_times: list[float]) -> ManipulationRepor
         object=replace(task.object, mass=0.1),
         T_world_object=SE3(pin.exp3(0.05 * UP), pose.translation + np.array([0.001, -0.002, 0.0])),
     )
-    with noting_leads(lead_times):
+    with noting_advances(lead_times):
         return manipulate(plan, true_task=true_task, physics=PhysicsOptions(mu=0.6), timeline=QUICK)
 
 
@@ -179,31 +179,31 @@ def test_a_reference_waits_for_an_object_that_stalls(plan: ManipulationPlan) -> 
     most = plan.motion.path.angle
     places = np.array(led(plan, reference, lambda r: min(stalled, r.place * most)))
     ahead = places * plan.motion.path.angle - stalled
-    assert ahead.max() <= LEAD + 1e-9
-    assert ahead[-1] > 0.5 * LEAD  # it presses on
+    assert ahead.max() <= MAX_ADVANCE + 1e-9
+    assert ahead[-1] > 0.5 * MAX_ADVANCE  # it presses on
     assert not reference.arrived
     assert reference.turned == pytest.approx(stalled)
     assert reference.left == pytest.approx(plan.angle - stalled)
 
 
-def test_a_reference_goes_beyond_its_goal_for_an_object_that_stays_behind(
+def test_a_reference_overshoots_its_goal_for_an_object_that_lags(
     plan: ManipulationPlan,
 ) -> None:
-    """By what the object is behind, less the 0.3 degrees that may be short; no further."""
+    """By the lag of the object minus the 0.3 degrees of tolerance; no further."""
     behind, most = math.radians(2.0), plan.motion.path.angle
     reference = MotionReference(plan.motion, angle=plan.angle)
     places = led(plan, reference, lambda r: max(0.0, r.place * most - behind))
     a_step = 0.3 * 1.1 * DT
     beyond = behind - math.radians(0.3)
     assert places[-1] * most == pytest.approx(plan.angle + beyond, abs=1.1 * a_step)
-    # an object that is stuck is led to the end of what was planned and there it ends
+    # with a stuck object the reference ends at the end of the planned overshoot
     stuck = MotionReference(plan.motion, angle=plan.angle)
     places = led(plan, stuck, lambda r: min(plan.angle - behind, r.place * most))
     assert plan.angle < places[-1] * most <= most + 1e-12
-    assert max(places) * most - (plan.angle - behind) <= LEAD + 1e-9
+    assert max(places) * most - (plan.angle - behind) <= MAX_ADVANCE + 1e-9
 
 
-def test_a_reference_leads_while_the_object_is_turned_and_held(
+def test_a_reference_advances_while_the_object_is_turned_and_held(
     report: ManipulationReport, lead_times: list[float]
 ) -> None:
     led_for = sum(c.end - c.begin for c in report.results if c.phase in HELD)

@@ -83,6 +83,18 @@ def test_a_controller_of_your_own_is_told_target_and_schedule(plan: Manipulation
     assert turning[-1].holding.all()
 
 
+def test_what_a_controller_of_your_own_misses_slows_the_turn(plan: ManipulationPlan) -> None:
+    class Weak(Servo):
+        missed = 0.25
+
+    def fastest(mine: Servo) -> float:
+        manipulate(plan, controller=mine, timeline=QUICK)
+        targets = [o.target for o in mine.seen if o.phase == "turn" and o.target is not None]
+        return max(float(np.linalg.norm(target.twist[3:])) for target in targets)
+
+    assert fastest(Weak(plan.grasp)) < 0.8 * fastest(Servo(plan.grasp))
+
+
 def test_a_class_a_function_and_a_name_make_a_controller(plan: ManipulationPlan) -> None:
     made: list[GraspPlan] = []
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import noting_leads
+from conftest import noting_advances
 from manipulations import DT, QUICK, task_of
 
 from planner.errors import NoGraspFoundError, TaskError
@@ -78,7 +78,7 @@ def report(plan: ManipulationPlan, lead_times: list[float]) -> ManipulationRepor
     """What comes of it with an object of twice the mass."""
     task = plan.motion.grasp.task
     true_task = replace(task, object=replace(task.object, mass=0.2))
-    with noting_leads(lead_times):
+    with noting_advances(lead_times):
         return manipulate(plan, true_task=true_task, physics=PhysicsOptions(mu=0.7), timeline=SHORT)
 
 

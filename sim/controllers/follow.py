@@ -1,22 +1,22 @@
-"""``MotionReference``: leads object and fingers along a planned motion, as fast as they follow.
+"""``MotionReference``: targets along a planned motion, as fast as the object follows.
 
-The wanted turn y* grows at a limited rate, with limited acceleration at both ends, and waits for
-the measured turn y, the signed twist of the object in the palm since the turn began:
+The wanted turn y* grows at a limited rate, with limited acceleration at both ends. Its advance over
+the measured turn y, the signed twist of the object in the palm since the turn began, is limited:
 
-    dy*/dt <= rate clip(2 (1 - (y* - y) / LEAD), 0, 1),    y* ends at the angle asked for
+    dy*/dt <= rate clip(2 (1 - (y* - y) / MAX_ADVANCE), 0, 1),    y* ends at the angle asked for
 
-so it is the measured turn that counts: what rolling adds or loses is seen and made up for. An
-object that stays short of its goal, as after a push that made it slip, is led on slowly along what
-was planned beyond the goal. The
-place on the planned path is y* over the planned angle. Cubic splines through the knots give the
+The measured turn counts, so that rolling is compensated. If the object lags behind the goal, as
+after a push that made it slip, the reference continues slowly into the planned overshoot.
+
+The place on the planned path is y* over the planned angle. Cubic splines through the knots give the
 object's pose, the pad centres in the object's frame, in which they move by rolling only, and the
-joints: a velocity that jumps at a knot would be felt as a blow. Where the object lay otherwise than
-planned when the turn began, it is led onto the planned path bit by bit; only its turn about the
-axis stays its own, and its place where it is to be moved, from where it is. While the wanted forces
-cannot be had, the rate is lower.
+joints; a velocity that jumps at a knot would act as an impact. A pose that differs from the planned
+one when the turn begins is blended linearly into the planned path, except for the rotation about
+the axis and, for a translation in the hand, the position: these differences persist. While the
+wanted wrench is infeasible, the rate is lower.
 
-The way back, from any place to the beginning, is the same backwards. A pure translation is led by
-time alone, which y* stands for then.
+The way back, from any place to the beginning, is the same backwards. A pure translation advances by
+time alone, and y* is its length then.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from planner.motion import Knot, MotionPlan
 from planner.spatial import SE3, FloatArray, signed_twist
 from sim.controllers.reference import Target
 
-__all__ = ["LEAD", "RATE", "MotionReference"]
+__all__ = ["MAX_ADVANCE", "RATE", "MotionReference"]
 
 RATE = 1.1
 """Default largest rate of the turn, rad/s: 90 degrees in 1.6 s with the ramps."""
@@ -44,32 +44,31 @@ RAMP = 0.15
 CREEP = 0.02
 """Least share (-) of the full rate near the end, so that the end is reached in finite time."""
 
-LEAD = np.deg2rad(8.0)
-"""Most (rad) that the wanted turn is ahead of the measured one: with a learned load a following
-object lags by 1 to 3 degrees, and a blocked one is then pressed by 8 degrees of the spring."""
+MAX_ADVANCE = np.deg2rad(8.0)
+"""Largest advance (rad) of the wanted turn over the measured one: an object that follows lags by
+less, and a blocked one is pressed by 8 degrees of the rotational spring."""
 
 SPEED = 0.05
 """Largest speed (m/s) of a translation in the hand."""
 
-
 STOPPING, LEAST_ABLE, MISSED_TIME = 0.5, 0.3, 0.05
-"""The rate falls with the share of the wanted wrench that cannot be had (averaged over a time, s),
-to the least share of the full rate: moving itself takes torque, a fifth of what the Allegro's thumb
-has at full rate."""
+"""The rate falls linearly with the missed share of the wanted wrench, to zero at the first (-) but
+never less than the second, a share of the full rate (-); the missed share is averaged over the
+third (s). Moving slower leaves the joints more torque for the wrench."""
 
 VELOCITY_STEP = 0.002
 """Time (s) over which the wanted velocity is taken from the path: a control step."""
 
-FURTHER, SHORT = 0.3, np.deg2rad(0.3)
-"""Share (-) of the full rate with which the reference goes on beyond its goal, and by how much
-(rad) the measured turn is short of it then: less than what a turn that is made may lack."""
+OVERSHOOT_RATE, OVERSHOOT_LAG = 0.3, np.deg2rad(0.3)
+"""Share (-) of the full rate in the overshoot, and the lag (rad) behind the goal from which on the
+reference continues into it: less than the tolerance of a finished turn."""
 
 ROUNDING = 1e-9
 """A turn (rad) or a length (m) that differs by less is the same."""
 
 
 class MotionReference:
-    """The reference of one motion; starts when first asked.
+    """The reference of one motion; starts at the first ``advance``.
 
     Attributes:
         axis: (3,), of the turn, palm.
@@ -91,12 +90,12 @@ class MotionReference:
             motion: What was planned.
             angle: Turn that is asked for, rad; the planned one if None.
             rate: Largest rate of the turn, rad/s.
-            back_from: Place on the path, in (0, 1], from which the object is led back to the
-                beginning; None leads it from the beginning on.
+            back_from: Place on the path, in (0, 1], from which the object goes back to the
+                beginning; None begins at the beginning.
 
         Raises:
             TaskError: A rate that is not positive, an angle that was not planned for, or a way back
-                from nowhere or by another angle than the place tells.
+                from outside the path or with an angle of its own.
         """
         if back_from is not None and (angle is not None or not 0.0 < back_from <= 1.0):
             raise TaskError(
@@ -134,7 +133,7 @@ class MotionReference:
 
     @property
     def arrived(self) -> bool:
-        """Whether the reference is at its end; the object may still be behind."""
+        """Whether the reference is at its end; the object may still lag."""
         return self._gone >= self._end - ROUNDING
 
     @property
@@ -157,7 +156,7 @@ class MotionReference:
         share, begin = self._share, self._begin
         here = self._path.at(share)
         there = self._path.at(min(1.0, share + self._speed * VELOCITY_STEP / self._length))
-        wanted = begin.led(here.T_palm_object, share)
+        wanted = begin.blended(here.T_palm_object, share)
         turn = pin.log3(there.T_palm_object.rotation @ here.T_palm_object.rotation.T)
         shift = there.T_palm_object.translation - here.T_palm_object.translation
         return Target(
@@ -174,10 +173,10 @@ class MotionReference:
         return min(1.0, self._gone / self._length)
 
     def _go_on(self, elapsed: float, missed: float) -> None:
-        """Let the reference move on as far as the object follows."""
+        """Advance the reference as far as the object follows."""
         left, fastest = max(0.0, self._end - self._gone), self._fastest
-        if self._turns and left <= ROUNDING and self.left > SHORT:
-            left, fastest = self._length - self._gone, FURTHER * fastest
+        if self._turns and left <= ROUNDING and self.left > OVERSHOOT_LAG:
+            left, fastest = self._length - self._gone, OVERSHOOT_RATE * fastest
         self._missed += min(1.0, elapsed / MISSED_TIME) * (missed - self._missed)
         able = max(LEAST_ABLE, 1.0 - self._missed / STOPPING)
         speed = min(
@@ -186,8 +185,8 @@ class MotionReference:
             float(np.sqrt(2.0 * self._acceleration * left)) + CREEP * fastest,
         )
         if self._turns:
-            ahead = self._gone - self._sign * self.turned
-            speed *= float(np.clip(2.0 * (1.0 - ahead / LEAD), 0.0, 1.0))
+            advance = self._gone - self._sign * self.turned
+            speed *= float(np.clip(2.0 * (1.0 - advance / MAX_ADVANCE), 0.0, 1.0))
         self._speed = min(speed, left / elapsed)
         self._gone += self._speed * elapsed
 
@@ -237,7 +236,7 @@ class _Path:
 
 
 class _Begin:
-    """How it was when the turn began, against the plan.
+    """Differences from the plan when the turn began.
 
     Attributes:
         rotation: (3, 3), of the object in the palm.
@@ -266,15 +265,15 @@ class _Begin:
         seen = self.about.T @ actual.rotation
         self._aside: FloatArray = (tips - actual.translation) @ seen - planned.tips
 
-    def led(self, planned: SE3, share: float) -> SE3:
-        """The planned pose with what is left of the difference after a share of the way."""
+    def blended(self, planned: SE3, share: float) -> SE3:
+        """The planned pose plus the initial difference, faded out along the way."""
         left = 1.0 - share
         turn = pin.exp3(left * self._tilt) @ self.about
         aside = self._shift if self._moves else left * self._shift
         return SE3(turn @ planned.rotation, planned.translation + aside)
 
     def tips(self, planned: FloatArray, wanted: SE3) -> FloatArray:
-        """Planned pads (n, 3), object's frame, in the palm, as far beside them as at the start."""
+        """Planned pads (n, 3), object's frame, in the palm, with their initial offset."""
         seen = self.about.T @ wanted.rotation
         return np.asarray((planned + self._aside) @ seen.T + wanted.translation)
 

@@ -107,7 +107,7 @@ class ImpedanceLaw:
 
     Attributes:
         gains: The gains.
-        load: Wrench (6,) that was learned to be needed at rest, N and N m.
+        load: Learned wrench (6,) at rest, N and N m.
     """
 
     def __init__(self, gains: ImpedanceGains) -> None:
@@ -134,21 +134,21 @@ class ImpedanceLaw:
         return np.asarray(self._spring - self._damping * twist + self.load)
 
     def learn(self, elapsed: float, missed: FloatArray) -> None:
-        """Let the spring's wrench go over to the load.
+        """Move the spring's wrench over to the load.
 
         Args:
             elapsed: Time since the last call, s.
-            missed: (6,), what the contact forces give less the wrench that was asked of them.
+            missed: (6,), wrench of the contact forces minus the wanted wrench.
         """
         self.load += elapsed * self.gains.learning_rate * (self._spring + missed)
 
 
 def felt_inertia(plan: GraspPlan, mass: float) -> tuple[float, float]:
-    """Mass (kg) and moment of inertia (kg m^2) of a held object with what moves along.
+    """Mass (kg) and moment of inertia (kg m^2) of a held object with the links that move with it.
 
-    By the mean of the mobility over all directions, M^-1: a mean of M itself is that of the
-    directions in which fingers are stretched and hardly move, several times what moves in the
-    others, and a damper for it there is more than a control step of 2 ms bears.
+    From the mean of the mobility M^-1 over all directions. A mean of M would be dominated by
+    directions in which stretched fingers hardly move, and a damper of that size is unstable in the
+    other directions at a control step of 2 ms.
 
     Args:
         plan: The grasp.

@@ -38,13 +38,12 @@ MISSED_TOL = 0.05
 
 GIVING_TOL = 0.002
 """The least normal forces give way when more than this share of a wrench, or this many N, is left
-over: the wrench comes before the grip. Residuals of the force programme are a thousandth of it."""
+over: the wrench comes before the grip."""
 
 LEAST_GIVEN, GIVING_TIME, TAKING_TIME = 0.1, 0.05, 0.5
-"""While a wrench is missed the least normal forces give way to this share of them, as fast as all
-of them would in the first time (s), and come back in the second: a finger that must press where
-its force cannot be balanced is itself what is in the way. After a slip too: the larger grip that it
-brought is for the time when there is force to spare."""
+"""While a wrench is missed the least normal forces fall to this share (-): all of them in the first
+time (s), and back in the second. A finger that must press where its force cannot be balanced blocks
+the wrench itself. The larger grip after a slip gives way too: it needs actuators with a margin."""
 
 INFEASIBLE_TIME, PATIENCE = 0.006, 0.5
 """How long (s) a wrench must be missed to be called infeasible, and to give up."""
@@ -99,10 +98,10 @@ class SlipDetector:
 
 
 class InfeasibilityMonitor:
-    """How long a wrench has been missed, and what follows from it.
+    """Times for which a wrench has been missed, and the reactions to it.
 
     Attributes:
-        missed: Share of the last wrench that is missed (-).
+        missed: Missed share of the last wrench (-).
         given: Share of the least normal forces that is asked for (-).
         gave_up: Why it gave up, "" while it has not; "" again when it is over.
     """
@@ -116,11 +115,11 @@ class InfeasibilityMonitor:
     def update(
         self, elapsed: float, *, short: float, asked: float, holding: int
     ) -> list[tuple[EventKind, str]]:
-        """Take over a step; returns what is to be noted.
+        """Take over a step; returns the events to note.
 
         Args:
             elapsed: Since the last step, s.
-            short: Size of what is left over of the wrench, N.
+            short: Size of the unbalanced wrench, N.
             asked: Size of the wrench, N.
             holding: Fingers that hold.
         """
@@ -133,7 +132,7 @@ class InfeasibilityMonitor:
         few = holding < self._needed
         self._few_for = self._few_for + elapsed if few else 0.0
         notes: list[tuple[EventKind, str]] = []
-        detail = f"{short:.2f} N of {asked:.2f} N cannot be had"
+        detail = f"{short:.2f} N of {asked:.2f} N cannot be exerted"
         if before < INFEASIBLE_TIME <= self._missed_for:
             notes.append(("infeasible", f"{detail}; the nearest forces are given"))
         if before >= INFEASIBLE_TIME and self._missed_for == 0.0:

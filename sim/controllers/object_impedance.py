@@ -1,7 +1,7 @@
-"""``ObjectImpedance``: holds the object where it is, whatever pushes it.
+"""``ObjectImpedance``: holds the object at its target pose against disturbances.
 
 Approach and closing are those of ``GraspController``. From the squeeze on, at every step (in the
-phase "turn" a ``Reference`` may lead object and fingers elsewhere):
+phases ``REFERENCE_PHASES`` a ``Reference`` may move the targets of object and fingers):
 
     wrench   impedance of the object's pose in the hand (``sim.controllers.impedance``), and its
              believed weight; its velocity comes from the joints, as the contacts stick
@@ -14,7 +14,7 @@ What it notices and what it does then:
     contact lost    the forces are planned over the others at once; the finger searches along its
                     last normal, and takes its share again when it feels the object
     slip            beyond what spinning explains: all press harder by ``GRIP_STEP``; where the pad
-                    slipped at less friction than was believed, what it felt less a margin is
+                    slipped at less friction than was believed, what it felt minus a margin is
                     believed of that finger from now on
     infeasible      the forces that come nearest within all limits are given, and fingers that only
                     press on each other ease off: the wrench comes before the grip
@@ -50,25 +50,24 @@ MAX_NORMAL = 40.0
 """Largest normal force (N) that a pad is asked for; the actuators usually end far below."""
 
 CHANGE_COST = 2.0
-"""Cost of a squared change of force beside that of a squared force (-): forces that do not matter
-for the wrench follow within some 5 ms."""
+"""Cost of a squared change of force relative to a squared force (-): smooths internal forces, which
+do not change the wrench."""
 
 FRICTION_EDGES = 16
-"""Sides of the inscribed friction pyramids (-): they leave 98 % of the friction, 8 sides 92 %. What
-a pyramid leaves out is missing of the load that the certificate promises for the round cone."""
+"""Sides of the inscribed friction pyramids (-): 98 % of the friction, cos(pi / 16), instead of 92 %
+with 8 sides. The load promised by the certificate of the round cone shrinks by as much."""
 
 RESERVE_COST = 10.0
-"""Cost of the squared normal force by which a contact misses a reserve of 20 % of its friction, by
-that of a squared force (-). The least forces lie on the cone's edge, where the first jolt of a
-load makes pads slip; with this cost the reserve is kept wherever the load leaves one, and given
-up for a load that needs all of the friction."""
+"""Cost of the squared normal force that a contact lacks for a friction reserve of 20 %, relative to
+a squared force (-). Least forces lie on the cone's edge, where the first jolt of a load makes pads
+slip; with this cost the reserve is kept unless the load needs all of the friction."""
 
 GRIP_STEP, MAX_GRIP = 1.3, 3.0
 """Factor on the least normal forces per slip, and the largest that comes of it (-)."""
 
 LEAST_GRIP = 0.3
 """Share of the grip (-) that is kept whatever is missed of a wrench: a finger that presses less
-loses the object at every jolt. With a tenth, one did so 33 times in a turn, with this 5 times
+loses the object at every jolt. Contacts lost in one turn: 5 instead of 33 with a share of 0.1
 (``opposable manipulate allegro_hand cylinder:0.03x0.08 --rotate z:90 --seed 1``)."""
 
 FRICTION_MARGIN, LEAST_MU = 0.85, 0.1
@@ -81,8 +80,8 @@ CONFIRMED = 0.95
 CARRYING: frozenset[Phase] = frozenset({"lift", "hold", "turn", "carry"})
 """Phases in which nothing but the hand holds the object: then loads and friction are learned."""
 
-LED: frozenset[Phase] = frozenset({"turn", "hold"})
-"""Phases in which a reference leads: what creeps back after a turn is led on again."""
+REFERENCE_PHASES: frozenset[Phase] = frozenset({"turn", "hold"})
+"""Phases in which a reference sets the targets: after a turn too, to correct creep."""
 
 
 class ObjectImpedance:
@@ -94,7 +93,7 @@ class ObjectImpedance:
         schedule: Which fingers hold, from the squeeze on.
         T_palm_wanted: Where the object is to be kept, in the palm; None before the squeeze. May be
             set.
-        reference: What leads object and fingers in the phases ``LED``; None keeps them.
+        reference: Targets of object and fingers in ``REFERENCE_PHASES``; None keeps them.
         grip: Least normal force (N) of a finger that holds, at the end of the squeeze and before
             any slip; the task's at first. May be set.
         forces: (n, 4), contact forces of the last step in the contact frames, N and N m.
@@ -195,8 +194,8 @@ class ObjectImpedance:
     def keep(self) -> None:
         """Keep fingertips and posture where they are now; at rest they then press on nothing.
 
-        For when fingers are about to hold elsewhere: what slips taught about friction and grip is
-        forgotten, and nothing leads any more.
+        Before fingers hold elsewhere: friction and grip learned from slips are reset, and the
+        reference is dropped.
         """
         self.reference = None
         self._torques.latch()
@@ -222,8 +221,8 @@ class ObjectImpedance:
             self.schedule = ContactSchedule(pads.normal_force > TOUCH_FORCE)
             self._torques.latch()
         wanted_twist = np.zeros(6)
-        if observation.phase in LED and self.reference is not None:
-            wanted_twist = self._lead(self.reference, elapsed, in_palm, observation.q)
+        if observation.phase in REFERENCE_PHASES and self.reference is not None:
+            wanted_twist = self._follow(self.reference, elapsed, in_palm, observation.q)
         self._feel(elapsed, pads, T_base_world)
         carries = observation.phase in CARRYING
         if carries and not self.gave_up:
@@ -247,10 +246,10 @@ class ObjectImpedance:
         normals = self._frames[:, :, 0]
         return self._torques.commands(forces, normals, holding, self.schedule.searching)
 
-    def _lead(
+    def _follow(
         self, reference: Reference, elapsed: float, in_palm: SE3, q: FloatArray
     ) -> FloatArray:
-        """Take over where object and fingers should be now; returns the wanted twist (6,)."""
+        """Advance the reference and take over its targets; returns the wanted twist (6,)."""
         target = reference.advance(
             elapsed, in_palm, self._torques.tips_in_palm, q, missed=self._infeasibility.missed
         )
@@ -293,10 +292,10 @@ class ObjectImpedance:
     def _distribute(
         self, wrench: FloatArray, center: FloatArray, q: FloatArray, scale: float
     ) -> FloatArray:
-        """Find the contact forces for a wrench (6,); returns what they give less that (6,)."""
+        """Find the contact forces for a wrench (6,); returns theirs minus it (6,)."""
         share = np.where(self.schedule.holding, self.schedule.share, 0.0)
         grip = self.grip * max(LEAST_GRIP, self._grip * self._infeasibility.given)
-        # what a finger without force needs of its actuators is no concern of the others
+        # actuators of a finger without force do not limit the others
         loaded = np.where((share > 0.0)[:, None, None], self._torques.jacobians, 0.0)
         step = self._loop.step(
             -wrench,
@@ -311,16 +310,18 @@ class ObjectImpedance:
             previous=self.forces,
         )
         if not step.allowed:
-            # the least grip is more than the actuators have: without it nothing is always allowed
+            # the least grip exceeds the actuators; without it zero forces are always allowed
             step = self._loop.step(-wrench, q=q, min_normal=0.0)
         if step.allowed:
             self.forces = step.forces.copy()
-        if np.isnan(step.left_over).any():  # no answer at all: the last forces stay, all is missed
+        if np.isnan(
+            step.left_over
+        ).any():  # no solution: the last forces stay, the whole wrench is missed
             return -wrench
         return step.left_over.copy()
 
     def _judge(self, elapsed: float, wrench: FloatArray, missed: FloatArray) -> None:
-        """Note when a wrench cannot be had, and give up when that lasts."""
+        """Note when a wrench is infeasible, and give up when that lasts."""
         weight = self._loop.problem.row_scale[:6]
         short, asked = (math.sqrt(w @ w) for w in (weight * missed, weight * wrench))
         holding = int(self.schedule.holding.sum())

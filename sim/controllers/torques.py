@@ -8,8 +8,8 @@
 The spring on the fingertips acts on what their displacements p* - p have beyond those of a rigid
 body: f = K (1 - G^T (G G^T)^-1 G) (p* - p), so that G f = 0. The velocity of that rigid body is
 what the joints know of the object's in the palm, as long as the contacts stick. Joints of fingers
-that take no part are held by their servos' own stiffness, where they were or, while a motion leads,
-where it has planned them: out of the way of the others. Wrist and arm stay where they were.
+that take no part are held by their servos' own stiffness, at their latched posture or, during a
+motion, at the planned one, clear of the others. Wrist and arm stay where they were.
 All of it is in the axes of the hand's base.
 """
 
@@ -39,7 +39,7 @@ SEARCH_FORCE, SEARCH_DAMPING = 0.5, 15.0
 damper (N s/m): it moves at some 3 cm/s."""
 
 RETREAT, RETREAT_STIFFNESS = 0.01, 100.0
-"""A finger that is told to leave stays this far (m) off where it held, by this spring (N/m)."""
+"""Distance (m) that a leaving finger keeps from where it held, and the spring (N/m) for that."""
 
 RANK_TOL = 1e-6
 """Added to G G^T (-, m^2) where too few fingers hold to fix every motion."""
@@ -51,7 +51,7 @@ _RANK, _FLAT = RANK_TOL * np.eye(6), FLAT * np.eye(3)
 
 
 class HoldingTorques:
-    """Kinematics of the fingers that take part, and the commands that press as told.
+    """Kinematics of the fingers that take part, and the commands for wanted contact forces.
 
     Attributes:
         T_base_palm: Pose of the palm.
@@ -76,9 +76,9 @@ class HoldingTorques:
         for row, finger in zip(self._own, self._fingers, strict=True):
             row[finger.q_index] = True
         self._moving = self._own.any(axis=0)
-        self._led = np.zeros(nq, dtype=bool)
+        self._driven = np.zeros(nq, dtype=bool)
         for finger in self._hand.fingers.values():
-            self._led[finger.q_index] = True
+            self._driven[finger.q_index] = True
         self._stiffness, self._damping = motor_servo(self._hand, plan.q)
         self._stiffness[self._moving] = 0.0
         self._damping[self._moving] = JOINT_DAMPING
@@ -119,12 +119,12 @@ class HoldingTorques:
     def aim(self, tips: FloatArray, q: FloatArray, v: FloatArray) -> None:
         """Pursue fingertips (n, 3), palm, and a posture (nq,) of all fingers from now on.
 
-        The rates (nq,) at which the posture changes count until the next ``move``: what the joints'
-        own damping and friction take of the torque is made up for.
+        The rates (nq,) at which the posture changes count until the next ``move``: they
+        compensate the joints' damping and friction.
         """
         self._tips = tips
-        self._q_ref = np.where(self._led, q, self._q_ref)
-        self._v_ref = np.where(self._led, v, 0.0)
+        self._q_ref = np.where(self._driven, q, self._q_ref)
+        self._v_ref = np.where(self._driven, v, 0.0)
         sign = np.clip(self._v_ref / FULL_FRICTION_RATE, -1.0, 1.0)
         self.own_torque += self._drag * self._v_ref + self._stiction * sign
 

@@ -1,8 +1,7 @@
-"""What drives a manipulation: the fingers over all phases, and the way of the base.
+"""Drives of a manipulation: the fingers over all phases, and the base.
 
-Up to the lowering the fingers are those of an ``InHandController``, which a ``MotionReference``
-gives targets to during the turn; then its forces go down, and the fingers open to the planned
-posture.
+Up to the release an ``InHandController`` drives the fingers, with targets from a
+``MotionReference`` during the turn; then the fingers open to the planned posture.
 """
 
 from __future__ import annotations
@@ -31,8 +30,8 @@ from sim.timeline import Timeline
 __all__ = ["BaseMover", "ManipulationDriver"]
 
 BEYOND, TILTED_BEYOND = np.deg2rad(0.5), np.deg2rad(1.0)
-"""Turn (rad) beyond what is asked for, so that at least that is made whatever little comes back;
-and about an axis that is not vertical, where the weight pulls some of it back."""
+"""Turn (rad) beyond the asked one, a margin against elastic return; and about an axis that is not
+vertical, where the weight turns the object back further."""
 
 
 class ManipulationDriver:
@@ -41,7 +40,7 @@ class ManipulationDriver:
     Attributes:
         holding: What holds and turns the object.
         reference: What gives it targets during the turn, or during the stroke that it is in.
-        swing: What leads a finger that is off the object; None while there is none.
+        swing: Moves a finger that is off the object; None while there is none.
     """
 
     def __init__(self, plan: ManipulationPlan, holding: InHandController, *, rate: float) -> None:

@@ -45,7 +45,7 @@ from sim.controllers import (
     Target,
     controller_for,
 )
-from sim.controllers.object_impedance import LED
+from sim.controllers.object_impedance import REFERENCE_PHASES
 from sim.controllers.schedule import TOUCH_FORCE, ContactSchedule
 
 __all__ = [
@@ -53,6 +53,7 @@ __all__ = [
     "GuidedController",
     "InHandController",
     "ManipulationObservation",
+    "ReportsMissed",
     "TurningController",
     "in_hand_controller",
 ]
@@ -136,7 +137,7 @@ class InHandController(Protocol):
         ...
 
     def keep(self) -> None:
-        """Keep object and fingertips where they are now; nothing leads any more."""
+        """Keep object and fingertips where they are now, and drop the reference."""
         ...
 
 
@@ -168,6 +169,16 @@ def in_hand_controller(
         )
     made = cast(TurningController, controller_for(plan, cast(AnyController, given)))
     return made if isinstance(made, InHandController) else GuidedController(plan, made)
+
+
+@runtime_checkable
+class ReportsMissed(Protocol):
+    """A controller of your own that knows when it cannot exert the wanted wrench."""
+
+    @property
+    def missed(self) -> float:
+        """Missed share (-) of the last step's wrench, at least of 1 N; slows the reference down."""
+        ...
 
 
 class GuidedController:
@@ -209,6 +220,11 @@ class GuidedController:
         told = isinstance(self.controller, ReportsLimits)
         return self.controller.saturated_actuators() if told else ()  # type: ignore[attr-defined]
 
+    @property
+    def _missed(self) -> float:
+        """What the controller reports, or 0."""
+        return self.controller.missed if isinstance(self.controller, ReportsMissed) else 0.0
+
     def leave(self, finger: str) -> None:
         """See ``InHandController``."""
         self.schedule.wanted[self._index(finger)] = False
@@ -248,8 +264,10 @@ class GuidedController:
         if self.T_palm_wanted is None:
             self.schedule = ContactSchedule(observation.normal_forces > TOUCH_FORCE)
         self.schedule.step(elapsed, observation.normal_forces)
-        if observation.phase in LED and self.reference is not None:
-            self._target = self.reference.advance(elapsed, in_palm, tips, observation.q, missed=0.0)
+        if observation.phase in REFERENCE_PHASES and self.reference is not None:
+            self._target = self.reference.advance(
+                elapsed, in_palm, tips, observation.q, missed=self._missed
+            )
         elif self._target is None:
             q = observation.q.copy()
             still = np.zeros(6)

@@ -43,7 +43,7 @@ ROLL_SPEED = 0.002
 10 degrees a second against the object."""
 
 MODE_LETTERS = 60
-"""Letters in which the contact modes of a turn are told, about."""
+"""Approximate number of letters for the contact modes of a turn."""
 
 LETTERS = (("stick", "s"), ("roll", "r"), ("slip", "S"), ("break", "!"), ("off", "-"))
 """One for each mode."""

@@ -158,7 +158,7 @@ class Phases:
         return self._run.recorder.moved()[0]
 
     def _turn(self) -> Measured:
-        """The turn, or its next stroke, from where the object is."""
+        """The turn, or its next stroke, from the measured pose."""
         first, self._turn_begun = not self._turn_begun, True
         if first:
             self._run.recorder.mark_reference()
@@ -242,7 +242,7 @@ class Phases:
         return f"tilted by {tilt:.1f} degrees off the axis"
 
     def _obstacle(self) -> str:
-        """What the controller says about why the object does not follow."""
+        """Why the object does not follow, as far as the controller reports it."""
         holding = self._run.driver.holding
         saturated = ", ".join(self._run.driver.saturated_actuators())
         had_no_more = f"{saturated} had no more to give" if saturated else "it did not follow"

@@ -1,10 +1,8 @@
 """How hard fingers press over a whole manipulation, and how hard they may.
 
-The force programme gives a wanted wrench before anything else. Where friction hardly has it, as
-with a torque about the vertical that only tangential forces give, it presses as hard as it may for
-the last tenths of a newton: a thumb with 32 N on a soup can of 78 g that the plan holds with 7. So
-the controller of a manipulation is told what it may press with, and the verdict looks at what it
-pressed with.
+The force programme puts the wanted wrench first. Where friction hardly suffices, as for a torque
+about the vertical by tangential forces alone, it presses as hard as allowed for the last tenths of
+a newton. So the controller of a manipulation has a limit, and the verdict checks measured forces.
 """
 
 from __future__ import annotations
@@ -20,13 +18,11 @@ __all__ = ["ASKED_SHARE", "FingerForce", "finger_forces", "force_limit"]
 
 LEAST_ASKED, OVER_PLAN = 12.0, 1.25
 """What the controller may ask of a finger in any case (N), and over the largest planned force (-):
-for what was not planned for, pushes and an object beside its place. Plans for 300 g at friction
-0.45 press with 4 to 10 N, some of blocks with 16. Of 3 turns of a soup can on a stand by the
-Shadow-type hand, asked for 40, 20 and 12 N at most, all held, with peaks of 32, 24 and 15 N."""
+a margin for pushes and pose errors."""
 
 ASKED_SHARE = 2.0 / 3.0
-"""Share of the limit (-) that the controller asks for at most: what is measured is more by what
-springs and movement add, up to 4.5 N of 12 where the object comes down on the table."""
+"""Share of the limit (-) that the controller asks for at most: springs and
+movement add to the measured force, most where the object comes down on the table."""
 
 
 @dataclass(frozen=True, kw_only=True)

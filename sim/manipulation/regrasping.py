@@ -103,7 +103,7 @@ class Regrasping:
         return self._run.driver.holding.gave_up
 
     def _moved(self, move: Relocation, i: int) -> str:
-        """Lead a finger along its way until it has landed; what ended it early, "" if nothing."""
+        """Move a finger along its way until it has landed; why it ended early, "" if it did not."""
         run, holding = self._run, self._run.driver.holding
         swing = FingerSwing(self._plan.grasp, move, self._timeline.finger_rate)
         stuck = False

@@ -54,9 +54,9 @@ class ManipulationSim:
 
     Attributes:
         simulation: Scene, data and the loop.
-        driver: What drives the fingers.
-        mover: What moves the base.
-        recorder: Who takes samples.
+        driver: Drives the fingers.
+        mover: Moves the base.
+        recorder: Takes samples.
     """
 
     def __init__(

@@ -1,9 +1,8 @@
-"""``FingerSwing``: a finger that is off the object goes along its planned way and lands.
+"""``FingerSwing``: moves a finger that is off the object along its planned way until it lands.
 
-The commands of its actuators are those of servos at the finger's way; what the contact forces would
-have them do does not count meanwhile. The way is that of a ``Relocation``, from where the finger
-really was when it left. Beyond its end the pad goes on along the normal there, slowly, until
-it feels the object.
+Its actuators follow the way by servos instead of the contact forces. The way is that of a
+``Relocation``, from the measured posture at the start. Beyond its end the pad moves on slowly along
+the normal until it feels the object.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ QUICKEST = 0.15
 
 
 class FingerSwing:
-    """Leads one finger; starts when first asked.
+    """Moves one finger; starts at the first command.
 
     Attributes:
         finger: Its name.
