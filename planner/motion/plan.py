@@ -119,7 +119,7 @@ class MotionPlan:
 
     @property
     def joint_room(self) -> tuple[str, float, float]:
-        """The finger joint nearest to a limit, how near (share of its range), and path parameter."""
+        """The finger joint nearest to a limit, how near (share of its range), and where."""
         hand = self.grasp.task.hand
         index = np.concatenate([f.q_index for f in self.grasp.task.fingers])
         lower, upper = hand.q_lower[index], hand.q_upper[index]
