@@ -1,13 +1,14 @@
 """Joints between two knots: the pads roll evenly from contact to contact over the object's surface.
 
-If joints were interpolated evenly, the pads would leave the surface by up to a millimetre, and
-slide. Here the path of every pad's centre is given, one radius off the object's surface, and the
-joints follow by least steps (``planner.numerics.ik_step``),
+With joints interpolated linearly the pads would leave the surface by up to a millimetre, and slide.
+Here every pad's centre follows a path one radius off the object's surface, and the joints follow by
+least-norm inverse-kinematics steps (``planner.numerics.ik_step``),
 
     min |dq|  s.t.  J_i dq = wanted_i - c_i,   C dq = d - C q.
 
-The first path is even from knot to knot. The distance that the tips roll on it from place to place
-(``planner.motion.rolling``) gives the next path, until both agree.
+The first path is linear from knot to knot. The distance that the tips roll along it
+(``planner.motion.rolling``) gives the next path, until both agree: a fixed-point iteration with
+Anderson mixing.
 """
 
 from __future__ import annotations
@@ -25,29 +26,28 @@ from planner.task import GraspTask
 __all__ = ["interpolate_rolling"]
 
 STEPS = 6
-"""Most steps of the joints; two or three are usual."""
+"""Most inverse-kinematics steps at a sample."""
 
 ARRIVED = 1e-6
-"""Distance (m) from where a pad is wanted that is none."""
+"""Distance (m) of a pad from its target, and error of a coupling, that end the steps."""
 
 RCOND = 1e-3
-"""Singular values below this share of the largest count as zero: a finger that is stretched cannot
-follow exactly, and need not for a fraction of a millimetre."""
+"""Singular values below this share of the largest count as zero: a stretched finger cannot follow
+exactly."""
 
 STEADY_TOL, MOST_LAPS = 2e-5, 10
-"""Change of the path (m) that ends the iteration, and most iterations. Three are usual. Without
-Anderson mixing a thumb with a redundant joint, which turns another way each time, needs eight, and
-slides by 0.5 mm between knots after two."""
+"""Change of the path (m) that ends the iteration, and most iterations. Without Anderson mixing a
+thumb with a redundant joint converges slowly, because it turns another way each time."""
 
 
 def interpolate_rolling(
     task: GraspTask, bases: Sequence[SE3], first: FloatArray, last: FloatArray
 ) -> list[FloatArray]:
-    """Joints (nq,) at places between two knots, and at the knots themselves.
+    """Joints (nq,) at m samples from one knot to the next, both knots included.
 
     Args:
         task: Hand, fingers and object.
-        bases: Base in the object's frame at m places, evenly from the first knot to the last.
+        bases: Pose of the base in the object's frame at the m samples, equally spaced.
         first: Joints (nq,) at the first knot.
         last: Joints (nq,) at the last one.
     """
@@ -79,9 +79,9 @@ def interpolate_rolling(
 def _mixed(
     value: FloatArray, miss: FloatArray, last_value: FloatArray, last_miss: FloatArray
 ) -> FloatArray:
-    """Where a fixed point is sought next (Anderson 1965, with one step of memory).
+    """The next iterate of a fixed-point iteration (Anderson 1965, one step of memory).
 
-    The share of the last value that would have made the miss least, were it linear.
+    It mixes in the last value by the share that minimises the linearised residual.
     """
     change = (miss - last_miss).ravel()
     if not last_miss.any() or not change.any():
@@ -103,7 +103,7 @@ def _tips(
 def _rolled(
     task: GraspTask, moving: MovingHand, bases: Sequence[SE3], postures: Sequence[FloatArray]
 ) -> FloatArray:
-    """How far (m, n, 3) the centres have come at each place if the tips roll."""
+    """Displacements (m, n, 3) of the centres since the first sample if the tips roll."""
     tips = [_tips(task, moving, base, q) for base, q in zip(bases, postures, strict=True)]
     centers, turned = np.array([c for c, _ in tips]), np.array([r for _, r in tips])
     middle = (centers[:-1] + centers[1:]) / 2
@@ -117,7 +117,7 @@ def _rolled(
 
 
 def _moved_joints(task: GraspTask) -> IntArray:
-    """Joints of the fingers that touch, and those coupled to any."""
+    """Joints of the fingers in contact, and joints coupled to any other."""
     matrix, _ = task.hand.coupling_matrix
     coupled = np.flatnonzero(np.abs(matrix).sum(axis=0))
     index = np.union1d(coupled, np.concatenate([f.q_index for f in task.fingers]))
@@ -132,7 +132,7 @@ def _follow(
     q: FloatArray,
     centers: FloatArray,
 ) -> FloatArray:
-    """Joints (nq,) near q with the pads' centres above these (n, 3), one radius off the surface."""
+    """Joints (nq,) near q with the pads' centres over these (n, 3), one radius off the surface."""
     hand = task.hand
     points, outward = task.object.shape.closest_point(centers)
     radii = np.array([f.pad.radius for f in task.fingers])

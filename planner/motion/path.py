@@ -18,14 +18,14 @@ from planner.spatial import SE3, FloatArray
 __all__ = ["LARGEST_TURN", "ObjectPath", "check_shift", "tilts"]
 
 SHORTEST = 1e-9
-"""Length (-) below which an axis has no direction; turns (rad) and shifts (m) below it are none."""
+"""Length (-) below which an axis has no direction; turns (rad) and shifts (m) below it are zero."""
 
 LARGEST_TURN = np.pi
-"""Largest turn (rad) of one stroke: no fixed grasp of a hand goes further."""
+"""Largest turn (rad) of one stroke."""
 
 
 UPRIGHT = 0.99
-"""Least share (-) of the vertical in an axis that counts as vertical."""
+"""Least cosine (-) between the vertical and an axis that counts as vertical."""
 
 
 def tilts(axis: FloatArray) -> bool:
@@ -34,11 +34,11 @@ def tilts(axis: FloatArray) -> bool:
 
 
 LONGEST_SHIFT = 2.0
-"""Longest way, m: fingers that stay where they touch reach less than a metre."""
+"""Longest translation, m: far beyond the reach of fingers that keep their contacts."""
 
 
 def check_shift(shift: FloatArray) -> None:
-    """Refuse what is no translation (3,), m, of an object in a hand.
+    """Refuse a shift (3,), m, that no object can make in a hand.
 
     Raises:
         TaskError: Another shape, not finite, or longer than ``LONGEST_SHIFT``.
@@ -46,12 +46,12 @@ def check_shift(shift: FloatArray) -> None:
     if shift.shape != (3,) or not np.isfinite(shift).all():
         raise TaskError(f"shift is {shift}; give three finite numbers in m, world axes")
     if np.abs(shift).max() > LONGEST_SHIFT or np.linalg.norm(shift) > LONGEST_SHIFT:
-        raise TaskError(f"shift is {shift}; give a way of at most {LONGEST_SHIFT:g} m")
+        raise TaskError(f"shift is {shift}; give a translation of at most {LONGEST_SHIFT:g} m")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectPath:
-    """Where an object is to go from where it is.
+    """The path of an object from its present pose.
 
     Attributes:
         axis: (3,), unit, world.
@@ -67,7 +67,7 @@ class ObjectPath:
         """Check the numbers, and make the axis a unit vector.
 
         Raises:
-            TaskError: No axis, numbers that are not finite, or a path that goes nowhere or too far.
+            TaskError: No axis, numbers that are not finite, or a path that is empty or too long.
         """
         axis = np.array(self.axis, dtype=np.float64)
         shift = np.array(self.shift, dtype=np.float64)

@@ -36,8 +36,8 @@ class Knot:
         closure: Force closure of the contacts.
         verification: Residuals on the true geometry.
         off_path: Distance of the object from its path, m.
-        slips: How far (n,), m, each pad slides from the knot before to here: 0 if it rolls.
-        between: Largest pad gap, m, half-way from the knot before if all joints move evenly.
+        slips: Slip (n,), m, of each pad since the knot before: 0 if it rolls.
+        between: Largest pad gap, m, half-way from the knot before, joints interpolated linearly.
     """
 
     path_parameter: float
@@ -62,7 +62,7 @@ class Knot:
 
     @property
     def clearance(self) -> float:
-        """Smallest distance of what must not touch, m."""
+        """Smallest distance of geometries that must not touch, m."""
         return min((c.distance for c in self.verification.closest), default=np.inf)
 
 
@@ -72,7 +72,7 @@ class MotionRecord(SearchRecord):
 
     Attributes:
         iterations: Evaluations of the residuals in its attempt.
-        worst: Largest weighted residual of a term of what was verified.
+        worst: Largest weighted residual of a term in the verified candidate.
     """
 
     iterations: int
@@ -83,15 +83,15 @@ class MotionRecord(SearchRecord):
 class MotionPlan:
     """A motion of the object in the hand; every knot passed the checks of a grasp.
 
-    All poses are where the grasp is. Hand and object are lifted first, and both by the same
-    translation; that is left out here.
+    All poses are relative to the grasp on the table: execution lifts hand and object first, both by
+    the same translation, which the plan leaves out.
 
     Attributes:
-        grasp: The grasp with which it begins, with its way in, on the table or where the object is.
-        path: The path that the object goes; shorter than what was asked for if that was too long.
+        grasp: The grasp with which it begins, with its approach, where the object is.
+        path: The path of the object; shorter than requested if that was too long.
         knots: In order; the first is the grasp.
-        path_tolerance: How far the object was allowed to leave the path, m.
-        limits: What kept the path from being longer, where as much as there is was asked for.
+        path_tolerance: Largest distance of the object from the path, m.
+        limits: What kept the path from being longer, if the longest path was requested.
         record: Where the motion comes from.
     """
 
@@ -109,17 +109,17 @@ class MotionPlan:
 
     @property
     def margin(self) -> float:
-        """Normalised min-weight of closure (-) at the knot where it is least."""
+        """Least normalised min-weight of closure (-) over all knots."""
         return min(k.closure.normalised_min_weight for k in self.knots)
 
     @property
     def clearance(self) -> float:
-        """Smallest distance of what must not touch, m, over all knots."""
+        """Smallest distance of geometries that must not touch, m, over all knots."""
         return min(k.clearance for k in self.knots)
 
     @property
     def joint_room(self) -> tuple[str, float, float]:
-        """The finger joint nearest to an end of its range, how near (share of it), and where."""
+        """The finger joint nearest to a limit, how near (share of its range), and where."""
         hand = self.grasp.task.hand
         index = np.concatenate([f.q_index for f in self.grasp.task.fingers])
         lower, upper = hand.q_lower[index], hand.q_upper[index]
@@ -130,12 +130,12 @@ class MotionPlan:
 
     @property
     def slipped(self) -> FloatArray:
-        """How far (n,), m, each pad slides over the whole path: 0 if it only rolls."""
+        """Slip (n,), m, of each pad over the whole path: 0 if it only rolls."""
         return np.asarray(np.sum([k.slips for k in self.knots], axis=0))
 
     @property
     def pivoted(self) -> FloatArray:
-        """By how much (n,), rad, each tip turns about its contact's normal over the whole path."""
+        """Rotation (n,), rad, of each tip about its contact's normal over the whole path."""
         task, out = self.grasp.task, []
         for a, b in pairwise(self.knots):
             before, after = (
@@ -154,7 +154,7 @@ class MotionPlan:
     def at(self, path_parameter: float) -> tuple[SE3, FloatArray]:
         """Pose of the object and joints (nq,) at a path parameter, 0 to 1, between knots.
 
-        The object is interpolated along its screw, the joints evenly.
+        The object is interpolated along its screw, the joints linearly.
         """
         at = np.array([k.path_parameter for k in self.knots])
         i = int(np.clip(np.searchsorted(at, path_parameter, side="right") - 1, 0, len(at) - 2))
@@ -173,7 +173,7 @@ class MotionPlan:
     ) -> JointTrajectory:
         """Approach, closing and the motion as joint positions by name, for a real hand.
 
-        Squeeze and lift are not part of it. Joints go through the knots and stay between them.
+        Squeeze and lift are not part of it. Joints pass through the knots without overshoot.
 
         Args:
             approach_s: As for ``GraspPlan.joint_trajectory``.
@@ -208,7 +208,7 @@ class MotionPlan:
         return f"<MotionPlan of {self.grasp.task!r}: {self.path}>"
 
     def __str__(self) -> str:
-        """The path, the margins, and what limits it."""
+        """The path, the margins, and the limits."""
         joint, room, where = self.joint_room
         task = self.grasp.task
         lines = [
@@ -235,4 +235,4 @@ class MotionPlan:
 
 
 SMALLEST_RANGE = 1e-3
-"""Least range (rad or m) of a joint, so that a share of it is a number."""
+"""Least range (rad or m) of a joint by which distances are divided."""

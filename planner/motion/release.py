@@ -1,8 +1,8 @@
 """The release after a motion: fingers opened where the motion ends, and a straight way out.
 
-It is an approach backwards, planned by the same code. When the motion has ended
-the table is as far below the object's lowest point as it was at first. Obstacles carry the object
-if they did, as high as it lies on them turned as it is then.
+It is an approach in reverse, planned by the same code. At the end of the motion the table is as far
+below the object's lowest point as at the start. Obstacles that carried the object carry it again,
+at the height at which the turned object lies on them.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from planner.task import GraspTask
 __all__ = ["SINKS", "find_release", "verify_release"]
 
 SINKS = 0.01
-"""How much (m) higher or lower than at first a turned object may lie on what carries it."""
+"""Largest change of height (m) of a turned object on the obstacles that carry it."""
 
 
 def find_release(motion: MotionPlan) -> Approach | Failure:
     """Opened fingers and a straight way out at the end of a motion; or why there are none.
 
-    The poses are where the grasp is, like those of the motion: put down elsewhere, hand and object
+    Poses are relative to the grasp, like those of the motion: put down elsewhere, hand and object
     move together.
     """
     there, end = _standing(motion), motion.knots[-1]
@@ -37,7 +37,7 @@ def find_release(motion: MotionPlan) -> Approach | Failure:
 
 
 def verify_release(motion: MotionPlan, release: Approach) -> Failure | None:
-    """What is wrong with a way out at the end of a motion, None if nothing is."""
+    """Why a way out at the end of a motion fails, None if it is free."""
     there, end = _standing(motion), motion.knots[-1]
     if isinstance(there, Failure):
         return there
@@ -45,9 +45,9 @@ def verify_release(motion: MotionPlan, release: Approach) -> Failure | None:
 
 
 def _standing(motion: MotionPlan) -> GraspTask | Failure:
-    """The task as it is where the object stands at the end of a motion; or why it stands nowhere.
+    """The task with table and obstacles below the object at the end of a motion; or why not.
 
-    The object stays where the motion has it, table and obstacles are below it.
+    The object stays where the motion has it.
     """
     end, task = motion.knots[-1], motion.grasp.task
     table, carrying = task.table_height, task.carrying

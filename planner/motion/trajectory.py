@@ -1,8 +1,8 @@
 """``TrajectoryBuilder``: joint positions and base poses over time, for a real hand.
 
-Joints go along given postures by a monotone cubic (PCHIP), which stays between neighbouring
-postures: within joint limits if these are. Time runs along it by the minimum-jerk profile, slowly
-enough for a largest joint rate, and for a least duration.
+Joints follow given postures by a monotone cubic (PCHIP), which stays between neighbouring postures,
+so within joint limits if the postures are. Time follows the minimum-jerk profile, slowly enough for
+the largest joint rate and the largest rate of the object's turn.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ TURN_RATE = 1.1
 """Default largest rate of the object's turn, rad/s, as ``sim.controllers.follow.RATE``."""
 
 PEAK = 1.875
-"""Largest rate of the minimum-jerk profile over its mean rate (-)."""
+"""Peak rate of the minimum-jerk profile over its mean rate (-)."""
 
 LOOKS = 400
-"""Places at which the rates of joints along their postures are looked at."""
+"""Samples at which the joint rates along the postures are evaluated."""
 
 
 class TrajectoryBuilder:
-    """Pieces of a trajectory, one after the other, from the grasp on."""
+    """Appends phases to a trajectory that begins with approach and closing of a grasp."""
 
     def __init__(
         self,
@@ -73,13 +73,13 @@ class TrajectoryBuilder:
     def turn(
         self, phase: str, postures: FloatArray, parameters: FloatArray, angle: float = 0.0
     ) -> None:
-        """Joints go along postures, the base stays.
+        """Joints follow postures, the base stays.
 
         Args:
-            phase: Name of the piece.
-            postures: Joints (m, nq), the first where the trajectory is now; two at least.
+            phase: Name of the phase.
+            postures: Joints (m, nq), at least two; the first is where the trajectory is now.
             parameters: Path parameter (m,) of each posture, increasing.
-            angle: By how much the object turns meanwhile, rad.
+            angle: Turn of the object meanwhile, rad.
         """
         way = PchipInterpolator(parameters, postures)
         at = np.linspace(parameters[0], parameters[-1], LOOKS)
@@ -90,11 +90,11 @@ class TrajectoryBuilder:
         self._add(phase, duration, here, [self._bases[-1]] * len(share))
 
     def move_base(self, phase: str, T_world_base: SE3, duration: float) -> None:
-        """The base goes straight to a pose, joints stay.
+        """The base moves straight to a pose, joints stay.
 
         Args:
-            phase: Name of the piece.
-            T_world_base: Where it is to be.
+            phase: Name of the phase.
+            T_world_base: Its pose at the end.
             duration: s.
         """
         share, begin = self._shares(duration), self._bases[-1]
@@ -102,7 +102,7 @@ class TrajectoryBuilder:
         self._add(phase, duration, np.tile(self._positions[-1][-1], (len(share), 1)), bases)
 
     def built(self) -> JointTrajectory:
-        """All pieces so far as one trajectory."""
+        """All phases so far as one trajectory."""
         return JointTrajectory(
             joint_names=self._names,
             times=np.concatenate(self._times),
@@ -112,7 +112,7 @@ class TrajectoryBuilder:
         )
 
     def _shares(self, duration: float) -> FloatArray:
-        """Shares (k,) of a piece that have passed at its samples, without its beginning."""
+        """Progress (k,), 0 to 1, at the samples of a phase, without its beginning."""
         n = max(1, int(np.ceil(duration * self._rate_hz)))
         return minimum_jerk(np.linspace(0.0, 1.0, n + 1)[1:])
 
@@ -125,6 +125,6 @@ class TrajectoryBuilder:
 
 
 def _between(begin: SE3, end: SE3, share: float) -> SE3:
-    """A pose between two, the origin on a straight line."""
+    """A pose interpolated between two, the origin on a straight line."""
     turned = SE3.Interpolate(begin, end, share).rotation
     return SE3(turned, begin.translation + share * (end.translation - begin.translation))

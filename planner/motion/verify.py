@@ -1,9 +1,10 @@
-"""The verdict on a motion: every knot by the true geometry, Pinocchio and coal, like a grasp.
+"""The verdict on a motion: every knot on the true geometry, by Pinocchio and coal, like a grasp.
 
-The solver's knots are up to 30 degrees apart. Between them the object goes on along its path,
-and the pads over its surface (``planner.motion.interpolation``); these points count as knots too.
-The first is verified as a grasp on the table with its way in, all by the same checks: contact,
-penetration, couplings and limits, force closure with a margin, and forces that bear the weight.
+The solver's knots are up to 30 degrees apart. Between them the object continues along its path and
+the pads roll over its surface (``planner.motion.interpolation``); these waypoints become knots too.
+The first knot is verified as a grasp on the table with its approach. All knots pass the same
+checks: contact, penetration, couplings and limits, force closure with a margin, forces that bear
+the weight.
 """
 
 from __future__ import annotations
@@ -35,24 +36,24 @@ from planner.verification.projection import project_onto_surface
 __all__ = ["MotionVerifier", "Waypoint"]
 
 SUBKNOTS = 3
-"""Knots of a plan for every one of the solver: 10 degrees apart where those are 30."""
+"""Knots of the plan per interval of the solver: 10 degrees apart where the solver's are 30."""
 
 SLIP_TOL = 5e-4
-"""How far (m) a pad may slide from knot to knot, as far as a pad may be off the
-surface: the compliance of a grip takes it up."""
+"""Largest slip (m) of a pad from knot to knot: as large as the largest pad gap, since the
+compliance of the grip takes it up."""
 
 BETWEEN_TOL = 1e-3
-"""Largest pad gap (m) half-way between knots, if joints move evenly: twice what counts as touching,
-since a controller closes it."""
+"""Largest pad gap (m) half-way between knots with joints interpolated linearly: twice the gap of a
+contact, since a controller closes it."""
 
 BETWEEN_PENETRATION = 1e-4
-"""Depth (m) from which penetration counts there, where pads are off by as much."""
+"""Penetration (m) allowed half-way between knots."""
 
 TURN_TOL = 1e-3
-"""How far (rad) the object may be turned off its path: it is turned as asked, exactly."""
+"""Largest rotation (rad) of the object off its path; the path tolerance is for positions."""
 
 PATH_SLACK = 2e-4
-"""How far (m) a knot may be beyond the path tolerance: the solver's accuracy."""
+"""Excess (m) over the path tolerance that a knot may have: the solver's accuracy."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +62,7 @@ class Waypoint:
 
     Attributes:
         path_parameter: Where on the path, 0 to 1.
-        T_object_base: The base as the object sees it.
+        T_object_base: Pose of the base in the object's frame.
         q: Joints (nq,).
     """
 
@@ -71,10 +72,10 @@ class Waypoint:
 
 
 class MotionVerifier:
-    """Verifies motions of one task; its geometry is made once."""
+    """Verifies motions of one task; the geometry is built once."""
 
     def __init__(self, task: GraspTask) -> None:
-        """Prepare the geometry: as the task has it, and of hand and object alone."""
+        """Build two worlds: that of the task, and hand and object alone."""
         self._task = task
         self._world = CollisionWorld(task)
         self._lifted = replace(task, table_height=None, obstacles=())
@@ -87,11 +88,11 @@ class MotionVerifier:
         path_tolerance: float,
         record: SolveRecord,
     ) -> tuple[GraspPlan, tuple[Knot, ...]] | Failure:
-        """The grasp and the knots of a motion if all holds; else why not.
+        """The grasp and the knots of a motion; or why one of them fails.
 
         Args:
             candidate: From the solver.
-            path: The path that it covers.
+            path: The path that the candidate covers.
             path_tolerance: How far the object may be off its path, m.
             record: Where the candidate comes from.
         """
@@ -114,12 +115,12 @@ class MotionVerifier:
         *,
         T_world_start: SE3 | None = None,
     ) -> tuple[Knot, ...] | Failure:
-        """The knots of a motion if all of them hold; else why not.
+        """The knots of a motion; or why one of them fails.
 
         Args:
             T_world_base: Pose of the base.
-            waypoints: Where the object is, and the joints; from 0 to 1 in order.
-            path: The path that they cover.
+            waypoints: Poses and joints, path parameters from 0 to 1 in order.
+            path: The path that the waypoints cover.
             path_tolerance: How far the object may be off its path, m.
             T_world_start: Pose of the object where the path begins; where the task has it if None.
         """
@@ -164,7 +165,7 @@ class MotionVerifier:
         return replace(waypoint, q=q)
 
     def _base(self, waypoint: Waypoint) -> SE3:
-        """Where the base is if the object is held where the task has it: one world for all."""
+        """Pose of the base with the object where the task has it, so that one world serves all."""
         return self._lifted.T_world_object * waypoint.T_object_base
 
     def _knot(
@@ -176,7 +177,7 @@ class MotionVerifier:
         path_tolerance: float,
         before: tuple[Waypoint, list[PadContact]] | None,
     ) -> Knot | Failure:
-        """One knot if it holds, and if the way there from the one before does; else why not."""
+        """One knot; or why it, or the interval from the knot before, fails."""
         task = self._lifted
         verification = verify_geometry(self._free, self._base(waypoint), waypoint.q, touches)
         if verification.failure is not None:
@@ -220,7 +221,7 @@ class MotionVerifier:
     def _slips(
         self, before: tuple[Waypoint, list[PadContact]], after: tuple[Waypoint, list[PadContact]]
     ) -> FloatArray:
-        """How far each pad slides from one knot to the next, m."""
+        """Slip (n,), m, of each pad from one knot to the next."""
         (old, old_touches), (new, new_touches) = before, after
         return slips(
             self._task.hand,
@@ -234,7 +235,7 @@ class MotionVerifier:
         )
 
     def _between(self, before: Waypoint, after: Waypoint) -> tuple[float, Clearance | None]:
-        """Half-way between two knots: the largest pad gap, m, and what penetrates, if anything."""
+        """Half-way between two knots: the largest pad gap, m, and a penetrating pair, if any."""
         pose = _between(before.T_object_base, after.T_object_base, 0.5)
         middle = Waypoint(path_parameter=0.5, T_object_base=pose, q=(before.q + after.q) / 2)
         base = self._base(middle)
@@ -247,7 +248,7 @@ class MotionVerifier:
 
 
 def _verify_closure(closure: ClosureResult) -> Failure | None:
-    """Whether contacts close with a margin."""
+    """Why contacts do not close with a margin, None if they do."""
     if not closure.closed:
         return no_closure(closure)
     margin = closure.normalised_min_weight
@@ -261,7 +262,7 @@ def _verify_closure(closure: ClosureResult) -> Failure | None:
 
 
 def _verify_path(off: float, turned: float, path_tolerance: float) -> Failure | None:
-    """Whether the object is where it is wanted, by its distance (m) and its turn (rad) off that."""
+    """Why the object is off its path, by its distance (m) and rotation (rad); None if it is not."""
     if off > path_tolerance + PATH_SLACK:
         return Failure(
             kind="off_path",
@@ -279,7 +280,7 @@ def _verify_path(off: float, turned: float, path_tolerance: float) -> Failure | 
 
 
 def _verify_slips(slid: FloatArray, fingers: Sequence[str]) -> Failure | None:
-    """Whether pads roll from knot to knot, by how far each slides (n,), m."""
+    """Which pad slides too far from knot to knot, by the slips (n,), m; None if none does."""
     worst = int(slid.argmax())
     if slid[worst] <= SLIP_TOL:
         return None
@@ -292,7 +293,7 @@ def _verify_slips(slid: FloatArray, fingers: Sequence[str]) -> Failure | None:
 
 
 def _verify_between(gap: float, within: Clearance | None) -> Failure | None:
-    """Whether pads (m) and links are where they may be half-way from the knot before."""
+    """Why pads (gap in m) or links fail half-way from the knot before, None if they do not."""
     if gap > BETWEEN_TOL:
         return Failure(
             kind="gap_between_knots",
@@ -310,15 +311,15 @@ def _verify_between(gap: float, within: Clearance | None) -> Failure | None:
 
 
 def _off_path(T_world_object: SE3, wanted: SE3) -> tuple[float, float]:
-    """How far the object is off its path, m and rad."""
+    """Distance (m) and rotation (rad) of the object off its path."""
     off = wanted.inverse() * T_world_object
     return float(np.linalg.norm(off.translation)), rotation_angle(off.rotation)
 
 
 def _between(a: SE3, b: SE3, part: float) -> SE3:
-    """Base in the object's frame while the object goes from one pose to another.
+    """Pose of the base in the object's frame, interpolated between two.
 
-    Its origin goes on a line, and it turns about one axis.
+    The object's origin moves on a line, and the object turns about one axis.
     """
     old, new = a.inverse(), b.inverse()
     turn = pin.exp3(part * pin.log3(new.rotation @ old.rotation.T)) @ old.rotation

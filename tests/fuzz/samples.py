@@ -11,9 +11,10 @@ from typing import Any
 
 from planner import GraspTask, plan_grasp
 from planner.batch import plan_grasps
-from planner.files import write_motion, write_plan
+from planner.files import write_manipulation, write_motion, write_plan
 from planner.hands.catalog import find_hand
 from planner.motion import plan_motion
+from planner.motion.manipulation import manipulation_of
 
 HAND = "allegro_hand"
 
@@ -32,7 +33,9 @@ class Samples:
         """Write them all."""
         task = GraspTask.create(HAND, "cylinder")
         write_plan(plan_grasp(task, seed=0), self.folder / "plan.json")
-        write_motion(plan_motion(task, angle=0.1, max_attempts=5), self.folder / "motion.json")
+        motion = plan_motion(task, angle=0.1, max_attempts=5)
+        write_motion(motion, self.folder / "motion.json")
+        write_manipulation(manipulation_of(motion), self.folder / "manipulation.json")
         plan_grasps(HAND, ["sphere"], 4, workers=1, out=self.folder / "batch")
 
     def plan(self) -> Any:
@@ -42,6 +45,10 @@ class Samples:
     def motion(self) -> Any:
         """A motion as JSON."""
         return json.loads((self.folder / "motion.json").read_text(encoding="utf-8"))
+
+    def manipulation(self) -> Any:
+        """A manipulation as JSON."""
+        return json.loads((self.folder / "manipulation.json").read_text(encoding="utf-8"))
 
     def batch(self, target: Path) -> Path:
         """A copy of a batch."""

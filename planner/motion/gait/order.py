@@ -1,12 +1,12 @@
-"""In which order fingers can move on, one at a time, while the others hold: searched to the end.
+"""The order in which fingers move on, one at a time, while the others hold: an exhaustive search.
 
-A stroke ends with every finger where its stroke ends. Each is to be lifted once and put down where
-the stroke begins, while the object stands still. What matters for a lift is which fingers have
-moved on before it, not in which order they did: n 2^(n-1) lifts stand for all n! orders. Of all
-orders that hold, the one is taken whose least margin is largest (a widest path over the sets of
-fingers that have moved on). If there is none, every lift that can be come to has been looked at.
+After a stroke every finger is lifted once and put down where the stroke began, while the object
+stands still. A lift depends on the set of fingers that have moved on before it, not on their order:
+n 2^(n-1) lifts stand for all n! orders. Of the orders that hold, the search returns the one with
+the largest least margin (a widest path over the sets of fingers that have moved on). If no order
+holds, every reachable lift has been examined.
 
-Only contacts are needed, so this works without a hand.
+The search needs contacts only, no hand.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ __all__ = [
 ]
 
 PROOF_EDGES = 32
-"""Sides of the circumscribed pyramid with which it is proven that round cones do not close: it
-overstates the friction by 0.5 %."""
+"""Sides of the circumscribed pyramid that proves that round cones do not close. It overstates
+friction by 1/cos(pi/32) - 1 = 0.5 %."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lift:
-    """One finger away from the object, the others holding.
+    """A lift: one finger off the object while the others hold it.
 
     Attributes:
         finger: Number of the finger.
         moved: Numbers of those that have moved on before.
         margin: Normalised min-weight (-) of the contacts that hold.
-        failure: Why this lift cannot be, None if it can.
+        failure: Why this lift fails, None if it holds.
         proven: Whether the contacts that hold do not close with the round cones either.
     """
 
@@ -75,11 +75,11 @@ class Order:
 
 @dataclass(frozen=True, kw_only=True)
 class NoOrder:
-    """No order holds: every lift that can be come to, and why not.
+    """No order holds: every reachable lift, and why it fails.
 
     Attributes:
         names: Names of the fingers.
-        lifts: All lifts that were looked at, those that hold too.
+        lifts: All lifts that were examined, those that hold included.
         spans: Of each finger, the arc (rad) about the axis of the stroke within which the normals
             of the others lie, where it is largest among its lifts.
         needed: Arc (rad) above which contacts in a plane close.
@@ -92,27 +92,27 @@ class NoOrder:
 
     @property
     def stuck(self) -> tuple[int, ...]:
-        """Numbers of the fingers that can never be lifted, of those that are still to be."""
+        """Numbers of the fingers that can never be lifted, among those not yet lifted."""
         able = {lift.finger for lift in self.lifts if lift.failure is None}
         return tuple(sorted({lift.finger for lift in self.lifts} - able))
 
     @property
     def proven(self) -> bool:
-        """Whether some finger is never lifted because the others never close, round cones or not.
+        """Whether for some finger the others never close, with round cones either.
 
-        It holds for these contacts, with lifts where the stroke ends.
+        The proof is for these contacts, with lifts where the stroke ends.
         """
         return any(all(lift.proven for lift in self.lifts if lift.finger == i) for i in self.stuck)
 
     @property
     def failure(self) -> Failure:
-        """The same as a failure."""
+        """This result as a failure."""
         return Failure(kind=NO_ORDER, text=str(self), numbers={"lifts": len(self.lifts)})
 
     def __str__(self) -> str:
         """One line per finger that can never be lifted, with the numbers of its best lift."""
         n = len(self.lifts)
-        lines = [f"no order of lifts holds: {n} lift{'s' if n != 1 else ''} looked at"]
+        lines = [f"no order of lifts holds: {n} lift{'s' if n != 1 else ''} examined"]
         for i in self.stuck or range(len(self.names)):
             mine = [lift for lift in self.lifts if lift.finger == i and lift.failure is not None]
             if not mine:
@@ -132,9 +132,9 @@ def standing(begin: ContactSet, end: ContactSet, moved: frozenset[int]) -> Conta
     """All contacts after some fingers have moved on.
 
     Args:
-        begin: Where the stroke begins, as the object stands now (n contacts).
-        end: Where it ends.
-        moved: Numbers of those that have moved on.
+        begin: Contacts where the stroke begins, with the object where it stands now (n contacts).
+        end: Contacts where the stroke ends (n contacts).
+        moved: Numbers of the fingers that have moved on.
     """
     return ContactSet.from_contacts(
         [(begin if i in moved else end)[i] for i in range(len(end))], center=end.center
@@ -158,14 +158,14 @@ def find_order(
     margin: float = CLOSURE_MARGIN,
     moved: frozenset[int] = frozenset(),
 ) -> Order | NoOrder:
-    """The order of lifts with the largest least margin; or what stands against all of them.
+    """The order of lifts with the largest least margin; or why no order holds.
 
     Args:
-        begin: Where the stroke begins and fingers land, as the object stands now (n contacts).
-        end: Where it ends.
-        axis: Axis of the stroke (3,), unit, in the axes of the contacts; for the prose alone.
-        refuse: What else stands against lifting a finger after some have moved on, None for
-            nothing. Asked only for lifts that are of use.
+        begin: Contacts where fingers land, with the object where it stands now (n contacts).
+        end: Contacts where the stroke ends (n contacts).
+        axis: Axis of the stroke (3,), unit, in the axes of the contacts; used in messages only.
+        refuse: Why a finger cannot be lifted after some have moved on, although the others close;
+            None if it can. Called only for lifts of a candidate order.
         margin: Least normalised min-weight of the contacts that hold (-).
         moved: Numbers of the fingers that have moved on already.
     """
@@ -213,7 +213,7 @@ def find_order(
 
 
 def _closed(contacts: ContactSet, finger: int, moved: frozenset[int], margin: float) -> Lift:
-    """The lift as far as closure of those that hold goes."""
+    """The lift, judged by the closure of the contacts that hold."""
     closure = force_closure(contacts, edges=CLOSURE_EDGES)
     weight, failure, proven = closure.normalised_min_weight, None, False
     numbers = {"normalised_min_weight": weight, "rank": closure.rank}
@@ -232,18 +232,18 @@ def _closed(contacts: ContactSet, finger: int, moved: frozenset[int], margin: fl
 
 
 NO_ORDER = "no_order_of_lifts"
-"""Kind of the failure that no order of lifts holds."""
+"""Kind of the failure where no order of lifts holds."""
 
 RANK = 6
-"""Rank of the wrenches of a closed grasp."""
+"""Rank of the wrenches of a force-closed grasp."""
 
 
 def _widest(
     n: int, first: frozenset[int], lift: Callable[[int, frozenset[int]], Lift]
 ) -> tuple[Lift, ...] | None:
-    """The lifts of all n fingers but the first, in the order whose least margin is largest.
+    """The lifts of the n fingers except those in ``first``, in the best order, see ``find_order``.
 
-    None if none holds.
+    None if no order holds.
     """
     best: dict[frozenset[int], tuple[float, tuple[Lift, ...]]] = {first: (np.inf, ())}
     layer = [first]
@@ -266,7 +266,7 @@ def _widest(
 
 
 def _span(normals: FloatArray, axis: FloatArray) -> float:
-    """Arc (rad) about an axis within which normals (n, 3) lie: a turn less the largest gap."""
+    """Arc (rad) about an axis that holds all normals (n, 3): a full turn minus the largest gap."""
     first = np.eye(3)[int(np.argmin(np.abs(axis)))]
     side = np.cross(axis, first)
     side /= np.linalg.norm(side)

@@ -1,4 +1,4 @@
-"""``GaitPlan``: an object turned or moved in the hand by strokes, with fingers that move on."""
+"""``GaitPlan``: strokes that turn or move the object, and relocations of fingers between them."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ class Relocation:
     Attributes:
         cycle: Number of the stroke before it.
         finger: Name of the finger.
-        T_world_object: Where the object is held.
-        postures: Joints (m, nq) along the finger's way; the first and the last touch.
-        before: All contacts with the forces that they have first, world.
-        during: The contacts that hold, with the forces to which loads are shifted before the lift.
-        after: All contacts once it has landed, with the forces that they have then.
+        T_world_object: Pose of the object, held still.
+        postures: Joints (m, nq) along the swing; the finger touches at the first and the last.
+        before: All contacts before the lift, with their forces, world.
+        during: The contacts that hold, with the forces that take over the load before the lift.
+        after: All contacts after the landing, with their forces.
         margin: Normalised min-weight (-) of the contacts that hold.
-        grip: Least normal force (N) that they are asked for.
+        grip: Least normal force (N) of each of them.
     """
 
     cycle: int
@@ -118,12 +118,12 @@ class GaitPlan:
 
     @property
     def strokes(self) -> tuple[Stroke, ...]:
-        """The strokes alone."""
+        """The strokes, in order."""
         return tuple(p for p in self.phases if isinstance(p, Stroke))
 
     @property
     def relocations(self) -> tuple[Relocation, ...]:
-        """The relocations alone."""
+        """The relocations, in order."""
         return tuple(p for p in self.phases if isinstance(p, Relocation))
 
     @property

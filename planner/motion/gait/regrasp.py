@@ -1,14 +1,13 @@
-"""Fingers move on, one at a time, while the others hold the object: where, in what order, and how.
+"""Relocations after a stroke: fingers move on one at a time while the others hold the object.
 
-Where fingers land is where the stroke begins, recomputed on the true geometry with the object where
-it stands at the end. For every lift of the order: the contacts that hold close with a margin, and
-bear the object's weight within the torque limits with no force on the finger that leaves; so do all
-contacts once it has landed; and coal finds its way free.
+Fingers land where the stroke began, recomputed on the true geometry with the object where it stands
+at the end. For every lift of the order the contacts that hold close with a margin and bear the
+object's weight within the torque limits, without force on the lifted finger; all contacts do so
+after the landing; and the finger's swing is free of collisions.
 
-``plan_back`` is for a turn that does not go on, wherever on its way the object is now: the fingers
-go back to where the motion began, the object held still, and the motion is made again from its
-beginning. ``plan_others`` is for a lift that is refused while fingers move on: those that are left
-do it in another order.
+``plan_back`` serves a turn that stalls: from any point of the motion the fingers return to where it
+began, the object held still, and the motion starts again. ``plan_others`` serves a lift that is
+refused during execution: the remaining fingers move on in another order.
 """
 
 from __future__ import annotations
@@ -34,20 +33,21 @@ from planner.verification.grasp import plan_forces
 __all__ = ["RegraspPlanner", "cut_motion", "plan_back", "plan_others"]
 
 HOLDING_GRIP = 0.5
-"""Least normal force (N) of those that hold while a finger is away, where the task's grip cannot be
-had: a finger between two others presses the object out of them, so it is to press lightly."""
+"""Least normal force (N) of the fingers that hold, where the task's grip force is infeasible: a
+finger between two others pushes the object out of their grip, so it presses lightly."""
 
 HOLDING_EDGES = 16
-"""Sides of the pyramid of those forces, for the same reason: it gives away 2 % of the friction."""
+"""Sides of the friction pyramid of those forces; the inscribed pyramid gives away
+1 - cos(pi/16) = 2 % of the friction."""
 
 
 class RegraspPlanner:
-    """Plans how the fingers move on after strokes of one task; its geometry is made once.
+    """Plans relocations after strokes of one task; the geometry is built once.
 
     Attributes:
         lifted: The task without table and obstacles.
         without: The same without each of its fingers.
-        paths: Ways of single fingers.
+        paths: Swings of single fingers.
     """
 
     def __init__(self, task: GraspTask) -> None:
@@ -66,16 +66,16 @@ class RegraspPlanner:
         moved: frozenset[int] = frozenset(),
         refused: frozenset[int] = frozenset(),
     ) -> tuple[Relocation, ...] | NoOrder | Failure:
-        """What moves on after a stroke, in an order that holds; or why there is none.
+        """The relocations after a stroke, in an order that holds; or why there is none.
 
         Args:
             stroke: The stroke.
             moved: Numbers of the fingers that have moved on already.
-            refused: Numbers of those that cannot be the next, as was found out where it is done.
+            refused: Numbers of the fingers that execution could not lift next.
 
         Returns:
-            The relocations; or what stands against every order; or, where the object does not look
-            the same after the stroke, that it does not.
+            The relocations; or ``NoOrder``; or a failure where the object does not look the same to
+            the hand after the stroke.
         """
         end = _End(self, stroke)
         if end.failure is not None:
@@ -122,12 +122,12 @@ def plan_back(motion: MotionPlan, path_parameter: float) -> tuple[Relocation, ..
 def plan_others(
     stroke: MotionPlan, moved: Collection[str], refused: Collection[str]
 ) -> tuple[Relocation, ...] | Failure:
-    """Relocations of the fingers that are left after a stroke, others first; or why there are none.
+    """Relocations of the remaining fingers in an order that avoids refused lifts; or why not.
 
     Args:
         stroke: The stroke.
         moved: Names of the fingers that have moved on already.
-        refused: Names of those that cannot be lifted next.
+        refused: Names of the fingers that cannot be lifted next.
     """
     task = stroke.grasp.task
     numbers = [frozenset(map(task.finger_names.index, names)) for names in (moved, refused)]
@@ -137,7 +137,7 @@ def plan_others(
 
 @dataclass(frozen=True, kw_only=True)
 class _Move:
-    """A lift that holds: its way, and the forces while the finger is away and after."""
+    """A lift that holds: the swing, and the forces during and after it."""
 
     postures: FloatArray
     grip: float
@@ -146,10 +146,10 @@ class _Move:
 
 
 class _End:
-    """Hand and object where a stroke has ended."""
+    """Hand and object at the end of a stroke."""
 
     def __init__(self, planner: RegraspPlanner, stroke: MotionPlan) -> None:
-        """Compute the contacts where fingers stand and where they will land."""
+        """Compute the contacts where fingers stand and where they land."""
         self._planner, self._stroke = planner, stroke
         first, last = stroke.knots[0], stroke.knots[-1]
         self.T_world_object = last.T_world_object
@@ -174,7 +174,7 @@ class _End:
         self._moves: dict[tuple[int, frozenset[int]], _Move] = {}
 
     def posture(self, moved: frozenset[int]) -> FloatArray:
-        """Joints (nq,) after some fingers have moved on; idle ones go along with the first."""
+        """Joints (nq,) after some fingers have moved on; idle fingers go with the first to move."""
         first, last = self._stroke.knots[0].q, self._stroke.knots[-1].q
         q = (first if moved else last).copy()
         for i, finger in enumerate(self._planner.lifted.fingers):
@@ -220,7 +220,7 @@ class _End:
         return None
 
     def build(self, order: Order, moved: frozenset[int]) -> tuple[Relocation, ...]:
-        """The relocations of an order, after some, whose lifts have all been agreed to."""
+        """The relocations of an order whose lifts hold, after some fingers have moved on."""
         out: list[Relocation] = []
         before = standing(self.begin, self.end, moved) if moved else self.end
         for lift in order.lifts:

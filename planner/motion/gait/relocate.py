@@ -1,14 +1,14 @@
-"""The way of one finger from contact to contact while the others hold: up, over, and down.
+"""The swing of one finger from contact to contact while the others hold: up, over, and down.
 
 The path of the pad's centre is given in the object's frame: along the outward normal to one of
 ``HEIGHTS``, at that height over the surface to above the landing, and down along the normal there.
 The joints of the finger follow by steps, each a quadratic programme (``planner.numerics.ik_step``),
 
     min  |J dq - (wanted - c)|^2 / height^2 + POSTURE_WEIGHT |q + dq - q_even|^2 + DAMPING |dq|^2
-    s.t. what is near stays ``ROOM`` apart as far as it can; couplings; joint limits
+    s.t. nearby pairs stay ``ROOM`` apart (soft); couplings; joint limits
 
-with q_even evenly between both postures. The result is verified by coal at every place and half-way
-between: nothing may penetrate, and the pad stays clear of the object while it is lifted.
+with q_even interpolated between both postures. The result is verified with coal at every sample and
+half-way between samples: nothing penetrates, and the lifted pad stays clear of the object.
 """
 
 from __future__ import annotations
@@ -28,48 +28,48 @@ from planner.tolerances import PENETRATION_TOL
 __all__ = ["FingerPaths"]
 
 HEIGHTS = (0.012, 0.006, 0.02)
-"""Heights (m) to which a pad is lifted, the usual one first: more than it may be off by the
-compliance of the hand; a lower one where fingers are close together, a higher one over what stands
-out."""
+"""Heights (m) to which a pad is lifted, in the order they are tried. The first exceeds the
+deflection of a compliant hand, the lower one serves fingers close together, the higher one a
+protrusion."""
 
 UP, OVER = 4, 6
-"""Places on the way up, and over; down is like up."""
+"""Samples of the swing upwards, and across; downwards as many as upwards."""
 
 STEPS = 4
-"""Most steps of the joints at a place; two are usual."""
+"""Most inverse-kinematics steps at a sample."""
 
 SETTLED = 0.01
-"""Step (rad) from which on nothing changes that matters: half a millimetre at a pad."""
+"""Step (rad) below which the joints have converged: about half a millimetre at a pad."""
 
 LARGEST = 0.3
-"""Longest step of a joint (rad), since pads move on arcs."""
+"""Longest step of a joint (rad): the linearisation holds for short arcs only."""
 
 POSTURE_WEIGHT, DAMPING = 0.05, 0.02
-"""Cost of a radian off the even way, and of a step of one radian, against missing the pad's place
-by its height (-)."""
+"""Cost of a radian off the interpolated posture, and of a step of one radian, relative to missing
+the pad's target by the height (-)."""
 
 SEEN = 0.02
-"""Distance (m) up to which pairs are looked at."""
+"""Distance (m) below which pairs enter the programme."""
 
 ROOM = 1e-3
-"""Distance (m) that the finger keeps from what is near, where it can."""
+"""Distance (m) that the finger keeps from nearby geometries, where it can."""
 
 PRICE = 100.0
-"""Cost of missing that by one height (-)."""
+"""Cost of falling short of ``ROOM`` by one height (-)."""
 
 STILL = 1e-3
-"""Rate of a distance (m/rad) below which the finger can do nothing about it."""
+"""Rate of a distance (m/rad) below which the finger cannot change it."""
 
 CLEAR = 5e-4
-"""Least distance (m) of a lifted pad from the object: as far as a touching one may be off it."""
+"""Least distance (m) of a lifted pad from the object; a touching pad may be as far off."""
 
 JUMP = 0.6
-"""Largest change (rad) of a joint from place to place: a way that needs more goes through a posture
-from which the finger does not come back evenly."""
+"""Largest change (rad) of a joint between samples: a larger one passes a posture
+from which the finger does not return continuously."""
 
 
 class FingerPaths:
-    """Ways of single fingers, for one task.
+    """Swings of single fingers, for one task.
 
     Attributes:
         world: Hand and object alone.
@@ -88,13 +88,13 @@ class FingerPaths:
     def path(
         self, finger: Finger, T_object_base: SE3, q: FloatArray, landed: FloatArray
     ) -> FloatArray | Failure:
-        """Joints (m, nq) from q to where one finger has landed; or what is in the way.
+        """Joints (m, nq) from q to where one finger has landed; or what blocks the swing.
 
         Args:
-            finger: The finger that moves on.
+            finger: The finger that swings.
             T_object_base: Pose of the base in the object's frame; both stand still.
             q: Joints (nq,) before.
-            landed: Joints (nq,) after; of other fingers those that may move along.
+            landed: Joints (nq,) after; other fingers may move along.
         """
         failures = []
         for height in HEIGHTS:
@@ -108,7 +108,7 @@ class FingerPaths:
     def _lifted(
         self, finger: Finger, base: SE3, q: FloatArray, landed: FloatArray, height: float
     ) -> FloatArray:
-        """Joints (m, nq) along the way, at a height over the object."""
+        """Joints (m, nq) along the swing, at a height above the object."""
         ends = [base.act(self._moving.move(p).pad_center(finger)) for p in (q, landed)]
         raised = height * np.linspace(0.0, 1.0, UP + 1)
         over = np.linspace(0.0, 1.0, OVER + 1)[1:-1]
@@ -134,7 +134,7 @@ class FingerPaths:
         even: FloatArray,
         height: float,
     ) -> FloatArray:
-        """Joints (nq,) near q with the finger's pad at a place (3,) of the object's frame."""
+        """Joints (nq,) near q with the finger's pad centred at a point (3,), object frame."""
         hand, index = self._task.hand, finger.q_index
         inverse, T_world_base = base.inverse(), self._task.T_world_object * base
         wanted = inverse.act(center)
@@ -168,14 +168,14 @@ class FingerPaths:
     def _near(
         self, T_world_base: SE3, q: FloatArray, index: IntArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Rates (k, n) of distances that a finger's joints change, and what they lack (k,), m."""
+        """Rates (k, n) of nearby distances by a finger's joints, and their shortfall (k,), m."""
         near = self.world.near(T_world_base, q, SEEN)
         rates = near.rates(self._moving)[:, index]
         moving = np.abs(rates).max(axis=1, initial=0.0) > STILL
         return rates[moving], (ROOM - near.distances)[moving]
 
     def verify(self, finger: Finger, T_object_base: SE3, postures: FloatArray) -> Failure | None:
-        """What is wrong with a way (m, nq) of one finger, None for nothing."""
+        """Why the swing (m, nq) of one finger is refused, None if it is free."""
         jump = np.abs(np.diff(postures[:, finger.q_index], axis=0)).max()
         if jump > JUMP:
             return Failure(
@@ -192,17 +192,18 @@ class FingerPaths:
             if f is not finger
         }
         halves = (postures[1:] + postures[:-1]) / 2
-        places = np.empty((2 * len(postures) - 1, postures.shape[1]))
-        places[::2], places[1::2] = postures, halves
-        near = 2  # the first and last places, where the pad only just leaves the surface or lands
-        for k, q in enumerate(places[1:-1], start=1):
-            leaving = k <= near or k >= len(places) - 1 - near
+        samples = np.empty((2 * len(postures) - 1, postures.shape[1]))
+        samples[::2], samples[1::2] = postures, halves
+        near = 2  # first and last samples, where the pad only just leaves the surface or lands
+        for k, q in enumerate(samples[1:-1], start=1):
+            leaving = k <= near or k >= len(samples) - 1 - near
             touching = holding | (mine if leaving else set())
             found = self.world.closest(T_world_base, q, 1, may_touch=touching)
             if found and found[0].distance < (-PENETRATION_TOL if leaving else 0.0):
                 return Failure(
                     kind="swing_collision",
-                    text=f"the way of {finger.name} is blocked at {_share(k, places)}: {found[0]}",
+                    text=f"the swing of {finger.name} is blocked at {_where(k, samples)}: "
+                    f"{found[0]}",
                     numbers={"distance": found[0].distance},
                 )
             gap = self._gap(finger, T_object_base, q)
@@ -210,7 +211,7 @@ class FingerPaths:
                 return Failure(
                     kind="swing_too_low",
                     text=f"{finger.name} is lifted by {1e3 * gap:.2f} mm only "
-                    f"at {_share(k, places)}",
+                    f"at {_where(k, samples)}",
                     numbers={"gap": gap},
                 )
         return None
@@ -222,5 +223,5 @@ class FingerPaths:
         return float((center - points[0]) @ outward[0]) - finger.pad.radius
 
 
-def _share(k: int, places: FloatArray) -> str:
-    return f"{100 * k / (len(places) - 1):.0f} % of its way"
+def _where(k: int, samples: FloatArray) -> str:
+    return f"{100 * k / (len(samples) - 1):.0f} % of its swing"

@@ -1,11 +1,11 @@
 """``plan_gait``: strokes of a motion, and between them an order in which the fingers move on.
 
-A stroke is a motion (``planner.motion``) that ends with the object on its path, planned such that
-the opposing finger can be lifted while those that trail in the sense of the turn have moved on and
-those that lead have not: then they reach around more of the object than at any other time. Then all
-orders are searched (``planner.motion.gait.order``). The hand goes through the same postures in
-every cycle, so the object must look the same to it after a stroke: a round one about its axis, or
-one that is moved along itself. Whether it does is not assumed but verified, cycle by cycle.
+A stroke is a motion (``planner.motion``) that ends with the object on its path. It is planned so
+that the opposing finger can be lifted when the trailing fingers have moved on and the leading ones
+have not: at that time the fingers reach around more of the object than at any other. Then all
+orders of lifts are searched (``planner.motion.gait.order``). The hand repeats the same postures in
+every cycle, so the object must look the same to it after a stroke: a solid of revolution about its
+axis, or a prism along itself. This is verified cycle by cycle, not assumed.
 """
 
 from __future__ import annotations
@@ -36,16 +36,14 @@ from planner.task import GraspTask
 __all__ = ["plan_gait"]
 
 STROKES = tuple(np.deg2rad([30.0, 24.0, 36.0, 20.0]))
-"""Turns (rad) of a stroke that attempts take turns between. Longer ones need fewer cycles, shorter
-ones leave the fingers more room to reach around the object while one of them is away. A full turn
-of cylinders with five fingers of the Shadow-type hand, friction 0.7: found in the first attempt, of
-12 strokes, for 12 of 12 cylinders between 50 and 70 mm wide."""
+"""Angles (rad) of a stroke; attempts alternate between them. Longer strokes need fewer cycles,
+shorter ones leave the fingers more room to reach around the object while one of them is away."""
 
 STROKE_SHIFT = 0.01
-"""Translation (m) of a stroke: a third of what fingertips cover."""
+"""Translation (m) of a stroke."""
 
 N_KNOTS = 3
-"""Knots of the solver in a stroke: 18 degrees apart at most, 20 where one stroke does it all."""
+"""Knots of the solver in a stroke: at most 18 degrees apart, 20 in a gait of one stroke."""
 
 MAX_ATTEMPTS = 30
 """Attempts before giving up."""
@@ -84,7 +82,7 @@ def plan_gait(
     """
     if max_attempts < 1:
         raise TaskError(f"max_attempts is {max_attempts}; give at least 1")
-    # with the pads of a grasp the index comes to the rim of its pad on cylinders below 56 mm
+    # contacts of a gait reach the rims of the pads of a grasp
     task = _with_all(replace(task, hand=task.hand.rolling))
     check_task(task, path_tolerance, seed)
     _check_fingers(task)
@@ -128,13 +126,13 @@ class _GaitContext:
         return self.stroke.build_s
 
     def attempt(self, rng: np.random.Generator) -> GaitPlan | Failure:
-        """A stroke, and all that follows if it can go on."""
+        """A stroke, and the gait that repeats it if one is found."""
         stroke = self.stroke.attempt(rng)
         return stroke if isinstance(stroke, Failure) else self.verifier.verify(stroke, self.cycles)
 
 
 def _with_all(task: GraspTask) -> GraspTask:
-    """The task with all fingers of the hand where it leaves the choice."""
+    """The task with all fingers of the hand, if it leaves the choice."""
     names = tuple(task.hand.fingers)
     if not task.may_spare_fingers or set(names) == set(task.finger_names):
         return task
@@ -154,10 +152,10 @@ def _check_fingers(task: GraspTask) -> None:
 def _nothing_found(
     task: GraspTask, piece: tuple[ObjectPath, int, bool], made: list[Attempt[GaitPlan]]
 ) -> NoGraspFoundError:
-    """The error of an exhausted budget; it tells what stands against lifting, if that was tried."""
+    """The error of an exhausted budget, with the last failure of the lifts if any were tried."""
     path, cycles, _ = piece
     told = [a.failure for a in made if a.failure is not None and a.failure.kind == NO_ORDER]
-    rare = 2 * len(told) < len(made)  # else it is the example already
+    rare = 2 * len(told) < len(made)  # else the summary of failures shows one of them
     why = f"Of a stroke that was found, {told[-1]}\n" if told and rare else ""
     return nothing_found(
         f"regrasping of {task.object.name} with {task.hand.name} "
@@ -170,9 +168,9 @@ def _nothing_found(
 def _pieces(
     axis: FloatArray, angle: float, shift: FloatArray
 ) -> list[tuple[ObjectPath, int, bool]]:
-    """What attempts take turns between: a stroke, how many of it, and whether lifts are asked for.
+    """What attempts alternate between: a stroke, the number of cycles, whether lifts are required.
 
-    The last asks for none, so that there is a stroke to tell of where lifts cannot be had.
+    The last requires none, so that an error can tell which lifts fail after a stroke.
     """
     if not np.isfinite(angle):
         raise TaskError(f"angle is {angle} rad; give a finite number")
@@ -192,8 +190,7 @@ SMALL = 1e-6
 """Length (-) below which a vector has no direction."""
 
 LONGER = 0.1
-"""A path longer than a whole number of strokes by this (-) has that number, each a little longer:
-who needs a degree more than a full turn is not to pay for it with a whole cycle."""
+"""Excess (-) over a whole number of strokes that lengthens them instead of adding a cycle."""
 
 
 def _stances(task: GraspTask, path: ObjectPath) -> tuple[Stance, ...]:
@@ -205,7 +202,7 @@ def _stances(task: GraspTask, path: ObjectPath) -> tuple[Stance, ...]:
     others = [i for i in range(n) if i != opposer]
     moved: set[int] = set()
     if path.angle:
-        # as the hand comes from above, if nothing is noisy
+        # as the hand comes from above without noise
         sideways = np.cross(path.axis, UP)
         across = sideways if np.linalg.norm(sideways) > SMALL else np.eye(3)[0]
         pinch = seeder.pinch

@@ -1,7 +1,7 @@
 """The verdict on a gait: relocations between strokes (``planner.motion.gait.regrasp``), and cycles.
 
-Later strokes are verified like the first, with the object where it is by then, and so are the ways
-of the fingers, unless the object fills the same space again.
+Later strokes are verified like the first, with the object at its pose of that cycle. So are the
+swings of the fingers, unless the object fills the same space again.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from planner.verification.geometry import contacts_of, verify_geometry
 __all__ = ["GaitVerifier"]
 
 SAME_POINT, SAME_NORMAL = 1e-5, 1e-3
-"""How far contacts (m) and normals (-) of a later stroke may be from those of the first to count as
-the same: far below what is allowed of a touch."""
+"""Largest difference of contacts (m) and normals (-) of a later stroke from the first that counts
+as none: far below the tolerance of a contact."""
 
 
 class GaitVerifier:
-    """Verifies gaits of one task; its geometry is made once."""
+    """Verifies gaits of one task; the geometry is built once."""
 
     def __init__(self, task: GraspTask) -> None:
         """Prepare the geometry."""
@@ -40,11 +40,11 @@ class GaitVerifier:
         self._motion = MotionVerifier(task)
 
     def verify(self, stroke: MotionPlan, cycles: int) -> GaitPlan | Failure:
-        """A plan of so many strokes and the relocations between them; or why not.
+        """The gait that repeats a stroke, with the relocations between cycles; or why it fails.
 
         Args:
-            stroke: The first of them; it ends on its path.
-            cycles: How many.
+            stroke: The first stroke; it ends on its path.
+            cycles: Number of strokes.
         """
         phases: list[Stroke | Relocation] = [Stroke(cycle=0, knots=stroke.knots)]
         first: tuple[Relocation, ...] = ()
@@ -67,7 +67,7 @@ class GaitVerifier:
     def _verify_swings(
         self, relocations: tuple[Relocation, ...], stroke: MotionPlan, cycle: int
     ) -> Failure | None:
-        """What is in the way of fingers that move on after a later stroke, None for nothing."""
+        """Why a swing after a later stroke fails, None if all are free."""
         task, paths = self._regrasp.lifted, self._regrasp.paths
         first = stroke.knots[-1].T_world_object
         if same_space(task.object.shape, first, _displaced(first, stroke, cycle)):
@@ -82,7 +82,7 @@ class GaitVerifier:
         return None
 
     def _stroke(self, stroke: MotionPlan, cycle: int) -> Stroke | Failure:
-        """A later stroke, verified where the object is by then; or why it does not hold."""
+        """A later stroke, verified with the object at its pose of that cycle; or why it fails."""
         poses = [_displaced(knot.T_world_object, stroke, cycle) for knot in stroke.knots]
         alike = [
             self._alike(knot, pose, stroke) for knot, pose in zip(stroke.knots, poses, strict=True)
@@ -108,10 +108,10 @@ class GaitVerifier:
         return knots if isinstance(knots, Failure) else Stroke(cycle=cycle, knots=knots)
 
     def _alike(self, knot: Knot, T_world_object: SE3, stroke: MotionPlan) -> Knot | None:
-        """A knot of the first stroke with the object elsewhere, if the hand feels no difference.
+        """A knot of the first stroke with the object at another pose, if all contacts are the same.
 
-        The same contacts in the world close as before and bear the weight with the same forces; on
-        the way there the pads slide as little as before. What is near is looked at again.
+        The same contacts in the world close as before and bear the weight with the same forces, and
+        the pads slide as little as before. Clearances are computed again.
         """
         task = self._regrasp.lifted
         base = task.T_world_object * T_world_object.inverse() * stroke.T_world_base
@@ -136,12 +136,12 @@ class GaitVerifier:
 
 
 SAMPLES, AROUND, SAME_SPACE = 500, 1.2, 1e-7
-"""Points whose distances from an object in two poses are compared, how far around it they lie, in
-its bounding radius, and the difference (m) that is none."""
+"""Points at which the distances from an object in two poses are compared, the half-width of the
+cube that they fill, in bounding radii, and the difference (m) that counts as none."""
 
 
 def same_space(shape: Shape, one: SE3, other: SE3) -> bool:
-    """Whether points all around are as far from an object in one pose as in another.
+    """Whether points around an object are equally far from it in both poses.
 
     Args:
         shape: The object's.
@@ -157,14 +157,14 @@ def same_space(shape: Shape, one: SE3, other: SE3) -> bool:
 
 
 def _displaced(T_world_object: SE3, stroke: MotionPlan, cycle: int) -> SE3:
-    """Where the object is so many strokes later, at the same path parameter."""
+    """Pose of the object ``cycle`` strokes later, at the same path parameter."""
     path = stroke.path
     turn = pin.exp3(cycle * path.angle * path.axis)
     return SE3(turn @ T_world_object.rotation, T_world_object.translation + cycle * path.shift)
 
 
 def _moved(relocation: Relocation, stroke: MotionPlan, cycle: int) -> Relocation:
-    """The same relocation so many strokes later: hand, contacts and forces are where they were."""
+    """The same relocation ``cycle`` strokes later; hand, contacts and forces stay in the world."""
     shift = cycle * stroke.path.shift
 
     def along(contacts: ContactSet) -> ContactSet:

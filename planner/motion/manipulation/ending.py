@@ -1,8 +1,8 @@
 """``Ending``: how an object that was turned or moved in the hand is put down.
 
-It is put down as it lies in the hand at the end where it stands so: turned about the vertical,
-looking as it did at first, or on another stable face. The hand must also get away from it there.
-Otherwise the motion is made backwards first, and the object is put down as it was picked up.
+The object is put down in its final attitude if it stands in it: after a turn about the vertical, a
+turn onto its own symmetry, or a turn onto another stable face. The hand must also find a way out
+there. Otherwise the motion is reversed first, and the object is put down as it was picked up.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ __all__ = [
 ]
 
 Rests: TypeAlias = Callable[[GraspTask], bool]
-"""Tells whether the object of a task stays where the task has it, as ``sim.manipulation.rests``."""
+"""Whether the object of a task stays where the task has it; ``sim.manipulation.rests`` is one."""
 
 FLAT = np.cos(np.deg2rad(0.5))
-"""Least cosine (-) between two directions that are the same."""
+"""Least cosine (-) between two directions that count as equal."""
 
 ALIKE = 1e-4
-"""Difference (m) of a solid's extents in two attitudes that is none."""
+"""Largest difference (m) of a solid's extents in two attitudes that count as equal."""
 
 DIRECTIONS = 200
-"""Directions in which the extents are compared."""
+"""Number of directions in which the extents are compared."""
 
 SAME_PLACE = 1e-6
-"""Distance (m) between two places that is none."""
+"""Distance (m) below which two places are the same."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,10 +54,10 @@ class Ending:
     """How an object is put down.
 
     Attributes:
-        T_world_target: Where it is to stand at last.
-        release: Fingers opened, and the way out, where the motion ends; where it began, if it is
-            made backwards.
-        back: Why the motion is made backwards before, "" if it is not.
+        T_world_target: Final pose of the object.
+        release: Opened fingers and the way out where the motion ends, or where it began if the
+            motion is reversed.
+        back: Why the motion is reversed before, "" if it is not.
     """
 
     T_world_target: SE3
@@ -76,11 +76,11 @@ def planned_ending(
     *,
     rests: Rests | None = None,
 ) -> Ending | Failure:
-    """How an object is put down after a motion; or why it cannot be.
+    """How an object is put down after a motion; or why that fails.
 
     Args:
-        motion: What was planned; it may go a little beyond the angle.
-        angle: Turn that is asked for, rad.
+        motion: The motion; it may include an overshoot beyond the angle.
+        angle: Requested turn, rad.
         place: Where the object is to stand, x and y in m, world; where it was if None.
         rests: As for ``stands``.
     """
@@ -97,7 +97,7 @@ def planned_ending(
 
 
 def backwards(motion: MotionPlan, place: tuple[float, float] | None, why: str) -> Ending:
-    """The object brought back in the hand, and put down as it was picked up."""
+    """The ending that reverses the motion and puts the object down as it was picked up."""
     grasp, path = motion.grasp, motion.path
     release = Approach(
         q=grasp.q_pregrasp,
@@ -111,19 +111,20 @@ def backwards(motion: MotionPlan, place: tuple[float, float] | None, why: str) -
 def stands(task: GraspTask, axis: FloatArray, angle: float, *, rests: Rests | None = None) -> bool:
     """Whether an object stands as securely after a turn as before.
 
-    On a table it does after any turn about the vertical, or on another stable face. On what carries
-    it above the table it does where it looks the same from all sides; else ``rests`` tells.
+    On a table it does after any turn about the vertical, and on another stable face. On obstacles
+    that carry it above the table it does if it looks the same from all sides; else ``rests`` tells.
 
     Args:
         task: Where it stands before.
         axis: Axis of the turn (3,), unit, world.
         angle: The turn, rad.
-        rests: Tells whether an object stays where a task has it; None takes geometry alone, and an
-            object that only a simulation could judge counts as one that does not stand.
+        rests: Whether an object stays where a task has it. Without it geometry alone decides, and
+        an
+            object that only a simulation can judge counts as one that falls.
     """
     shape, before = task.object.shape, task.T_world_object.rotation
     turned = pin.exp3(angle * axis) @ before
-    carried = bool(task.carrying)  # what carries it was made for the attitude that it has
+    carried = bool(task.carrying)  # the obstacles fit the present attitude
     upright = bool(turned[2] @ before[2] > FLAT)
     if upright and not carried:
         return True
@@ -142,10 +143,10 @@ def stands(task: GraspTask, axis: FloatArray, angle: float, *, rests: Rests | No
 def object_at_target(
     task: GraspTask, axis: FloatArray, angle: float, place: tuple[float, float] | None
 ) -> SE3:
-    """The object turned, at a place, as high as it stands there like that.
+    """Pose of the object turned, at a place, at the height at which it stands there.
 
-    On a table that is with its lowest point as high as at first; on what carries it above a table
-    as high as it lies on that.
+    On a table its lowest point is as high as at first; on obstacles above a table it is as high as
+    it lies on them.
     """
     first, shape = task.T_world_object, task.object.shape
     turned = pin.exp3(angle * axis) @ first.rotation
@@ -157,7 +158,7 @@ def object_at_target(
 
 
 def standing_under(task: GraspTask, target: SE3) -> tuple[Obstacle, ...]:
-    """What carries the object at its target as at first, if that is another place."""
+    """Copies at the target of the obstacles that carry the object, if that is another place."""
     gone = target.translation - task.T_world_object.translation
     if np.linalg.norm(gone[:2]) < SAME_PLACE:
         return ()

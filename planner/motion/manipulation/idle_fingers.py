@@ -1,9 +1,9 @@
-"""``out_of_the_way``: fingers that take no part in a motion are led away from those that do.
+"""``out_of_the_way``: idle fingers keep away from the fingers of a motion.
 
-The planner keeps 2 mm between fingers. A finger that turns an object is some degrees beside its
-planned posture, more where the object is beside its place, and would push a neighbour that stands
-2 mm away. So idle fingers are spread from the planned postures as far as that helps: they have
-nothing else to do. The planned motion of the others stays as it is.
+The planner keeps 2 mm between fingers. A finger that turns an object deviates from its planned
+posture by some degrees, more if the object is off its planned place, and would push a neighbour
+2 mm away. So idle fingers spread from their planned postures as far as that helps. The planned
+motion of the other fingers stays.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from planner.spatial import SE3, FloatArray
 __all__ = ["out_of_the_way"]
 
 ROOTS = 2
-"""Joints of a finger, from its root, that lead it away: aside and back."""
+"""Joints of a finger, from its root, that move it away: abduction and flexion of the knuckle."""
 
 STEP, SWEEPS = float(np.deg2rad(2.0)), 2
-"""Change of a joint (rad) that is tried either way, and how often all are tried at a knot: by 4
-degrees from one knot to the next, between which the object turns by 8."""
+"""Change of a joint (rad) that is tried in both directions, and how often all joints are tried at a
+knot: at most 4 degrees from one knot to the next."""
 
 NEAR = 0.0015
-"""Distance (m) over which nearness falls to a third: what is 6 mm away hardly counts."""
+"""Distance (m) over which nearness falls by a factor e."""
 
 PAIRS = 24
-"""Nearest pairs that are looked at."""
+"""Nearest pairs that count."""
 
 
 def out_of_the_way(motion: MotionPlan) -> MotionPlan:
-    """The same motion with the joints of idle fingers such that they are farther from the rest.
+    """The motion with idle fingers moved away from everything else.
 
     The first knot stays: it is the grasp. A hand without idle fingers gets its motion back.
     """

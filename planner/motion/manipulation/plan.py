@@ -1,7 +1,7 @@
 """``ManipulationPlan``: pick an object up, turn or move it in the hand, put it down.
 
-A plan is a motion on one grasp, or a gait of several strokes, with a way into it, and an ending:
-the pose in which the object is to stand at last and the way out.
+A plan is a motion on one grasp, or a gait of several strokes, with its approach, and an ending: the
+final pose of the object and the way out.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ class ManipulationPlan:
     """Pick, turn, place.
 
     Attributes:
-        motion: The turn in the hand, with the grasp that it begins with; goes a little beyond
-            ``angle``. Of a gait the first stroke.
-        angle: Turn that is asked for, rad, with its sign.
-        shift: Translation in the hand that is asked for with it (3,), m, world.
-        ending: Where the object is to stand, and how the hand lets go of it there.
-        reserve: Share of its limit that the most loaded actuator has left at the worst knot, with
-            the forces that bear the weight.
+        motion: The turn in the hand with its grasp, overshoot beyond ``angle`` included; of a gait
+            the first stroke.
+        angle: Requested turn, rad, with its sign.
+        shift: Requested translation in the hand (3,), m, world.
+        ending: Final pose of the object, and how the hand lets go of it.
+        reserve: Share of its limit that the most loaded actuator keeps at the worst knot, with the
+            forces that bear the weight.
         attempts: Attempts made.
         cpu_s: CPU time of planning without building, s.
         gait: Strokes and the relocations of fingers between them, where one stroke is not enough.
@@ -58,17 +58,17 @@ class ManipulationPlan:
 
     @property
     def grasp(self) -> GraspPlan:
-        """The grasp that it begins with."""
+        """The grasp with which it begins."""
         return self.motion.grasp
 
     @property
     def task(self) -> GraspTask:
-        """What was asked, with the fingers that were chosen."""
+        """The task, with the chosen fingers."""
         return self.motion.grasp.task
 
     @property
     def under_target(self) -> tuple[Obstacle, ...]:
-        """What is to carry the object above the table at another target, as something did first."""
+        """Obstacles that carry the object at another target above the table, as at its start."""
         return standing_under(self.task, self.ending.T_world_target)
 
     def joint_trajectory(
@@ -117,10 +117,10 @@ class ManipulationPlan:
         return builder.built()
 
     def way_out(self, T_world_base: SE3, ending: Ending | None = None) -> SE3:
-        """Where the base goes straight after the fingers have opened.
+        """Pose of the base at the end of the straight way out.
 
         Args:
-            T_world_base: Where it is then.
+            T_world_base: Pose of the base when the fingers have opened.
             ending: How the object is put down; the plan's if None.
         """
         planned, release = self.motion.T_world_base, (ending or self.ending).release
@@ -130,7 +130,7 @@ class ManipulationPlan:
     def turned_object(self) -> tuple[SE3, FloatArray]:
         """Planned pose of the object and joints (nq,) when it has turned by ``angle``.
 
-        Hand and object are where the grasp is, not lifted.
+        Hand and object are at the grasp, not lifted.
         """
         motion, gait = self.motion, self.gait
         now, q = motion.at(self._final_parameter)
@@ -173,7 +173,7 @@ class ManipulationPlan:
         target = ", ".join(f"{v:.3f}" for v in self.ending.T_world_target.translation)
         lines = [
             str(self.gait or self.motion),
-            f"  asked for: {np.rad2deg(self.angle):.1f} degrees, ({_mm(self.shift)}) mm; put down "
+            f"  requested: {np.rad2deg(self.angle):.1f} degrees, ({_mm(self.shift)}) mm; put down "
             f"at ({target}) m",
             f"  the most loaded actuator keeps {100 * self.reserve:.0f} % of its limit",
         ]
@@ -183,7 +183,7 @@ class ManipulationPlan:
 
 
 def torque_reserve(motion: MotionPlan) -> float:
-    """Share of its limit that the most loaded actuator of the fingers has left at any knot."""
+    """Least share of its limit that an actuator of the fingers keeps, over all knots."""
     task = motion.grasp.task
     actuation, used = task.hand.actuation, driving(task.hand, task.fingers)
     left = 1.0
@@ -196,7 +196,7 @@ def torque_reserve(motion: MotionPlan) -> float:
 
 
 NO_LIMIT = 1e-9
-"""Least limit (N m) that a force is divided by."""
+"""Least limit (N m, N) that divides a force."""
 
 
 def _moved(pose: SE3, by: FloatArray) -> SE3:

@@ -1,7 +1,7 @@
 """``plan_manipulation``: one stroke or several; ``plan_regrasping``: several with regrasps between.
 
 A turn by several strokes is a ``planner.motion.gait.GaitPlan``: strokes of one motion, between
-which the fingers move on one at a time. Way in and ending are those of any ``ManipulationPlan``.
+which the fingers move on one at a time. Approach and ending are those of any manipulation.
 """
 
 from __future__ import annotations
@@ -29,15 +29,14 @@ from planner.task import GraspTask
 __all__ = ["ONE_STROKE", "manipulation_of", "plan_manipulation", "plan_regrasping"]
 
 ONE_STROKE = math.radians(150.0)
-"""Turn (rad) about the vertical beyond which regrasps are planned first: one stroke was found to
-turn by 144 degrees at most. A cylinder of 60 mm in the Allegro-type hand, 180 degrees: 50 attempts
-at one stroke find nothing in 10 s of CPU, and the first gait that is tried holds."""
+"""Turn (rad) about the vertical beyond which regrasps are planned first: one stroke hardly ever
+goes so far, and its attempts would use up the budget."""
 
 GAITS = 4
-"""Gaits tried until one is found out of whose end the hand gets."""
+"""Gaits that are planned until the hand can let go at the end of one."""
 
 SEEDS_APART = 1000
-"""Their seeds lie so far apart: nobody's next seed gives a gait that was tried already."""
+"""Distance between the seeds of these gaits, so that a caller's next seeds give other gaits."""
 
 
 def plan_regrasping(
@@ -50,7 +49,7 @@ def plan_regrasping(
     max_attempts: int = MAX_ATTEMPTS,
     rests: Rests | None = None,
 ) -> ManipulationPlan:
-    """Plan a turn by strokes and regrasps, with the way to the object and the way from it.
+    """Plan a turn by strokes and regrasps, with approach and ending.
 
     Args:
         task: What stands where, on a table, and the hand; all its fingers take part where the task
@@ -113,24 +112,26 @@ def plan_manipulation(
 ) -> ManipulationPlan:
     """Pick an object from a table, turn or move it in the hand, put it down: planned whole.
 
-    In one stroke if there is one, else with regrasps; beyond ``ONE_STROKE`` these come first.
+    In one stroke if there is one, else with regrasps; beyond ``ONE_STROKE`` regrasps come first.
 
     Args:
-        task: What stands where, on a table, and the hand, as from ``manipulation_task``. Where it
-            may spare fingers, plans are tried with one less too; the plan's task has the chosen.
+        task: What stands where, on a table, and the hand, as from ``manipulation_task``. If it
+            may spare fingers, sets with one finger less are tried too; the plan's task has the
+            chosen set.
         axis: Axis of the turn (3,), world.
         angle: Turn in the hand, rad, with its sign, of any size.
-        shift: Translation in the hand (3,), m, world, evenly along the turn; with one there are no
+        shift: Translation in the hand (3,), m, world, evenly along the turn; excludes
             regrasps.
         place: Where the object is to stand, x and y in m, world; where it was if None.
         seed: Same seed, same plan.
         max_attempts: Budget in attempts.
         regrasp: Whether to plan regrasps without looking for one stroke.
-        rests: Tells whether an object stays where a task has it, as ``sim.manipulation.rests``;
-            None takes geometry alone, by which fewer objects stand turned on a stand.
+        rests: Whether an object stays where a task has it, as ``sim.manipulation.rests``. Without
+        it
+            geometry alone decides, and fewer objects stand turned on a stand.
 
     Raises:
-        NoGraspFoundError: The budget ended; it tells the reasons of strokes and of regrasps.
+        NoGraspFoundError: The budget ended; carries the failures of strokes and of regrasps.
         TaskError: No table; no turn and no translation; or a translation with regrasps.
     """
     moved = bool(np.any(shift))
@@ -189,7 +190,7 @@ def plan_manipulation(
 
 
 def _neither(one_stroke: NoGraspFoundError, regrasps: PlannerError) -> NoGraspFoundError:
-    """The error of a turn that neither one stroke nor regrasps make."""
+    """The error of a turn that neither one stroke nor regrasps achieve."""
     return NoGraspFoundError(f"{one_stroke}. With regrasps: {regrasps}", one_stroke.attempts)
 
 
@@ -202,7 +203,7 @@ def manipulation_of(
     """A motion or a gait with an ending: pick the object up, move it as planned, put it down.
 
     Args:
-        motion: What was planned, all of which is asked for: there is no overshoot.
+        motion: The motion or gait; all of it is requested, there is no overshoot.
         place: Where the object is to stand, x and y in m, world; where it was if None.
         rests: As for ``plan_manipulation``.
 

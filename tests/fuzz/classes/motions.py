@@ -1,4 +1,4 @@
-"""Motion files that were changed."""
+"""Files of motions and of manipulations that were changed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from random import Random
 
-from planner.files import read_motion
+from planner.files import read_manipulation, read_motion
+from planner.files.manipulations import manipulation_to_dict
 from planner.files.motions import motion_to_dict
 
 from ..hostile import changed_json, damaged
@@ -15,15 +16,22 @@ from ..samples import Samples
 
 
 def case(rng: Random, samples: Samples) -> Callable[[], object]:
-    data = changed_json(samples.motion(), rng, rng.choice([1, 1, 1, 2, 5]))
+    whole = rng.random() < 0.5
+    sound = samples.manipulation() if whole else samples.motion()
+    data = changed_json(sound, rng, rng.choice([1, 1, 1, 2, 5]))
     content = json.dumps(data).encode()
     if rng.random() < 0.1:
         content = damaged(content, rng)
     Path("motion.json").write_bytes(content)
 
     def read() -> None:
-        motion = read_motion("motion.json")
-        json.dumps(motion_to_dict(motion), allow_nan=False)
-        str(motion)
+        if whole:
+            manipulation = read_manipulation("motion.json")
+            json.dumps(manipulation_to_dict(manipulation), allow_nan=False)
+            str(manipulation)
+        else:
+            motion = read_motion("motion.json")
+            json.dumps(motion_to_dict(motion), allow_nan=False)
+            str(motion)
 
     return read
