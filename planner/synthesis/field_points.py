@@ -18,6 +18,7 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 import casadi as ca
+import numpy as np
 
 from planner.spatial import FloatArray
 
@@ -69,6 +70,10 @@ class FieldPoints:
     def symbols(self) -> Any:
         """Base point and coefficients of every point, one column (13 n,), in their order."""
         return ca.vertcat(*self._symbols)
+
+    def coefficients(self, field: Field, points: FloatArray) -> FloatArray:
+        """Numbers (13 n,) for ``symbols`` where the points are (n, 3), m."""
+        return np.hstack([points, field.taylor(points, 2)]).ravel()
 
 
 def _symmetric(v: Any) -> Any:
