@@ -8,7 +8,7 @@ import numpy as np
 
 from planner.contacts import ContactSet
 from planner.quality import closure_and_epsilon, force_closure
-from planner.quality.report import QUICK_EDGES
+from planner.tolerances import CLOSURE_EDGES
 from planner.spatial import SE3, FloatArray, pose_change
 from sim.contacts import hand_collision, hand_contacts, merge_per_finger
 from sim.report import FingerComparison
@@ -56,7 +56,7 @@ class Recorder:
         closed, epsilon = closure_and_epsilon(merged, length=self._length)
         unmerged = closed
         if len(raw) != len(merged):
-            unmerged = force_closure(raw, QUICK_EDGES).closed
+            unmerged = force_closure(raw, CLOSURE_EDGES).closed
         T_world_object, first = simulation.T_world_object, simulation.plan.task.T_world_object
         moved, turned = pose_change(first, T_world_object)
         slip = self.slip()

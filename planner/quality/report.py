@@ -21,6 +21,7 @@ from planner.quality.cones import primitive_wrenches
 from planner.quality.interval import Interval, epsilon_linf, epsilon_round
 from planner.quality.isotropy import singular_values
 from planner.spatial import FloatArray
+from planner.tolerances import CLOSURE_EDGES
 
 __all__ = ["QualityReport", "analyse", "closure_and_epsilon"]
 
@@ -155,6 +156,9 @@ def closure_and_epsilon(
 ) -> tuple[bool, float]:
     """Force closure and L1 epsilon only, fast enough for every sample of a simulation.
 
+    Where pyramids of ``QUICK_EDGES`` edges do not close, those of ``CLOSURE_EDGES`` are asked, which
+    contain them: the verdict is the one of plans.
+
     A ball of radius epsilon in the hull of wrenches w_j proves closure by itself: the normalised
     min-weight is at least epsilon / (epsilon + max |w_j|). So the linear programme is asked only
     where epsilon is next to nothing. For the reason or a certificate, call ``force_closure``.
@@ -166,7 +170,9 @@ def closure_and_epsilon(
             true cones'.
 
     Returns:
-        Whether the grasp is closed, as ``force_closure`` has it with as many edges; and epsilon.
+        Whether the grasp is closed, as ``force_closure`` has it with as many edges, or with
+        ``CLOSURE_EDGES`` where ``QUICK_EDGES`` were asked for; and epsilon of those that closed it,
+        0 where nothing did.
 
     Raises:
         ContactError: ``length`` is not positive, or ``edges`` is below 3.
@@ -177,4 +183,6 @@ def closure_and_epsilon(
     if epsilon > CLEARLY_CLOSED * longest:
         return True, epsilon
     closed = force_closure(contacts, edges).closed
+    if not closed and edges == QUICK_EDGES:
+        return closure_and_epsilon(contacts, length=length, edges=CLOSURE_EDGES)
     return closed, epsilon if closed else 0.0

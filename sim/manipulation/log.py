@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planner.quality import closure_and_epsilon, force_closure
+from planner.quality import closure_and_epsilon
 from planner.spatial import SE3, FloatArray, IntArray, signed_twist
 from sim.contacts import hand_collision, hand_contacts, merge_per_finger
 from sim.manipulation.timeline import ManipulationPhase
@@ -177,8 +177,6 @@ class ManipulationRecorder:
         scene, data = simulation.scene, simulation.data
         merged = merge_per_finger(hand_contacts(scene, data))
         closed, _ = closure_and_epsilon(merged, length=self._length)
-        if not closed:  # of four edges; the true cone may still be closed
-            closed = force_closure(merged).closed
         forces = np.array(self._forces or [np.zeros(len(self._fingers))])
         self._forces = []
         collision, collision_N = hand_collision(scene, data)
