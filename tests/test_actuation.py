@@ -328,3 +328,20 @@ def test_the_limit_of_a_tendon_is_that_of_its_own_actuator_alone() -> None:
     for ctrl, torque in ((10.0, [5.0, 8.0]), (-10.0, [-3.0, -8.0])):
         made = actuator_torque(model, np.zeros(2), np.zeros(2), np.full(2, ctrl))
         np.testing.assert_allclose(made, torque)
+
+
+@pytest.mark.parametrize("gear", [0.5, 1.0, 2.0, -2.0])
+def test_the_limit_of_a_tendon_holds_before_the_gear_as_in_mujoco(gear: float) -> None:
+    model = mujoco.MjModel.from_xml_string(f"""
+        <mujoco><option gravity="0 0 0"/><worldbody>
+          <body><joint name="j"/><geom size="0.1"/></body></worldbody>
+        <tendon><fixed name="t" actuatorfrclimited="true" actuatorfrcrange="-3 5">
+          <joint joint="j" coef="1"/></fixed></tendon>
+        <actuator><motor tendon="t" gear="{gear}"/></actuator></mujoco>""")
+    data = mujoco.MjData(model)
+    reached = []
+    for ctrl in (-100.0, 100.0):
+        data.ctrl[0] = ctrl
+        mujoco.mj_forward(model, data)
+        reached.append(float(data.actuator_force[0]))
+    np.testing.assert_allclose(actuation_from_mujoco(model).force_range, [reached])

@@ -130,7 +130,7 @@ def _force_range(model: Any, moment: FloatArray) -> FloatArray:
     for t in range(model.ntendon):
         if model.tendon_actfrclimited[t]:
             mine = on_tendon & (np.asarray(model.actuator_trnid)[:, 0] == t)
-            arms = np.where(mine, model.actuator_gear[:, 0], 0.0)
+            arms = np.where(mine, 1.0, 0.0)  # MuJoCo clips the actuator's force before its gear
             limited.append((f"tendon {model.tendon(t).name!r}", arms, model.tendon_actfrcrange[t]))
     for what, arms, range_ in limited:
         drivers = np.flatnonzero(arms)
