@@ -8,8 +8,8 @@ import numpy as np
 
 from planner.contacts import ContactSet
 from planner.quality import closure_and_epsilon, force_closure
-from planner.tolerances import CLOSURE_EDGES
 from planner.spatial import SE3, FloatArray, pose_change
+from planner.tolerances import CLOSURE_EDGES
 from sim.contacts import hand_collision, hand_contacts, merge_per_finger
 from sim.report import FingerComparison
 from sim.samples import Samples

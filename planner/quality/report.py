@@ -156,8 +156,8 @@ def closure_and_epsilon(
 ) -> tuple[bool, float]:
     """Force closure and L1 epsilon only, fast enough for every sample of a simulation.
 
-    Where pyramids of ``QUICK_EDGES`` edges do not close, those of ``CLOSURE_EDGES`` are asked, which
-    contain them: the verdict is the one of plans.
+    Where pyramids of ``QUICK_EDGES`` edges do not close, those of ``CLOSURE_EDGES``, which contain
+    them, are asked: the verdict is the one of plans.
 
     A ball of radius epsilon in the hull of wrenches w_j proves closure by itself: the normalised
     min-weight is at least epsilon / (epsilon + max |w_j|). So the linear programme is asked only
