@@ -40,7 +40,9 @@ LEVER = 0.035
 
 
 class MotionResiduals:
-    """Weighted residuals r(z) that count, (m,), and their Jacobian (m, n): terms, then costs.
+    """Weighted residuals r(z) that count, (m,), and their Jacobian (m, n).
+
+    Terms that must hold come first, then costs.
 
     Attributes:
         n_terms: After a call: how many of the first rows belong to terms that must hold.

@@ -160,7 +160,7 @@ class MotionSolver:
         run.descend(REACHING)
         if (
             run.worst > WORTH_A_LOOK and run.residuals.numbers.pivoting_costs
-        ):  # a cost, not a term: drop it
+        ):  # pivoting is a cost that need not hold: try again without it
             run.residuals.numbers = replace(run.residuals.numbers, pivoting_costs=False)
             run.descend(HOLDING)
         yield run.candidate(())

@@ -41,7 +41,8 @@ rank 6 by contacts 30 nm out of line has no closure that anyone can use."""
 
 WEIGHT_TOL = 1e-7
 """Normalised min-weight that counts as positive must exceed this (-): a hundred times the error of
-the linear programme, and far below any useful value (planning asks for 0.1 and more)."""
+the linear programme, and far below any useful value (motions ask for
+``planner.tolerances.CLOSURE_MARGIN``)."""
 
 _NEGLIGIBLE = 1e-6
 """Components below this share of a direction are left out of the prose that describes it (-)."""

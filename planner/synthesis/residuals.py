@@ -31,10 +31,11 @@ __all__ = ["Residuals"]
 
 
 class Residuals:
-    """Active weighted residuals r(x), (m,), and their Jacobian (m, n): terms, then costs.
+    """Active weighted residuals r(x), (m,), and their Jacobian (m, n).
 
-    In this order: clearances, equalities, inequalities; costs, objectives, resistance. One run of
-    least squares at a time works with them; another takes a ``clone``.
+    Terms that must hold come first, then costs, in this order: clearances, equalities,
+    inequalities; costs, objectives, resistance. One run of least squares at a time works with them;
+    another takes a ``clone``.
 
     Attributes:
         formulation: The written terms.
