@@ -98,7 +98,7 @@ class Attempt(Generic[PlanT]):
 
 
 def check_seed(seed: int) -> None:
-    """Refuse what is no seed.
+    """Refuse anything but an integer >= 0.
 
     Raises:
         TaskError: Not an integer, or negative.

@@ -69,7 +69,7 @@ def hand_from_spec(spec: Any, description: HandDescription | None = None) -> Han
     """A hand from a ``mujoco.MjSpec`` made in Python; the spec itself is left as it is.
 
     Args:
-        spec: The model; what is outside the base's subtree is dropped.
+        spec: The model; bodies outside the base's subtree are dropped.
         description: The description; one proposed from the structure if None.
 
     Raises:

@@ -125,6 +125,19 @@ def test_quick_path_sees_a_grasp_that_barely_closes() -> None:
     assert 0 < epsilon < 1e-4
 
 
+def test_samples_are_judged_with_as_many_edges_as_plans() -> None:
+    """Four edges call some grasps open that the eight of plans close; those are asked again."""
+    rng = np.random.default_rng(3)
+    differ = 0
+    for _ in range(40):
+        contacts = on_sphere(rng.normal(size=(3, 3)), "soft")
+        closed, epsilon = closure_and_epsilon(contacts, length=RADIUS)
+        assert closed == force_closure(contacts, 8).closed
+        assert (epsilon > 0.0) == closed
+        differ += closed and not force_closure(contacts, 4).closed
+    assert differ
+
+
 def test_length_must_be_positive() -> None:
     for call in (analyse, closure_and_epsilon, isotropy, smallest_singular_value):
         with pytest.raises(ContactError, match="positive number of metres"):

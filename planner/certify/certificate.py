@@ -1,6 +1,6 @@
 """``certify``: everything that can be proven of a planned grasp, at a cost of its own.
 
-A ``Certificate`` tells what is proven of a grasp, what was only found, and the time it took.
+A ``Certificate`` holds proven bounds of a grasp, counterexamples that were found, and CPU times.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What is done for a wrench that cannot be met: first the least left over, then the least cost.
+"""Lexicographic answer to an infeasible wrench: least unbalanced wrench first, then least cost.
 
     r* = the least |G f + wrench| within friction, normal and torque limits
     f* = the least cost of forces with G f + wrench = r*
@@ -7,10 +7,10 @@ The norm counts torque divided by the problem's length. r* is unique, since the 
 convex and the wrenches that contacts can make are a convex set.
 
 ``Relaxation`` gives the balance a cost of its own instead, and follows the method of multipliers:
-each round adds the price of what was left over. Where forces exist the rounds come to the balance,
-and where none do, to r* and f* (Chiche, Gilbert, "How the augmented Lagrangian algorithm can deal
-with an infeasible convex quadratic optimization problem", 2016). The first round leaves a millionth
-of the forces more than r*, which is enough for a controller.
+each round adds the multiplier of the unbalanced wrench. Where forces exist the rounds converge to
+balance, and where none do, to r* and f* (Chiche, Gilbert, "How the augmented Lagrangian algorithm
+can deal with an infeasible convex quadratic optimization problem", 2016). The first round leaves a
+millionth of the forces more than r*, which is enough for a controller.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from planner.spatial import FloatArray
 __all__ = ["Relaxation"]
 
 VIOLATION_WEIGHT = 1e6
-"""Cost of a squared newton that is left over beside that of a squared newton of contact force (-):
-where the wrench cannot be met, what is left over exceeds the least by a millionth of the forces."""
+"""Cost of a squared newton of unbalanced wrench over that of a squared newton of contact force (-):
+an infeasible wrench stays unbalanced by the least and a millionth of the forces."""
 
 LARGEST_DUAL = 100.0
 """Largest plausible multiplier of the balance (N per N), beside the wrench's size: two contacts
@@ -36,7 +36,7 @@ ROUNDS = 20
 """Most rounds (-)."""
 
 AGREED = 1e-10
-"""Change of what is left over at which rounds agree, beside the wrench's size (-)."""
+"""Change of the unbalanced wrench between rounds, over the wrench's size, that ends them (-)."""
 
 
 class Relaxation:
@@ -57,7 +57,7 @@ class Relaxation:
         """Forces (nx,) that leave the least over, NaN where the limits contradict each other.
 
         Args:
-            tolerance: What may be left over of a wrench that counts as met.
+            tolerance: Largest unbalanced wrench that counts as balanced.
             exact: Whether to go on until rounds agree; else a second round follows only where the
                 first may have left over no more than the cost lets through.
         """

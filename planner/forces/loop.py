@@ -70,7 +70,7 @@ class ForceStep:
     total_s: float = 0.0
 
     def __str__(self) -> str:
-        """A screen: the verdict, forces and what is left over."""
+        """A screen: the verdict, forces and the unbalanced wrench."""
         return self.text([f"contact {i}" for i in range(len(self.forces))])
 
     def text(self, names: Sequence[str], used: FloatArray | None = None) -> str:
@@ -274,7 +274,7 @@ class ForceLoop:
             solver_s += time.perf_counter() - called
             r.violation = self._relaxation.loose.violation(x)
             r.allowed = r.violation <= self._error()
-            missed = qp.violation(x)  # this also tells what is left over
+            missed = qp.violation(x)  # the unbalanced wrench, too
             r.balanced = r.allowed and missed <= self._error()
         if r.allowed:
             self._x = solver.x
@@ -400,7 +400,7 @@ class ForceLoop:
             self._torque_limits += self._open
 
     def _give(self, x: FloatArray, wrench: FloatArray) -> None:
-        """Write forces, torques and what is left over of an answer."""
+        """Write forces, torques and the unbalanced wrench of an answer."""
         r = self.result
         if self.contacts.plain:
             self._vectors[:] = x.reshape(-1, 3)

@@ -205,7 +205,9 @@ class ForceProblem:
         faces, torque = off[6 : 6 + self.n_faces], off[6 + self.n_faces :]
         missing = np.zeros(len(self.gravity_torque))
         if self.torque_limits is not None:
-            rows = self.torque_limits.case.rows  # square: what is off in them is off in the joints
+            rows = (
+                self.torque_limits.case.rows
+            )  # square: an error in a row is an error of the joint torques
             by_row = np.zeros(len(rows))
             by_row[self.torque_rows] = self.length * torque
             missing = np.asarray(np.linalg.solve(rows, by_row))

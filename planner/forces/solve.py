@@ -80,7 +80,7 @@ class ForceSolution:
         """This solution, if it was found.
 
         Raises:
-            InfeasibleError: It was not; carries the reason and the wrench that is left over.
+            InfeasibleError: It was not; carries the reason and the unbalanced wrench.
         """
         if not self.found:
             remedy = "Move the contacts, raise friction or limits, or ask for less."
@@ -184,7 +184,7 @@ def solve_force_problem(problem: ForceProblem, *, solver: str | None = None) -> 
 
 
 def least_violation(problem: ForceProblem, *, solver: str | None = None) -> LeastViolation:
-    """Solve a problem, or what comes nearest to it: the least left over, then the least cost.
+    """Solve a problem; if it is infeasible, minimise the unbalanced wrench, then the cost.
 
     Args:
         problem: What ``build_force_problem`` gave.

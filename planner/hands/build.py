@@ -38,7 +38,7 @@ def build_from_spec(spec: Any, description: HandDescription) -> Hand:
     """A hand from a ``mujoco.MjSpec`` made in Python; the spec itself is left as it is.
 
     Args:
-        spec: The model; what is outside the base's subtree is dropped.
+        spec: The model; bodies outside the base's subtree are dropped.
         description: What names its palm, base, fingers and pads.
 
     Raises:
