@@ -23,6 +23,7 @@ extensions = [
     "machinery.mathml",
     "machinery.api",
     "machinery.docstrings",
+    "machinery.commands",
 ]
 exclude_patterns = ["machinery"]
 root_doc = "index"
