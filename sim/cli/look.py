@@ -68,7 +68,7 @@ def schema(
     from planner.errors import NotFoundError
     from planner.files import ContactsFile, GaitFile, ManipulationFile, MotionFile, PlanFile
     from sim.manipulation import ManipulationReportFile
-    from sim.report import ReportFile
+    from sim.report_file import ReportFile
 
     models: dict[str, type[BaseModel]] = {
         "plan": PlanFile,

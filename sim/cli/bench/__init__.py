@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from sim.cli.bench import control, dexgraspbench, grasps, synthesis, turns
+from sim.cli.bench import control, dexgraspbench, grasps, synthesis, turns, zoo
 
 __all__ = ["register"]
 
@@ -24,6 +24,7 @@ def register(app: typer.Typer, panel: str) -> None:
         turns.manipulate,
         control.physics,
         dexgraspbench.dexgraspbench,
+        zoo.zoo,
     ):
         bench.command()(command)
     app.add_typer(bench, name="bench", rich_help_panel=panel)
