@@ -59,7 +59,7 @@ def mesh_page(item: GraspObject, *, spec: str = "", touch: Sequence[str] = (), a
     rows = [pose_row(item.resting_pose(index=k)) for k in range(len(poses))]
     radius = shape.bounding_radius
     scene = Scene(
-        models={"object": Model(joints=(), parts=tuple(parts)), "table": table_model(0.0, 6 * radius)},
+        models={"object": Model(joints=(), parts=tuple(parts)), "table": table_model(2.2 * radius)},
         actors=(
             Actor(name="object", model="object", pose=rows[0], q=np.zeros(0)),
             Actor(name="table", model="table", pose=IDENTITY_ROW, q=np.zeros(0), layer="table"),
