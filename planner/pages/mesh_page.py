@@ -82,7 +82,7 @@ def mesh_page(item: GraspObject, *, spec: str = "", touch: Sequence[str] = (), a
             "stable_poses": [_pose_data(p, row) for p, row in zip(poses, rows, strict=True)],
         },
         kind="object",
-        scripts=own_scripts("side.js", "object.js"),
+        scripts=own_scripts("side.js", "object.js", "object_start.js"),
         extra={
             "object": {
                 "poses": [_pose_data(p, row) for p, row in zip(poses, rows, strict=True)],

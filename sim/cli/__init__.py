@@ -26,6 +26,7 @@ from sim.cli import (
     manipulation,
     motion,
     test,
+    view,
 )
 from sim.cli.common import EXIT_BAD_INPUT, EXIT_INTERRUPTED, err, say
 
@@ -88,6 +89,7 @@ for group in (
     batch,
     hands,
     look,
+    view,
     certify,
     forces,
     crosscheck,

@@ -60,7 +60,7 @@ class Kind:
 KINDS: list[Kind] = []
 """Kinds in the order in which they are asked; filled by ``recognise``."""
 
-MODULES = ("of_hand", "of_plan", "of_motion", "of_report", "of_dataset", "of_mesh")
+MODULES = ("of_hand", "of_plan", "of_motion", "of_dataset", "of_mesh")
 """Modules of this package that register kinds, the one that takes anything like a mesh last."""
 
 
