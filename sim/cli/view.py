@@ -20,6 +20,9 @@ from sim.cli.common import (
 )
 
 
+__all__ = ["view"]
+
+
 @errors_for_people()
 def view(
     what: Annotated[
@@ -68,8 +71,3 @@ def view(
         shown = kind.shown(target, options)
     opening = Opening(out=output, port=port, open=not no_open)
     show(shown, opening, lambda line: say(out, escape(line)))
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(view)
