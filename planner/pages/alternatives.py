@@ -8,13 +8,17 @@ from dataclasses import replace
 from planner.pages.own_assets import own_scripts
 from planner.pages.page import Page
 from planner.pages.rows import pose_row
-from planner.pages.scene import Actor
+from planner.pages.scene import Actor, Model
+from planner.pages.simplify import simplified
 from planner.plan import GraspPlan
 
 __all__ = ["with_alternatives"]
 
-OPACITY = 0.22
-"""Of a ghost (-)."""
+OPACITY, COLOUR = 0.25, (0.45, 0.60, 0.80, 1.0)
+"""Of a ghost: alike for all its parts, whose own colours would hide the hand of the plan."""
+
+MOST_TRIANGLES = 300
+"""Of each part of a ghost."""
 
 
 def with_alternatives(page: Page, plans: Sequence[GraspPlan], failed: Sequence[str] = ()) -> Page:
@@ -29,7 +33,7 @@ def with_alternatives(page: Page, plans: Sequence[GraspPlan], failed: Sequence[s
     actors = [
         Actor(
             name=f"seed {plan.record.seed}",
-            model="hand",
+            model=GHOST,
             pose=pose_row(plan.T_world_base),
             q=plan.q,
             layer="alternatives",
@@ -37,8 +41,10 @@ def with_alternatives(page: Page, plans: Sequence[GraspPlan], failed: Sequence[s
         )
         for plan in plans
     ]
+    ghost = _ghost(page.scene.models["hand"])
     scene = replace(
         page.scene,
+        models={**page.scene.models, GHOST: ghost},
         actors=(*page.scene.actors, *actors),
         off=page.scene.off - {"alternatives"},
     )
@@ -58,3 +64,16 @@ def with_alternatives(page: Page, plans: Sequence[GraspPlan], failed: Sequence[s
         scripts=(*page.scripts, *own_scripts("side.js", "alternatives.js")),
         extra={**page.extra, "alternatives": {"plans": listed, "failed": list(failed)}},
     )
+
+
+GHOST = "ghost of the hand"
+
+
+def _ghost(hand: Model) -> Model:
+    """A hand in one colour, without pads, and with fewer triangles."""
+    parts = []
+    for part in hand.parts:
+        if part.layer == "hand":
+            vertices, triangles, _ = simplified(part.vertices, part.triangles, MOST_TRIANGLES)
+            parts.append(replace(part, vertices=vertices, triangles=triangles, colour=COLOUR))
+    return Model(joints=hand.joints, parts=tuple(parts))

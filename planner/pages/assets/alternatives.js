@@ -4,7 +4,7 @@
 Opposable.extensions.push((page) => {
   const { plans, failed } = page.extra.alternatives, view = new SideView(page.stage);
   const root = element("div", "own-panel");
-  document.getElementById("summary").after(root);
+  (document.querySelector(".verdict") || document.getElementById("summary")).after(root);
   element("h2", "", root, `Other grasps of this task (${plans.length})`);
   const table = element("table", "", root), head = element("tr", "", element("thead", "", table));
   for (const name of ["", "epsilon", "min-weight", "strongest (N)"]) element("th", "", head, name);
