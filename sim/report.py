@@ -94,6 +94,7 @@ class TrialReport(OnScreen):
         events: What the controller noticed and did, in order; empty for one that notices nothing.
         picture: Picture of the held object, None if there is none.
         picture_reason: Why there is none.
+        drawn: Files of pictures and film that were drawn, and how, in one line; not in the file.
     """
 
     verdict: Verdict
@@ -122,6 +123,7 @@ class TrialReport(OnScreen):
     events: tuple[Event, ...] = ()
     picture: Path | None = None
     picture_reason: str = "none was asked for"
+    drawn: str = ""
 
     @property
     def success(self) -> bool:

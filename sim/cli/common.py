@@ -96,6 +96,13 @@ CpuOption = Annotated[
     float | None, typer.Option(help="CPU seconds before giving up; checked between attempts.")
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines on stdout.")]
+VideoOption = Annotated[
+    Path | None, typer.Option(help="Write a film here: run.mp4, run.webp or run.gif.")
+]
+PictureOption = Annotated[Path | None, typer.Option(help="Write a picture (PNG) here.")]
+ArrowsOption = Annotated[
+    bool, typer.Option("--arrows", help="Draw contact forces into pictures and film.")
+]
 ViewOption = Annotated[bool, typer.Option("--view", help="Show the run in MuJoCo's viewer.")]
 ControllerOption = Annotated[
     str,

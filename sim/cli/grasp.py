@@ -12,6 +12,7 @@ from sim.cli.common import (
     HandArgument,
     JsonOption,
     ObjectArgument,
+    PictureOption,
     PlanArgument,
     check_folder,
     errors_for_people,
@@ -56,7 +57,7 @@ def run(
     hand_name, item = plan.task.hand.name, _folder_name(plan.task.object)
     folder = out_dir or Path("runs") / f"{plain_name(hand_name)}-{plain_name(item)}-{request.seed}"
     make_folder(folder)
-    for old in ("report.json", "held.png"):  # of an earlier plan in this folder
+    for old in ("report.json", "held.png", "held-end.png"):  # of an earlier plan in this folder
         (folder / old).unlink(missing_ok=True)
     write_plan(plan, folder / "plan.json")
     if not as_json:
@@ -67,8 +68,10 @@ def run(
         print_json({"plan": plan_to_dict(plan), "report": report.to_dict()})
     else:
         out.print(report)
-        note = ", held.png" if report.picture else f" (no picture: {report.picture_reason})"
+        note = "" if report.picture else f" (no picture: {report.picture_reason})"
         say(out, escape(f"written to {folder}: plan.json, report.json{note}"))
+        if report.drawn:
+            say(out, escape(report.drawn))
     exit_for(report)
 
 
@@ -102,7 +105,7 @@ def simulate(
     report_file: Annotated[
         Path | None, typer.Option("--out", "-o", help="Write the trial report here.")
     ] = None,
-    picture: Annotated[Path | None, typer.Option(help="Write a picture (PNG) here.")] = None,
+    picture: PictureOption = None,
     *,
     trial: TrialOptions,
     as_json: JsonOption = False,
@@ -119,9 +122,8 @@ def simulate(
         print_json(report.to_dict())
     else:
         out.print(report)
-        if picture is not None:
-            note = report.picture_reason or f"written to {picture}"
-            say(out, escape(f"picture: {note}"))
+        if report.drawn:
+            say(out, escape(report.drawn))
     exit_for(report)
 
 

@@ -13,6 +13,7 @@ from rich.markup import escape
 
 from sim.cli.common import (
     EXIT_NO,
+    ArrowsOption,
     ControllerOption,
     FingersOption,
     JsonOption,
@@ -21,7 +22,9 @@ from sim.cli.common import (
     SeedOption,
     SimMuOption,
     StandOption,
+    VideoOption,
     ViewOption,
+    check_folder,
     err,
     errors_for_people,
     make_folder,
@@ -146,6 +149,8 @@ class ExecutionOptions:
     ] = None
     controller: ControllerOption = "impedance"
     view: ViewOption = False
+    video: VideoOption = None
+    arrows: ArrowsOption = False
 
 
 @errors_for_people()
@@ -205,11 +210,15 @@ def manipulate(
 
 @errors_for_people()
 def demo(
-    out_dir: OutOption = None, physics: PhysicsOption = "ours", as_json: JsonOption = False
+    out_dir: OutOption = None,
+    physics: PhysicsOption = "ours",
+    video: VideoOption = None,
+    arrows: ArrowsOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """The whole of it: an Allegro-type hand picks a cylinder, turns it by 90 degrees, places it."""
     request = TurnOptions()
-    execution = ExecutionOptions(physics=physics)
+    execution = ExecutionOptions(physics=physics, video=video, arrows=arrows)
     _execute(lambda: request.plan(DEMO_HAND, DEMO_OBJECT), request.mu, execution, out_dir, as_json)
 
 
@@ -227,10 +236,13 @@ def _execute(
         Exit: A phase failed, or the hand collided.
     """
     from planner.files import write_json, write_manipulation, write_trajectory
+    from sim.looking.film import check_video
     from sim.manipulation import SuccessCriteria
     from sim.manipulation import manipulate as simulate
 
     physics = physics_of(execution.physics, execution.sim_mu)
+    check_video(execution.video)
+    check_folder(execution.video)
     _warn_of_friction(believed_mu, physics.mu)
     if out_dir is not None:
         make_folder(out_dir)
@@ -245,6 +257,8 @@ def _execute(
             physics=physics,
             criteria=SuccessCriteria(normal_N=execution.max_force),
             pictures=out_dir,
+            video=execution.video,
+            arrows=execution.arrows,
             retry=True,
             view=execution.view,
         )
@@ -257,9 +271,10 @@ def _execute(
     else:
         say(out, escape(str(report)))
         if out_dir is not None:
-            note = report.picture_reason and f" (no pictures: {report.picture_reason})"
-            files = "manipulation.json, trajectory.csv, report.json, pictures"
-            say(out, escape(f"written to {out_dir}: {files}{note}"))
+            files = "manipulation.json, trajectory.csv, report.json"
+            say(out, escape(f"written to {out_dir}: {files}"))
+        if report.drawn:
+            say(out, escape(report.drawn))
     if not report.complete or report.collision is not None:
         raise typer.Exit(EXIT_NO)
 

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
 from rich.markup import escape
 
 from sim.cli.common import (
+    ArrowsOption,
     AttemptsOption,
     AvoidOption,
     ControllerOption,
@@ -37,7 +38,9 @@ from sim.cli.common import (
     SimMuOption,
     TaskWrenchOption,
     TouchOption,
+    VideoOption,
     ViewOption,
+    check_folder,
     err,
     heeding_ctrl_c,
     names,
@@ -209,23 +212,28 @@ class TrialOptions:
     physics: PhysicsOption = "ours"
     controller: ControllerOption = "feedforward"
     view: ViewOption = False
+    video: VideoOption = None
+    arrows: ArrowsOption = False
 
     def trial(self) -> Callable[[GraspPlan, Path | None], TrialReport]:
-        """What executes a plan, with a progress bar on stderr, and writes a picture.
+        """What executes a plan, with a progress bar on stderr, and draws it.
 
         Raises:
-            PlannerError: A controller or physics that there is not, or no display to view on; bad
-                input ends before anything is planned.
+            PlannerError: A controller or physics that there is not, no display to view on, or a
+                video that cannot be written; bad input ends before anything is planned.
         """
         from rich.progress import Progress
 
         from sim.controllers import named_controller
+        from sim.looking.film import check_video
         from sim.looking.viewer import check_display
         from sim.trial import simulate
 
         make, physics = named_controller(self.controller), physics_of(self.physics, self.sim_mu)
         if self.view:
             check_display()
+        check_video(self.video)
+        check_folder(self.video)
 
         def execute(plan: GraspPlan, picture: Path | None) -> TrialReport:
             with Progress(console=err, transient=True, disable=not err.is_terminal) as progress:
@@ -237,6 +245,8 @@ class TrialOptions:
                     progress=lambda share: progress.update(bar, completed=share),
                     view=self.view,
                     picture=picture,
+                    video=self.video,
+                    arrows=self.arrows,
                 )
 
         return execute

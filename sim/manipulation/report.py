@@ -64,6 +64,7 @@ class ManipulationReport:
         picture_reason: Why there are none, "" otherwise.
         earlier: What was done before, where the object was put down and all was begun again; what
             is told here is about the rest of the turn then.
+        drawn: Pictures and film that were drawn, and how, in one line; not in the file.
     """
 
     hand: str
@@ -92,6 +93,7 @@ class ManipulationReport:
     pictures: dict[str, str]
     picture_reason: str
     earlier: ManipulationReport | None = None
+    drawn: str = ""
 
     @property
     def reason(self) -> str:
