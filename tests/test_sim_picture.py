@@ -168,9 +168,9 @@ def test_what_collides_and_is_not_drawn_is_drawn_as_something_else() -> None:
         assert len(hidden) > 3
         for body in np.unique(model.geom_bodyid[hidden]):
             own = np.flatnonzero(model.geom_bodyid == body)
-            drawn = [g for g in own if model.geom_group[g] == 0]
+            drawn = [g for g in own.tolist() if model.geom_group[g] == 0]
             # the box around what is drawn is that around what collides, up to a rounded corner
-            boxes = [box_of(model, g) for g in own if g in hidden]
+            boxes = [box_of(model, g) for g in own.tolist() if g in hidden]
             seen = [box_of(model, g) for g in drawn]
             low, high = np.min([b[0] for b in boxes], axis=0), np.max([b[1] for b in boxes], axis=0)
             assert (np.min([b[0] for b in seen], axis=0) <= low + 1e-4).all()
