@@ -110,13 +110,19 @@ class Scene:
     support: int
     deviation: float
 
+    def posed(self, q: FloatArray, T_world_base: SE3, T_world_object: SE3) -> FloatArray:
+        """State (qpos) with the hand at q (nq,) and a base pose, and the object at a pose."""
+        qpos = np.array(self.model.qpos0)
+        qpos[self.hand_qpos] = q
+        if self.gantry is not None:
+            qpos[self.gantry.qpos] = self.gantry.coordinates(T_world_base)
+        qpos[self.object_qpos] = np.concatenate(pose_to_wxyz(T_world_object))
+        return qpos
+
     def start(self, q: FloatArray, T_world_base: SE3) -> Any:
         """Fresh ``mujoco.MjData`` at rest: hand at q (nq,) and a base pose, object at its place."""
         data = mujoco.MjData(self.model)
-        data.qpos[self.hand_qpos] = q
-        if self.gantry is not None:
-            data.qpos[self.gantry.qpos] = self.gantry.coordinates(T_world_base)
-        data.qpos[self.object_qpos] = np.concatenate(pose_to_wxyz(self.task.T_world_object))
+        data.qpos[:] = self.posed(q, T_world_base, self.task.T_world_object)
         mujoco.mj_forward(self.model, data)
         return data
 

@@ -9,6 +9,7 @@ import typer
 from rich.markup import escape
 
 from sim.cli.common import (
+    ArrowsOption,
     HandArgument,
     JsonOption,
     ObjectArgument,
@@ -23,6 +24,7 @@ from sim.cli.common import (
     say,
 )
 from sim.cli.options import PlanOptions, TrialOptions, with_options
+from sim.cli.pictures import draw_grasp
 
 LONGEST_NAME = 60
 """Characters of an object in a folder's name."""
@@ -81,6 +83,8 @@ def plan(
     hand: HandArgument,
     object: ObjectArgument,
     output: Annotated[Path, typer.Option("--out", "-o", help="The plan file.")] = Path("plan.json"),
+    picture: PictureOption = None,
+    arrows: ArrowsOption = False,
     *,
     request: PlanOptions,
     as_json: JsonOption = False,
@@ -89,13 +93,17 @@ def plan(
     from planner.files import plan_to_dict, write_plan
 
     check_folder(output)
+    check_folder(picture)
     found = request.plan(hand, object)
     write_plan(found, output)
+    drawn = "" if picture is None else draw_grasp(found, picture, arrows=arrows)
     if as_json:
         print_json(plan_to_dict(found))
     else:
         say(out, escape(str(found)))
         say(out, escape(f"written to {output}"))
+        if drawn:
+            say(out, escape(drawn))
 
 
 @errors_for_people()

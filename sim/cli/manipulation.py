@@ -24,7 +24,6 @@ from sim.cli.common import (
     StandOption,
     VideoOption,
     ViewOption,
-    check_folder,
     err,
     errors_for_people,
     make_folder,
@@ -37,6 +36,7 @@ from sim.cli.common import (
 )
 from sim.cli.movement import NO_SHIFT, RotateOption, ShiftOption, movement
 from sim.cli.options import with_options
+from sim.cli.pictures import check_films
 
 if TYPE_CHECKING:
     from planner.motion.manipulation import ManipulationPlan
@@ -236,13 +236,11 @@ def _execute(
         Exit: A phase failed, or the hand collided.
     """
     from planner.files import write_json, write_manipulation, write_trajectory
-    from sim.looking.film import check_video
     from sim.manipulation import SuccessCriteria
     from sim.manipulation import manipulate as simulate
 
     physics = physics_of(execution.physics, execution.sim_mu)
-    check_video(execution.video)
-    check_folder(execution.video)
+    check_films(execution.video)
     _warn_of_friction(believed_mu, physics.mu)
     if out_dir is not None:
         make_folder(out_dir)

@@ -10,14 +10,16 @@ import typer
 from rich.markup import escape
 
 from sim.cli.common import (
+    ArrowsOption,
     FingersOption,
     HandArgument,
     JsonOption,
     MassOption,
     MuOption,
     ObjectArgument,
+    PictureOption,
     SeedOption,
-    check_folder,
+    VideoOption,
     err,
     errors_for_people,
     names,
@@ -26,6 +28,7 @@ from sim.cli.common import (
     print_json,
     say,
 )
+from sim.cli.pictures import check_films, draw_motion
 
 
 @errors_for_people()
@@ -54,6 +57,9 @@ def plan_motion(
     best_of: Annotated[
         int | None, typer.Option(min=1, help="Attempts of which the best is taken.")
     ] = None,
+    picture: PictureOption = None,
+    video: VideoOption = None,
+    arrows: ArrowsOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Plan how an object is turned or moved in the hand on one grasp, and write it to a file."""
@@ -63,7 +69,7 @@ def plan_motion(
     from planner.objects import parse_object
     from planner.task import GraspTask
 
-    check_folder(output)
+    check_films(output, picture, video)
     task = GraspTask.create(
         hand,
         parse_object(object, mass=mass),
@@ -82,11 +88,16 @@ def plan_motion(
             best_of=best_of,
         )
     write_motion(found, output)
+    drawn = ""
+    if picture is not None or video is not None:
+        drawn = draw_motion(found, picture=picture, video=video, arrows=arrows)
     if as_json:
         print_json(motion_to_dict(found))
     else:
         say(out, escape(str(found)))
         say(out, escape(f"written to {output}"))
+        if drawn:
+            say(out, escape(drawn))
 
 
 @errors_for_people()
@@ -104,6 +115,9 @@ def plan_gait(
     mu: MuOption = 0.5,
     mass: MassOption = None,
     max_attempts: Annotated[int, typer.Option(min=1, help="Attempts before giving up.")] = 30,
+    picture: PictureOption = None,
+    video: VideoOption = None,
+    arrows: ArrowsOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Plan how fingers move on, one at a time, to turn or move an object without end."""
@@ -113,7 +127,7 @@ def plan_gait(
     from planner.objects import parse_object
     from planner.task import GraspTask
 
-    check_folder(output)
+    check_films(output, picture, video)
     task = GraspTask.create(
         hand,
         parse_object(object, mass=mass),
@@ -130,11 +144,16 @@ def plan_gait(
             max_attempts=max_attempts,
         )
     write_gait(found, output)
+    drawn = ""
+    if picture is not None or video is not None:
+        drawn = draw_motion(found, picture=picture, video=video, arrows=arrows)
     if as_json:
         print_json(gait_to_dict(found))
     else:
         say(out, escape(str(found)))
         say(out, escape(f"written to {output}"))
+        if drawn:
+            say(out, escape(drawn))
 
 
 def register(app: typer.Typer) -> None:

@@ -40,13 +40,13 @@ from sim.cli.common import (
     TouchOption,
     VideoOption,
     ViewOption,
-    check_folder,
     err,
     heeding_ctrl_c,
     names,
     numbers,
     physics_of,
 )
+from sim.cli.pictures import check_films
 
 if TYPE_CHECKING:
     from planner.forces import ExpectedLoad
@@ -225,15 +225,13 @@ class TrialOptions:
         from rich.progress import Progress
 
         from sim.controllers import named_controller
-        from sim.looking.film import check_video
         from sim.looking.viewer import check_display
         from sim.trial import simulate
 
         make, physics = named_controller(self.controller), physics_of(self.physics, self.sim_mu)
         if self.view:
             check_display()
-        check_video(self.video)
-        check_folder(self.video)
+        check_films(self.video)
 
         def execute(plan: GraspPlan, picture: Path | None) -> TrialReport:
             with Progress(console=err, transient=True, disable=not err.is_terminal) as progress:
