@@ -21,10 +21,27 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx_copybutton",
     "machinery.mathml",
+    "machinery.api",
+    "machinery.docstrings",
+    "machinery.commands",
 ]
 exclude_patterns = ["machinery"]
 root_doc = "index"
 nitpicky = True
+# of other packages, whose documentation cannot be reached without a network
+nitpick_ignore_regex = [
+    (r"py:.*", r"(numpy|pinocchio|mujoco|casadi|coal|pydantic|qpsolvers|trimesh|PIL)\..*"),
+    (r"py:.*", r"(rich|typer)\..*"),
+    (r"py:.*", r"(collections|pathlib|signal|types|typing|enum|argparse|logging)\..*"),
+]
+
+autodoc_class_signature = "mixed"
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # machinery.docstrings adds them, as they are written
+napoleon_attr_annotations = False
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+python_use_unqualified_type_names = True
 
 myst_enable_extensions = ["attrs_block", "attrs_inline", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
