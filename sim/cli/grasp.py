@@ -46,7 +46,7 @@ def run(
     trial: TrialOptions,
     as_json: JsonOption = False,
 ) -> None:
-    """Plan a grasp, distribute its forces, execute it, judge it; writes plan, report, picture."""
+    """Plan a grasp, execute it, judge it; writes plan and report."""
     from planner.files import plain_name, plan_to_dict, write_json, write_plan
 
     execute = trial.trial()
@@ -107,7 +107,7 @@ def simulate(
     trial: TrialOptions,
     as_json: JsonOption = False,
 ) -> None:
-    """Execute a plan file in MuJoCo: approach, close, squeeze, lift, hold; and judge it."""
+    """Execute a plan file in MuJoCo and judge whether it holds."""
     from planner.files import read_plan, write_json
 
     check_folder(report_file)
@@ -123,9 +123,3 @@ def simulate(
             note = report.picture_reason or f"written to {picture}"
             say(out, escape(f"picture: {note}"))
     exit_for(report)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    for command in (run, plan, simulate):
-        app.command()(command)

@@ -1,0 +1,27 @@
+// Pieces of side panels.
+"use strict";
+
+function element(tag, style, parent, text) {
+  const made = document.createElement(tag);
+  if (style) made.className = style;
+  if (text !== undefined) made.textContent = text;
+  if (parent) parent.append(made);
+  return made;
+}
+
+// Named sections of which one is shown; the first is, to begin with.
+function tabbed(root, names) {
+  const bar = element("div", "tabs", root), sections = {};
+  const show = (chosen) => names.forEach((name, k) => {
+    sections[name].hidden = name !== chosen;
+    bar.children[k].classList.toggle("chosen", name === chosen);
+  });
+  for (const name of names) {
+    const button = element("button", "", bar, name);
+    button.dataset.tab = name;
+    button.onclick = () => show(name);
+    sections[name] = element("section", "", root);
+  }
+  show(names[0]);
+  return sections;
+}
