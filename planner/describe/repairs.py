@@ -77,8 +77,8 @@ def repair_and_base(
     completed = with_least_inertias(spec)
     if completed:
         notes.ask(
-            f"the links {', '.join(completed)} move and have no mass, or an inertia that no body "
-            f"has: {1e6 * LEAST_MASS:g} mg and {LEAST_INERTIA:g} kg m2 stand in for it; give the "
+            f"the model gives the links {', '.join(completed)} no mass, or an inertia that no body "
+            f"has: {1e6 * LEAST_MASS:g} mg and {LEAST_INERTIA:g} kg m2 stand in for them; give the "
             "true ones in the model"
         )
     base, why, questions = find_base(structure, base_body, what)
