@@ -40,9 +40,7 @@ PROUD = 2e-3
 """How far regions are drawn above the surface, over the bounding radius (-)."""
 
 
-def mesh_page(
-    item: GraspObject, *, spec: str = "", touch: Sequence[str] = (), avoid: Sequence[str] = ()
-) -> Page:
+def mesh_page(item: GraspObject, *, spec: str = "", touch: Sequence[str] = (), avoid: Sequence[str] = ()) -> Page:
     """A page of an object on a table.
 
     Args:
@@ -61,10 +59,7 @@ def mesh_page(
     rows = [pose_row(item.resting_pose(index=k)) for k in range(len(poses))]
     radius = shape.bounding_radius
     scene = Scene(
-        models={
-            "object": Model(joints=(), parts=tuple(parts)),
-            "table": table_model(0.0, 6 * radius),
-        },
+        models={"object": Model(joints=(), parts=tuple(parts)), "table": table_model(0.0, 6 * radius)},
         actors=(
             Actor(name="object", model="object", pose=rows[0], q=np.zeros(0)),
             Actor(name="table", model="table", pose=IDENTITY_ROW, q=np.zeros(0), layer="table"),
@@ -91,9 +86,7 @@ def mesh_page(
         extra={
             "object": {
                 "poses": [_pose_data(p, row) for p, row in zip(poses, rows, strict=True)],
-                "command": " ".join(
-                    ["opposable plan allegro_hand", _quoted(spec or item.name), *options]
-                ),
+                "command": " ".join(["opposable plan allegro_hand", _quoted(spec or item.name), *options]),
             }
         },
     )

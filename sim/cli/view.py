@@ -37,7 +37,9 @@ def view(
         int | None,
         typer.Option(min=0, max=65535, help="Serve on this port of 127.0.0.1; 0 for a free one."),
     ] = None,
-    no_open: Annotated[bool, typer.Option("--no-open", help="Serve, and open no browser.")] = False,
+    no_open: Annotated[
+        bool, typer.Option("--no-open", help="Serve, and open no browser.")
+    ] = False,
     alternatives: Annotated[
         int, typer.Option(min=0, help="Of a plan: further grasps to plan and show beside it.")
     ] = 0,

@@ -86,8 +86,7 @@ def recognise(target: Target) -> Kind:
             "hand or object",
             target.text,
             (*hand_names(), *object_names()),
-            "Or give the path of a file or folder."
-            + " That path does not exist." * _like_path(target),
+            "Or give the path of a file or folder." + " That path does not exist." * _like_path(target),
         )
     found = f"its format is {target.format!r}" if target.format else "it is of another kind"
     raise FileFormatError(

@@ -1,19 +1,25 @@
-"""``write_pages``: Markdown pages of the zoo out of what ``bench zoo`` measured.
+"""The pages of the zoo, Markdown for Sphinx, out of what ``bench zoo`` measured.
 
-Called when the documentation is built; the pages themselves are not kept in the checkout.
+They are written when the documentation is built (``docs/machinery/zoo.py``) and not kept.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from sim.bench.cards import card, grid, plain
 from sim.bench.zoo.table import counts
 from sim.tables import Row
 
-__all__ = ["read_zoo", "write_pages"]
+__all__ = ["CARDS", "write_pages", "zoo_pages"]
+
+CARDS = "cards.txt"
+"""What the index of the zoo includes: the counts and a card per hand."""
+
+PICTURES = "pictures"
+"""Folder of the pictures, seen from the index; the pages stand one folder below it."""
 
 GROUPS = {
     "shipped": "Hands that ship",
@@ -22,116 +28,66 @@ GROUPS = {
 }
 """Source of a hand -> heading."""
 
-BADGES = {
-    "held": "success",
-    "refused": "secondary",
-    "did not hold": "warning",
-    "no grasp found": "warning",
-    "not usable": "danger",
-}
-"""Status of a hand -> colour of its badge."""
 
-INTRODUCTION = """\
-Every hand that ships with Opposable, every known hand in a Python package, and models that others
-published: what the planner sees of each, and a grasp that held in simulation or the reason why
-none did. Hands without a `hand.toml` are described by their structure alone, as
-`opposable describe` does; nothing was written or corrected by hand. Models of others are not part
-of Opposable: a hand's page links to its source.
-"""
-
-HOW = """\
-Each hand got objects that fit between its pads (cylinders, spheres and boxes, on a table, 0.1 kg)
-and seeds 0 to {seeds}, at most {attempts} attempts each, until a grasp held through approach, squeeze,
-lift and hold, for at most {cpu_s:g} s of CPU. Grippers of two fingers are refused: point contacts of two fingers
-cannot close a grasp. The table is made by
-
-    opposable bench zoo --models FOLDER --pictures docs/zoo/pictures --out docs/zoo/zoo.json
-
-where FOLDER holds clones of the repositories listed in `docs/zoo/models.toml`.
-"""
-
-
-def read_zoo(file: Path) -> Row:
-    """What ``bench zoo`` wrote."""
-    data: Row = json.loads(file.read_text(encoding="utf-8"))
-    return data
-
-
-def write_pages(data: Row, folder: Path) -> list[Path]:
-    """Write ``index.md`` and a page per hand.
+def zoo_pages(data: Row) -> dict[str, str]:
+    """Name of a file -> its text: the cards, and a page per hand.
 
     Args:
         data: What ``bench zoo`` measured.
-        folder: Where; pictures are looked for in ``pictures`` beside the pages.
-
-    Returns:
-        The files, the index first.
     """
     rows = data["rows"]
-    pages = {"index": _index(data)} | {row["slug"]: _page(row) for row in rows}
+    return {CARDS: _cards(data)} | {f"{row['slug']}.md": _page(row) for row in rows}
+
+
+def write_pages(data: Row, folder: Path) -> None:
+    """Write them into a folder beside ``pictures``; what else is in it stays."""
     folder.mkdir(parents=True, exist_ok=True)
-    written = []
-    for name, text in pages.items():
-        path = folder / f"{name}.md"
-        path.write_text(text, encoding="utf-8")
-        written.append(path)
-    return written
+    for name, text in zoo_pages(data).items():
+        (folder / name).write_text(text, encoding="utf-8")
 
 
-def _index(data: Row) -> str:
+def _cards(data: Row) -> str:
     rows = data["rows"]
-    how = HOW.format(
-        seeds=data["seeds"] - 1, attempts=data["attempts_per_try"], cpu_s=data["cpu_s"]
-    )
-    made = f"Measured with {data['written_by']} on {data['machine']}, {data['cores']} cores."
-    parts = ["# Hand zoo\n", INTRODUCTION, f"**{counts(rows)}.**\n"]
+    parts = [f"**{counts(rows)}.**\n"]
     for source, heading in GROUPS.items():
         members = [row for row in rows if row["source"] == source]
         if members:
-            parts += [f"## {heading}\n", _grid(members)]
-    parts += ["## How it was measured\n", how, made + "\n", _toctree(rows)]
+            parts += [f"## {heading}\n", grid([_card(row) for row in members])]
+    parts.append(
+        f"At most {data['attempts_per_try']} attempts per try, {data['seeds']} seeds, "
+        f"{data['cpu_s']:g} s of CPU per hand; {data['written_by']}, {data['machine']}, "
+        f"{data['cores']} cores.\n"
+    )
     return "\n".join(parts)
 
 
-def _grid(rows: list[Row]) -> str:
-    """Cards, four in a line."""
-    lines = ["::::{grid} 2 3 4 4", ":gutter: 2", ""]
-    for row in rows:
-        lines += [f":::{{grid-item-card}} {_plain(row['name'])}"]
-        lines += [f":link: {row['slug']}", ":link-type: doc"]
-        if row["picture"]:
-            lines += [f":img-top: pictures/{row['picture']}"]
-        lines += ["", _badge(row["status"]), "", _short(row), ":::", ""]
-    return "\n".join([*lines, "::::", ""])
-
-
-def _badge(status: str) -> str:
-    return f"{{bdg-{BADGES.get(status, 'secondary')}}}`{status}`"
+def _card(row: Row) -> str:
+    return card(
+        title=row["name"],
+        page=f"generated/{row['slug']}.md",
+        picture=f"{PICTURES}/{row['picture']}" if row["picture"] else "",
+        lines=(f"**{row['status']}**", _short(row)),
+        kind="good" if row["status"] == "held" else "other",
+    )
 
 
 def _short(row: Row) -> str:
     """A line about a hand on its card."""
     if row["joints"] is None:
-        return _plain(row["reason"].split(";")[0][:90])
+        return plain(row["reason"].split(";")[0].rpartition(": ")[2][:80])
     counted = f"{len(row['fingers'])} fingers, {row['joints']} joints"
     return f"{counted}, {row['grasp']['object']}" if row["grasp"] else counted
 
 
-def _toctree(rows: list[Row]) -> str:
-    return "\n".join(["```{toctree}", ":hidden:", "", *(row["slug"] for row in rows), "```", ""])
-
-
 def _page(row: Row) -> str:
-    parts = [f"# {_plain(row['name'])}\n", f"{_badge(row['status'])} {_origin(row)}\n"]
+    parts = [f"# {plain(row['name'])}\n", f"**{row['status']}**; {_origin(row)}\n"]
     if row["picture"]:
         what = "the grasp that held" if row["grasp"] else "the last try, after it"
-        parts.append(
-            f"```{{image}} pictures/{row['picture']}\n:alt: {_plain(row['name'])}: {what}\n```\n"
-        )
+        parts.append(f"![{plain(row['name'])}: {what}](../{PICTURES}/{row['picture']})\n")
     if row["grasp"]:
-        parts.append(_grasp(row["grasp"]))
+        parts.append(_grasp(row))
     elif row["reason"]:
-        parts.append(f"## Why no grasp\n\n{_plain(row['reason'])}\n")
+        parts.append(f"## Why no grasp\n\n{plain(row['reason'])}\n")
     if row["joints"] is not None:
         parts.append("\n".join(_facts(row)))
     parts += [_warnings(row), _tries(row)]
@@ -141,10 +97,12 @@ def _page(row: Row) -> str:
 def _origin(row: Row) -> str:
     if row["source"] == "shipped":
         return "ships with Opposable"
-    return f"[{row['model']}]({row['url']})"
+    return f"[{plain(row['model'])}]({row['url']})"
 
 
-def _grasp(grasp: Row) -> str:
+def _grasp(row: Row) -> str:
+    grasp: Mapping[str, Any] = row["grasp"]
+    where = "the folder of clones" if row["source"] == "repository" else "any folder"
     return f"""## A grasp that held
 
 | | |
@@ -156,13 +114,18 @@ def _grasp(grasp: Row) -> str:
 | CPU time of planning | {grasp["cpu_s"]:.2f} s |
 | movement in the hand | {grasp["slip_mm"]:.2f} mm, {grasp["slip_deg"]:.2f} degrees |
 
-    {grasp["command"]}
+The same grasp again, from {where}:
+
+<!-- test: skip run by bench zoo -->
+```console
+$ {grasp["command"]}
+```
 """
 
 
 def _facts(row: Row) -> Iterator[str]:
     yield "## The hand\n"
-    fingers = ", ".join(f"{f['name']} ({f['joints']})" for f in row["fingers"])
+    fingers = ", ".join(f"{plain(f['name'])} ({f['joints']})" for f in row["fingers"])
     yield f"- fingers (joints): {fingers}"
     yield f"- {row['joints']} joints, {row['actuators']} actuators"
     if row["couplings"]:
@@ -179,7 +142,7 @@ def _warnings(row: Row) -> str:
         return "## Warnings\n\n`opposable check-hand` has none.\n"
     lines = ["## Warnings\n", "What `opposable check-hand` says, and what to do:\n"]
     lines += [
-        f"- {w['level']}: {_plain(w['what'])}\n  *{_plain(w['what_to_do'])}*"
+        f"- {w['level']}: {plain(w['what'])}.\n  *{plain(w['what_to_do'])}.*"
         for w in row["warnings"]
     ]
     return "\n".join([*lines, ""])
@@ -191,14 +154,6 @@ def _tries(row: Row) -> str:
         return ""
     lines = ["## Tries\n", "| object | seed | attempts | outcome |", "| --- | --- | --- | --- |"]
     for one in row["tries"]:
-        outcome = "held" if one["held"] else _plain(one["reason"]).replace("|", "/")
+        outcome = "held" if one["held"] else plain(one["reason"]).replace("|", "/")
         lines.append(f"| `{one['object']}` | {one['seed']} | {one['attempts']} | {outcome} |")
     return "\n".join([*lines, ""])
-
-
-def _plain(text: Any) -> str:
-    """A text that Markdown shows as it is."""
-    out = str(text)
-    for letter in "\\`*_{}[]<>#$":
-        out = out.replace(letter, f"\\{letter}")
-    return out
