@@ -37,9 +37,7 @@ def view(
         int | None,
         typer.Option(min=0, max=65535, help="Serve on this port of 127.0.0.1; 0 for a free one."),
     ] = None,
-    no_open: Annotated[
-        bool, typer.Option("--no-open", help="Serve, and open no browser.")
-    ] = False,
+    no_open: Annotated[bool, typer.Option("--no-open", help="Serve, and open no browser.")] = False,
     alternatives: Annotated[
         int, typer.Option(min=0, help="Of a plan: further grasps to plan and show beside it.")
     ] = 0,
@@ -47,7 +45,7 @@ def view(
     avoid: AvoidOption = None,
     repair: RepairOption = False,
 ) -> None:
-    """Show a hand, an object, a plan, a motion, a report or a dataset in the browser."""
+    """Show hands, objects, plans, motions, reports in a browser."""
     from planner.errors import TaskError
     from sim.viewing import Opening, Target, ViewOptions, recognise, show
 
@@ -68,8 +66,3 @@ def view(
         shown = kind.shown(target, options)
     opening = Opening(out=output, port=port, open=not no_open)
     show(shown, opening, lambda line: say(out, escape(line)))
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(view)
