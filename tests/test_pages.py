@@ -28,8 +28,8 @@ from planner.errors import FileFormatError, NotFoundError
 from planner.files import plan_to_dict
 from planner.hands.catalog import hand_names
 from planner.pages.hand_model import hand_model
-from planner.pages.motion_page import motion_scene
-from planner.pages.object_track import object_track
+from planner.pages.motion_page import motion_page
+from planner.pages.object_motion import object_motion
 from planner.pages.page import page_html, read_page_data, write_page
 from planner.pages.payload import pack
 from planner.pages.plan_page import RATE, bands_of, plan_page
@@ -227,20 +227,20 @@ def motion() -> MotionPlan:
 
 def test_the_page_of_a_motion_has_every_knot(motion: MotionPlan) -> None:
     trajectory = motion.joint_trajectory(rate_hz=RATE)
-    track = object_track(motion, trajectory)
-    assert len(track) == len(trajectory.times)
+    track = object_motion(motion, trajectory)
+    assert len(track.poses) == len(track.contacts) == len(trajectory.times)
     turning = [i for i, phase in enumerate(trajectory.phases) if phase == "turn"]
-    assert all(h.contacts is None for h in track[: turning[0] - 1])
+    assert all(c is None for c in track.contacts[: turning[0]])
     shares = minimum_jerk((np.arange(len(turning)) + 1) / len(turning))
     for i, share in zip(turning, shares, strict=True):
         assert np.allclose(
-            track[i].T_world_object.homogeneous, motion.at(float(share))[0].homogeneous, atol=1e-9
+            track.poses[i].homogeneous, motion.at(float(share))[0].homogeneous, atol=1e-9
         )
-    seen = {id(track[i].knot) for i in turning}
+    seen = {id(track.knots[i]) for i in turning}
     assert len(seen) >= len(motion.knots) - 2
-    last = track[-1]
-    assert last.contacts is not None
-    points = [last.T_world_object.act(p) for p in last.contacts.positions]
+    last = track.contacts[-1]
+    assert last is not None
+    points = [track.poses[-1].act(p) for p in last.positions]
     assert np.allclose(points, motion.knots[-1].contacts.positions, atol=1e-9)
 
 
@@ -256,42 +256,43 @@ def test_what_the_hand_holds_goes_with_it() -> None:
     task = manipulation_task("shadow_hand", parse_object("cylinder"), mu=0.6)
     plan = plan_manipulation(task, angle=0.6, seed=0)
     trajectory = plan.joint_trajectory(rate_hz=RATE)
-    track = object_track(plan, trajectory)
+    track = object_motion(plan, trajectory)
     phases = np.array(trajectory.phases)
     assert set(phases) >= {"lift", "turn", "carry", "lower", "open", "retreat"}
     start, end = task.T_world_object, plan.ending.T_world_target
-    assert np.allclose(track[0].T_world_object.homogeneous, start.homogeneous)
+    assert np.allclose(track.poses[0].homogeneous, start.homogeneous)
     lifted = int(np.flatnonzero(phases == "lift")[-1])
-    assert track[lifted].T_world_object.translation[2] == pytest.approx(start.translation[2] + 0.08)
+    assert track.poses[lifted].translation[2] == pytest.approx(start.translation[2] + 0.08)
     # put down where the plan says, and left there
     for k in np.flatnonzero((phases == "open") | (phases == "retreat")):
-        assert np.allclose(track[k].T_world_object.homogeneous, end.homogeneous, atol=1e-6)
-        assert track[k].contacts is None
+        assert np.allclose(track.poses[k].homogeneous, end.homogeneous, atol=1e-6)
+        assert track.contacts[k] is None
     # as long as it is held, pads stay at their contacts
     hand, fingers = task.hand, plan.task.fingers
     data = hand.pin_model.createData()
     for k in np.flatnonzero(phases == "turn")[::7]:
         pin.forwardKinematics(hand.pin_model, data, trajectory.positions[k])
-        held = track[k]
-        assert held.contacts is not None
-        for finger, point in zip(fingers, held.contacts.positions, strict=True):
+        contacts = track.contacts[k]
+        assert contacts is not None
+        for finger, point in zip(fingers, contacts.positions, strict=True):
             pad = trajectory.T_world_base[k] * data.oMi[finger.pad.joint_id]
-            away = pad.act(finger.pad.center) - held.T_world_object.act(point)
+            away = pad.act(finger.pad.center) - track.poses[k].act(point)
             assert np.linalg.norm(away) < finger.pad.radius + 4e-3
 
 
 def test_a_gait_shows_the_contacts_that_hold_while_a_finger_moves_on() -> None:
     plan = plan_gait(GraspTask.create("shadow_hand", "sphere:0.03"), angle=np.pi / 4, seed=1)
     trajectory = plan.joint_trajectory(rate_hz=RATE)
-    track = object_track(plan, trajectory)
+    track = object_motion(plan, trajectory)
     relocation = plan.relocations[0]
     at = trajectory.phases.index(f"regrasp {relocation.finger}")
-    held = track[at]
-    assert held.contacts is not None and relocation.finger not in held.contacts.fingers
-    assert np.allclose(held.T_world_object.homogeneous, relocation.T_world_object.homogeneous)
-    scene = motion_scene(plan)
-    thumb = scene.contacts[0].fingers.index(relocation.finger)
-    assert np.isnan(scene.contacts[0].points[at, thumb]).all()
+    holding = track.contacts[at]
+    assert holding is not None and relocation.finger not in holding.fingers
+    assert np.allclose(track.poses[at].homogeneous, relocation.T_world_object.homogeneous)
+    scene = motion_page(plan).scene
+    assert scene is not None
+    moving = scene.contacts[0].fingers.index(relocation.finger)
+    assert np.isnan(scene.contacts[0].points[at, moving]).all()
     turned = scene.plots[0].lines[0].values
     assert turned[-1] == pytest.approx(np.rad2deg(plan.angle), abs=1.0)
 

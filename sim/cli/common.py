@@ -73,6 +73,31 @@ MassOption = Annotated[
     float | None,
     typer.Option(help="Mass, kg; 0.1 if not given.", metavar="KG", rich_help_panel=SCENE_PANEL),
 ]
+RepairOption = Annotated[
+    bool,
+    typer.Option(
+        "--repair",
+        help="Mend a mesh that does not bound a solid.",
+        metavar="",
+        rich_help_panel=SCENE_PANEL,
+    ),
+]
+TouchOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Where it may be touched: z>0.01,x<0.02 (m).",
+        metavar="REGION",
+        rich_help_panel=SCENE_PANEL,
+    ),
+]
+AvoidOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Where it must not be touched, likewise.",
+        metavar="REGION",
+        rich_help_panel=SCENE_PANEL,
+    ),
+]
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print JSON for machines on stdout.", metavar="")
 ]
@@ -81,6 +106,17 @@ ViewOption = Annotated[
     typer.Option(
         "--view", help="Show it in MuJoCo's viewer.", metavar="", rich_help_panel=TRIAL_PANEL
     ),
+]
+VideoOption = Annotated[
+    Path | None,
+    typer.Option(help="Write a film here: run.mp4, run.webp or run.gif.", metavar="FILE"),
+]
+PictureOption = Annotated[
+    Path | None, typer.Option(help="Write a picture (PNG) here.", metavar="FILE")
+]
+ArrowsOption = Annotated[
+    bool,
+    typer.Option("--arrows", help="Draw contact forces into pictures and film.", metavar=""),
 ]
 ControllerOption = Annotated[
     str,
