@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,7 @@ PROUD = 3e-4
 """How far (m) a pad is drawn above its sphere, so that it is not hidden in the tip."""
 
 
+@lru_cache(maxsize=8)
 def hand_model(hand: Hand) -> Model:
     """A hand, with its arm if it has one, as a model: joints in the order of q.
 
