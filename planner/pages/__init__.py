@@ -1,4 +1,5 @@
 """Pages: what a browser shows of hands, plans and runs, one HTML file each, without a network.
 
-``scene`` says what there is to see, as plain data; ``page`` writes it into one file.
+``scene`` says what there is to see, as plain data; ``blocks`` what there is to read; ``page``
+writes both into one file; ``plan_page`` is the page of a plan.
 """

@@ -1,8 +1,8 @@
 """What a page shows in three dimensions and over time, as plain data without an engine.
 
-A ``Scene`` has models (a tree of joints with meshes on it) and actors (a model at a place, which may
-move). The browser computes the kinematics of the tree, so that sliders, plans and recorded motions
-are all shown by the same few numbers: joints q and the pose of the base. Poses are rows
+A ``Scene`` has models (a tree of joints with meshes on it) and actors (a model at a place, which
+may move). The browser computes the kinematics of the tree, so that sliders, plans and recorded
+motions are all shown by the same few numbers: joints q and the pose of the base. Poses are rows
 (x, y, z, qw, qx, qy, qz) in m, world; times in s; joints in rad or m.
 """
 
@@ -27,6 +27,7 @@ __all__ = [
     "Part",
     "Plot",
     "Scene",
+    "View",
 ]
 
 Layer: TypeAlias = Literal[
@@ -46,7 +47,7 @@ Layer: TypeAlias = Literal[
     "cones",
     "forces",
 ]
-"""What a person switches on and off. "collision", "field", "frames" and "alternatives" start off."""
+"""What a person switches on and off. "collision", "field", "frames", "alternatives" start off."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,7 +84,7 @@ class Part:
         vertices: (n, 3), m, in the joint's frame.
         triangles: (k, 3), numbers of vertices, counter-clockwise from outside.
         colour: Red, green, blue, opacity, each in [0, 1].
-        smooth: Whether normals are averaged over triangles that share a vertex.
+        smooth: Whether it is shaded as round, across edges of less than 40 degrees.
     """
 
     name: str
@@ -243,6 +244,19 @@ class Bars:
     colours: dict[str, str]
 
 
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """A place for the camera, besides front, side and top.
+
+    Attributes:
+        name: On its button: "palm".
+        direction: From the focus to the camera, (3,), world.
+    """
+
+    name: str
+    direction: tuple[float, float, float]
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
     """All that a page shows beside its text.
@@ -261,6 +275,9 @@ class Scene:
         marks: Moments.
         start: Time at which the page opens, s.
         off: Layers that are off when the page opens.
+        views: More places for the camera. The page opens with the one named "start" if there is
+            one, which has no button.
+        follow: Name of the actor that the camera goes along with; None for a camera that stands.
     """
 
     models: dict[str, Model]
@@ -278,3 +295,5 @@ class Scene:
     off: frozenset[Layer] = field(
         default_factory=lambda: frozenset({"collision", "field", "frames", "alternatives"})
     )
+    views: tuple[View, ...] = ()
+    follow: str | None = None
