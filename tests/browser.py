@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -51,9 +52,19 @@ class OpenPage:
     errors: list[str] = field(default_factory=list)
     requests: list[str] = field(default_factory=list)
 
-    def seek(self, time: float) -> None:
+    def wait(self, condition: str, seconds: float = 30.0) -> None:
+        """Wait until an expression is true.
+
+        playwright's ``wait_for_function`` is not possible: the page's policy forbids ``eval``.
+        """
+        end = time.monotonic() + seconds
+        while not self.page.evaluate(condition):
+            assert time.monotonic() < end, f"still not true after {seconds} s: {condition}"
+            self.page.wait_for_timeout(20)
+
+    def seek(self, at: float) -> None:
         """Move the page to a time, s."""
-        self.page.evaluate("t => window.opposable.seek(t)", time)
+        self.page.evaluate("t => window.opposable.seek(t)", at)
 
     def time(self) -> float:
         """The page's time, s."""
@@ -98,9 +109,24 @@ def browser() -> Iterator[Any]:
 
 @contextmanager
 def open_page(
-    chromium: Any, path: Path, *, width: int = 1400, height: int = 900, dark: bool = False
+    chromium: Any,
+    path: Path,
+    *,
+    width: int = 1400,
+    height: int = 900,
+    dark: bool = False,
+    script: str = "",
 ) -> Iterator[OpenPage]:
-    """A page's file, open and started, without a network."""
+    """A page's file, open and started, without a network.
+
+    Args:
+        chromium: What ``browser`` gave.
+        path: The file.
+        width: Of the window, pixels.
+        height: Of the window, pixels.
+        dark: Whether the person prefers dark pages.
+        script: JavaScript that runs before the page's own.
+    """
     context = chromium.new_context(
         viewport={"width": width, "height": height},
         offline=True,
@@ -108,6 +134,9 @@ def open_page(
     )
     address = path.resolve().as_uri()
     opened = OpenPage(page=context.new_page())
+
+    if script:
+        opened.page.add_init_script(script)
 
     def refuse(route: Any) -> None:
         if route.request.url == address:
@@ -127,8 +156,8 @@ def open_page(
         lambda m: opened.errors.append(m.text) if m.type in ("error", "warning") else None,
     )
     opened.page.goto(address)
-    opened.page.wait_for_function("window.opposable.ready || window.opposable.errors.length")
     try:
+        opened.wait("window.opposable.ready || window.opposable.errors.length > 0")
         yield opened
     finally:
         context.close()
