@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import reduce
 
 import numpy as np
@@ -23,11 +24,12 @@ from sim.manipulation.page_parts import (
 from sim.manipulation.report_file import ManipulationReportFile
 from sim.manipulation.timeline import IN_THE_AIR
 from sim.pages.plots import command_plot, cone_plot, event_marks, force_plot, quality_plot
-from sim.pages.stage import NO_STATES, Stage, measured_contacts, stage_of
+from sim.pages.stage import NO_STATES, Moving, bare_scene, measured_contacts, moving_stage
 from sim.pages.tasks import task_of_plan
 from sim.pages.words import (
     events_block,
     facts_of,
+    friction_of,
     physics_blocks,
     plan_blocks,
     quality_rows,
@@ -68,7 +70,7 @@ def manipulation_page(report: ManipulationReportFile, task: GraspTask | None = N
     stage, last = None, parts[-1]
     if recording is not None and len(recording) and last.plan is not None:
         task = task or task_of_plan(motion_of(last.plan).grasp)
-        stage = stage_of(task, recording, obstacles_of(last.plan, task))
+        stage = moving_stage(task, recording, obstacles_of(last.plan, task))
     fault = _fault_time(parts)
     return Page(
         title=f"{report.hand} turns {report.object} by {shown(report.asked_deg, 'degrees')}",
@@ -126,7 +128,7 @@ def _fault_time(parts: Sequence[Part]) -> float | None:
 def _scene(
     parts: Sequence[Part],
     recording: Recording | None,
-    stage: Stage | None,
+    stage: Moving | None,
     task: GraspTask | None,
     fault: float | None,
 ) -> Scene:
@@ -135,16 +137,12 @@ def _scene(
     bands = tuple(band for part in parts for band in _bands(part))
     contacts = []
     if stage is not None and recording is not None and task is not None:
-        contacts.append(measured_contacts(recording, float(report.physics["mu"])))  # type: ignore[arg-type]
+        contacts.append(measured_contacts(recording, friction_of(report.physics)))
         if all(part.plan is not None for part in parts):
             contacts.append(planned_contacts(parts, task.mu))
     turning = next((b.begin for b in bands if b.name.startswith("turn")), time[0])
-    return Scene(
-        models={} if stage is None else stage.models,
-        actors=() if stage is None else stage.actors,
-        motions=() if stage is None else stage.motions,
-        focus=np.zeros(3) if stage is None else stage.focus,
-        radius=0.1 if stage is None else stage.radius,
+    return replace(
+        bare_scene(time) if stage is None else stage.scene,
         time=time,
         contacts=tuple(contacts),
         plots=_plots(parts, recording, task),
@@ -245,7 +243,7 @@ def _modes(parts: Sequence[Part]) -> Bars:
 # ---- the words
 
 
-def _summary(parts: Sequence[Part], stage: Stage | None) -> tuple[Block, ...]:
+def _summary(parts: Sequence[Part], stage: Moving | None) -> tuple[Block, ...]:
     report, plan = parts[-1].report, parts[-1].plan
     blocks: list[Block] = []
     if any(part.recording is None for part in parts):

@@ -60,12 +60,17 @@ class Part:
 
     def __len__(self) -> int:
         """Number of samples."""
-        return len(self.report.samples.time_s)
+        return len(self.channel("time_s"))
 
     def channel(self, name: str) -> list[Any]:
         """A channel of the samples, by its name in files."""
         values: list[Any] = getattr(self.report.samples, name)
         return values
+
+    @property
+    def end(self) -> float:
+        """When it ended, on the page's axis, s."""
+        return float(self.time[-1]) if len(self) else self.shift
 
     @property
     def time(self) -> FloatArray:
@@ -78,10 +83,9 @@ def parts_of(report: ManipulationReportFile) -> tuple[Part, ...]:
     runs = [report]
     while runs[0].earlier is not None and runs[0].earlier.fingers == report.fingers:
         runs.insert(0, runs[0].earlier)
-    parts, shift = [], 0.0
+    parts: list[Part] = []
     for run in runs:
-        parts.append(Part(run, shift))
-        shift += run.samples.time_s[-1] if run.samples.time_s else 0.0
+        parts.append(Part(run, parts[-1].end if parts else 0.0))
     return tuple(parts)
 
 

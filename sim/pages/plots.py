@@ -82,7 +82,7 @@ def command_plot(recording: Recording, hand: Hand | None) -> Plot | None:
         return None
     share = (recording.commands - low) / np.where(high > low, high - low, 1.0)
     lines = [
-        Line(name=recording.actuator_names[k], values=share[:, k], group=_finger_of(hand, k))
+        Line(name=recording.actuator_names[k], values=share[:, k], group=_finger_of(hand, int(k)))
         for k in limited
     ]
     limits = [

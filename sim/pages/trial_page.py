@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,11 +23,12 @@ from sim.pages.plots import (
     phase_bands,
     quality_plot,
 )
-from sim.pages.stage import NO_STATES, Stage, measured_contacts, stage_of
+from sim.pages.stage import NO_STATES, Moving, bare_scene, measured_contacts, moving_stage
 from sim.pages.tasks import plan_file, task_of_plan
 from sim.pages.words import (
     events_block,
     facts_of,
+    friction_of,
     grasp_rows,
     physics_blocks,
     plan_blocks,
@@ -57,13 +59,13 @@ def trial_page(report: ReportFile, task: GraspTask | None = None) -> Page:
     if recording is not None and len(recording):
         if task is None and plan is not None:
             task = task_of_plan(plan)
-        stage = None if task is None else stage_of(task, recording)
+        stage = None if task is None else moving_stage(task, recording)
     return Page(
         title=f"{report.hand} grasps {report.object}",
         subtitle=f"Trial, seed {report.seed}, {shown(report.mass_kg, 'kg')}, {report.controller}",
         verdict=_verdict(report),
         summary=_summary(report, plan, stage),
-        scene=None if not report.samples.time_s else _scene(report, plan, recording, stage, task),
+        scene=_scene(report, plan, recording, stage, task),
         data=report.model_dump(mode="json"),
         kind="report",
     )
@@ -87,41 +89,38 @@ def _scene(
     report: ReportFile,
     plan: PlanFile | None,
     recording: Recording | None,
-    stage: Stage | None,
+    stage: Moving | None,
     task: GraspTask | None,
-) -> Scene:
-    samples = report.samples
-    time = column(samples.time_s)
+) -> Scene | None:
+    samples = report.samples.model_dump()
+    time, phase = samples["time_s"], samples["phase"]
+    if not time:
+        return None
     contacts = []
     if stage is not None and recording is not None:
-        contacts.append(measured_contacts(recording, float(report.physics["mu"])))
+        contacts.append(measured_contacts(recording, friction_of(report.physics)))
     if stage is not None and plan is not None:
         contacts.append(planned_in_object(plan))
     marks = event_marks(report.events)
     if report.reason_time_s is not None:
         text = f"{report.reason}: {report.detail}"
         marks = (*marks, Mark(time=report.reason_time_s, text=text, kind="fault"))
-    return Scene(
-        models={} if stage is None else stage.models,
-        actors=() if stage is None else stage.actors,
-        motions=() if stage is None else stage.motions,
-        focus=np.zeros(3) if stage is None else stage.focus,
-        radius=0.1 if stage is None else stage.radius,
-        time=time,
+    return replace(
+        bare_scene(column(time)) if stage is None else stage.scene,
+        time=column(time),
         contacts=tuple(contacts),
         plots=_plots(report, plan, recording, task),
-        bands=phase_bands(samples.time_s, samples.phase),
+        bands=phase_bands(time, phase),
         marks=marks,
-        start=_start(report),
+        start=_start(report, time, phase),
     )
 
 
-def _start(report: ReportFile) -> float:
+def _start(report: ReportFile, time: Sequence[float], phase: Sequence[str]) -> float:
     """Where the page opens: where it went wrong, or at the beginning of the hold."""
-    time, phase = report.samples.time_s, report.samples.phase
     if report.reason_time_s is not None:
         return float(np.clip(report.reason_time_s, time[0], time[-1]))
-    return float(time[phase.index("hold")] if "hold" in phase else time[0])
+    return time[phase.index("hold")] if "hold" in phase else time[0]
 
 
 def _plots(
@@ -130,16 +129,18 @@ def _plots(
     recording: Recording | None,
     task: GraspTask | None,
 ) -> tuple[Plot, ...]:
-    samples, fingers, limits = report.samples, report.fingers, report.thresholds
+    samples, fingers, limits = report.samples.model_dump(), report.fingers, report.thresholds
     planned = np.zeros((0, len(fingers)))
     if plan is not None:
         planned = np.array([[c.force_normal_N for c in plan.contacts]])
     plots = [
-        force_plot(fingers, per_finger(samples.normal_force_N, fingers), planned),
-        cone_plot(fingers, per_finger(samples.friction_utilisation, fingers)),
-        quality_plot(column(samples.epsilon), None if recording is None else recording.min_weight),
-        _slip_plot("moved", "mm", samples.object_in_palm_moved_mm, limits["slip_mm"]),
-        _slip_plot("turned", "degrees", samples.object_in_palm_turned_deg, limits["slip_deg"]),
+        force_plot(fingers, per_finger(samples["normal_force_N"], fingers), planned),
+        cone_plot(fingers, per_finger(samples["friction_utilisation"], fingers)),
+        quality_plot(
+            column(samples["epsilon"]), None if recording is None else recording.min_weight
+        ),
+        _slip_plot("moved", "mm", samples["object_in_palm_moved_mm"], limits["slip_mm"]),
+        _slip_plot("turned", "degrees", samples["object_in_palm_turned_deg"], limits["slip_deg"]),
     ]
     commands = None
     if recording is not None:
@@ -186,7 +187,7 @@ def force_of(contact: ContactData) -> FloatArray:
 # ---- the words
 
 
-def _summary(report: ReportFile, plan: PlanFile | None, stage: Stage | None) -> tuple[Block, ...]:
+def _summary(report: ReportFile, plan: PlanFile | None, stage: Moving | None) -> tuple[Block, ...]:
     blocks: list[Block] = []
     if report.recording is None:
         blocks.append(Sentence(text=NO_STATES, kind="warning"))

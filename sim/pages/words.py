@@ -12,6 +12,7 @@ from sim.report_file import EventData
 __all__ = [
     "events_block",
     "facts_of",
+    "friction_of",
     "grasp_rows",
     "physics_blocks",
     "plan_blocks",
@@ -35,6 +36,11 @@ def shown(value: float | str | Sequence[float] | None, unit: str = "") -> str:
         return " ".join([", ".join(shown(v) for v in value), unit]).rstrip()
     text = str(value) if isinstance(value, int) else f"{value:.{DIGITS}g}"
     return f"{text} {unit}".rstrip()
+
+
+def friction_of(physics: Mapping[str, Any]) -> float:
+    """Sliding friction (-) of a report's physics."""
+    return float(physics["mu"])
 
 
 def facts_of(values: Mapping[str, Any]) -> Facts:
