@@ -141,6 +141,7 @@ def _scene(
         if all(part.plan is not None for part in parts):
             contacts.append(planned_contacts(parts, task.mu))
     turning = next((b.begin for b in bands if b.name.startswith("turn")), time[0])
+    first = time[min(int(np.searchsorted(time, turning, side="right")), len(time) - 1)]
     return replace(
         bare_scene(time) if stage is None else stage.scene,
         time=time,
@@ -149,7 +150,7 @@ def _scene(
         bars=(_modes(parts),),
         bands=bands,
         marks=tuple(mark for part in parts for mark in _marks(part)),
-        start=float(np.clip(turning if fault is None else fault, time[0], time[-1])),
+        start=float(np.clip(first if fault is None else fault, time[0], time[-1])),
     )
 
 
@@ -314,7 +315,7 @@ def _forces(report: ManipulationReportFile) -> list[Block]:
     rows = tuple(
         (f.finger, shown(f.peak_N), shown(f.sustained_N), shown(f.mean_N)) for f in report.forces
     )
-    columns = ("finger", "peak (N)", "mean over 20 ms, at most (N)", "mean (N)")
+    columns = ("finger", "peak (N)", "sustained (N)", "mean (N)")
     return [Heading(text="Normal forces"), Table(columns=columns, rows=rows, fingers=True)]
 
 
