@@ -60,9 +60,9 @@ def run(
     from planner.files import plain_name, plan_to_dict, write_plan
     from sim.report_file import write_report
 
-    execute = trial.trial()
     if out_dir is not None:
         make_folder(out_dir)
+    execute = trial.trial()
     plan = request.plan(hand, object)
     hand_name, item = plan.task.hand.name, _folder_name(plan.task.object)
     folder = out_dir or Path("runs") / f"{plain_name(hand_name)}-{plain_name(item)}-{request.seed}"
