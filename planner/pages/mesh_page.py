@@ -62,7 +62,7 @@ def mesh_page(
     scene = Scene(
         models={
             "object": Model(joints=(), parts=tuple(parts)),
-            "table": table_model(0.0, 6 * radius),
+            "table": table_model(2.2 * radius),
         },
         actors=(
             Actor(name="object", model="object", pose=rows[0], q=np.zeros(0)),
