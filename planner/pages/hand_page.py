@@ -86,7 +86,9 @@ def _scene(hand: Hand, q: FloatArray) -> Scene:
     state = HandState(hand, q)
     points = [state.tip_pose(f).translation for f in hand.fingers.values()]
     points += [state.T_base_palm.translation]
-    points += [(state.joint_pose(g.joint_id) * g.T_joint_geometry).translation for g in hand.geometries]
+    points += [
+        (state.joint_pose(g.joint_id) * g.T_joint_geometry).translation for g in hand.geometries
+    ]
     focus = (np.min(points, axis=0) + np.max(points, axis=0)) / 2
     radius = ROOM * float(np.linalg.norm(np.array(points) - focus, axis=1).max())
     palm = state.T_base_palm.rotation @ hand.palm_normal
@@ -154,7 +156,9 @@ def _summary(hand: Hand, check: CheckReport | None) -> tuple[Block, ...]:
     ]
     blocks: list[Block] = [Facts(rows=tuple(rows))]
     if check is not None:
-        counts = {k: sum(f.level == k for f in check.findings) for k in ("error", "warning", "note")}
+        counts = {
+            k: sum(f.level == k for f in check.findings) for k in ("error", "warning", "note")
+        }
         told = ", ".join(f"{n} {k}{'s' * (n != 1)}" for k, n in counts.items() if n)
         verdict = "Nothing forbids planning" if check.ok else "Planning is forbidden"
         blocks.append(Sentence(text=f"{verdict}; check-hand finds {told or 'nothing'}."))

@@ -90,9 +90,7 @@ def _scene(plan: AnyMotion, grasp: GraspPlan, stage: Stage) -> Scene:
     )
 
 
-def _contacts(
-    fingers: Sequence[str], sets: Sequence[ContactSet | None], mu: float
-) -> Contacts:
+def _contacts(fingers: Sequence[str], sets: Sequence[ContactSet | None], mu: float) -> Contacts:
     """Contacts over time; NaN for a finger that does not touch."""
     points, normals, forces = np.full((3, len(sets), len(fingers), 3), np.nan)
     rows: dict[int, tuple[list[int], tuple[FloatArray, FloatArray, FloatArray]]] = {}
@@ -153,7 +151,10 @@ def _summary(plan: AnyMotion, motion: MotionPlan, note: str) -> tuple[Block, ...
             f"by up to {1e3 * max(k.off_path for k in motion.knots):.2f} mm of "
             f"{1e3 * motion.path_tolerance:.1f} mm",
         ),
-        ("joint nearest to a limit", f"{joint}, {100 * room:.0f} % of its range away, at {100 * where:.0f} % of the path"),
+        (
+            "joint nearest to a limit",
+            f"{joint}, {100 * room:.0f} % of its range away, at {100 * where:.0f} % of the path",
+        ),
     ]
     if isinstance(plan, ManipulationPlan):
         rows.append(("most loaded actuator", f"keeps {100 * plan.reserve:.0f} % of its limit"))

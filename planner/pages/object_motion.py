@@ -14,8 +14,7 @@ import numpy as np
 
 from planner.contacts import ContactSet
 from planner.motion import Knot, MotionPlan
-from planner.motion.gait import GaitPlan
-from planner.motion.gait import Relocation, Stroke
+from planner.motion.gait import GaitPlan, Relocation, Stroke
 from planner.motion.manipulation import ManipulationPlan
 from planner.plan import JointTrajectory
 from planner.spatial import SE3, minimum_jerk

@@ -29,9 +29,7 @@ def view(
     ] = None,
     port: Annotated[
         int | None,
-        typer.Option(
-            min=0, max=65535, help="Serve on this port; 0: any free one.", metavar="PORT"
-        ),
+        typer.Option(min=0, max=65535, help="Serve on this port; 0: any free one.", metavar="PORT"),
     ] = None,
     no_open: Annotated[
         bool, typer.Option("--no-open", help="Serve, and open no browser.", metavar="")
