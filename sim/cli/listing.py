@@ -88,6 +88,7 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
         Listed(call=inspect, example="opposable inspect shadow_hand"),
         Listed(call=crosscheck, example="opposable crosscheck my_hand.xml"),
     ),
+    "Look": (Listed(call=view, example="opposable view plan.json -o plan.html"),),
     MEASURE: (Listed(call=creep, example="opposable creep plan.json --physics menagerie"),),
 }
 """Title of a group -> its commands; the first example is the group's."""
