@@ -1,4 +1,4 @@
-"""``opposable view``: things are recognised by their content, shown by a local server, or refused."""
+"""``opposable view``: things are recognised by content, shown by a local server, or refused."""
 
 from __future__ import annotations
 
@@ -97,9 +97,10 @@ def test_a_plan_is_recognised_by_its_format_and_not_by_its_name(plan_file: Path)
 def test_the_page_of_a_plan_can_be_viewed_again(plan_file: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     write_page(viewed(plan_file), page)
-    again = viewed(page)
-    assert again.data == viewed(plan_file).data
-    assert again.data == read_page_data(page)[1]
+    again, before = viewed(page).data, read_page_data(page)[1]
+    assert again is not None
+    assert again["grasp"] == before["grasp"]
+    assert again["task"] == before["task"]
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".stl", ".obj", ".glb"])

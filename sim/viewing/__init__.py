@@ -1,6 +1,7 @@
 """Viewing: what ``opposable view`` shows in the browser, and the local server behind it.
 
-``kinds`` recognises what was named, by its content; each kind of thing is one module. ``opening`` brings the result to a browser.
+``kinds`` recognises what was named, by its content; each kind of thing is one module. ``opening``
+brings the result to a browser.
 """
 
 from sim.viewing.kinds import Kind, ViewOptions, kinds, recognise, register_kind
