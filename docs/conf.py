@@ -24,6 +24,7 @@ extensions = [
     "machinery.api",
     "machinery.docstrings",
     "machinery.commands",
+    "machinery.formats",
     "machinery.zoo",
 ]
 exclude_patterns = ["machinery"]

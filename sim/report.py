@@ -15,6 +15,7 @@ from planner.contacts import ContactSet
 from planner.plain import finite
 from planner.quality import QualityReport
 from planner.spatial import FloatArray
+from planner.task import GraspTask
 from planner.version import written_by
 from sim.controllers.events import Event
 from sim.recording import Recording, RecordingData
@@ -95,6 +96,7 @@ class TrialReport(OnScreen):
         picture: Picture of the held object, None if there is none.
         picture_reason: Why there is none.
         command: What the command line was told, "" of a script.
+        drawn: Files of pictures and film that were drawn, and how, in one line; not in the file.
     """
 
     verdict: Verdict
@@ -126,6 +128,7 @@ class TrialReport(OnScreen):
     picture: Path | None = None
     picture_reason: str = "none was asked for"
     command: str = ""
+    drawn: str = ""
 
     @property
     def success(self) -> bool:
@@ -213,6 +216,21 @@ class TrialReport(OnScreen):
                 which a page can be made.
         """
         return self.to_file(states=states).model_dump(mode="json")
+
+    def save_html(self, path: Path | str, *, task: GraspTask | None = None) -> None:
+        """Write the trial as a page: one HTML file with motion, plots, summary and this report.
+
+        Args:
+            path: The file.
+            task: The plan's task, if the report's plan is None or loading its hand would be slow.
+
+        Raises:
+            FileFormatError: The file cannot be written.
+        """
+        from planner.pages.page import write_page
+        from sim.pages import trial_page
+
+        write_page(trial_page(self.to_file(), task), path)
 
     def to_file(self, *, states: bool = True) -> ReportFile:
         """The same as the data of a file, which pages are made of."""

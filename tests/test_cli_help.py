@@ -22,7 +22,10 @@ WIDTH, HEIGHT = 80, 40
 LONG = ("run", "plan", "batch", "manipulate")
 """Commands with so many options that no help of one line each fits a screen."""
 
-SLOW = ("run", "test", "demo", "manipulate", "plan-gait", "certify", "batch", "crosscheck", "creep")
+SLOW = (
+    *("run", "test", "demo", "manipulate", "plan-gait", "certify", "batch", "crosscheck"),
+    *("creep", "view"),
+)
 """Commands whose example takes more than a few seconds."""
 
 JUDGING = ("test", "creep")

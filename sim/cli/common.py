@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import shlex
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -73,6 +74,31 @@ MassOption = Annotated[
     float | None,
     typer.Option(help="Mass, kg; 0.1 if not given.", metavar="KG", rich_help_panel=SCENE_PANEL),
 ]
+RepairOption = Annotated[
+    bool,
+    typer.Option(
+        "--repair",
+        help="Mend a mesh that does not bound a solid.",
+        metavar="",
+        rich_help_panel=SCENE_PANEL,
+    ),
+]
+TouchOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Where it may be touched: z>0.01,x<0.02 (m).",
+        metavar="REGION",
+        rich_help_panel=SCENE_PANEL,
+    ),
+]
+AvoidOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Where it must not be touched, likewise.",
+        metavar="REGION",
+        rich_help_panel=SCENE_PANEL,
+    ),
+]
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print JSON for machines on stdout.", metavar="")
 ]
@@ -81,6 +107,17 @@ ViewOption = Annotated[
     typer.Option(
         "--view", help="Show it in MuJoCo's viewer.", metavar="", rich_help_panel=TRIAL_PANEL
     ),
+]
+VideoOption = Annotated[
+    Path | None,
+    typer.Option(help="Write a film here: run.mp4, run.webp or run.gif.", metavar="FILE"),
+]
+PictureOption = Annotated[
+    Path | None, typer.Option(help="Write a picture (PNG) here.", metavar="FILE")
+]
+ArrowsOption = Annotated[
+    bool,
+    typer.Option("--arrows", help="Draw contact forces into pictures and film.", metavar=""),
 ]
 ControllerOption = Annotated[
     str,
@@ -219,6 +256,25 @@ def heeding_ctrl_c() -> Iterator[Callable[[], None]]:
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
+
+
+def told_command(context: typer.Context) -> str:
+    """What the command line was told, as it can be typed again; defaults are left out."""
+    words = context.command_path.split()
+    for parameter in context.command.params:
+        name = parameter.name or ""
+        source = context.get_parameter_source(name)
+        if source is None or source.name != "COMMANDLINE":
+            continue
+        value = context.params[name]
+        values = list(value) if isinstance(value, list | tuple) else [value]
+        if parameter.param_type_name == "argument":
+            words += [str(v) for v in values]
+        elif isinstance(value, bool):
+            words.append(parameter.opts[0] if value else parameter.secondary_opts[0])
+        else:
+            words += [word for v in values for word in (parameter.opts[0], str(v))]
+    return shlex.join(words)
 
 
 def print_json(data: dict[str, Any]) -> None:

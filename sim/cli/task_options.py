@@ -11,10 +11,13 @@ import typer
 from sim.cli.common import (
     GRIP_PANEL,
     SCENE_PANEL,
+    AvoidOption,
     FingersOption,
     MassOption,
     MuOption,
+    RepairOption,
     StandOption,
+    TouchOption,
     names,
     numbers,
 )
@@ -65,31 +68,9 @@ class TaskOptions:
             help="kg/m3, instead of its mass.", metavar="RHO", rich_help_panel=SCENE_PANEL
         ),
     ] = None
-    repair: Annotated[
-        bool,
-        typer.Option(
-            "--repair",
-            help="Mend a mesh that does not bound a solid.",
-            metavar="",
-            rich_help_panel=SCENE_PANEL,
-        ),
-    ] = False
-    touch: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Where it may be touched: z>0.01,x<0.02 (m).",
-            metavar="REGION",
-            rich_help_panel=SCENE_PANEL,
-        ),
-    ] = None
-    avoid: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Where it must not be touched, likewise.",
-            metavar="REGION",
-            rich_help_panel=SCENE_PANEL,
-        ),
-    ] = None
+    repair: RepairOption = False
+    touch: TouchOption = None
+    avoid: AvoidOption = None
     table: Annotated[
         str,
         typer.Option(

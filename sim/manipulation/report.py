@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from planner.plain import finite
 from planner.quality import QualityReport
 from planner.spatial import FloatArray
+from planner.task import GraspTask
 from planner.version import written_by
 from sim.controllers import Event
 from sim.controllers.events import told_events
@@ -69,6 +71,7 @@ class ManipulationReport:
         earlier: What was done before, where the object was put down and all was begun again; what
             is told here is about the rest of the turn then.
         command: What the command line was told, "" of a script.
+        drawn: Pictures and film that were drawn, and how, in one line; not in the file.
     """
 
     hand: str
@@ -100,6 +103,7 @@ class ManipulationReport:
     picture_reason: str
     earlier: ManipulationReport | None = None
     command: str = ""
+    drawn: str = ""
 
     @property
     def reason(self) -> str:
@@ -295,6 +299,21 @@ class ManipulationReport:
                 megabytes, from which a page can be made.
         """
         return self.to_file(states=states).model_dump(mode="json")
+
+    def save_html(self, path: Path | str, *, task: GraspTask | None = None) -> None:
+        """Write the manipulation as a page: one HTML file with motion, plots, summary and report.
+
+        Args:
+            path: The file.
+            task: The plan's task, if the report's plan is None or loading its hand would be slow.
+
+        Raises:
+            FileFormatError: The file cannot be written.
+        """
+        from planner.pages.page import write_page
+        from sim.manipulation.page import manipulation_page
+
+        write_page(manipulation_page(self.to_file(), task), path)
 
     def to_file(self, *, states: bool = True) -> ManipulationReportFile:
         """The same as the data of a file, which pages are made of."""
