@@ -25,6 +25,7 @@ def register(app: typer.Typer, panel: str) -> None:
         control.physics,
         dexgraspbench.dexgraspbench,
         zoo.zoo,
+        zoo.gallery,
     ):
         bench.command()(command)
     app.add_typer(bench, name="bench", rich_help_panel=panel)
