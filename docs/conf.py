@@ -24,6 +24,8 @@ extensions = [
     "machinery.api",
     "machinery.docstrings",
     "machinery.commands",
+    "machinery.formats",
+    "machinery.zoo",
 ]
 exclude_patterns = ["machinery"]
 root_doc = "index"

@@ -14,6 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from planner.bridge.inertias import give_least_inertias
 from planner.bridge.mesh_files import convert_meshes, find_meshes
 from planner.errors import ModelError, NotFoundError
 
@@ -83,6 +84,7 @@ def _read(path: Path) -> Any:
         _check_joints(text, path)
         for mimic in spec.equalities:  # a URDF has no word for how soft a gear is
             mimic.solref, mimic.solimp = RIGID_SOLREF, RIGID_SOLIMP
+        give_least_inertias(spec)
     find_meshes(spec, path)
     return spec
 

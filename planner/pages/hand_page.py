@@ -30,6 +30,9 @@ PALM_COLOUR, AXIS_COLOUR = (0.13, 0.55, 0.30, 1.0), (0.95, 0.52, 0.18, 1.0)
 PALM_ARROW, PAD_ARROW = 0.06, 0.02
 """Lengths of these arrows, m."""
 
+ROOM = 1.2
+"""Radius of the picture over that of the hand's points: links are thicker than points (-)."""
+
 
 def hand_page(
     hand: Hand,
@@ -64,7 +67,7 @@ def hand_page(
             "findings": [asdict(f) for f in check.findings] if check is not None else [],
         },
         kind="hand",
-        scripts=own_scripts("side.js", "couplings.js", "hand.js"),
+        scripts=own_scripts("side.js", "couplings.js", "hand.js", "hand_start.js"),
         extra=_extra(hand, q, postures, reasons or {}, questions, check),
     )
 
@@ -83,9 +86,11 @@ def _scene(hand: Hand, q: FloatArray) -> Scene:
     state = HandState(hand, q)
     points = [state.tip_pose(f).translation for f in hand.fingers.values()]
     points += [state.T_base_palm.translation]
-    points += [(state.joint_pose(g.joint_id) * g.T_joint_geometry).translation for g in hand.geometries]
+    points += [
+        (state.joint_pose(g.joint_id) * g.T_joint_geometry).translation for g in hand.geometries
+    ]
     focus = (np.min(points, axis=0) + np.max(points, axis=0)) / 2
-    radius = float(np.linalg.norm(np.array(points) - focus, axis=1).max())
+    radius = ROOM * float(np.linalg.norm(np.array(points) - focus, axis=1).max())
     palm = state.T_base_palm.rotation @ hand.palm_normal
     return Scene(
         models={"hand": _with_arrows(hand)},
@@ -151,7 +156,9 @@ def _summary(hand: Hand, check: CheckReport | None) -> tuple[Block, ...]:
     ]
     blocks: list[Block] = [Facts(rows=tuple(rows))]
     if check is not None:
-        counts = {k: sum(f.level == k for f in check.findings) for k in ("error", "warning", "note")}
+        counts = {
+            k: sum(f.level == k for f in check.findings) for k in ("error", "warning", "note")
+        }
         told = ", ".join(f"{n} {k}{'s' * (n != 1)}" for k, n in counts.items() if n)
         verdict = "Nothing forbids planning" if check.ok else "Planning is forbidden"
         blocks.append(Sentence(text=f"{verdict}; check-hand finds {told or 'nothing'}."))

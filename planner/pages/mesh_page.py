@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -40,7 +39,9 @@ PROUD = 2e-3
 """How far regions are drawn above the surface, over the bounding radius (-)."""
 
 
-def mesh_page(item: GraspObject, *, spec: str = "", touch: Sequence[str] = (), avoid: Sequence[str] = ()) -> Page:
+def mesh_page(
+    item: GraspObject, *, spec: str = "", touch: Sequence[str] = (), avoid: Sequence[str] = ()
+) -> Page:
     """A page of an object on a table.
 
     Args:
@@ -59,7 +60,10 @@ def mesh_page(item: GraspObject, *, spec: str = "", touch: Sequence[str] = (), a
     rows = [pose_row(item.resting_pose(index=k)) for k in range(len(poses))]
     radius = shape.bounding_radius
     scene = Scene(
-        models={"object": Model(joints=(), parts=tuple(parts)), "table": table_model(0.0, 6 * radius)},
+        models={
+            "object": Model(joints=(), parts=tuple(parts)),
+            "table": table_model(0.0, 6 * radius),
+        },
         actors=(
             Actor(name="object", model="object", pose=rows[0], q=np.zeros(0)),
             Actor(name="table", model="table", pose=IDENTITY_ROW, q=np.zeros(0), layer="table"),
@@ -82,11 +86,13 @@ def mesh_page(item: GraspObject, *, spec: str = "", touch: Sequence[str] = (), a
             "stable_poses": [_pose_data(p, row) for p, row in zip(poses, rows, strict=True)],
         },
         kind="object",
-        scripts=own_scripts("side.js", "object.js"),
+        scripts=own_scripts("side.js", "object.js", "object_start.js"),
         extra={
             "object": {
                 "poses": [_pose_data(p, row) for p, row in zip(poses, rows, strict=True)],
-                "command": " ".join(["opposable plan allegro_hand", _quoted(spec or item.name), *options]),
+                "command": " ".join(
+                    ["opposable plan allegro_hand", _quoted(spec or item.name), *options]
+                ),
             }
         },
     )

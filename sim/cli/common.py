@@ -107,6 +107,17 @@ ViewOption = Annotated[
         "--view", help="Show it in MuJoCo's viewer.", metavar="", rich_help_panel=TRIAL_PANEL
     ),
 ]
+VideoOption = Annotated[
+    Path | None,
+    typer.Option(help="Write a film here: run.mp4, run.webp or run.gif.", metavar="FILE"),
+]
+PictureOption = Annotated[
+    Path | None, typer.Option(help="Write a picture (PNG) here.", metavar="FILE")
+]
+ArrowsOption = Annotated[
+    bool,
+    typer.Option("--arrows", help="Draw contact forces into pictures and film.", metavar=""),
+]
 ControllerOption = Annotated[
     str,
     typer.Option(

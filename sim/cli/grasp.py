@@ -9,9 +9,11 @@ import typer
 from rich.markup import escape
 
 from sim.cli.common import (
+    ArrowsOption,
     HandArgument,
     JsonOption,
     ObjectArgument,
+    PictureOption,
     PlanArgument,
     check_folder,
     errors_for_people,
@@ -22,6 +24,7 @@ from sim.cli.common import (
     say,
 )
 from sim.cli.options import PlanOptions, TrialOptions, with_options
+from sim.cli.pictures import draw_grasp
 
 LONGEST_NAME = 60
 """Characters of an object in a folder's name."""
@@ -56,7 +59,7 @@ def run(
     hand_name, item = plan.task.hand.name, _folder_name(plan.task.object)
     folder = out_dir or Path("runs") / f"{plain_name(hand_name)}-{plain_name(item)}-{request.seed}"
     make_folder(folder)
-    for old in ("report.json", "held.png"):  # of an earlier plan in this folder
+    for old in ("report.json", "held.png", "held-end.png"):  # of an earlier plan in this folder
         (folder / old).unlink(missing_ok=True)
     write_plan(plan, folder / "plan.json")
     if not as_json:
@@ -67,8 +70,10 @@ def run(
         print_json({"plan": plan_to_dict(plan), "report": report.to_dict()})
     else:
         out.print(report)
-        note = ", held.png" if report.picture else f" (no picture: {report.picture_reason})"
+        note = "" if report.picture else f" (no picture: {report.picture_reason})"
         say(out, escape(f"written to {folder}: plan.json, report.json{note}"))
+        if report.drawn:
+            say(out, escape(report.drawn))
     exit_for(report)
 
 
@@ -78,6 +83,8 @@ def plan(
     hand: HandArgument,
     object: ObjectArgument,
     output: Annotated[Path, typer.Option("--out", "-o", help="The plan file.")] = Path("plan.json"),
+    picture: PictureOption = None,
+    arrows: ArrowsOption = False,
     *,
     request: PlanOptions,
     as_json: JsonOption = False,
@@ -86,13 +93,17 @@ def plan(
     from planner.files import plan_to_dict, write_plan
 
     check_folder(output)
+    check_folder(picture)
     found = request.plan(hand, object)
     write_plan(found, output)
+    drawn = "" if picture is None else draw_grasp(found, picture, arrows=arrows)
     if as_json:
         print_json(plan_to_dict(found))
     else:
         say(out, escape(str(found)))
         say(out, escape(f"written to {output}"))
+        if drawn:
+            say(out, escape(drawn))
 
 
 @errors_for_people()
@@ -102,7 +113,7 @@ def simulate(
     report_file: Annotated[
         Path | None, typer.Option("--out", "-o", help="Write the trial report here.")
     ] = None,
-    picture: Annotated[Path | None, typer.Option(help="Write a picture (PNG) here.")] = None,
+    picture: PictureOption = None,
     *,
     trial: TrialOptions,
     as_json: JsonOption = False,
@@ -119,7 +130,6 @@ def simulate(
         print_json(report.to_dict())
     else:
         out.print(report)
-        if picture is not None:
-            note = report.picture_reason or f"written to {picture}"
-            say(out, escape(f"picture: {note}"))
+        if report.drawn:
+            say(out, escape(report.drawn))
     exit_for(report)

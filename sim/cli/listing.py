@@ -70,6 +70,7 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
             example="opposable plan-gait shadow_hand cylinder:0.03x0.10 --angle 180",
         ),
     ),
+    "See": (Listed(call=view, example="opposable view shadow_hand -o hand.html"),),
     "Forces and certificates": (
         Listed(call=analyse, example="opposable analyse plan.json"),
         Listed(call=forces, example="opposable forces plan.json"),

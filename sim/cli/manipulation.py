@@ -17,6 +17,7 @@ from sim.cli.common import (
     MOVEMENT_PANEL,
     SEARCH_PANEL,
     TRIAL_PANEL,
+    ArrowsOption,
     ControllerOption,
     FingersOption,
     JsonOption,
@@ -25,6 +26,7 @@ from sim.cli.common import (
     SeedOption,
     SimMuOption,
     StandOption,
+    VideoOption,
     ViewOption,
     err,
     errors_for_people,
@@ -38,6 +40,7 @@ from sim.cli.common import (
 )
 from sim.cli.movement import NO_SHIFT, RotateOption, ShiftOption, movement
 from sim.cli.options import with_options
+from sim.cli.pictures import check_films
 
 if TYPE_CHECKING:
     from planner.motion.manipulation import ManipulationPlan
@@ -162,6 +165,8 @@ class ExecutionOptions:
     ] = None
     controller: ControllerOption = "impedance"
     view: ViewOption = False
+    video: VideoOption = None
+    arrows: ArrowsOption = False
 
 
 @errors_for_people()
@@ -218,11 +223,15 @@ def manipulate(
 
 @errors_for_people()
 def demo(
-    out_dir: OutOption = None, physics: PhysicsOption = "ours", as_json: JsonOption = False
+    out_dir: OutOption = None,
+    physics: PhysicsOption = "ours",
+    video: VideoOption = None,
+    arrows: ArrowsOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """An Allegro-type hand turns a cylinder by 90 degrees."""
     request = TurnOptions()
-    execution = ExecutionOptions(physics=physics)
+    execution = ExecutionOptions(physics=physics, video=video, arrows=arrows)
     _execute(lambda: request.plan(DEMO_HAND, DEMO_OBJECT), request.mu, execution, out_dir, as_json)
 
 
@@ -244,6 +253,7 @@ def _execute(
     from sim.manipulation import manipulate as simulate
 
     physics = physics_of(execution.physics, execution.sim_mu)
+    check_films(execution.video)
     _warn_of_friction(believed_mu, physics.mu)
     if out_dir is not None:
         make_folder(out_dir)
@@ -258,6 +268,8 @@ def _execute(
             physics=physics,
             criteria=SuccessCriteria(normal_N=execution.max_force),
             pictures=out_dir,
+            video=execution.video,
+            arrows=execution.arrows,
             retry=True,
             view=execution.view,
         )
@@ -270,9 +282,10 @@ def _execute(
     else:
         say(out, escape(str(report)))
         if out_dir is not None:
-            note = report.picture_reason and f" (no pictures: {report.picture_reason})"
-            files = "manipulation.json, trajectory.csv, report.json, pictures"
-            say(out, escape(f"written to {out_dir}: {files}{note}"))
+            files = "manipulation.json, trajectory.csv, report.json"
+            say(out, escape(f"written to {out_dir}: {files}"))
+        if report.drawn:
+            say(out, escape(report.drawn))
     if not report.complete or report.collision is not None:
         raise typer.Exit(EXIT_NO)
 

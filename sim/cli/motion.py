@@ -12,14 +12,16 @@ from rich.markup import escape
 from sim.cli.common import (
     MOVEMENT_PANEL,
     SEARCH_PANEL,
+    ArrowsOption,
     FingersOption,
     HandArgument,
     JsonOption,
     MassOption,
     MuOption,
     ObjectArgument,
+    PictureOption,
     SeedOption,
-    check_folder,
+    VideoOption,
     err,
     errors_for_people,
     names,
@@ -30,6 +32,7 @@ from sim.cli.common import (
 )
 from sim.cli.movement import NO_SHIFT, ShiftOption
 from sim.cli.options import AttemptsOption
+from sim.cli.pictures import check_films, draw_motion
 
 AxisOption = Annotated[
     str,
@@ -74,6 +77,9 @@ def plan_motion(
             rich_help_panel=SEARCH_PANEL,
         ),
     ] = None,
+    picture: PictureOption = None,
+    video: VideoOption = None,
+    arrows: ArrowsOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Plan how an object is turned or moved on one grasp."""
@@ -83,7 +89,7 @@ def plan_motion(
     from planner.objects import parse_object
     from planner.task import GraspTask
 
-    check_folder(output)
+    check_films(output, picture, video)
     task = GraspTask.create(
         hand,
         parse_object(object, mass=mass),
@@ -102,11 +108,16 @@ def plan_motion(
             best_of=best_of,
         )
     write_motion(found, output)
+    drawn = ""
+    if picture is not None or video is not None:
+        drawn = draw_motion(found, picture=picture, video=video, arrows=arrows)
     if as_json:
         print_json(motion_to_dict(found))
     else:
         say(out, escape(str(found)))
         say(out, escape(f"written to {output}"))
+        if drawn:
+            say(out, escape(drawn))
 
 
 @errors_for_people()
@@ -127,6 +138,9 @@ def plan_gait(
     mu: MuOption = 0.5,
     mass: MassOption = None,
     max_attempts: AttemptsOption = 30,
+    picture: PictureOption = None,
+    video: VideoOption = None,
+    arrows: ArrowsOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Plan a turn of any size by strokes, fingers moving on."""
@@ -136,7 +150,7 @@ def plan_gait(
     from planner.objects import parse_object
     from planner.task import GraspTask
 
-    check_folder(output)
+    check_films(output, picture, video)
     task = GraspTask.create(
         hand,
         parse_object(object, mass=mass),
@@ -153,8 +167,13 @@ def plan_gait(
             max_attempts=max_attempts,
         )
     write_gait(found, output)
+    drawn = ""
+    if picture is not None or video is not None:
+        drawn = draw_motion(found, picture=picture, video=video, arrows=arrows)
     if as_json:
         print_json(gait_to_dict(found))
     else:
         say(out, escape(str(found)))
         say(out, escape(f"written to {output}"))
+        if drawn:
+            say(out, escape(drawn))

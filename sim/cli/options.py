@@ -21,16 +21,19 @@ from rich.markup import escape
 
 from sim.cli.common import (
     SEARCH_PANEL,
+    ArrowsOption,
     ControllerOption,
     PhysicsOption,
     SeedOption,
     SimMuOption,
+    VideoOption,
     ViewOption,
     err,
     heeding_ctrl_c,
     numbers,
     physics_of,
 )
+from sim.cli.pictures import check_films
 from sim.cli.task_options import TaskOptions
 
 if TYPE_CHECKING:
@@ -203,13 +206,15 @@ class TrialOptions:
     physics: PhysicsOption = "ours"
     controller: ControllerOption = "feedforward"
     view: ViewOption = False
+    video: VideoOption = None
+    arrows: ArrowsOption = False
 
     def trial(self) -> Callable[[GraspPlan, Path | None], TrialReport]:
-        """What executes a plan, with a progress bar on stderr, and writes a picture.
+        """What executes a plan, with a progress bar on stderr, and draws it.
 
         Raises:
-            PlannerError: A controller or physics that there is not, or no display to view on; bad
-                input ends before anything is planned.
+            PlannerError: A controller or physics that there is not, no display to view on, or a
+                video that cannot be written; bad input ends before anything is planned.
         """
         from rich.progress import Progress
 
@@ -220,6 +225,7 @@ class TrialOptions:
         make, physics = named_controller(self.controller), physics_of(self.physics, self.sim_mu)
         if self.view:
             check_display()
+        check_films(self.video)
 
         def execute(plan: GraspPlan, picture: Path | None) -> TrialReport:
             with Progress(console=err, transient=True, disable=not err.is_terminal) as progress:
@@ -231,6 +237,8 @@ class TrialOptions:
                     progress=lambda share: progress.update(bar, completed=share),
                     view=self.view,
                     picture=picture,
+                    video=self.video,
+                    arrows=self.arrows,
                 )
 
         return execute

@@ -8,16 +8,9 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from sim.cli.common import (
-    AvoidOption,
-    RepairOption,
-    TouchOption,
-    check_folder,
-    err,
-    errors_for_people,
-    out,
-    say,
-)
+from sim.cli.common import check_folder, err, errors_for_people, out, say
+
+__all__ = ["view"]
 
 
 @errors_for_people()
@@ -25,27 +18,41 @@ def view(
     what: Annotated[
         str,
         typer.Argument(
-            help="A hand (name, hand.toml, MJCF or URDF), an object or mesh, a plan, motion, gait "
-            "or manipulation file, a report (JSON or HTML), or the folder of a batch.",
+            help="A hand, an object or mesh, a plan, motion, gait or manipulation file, a report, "
+            "or the folder of a batch or run.",
             metavar="WHAT",
         ),
     ],
     output: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Write the page into this file, no more.")
+        Path | None,
+        typer.Option("--out", "-o", help="Write the page here, no more.", metavar="FILE"),
     ] = None,
     port: Annotated[
         int | None,
-        typer.Option(min=0, max=65535, help="Serve on this port of 127.0.0.1; 0 for a free one."),
+        typer.Option(min=0, max=65535, help="Serve on this port; 0: any free one.", metavar="PORT"),
     ] = None,
-    no_open: Annotated[bool, typer.Option("--no-open", help="Serve, and open no browser.")] = False,
+    no_open: Annotated[
+        bool, typer.Option("--no-open", help="Serve, and open no browser.", metavar="")
+    ] = False,
     alternatives: Annotated[
-        int, typer.Option(min=0, help="Of a plan: further grasps to plan and show beside it.")
+        int, typer.Option(min=0, help="Of a plan: other grasps of its task.", metavar="N")
     ] = 0,
-    touch: TouchOption = None,
-    avoid: AvoidOption = None,
-    repair: RepairOption = False,
+    touch: Annotated[
+        list[str] | None,
+        typer.Option(help="Of an object: where to touch it, z>0.01 (m).", metavar="REGION"),
+    ] = None,
+    avoid: Annotated[
+        list[str] | None, typer.Option(help="Where not to touch it.", metavar="REGION")
+    ] = None,
+    repair: Annotated[
+        bool,
+        typer.Option("--repair", help="Mend a mesh that does not bound a solid.", metavar=""),
+    ] = False,
 ) -> None:
-    """Show hands, objects, plans, motions, reports in a browser."""
+    """Show a hand, object, plan, run or dataset in the browser.
+
+    What it is, its content says. Without a display a server on 127.0.0.1 shows it, until Ctrl-C.
+    """
     from planner.errors import TaskError
     from sim.viewing import Opening, Target, ViewOptions, recognise, show
 

@@ -60,7 +60,7 @@ class Kind:
 KINDS: list[Kind] = []
 """Kinds in the order in which they are asked; filled by ``recognise``."""
 
-MODULES = ("of_hand", "of_plan", "of_motion", "of_report", "of_dataset", "of_mesh")
+MODULES = ("of_hand", "of_plan", "of_motion", "of_dataset", "of_mesh")
 """Modules of this package that register kinds, the one that takes anything like a mesh last."""
 
 
@@ -86,7 +86,8 @@ def recognise(target: Target) -> Kind:
             "hand or object",
             target.text,
             (*hand_names(), *object_names()),
-            "Or give the path of a file or folder." + " That path does not exist." * _like_path(target),
+            "Or give the path of a file or folder."
+            + " That path does not exist." * _like_path(target),
         )
     found = f"its format is {target.format!r}" if target.format else "it is of another kind"
     raise FileFormatError(

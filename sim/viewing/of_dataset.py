@@ -11,9 +11,9 @@ from typing import Any
 
 from planner.batch.manifest import MANIFEST
 from planner.errors import FileFormatError, NotFoundError
-from planner.pages.grasp_page import grasp_page
 from planner.pages.grid_page import grid_html, grid_models, grid_script
 from planner.pages.page import page_html
+from planner.pages.plan_page import plan_page
 from sim.viewing.dataset_tables import COLUMNS, DatasetTables
 from sim.viewing.kinds import Kind, ViewOptions, register_kind
 from sim.viewing.server import Answer
@@ -89,7 +89,7 @@ class DatasetSite:
 
     def _made_page(self, row: int) -> Answer:
         plan = self._tables.plan(row)
-        return Answer(body=page_html(grasp_page(plan)).encode())
+        return Answer(body=page_html(plan_page(plan)).encode())
 
 
 def _json(data: Any) -> Answer:

@@ -38,7 +38,9 @@ class Target:
     def path(self) -> Path | None:
         """The file or folder, without a scale or the name of a body; None if there is none."""
         candidates = [self.text]
-        candidates += [m[1] for m in (_SCALED.fullmatch(self.text), _BODY.fullmatch(self.text)) if m]
+        candidates += [
+            m[1] for m in (_SCALED.fullmatch(self.text), _BODY.fullmatch(self.text)) if m
+        ]
         for candidate in candidates:
             try:
                 if Path(candidate).exists():

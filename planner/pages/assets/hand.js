@@ -6,7 +6,9 @@ class HandPanel {
   constructor(root, data, model, viewer) {
     this.data = data;
     this.joints = model.joints;
-    [this.rows, this.values] = model.couplings || [[], []];
+    const [rows, values] = model.couplings || [[], []];
+    this.rows = Array.from({ length: rows.length }, (_, k) => Array.from(rows.row(k)));
+    this.values = Array.from(Opposable.rows(values).data);
     this.viewer = viewer;
     this.q = Array.from(data.q);
     this.lower = this.joints.map((j) => j.lower);
@@ -32,15 +34,16 @@ class HandPanel {
       for (const k of group.joints) this.slider(box, k);
     }
     if (this.rows.length) {
-      element("p", "dim", parent, "A chain sign marks joints that a coupling ties together: moving one " +
-        "moves the others, as far as their ranges allow.");
+      element("p", "dim", parent, "Moving a coupled joint moves those that a coupling ties to it, as far " +
+        "as their ranges allow.");
     }
   }
 
   slider(parent, k) {
     const joint = this.joints[k], tied = this.rows.some((row) => row[k] !== 0);
     const label = element("label", "joint", parent);
-    element("span", "name", label, joint.name + (tied ? " ⛓" : ""));
+    const name = element("span", "name", label, joint.name);
+    if (tied) element("span", "tied", name, "coupled");
     const input = element("input", "", label);
     Object.assign(input, { type: "range", min: joint.lower, max: joint.upper, step: "any" });
     input.dataset.joint = joint.name;

@@ -25,3 +25,28 @@ function tabbed(root, names) {
   show(names[0]);
   return sections;
 }
+
+// What side panels do to the scene.
+class SideView {
+  constructor(stage) { this.stage = stage; }
+
+  setJoints(actor, q) {
+    this.stage.bodies.get(actor).bend(q);
+    this.stage.changed();
+  }
+
+  setPose(actor, pose) {
+    Opposable.place(this.stage.bodies.get(actor).base, pose);
+    this.stage.changed();
+  }
+
+  // Makes what joints carry glow, or their pads alone; no joints: nothing glows.
+  highlight(actor, joints, pads) {
+    for (const mesh of this.stage.bodies.get(actor).meshes) {
+      const part = mesh.userData.part;
+      const on = joints.includes(part.joint) && (!pads || part.layer === "pads");
+      mesh.material.emissive.setHex(on ? 0xc46a00 : 0x000000);
+    }
+    this.stage.changed();
+  }
+}

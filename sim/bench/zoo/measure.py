@@ -22,6 +22,7 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
+from planner.system.models import models_dir
 from planner.task import GraspTask
 from sim.bench.run import Job, measure
 from sim.bench.zoo.models import ZooModel
@@ -95,8 +96,10 @@ class HandJob(Job):
 
     def told(self, text: object) -> str:
         """A message without the folders of this machine."""
-        plain = str(text).replace(f"{self.folder.absolute()}/", "").replace(f"{self.folder}/", "")
-        return re.sub(r"/[^\s'\"]*/(?:site-packages|planner/_models|models)/", "", plain)
+        plain = str(text)
+        for folder in (self.folder.absolute(), self.folder, models_dir()):
+            plain = plain.replace(f"{folder}/", "")
+        return re.sub(r"/[^\s'\"]*/site-packages/", "", plain)
 
 
 def look_at(job: HandJob, check: Check) -> Row:
