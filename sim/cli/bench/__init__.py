@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from sim.cli.bench import control, dexgraspbench, grasps, synthesis, turns
+from sim.cli.bench import control, dexgraspbench, grasps, pages, synthesis, turns
 
 __all__ = ["register"]
 
@@ -26,6 +26,7 @@ def register(app: typer.Typer) -> None:
         turns.manipulate,
         control.physics,
         dexgraspbench.dexgraspbench,
+        pages.pages,
     ):
         bench.command()(command)
     app.add_typer(bench, name="bench")
