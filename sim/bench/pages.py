@@ -142,26 +142,27 @@ def _shown(page: Opened, made: Made, rng: np.random.Generator) -> dict[str, Any]
         # it opens at the sample at or before the fault, or at its first
         opened_off = abs(page.time - float(np.clip(made.fault, *states.time[[0, -1]])))
     blank = page.colours() < LEAST_COLOURS
-    off, mujoco_off = 0.0, 0.0
-    for i in rng.integers(0, len(states.time), TIMES):
-        page.seek(float(states.time[i]) + 1e-7)
-        off = max(off, _off(page, states, int(i)))
-        mujoco_off = max(mujoco_off, _off_mujoco(page, made.task.hand, states, int(i)))
+    hand = made.task.hand
+    samples = rng.integers(0, len(states.time), TIMES)
+    asked = {"hand": (None, *hand.joint_names), "object": (None,)}
+    found = page.poses_at([float(states.time[i]) + 1e-7 for i in samples], asked)
+    off = [_off(shown, states, int(i)) for i, shown in zip(samples, found, strict=True)]
+    mujoco_off = [_off_mujoco(s, hand, states, int(i)) for i, s in zip(samples, found, strict=True)]
     return {
         "blank": blank,
         "opened_off_s": opened_off,
-        "off_mm": 1e3 * off,
-        "mujoco_off_mm": 1e3 * mujoco_off,
+        "off_mm": 1e3 * max(off),
+        "mujoco_off_mm": 1e3 * max(mujoco_off),
     }
 
 
-def _off(page: Opened, states: States, i: int) -> float:
+def _off(shown: dict[str, FloatArray], states: States, i: int) -> float:
     """Largest distance (m) of base and object from their recorded places, of points on them too."""
-    worst = 0.0
-    for actor, rows in (("hand", states.T_world_base), ("object", states.T_world_object)):
-        (shown,) = page.poses(actor, (None,))
-        worst = max(worst, float(np.abs(_corners(shown) - _corners(rows[i])).max()))
-    return worst
+    pairs = (
+        (shown["hand"][0], states.T_world_base[i]),
+        (shown["object"][0], states.T_world_object[i]),
+    )
+    return max(float(np.abs(_corners(there) - _corners(true)).max()) for there, true in pairs)
 
 
 def _corners(row: FloatArray) -> FloatArray:
@@ -172,7 +173,7 @@ def _corners(row: FloatArray) -> FloatArray:
     return shifted
 
 
-def _off_mujoco(page: Opened, hand: Hand, states: States, i: int) -> float:
+def _off_mujoco(shown: dict[str, FloatArray], hand: Hand, states: States, i: int) -> float:
     """Largest distance (m) of the joints from where MuJoCo's kinematics has them."""
     model = hand.mj_model
     data = mujoco.MjData(model)
@@ -182,12 +183,10 @@ def _off_mujoco(page: Opened, hand: Hand, states: States, i: int) -> float:
     base = pose_from_wxyz(states.T_world_base[i, :3], states.T_world_base[i, 3:])
     root = model.body(hand.description.base_body).id
     there = (data.xanchor - data.xpos[root]) @ data.xmat[root].reshape(3, 3)
-    anchors = {model.joint(k).name: there[k] for k in range(model.njnt)}
-    shown = page.poses("hand", hand.joint_names)[:, :3]
-    true = np.array([anchors[name] for name in hand.joint_names]) @ base.rotation.T
-    distance = np.linalg.norm(shown - true - base.translation, axis=1)
-    hinges = [k for k, n in enumerate(hand.joint_names) if int(model.joint(n).type[0]) == HINGE]
-    return float(distance[hinges].max(initial=0.0))
+    ids = [model.joint(name).id for name in hand.joint_names]
+    true = there[ids] @ base.rotation.T + base.translation
+    distance = np.linalg.norm(shown["hand"][1:, :3] - true, axis=1)
+    return float(distance[model.jnt_type[ids] == HINGE].max(initial=0.0))
 
 
 HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)

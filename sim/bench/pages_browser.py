@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -29,13 +29,19 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 """WebGL without a GPU."""
 
-WINDOW = {"width": 1000, "height": 700}
-"""Of the page, pixels: the scene is half of it."""
+WINDOW = {"width": 700, "height": 500}
+"""Of the page, pixels: small, since every pixel of the scene is computed without a GPU."""
 
 PATIENCE = 60.0
 """Longest wait for a page to start, s."""
 
 STARTED = "window.opposable.ready || window.opposable.errors.length > 0"
+
+POSES = """([times, actors]) => times.map((t) => {
+  window.opposable.seek(t);
+  return Object.fromEntries(Object.entries(actors).map(
+    ([actor, joints]) => [actor, joints.map((joint) => window.opposable.pose(actor, joint))]));
+})"""
 
 COMMON = 1e-3
 """Share of the scene's pixels from which on a colour counts."""
@@ -60,14 +66,20 @@ class Opened:
         """The time that it shows, s."""
         return float(self.page.evaluate("window.opposable.time()"))
 
-    def seek(self, at: float) -> None:
-        """Move it to a time, s."""
-        self.page.evaluate("t => window.opposable.seek(t)", at)
+    def poses_at(
+        self, times: Sequence[float], actors: Mapping[str, Sequence[str | None]]
+    ) -> list[dict[str, FloatArray]]:
+        """World poses as drawn, at some times, s.
 
-    def poses(self, actor: str, joints: tuple[str | None, ...]) -> FloatArray:
-        """World poses (k, 7) of joints' bodies as drawn, None for the base."""
-        call = "([a, js]) => js.map((j) => window.opposable.pose(a, j))"
-        return np.array(self.page.evaluate(call, [actor, list(joints)]), dtype=np.float64)
+        Args:
+            times: Where the page is moved to, one after the other.
+            actors: Actor -> names of joints, whose bodies are asked for; None for the base.
+
+        Returns:
+            For every time actor -> (k, 7).
+        """
+        found = self.page.evaluate(POSES, [list(times), {a: list(j) for a, j in actors.items()}])
+        return [{a: np.array(rows, dtype=np.float64) for a, rows in one.items()} for one in found]
 
     def colours(self) -> int:
         """How many colours, of 16 steps per channel, are common in the scene."""
