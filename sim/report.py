@@ -96,6 +96,7 @@ class TrialReport(OnScreen):
         picture: Picture of the held object, None if there is none.
         picture_reason: Why there is none.
         command: What the command line was told, "" of a script.
+        drawn: Files of pictures and film that were drawn, and how, in one line; not in the file.
     """
 
     verdict: Verdict
@@ -127,6 +128,7 @@ class TrialReport(OnScreen):
     picture: Path | None = None
     picture_reason: str = "none was asked for"
     command: str = ""
+    drawn: str = ""
 
     @property
     def success(self) -> bool:

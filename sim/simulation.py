@@ -36,6 +36,7 @@ from sim.controllers import (
     ReportsLimits,
     controller_for,
 )
+from sim.looking.tape import FRAME_RATE, Tape
 from sim.looking.viewer import Viewer
 from sim.pads import read_pads
 from sim.scene import PhysicsOptions, Scene, build_scene
@@ -67,6 +68,7 @@ class Simulation:
         steps: Time steps made so far.
         stopped: Why the caller ended it, "" if not.
         on_step: Called with the simulation after every time step of a phase; may be set.
+        tape: What pictures and films are drawn from; None unless ``record`` was called.
     """
 
     def __init__(
@@ -113,6 +115,7 @@ class Simulation:
         self.steps = 0
         self.stopped = ""
         self.on_step: Callable[[Simulation], None] | None = None
+        self.tape: Tape | None = None
         self._viewer: Viewer | None = None
         self._ctrl: FloatArray = self.data.ctrl[self.scene.hand_ctrl].copy()
 
@@ -155,6 +158,8 @@ class Simulation:
             yield observation
             if self.on_step is not None:
                 self.on_step(self)
+            if self.tape is not None and self.due(1.0 / FRAME_RATE):
+                self._keep()
             if self._viewer is not None:
                 self._viewer.show(self.time)
             if k + 1 >= steps and (until is None or until(observation)):
@@ -246,6 +251,16 @@ class Simulation:
             TaskError: There is no display.
         """
         self._viewer = Viewer(self.scene.model, self.data)
+
+    def record(self) -> Tape:
+        """Keep a state from time to time from now on, from which pictures and films are drawn."""
+        self.tape = Tape(self.scene.model, self.scene.subject)
+        self._keep()
+        return self.tape
+
+    def _keep(self) -> None:
+        if self.tape is not None:
+            self.tape.keep(self.time, self.data.qpos, hand_contacts(self.scene, self.data))
 
     def close(self) -> None:
         """Close the viewer, if it is open."""

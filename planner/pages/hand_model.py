@@ -24,7 +24,7 @@ MOST_TRIANGLES = 40_000
 LEAST_TRIANGLES = 200
 """That every mesh of a hand may keep."""
 
-PAD_COLOUR = (0.95, 0.52, 0.18, 0.85)
+PAD_COLOUR = (0.98, 0.80, 0.30, 0.9)
 TIP_COLOUR = (0.25, 0.28, 0.32, 1.0)
 COLLISION_COLOUR = (0.20, 0.65, 0.85, 0.35)
 PLAIN_COLOUR = (0.74, 0.77, 0.80, 1.0)

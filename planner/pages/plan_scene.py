@@ -22,7 +22,7 @@ __all__ = ["Stage", "contact_rows", "planned_contacts", "stage_of", "views_of"]
 MARGIN = 0.03
 """How far (m) the picture reaches beyond joints and object: the thickness of a finger."""
 
-TABLE_WIDTH = 7.0
+TABLE_RADIUS = 1.6
 """Of the table as drawn, in radii of what is seen."""
 
 
@@ -52,7 +52,7 @@ class Stage:
             Actor(name="object", model="object", pose=pose_row(T_world_object), q=np.zeros(0)),
         ]
         if task.table_height is not None:
-            self.models["table"] = table_model(0.0, TABLE_WIDTH * self.radius)
+            self.models["table"] = table_model(TABLE_RADIUS * self.radius)
             place = IDENTITY_ROW.copy()
             place[:3] = [*self.focus[:2], task.table_height]
             self.actors.append(Actor(name="table", model="table", pose=place, q=np.zeros(0)))

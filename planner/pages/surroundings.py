@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import trimesh
@@ -26,14 +26,14 @@ MOST_TRIANGLES = 30_000
 
 OBJECT_COLOUR = (0.36, 0.62, 0.84, 1.0)
 MARK_COLOUR = (0.98, 0.98, 0.96, 1.0)
-TABLE_COLOUR = (0.80, 0.77, 0.72, 1.0)
+TABLE_COLOUR = (0.83, 0.82, 0.80, 1.0)
 OBSTACLE_COLOUR = (0.66, 0.55, 0.47, 1.0)
 """Colours; the mark is a stripe that shows turns."""
 
 STRIPE = 0.09
 """Half width of the stripe over the object's half extent (-)."""
 
-TABLE_THICKNESS = 0.02
+TABLE_THICKNESS = 0.006
 """Of a table as drawn, m."""
 
 
@@ -137,24 +137,22 @@ def _joined(pieces: list[Triangles]) -> Triangles:
     return np.concatenate(vertices), np.concatenate(triangles)
 
 
-def table_model(height: float, width: float) -> Model:
-    """A square plate whose top is at z = height, m, centred on the origin of x and y."""
-    size = (width, width, TABLE_THICKNESS)
-    plate = _box("table", "table", size, TABLE_COLOUR)
-    shift = np.array([0.0, 0.0, height - TABLE_THICKNESS / 2])
+def table_model(radius: float) -> Model:
+    """A round plate whose top is at z = 0; a table of the planner has no end, this is a part."""
+    solid = trimesh.creation.cylinder(radius=radius, height=TABLE_THICKNESS, sections=96)
+    shift = np.array([0.0, 0.0, -TABLE_THICKNESS / 2])
+    plate = _part("table", "table", solid, TABLE_COLOUR)
     return Model(joints=(), parts=(replace(plate, vertices=plate.vertices + shift),))
 
 
 def obstacle_model(obstacle: Obstacle) -> Model:
     """An obstacle's box in its own frame."""
-    size = tuple(float(v) for v in obstacle.size)
-    return Model(joints=(), parts=(_box(obstacle.name, "obstacles", size, OBSTACLE_COLOUR),))
+    solid = trimesh.creation.box(extents=obstacle.size)
+    part = _part(f"obstacle {obstacle.name}", "obstacles", solid, OBSTACLE_COLOUR)
+    return Model(joints=(), parts=(part,))
 
 
-def _box(
-    name: str, layer: Layer, size: tuple[float, ...], colour: tuple[float, float, float, float]
-) -> Part:
-    solid = trimesh.creation.box(extents=size)
+def _part(name: str, layer: Layer, solid: Any, colour: tuple[float, float, float, float]) -> Part:
     return Part(
         name=name,
         joint=-1,

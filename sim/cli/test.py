@@ -35,23 +35,23 @@ def test(
     plans: Annotated[list[Path], typer.Argument(help="Plan files.", metavar="PLAN...")],
     protocol: Annotated[
         str,
-        typer.Option(help="What to do to the grasp: dexgraspbench, forces, shake, robust, or all."),
+        typer.Option(help="dexgraspbench, forces, shake, robust, or all.", metavar="NAME"),
     ] = "all",
     controller: ControllerOption = "feedforward",
     physics: PhysicsOption = "ours",
     only: Annotated[
-        list[str] | None, typer.Option(help='Only trials of this name: "force +z"; repeatable.')
+        list[str] | None, typer.Option(help='Only trials of this name: "force +z".', metavar="NAME")
     ] = None,
-    workers: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
+    workers: Annotated[int, typer.Option(help="Processes; -1 for one per core.", metavar="N")] = -1,
     folder: Annotated[
-        Path, typer.Option("--out", help="Folder for lines as they come, reports and trials.csv.")
+        Path, typer.Option("--out", help="Folder for reports and trials.csv.", metavar="DIR")
     ] = Path("runs/test"),
     seed: SeedOption = 0,
     as_json: JsonOption = False,
 ) -> None:
-    """Test plans in MuJoCo by named protocols: dexgraspbench, forces, shake, robust.
+    """Test plans in MuJoCo by protocols: pushes, shaking, errors.
 
-    Ends with 0 if every grasp held in every trial without a growing load and bore the first load at
+    Exit code 0 if every grasp held in every trial without a growing load and bore the first load at
     rest in every direction. Of all protocols, those that a hand cannot take are skipped. The
     protocol dexgraspbench has the physics of its original, whatever --physics says.
     """
@@ -120,8 +120,3 @@ def test(
         raise typer.Exit(EXIT_INTERRUPTED)
     if not all(report.success for report in reports):
         raise typer.Exit(EXIT_NO)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(test)

@@ -71,6 +71,7 @@ class ManipulationReport:
         earlier: What was done before, where the object was put down and all was begun again; what
             is told here is about the rest of the turn then.
         command: What the command line was told, "" of a script.
+        drawn: Pictures and film that were drawn, and how, in one line; not in the file.
     """
 
     hand: str
@@ -102,6 +103,7 @@ class ManipulationReport:
     picture_reason: str
     earlier: ManipulationReport | None = None
     command: str = ""
+    drawn: str = ""
 
     @property
     def reason(self) -> str:

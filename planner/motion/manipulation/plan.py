@@ -133,7 +133,7 @@ class ManipulationPlan:
         Hand and object are at the grasp, not lifted.
         """
         motion, gait = self.motion, self.gait
-        now, q = motion.at(self._final_parameter)
+        now, q = motion.at(self.final_parameter)
         if gait is None:
             return now, q
         last = next(s for s in gait.strokes if s.cycle == gait.cycles - 1)
@@ -142,7 +142,7 @@ class ManipulationPlan:
         return SE3(turned, begin.translation + now.translation - first.translation), q
 
     @property
-    def _final_parameter(self) -> float:
+    def final_parameter(self) -> float:
         """Path parameter in (0, 1] at which the last stroke has turned the object by ``angle``."""
         strokes = 1 if self.gait is None else self.gait.cycles
         if not self.angle:
@@ -151,7 +151,7 @@ class ManipulationPlan:
 
     def _turn(self, builder: TrajectoryBuilder) -> tuple[SE3, FloatArray]:
         """Append the turn, and the way back; object, before any lift, and joints at its end."""
-        motion, end = self.motion, self._final_parameter
+        motion, end = self.motion, self.final_parameter
         if self.gait is not None:
             self.gait.add_to(builder, end)
             return self.turned_object()

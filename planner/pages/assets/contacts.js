@@ -27,8 +27,8 @@ Opposable.ContactView = class {
       return made;
     };
     // a planned point is a ring's ball, a measured one a full ball
-    const point = mesh(new THREE.SphereGeometry(0.022 * size, 20, 14), planned ? 0.55 : 0.95, 9);
-    const height = 0.3 * size, wide = height * this.set.mu;
+    const point = mesh(new THREE.SphereGeometry(0.019 * size, 20, 14), planned ? 0.55 : 0.95, 9);
+    const height = 0.2 * size, wide = height * this.set.mu;
     const coneShape = new THREE.ConeGeometry(wide, height, 40, 1, true);
     coneShape.translate(0, -height / 2, 0);
     coneShape.rotateX(Math.PI);  // apex at the contact, open along +y
@@ -79,7 +79,7 @@ Opposable.ContactView = class {
       item.text += `: ${force.toFixed(2)} N, normal ${normalForce.toFixed(2)} N, ` +
         `tangential ${used.toFixed(0)} % of the cone`;
       along.set(...f).divideScalar(force);
-      const length = (force / this.newtons) * 0.75 * this.unit;
+      const length = (force / this.newtons) * 0.6 * this.unit;
       for (const part of [item.shaft, item.head]) part.quaternion.setFromUnitVectors(up, along);
       const thin = 0.012 * this.unit;
       item.shaft.position.copy(at);

@@ -83,30 +83,38 @@ Opposable.Stage = class {
     }
     renderer.outputEncoding = THREE.sRGBEncoding;
     renderer.shadowMap.enabled = true;
-    renderer.shadowMap.type = THREE.PCFSoftShadowMap;
+    renderer.shadowMap.type = THREE.PCFShadowMap;
     return renderer;
   }
 
   addLights() {
-    const r = this.scene.radius, focus = new THREE.Vector3(...this.scene.focus);
-    this.world.add(new THREE.HemisphereLight(0xffffff, 0xb0a899, 0.62));
-    this.key = new THREE.DirectionalLight(0xfff6ea, 0.72);
-    this.key.position.copy(focus).add(new THREE.Vector3(1.6 * r, -1.2 * r, 3.2 * r));
-    this.key.target.position.copy(focus);
-    this.key.castShadow = true;
-    this.key.shadow.mapSize.set(2048, 2048);
-    this.key.shadow.bias = -0.0004;
-    this.key.shadow.normalBias = 0.004 * r;
-    this.key.shadow.radius = 3;
-    const area = this.key.shadow.camera;
-    area.left = area.bottom = -1.7 * r;
-    area.right = area.top = 1.7 * r;
+    const r = this.scene.radius;
+    this.world.add(new THREE.HemisphereLight(0xf6f8ff, 0xb9b0a4, 0.5));
+    this.lights = [
+      { light: new THREE.DirectionalLight(0xfff4e6, 0.56), from: [1.1, -0.9, 3.2] },
+      { light: new THREE.DirectionalLight(0xdce8ff, 0.24), from: [-2, -1.2, 1.0] },
+      { light: new THREE.DirectionalLight(0xffffff, 0.26), from: [0.4, 2.4, 0.9] },
+    ];
+    for (const { light } of this.lights) this.world.add(light, light.target);
+    const key = this.lights[0].light, area = key.shadow.camera;
+    key.castShadow = true;
+    key.shadow.mapSize.set(2048, 2048);
+    key.shadow.bias = -0.0004;
+    key.shadow.normalBias = 0.004 * r;
+    key.shadow.radius = 5;
+    area.left = area.bottom = -1.8 * r;
+    area.right = area.top = 1.8 * r;
     area.near = 0.1 * r;
     area.far = 9 * r;
-    const fill = new THREE.DirectionalLight(0xdfe9ff, 0.28);
-    fill.position.copy(focus).add(new THREE.Vector3(-2 * r, 1.5 * r, 0.8 * r));
-    fill.target.position.copy(focus);
-    this.world.add(this.key, this.key.target, fill, fill.target);
+    this.aimLights(new THREE.Vector3(...this.scene.focus));
+  }
+
+  /** Lights shine at a point, so that shadows go along with what the camera follows. */
+  aimLights(focus) {
+    for (const { light, from } of this.lights) {
+      light.target.position.copy(focus);
+      light.position.copy(focus).addScaledVector(new THREE.Vector3(...from), this.scene.radius);
+    }
   }
 
   listen() {
@@ -172,10 +180,7 @@ Opposable.Stage = class {
   goAlong() {
     const body = this.following && this.bodies.get(this.scene.follow);
     const shift = body ? body.base.position.clone().sub(this.start) : new THREE.Vector3();
-    // the shadow's light goes along too
-    const focus = new THREE.Vector3(...this.scene.focus).add(shift), r = this.scene.radius;
-    this.key.target.position.copy(focus);
-    this.key.position.copy(focus).add(new THREE.Vector3(1.6 * r, -1.2 * r, 3.2 * r));
+    this.aimLights(new THREE.Vector3(...this.scene.focus).add(shift));
     this.camera.follow(shift);
   }
 
