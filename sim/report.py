@@ -15,6 +15,7 @@ from planner.contacts import ContactSet
 from planner.plain import finite
 from planner.quality import QualityReport
 from planner.spatial import FloatArray
+from planner.task import GraspTask
 from planner.version import written_by
 from sim.controllers.events import Event
 from sim.recording import Recording, RecordingData
@@ -215,6 +216,21 @@ class TrialReport(OnScreen):
                 which a page can be made.
         """
         return self.to_file(states=states).model_dump(mode="json")
+
+    def save_html(self, path: Path | str, *, task: GraspTask | None = None) -> None:
+        """Write the trial as a page: one HTML file with motion, plots, summary and this report.
+
+        Args:
+            path: The file.
+            task: The plan's task, if the report's plan is None or loading its hand would be slow.
+
+        Raises:
+            FileFormatError: The file cannot be written.
+        """
+        from planner.pages.page import write_page
+        from sim.pages import trial_page
+
+        write_page(trial_page(self.to_file(), task), path)
 
     def to_file(self, *, states: bool = True) -> ReportFile:
         """The same as the data of a file, which pages are made of."""

@@ -9,10 +9,11 @@ import json
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from planner.files.json_csv import checked_file, read_json
 from planner.files.whole import whole_file
+from planner.pages.page import read_page_data
 from planner.schema import StrictData
 from sim.controllers.events import EventKind
 from sim.recording import RecordingData
@@ -24,6 +25,7 @@ __all__ = [
     "ComparisonData",
     "EventData",
     "ReportFile",
+    "check_lengths",
     "read_report",
     "report_data",
     "upgraded",
@@ -59,7 +61,7 @@ class EventData(StrictData):
 class ReportFile(StrictData):
     """A trial report as JSON.
 
-    ``plan`` is the plan as its own file has it, null for a hand that no file can name. ``recording``
+    ``plan`` is the plan as its file has it, null for a hand that no file can name. ``recording``
     are the states, null where they were left out and in files of version 1. ``command`` is what the
     command line was told, "" of a script.
     """
@@ -101,6 +103,25 @@ class ReportFile(StrictData):
     plan: dict[str, Any] | None
     recording: RecordingData | None
 
+    @model_validator(mode="after")
+    def _one_length(self) -> ReportFile:
+        check_lengths(self.samples, self.recording)
+        return self
+
+
+def check_lengths(samples: StrictData, recording: RecordingData | None) -> None:
+    """Refuse channels of different lengths.
+
+    Raises:
+        ValueError: There are such, as pydantic wants to be told.
+    """
+    channels: dict[str, list[Any]] = samples.model_dump()
+    lengths = {len(values) for values in channels.values()}
+    if recording is not None:
+        lengths.add(len(recording.time_s))
+    if len(lengths) > 1:
+        raise ValueError(f"channels over time have different lengths, {sorted(lengths)}")
+
 
 def read_report(path: Path | str) -> ReportFile:
     """Read a trial report, from its JSON file or out of its page.
@@ -119,7 +140,13 @@ def report_data(path: Path | str) -> dict[str, Any]:
     Raises:
         FileFormatError: Missing, damaged, or neither.
     """
+    if Path(path).suffix.lower() in PAGE_SUFFIXES:
+        return read_page_data(path)[1]
     return read_json(path, "report")
+
+
+PAGE_SUFFIXES = (".html", ".htm")
+"""How names of pages end."""
 
 
 def upgraded(data: dict[str, Any]) -> dict[str, Any]:

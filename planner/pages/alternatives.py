@@ -14,7 +14,7 @@ from planner.plan import GraspPlan
 
 __all__ = ["with_alternatives"]
 
-OPACITY, COLOUR = 0.25, (0.45, 0.60, 0.80, 1.0)
+OPACITY, COLOUR = 0.17, (0.45, 0.60, 0.80, 1.0)
 """Of a ghost: alike for all its parts, whose own colours would hide the hand of the plan."""
 
 MOST_TRIANGLES = 300

@@ -73,7 +73,7 @@ def comments_of(path: Path) -> dict[str, str]:
 
 
 def named_joints(hand: Hand, text: str) -> tuple[int, ...]:
-    """Numbers of the joints that a sentence names: by their own name, a finger's or a geometry's."""
+    """Numbers of the joints that a sentence names: by their name, a finger's or a geometry's."""
     words = set(re.findall(r"[\w:.\-/]+", text)) | set(re.findall(r"\w+", text))
     found = {k for k, name in enumerate(hand.joint_names) if name in words}
     for finger in hand.fingers.values():

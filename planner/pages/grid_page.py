@@ -1,4 +1,4 @@
-"""``grid_html``, ``grid_script``, ``grid_models``: a grid of grasps in the browser, behind a server.
+"""``grid_html``, ``grid_script``, ``grid_models``: a grid of grasps that a server brings.
 
 Unlike a ``Page`` it is not one file: it asks its own server for columns, places of hands and pages
 of single grasps. Pictures are drawn in the browser.

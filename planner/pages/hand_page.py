@@ -1,4 +1,4 @@
-"""``hand_page``: a hand to move by its joints, with its description, the reasons and the findings."""
+"""``hand_page``: a hand to move by its joints, its description with reasons, the findings."""
 
 from __future__ import annotations
 

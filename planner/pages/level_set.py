@@ -88,7 +88,7 @@ def _ends(values: FloatArray, axis: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _around(axis: int) -> IntArray:
-    """Offsets (4, 3) of the cells around an edge along an axis, counter-clockwise seen from its end."""
+    """Offsets (4, 3) of the cells around an edge, counter-clockwise seen from its end."""
     u, v = np.eye(3, dtype=np.int64)[(axis + 1) % 3], np.eye(3, dtype=np.int64)[(axis + 2) % 3]
     return np.array([u + v, v, 0 * u, u])
 

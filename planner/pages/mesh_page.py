@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,6 +25,9 @@ from planner.shapes.triangulation import surface_triangles
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["mesh_page"]
+
+HAND = "allegro_hand"
+"""Hand of the command that the page shows."""
 
 FIELD_COLOUR = (0.85, 0.35, 0.75, 0.45)
 TOUCH_COLOUR, AVOID_COLOUR = (0.20, 0.65, 0.35, 1.0), (0.82, 0.22, 0.20, 1.0)
@@ -62,7 +66,7 @@ def mesh_page(
     scene = Scene(
         models={
             "object": Model(joints=(), parts=tuple(parts)),
-            "table": table_model(2.2 * radius),
+            "table": table_model(3 * radius),
         },
         actors=(
             Actor(name="object", model="object", pose=rows[0], q=np.zeros(0)),
@@ -73,7 +77,8 @@ def mesh_page(
         time=np.zeros(0),
         off=frozenset({"collision", "field", "frames", "alternatives"}),
     )
-    options = [f"--touch '{t}'" for t in touch] + [f"--avoid '{a}'" for a in avoid]
+    options = [word for text in touch for word in ("--touch", text)]
+    options += [word for text in avoid for word in ("--avoid", text)]
     return Page(
         title=item.name,
         subtitle=spec,
@@ -90,9 +95,7 @@ def mesh_page(
         extra={
             "object": {
                 "poses": [_pose_data(p, row) for p, row in zip(poses, rows, strict=True)],
-                "command": " ".join(
-                    ["opposable plan allegro_hand", _quoted(spec or item.name), *options]
-                ),
+                "command": shlex.join(["opposable", "plan", HAND, spec or item.name, *options]),
             }
         },
     )
@@ -104,10 +107,6 @@ def _pose_data(pose: StablePose, row: FloatArray) -> dict[str, Any]:
         "margin_deg": pose.margin_deg,
         "probability": pose.probability,
     }
-
-
-def _quoted(spec: str) -> str:
-    return spec if all(c.isalnum() or c in "_./:-+" for c in spec) else f"'{spec}'"
 
 
 def _summary(item: GraspObject, notes: Sequence[str]) -> list[Block]:

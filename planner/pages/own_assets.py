@@ -18,5 +18,5 @@ def asset(name: str) -> str:
 def own_scripts(*names: str) -> tuple[str, ...]:
     """Scripts of a kind of page, after one that adds the style of side panels."""
     style = json.dumps(asset("side.css")).replace("</", "<\\/")
-    add = f'document.head.append(Object.assign(document.createElement("style"), {{textContent: {style}}}));'
-    return (add, *(asset(name) for name in names))
+    made = f'Object.assign(document.createElement("style"), {{textContent: {style}}})'
+    return (f"document.head.append({made});", *(asset(name) for name in names))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -37,6 +37,7 @@ from sim.cli.common import (
     physics_of,
     print_json,
     say,
+    told_command,
 )
 from sim.cli.movement import NO_SHIFT, RotateOption, ShiftOption, movement
 from sim.cli.options import with_options
@@ -47,7 +48,9 @@ if TYPE_CHECKING:
 
 OutOption = Annotated[
     Path | None,
-    typer.Option("--out", help="Folder for plan, trajectory, report, pictures.", metavar="DIR"),
+    typer.Option(
+        "--out", help="Folder for plan, trajectory, report, its page, pictures.", metavar="DIR"
+    ),
 ]
 
 DEMO_HAND, DEMO_OBJECT = "allegro_hand", "cylinder:0.03x0.08"
@@ -172,6 +175,7 @@ class ExecutionOptions:
 @errors_for_people()
 @with_options
 def manipulate(
+    context: typer.Context,
     hand: Annotated[
         str | None,
         typer.Argument(help="Its name, hand.toml, MJCF or URDF file.", metavar="HAND"),
@@ -209,7 +213,12 @@ def manipulate(
             raise TaskError("give HAND and OBJECT, or a file: opposable manipulate --plan FILE")
         hand_name, object_name = hand, object
         _execute(
-            lambda: request.plan(hand_name, object_name), request.mu, execution, out_dir, as_json
+            lambda: request.plan(hand_name, object_name),
+            request.mu,
+            execution,
+            out_dir,
+            as_json,
+            told_command(context),
         )
         return
     if hand is not None or object is not None or request.tells_the_task:
@@ -218,11 +227,13 @@ def manipulate(
             "of planning out, or --plan"
         )
     plan = _read(plan_file, request.target())
-    _execute(lambda: plan, plan.task.mu, execution, out_dir, as_json)
+    command = told_command(context)
+    _execute(lambda: plan, plan.task.mu, execution, out_dir, as_json, command)
 
 
 @errors_for_people()
 def demo(
+    context: typer.Context,
     out_dir: OutOption = None,
     physics: PhysicsOption = "ours",
     video: VideoOption = None,
@@ -232,7 +243,14 @@ def demo(
     """An Allegro-type hand turns a cylinder by 90 degrees."""
     request = TurnOptions()
     execution = ExecutionOptions(physics=physics, video=video, arrows=arrows)
-    _execute(lambda: request.plan(DEMO_HAND, DEMO_OBJECT), request.mu, execution, out_dir, as_json)
+    _execute(
+        lambda: request.plan(DEMO_HAND, DEMO_OBJECT),
+        request.mu,
+        execution,
+        out_dir,
+        as_json,
+        told_command(context),
+    )
 
 
 def _execute(
@@ -241,6 +259,7 @@ def _execute(
     execution: ExecutionOptions,
     out_dir: Path | None,
     as_json: bool,
+    command: str,
 ) -> None:
     """Plan once all other options are known to be sound, execute, and report.
 
@@ -248,9 +267,10 @@ def _execute(
         PlannerError: Bad input, or no plan.
         Exit: A phase failed, or the hand collided.
     """
-    from planner.files import write_json, write_manipulation, write_trajectory
+    from planner.files import write_manipulation, write_trajectory
     from sim.manipulation import SuccessCriteria
     from sim.manipulation import manipulate as simulate
+    from sim.report_file import write_report
 
     physics = physics_of(execution.physics, execution.sim_mu)
     check_films(execution.video)
@@ -273,10 +293,12 @@ def _execute(
             retry=True,
             view=execution.view,
         )
+    report = replace(report, command=command)
     if out_dir is not None:
         write_manipulation(plan, out_dir / "manipulation.json")
         write_trajectory(plan.joint_trajectory(), out_dir / "trajectory.csv")
-        write_json(report.to_dict(), out_dir / "report.json")
+        write_report(report.to_dict(), out_dir / "report.json")
+        report.save_html(out_dir / "report.html", task=plan.task)
     if as_json:
         print_json(report.to_dict())
     else:
@@ -284,6 +306,7 @@ def _execute(
         if out_dir is not None:
             files = "manipulation.json, trajectory.csv, report.json"
             say(out, escape(f"written to {out_dir}: {files}"))
+            say(out, escape(f"open in a browser: {out_dir / 'report.html'}"))
         if report.drawn:
             say(out, escape(report.drawn))
     if not report.complete or report.collision is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from planner.plain import finite
 from planner.quality import QualityReport
 from planner.spatial import FloatArray
+from planner.task import GraspTask
 from planner.version import written_by
 from sim.controllers import Event
 from sim.controllers.events import told_events
@@ -297,6 +299,21 @@ class ManipulationReport:
                 megabytes, from which a page can be made.
         """
         return self.to_file(states=states).model_dump(mode="json")
+
+    def save_html(self, path: Path | str, *, task: GraspTask | None = None) -> None:
+        """Write the manipulation as a page: one HTML file with motion, plots, summary and report.
+
+        Args:
+            path: The file.
+            task: The plan's task, if the report's plan is None or loading its hand would be slow.
+
+        Raises:
+            FileFormatError: The file cannot be written.
+        """
+        from planner.pages.page import write_page
+        from sim.manipulation.page import manipulation_page
+
+        write_page(manipulation_page(self.to_file(), task), path)
 
     def to_file(self, *, states: bool = True) -> ManipulationReportFile:
         """The same as the data of a file, which pages are made of."""

@@ -6,14 +6,14 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from pydantic import create_model
+from pydantic import create_model, model_validator
 
 from planner.files.json_csv import checked_file
 from planner.schema import StrictData
 from sim.manipulation.log import ManipulationLog
 from sim.manipulation.timeline import ManipulationPhase
 from sim.recording import RecordingData
-from sim.report_file import EventData, report_data, upgraded
+from sim.report_file import EventData, check_lengths, report_data, upgraded
 
 __all__ = ["ManipulationReportFile", "read_manipulation_report"]
 
@@ -110,6 +110,11 @@ class ManipulationReportFile(StrictData):
     plan: dict[str, Any] | None
     recording: RecordingData | None
     earlier: ManipulationReportFile | None
+
+    @model_validator(mode="after")
+    def _one_length(self) -> ManipulationReportFile:
+        check_lengths(self.samples, self.recording)
+        return self
 
 
 def read_manipulation_report(path: Path | str) -> ManipulationReportFile:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -159,7 +160,7 @@ class DatasetTables:
             return []
         label = values["object"]
         if label not in self._features:
-            found = [pair for pair, _ in zip(self.grasps.found(label), range(MOST_COMPARED))]
+            found = list(islice(self.grasps.found(label), MOST_COMPARED))
             features = GraspFeatures.of_rows(self.grasps.task(label), [r for _, r in found])
             self._features[label] = ([number for number, _ in found], features)
         numbers, features = self._features[label]

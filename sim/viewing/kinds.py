@@ -1,6 +1,7 @@
-"""``KINDS``: the kinds of things that can be viewed, each recognised by its content.
+"""``kinds``: the kinds of things that can be viewed, each recognised by its content.
 
-Adding one is one module with a call of ``register_kind``, and its name in ``MODULES``.
+Adding one is one module with a ``KIND``, and its name in ``MODULES``; from elsewhere it is a call
+of ``register_kind``.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from planner.pages.page import Page
 from sim.viewing.server import Site
 from sim.viewing.target import Target
 
-__all__ = ["KINDS", "Kind", "Shown", "ViewOptions", "recognise", "register_kind"]
+__all__ = ["Kind", "Shown", "ViewOptions", "kinds", "recognise", "register_kind"]
 
 Shown: TypeAlias = Page | Site
 """One page, which can be written into a file, or a site, which needs a server."""
@@ -57,16 +58,21 @@ class Kind:
     takes: frozenset[str] = frozenset()
 
 
-KINDS: list[Kind] = []
-"""Kinds in the order in which they are asked; filled by ``recognise``."""
+MODULES = ("of_hand", "of_mesh", "of_plan", "of_motion", "of_report", "of_dataset")
+"""Modules of this package with a ``KIND`` each, in the order in which they are listed."""
 
-MODULES = ("of_hand", "of_plan", "of_motion", "of_dataset", "of_mesh")
-"""Modules of this package that register kinds, the one that takes anything like a mesh last."""
+_REGISTERED: list[Kind] = []
 
 
 def register_kind(kind: Kind) -> None:
     """Add a kind after those that are there; one of the same name is replaced."""
-    KINDS[:] = [*(k for k in KINDS if k.name != kind.name), kind]
+    _REGISTERED[:] = [*(k for k in _REGISTERED if k.name != kind.name), kind]
+
+
+def kinds() -> tuple[Kind, ...]:
+    """All kinds; imports what recognises them."""
+    ours = (import_module(f"{__package__}.{module}").KIND for module in MODULES)
+    return (*ours, *_REGISTERED)
 
 
 def recognise(target: Target) -> Kind:
@@ -76,9 +82,8 @@ def recognise(target: Target) -> Kind:
         NotFoundError: It is neither a name that is known nor a path that exists.
         FileFormatError: It is a file or folder of another kind; says what can be viewed.
     """
-    for module in MODULES:
-        import_module(f"{__package__}.{module}")
-    for kind in KINDS:
+    known = kinds()
+    for kind in known:
         if kind.recognises(target):
             return kind
     if target.path is None:
@@ -91,7 +96,7 @@ def recognise(target: Target) -> Kind:
         )
     found = f"its format is {target.format!r}" if target.format else "it is of another kind"
     raise FileFormatError(
-        f"{target.path} cannot be viewed: {found}; what can be: {', '.join(k.name for k in KINDS)}"
+        f"{target.path} cannot be viewed: {found}; what can be: {', '.join(k.name for k in known)}"
     )
 
 

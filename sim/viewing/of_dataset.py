@@ -15,11 +15,11 @@ from planner.pages.grid_page import grid_html, grid_models, grid_script
 from planner.pages.page import page_html
 from planner.pages.plan_page import plan_page
 from sim.viewing.dataset_tables import COLUMNS, DatasetTables
-from sim.viewing.kinds import Kind, ViewOptions, register_kind
+from sim.viewing.kinds import Kind, ViewOptions
 from sim.viewing.server import Answer
 from sim.viewing.target import Target
 
-__all__ = ["DatasetSite"]
+__all__ = ["KIND", "DatasetSite"]
 
 KEPT_PAGES = 32
 """Pages of grasps that are kept, about 1 MB each."""
@@ -70,7 +70,8 @@ class DatasetSite:
         grasps = self._tables.grasps
         m = grasps.manifest
         total = f"{len(grasps)} of {m.total} requested" if len(grasps) < m.total else str(m.total)
-        subtitle = f"{total} grasps of {len(m.objects)} objects, seed {m.seed}, {grasps.folder}"
+        objects = "one object" if len(m.objects) == 1 else f"{len(m.objects)} objects"
+        subtitle = f"{total} grasps of {objects}, seed {m.seed}, {grasps.folder}"
         return Answer(body=grid_html(f"Grasps by {m.hand}", subtitle).encode())
 
     def _script(self) -> Answer:
@@ -118,6 +119,5 @@ def _shown(target: Target, options: ViewOptions) -> DatasetSite:
     return DatasetSite(tables)
 
 
-register_kind(
-    Kind(name="the folder of a batch (opposable batch)", recognises=_recognises, shown=_shown)
-)
+KIND = Kind(name="the folder of a batch (opposable batch)", recognises=_recognises, shown=_shown)
+"""See ``sim.viewing.kinds``."""

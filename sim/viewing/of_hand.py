@@ -8,10 +8,10 @@ from planner.hands.catalog import MODEL_SUFFIXES, find_hand, foreign_hand_names,
 from planner.pages.described import comments_of, reasons_by_key
 from planner.pages.hand_page import hand_page
 from planner.pages.page import Page
-from sim.viewing.kinds import Kind, ViewOptions, register_kind
+from sim.viewing.kinds import Kind, ViewOptions
 from sim.viewing.target import Target
 
-__all__: list[str] = []
+__all__ = ["KIND"]
 
 SCHEMES = ("menagerie:", "robot_descriptions:", "package:")
 """Beginnings of names of models in packages."""
@@ -44,6 +44,5 @@ def _shown(target: Target, options: ViewOptions) -> Page:
     return hand_page(hand, reasons=reasons, questions=questions, check=check_hand(hand))
 
 
-register_kind(
-    Kind(name="a hand (name, hand.toml, MJCF or URDF)", recognises=_recognises, shown=_shown)
-)
+KIND = Kind(name="a hand (name, hand.toml, MJCF or URDF)", recognises=_recognises, shown=_shown)
+"""See ``sim.viewing.kinds``."""

@@ -10,10 +10,10 @@ from planner.pages.mesh_page import mesh_page
 from planner.pages.page import Page
 from planner.regions import TouchRegion, parse_region
 from planner.shapes.meshes.io import CONVERTIBLE, MESH_SUFFIXES
-from sim.viewing.kinds import Kind, ViewOptions, register_kind
+from sim.viewing.kinds import Kind, ViewOptions
 from sim.viewing.target import Target
 
-__all__: list[str] = []
+__all__ = ["KIND"]
 
 
 def _recognises(target: Target) -> bool:
@@ -74,11 +74,10 @@ def _shown(target: Target, options: ViewOptions) -> Page:
     return mesh_page(item, spec=target.text, touch=options.touch, avoid=options.avoid)
 
 
-register_kind(
-    Kind(
-        name="an object or mesh (mug, box:0.05x0.05x0.08, part.stl*0.001, scene.xml#body)",
-        recognises=_recognises,
-        shown=_shown,
-        takes=frozenset({"touch", "avoid", "repair"}),
-    )
+KIND = Kind(
+    name="an object or mesh (mug, box:0.05x0.05x0.08, part.stl*0.001, scene.xml#body)",
+    recognises=_recognises,
+    shown=_shown,
+    takes=frozenset({"touch", "avoid", "repair"}),
 )
+"""See ``sim.viewing.kinds``."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from planner.errors import NoGraspFoundError
-from planner.files import read_plan
+from planner.files import plan_from_dict
 from planner.pages.alternatives import with_alternatives
 from planner.pages.page import Page
 from planner.pages.plan_page import plan_page
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.synthesis.options import SynthesisOptions
-from sim.viewing.kinds import Kind, ViewOptions, register_kind
+from sim.viewing.kinds import Kind, ViewOptions
 from sim.viewing.target import Target
 
 __all__ = ["page_of_plan"]
@@ -40,15 +40,14 @@ def page_of_plan(plan: GraspPlan, options: ViewOptions) -> Page:
 
 
 def _shown(target: Target, options: ViewOptions) -> Page:
-    assert target.path is not None
-    return page_of_plan(read_plan(target.path), options)
+    assert target.data is not None
+    return page_of_plan(plan_from_dict(target.data, str(target.path)), options)
 
 
-register_kind(
-    Kind(
-        name="a grasp plan",
-        recognises=lambda target: target.format == FORMAT,
-        shown=_shown,
-        takes=frozenset({"alternatives"}),
-    )
+KIND = Kind(
+    name="a grasp plan",
+    recognises=lambda target: target.format == FORMAT,
+    shown=_shown,
+    takes=frozenset({"alternatives"}),
 )
+"""See ``sim.viewing.kinds``."""

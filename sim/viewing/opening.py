@@ -54,9 +54,9 @@ def show(shown: Shown, opening: Opening, say: Callable[[str], None]) -> None:
     if opening.out is not None:
         if not isinstance(shown, Page):
             raise FileFormatError(
-                f"cannot write {opening.out}: a dataset is shown by a local server, which makes its "
-                "pages as they are asked for; leave --out away, or take one grasp out of it with "
-                "opposable extract"
+                f"cannot write {opening.out}: a dataset is shown by a local server, which makes "
+                "its pages as they are asked for; leave --out away, or take one grasp out of it "
+                "with opposable extract"
             )
         write_page(shown, opening.out)
         say(f"wrote {opening.out}")

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from planner.errors import FileFormatError
+from planner.pages.page import read_page_data
 
 __all__ = ["Target"]
 
@@ -95,11 +96,13 @@ class Target:
 
     @cached_property
     def data(self) -> dict[str, Any] | None:
-        """The JSON object that the file holds; None for a file of something else.
+        """The JSON object that the file holds, or the numbers of a page; None for another file.
 
         Raises:
-            FileFormatError: It begins like JSON and is damaged.
+            FileFormatError: It begins like JSON and is damaged, or is a page of others.
         """
+        if self.is_html:
+            return read_page_data(self._there)[1]
         if not self.is_file or not self.head.lstrip().startswith(b"{"):
             return None
         try:

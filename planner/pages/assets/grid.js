@@ -205,7 +205,7 @@ class Grid {
 
   // Cards for what is on the screen and a little around it; the others do not exist.
   lay() {
-    const across = Math.max(1, Math.floor((this.scroll.clientWidth - CARD.gap) / (CARD.width + CARD.gap)));
+    const across = this.across();
     const pitch = CARD.height + CARD.gap, shown = this.rows.shown;
     this.space.style.height = `${Math.ceil(shown.length / across) * pitch + CARD.gap}px`;
     const first = Math.max(0, Math.floor(this.scroll.scrollTop / pitch) - 1) * across;
@@ -269,10 +269,24 @@ class Grid {
     for (const [other, card] of this.cards) card.classList.toggle("selected", other === row);
   }
 
+  // Scrolls as little as brings a row onto the screen.
+  reveal(row) {
+    const card = CARD.height + CARD.gap, across = this.across();
+    const top = Math.floor(this.rows.shown.indexOf(row) / across) * card;
+    const seen = this.scroll.clientHeight - card - CARD.gap;
+    if (top >= 0) this.scroll.scrollTop = Math.min(top, Math.max(this.scroll.scrollTop, top - seen));
+    this.lay();
+  }
+
+  across() {
+    return Math.max(1, Math.floor((this.scroll.clientWidth - CARD.gap) / (CARD.width + CARD.gap)));
+  }
+
   // The panel of a row: its grasp in three dimensions, its numbers, near-duplicates and attempts.
   async open(row) {
     this.mark(row);
     this.panel.hidden = false;
+    this.reveal(row);
     const columns = this.rows.columns;
     this.panel.replaceChildren();
     const head = element("div", "panel-head", this.panel);
