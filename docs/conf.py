@@ -26,6 +26,7 @@ extensions = [
     "machinery.commands",
     "machinery.formats",
     "machinery.zoo",
+    "machinery.messages",
 ]
 exclude_patterns = ["machinery"]
 root_doc = "index"

@@ -115,3 +115,6 @@ _HOMES = {
 __getattr__, __dir__ = lazy_names(__name__, _HOMES)
 
 register_page("GraspPlan", "planner.pages.plan_page:plan_page")
+register_page("MotionPlan", "planner.pages.motion_page:motion_page")
+register_page("GaitPlan", "planner.pages.motion_page:motion_page")
+register_page("ManipulationPlan", "planner.pages.motion_page:motion_page")

@@ -226,7 +226,7 @@ class HandDescription(StrictData):
         palm_body: Body whose pose a plan states.
         palm_normal: Direction the palm faces, in that body's frame; normalised on reading.
         wrist_joints: Joints between base and palm; they belong to no finger.
-        default_fingers: Fingers of a task that names none.
+        default_fingers: Fingers of a task that names none; all if left out.
         allowed_contacts: Pairs of bodies of the hand that may touch each other.
         repair: What is wrong in the model file.
         joint_defaults: Passive properties of all joints.

@@ -7,17 +7,19 @@ poses of base and object, contacts and commands. Its form in files is ``Recordin
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from itertools import islice
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from planner.contacts import ContactSet
 from planner.errors import FileFormatError
 from planner.plain import finite
-from planner.quality import force_closure
+from planner.quality import closure_of_wrenches
+from planner.quality.cones import contact_wrenches
 from planner.schema import StrictData
 from planner.spatial import FloatArray
 from planner.tolerances import CLOSURE_EDGES
@@ -140,30 +142,40 @@ class Recording:
         Their tangents are those of ``contact_frames``, not the simulator's; the object's centre of
         mass is the origin of its frame.
         """
-        touching = np.flatnonzero(np.isfinite(self.points[i, :, 0]))
-        mu, torsion = self.friction[i, touching].T
-        return ContactSet.from_arrays(
-            self.points[i, touching],
-            self.normals[i, touching],
-            mu=mu,
-            mu_torsion=torsion,
-            model=["soft" if t > 0 else "point" for t in torsion],
-            center=self.T_world_object[i, :3],
-            fingers=[self.contact_names[k] for k in touching],
-        )
+        return self._contacts(np.arange(len(self)) == i, center=self.T_world_object[i, :3])
 
     @cached_property
     def min_weight(self) -> FloatArray:
         """Normalised min-weight (m,), at most 1, of the contacts of each sample; > 0 is closure.
 
-        ``force_closure`` with the edges of plans; -inf where nothing touches. Takes about 0.25 ms
-        per sample, when first asked for.
+        That of ``force_closure`` with the edges of plans; -inf where nothing touches. Takes about
+        0.2 ms per sample, when first asked for.
         """
+        # all contacts about the object they touch, so that their wrenches are made at once
+        relative = replace(self, points=self.points - self.T_world_object[:, None, :3])
+        every = relative._contacts(np.ones(len(self), dtype=bool), center=np.zeros(3))
+        wrenches = iter(contact_wrenches(every, CLOSURE_EDGES))
+        counts = np.isfinite(self.points[..., 0]).sum(axis=1)
+        none = np.zeros((6, 0))
         return np.array(
             [
-                force_closure(self.contacts(i), CLOSURE_EDGES).normalised_min_weight
-                for i in range(len(self))
+                closure_of_wrenches(np.hstack([none, *islice(wrenches, n)])).normalised_min_weight
+                for n in counts.tolist()
             ]
+        )
+
+    def _contacts(self, samples: NDArray[np.bool_], center: FloatArray) -> ContactSet:
+        """The contacts of some samples (m,) in one set."""
+        touching = np.isfinite(self.points[..., 0]) & samples[:, None]
+        mu, torsion = self.friction[touching].T
+        return ContactSet.from_arrays(
+            self.points[touching],
+            self.normals[touching],
+            mu=mu,
+            mu_torsion=torsion,
+            model=["soft" if t > 0 else "point" for t in torsion],
+            center=center,
+            fingers=[self.contact_names[k] for k in np.nonzero(touching)[1]],
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -284,7 +296,14 @@ _OVER_TIME = {
 
 
 def _rounded(values: FloatArray, decimals: int) -> Any:
-    return finite(np.round(values, decimals) + 0.0)  # + 0.0: no negative zero
+    """Lists of rounded numbers, None for what is not finite; no negative zero."""
+    rounded = np.round(values, decimals) + 0.0
+    known = np.isfinite(rounded)
+    if known.all():
+        return rounded.tolist()
+    out = rounded.astype(object)
+    out[~known] = None
+    return out.tolist()
 
 
 def _array(rows: ArrayLike | Any, shape: tuple[int, ...]) -> FloatArray:

@@ -43,7 +43,9 @@ __all__ = [
     "TABLE",
     "PhysicsOptions",
     "Scene",
+    "add_looks",
     "build_scene",
+    "dress_hand",
     "drop_options",
     "index_scene",
 ]
@@ -179,16 +181,7 @@ def build_scene(
     _add_object(spec, task, physics)
     _add_surroundings(spec, task, physics)
     hand = task.hand
-    if q is None:
-        q = hand.neutral
-    T_world_palm = T_world_base * HandState(hand, q).T_base_palm
-    add_scenery(
-        spec,
-        task.T_world_object.translation,
-        T_world_palm.rotation @ hand.palm_normal,
-        task.table_height,
-        1.0 if hand.arm is None else ARM_VIEW,
-    )
+    add_looks(spec, task, T_world_base, hand.neutral if q is None else q)
     model = compile_spec(spec, f"the scene of {spec.modelname}")
     gantry = None
     if hand.arm is None:
@@ -216,6 +209,29 @@ def _add_hand(spec: Any, task: GraspTask, T_world_base: SE3, physics: PhysicsOpt
         add_gantry(spec, gantry)
 
 
+def add_looks(spec: Any, task: GraspTask, T_world_base: SE3, q: FloatArray) -> None:
+    """Add what is only to be looked at, the heading mark of the object with it.
+
+    Args:
+        spec: ``mujoco.MjSpec`` with the object.
+        task: What it shows.
+        T_world_base: Base pose of the grasp.
+        q: Joints (nq,) at the grasp.
+    """
+    hand = task.hand
+    add_object_material(spec)
+    for geom in spec.body(OBJECT).geoms:
+        geom.material = OBJECT_MATERIAL
+    T_world_palm = T_world_base * HandState(hand, q).T_base_palm
+    add_scenery(
+        spec,
+        task.T_world_object.translation,
+        T_world_palm.rotation @ hand.palm_normal,
+        task.table_height,
+        1.0 if hand.arm is None else ARM_VIEW,
+    )
+
+
 def drop_options(spec: Any) -> None:
     """Forget how a model wants to be computed: the scene decides, and MuJoCo warns of conflicts."""
     fresh = mujoco.MjSpec()
@@ -229,7 +245,6 @@ def drop_options(spec: Any) -> None:
 
 def _add_object(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
     item = task.object
-    add_object_material(spec)
     position, quaternion = pose_to_wxyz(task.T_world_object)
     body = spec.worldbody.add_body(name=OBJECT, pos=position, quat=quaternion)
     body.add_freejoint(name=OBJECT)
@@ -240,7 +255,7 @@ def _add_object(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
     body.fullinertia = [*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]]
     for k, part in enumerate(solid_geoms(item.shape)):
         name = OBJECT if k == 0 else f"{OBJECT}/{k}"
-        geom = body.add_geom(name=name, condim=physics.condim, priority=1, material=OBJECT_MATERIAL)
+        geom = body.add_geom(name=name, condim=physics.condim, priority=1)
         geom.pos, geom.quat = pose_to_wxyz(part.T_object_geom)
         if part.vertices is not None and part.faces is not None:
             _add_mesh(spec, name, part.vertices, part.faces)
@@ -268,7 +283,7 @@ def _add_picture(spec: Any, body: Any, shape: Shape) -> None:
     name = f"{OBJECT}/seen"
     _add_mesh(spec, name, *surface_triangles(shape))
     spec.mesh(name).inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-    geom = body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, material=OBJECT_MATERIAL)
+    geom = body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH)
     geom.meshname = name
     geom.contype = geom.conaffinity = 0
     geom.density = 0.0

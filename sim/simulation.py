@@ -14,7 +14,10 @@ Whoever looks on may end it: ``simulation.stop("seen enough")``.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -36,16 +39,20 @@ from sim.controllers import (
     ReportsLimits,
     controller_for,
 )
+from sim.looking.picture import draw_tape
 from sim.looking.tape import FRAME_RATE, Tape
 from sim.looking.viewer import Viewer
 from sim.pads import read_pads
 from sim.scene import PhysicsOptions, Scene, build_scene
 from sim.timeline import Timeline
 
-__all__ = ["Simulation"]
+__all__ = ["Simulation", "filmed"]
 
 LIMIT_MARGIN = 1e-6
 """Distance (N, N m, rad) to its limit at which an actuator counts as saturated: rounding."""
+
+_tapes: ContextVar[list[Tape] | None] = ContextVar("tapes", default=None)
+"""Tapes of the simulations that are made while ``filmed``."""
 
 _BAD_NUMBERS = {
     "positions": int(mujoco.mjtWarning.mjWARN_BADQPOS),
@@ -118,6 +125,9 @@ class Simulation:
         self.tape: Tape | None = None
         self._viewer: Viewer | None = None
         self._ctrl: FloatArray = self.data.ctrl[self.scene.hand_ctrl].copy()
+        tapes = _tapes.get()
+        if tapes is not None:
+            tapes.append(self.record())
 
     # ---- running
 
@@ -338,3 +348,24 @@ class Simulation:
     def events(self) -> tuple[Event, ...]:
         """What the controller noticed so far, in order; empty for one that notices nothing."""
         return self.controller.events if isinstance(self.controller, ReportsEvents) else ()
+
+
+@contextmanager
+def filmed(video: Path | None) -> Iterator[None]:
+    """Draw a film of the first simulation that is made and run meanwhile; nothing without a file.
+
+    Args:
+        video: File of the film; see ``sim.looking.film.FORMATS``. It is missing afterwards where
+            this machine cannot draw.
+    """
+    if video is None:
+        yield
+        return
+    tapes: list[Tape] = []
+    token = _tapes.set(tapes)
+    try:
+        yield
+    finally:
+        _tapes.reset(token)
+    for tape in tapes[:1]:
+        draw_tape(tape, video=video)

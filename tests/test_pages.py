@@ -9,24 +9,41 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.optimize import linprog
 
-from planner import GraspPlan, GraspTask, load_hand, plan_grasp
+from planner import (
+    GraspPlan,
+    GraspTask,
+    MotionPlan,
+    load_hand,
+    manipulation_task,
+    parse_object,
+    plan_gait,
+    plan_grasp,
+    plan_manipulation,
+    plan_motion,
+)
+from planner.contacts import ContactSet
 from planner.errors import FileFormatError, NotFoundError
 from planner.files import plan_to_dict
 from planner.hands.catalog import hand_names
 from planner.pages.hand_model import hand_model
+from planner.pages.motion_page import motion_page
+from planner.pages.object_motion import object_motion
 from planner.pages.page import page_html, read_page_data, write_page
 from planner.pages.payload import pack
-from planner.pages.plan_page import bands_of, plan_page
+from planner.pages.plan_page import RATE, bands_of, plan_page
+from planner.pages.polar import resisted_forces
 from planner.pages.rows import pose_row
 from planner.pages.scene import Model
 from planner.pages.simplify import simplified
 from planner.pages.surroundings import MOST_TRIANGLES, object_model
 from planner.pages.three import three_source
+from planner.quality import primitive_wrenches
 from planner.shapes import SIZED_SHAPES
 from planner.shapes.mesh import Mesh
 from planner.showing import page_of
-from planner.spatial import SE3, FloatArray, pose_from_wxyz
+from planner.spatial import SE3, FloatArray, minimum_jerk, pose_from_wxyz
 
 LARGEST_PAGE = 1_000_000
 """Bytes of a plan's page."""
@@ -201,3 +218,104 @@ def test_rows_of_poses_hold_position_and_unit_quaternion() -> None:
     pose = SE3.Random()
     row = pose_row(pose)
     assert np.allclose(pose_from_wxyz(row[:3], row[3:]).homogeneous, pose.homogeneous)
+
+
+@pytest.fixture(scope="module")
+def motion() -> MotionPlan:
+    return plan_motion(GraspTask.create("shadow_hand", "cylinder"), angle=0.5, seed=0)
+
+
+def test_the_page_of_a_motion_has_every_knot(motion: MotionPlan) -> None:
+    trajectory = motion.joint_trajectory(rate_hz=RATE)
+    track = object_motion(motion, trajectory)
+    assert len(track.poses) == len(track.contacts) == len(trajectory.times)
+    turning = [i for i, phase in enumerate(trajectory.phases) if phase == "turn"]
+    assert all(c is None for c in track.contacts[: turning[0]])
+    shares = minimum_jerk((np.arange(len(turning)) + 1) / len(turning))
+    for i, share in zip(turning, shares, strict=True):
+        assert np.allclose(
+            track.poses[i].homogeneous, motion.at(float(share))[0].homogeneous, atol=1e-9
+        )
+    seen = {id(track.knots[i]) for i in turning}
+    assert len(seen) >= len(motion.knots) - 2
+    last = track.contacts[-1]
+    assert last is not None
+    points = [track.poses[-1].act(p) for p in last.positions]
+    assert np.allclose(points, motion.knots[-1].contacts.positions, atol=1e-9)
+
+
+def test_the_page_of_a_motion_reads_back(motion: MotionPlan, tmp_path: Path) -> None:
+    motion.save_html(tmp_path / "motion.html")
+    assert (tmp_path / "motion.html").stat().st_size <= LARGEST_PAGE
+    kind, data = read_page_data(tmp_path / "motion.html")
+    assert kind == "motion"
+    assert len(data["knots"]) == len(motion.knots)
+
+
+def test_what_the_hand_holds_goes_with_it() -> None:
+    task = manipulation_task("shadow_hand", parse_object("cylinder"), mu=0.6)
+    plan = plan_manipulation(task, angle=0.6, seed=0)
+    trajectory = plan.joint_trajectory(rate_hz=RATE)
+    track = object_motion(plan, trajectory)
+    phases = np.array(trajectory.phases)
+    assert set(phases) >= {"lift", "turn", "carry", "lower", "open", "retreat"}
+    start, end = task.T_world_object, plan.ending.T_world_target
+    assert np.allclose(track.poses[0].homogeneous, start.homogeneous)
+    lifted = int(np.flatnonzero(phases == "lift")[-1])
+    assert track.poses[lifted].translation[2] == pytest.approx(start.translation[2] + 0.08)
+    # put down where the plan says, and left there
+    for k in np.flatnonzero((phases == "open") | (phases == "retreat")):
+        assert np.allclose(track.poses[k].homogeneous, end.homogeneous, atol=1e-6)
+        assert track.contacts[k] is None
+    # as long as it is held, pads stay at their contacts
+    hand, fingers = task.hand, plan.task.fingers
+    data = hand.pin_model.createData()
+    for k in np.flatnonzero(phases == "turn")[::7]:
+        pin.forwardKinematics(hand.pin_model, data, trajectory.positions[k])
+        contacts = track.contacts[k]
+        assert contacts is not None
+        for finger, point in zip(fingers, contacts.positions, strict=True):
+            pad = trajectory.T_world_base[k] * data.oMi[finger.pad.joint_id]
+            away = pad.act(finger.pad.center) - track.poses[k].act(point)
+            assert np.linalg.norm(away) < finger.pad.radius + 4e-3
+
+
+def test_a_gait_shows_the_contacts_that_hold_while_a_finger_moves_on() -> None:
+    plan = plan_gait(GraspTask.create("shadow_hand", "sphere:0.03"), angle=np.pi / 4, seed=1)
+    trajectory = plan.joint_trajectory(rate_hz=RATE)
+    track = object_motion(plan, trajectory)
+    relocation = plan.relocations[0]
+    at = trajectory.phases.index(f"regrasp {relocation.finger}")
+    holding = track.contacts[at]
+    assert holding is not None and relocation.finger not in holding.fingers
+    assert np.allclose(track.poses[at].homogeneous, relocation.T_world_object.homogeneous)
+    scene = motion_page(plan).scene
+    assert scene is not None
+    moving = scene.contacts[0].fingers.index(relocation.finger)
+    assert np.isnan(scene.contacts[0].points[at, moving]).all()
+    turned = scene.plots[0].lines[0].values
+    assert turned[-1] == pytest.approx(np.rad2deg(plan.angle), abs=1.0)
+
+
+def test_resisted_forces_are_those_of_a_linear_programme(plan: GraspPlan) -> None:
+    length = plan.task.object.shape.bounding_radius
+    polar = resisted_forces(plan.contacts, length)
+    assert polar is not None
+    wrenches = primitive_wrenches(plan.contacts, 8, length=length)
+    m = wrenches.shape[1]
+    for axis, (chart, k) in enumerate(((0, 0), (0, 18), (1, 18))):
+        force = np.zeros(6)
+        force[axis] = -1.0  # what balances a pull along the axis
+        # most reach t with W a = t force, sum a = 1, a >= 0
+        found = linprog(
+            np.r_[np.zeros(m), -1.0],
+            A_eq=np.r_[np.c_[wrenches, -force], [np.r_[np.ones(m), 0.0]]],
+            b_eq=np.r_[np.zeros(6), 1.0],
+        )
+        assert polar.charts[chart].values[k] == pytest.approx(-found.fun, rel=1e-6)
+
+
+def test_contacts_without_closure_have_no_chart(plan: GraspPlan) -> None:
+    set_ = plan.contacts
+    two = ContactSet.from_contacts([set_[0], set_[1]], center=set_.center)
+    assert resisted_forces(two, 0.05) is None

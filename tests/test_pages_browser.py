@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from browser import OpenPage, browser, open_page
+from PIL import Image
 
 from planner import GraspPlan, GraspTask, plan_grasp
 from planner.pages.blocks import Sentence, Verdict
@@ -234,6 +235,22 @@ def test_the_numbers_are_saved_from_the_page(opened: OpenPage, tmp_path: Path) -
         button.click()
     download.value.save_as(tmp_path / "plan.json")
     assert read_plan(tmp_path / "plan.json").task.hand.name == "allegro_hand"
+
+
+def test_the_scene_is_saved_as_a_picture(opened: OpenPage, tmp_path: Path) -> None:
+    with opened.page.expect_download() as download:
+        opened.page.locator("#tools button", has_text="save picture").click()
+    download.value.save_as(tmp_path / "scene.png")
+    pixels = np.asarray(Image.open(tmp_path / "scene.png"))
+    assert len(np.unique(pixels[::4, ::4, :3].reshape(-1, 3) // 16, axis=0)) >= LEAST_COLOURS
+    assert pixels[..., 3].min() == 255
+
+
+def test_a_camera_below_the_table_sees_the_hand(opened: OpenPage) -> None:
+    opened.page.evaluate("Opposable.stage.camera.look([0.1, 0, -1])")
+    for layer in ("planned contacts", "pads"):
+        opened.set(layer, False)
+    assert opened.colours() >= LEAST_COLOURS
 
 
 def test_text_on_a_page_is_not_markup(chromium: Any, plan: GraspPlan, tmp_path: Path) -> None:

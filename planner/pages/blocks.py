@@ -7,13 +7,17 @@ from dataclasses import dataclass
 from html import escape
 from typing import TypeAlias
 
+from planner.pages.polar import Polar, polar_html
+
 __all__ = [
+    "PLOTS",
     "Block",
     "Command",
     "Facts",
     "Folded",
     "Heading",
     "Image",
+    "PlotsHere",
     "Sentence",
     "Table",
     "Verdict",
@@ -96,6 +100,11 @@ class Image:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PlotsHere:
+    """The place of the scene's plots among the blocks; without it they stand after the last."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Folded:
     """Blocks under a title that a person opens."""
 
@@ -103,7 +112,13 @@ class Folded:
     blocks: tuple[Block, ...]
 
 
-Block: TypeAlias = Heading | Sentence | Verdict | Facts | Table | Command | Image | Folded
+Block: TypeAlias = (
+    Heading | Sentence | Verdict | Facts | Table | Command | Image | PlotsHere | Folded | Polar
+)
+
+
+PLOTS = '<div id="plots"></div>'
+"""Where the page's script draws the plots."""
 
 
 def block_html(block: Block) -> str:
@@ -130,6 +145,10 @@ def block_html(block: Block) -> str:
                 f'<figure><img src="{escape(source)}" alt="{escape(text)}">'
                 f"<figcaption>{escape(text)}</figcaption></figure>"
             )
+        case PlotsHere():
+            return PLOTS
+        case Polar():
+            return polar_html(block)
         case Folded(title=title, blocks=blocks):
             inner = "".join(block_html(b) for b in blocks)
             return f"<details><summary>{escape(title)}</summary>{inner}</details>"

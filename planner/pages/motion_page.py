@@ -14,7 +14,7 @@ from planner.files.motions import motion_to_dict
 from planner.motion import Knot, MotionPlan
 from planner.motion.gait import GaitPlan
 from planner.motion.manipulation import ManipulationPlan
-from planner.pages.blocks import Block, Facts, Heading, Sentence, Table
+from planner.pages.blocks import Block, Facts, Heading, PlotsHere, Sentence, Table, Verdict
 from planner.pages.object_motion import AnyMotion, ObjectMotion, object_motion
 from planner.pages.page import Page
 from planner.pages.plan_page import bands_of, hand_motion, task_facts
@@ -22,7 +22,7 @@ from planner.pages.plan_scene import Stage, contact_rows, stage_of, views_of
 from planner.pages.rows import pose_rows
 from planner.pages.scene import Contacts, Line, Motion, Plot, Scene
 from planner.plan import GraspPlan
-from planner.spatial import FloatArray
+from planner.spatial import SE3, FloatArray, signed_twist
 
 __all__ = ["motion_page"]
 
@@ -38,6 +38,12 @@ def motion_page(plan: AnyMotion) -> Page:
     return Page(
         title=f"{grasp.task.hand.name} moves {grasp.task.object.shape.spec} in the hand",
         subtitle=f"{what}: {_path(plan)}",
+        verdict=Verdict(
+            good=True,
+            text="Verified",
+            reason="At every knot the pads touch, force closure holds (least normalised min-weight "
+            f"{plan_margin(plan):.3f}), forces bear the weight, and nothing else collides.",
+        ),
         summary=_summary(plan, motion, stage.shown.note),
         scene=_scene(plan, grasp, stage),
         data=data,
@@ -65,6 +71,7 @@ def _path(plan: AnyMotion) -> str:
 def _scene(plan: AnyMotion, grasp: GraspPlan, stage: Stage) -> Scene:
     trajectory = plan.joint_trajectory(rate_hz=RATE)
     found = object_motion(plan, trajectory)
+    axis = (plan if isinstance(plan, MotionPlan) else plan.motion).path.axis
     bands = bands_of(trajectory)
     start = next((b.begin for b in bands if b.name.startswith(("turn", "stroke"))), 0.0)
     return Scene(
@@ -82,7 +89,7 @@ def _scene(plan: AnyMotion, grasp: GraspPlan, stage: Stage) -> Scene:
             ),
         ),
         contacts=(_contacts(grasp.task.finger_names, found.contacts, float(grasp.task.mu)),),
-        plots=_plots(grasp.task.finger_names, found),
+        plots=_plots(grasp.task.finger_names, found, axis),
         bands=bands,
         start=start,
         views=views_of(grasp.task.hand, grasp.T_world_palm, grasp.contacts),
@@ -113,16 +120,18 @@ def _contacts(fingers: Sequence[str], sets: Sequence[ContactSet | None], mu: flo
     )
 
 
-def _plots(fingers: Sequence[str], found: ObjectMotion) -> tuple[Plot, ...]:
-    normal = np.full((len(fingers), len(found.contacts)), np.nan)
+def _plots(fingers: Sequence[str], found: ObjectMotion, axis: FloatArray) -> tuple[Plot, ...]:
+    normal, used = np.full((2, len(fingers), len(found.contacts)), np.nan)
     for i, one in enumerate(found.contacts):
         if one is not None:
-            normal[[fingers.index(f) for f in one.fingers], i] = one.forces[:, 0]
-    forces = tuple(
-        Line(name=name, values=row, group=name) for name, row in zip(fingers, normal, strict=True)
-    )
+            at = [fingers.index(f) for f in one.fingers]
+            normal[at, i] = one.forces[:, 0]
+            used[at, i] = 100.0 * one.friction_utilisation()
+    turn = Line(name="turn", values=_turned(found.poses, axis))
     return (
-        Plot(title="Planned normal force", unit="N", lines=forces),
+        Plot(title="Turn of the object", unit="degrees", lines=(turn,)),
+        Plot(title="Planned normal force", unit="N", lines=_by_finger(fingers, normal)),
+        Plot(title="Planned use of the friction cone", unit="%", lines=_by_finger(fingers, used)),
         _of_knots(
             "Normalised min-weight (closure above 0)",
             "",
@@ -132,6 +141,22 @@ def _plots(fingers: Sequence[str], found: ObjectMotion) -> tuple[Plot, ...]:
         _of_knots("Smallest clearance", "mm", found, lambda k: 1e3 * k.clearance),
         _of_knots("Object off its path", "mm", found, lambda k: 1e3 * k.off_path),
     )
+
+
+def _by_finger(fingers: Sequence[str], values: FloatArray) -> tuple[Line, ...]:
+    return tuple(
+        Line(name=name, values=row, group=name) for name, row in zip(fingers, values, strict=True)
+    )
+
+
+def _turned(poses: Sequence[SE3], axis: FloatArray) -> FloatArray:
+    """Turn about an axis (3,), world, since the first pose (m,), degrees."""
+    turn = [0.0]
+    for pose in poses[1:]:
+        turned = pose.rotation @ poses[0].rotation.T
+        turn.append(signed_twist(turned, axis, near=turn[-1]))
+    degrees: FloatArray = np.rad2deg(np.array(turn))
+    return degrees
 
 
 def _of_knots(title: str, unit: str, found: ObjectMotion, value: Callable[[Knot], float]) -> Plot:
@@ -162,7 +187,8 @@ def _summary(plan: AnyMotion, motion: MotionPlan, note: str) -> tuple[Block, ...
         rows.append(("put down at", f"({target}) m"))
         if plan.ending.back:
             rows.append(("turned back before", plan.ending.back))
-    blocks: list[Block] = [Facts(rows=tuple(rows)), Heading(text="Pads")]
+    blocks: list[Block] = [PlotsHere(), Heading(text="Motion"), Facts(rows=tuple(rows))]
+    blocks.append(Heading(text="Pads"))
     blocks.append(_pads(motion))
     gait = plan.gait if isinstance(plan, ManipulationPlan) else plan
     if isinstance(gait, GaitPlan):

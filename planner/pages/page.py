@@ -22,7 +22,7 @@ from typing import Any
 
 from planner.errors import FileFormatError
 from planner.files.whole import whole_file
-from planner.pages.blocks import Block, Verdict, block_html
+from planner.pages.blocks import PLOTS, Block, Verdict, block_html
 from planner.pages.payload import scene_bytes
 from planner.pages.scene import Scene
 from planner.pages.three import three_source
@@ -101,6 +101,8 @@ def page_html(page: Page) -> str:
     """
     blocks = ([page.verdict] if page.verdict is not None else []) + list(page.summary)
     summary = "\n".join(block_html(b) for b in blocks)
+    if PLOTS not in summary:
+        summary += PLOTS
     scripts = [_asset(name) for name in SCRIPTS]
     scripts[-1:-1] = page.scripts
     parts = []

@@ -10,6 +10,7 @@ from planner.files.plans import plan_to_dict
 from planner.pages.blocks import Block, Command, Facts, Folded, Heading, Sentence, Table, Verdict
 from planner.pages.page import Page
 from planner.pages.plan_scene import Stage, planned_contacts, stage_of, views_of
+from planner.pages.polar import resisted_forces
 from planner.pages.rows import pose_rows
 from planner.pages.scene import Band, Motion, Scene
 from planner.plan import GraspPlan, JointTrajectory
@@ -93,6 +94,7 @@ def _verdict(plan: GraspPlan) -> Verdict:
 
 def _summary(plan: GraspPlan, note: str) -> tuple[Block, ...]:
     quality, closure = plan.quality, plan.quality.closure
+    resisted = resisted_forces(plan.contacts, plan.task.object.shape.bounding_radius)
     nearest = plan.verification.closest[0] if plan.verification.closest else None
     blocks: list[Block] = [
         Heading(text="Quality"),
@@ -105,6 +107,7 @@ def _summary(plan: GraspPlan, note: str) -> tuple[Block, ...]:
                 ("largest pad gap", f"{1e6 * np.abs(plan.verification.pad_gaps).max():.1f} µm"),
             )
         ),
+        *([] if resisted is None else [resisted]),
         Heading(text="Contacts"),
         _contact_table(plan),
         Heading(text="Task"),

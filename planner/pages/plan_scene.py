@@ -89,8 +89,7 @@ def _extent(
 
 def contact_rows(contacts: ContactSet) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Points, normals and forces of contacts, (n, 3) each, in the frame of the contacts."""
-    forces = np.einsum("nij,nj->ni", contacts.frames, contacts.forces[:, :3])
-    return np.array(contacts.positions), np.array(contacts.normals), forces
+    return np.array(contacts.positions), np.array(contacts.normals), contacts.forces_in_axes()
 
 
 def planned_contacts(

@@ -138,8 +138,12 @@ def _joined(pieces: list[Triangles]) -> Triangles:
 
 
 def table_model(radius: float) -> Model:
-    """A round plate whose top is at z = 0; a table of the planner has no end, this is a part."""
+    """A round plate whose top is at z = 0; a table of the planner has no end, this is a part.
+
+    It has no underside, so that a camera from below looks through it.
+    """
     solid = trimesh.creation.cylinder(radius=radius, height=TABLE_THICKNESS, sections=96)
+    solid.update_faces(solid.face_normals[:, 2] > -0.5)
     shift = np.array([0.0, 0.0, -TABLE_THICKNESS / 2])
     plate = _part("table", "table", solid, TABLE_COLOUR)
     return Model(joints=(), parts=(replace(plate, vertices=plate.vertices + shift),))

@@ -76,7 +76,7 @@ def run(
     write_report(report.to_dict(), folder / "report.json")
     report.save_html(folder / "report.html", task=plan.task)
     if as_json:
-        print_json({"plan": plan_to_dict(plan), "report": report.to_dict(states=False)})
+        print_json({"plan": plan_to_dict(plan), "report": report.to_dict()})
     else:
         out.print(report)
         note = "" if report.picture else f" (no picture: {report.picture_reason})"
@@ -151,7 +151,7 @@ def simulate(
     if page is not None:
         report.save_html(page, task=plan.task)
     if as_json:
-        print_json(report.to_dict(states=False))
+        print_json(report.to_dict())
     else:
         out.print(report)
         if report.drawn:

@@ -300,7 +300,7 @@ def _execute(
         write_report(report.to_dict(), out_dir / "report.json")
         report.save_html(out_dir / "report.html", task=plan.task)
     if as_json:
-        print_json(report.to_dict(states=False))
+        print_json(report.to_dict())
     else:
         say(out, escape(str(report)))
         if out_dir is not None:

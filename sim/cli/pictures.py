@@ -74,7 +74,9 @@ def draw_motion(
         video: File of the film, if one is wanted.
         arrows: Draw the planned contact forces; fingers that move on are drawn without any.
     """
-    motion = getattr(plan, "motion", plan)
+    from planner.motion.gait import GaitPlan
+
+    motion = plan.motion if isinstance(plan, GaitPlan) else plan
     in_the_air = replace(motion.grasp.task, table_height=None, obstacles=())
     poses = list(_poses(plan))
     return _draw(

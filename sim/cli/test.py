@@ -47,6 +47,10 @@ def test(
         Path, typer.Option("--out", help="Folder for reports and trials.csv.", metavar="DIR")
     ] = Path("runs/test"),
     seed: SeedOption = 0,
+    video: Annotated[
+        str | None,
+        typer.Option(help="Film every trial into the folder of --out: mp4, webp or gif."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Test plans in MuJoCo by protocols: pushes, shaking, errors.
@@ -58,6 +62,8 @@ def test(
     from planner.errors import TaskError
     from planner.files import read_plan, write_json
     from sim.controllers import named_controller
+    from sim.looking.backend import why_not
+    from sim.looking.film import check_video
     from sim.protocols import (
         PROTOCOLS,
         ProtocolReport,
@@ -71,10 +77,15 @@ def test(
 
     named_controller(controller)  # bad input ends here
     computed = physics_of(physics)
+    ending = "" if video is None else f".{video}"
+    check_video(f"film{ending}" if ending else None)
     asked = PROTOCOLS if protocol == "all" else [protocol]
     trials = trials_of(asked, only or (), Settings(), seed)
     loaded = [(path, read_plan(path)) for path in plans]
     make_folder(folder)
+    if ending and (reason := why_not()):
+        say(err, escape(f"no films: {reason}"))
+        ending = ""
     reports: list[ProtocolReport] = []
     skipped: list[dict[str, str]] = []
     with heeding_ctrl_c() as check:
@@ -95,6 +106,7 @@ def test(
                     only=some,
                     name=str(path),
                     file=folder / f"{stem}.jsonl",
+                    video=folder / f"{stem}{ending}" if ending else None,
                     console=err,
                     check=check,
                 )
@@ -114,7 +126,8 @@ def test(
     if as_json:
         print_json({"reports": [report.summary() for report in reports], "skipped": skipped})
     else:
-        say(out, escape(f"written to {folder}: a report per plan and protocol, trials.csv"))
+        films = f", {len(list(folder.glob(f'*{ending}')))} films" if ending else ""
+        say(out, escape(f"written to {folder}: a report per plan and protocol, trials.csv{films}"))
     if not all(report.complete for report in reports):
         say(err, "interrupted; what was done is kept")
         raise typer.Exit(EXIT_INTERRUPTED)

@@ -14,7 +14,7 @@ import warnings
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["Backend", "open_backend"]
+__all__ = ["Backend", "open_backend", "why_not"]
 
 ORDER = ("egl", "osmesa", "glfw")
 """Ways to draw on Linux, in the order in which they are tried."""
@@ -65,6 +65,15 @@ def open_backend(width: int, height: int) -> Backend | str:
             return found
         reasons.append(f"{NAMES.get(way, way)}: {found}")
     return f"no offscreen rendering ({'; '.join(reasons)}); {_remedy(asked)}"
+
+
+def why_not() -> str:
+    """Why nothing can be drawn on this machine, in one line; "" if it can."""
+    found = open_backend(8, 8)
+    if isinstance(found, str):
+        return found
+    found.close()
+    return ""
 
 
 def _open(way: str, width: int, height: int) -> Backend | str:

@@ -191,10 +191,10 @@ def _summary(report: ReportFile, plan: PlanFile | None, stage: Moving | None) ->
     blocks: list[Block] = []
     if report.recording is None:
         blocks.append(Sentence(text=NO_STATES, kind="warning"))
-    elif stage is None:
+    elif stage is None and report.recording.time_s:
         text = "This report names no hand that can be loaded, so that only its numbers are shown."
         blocks.append(Sentence(text=text, kind="warning"))
-    elif stage.note:
+    elif stage is not None and stage.note:
         blocks.append(Sentence(text=stage.note, kind="warning"))
     if report.remedies:
         blocks.append(Sentence(text="Each of these keeps the object from creeping:"))

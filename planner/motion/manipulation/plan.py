@@ -16,6 +16,7 @@ from planner.motion.manipulation.ending import Ending, standing_under
 from planner.motion.plan import MotionPlan
 from planner.motion.trajectory import JOINT_RATE, TURN_RATE, TrajectoryBuilder
 from planner.plan import GraspPlan, JointTrajectory
+from planner.showing import Shown
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.objectives.joint import driving
 from planner.task import GraspTask, Obstacle
@@ -27,7 +28,7 @@ LIFT_S, CARRY_S, LOWER_S, OPEN_S, RETREAT_S = 0.7, 0.8, 0.6, 0.4, 0.6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ManipulationPlan:
+class ManipulationPlan(Shown):
     """Pick, turn, place.
 
     Attributes:

@@ -58,7 +58,7 @@ class HandJob(Job):
         model: The hand.
         folder: Folder of the clones of repositories.
         pictures: Folder for pictures; None for none.
-        cpu_s: CPU time (s) after which no further try is begun.
+        cpu_s: CPU time (s) of tries after which no further one is begun.
     """
 
     model: ZooModel
@@ -127,12 +127,13 @@ def look_at(job: HandJob, check: Check) -> Row:
         status = "refused" if refused else "not usable"
         facts |= {"status": status, "reason": job.told(errors[0])}
     else:
-        facts |= _grasp(job, hand, fitting_objects(fitting_width(report)), begin, check)
+        facts |= _grasp(job, hand, fitting_objects(fitting_width(report)), check)
     return job.row(**facts, cpu_s=round(time.process_time() - begin, 2))
 
 
-def _grasp(job: HandJob, hand: Hand, objects: Sequence[str], begin: float, check: Check) -> Row:
+def _grasp(job: HandJob, hand: Hand, objects: Sequence[str], check: Check) -> Row:
     """Tries until a grasp holds: status, reason, tries, and the grasp."""
+    begin = time.process_time()
     tries: list[Row] = []
     picture = ""
     for seed, item in ((s, o) for s in range(SEEDS) for o in objects):

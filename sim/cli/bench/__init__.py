@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from sim.cli.bench import control, dexgraspbench, grasps, synthesis, turns, zoo
+from sim.cli.bench import control, dexgraspbench, grasps, pages, synthesis, turns, zoo
 
 __all__ = ["register"]
 
@@ -24,7 +24,9 @@ def register(app: typer.Typer, panel: str) -> None:
         turns.manipulate,
         control.physics,
         dexgraspbench.dexgraspbench,
+        pages.pages,
         zoo.zoo,
+        zoo.gallery,
     ):
         bench.command()(command)
     app.add_typer(bench, name="bench", rich_help_panel=panel)

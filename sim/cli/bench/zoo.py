@@ -49,3 +49,33 @@ def zoo(
             wanted, folder=models, pictures=pictures, cpu_s=cpu_s, file=samples, runner=runner
         )
     result.give(measured, zoo_tables)
+
+
+@errors_for_people()
+@with_options
+def gallery(
+    entries: Annotated[
+        list[str] | None,
+        typer.Argument(help="Entries of the gallery; all if none is named.", metavar="[ENTRY]..."),
+    ] = None,
+    pictures: Annotated[Path, typer.Option(help="Folder for films and pictures.")] = Path(
+        "docs/gallery/pictures"
+    ),
+    pages: Annotated[
+        Path | None, typer.Option(help="Folder for pages with 3D scenes; no pages if none.")
+    ] = None,
+    samples: SamplesOption = Path("gallery.jsonl"),
+    *,
+    result: ResultOptions,
+) -> None:
+    """Run every example and film it: the gallery of the documentation."""
+    from sim.bench.gallery.entries import chosen, gallery_entries
+    from sim.bench.gallery.make import run_gallery
+    from sim.bench.gallery.table import gallery_table
+
+    wanted = chosen(gallery_entries(), entries or [])
+    for folder in filter(None, (pictures, pages)):
+        make_folder(folder)
+    with result.measuring(samples) as runner:
+        made = run_gallery(wanted, pictures=pictures, pages=pages, file=samples, runner=runner)
+    result.give(made, gallery_table)
