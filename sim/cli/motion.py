@@ -20,6 +20,7 @@ from sim.cli.common import (
     PictureOption,
     SeedOption,
     VideoOption,
+    check_films,
     err,
     errors_for_people,
     names,
@@ -28,7 +29,6 @@ from sim.cli.common import (
     print_json,
     say,
 )
-from sim.cli.pictures import check_films, draw_motion
 
 
 @errors_for_people()
@@ -68,6 +68,7 @@ def plan_motion(
     from planner.motion import plan_motion as plan
     from planner.objects import parse_object
     from planner.task import GraspTask
+    from sim.manipulation.drawing import draw_motion
 
     check_films(output, picture, video)
     task = GraspTask.create(
@@ -126,6 +127,7 @@ def plan_gait(
     from planner.motion.gait import plan_gait as plan
     from planner.objects import parse_object
     from planner.task import GraspTask
+    from sim.manipulation.drawing import draw_motion
 
     check_films(output, picture, video)
     task = GraspTask.create(

@@ -40,13 +40,13 @@ from sim.cli.common import (
     TouchOption,
     VideoOption,
     ViewOption,
+    check_films,
     err,
     heeding_ctrl_c,
     names,
     numbers,
     physics_of,
 )
-from sim.cli.pictures import check_films
 
 if TYPE_CHECKING:
     from planner.forces import ExpectedLoad

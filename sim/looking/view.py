@@ -23,8 +23,8 @@ __all__ = ["FIELD_OF_VIEW_DEG", "Subject", "View", "choose_views", "sees"]
 FIELD_OF_VIEW_DEG = 32.0
 """Vertical field of view of every camera, degrees: as a lens that does not distort a hand."""
 
-AZIMUTHS_DEG = tuple(float(a) for a in range(0, 360, 30))
-ELEVATIONS_DEG = (-22.0, -35.0)
+AZIMUTHS_DEG = tuple(float(a) for a in range(0, 360, 20))
+ELEVATIONS_DEG = (-20.0, -35.0)
 """Directions that are tried, degrees: MuJoCo's elevation is negative for a look from above."""
 
 RAYS = (40, 30)
@@ -38,6 +38,9 @@ MARGIN = 1.12
 
 TIP_SHARE = 0.6
 """How much the tips count in the choice of a direction; the object counts the rest."""
+
+ENOUGH = 0.5
+"""Share of a tip, of what its best direction shows, at which it counts as seen."""
 
 FOLLOW_S = 0.5
 """Standard deviation (s) of the smoothing of the point that is looked at."""
