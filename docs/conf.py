@@ -25,6 +25,7 @@ extensions = [
     "machinery.docstrings",
     "machinery.commands",
     "machinery.formats",
+    "machinery.zoo",
     "machinery.messages",
 ]
 exclude_patterns = ["machinery"]

@@ -32,7 +32,9 @@ from planner.shapes.triangulation import surface_triangles
 from planner.spatial import SE3, FloatArray, IntArray, pose_to_wxyz
 from planner.task import GraspTask
 from sim.gantry import GANTRY, Gantry, add_gantry, tuned_gantry
-from sim.looking.picture import add_scenery
+from sim.looking.dress import HIDDEN_GROUP, dress_hand
+from sim.looking.scenery import OBJECT_MATERIAL, add_object_material, add_scenery
+from sim.looking.view import Subject
 from sim.physics.options import CONTACT_SOLREF, PhysicsOptions
 
 __all__ = [
@@ -41,7 +43,9 @@ __all__ = [
     "TABLE",
     "PhysicsOptions",
     "Scene",
+    "add_looks",
     "build_scene",
+    "dress_hand",
     "drop_options",
     "index_scene",
 ]
@@ -52,15 +56,9 @@ HAND_PREFIX = "hand/"
 OBJECT, TABLE, SUPPORT = "object", "table", "support"
 """Names of bodies in the scene, and of the constraint that holds an object without a table."""
 
-OBJECT_COLOR = (0.42, 0.72, 0.38, 1.0)
-"""Red, green, blue, opacity."""
-
 WORLD_BIT = 1 << 30
 """Bit of contype and conaffinity by which object, table and obstacles meet the hand and each other.
 The other bits are the hand model's own and decide which of its links touch each other."""
-
-PIECE_GROUP = 3
-"""Group of the pieces of a mesh object: not drawn, but the viewer can show it."""
 
 OBSTACLE_PREFIX = "obstacle/"
 """Prefix of the names of obstacles, so that none is taken for something else."""
@@ -114,15 +112,33 @@ class Scene:
     support: int
     deviation: float
 
+    def posed(self, q: FloatArray, T_world_base: SE3, T_world_object: SE3) -> FloatArray:
+        """State (qpos) with the hand at q (nq,) and a base pose, and the object at a pose."""
+        qpos = np.array(self.model.qpos0)
+        qpos[self.hand_qpos] = q
+        if self.gantry is not None:
+            qpos[self.gantry.qpos] = self.gantry.coordinates(T_world_base)
+        qpos[self.object_qpos] = np.concatenate(pose_to_wxyz(T_world_object))
+        return qpos
+
     def start(self, q: FloatArray, T_world_base: SE3) -> Any:
         """Fresh ``mujoco.MjData`` at rest: hand at q (nq,) and a base pose, object at its place."""
         data = mujoco.MjData(self.model)
-        data.qpos[self.hand_qpos] = q
-        if self.gantry is not None:
-            data.qpos[self.gantry.qpos] = self.gantry.coordinates(T_world_base)
-        data.qpos[self.object_qpos] = np.concatenate(pose_to_wxyz(self.task.T_world_object))
+        data.qpos[:] = self.posed(q, T_world_base, self.task.T_world_object)
         mujoco.mj_forward(self.model, data)
         return data
+
+    @property
+    def subject(self) -> Subject:
+        """What pictures of it are about: object, palm and fingers."""
+        hand, body_of = self.task.hand.description, self.model.geom_bodyid
+        pads = [f.pad.geom for f in hand.fingers if f.name in self.task.finger_names]
+        links = {int(body_of[g]) for g, finger in self.finger_of_geom.items() if finger}
+        return Subject(
+            object_body=self.object_body,
+            tips=tuple(int(body_of[self.model.geom(HAND_PREFIX + pad).id]) for pad in pads),
+            bodies=(self.object_body, *sorted(links | {self.palm_body})),
+        )
 
     def body_pose(self, data: Any, body: int) -> SE3:
         """Pose of a body in the world."""
@@ -165,17 +181,7 @@ def build_scene(
     _add_object(spec, task, physics)
     _add_surroundings(spec, task, physics)
     hand = task.hand
-    if q is None:
-        q = hand.neutral
-    T_world_palm = T_world_base * HandState(hand, q).T_base_palm
-    add_scenery(
-        spec,
-        task.T_world_object.translation,
-        T_world_base.translation,
-        T_world_palm.rotation @ hand.palm_normal,
-        task.table_height,
-        1.0 if hand.arm is None else ARM_VIEW,
-    )
+    add_looks(spec, task, T_world_base, hand.neutral if q is None else q)
     model = compile_spec(spec, f"the scene of {spec.modelname}")
     gantry = None
     if hand.arm is None:
@@ -197,9 +203,33 @@ def _add_hand(spec: Any, task: GraspTask, T_world_base: SE3, physics: PhysicsOpt
         if geom.contype or geom.conaffinity:
             geom.contype &= ~WORLD_BIT
             geom.conaffinity |= WORLD_BIT
+    dress_hand(child, task.hand.mj_model)
     spec.attach(child, prefix=HAND_PREFIX, frame=gantry.add_frame(quat=quaternion))
     if task.hand.arm is None:
         add_gantry(spec, gantry)
+
+
+def add_looks(spec: Any, task: GraspTask, T_world_base: SE3, q: FloatArray) -> None:
+    """Add what is only to be looked at, the heading mark of the object with it.
+
+    Args:
+        spec: ``mujoco.MjSpec`` with the object.
+        task: What it shows.
+        T_world_base: Base pose of the grasp.
+        q: Joints (nq,) at the grasp.
+    """
+    hand = task.hand
+    add_object_material(spec)
+    for geom in spec.body(OBJECT).geoms:
+        geom.material = OBJECT_MATERIAL
+    T_world_palm = T_world_base * HandState(hand, q).T_base_palm
+    add_scenery(
+        spec,
+        task.T_world_object.translation,
+        T_world_palm.rotation @ hand.palm_normal,
+        task.table_height,
+        1.0 if hand.arm is None else ARM_VIEW,
+    )
 
 
 def drop_options(spec: Any) -> None:
@@ -225,14 +255,14 @@ def _add_object(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
     body.fullinertia = [*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]]
     for k, part in enumerate(solid_geoms(item.shape)):
         name = OBJECT if k == 0 else f"{OBJECT}/{k}"
-        geom = body.add_geom(name=name, condim=physics.condim, priority=1, rgba=OBJECT_COLOR)
+        geom = body.add_geom(name=name, condim=physics.condim, priority=1)
         geom.pos, geom.quat = pose_to_wxyz(part.T_object_geom)
         if part.vertices is not None and part.faces is not None:
             _add_mesh(spec, name, part.vertices, part.faces)
             geom.meshname = name
-            geom.group = PIECE_GROUP  # the true mesh is shown instead
+            geom.group = HIDDEN_GROUP  # the true mesh is shown instead
         _solid(geom, part.kind, part.size, physics)
-    if body.geoms[0].group == PIECE_GROUP:
+    if body.geoms[0].group == HIDDEN_GROUP:
         _add_picture(spec, body, item.shape)
     if task.table_height is None:
         weld = spec.add_equality(name=SUPPORT, type=mujoco.mjtEq.mjEQ_WELD)
@@ -253,7 +283,7 @@ def _add_picture(spec: Any, body: Any, shape: Shape) -> None:
     name = f"{OBJECT}/seen"
     _add_mesh(spec, name, *surface_triangles(shape))
     spec.mesh(name).inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-    geom = body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, rgba=OBJECT_COLOR)
+    geom = body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH)
     geom.meshname = name
     geom.contype = geom.conaffinity = 0
     geom.density = 0.0
@@ -264,7 +294,7 @@ def _add_surroundings(spec: Any, task: GraspTask, physics: PhysicsOptions) -> No
     if task.table_height is not None:
         half = np.array(TABLE_SIZE) / 2
         table = spec.worldbody.add_body(name=TABLE, pos=(x, y, task.table_height - half[2]))
-        geom = table.add_geom(name=TABLE, condim=6, priority=2, rgba=(0.80, 0.79, 0.76, 1.0))
+        geom = table.add_geom(name=TABLE, condim=6, priority=2, rgba=(0.88, 0.87, 0.85, 1.0))
         _solid(geom, "box", tuple(half), physics)
     for obstacle in task.obstacles:
         position, quaternion = pose_to_wxyz(obstacle.T_world_obstacle)

@@ -14,7 +14,10 @@ Whoever looks on may end it: ``simulation.stop("seen enough")``.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -36,15 +39,20 @@ from sim.controllers import (
     ReportsLimits,
     controller_for,
 )
+from sim.looking.picture import draw_tape
+from sim.looking.tape import FRAME_RATE, Tape
 from sim.looking.viewer import Viewer
 from sim.pads import read_pads
 from sim.scene import PhysicsOptions, Scene, build_scene
 from sim.timeline import Timeline
 
-__all__ = ["Simulation"]
+__all__ = ["Simulation", "filmed"]
 
 LIMIT_MARGIN = 1e-6
 """Distance (N, N m, rad) to its limit at which an actuator counts as saturated: rounding."""
+
+_tapes: ContextVar[list[Tape] | None] = ContextVar("tapes", default=None)
+"""Tapes of the simulations that are made while ``filmed``."""
 
 _BAD_NUMBERS = {
     "positions": int(mujoco.mjtWarning.mjWARN_BADQPOS),
@@ -67,6 +75,7 @@ class Simulation:
         steps: Time steps made so far.
         stopped: Why the caller ended it, "" if not.
         on_step: Called with the simulation after every time step of a phase; may be set.
+        tape: What pictures and films are drawn from; None unless ``record`` was called.
     """
 
     def __init__(
@@ -113,8 +122,12 @@ class Simulation:
         self.steps = 0
         self.stopped = ""
         self.on_step: Callable[[Simulation], None] | None = None
+        self.tape: Tape | None = None
         self._viewer: Viewer | None = None
         self._ctrl: FloatArray = self.data.ctrl[self.scene.hand_ctrl].copy()
+        tapes = _tapes.get()
+        if tapes is not None:
+            tapes.append(self.record())
 
     # ---- running
 
@@ -155,6 +168,8 @@ class Simulation:
             yield observation
             if self.on_step is not None:
                 self.on_step(self)
+            if self.tape is not None and self.due(1.0 / FRAME_RATE):
+                self._keep()
             if self._viewer is not None:
                 self._viewer.show(self.time)
             if k + 1 >= steps and (until is None or until(observation)):
@@ -247,6 +262,16 @@ class Simulation:
         """
         self._viewer = Viewer(self.scene.model, self.data)
 
+    def record(self) -> Tape:
+        """Keep a state from time to time from now on, from which pictures and films are drawn."""
+        self.tape = Tape(self.scene.model, self.scene.subject)
+        self._keep()
+        return self.tape
+
+    def _keep(self) -> None:
+        if self.tape is not None:
+            self.tape.keep(self.time, self.data.qpos, hand_contacts(self.scene, self.data))
+
     def close(self) -> None:
         """Close the viewer, if it is open."""
         if self._viewer is not None:
@@ -323,3 +348,24 @@ class Simulation:
     def events(self) -> tuple[Event, ...]:
         """What the controller noticed so far, in order; empty for one that notices nothing."""
         return self.controller.events if isinstance(self.controller, ReportsEvents) else ()
+
+
+@contextmanager
+def filmed(video: Path | None) -> Iterator[None]:
+    """Draw a film of the first simulation that is made and run meanwhile; nothing without a file.
+
+    Args:
+        video: File of the film; see ``sim.looking.film.FORMATS``. It is missing afterwards where
+            this machine cannot draw.
+    """
+    if video is None:
+        yield
+        return
+    tapes: list[Tape] = []
+    token = _tapes.set(tapes)
+    try:
+        yield
+    finally:
+        _tapes.reset(token)
+    for tape in tapes[:1]:
+        draw_tape(tape, video=video)

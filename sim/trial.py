@@ -24,12 +24,14 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from planner.errors import TaskError
+from planner.files import plan_to_dict
 from planner.plan import GraspPlan
 from planner.quality import analyse
 from sim.contacts import NO_FORCE, hand_contacts, merge_per_finger
 from sim.controllers import PHASES, AnyController, Observation, Phase
 from sim.creep import CREEP_BUDGET, least_creep, remedies
-from sim.looking.picture import save_picture
+from sim.looking.film import check_video
+from sim.looking.picture import draw_tape, moments_of
 from sim.recorder import Recorder
 from sim.report import TrialReport
 from sim.scene import PhysicsOptions
@@ -102,6 +104,8 @@ class Trial:
         on_step: Callable[[Simulation], None] | None = None,
         view: bool = False,
         picture: Path | str | None = None,
+        video: Path | str | None = None,
+        arrows: bool = False,
     ) -> TrialReport:
         """Run to the end, or to where it cannot go on, and judge. Ctrl-C ends it with a report.
 
@@ -109,11 +113,16 @@ class Trial:
             progress: Called now and then with the share done, in [0, 1].
             on_step: Called with the simulation after every time step; may stop it.
             view: Show it in MuJoCo's viewer, in real time.
-            picture: Write a picture of the end here (PNG).
+            picture: Write a picture of the end here (PNG). Of a trial that failed it shows the
+                moment where it went wrong, and a second one (``...-end.png``) the end.
+            video: Write a film here: ``.mp4``, ``.webp`` or ``.gif``.
+            arrows: Draw the measured contact forces into both.
 
         Raises:
-            TaskError: ``view`` without a display, or the trial has run already.
+            TaskError: ``view`` without a display, a video that cannot be written, or the trial has
+                run already.
         """
+        check_video(video)
         simulation = self.simulation
         if simulation.steps:
             raise TaskError("this trial has run already; make a new Trial to run again")
@@ -130,6 +139,7 @@ class Trial:
                 on_step(simulation)
 
         simulation.on_step = after_step
+        tape = simulation.record() if picture or video else None
         if view:
             simulation.show()
         interrupted = False
@@ -152,10 +162,22 @@ class Trial:
             diverged=simulation.diverged,
         )
         report = self._report(verdict, begin)
-        if picture is None:
+        if tape is None:
             return report
-        made = save_picture(simulation.scene.model, simulation.data, Path(picture))
-        return replace(report, picture=made.path, picture_reason=made.reason)
+        failed_at = None if verdict.fault is None else verdict.fault.time
+        drawn = draw_tape(
+            tape,
+            pictures=moments_of(picture, failed_at),
+            video=None if video is None else Path(video),
+            arrows=arrows,
+        )
+        made = picture is not None and Path(picture) in drawn.files
+        return replace(
+            report,
+            picture=Path(picture) if picture is not None and made else None,
+            picture_reason="" if made else drawn.reason or report.picture_reason,
+            drawn=str(drawn),
+        )
 
     def _report(self, verdict: Verdict, begin: float) -> TrialReport:
         plan, task, simulation = self.plan, self.plan.task, self.simulation
@@ -176,6 +198,8 @@ class Trial:
             seed=plan.record.seed,
             fingers=task.finger_names,
             samples=samples,
+            recording=self.recorder.recording(),
+            plan=plan_to_dict(plan) if task.hand.reference and plan.forces.found else None,
             comparison=self.recorder.comparison(),
             quality_planned=plan.quality,
             quality_measured=analyse(measured, length=length) if ended_holding else None,
@@ -254,6 +278,8 @@ def simulate(
     on_step: Callable[[Simulation], None] | None = None,
     view: bool = False,
     picture: Path | str | None = None,
+    video: Path | str | None = None,
+    arrows: bool = False,
 ) -> TrialReport:
     """Execute a plan and judge it; see ``Trial`` and ``Trial.run`` for the arguments."""
     trial = Trial(
@@ -264,4 +290,6 @@ def simulate(
         thresholds=thresholds,
         record_every=record_every,
     )
-    return trial.run(progress=progress, on_step=on_step, view=view, picture=picture)
+    return trial.run(
+        progress=progress, on_step=on_step, view=view, picture=picture, video=video, arrows=arrows
+    )

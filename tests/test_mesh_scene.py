@@ -18,7 +18,8 @@ from planner.spatial import SE3
 from planner.system.disk_cache import CACHE_VARIABLE
 from planner.task import GraspTask
 from sim.contacts import other_touches
-from sim.scene import PIECE_GROUP, WORLD_BIT, Scene, build_scene
+from sim.looking.dress import HIDDEN_GROUP
+from sim.scene import WORLD_BIT, Scene, build_scene
 
 AWAY = SE3(np.eye(3), np.array([0.6, 0.0, 0.4]))
 MADE = (LBracket(), Torus())
@@ -124,13 +125,13 @@ def test_pieces_collide_unseen_and_the_true_mesh_is_seen_only(allegro: Hand) -> 
     of_object = np.flatnonzero(model.geom_bodyid == scene.object_body)
     colliding = [g for g in of_object if model.geom_contype[g] or model.geom_conaffinity[g]]
     assert len(colliding) == 2
-    assert {int(model.geom_group[g]) for g in colliding} == {PIECE_GROUP}
+    assert {int(model.geom_group[g]) for g in colliding} == {HIDDEN_GROUP}
     (seen,) = set(of_object) - set(colliding)
     shown = int(model.geom_dataid[seen])
     assert model.mesh_facenum[shown] == len(LBracket().faces)
     option = mujoco.MjvOption()
     assert option.geomgroup[model.geom_group[seen]]
-    assert not option.geomgroup[PIECE_GROUP]
+    assert not option.geomgroup[HIDDEN_GROUP]
     assert scene.deviation == pytest.approx(0.0, abs=1e-6)
 
 
@@ -165,11 +166,13 @@ def test_links_meet_the_world_and_each_other_as_the_model_says(
         one = model.geom_contype[a] & model.geom_conaffinity[b]
         return bool(one | (model.geom_contype[b] & model.geom_conaffinity[a]))
 
-    links = [g for g in range(model.ngeom) if model.geom(g).name.startswith("hand/")]
+    links = [model.geom(f"hand/{link.name}").id for link in allegro.geometries]
+    looks = {g for g in range(model.ngeom) if model.geom(g).name.startswith("hand/")} - {*links}
     world = [model.geom(n).id for n in ("object", "object/1", "table")]
     assert all(meet(g, w) for g in links for w in world)
     assert all(meet(a, b) for a in world for b in world[2:] if a != b)
     assert {meet(a, b) for a in links[:5] for b in links[5:]} == {bool(contype & conaffinity)}
+    assert looks and not any(meet(a, b) for a in looks for b in range(model.ngeom))
     assert (model.geom_margin[links] == 0).all()
 
 

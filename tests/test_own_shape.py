@@ -181,13 +181,14 @@ def test_it_is_planned_written_and_held_like_any_other(cone: type[Cone], tmp_pat
 
 
 def test_it_is_seen_in_a_simulation(cone: type[Cone]) -> None:
-    from sim.scene import PIECE_GROUP, build_scene
+    from sim.looking.dress import HIDDEN_GROUP
+    from sim.scene import build_scene
 
     away = SE3(np.eye(3), np.array([0.0, 0.0, 1.0]))
     scene = build_scene(GraspTask.create("allegro_hand", "cone"), T_world_base=away)
     model = scene.model
     of_object = np.flatnonzero(model.geom_bodyid == scene.object_body)
-    seen = [g for g in of_object if model.geom_group[g] != PIECE_GROUP]
+    seen = [g for g in of_object if model.geom_group[g] != HIDDEN_GROUP]
     assert len(seen) == 1 and not model.geom_contype[seen[0]]
 
 

@@ -25,7 +25,7 @@ from planner.hands.arm import MountDescription
 from planner.hands.description_toml import MirrorDescription, MotorsDescription
 from sim.manipulation import ManipulationReportFile
 from sim.physics import PhysicsOptions
-from sim.report import ReportFile
+from sim.report_file import ReportFile
 
 HERE = Path(__file__).parent.parent
 FOLDER = HERE / "reference" / "generated" / "formats"

@@ -18,6 +18,7 @@ from planner.motion.path import ObjectPath
 from planner.motion.trajectory import JOINT_RATE, TURN_RATE, TrajectoryBuilder
 from planner.plan import GraspPlan, JointTrajectory, Verification
 from planner.quality import ClosureResult
+from planner.showing import Shown
 from planner.spatial import SE3, FloatArray
 
 __all__ = ["Knot", "MotionPlan", "MotionRecord"]
@@ -80,7 +81,7 @@ class MotionRecord(SearchRecord):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class MotionPlan:
+class MotionPlan(Shown):
     """A motion of the object in the hand; every knot passed the checks of a grasp.
 
     All poses are relative to the grasp on the table: execution lifts hand and object first, both by

@@ -35,29 +35,35 @@ def test(
     plans: Annotated[list[Path], typer.Argument(help="Plan files.", metavar="PLAN...")],
     protocol: Annotated[
         str,
-        typer.Option(help="What to do to the grasp: dexgraspbench, forces, shake, robust, or all."),
+        typer.Option(help="dexgraspbench, forces, shake, robust, or all.", metavar="NAME"),
     ] = "all",
     controller: ControllerOption = "feedforward",
     physics: PhysicsOption = "ours",
     only: Annotated[
-        list[str] | None, typer.Option(help='Only trials of this name: "force +z"; repeatable.')
+        list[str] | None, typer.Option(help='Only trials of this name: "force +z".', metavar="NAME")
     ] = None,
-    workers: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
+    workers: Annotated[int, typer.Option(help="Processes; -1 for one per core.", metavar="N")] = -1,
     folder: Annotated[
-        Path, typer.Option("--out", help="Folder for lines as they come, reports and trials.csv.")
+        Path, typer.Option("--out", help="Folder for reports and trials.csv.", metavar="DIR")
     ] = Path("runs/test"),
     seed: SeedOption = 0,
+    video: Annotated[
+        str | None,
+        typer.Option(help="Film every trial into the folder of --out: mp4, webp or gif."),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Test plans in MuJoCo by named protocols: dexgraspbench, forces, shake, robust.
+    """Test plans in MuJoCo by protocols: pushes, shaking, errors.
 
-    Ends with 0 if every grasp held in every trial without a growing load and bore the first load at
+    Exit code 0 if every grasp held in every trial without a growing load and bore the first load at
     rest in every direction. Of all protocols, those that a hand cannot take are skipped. The
     protocol dexgraspbench has the physics of its original, whatever --physics says.
     """
     from planner.errors import TaskError
     from planner.files import read_plan, write_json
     from sim.controllers import named_controller
+    from sim.looking.backend import why_not
+    from sim.looking.film import check_video
     from sim.protocols import (
         PROTOCOLS,
         ProtocolReport,
@@ -71,10 +77,15 @@ def test(
 
     named_controller(controller)  # bad input ends here
     computed = physics_of(physics)
+    ending = "" if video is None else f".{video}"
+    check_video(f"film{ending}" if ending else None)
     asked = PROTOCOLS if protocol == "all" else [protocol]
     trials = trials_of(asked, only or (), Settings(), seed)
     loaded = [(path, read_plan(path)) for path in plans]
     make_folder(folder)
+    if ending and (reason := why_not()):
+        say(err, escape(f"no films: {reason}"))
+        ending = ""
     reports: list[ProtocolReport] = []
     skipped: list[dict[str, str]] = []
     with heeding_ctrl_c() as check:
@@ -95,6 +106,7 @@ def test(
                     only=some,
                     name=str(path),
                     file=folder / f"{stem}.jsonl",
+                    video=folder / f"{stem}{ending}" if ending else None,
                     console=err,
                     check=check,
                 )
@@ -114,14 +126,10 @@ def test(
     if as_json:
         print_json({"reports": [report.summary() for report in reports], "skipped": skipped})
     else:
-        say(out, escape(f"written to {folder}: a report per plan and protocol, trials.csv"))
+        films = f", {len(list(folder.glob(f'*{ending}')))} films" if ending else ""
+        say(out, escape(f"written to {folder}: a report per plan and protocol, trials.csv{films}"))
     if not all(report.complete for report in reports):
         say(err, "interrupted; what was done is kept")
         raise typer.Exit(EXIT_INTERRUPTED)
     if not all(report.success for report in reports):
         raise typer.Exit(EXIT_NO)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(test)

@@ -1,202 +1,168 @@
-"""How a scene looks: lights, camera, and a picture of it as a PNG file.
+"""Pictures and films of what a tape holds, all drawn by one OpenGL context.
 
-A picture is made where it can be. On Linux without ``MUJOCO_GL`` it is rendered through EGL, which
-works without a display and, with Mesa, without a GPU; where neither works there is no picture but
-a reason, and never an error.
+A picture is made where it can be. Where no way to draw works there is none but a reason, in one
+line, and never an error.
 """
 
 from __future__ import annotations
 
-import os
-import sys
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
-import mujoco
-import numpy as np
 from PIL import Image
 
-from planner.spatial import FloatArray
+from sim.looking.film import FORMATS, FilmFormat, check_video, write_film
+from sim.looking.painter import Painter, Pixels, Quality, open_painter
+from sim.looking.tape import Frame, Tape
+from sim.looking.view import View, choose_views
 
-__all__ = ["CAMERA", "Picture", "add_scenery", "save_picture"]
+__all__ = ["PICTURE", "Drawn", "draw_tape", "moments_of"]
 
-CAMERA = "view"
-"""Name of the camera that a scene has: it stays where it is and looks at the object."""
+PICTURE = Quality(size=(960, 720), larger=2.0, shadows=4096, slices=40)
+"""How a picture is drawn."""
 
-CAMERA_DISTANCE = 0.55
-"""Horizontal distance (m) from object to camera: object and fingers fill the picture."""
 
-CAMERA_HEIGHT = 0.22
-"""Height (m) of the camera above the object before the lift: a look from slightly above."""
-
-CAMERA_TURN = np.deg2rad(80.0)
-"""Angle between the camera's direction and the side away from the hand's base: nearly in profile,
-so that thumb and fingers are seen on both sides of the object. Of the two sides it is the one that
-the palm faces."""
-
-FIELD_OF_VIEW_DEG = 38.0
-"""Vertical field of view of the camera, degrees."""
-
-PICTURE_SIZE = (960, 720)
-"""Width and height of a picture, pixels."""
-
-EXTENT = 0.35
-"""Size (m) of what matters in the picture; MuJoCo scales shadows and clipping by it."""
-
-FLOOR_DEPTH = 0.5
-"""How far (m) below the object the floor is drawn where there is no table."""
+MOST_NAMES = 4
+"""Names of pictures that are told; of more, how many there are."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Picture:
-    """A picture file, or why there is none.
+class Drawn:
+    """What was drawn, or why it was not.
 
     Attributes:
-        path: The file; None if there is none.
-        reason: Why there is none, "" otherwise.
+        files: What was written, in order.
+        moments: Pictures of a moment, s, that was asked for.
+        backend: How it was drawn, such as "EGL"; "" if nothing could be.
+        reason: Why something is missing, "" if nothing is.
+        speed: How much faster than the simulation the film is.
     """
 
-    path: Path | None
-    reason: str
+    files: tuple[Path, ...] = ()
+    moments: Mapping[Path, float | None] = field(default_factory=dict)
+    backend: str = ""
+    reason: str = ""
+    speed: float = 1.0
+
+    def __str__(self) -> str:
+        """One line."""
+        names = ", ".join(self._names())
+        fast = f", {self.speed:.1f} times as fast as simulated" if self.speed > 1.01 else ""
+        done = f"{names} (drawn by {self.backend}{fast})" if names else ""
+        return "; ".join(part for part in (done, self.reason) if part)
+
+    def _names(self) -> list[str]:
+        films = [file for file in self.files if file.suffix.lower() in FORMATS]
+        stills = [file for file in self.files if file not in films]
+        if len(stills) > MOST_NAMES:
+            return [f"{len(stills)} pictures", *(film.name for film in films)]
+        times = [self.moments.get(file) for file in stills]
+        return [
+            still.name if time is None else f"{still.name} at {time:.2f} s"
+            for still, time in zip(stills, times, strict=True)
+        ] + [film.name for film in films]
 
 
-def add_scenery(
-    spec: Any,
-    focus: FloatArray,
-    base: FloatArray,
-    palm_faces: FloatArray,
-    table_height: float | None,
-    scale: float = 1.0,
-) -> None:
-    """Add what is only to be looked at: sky, lights, camera, and a floor where no table is.
+def draw_tape(
+    tape: Tape,
+    *,
+    pictures: Mapping[Path, float | None] | None = None,
+    video: Path | None = None,
+    arrows: bool = False,
+) -> Drawn:
+    """Draw pictures at moments, and a film.
 
     Args:
-        spec: ``mujoco.MjSpec``; the camera follows its body "object".
-        focus: Point (3,) to look at before the lift, m.
-        base: Position (3,) of the hand's base at the grasp, m.
-        palm_faces: Direction (3,) in which the palm faces then.
-        table_height: Height of the table's top, m; None for no table.
-        scale: How much more than object and hand is to be seen, a factor on the distance.
+        tape: What was recorded.
+        pictures: File (its ending says the format, as for Pillow) -> moment, s; None for the end.
+        video: File of a film, one of ``film.FORMATS``.
+        arrows: Draw the contact forces, and the object as glass.
+
+    Raises:
+        TaskError: A film of an unknown kind, or MP4 without the package that writes it.
     """
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = PICTURE_SIZE
-    spec.visual.quality.shadowsize = 4096
-    spec.stat.center, spec.stat.extent = focus, scale * EXTENT
-    spec.visual.headlight.ambient = (0.35, 0.35, 0.36)
-    spec.visual.headlight.diffuse = (0.45, 0.45, 0.45)
-    spec.visual.headlight.specular = (0.2, 0.2, 0.2)
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=(0.85, 0.90, 0.96),
-        rgb2=(0.62, 0.68, 0.75),
-        width=256,
-        height=256,
-    )
-    away = np.arctan2(focus[1] - base[1], focus[0] - base[0])
-    sides = [
-        np.array([np.cos(away + turn), np.sin(away + turn), 0.0])
-        for turn in (CAMERA_TURN, -CAMERA_TURN)
-    ]
-    toward = max(sides, key=lambda side: float(side @ palm_faces))
-    eye = focus + scale * (CAMERA_DISTANCE * toward + np.array([0.0, 0.0, CAMERA_HEIGHT]))
-    spec.worldbody.add_camera(
-        name=CAMERA,
-        pos=eye,
-        mode=mujoco.mjtCamLight.mjCAMLIGHT_TARGETBODY,
-        targetbody="object",
-        fovy=FIELD_OF_VIEW_DEG,
-    )
-    lamp = focus + np.array([0.25 * toward[0], 0.25 * toward[1], 1.0])
-    spec.worldbody.add_light(
-        name="lamp",
-        pos=lamp,
-        dir=focus - lamp,
-        diffuse=(0.45, 0.45, 0.43),
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        castshadow=True,
-    )
-    if table_height is None:
-        spec.worldbody.add_geom(
-            name="floor",
-            type=mujoco.mjtGeom.mjGEOM_PLANE,
-            size=(0, 0, 1),
-            pos=(0, 0, focus[2] - FLOOR_DEPTH),
-            contype=0,
-            conaffinity=0,
-            rgba=(0.78, 0.76, 0.73, 1.0),
-        )
+    check_video(video)
+    if not tape.frames:
+        return Drawn(reason="there is nothing to draw: no state was kept")
+    stills = _draw_stills(tape, dict(pictures or {}), arrows)
+    if video is None or stills.reason:
+        return stills
+    film = _draw_film(tape, video, FORMATS[video.suffix.lower()], arrows)
+    return replace(film, files=(*stills.files, *film.files), moments=stills.moments)
 
 
-def save_picture(model: Any, data: Any, path: Path) -> Picture:
-    """Render what the scene's camera sees now into a PNG file.
+def moments_of(picture: Path | str | None, failed_at: float | None) -> dict[Path, float | None]:
+    """The pictures of a trial: its end; of one that failed, where it went wrong, and its end.
 
     Args:
-        model: ``mujoco.MjModel`` with a camera called ``CAMERA``.
-        data: ``mujoco.MjData``, with kinematics computed.
-        path: The file to write.
+        picture: The first of them; none if None.
+        failed_at: When it failed, s; None if it did not.
     """
-    pixels = _render(model, data)
-    if isinstance(pixels, str):
-        return Picture(path=None, reason=pixels)
-    try:
-        Image.fromarray(pixels).save(path)
-    except OSError as error:
-        return Picture(path=None, reason=f"cannot write {path}: {error}")
-    return Picture(path=path, reason="")
+    if picture is None:
+        return {}
+    path = Path(picture)
+    if failed_at is None:
+        return {path: None}
+    return {path: failed_at, path.with_name(f"{path.stem}-end{path.suffix}"): None}
 
 
-def _render(model: Any, data: Any) -> Any:
-    """Pixels (height, width, 3), or why there are none."""
-    width, height = PICTURE_SIZE
-    backend = os.environ.get("MUJOCO_GL", "").lower()
-    try:
-        # Chosen here, not by the environment at MuJoCo's import, so that the order of imports does
-        # not matter and nothing global is changed.
-        if sys.platform == "linux" and backend in ("", "egl"):
-            from mujoco.egl import GLContext
-        else:
-            from mujoco.gl_context import GLContext
-        context = GLContext(width, height)
-    except (ImportError, RuntimeError, AttributeError, OSError) as error:
-        what = backend or "EGL"
-        return f"no offscreen rendering by {what}: {str(error).splitlines()[0][:200]}"
-    try:
-        context.make_current()
-        return _draw(model, data, width, height)
-    except (RuntimeError, mujoco.FatalError) as error:
-        return f"offscreen rendering failed: {error}"
-    finally:
-        context.free()
-
-
-def _draw(model: Any, data: Any, width: int, height: int) -> Any:
-    renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-    mujoco.mjr_setBuffer(int(mujoco.mjtFramebuffer.mjFB_OFFSCREEN), renderer)
-    scene = mujoco.MjvScene(model, maxgeom=2000)
-    camera = mujoco.MjvCamera()
-    camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
-    camera.fixedcamid = model.camera(CAMERA).id
-    mujoco.mjv_updateScene(
-        model,
-        data,
-        _options(),
-        mujoco.MjvPerturb(),
-        camera,
-        int(mujoco.mjtCatBit.mjCAT_ALL),
-        scene,
+def _draw_stills(tape: Tape, wanted: Mapping[Path, float | None], arrows: bool) -> Drawn:
+    """One picture per file, each framed by itself."""
+    if not wanted:
+        return Drawn()
+    painter = open_painter(tape.model, PICTURE)
+    if isinstance(painter, str):
+        return Drawn(reason=painter)
+    frames = [tape.at(moment) for moment in wanted.values()]
+    views = choose_views(
+        tape.model, [f.qpos for f in frames], tape.subject, _aspect(PICTURE.size), follow=None
     )
-    viewport = mujoco.MjrRect(0, 0, width, height)
-    pixels = np.zeros((height, width, 3), dtype=np.uint8)
-    mujoco.mjr_render(viewport, scene, renderer)
-    mujoco.mjr_readPixels(pixels, None, viewport, renderer)
-    renderer.free()
-    return np.flipud(pixels)
+    files: list[Path] = []
+    with painter:
+        for path, pixels in zip(wanted, _drawn(painter, frames, views, arrows), strict=True):
+            try:
+                Image.fromarray(pixels).save(path)
+            except (OSError, ValueError) as error:  # ValueError: an ending that Pillow cannot write
+                reason = _cannot_write(path, error)
+                return Drawn(
+                    files=tuple(files), moments=wanted, backend=painter.backend, reason=reason
+                )
+            files.append(path)
+    return Drawn(files=tuple(files), moments=wanted, backend=painter.backend)
 
 
-def _options() -> Any:
-    """What is drawn: no sites, which some models have as rays and boxes around the hand."""
-    options = mujoco.MjvOption()
-    options.sitegroup[:] = 0
-    return options
+def _draw_film(tape: Tape, path: Path, film: FilmFormat, arrows: bool) -> Drawn:
+    painter = open_painter(tape.model, film.quality)
+    if isinstance(painter, str):
+        return Drawn(reason=painter)
+    frames, speed = tape.evenly(film.rate, film.most)
+    views = choose_views(
+        tape.model,
+        [f.qpos for f in frames],
+        tape.subject,
+        _aspect(film.quality.size),
+        follow=film.rate / speed,
+    )
+    with painter:
+        try:
+            write_film(path, _drawn(painter, frames, views, arrows), film)
+        except OSError as error:
+            return Drawn(backend=painter.backend, reason=_cannot_write(path, error))
+    return Drawn(files=(path,), backend=painter.backend, speed=speed)
+
+
+def _drawn(
+    painter: Painter, frames: Sequence[Frame], views: Sequence[View], arrows: bool
+) -> Iterator[Pixels]:
+    painter.light(views[0])
+    for frame, view in zip(frames, views, strict=True):
+        yield painter.draw(frame.qpos, view, frame.arrows if arrows else None)
+
+
+def _aspect(size: tuple[int, int]) -> float:
+    return size[0] / size[1]
+
+
+def _cannot_write(path: Path, error: Exception) -> str:
+    return f"cannot write {path}: {getattr(error, 'strerror', None) or error}"

@@ -11,11 +11,13 @@ import copy
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from planner.errors import PlannerError
 from planner.failure import Failure
+from planner.files.manipulations import manipulation_to_dict
 from planner.motion.gait import Relocation, cut_motion, plan_back, plan_others
 from planner.motion.manipulation import Ending, ManipulationPlan, plan_manipulation
 from planner.motion.manipulation.ending import backwards, object_at_target, stands
@@ -23,10 +25,11 @@ from planner.motion.release import find_release
 from planner.spatial import SE3, signed_twist
 from planner.task import GraspTask
 from sim.controllers import Sensing
-from sim.looking.picture import save_picture
+from sim.looking.film import check_video
+from sim.looking.picture import Drawn, draw_tape
 from sim.manipulation.in_hand import AnyTurningController, GuidedController, in_hand_controller
 from sim.manipulation.log import ManipulationLog
-from sim.manipulation.machine import PhaseCall, StateMachine
+from sim.manipulation.machine import StateMachine
 from sim.manipulation.modes import measured_modes, planned_modes, planned_points
 from sim.manipulation.phases import Phases
 from sim.manipulation.pressing import ASKED_SHARE, force_limit
@@ -81,20 +84,30 @@ class ManipulationRun:
         self._phases = Phases(plan, self.sim, self._timeline, self._criteria)
 
     def perform(
-        self, *, pictures: Path | None = None, retry: bool = False, view: bool = False
+        self,
+        *,
+        pictures: Path | None = None,
+        video: Path | None = None,
+        arrows: bool = False,
+        retry: bool = False,
+        view: bool = False,
     ) -> ManipulationReport:
         """Run all phases, or up to the first that fails and is not made up for.
 
         Args:
-            pictures: Folder for a picture at the end of each phase; it must exist.
+            pictures: Folder for a picture at the end of each phase, which is where it went wrong if
+                it failed; it must exist.
+            video: Write a film here: ``.mp4``, ``.webp`` or ``.gif``.
+            arrows: Draw the measured contact forces into both.
             retry: Whether failures of the turn are made up for; see ``machine``.
             view: Show it in MuJoCo's viewer, in real time.
 
         Raises:
-            TaskError: ``view`` without a display.
+            TaskError: ``view`` without a display, or a video that cannot be written.
         """
+        check_video(video)
         machine = StateMachine(self.plan, self, retry=retry)
-        album = _Album(self.sim, pictures)
+        tape = self.sim.simulation.record() if pictures or video else None
         if view:
             self.sim.simulation.show()
         try:
@@ -116,10 +129,15 @@ class ManipulationRun:
                         then=then,
                     )
                 )
-                album.take(len(self.results), call)
         finally:
             self.sim.simulation.close()
-        return self._report(machine, album)
+        report = self._report(machine)
+        if tape is None:
+            return report
+        wanted = {} if pictures is None else _pictures(pictures, self.results)
+        times = {path: result.end for path, result in wanted.items()}
+        drawn = draw_tape(tape, pictures=times, video=video, arrows=arrows)
+        return replace(report, **_told(wanted, drawn))
 
     # ---- the situation, for the state machine
 
@@ -162,7 +180,7 @@ class ManipulationRun:
         target = object_at_target(task, axis, turned, (x, y))
         return Ending(T_world_target=target, release=release, back="")
 
-    def _report(self, machine: StateMachine, album: _Album) -> ManipulationReport:
+    def _report(self, machine: StateMachine) -> ManipulationReport:
         plan, log = self.plan, self.sim.recorder.log()
         points = planned_points(plan.motion, log.path_parameter, log.phase, log.away)
         wanted = np.isfinite(points[..., 0])
@@ -184,6 +202,8 @@ class ManipulationRun:
             back=machine.ending.back,
             R_world_palm=plan.grasp.T_world_palm.rotation,
             log=log,
+            recording=self.sim.recorder.recording(),
+            plan=None if plan.task.hand.reference is None else manipulation_to_dict(plan),
             planned_modes=planned_modes(log.time, points),
             measured_modes=measured_modes(log.time, log.points, log.sliding, wanted),
             before=self._phases.quality.get("verify"),
@@ -193,30 +213,26 @@ class ManipulationRun:
             force_limit=self._force_limit,
             events=simulation.events,
             physics=simulation.scene.physics.to_dict(),
-            pictures=album.files,
-            picture_reason=album.reason,
+            pictures={},
+            picture_reason="",
         )
 
 
-class _Album:
-    """Pictures at the ends of phases."""
+def _pictures(folder: Path, results: Iterable[PhaseResult]) -> dict[Path, PhaseResult]:
+    """File of the picture at the end of each phase."""
+    names = [f"{r.phase} {r.about}".strip().replace(" ", "-") for r in results]
+    files = [folder / f"{number:02d}-{name}.png" for number, name in enumerate(names, start=1)]
+    return dict(zip(files, results, strict=True))
 
-    def __init__(self, sim: ManipulationSim, folder: Path | None) -> None:
-        self.files: dict[str, str] = {}
-        self.reason = ""
-        self._sim, self._folder = sim, folder
 
-    def take(self, number: int, call: PhaseCall) -> None:
-        """Take one, unless none is asked for or none could be taken before."""
-        if self._folder is None or self.reason:
-            return
-        name = f"{call.phase} {call.about}".strip().replace(" ", "-")
-        file = self._folder / f"{number:02d}-{name}.png"
-        simulation = self._sim.simulation
-        made = save_picture(simulation.scene.model, simulation.data, file)
-        self.reason = made.reason
-        if made.path is not None:
-            self.files[file.stem if call.about else call.phase] = str(made.path)
+def _told(wanted: dict[Path, PhaseResult], drawn: Drawn) -> dict[str, Any]:
+    """What a report says of pictures and film."""
+    there = {path: result for path, result in wanted.items() if path in drawn.files}
+    return {
+        "pictures": {p.stem if r.about else r.phase: str(p) for p, r in there.items()},
+        "picture_reason": drawn.reason,
+        "drawn": str(drawn),
+    }
 
 
 def manipulate(
@@ -230,6 +246,8 @@ def manipulate(
     criteria: SuccessCriteria | None = None,
     push: Push | None = None,
     pictures: Path | None = None,
+    video: Path | None = None,
+    arrows: bool = False,
     retry: bool = False,
     view: bool = False,
 ) -> ManipulationReport:
@@ -247,14 +265,18 @@ def manipulate(
         timeline: Durations; defaults if None.
         criteria: Where phases fail; defaults if None.
         push: A disturbance during the turn.
-        pictures: Folder for a picture at the end of each phase; it must exist.
+        pictures: Folder for a picture at the end of each phase, which is where it went wrong if it
+            failed; it must exist.
+        video: Write a film here: ``.mp4``, ``.webp`` or ``.gif``.
+        arrows: Draw the measured contact forces into both.
         retry: Whether a turn that fails is made up for, once; the push is not repeated. The way of
             the hand from where it let go to where it begins anew is not simulated.
         view: Show it in MuJoCo's viewer, in real time.
 
     Raises:
         NotFoundError: No controller has that name.
-        TaskError: The controller is none, or ``view`` without a display.
+        TaskError: The controller is none, ``view`` without a display, or a video that cannot be
+            written.
     """
     fresh = copy.deepcopy(controller) if retry else None  # as it is before the first run
 
@@ -276,7 +298,7 @@ def manipulate(
         )
 
     run = run_of(plan, controller, true_task, push)
-    report = run.perform(pictures=pictures, retry=retry, view=view)
+    report = run.perform(pictures=pictures, video=video, arrows=arrows, retry=retry, view=view)
     if not report.put_down:
         return report
     try:

@@ -28,7 +28,15 @@ from planner.task import GraspTask
 from sim.controllers.base import Phase
 from sim.gantry import Gantry
 from sim.physics import PhysicsOptions
-from sim.scene import HAND_PREFIX, OBJECT, Scene, drop_options, index_scene
+from sim.scene import (
+    HAND_PREFIX,
+    OBJECT,
+    Scene,
+    add_looks,
+    dress_hand,
+    drop_options,
+    index_scene,
+)
 
 __all__ = [
     "HAND_SOLIMP",
@@ -101,6 +109,7 @@ def benchmark_scene(task: GraspTask, T_world_base: SE3) -> tuple[Scene, Welded]:
     T_base_model = T_model_base(task.hand).inverse()
     _add_hand(spec, task, T_world_base * T_base_model, T_base_model.inverse(), physics)
     _add_object(spec, task)
+    add_looks(spec, task, T_world_base, task.hand.neutral)
     for geom in spec.geoms:
         geom.friction[:2] = physics.mu, physics.mu_torsion
         geom.condim = 4
@@ -128,6 +137,7 @@ def _add_hand(
     for geom in child.geoms:
         geom.solref[:2] = HAND_SOLREF
         geom.solimp[:3] = HAND_SOLIMP
+    dress_hand(child, task.hand.mj_model)
     root = spec.worldbody.add_frame().attach_body(child.worldbody, HAND_PREFIX, "")
     root.add_freejoint(name=HANGER)
     position, quaternion = pose_to_wxyz(T_world_model)

@@ -36,6 +36,7 @@ from sim.protocols.settings import Settings
 from sim.protocols.shake import on_an_arm, shake_cases
 from sim.runner import Runner, made_with
 from sim.scene import build_scene
+from sim.simulation import filmed
 
 __all__ = ["PROTOCOLS", "cases_of", "run_protocol", "trials_of", "unsuitable"]
 
@@ -106,6 +107,7 @@ class _Job:
     plan: str
     case: Case
     conditions: Conditions
+    video: Path | None
 
 
 def run_protocol(
@@ -120,6 +122,7 @@ def run_protocol(
     only: Collection[str] = (),
     name: str = "",
     file: Path | None = None,
+    video: Path | None = None,
     console: Console | None = None,
     check: Callable[[], None] = lambda: None,
 ) -> ProtocolReport:
@@ -139,6 +142,8 @@ def run_protocol(
         only: Names of the trials to run, as a report has them; all if empty.
         name: What to call the plan in the report.
         file: JSON lines, one per trial, are written here as trials are finished.
+        video: Film every trial into files of this name with the trial's number and name in it,
+            such as ``films/box-003-force-+z.mp4`` for ``films/box.mp4``.
         console: Where the progress bar goes; none without.
         check: Called between trials; what it raises ends the run.
 
@@ -163,7 +168,10 @@ def run_protocol(
     label = "replay" if protocol == "dexgraspbench" else controller_name(controller)
     text = json.dumps(plan_to_dict(plan))
     conditions = Conditions(physics=physics, controller=make)
-    jobs = [_Job(plan=text, case=case, conditions=conditions) for case in cases]
+    jobs = [
+        _Job(plan=text, case=case, conditions=conditions, video=_film(video, case))
+        for case in cases
+    ]
     _plan_of(text, plan.task.hand)
     outcomes: list[Outcome] = []
     lines = _Lines(file)
@@ -226,6 +234,14 @@ def physics_of(plan: GraspPlan, physics: PhysicsOptions) -> dict[str, Any]:
     }
 
 
+def _film(video: Path | None, case: Case) -> Path | None:
+    """File of the film of a trial."""
+    if video is None:
+        return None
+    name = case.name.replace(" ", "-").replace("/", "-")
+    return video.with_name(f"{video.stem}-{case.index:03d}-{name}{video.suffix}")
+
+
 class _Lines:
     """A file of JSON lines that is written as results come; nothing without a path."""
 
@@ -267,7 +283,8 @@ def _plan_of(text: str, hand: Hand | None = None) -> GraspPlan:
 def _run(job: _Job, check: Callable[[], None]) -> Outcome:
     """One trial."""
     plan = _plan_of(job.plan)
-    outcome = job.case.run(plan, job.conditions)
+    with filmed(job.video):
+        outcome = job.case.run(plan, job.conditions)
     check()
     return outcome
 
