@@ -43,6 +43,7 @@ __all__ = [
 ]
 
 ContactModel: TypeAlias = Literal["frictionless", "point", "soft"]
+"""What a contact transmits: a normal force, friction too, or torsion about the normal as well."""
 
 CONTACT_DIM: dict[str, int] = {"frictionless": 1, "point": 3, "soft": 4}
 """Number of force components that each contact model transmits."""
