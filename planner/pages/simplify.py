@@ -6,7 +6,7 @@ import numpy as np
 
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["simplified"]
+__all__ = ["clustered", "simplified"]
 
 ROUNDS = 12
 """Bisections of the grid's cell; the last ones change the number of triangles by 1 %."""
@@ -26,10 +26,10 @@ def simplified(
         return vertices, triangles, False
     low, size = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
     coarse, fine = size / 4, size / 4096
-    best = _clustered(vertices, triangles, low, coarse)
+    best = clustered(vertices, triangles, low, coarse)
     for _ in range(ROUNDS):
         cell = float(np.sqrt(coarse * fine))
-        candidate = _clustered(vertices, triangles, low, cell)
+        candidate = clustered(vertices, triangles, low, cell)
         if len(candidate[1]) <= most:
             best, coarse = candidate, cell
         else:
@@ -37,10 +37,17 @@ def simplified(
     return *best, True
 
 
-def _clustered(
+def clustered(
     vertices: FloatArray, triangles: IntArray, low: FloatArray, cell: float
 ) -> tuple[FloatArray, IntArray]:
-    """Each cell's vertices become their mean; triangles without area and doubles go."""
+    """Each cell's vertices become their mean; triangles without area and doubles go.
+
+    Args:
+        vertices: (n, 3), m.
+        triangles: (k, 3), numbers of vertices.
+        low: Corner (3,) of the grid, below all vertices, m.
+        cell: Edge of a cell, m.
+    """
     at = np.floor((vertices - low) / cell).astype(np.int64)
     key = (at[:, 0] << 42) + (at[:, 1] << 21) + at[:, 2]
     _, number, counts = np.unique(key, return_inverse=True, return_counts=True)
