@@ -33,7 +33,6 @@ from sim.cli.common import (
 )
 from sim.cli.movement import NO_SHIFT, ShiftOption
 from sim.cli.options import AttemptsOption
-from sim.cli.pictures import draw_motion
 
 AxisOption = Annotated[
     str,
