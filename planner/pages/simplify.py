@@ -6,7 +6,7 @@ import numpy as np
 
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["simplified"]
+__all__ = ["clustered", "simplified"]
 
 ROUNDS = 8
 """Sizes of cells that are tried at most."""
@@ -37,7 +37,7 @@ def simplified(
     too_fine = 0.0
     for _ in range(ROUNDS):
         cell = max(cell, finest)
-        kept, number = _clustered(vertices, triangles, low, cell)
+        kept, number = _cells(vertices, triangles, low, cell)
         if len(kept) <= most:
             best = (kept, number)
             if len(kept) >= ENOUGH * most:
@@ -47,12 +47,30 @@ def simplified(
         step = np.sqrt(max(len(kept), 1) / (0.95 * most))
         cell = max(cell * step, 1.02 * too_fine)
     if best is None:
-        best = _clustered(vertices, triangles, low, size)
+        best = _cells(vertices, triangles, low, size)
     kept, number = best
-    counts = np.bincount(number)
+    return _means(vertices, number), kept, True
+
+
+def clustered(
+    vertices: FloatArray, triangles: IntArray, low: FloatArray, cell: float
+) -> tuple[FloatArray, IntArray]:
+    """Each cell's vertices become their mean; triangles without area and doubles go.
+
+    Args:
+        vertices: (n, 3), m.
+        triangles: (k, 3), numbers of vertices.
+        low: Corner (3,) of the grid, below all vertices, m.
+        cell: Edge of a cell, m.
+    """
+    kept, number = _cells(vertices, triangles, low, cell)
+    return _means(vertices, number), kept
+
+
+def _means(vertices: FloatArray, number: IntArray) -> FloatArray:
+    """Mean (c, 3) of the vertices of each cell."""
     sums = np.column_stack([np.bincount(number, vertices[:, k]) for k in range(3)])
-    means: FloatArray = sums / counts[:, None]
-    return means, kept, True
+    return np.asarray(sums / np.bincount(number)[:, None])
 
 
 def _area(vertices: FloatArray, triangles: IntArray) -> float:
@@ -60,7 +78,7 @@ def _area(vertices: FloatArray, triangles: IntArray) -> float:
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
 
 
-def _clustered(
+def _cells(
     vertices: FloatArray, triangles: IntArray, low: FloatArray, cell: float
 ) -> tuple[IntArray, IntArray]:
     """Triangles (m, 3) between cells, no two alike, and the number of each vertex's cell (n,)."""
