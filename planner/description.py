@@ -28,6 +28,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
+"""Three finite numbers x, y, z."""
 
 
 LEAST_COEFFICIENT, MOST_COEFFICIENT = 1e-6, 1e6
@@ -215,9 +216,28 @@ class ActuatorDescription(StrictData):
 class HandDescription(StrictData):
     """Everything in a ``hand.toml``; angles of postures in rad (slides in m).
 
-    ``model`` is relative to the file, absolute, or ``package:PACKAGE/PATH``: a path inside an
-    installed Python package. ``motors`` replaces all actuators and tendons by torque motors, see
-    ``planner.bridge.motors``; its couplings are equalities.
+    Attributes:
+        schema_version: Version of the format; ``schema`` in the file.
+        name: What the hand is called.
+        model: MJCF or URDF file: relative to this file, absolute, or ``package:PACKAGE/PATH``, a
+            path inside an installed Python package.
+        summary: One line.
+        source: Where model and numbers come from.
+        base_body: Root body of the hand, which a gantry or an arm carries.
+        palm_body: Body whose pose a plan states.
+        palm_normal: Direction the palm faces, in that body's frame; normalised on reading.
+        wrist_joints: Joints between base and palm; they belong to no finger.
+        default_fingers: Fingers of a task that names none; all if left out.
+        allowed_contacts: Pairs of bodies of the hand that may touch each other.
+        repair: What is wrong in the model file.
+        joint_defaults: Passive properties of all joints.
+        actuators: Servos that are added.
+        motors: Replace all actuators and tendons by torque motors, see ``planner.bridge.motors``;
+            couplings are equalities then.
+        fingers: The fingers, with tips and pads.
+        couplings: Linear relations between joints.
+        postures: Joint values (rad, m for slides) by the name of a posture; joints that are left
+            out stay neutral.
     """
 
     schema_version: Literal[1] = Field(alias="schema")

@@ -4,19 +4,19 @@ The objectives (``planner.synthesis.objectives.registry``) are smooth rows in a 
 wrench. The metrics are computed independently: with Pinocchio's Jacobians, Qhull on primitive
 wrenches, the linear programme of closure, and the planned forces. For all of them more is better.
 
-epsilon         (-)      Radius of the largest ball in the hull of unit contact wrenches, L1,
-                         8 edges (Ferrari and Canny 1992).
-min_weight      (-)      Normalised min-weight (FRoGGeR, Li et al. 2023), 8 edges.
-task            (1/N)    How much of every task wrench one newton of normal force, shared freely,
-                         resists: min over wrenches t of max {l: -l t in that hull}.
-robustness      (-)      Epsilon that remains under errors of every contact point by 2 mm and of
-                         every normal by 5 degrees: of the hull with friction narrowed, less the
-                         error of the torque (``planner.synthesis.objectives.wrench``).
-torque          (-)      1 less the largest share of its limit that an actuator of the fingers
-                         spends on the planned forces.
-manipulability  (m/rad)  Least over fingers of the geometric mean of the singular values of the
-                         contact's Jacobian (Yoshikawa 1985, per direction of motion).
-limits          (-)      Least distance of a finger's joint from a limit, as a share of its range.
+    epsilon        (-)     Radius of the largest ball in the hull of unit contact wrenches, L1,
+                           8 edges (Ferrari and Canny 1992).
+    min_weight     (-)     Normalised min-weight (FRoGGeR, Li et al. 2023), 8 edges.
+    task           (1/N)   How much of every task wrench one newton of normal force, shared freely,
+                           resists: min over wrenches t of max {l: -l t in that hull}.
+    robustness     (-)     Epsilon that remains under errors of every contact point by 2 mm and of
+                           every normal by 5 degrees: of the hull with friction narrowed, less the
+                           error of the torque (``planner.synthesis.objectives.wrench``).
+    torque         (-)     1 less the largest share of its limit that an actuator of the fingers
+                           spends on the planned forces.
+    manipulability (m/rad) Least over fingers of the geometric mean of the singular values of the
+                           contact's Jacobian (Yoshikawa 1985, per direction of motion).
+    limits         (-)     Least distance of a finger's joint from a limit, as a share of its range.
 """
 
 from __future__ import annotations

@@ -331,13 +331,14 @@ class GraspTask:
         if lowest < height - OBJECT_TABLE_TOL:
             raise TaskError(
                 f"the object reaches down to z = {lowest:.4f} m, below the table's top at "
-                f"{height:.4f} m; raise T_world_object by {height - lowest:.4f} m"
+                f"{height:.4f} m; raise T_world_object by {height - lowest:.4f} m "
+                "(--at)"
             )
         if lowest > height + FLOATING_TOL and not self.obstacles:
             raise TaskError(
                 f"the object floats {lowest - height:.4f} m above the table's top, so it would "
-                "fall before it is grasped; lower T_world_object, or give table_height=None for an "
-                "object that is held until it is lifted"
+                "fall before it is grasped; lower T_world_object (--at), or give table_height=None "
+                "(--table none) for an object that is held until it is lifted"
             )
 
 

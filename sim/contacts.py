@@ -1,6 +1,7 @@
 """MuJoCo's contacts as a ``ContactSet``, so that execution is judged by the code that planned it.
 
 MuJoCo's conventions and what becomes of them:
+
   - ``contact.frame`` holds [normal, t1, t2] in its ROWS, the normal points from geom 1 to geom 2.
     Where the object is geom 1 the normal is turned round, and t1 with it, so that the frame stays
     right-handed and the normal points into the object.
@@ -9,6 +10,7 @@ MuJoCo's conventions and what becomes of them:
     its t2 component changes sign.
   - condim 1, 3, 4 are "frictionless", "point" and "soft"; condim 6 is read as "soft", its rolling
     part left out.
+
 Forces belong to the positions of the same step: after ``mj_step`` both are those at its beginning.
 """
 

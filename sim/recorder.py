@@ -11,9 +11,11 @@ from planner.quality import closure_and_epsilon, force_closure
 from planner.spatial import SE3, FloatArray, pose_change
 from planner.tolerances import CLOSURE_EDGES
 from sim.contacts import hand_collision, hand_contacts, merge_per_finger
+from sim.recording import Recording
 from sim.report import FingerComparison
 from sim.samples import Samples
 from sim.simulation import Simulation
+from sim.states import StateRecorder
 
 __all__ = ["Recorder"]
 
@@ -41,6 +43,7 @@ class Recorder:
         self._length = task.object.shape.bounding_radius
         self._reference: SE3 | None = None
         self._rows: list[dict[str, Any]] = []
+        self._states = StateRecorder(simulation)
         self._held: list[tuple[FloatArray, FloatArray]] = []
 
     def mark_reference(self) -> None:
@@ -83,12 +86,17 @@ class Recorder:
                 "saturated": simulation.saturated_actuators(),
             }
         )
+        self._states.take(phase, merged)
         if phase == "hold":
             self._held.append(self._positions(merged, T_world_object, normal))
 
     def samples(self) -> Samples:
         """Everything recorded so far."""
         return Samples.from_rows(self._rows, len(self._fingers))
+
+    def recording(self) -> Recording:
+        """The states at the same times."""
+        return self._states.recording()
 
     def comparison(self) -> tuple[FingerComparison, ...]:
         """Planned against measured contacts while holding; empty if it never came to that."""

@@ -1,4 +1,4 @@
-"""``TrialReport``: what happened in a trial, and its versioned JSON form ``ReportFile``."""
+"""``TrialReport``: what happened in a trial; ``sim.report_file`` has its form in files."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.markup import escape
 from rich.table import Table
@@ -15,18 +14,18 @@ from rich.text import Text
 from planner.contacts import ContactSet
 from planner.plain import finite
 from planner.quality import QualityReport
-from planner.schema import StrictData
+from planner.showing import in_notebook
 from planner.spatial import FloatArray
+from planner.task import GraspTask
 from planner.version import written_by
-from sim.controllers.events import Event, EventKind
+from sim.controllers.events import Event
+from sim.recording import Recording, RecordingData
+from sim.report_file import ComparisonData, EventData, ReportFile
 from sim.samples import SampleData, Samples
 from sim.screen import OnScreen, table
 from sim.verdict import Reason, Thresholds, Verdict, largest
 
-__all__ = ["REPORT_VERSION", "FingerComparison", "ReportFile", "TrialReport"]
-
-REPORT_VERSION: Literal[1] = 1
-"""Version of ``ReportFile``; another number means another schema."""
+__all__ = ["FingerComparison", "TrialReport"]
 
 MOST_EVENTS = 8
 """Events of the controller on the screen; the file has all of them."""
@@ -68,7 +67,10 @@ class TrialReport(OnScreen):
         mass_kg: Its mass.
         seed: Seed of the plan.
         fingers: Names of the fingers that take part, order of the columns in ``samples``.
-        samples: What was recorded.
+        samples: What was judged, over time.
+        recording: States at the same times.
+        plan: The plan as its file has it (``planner.files.plan_to_dict``); None for a hand that was
+            made in Python, which no file can name, and for a plan without forces.
         comparison: Planned against measured contacts, one per finger; empty without a hold.
         quality_planned: Analysis of the planned contacts.
         quality_measured: The same analysis of where the contacts were at the end of the hold,
@@ -94,6 +96,7 @@ class TrialReport(OnScreen):
         events: What the controller noticed and did, in order; empty for one that notices nothing.
         picture: Picture of the held object, None if there is none.
         picture_reason: Why there is none.
+        command: What the command line was told, "" of a script.
         drawn: Files of pictures and film that were drawn, and how, in one line; not in the file.
     """
 
@@ -104,6 +107,8 @@ class TrialReport(OnScreen):
     seed: int
     fingers: tuple[str, ...]
     samples: Samples
+    recording: Recording
+    plan: dict[str, Any] | None
     comparison: tuple[FingerComparison, ...]
     quality_planned: QualityReport
     quality_measured: QualityReport | None
@@ -123,6 +128,7 @@ class TrialReport(OnScreen):
     events: tuple[Event, ...] = ()
     picture: Path | None = None
     picture_reason: str = "none was asked for"
+    command: str = ""
     drawn: str = ""
 
     @property
@@ -139,6 +145,10 @@ class TrialReport(OnScreen):
     def largest_slip(self) -> tuple[float, float]:
         """Largest movement (mm) and rotation (degrees) of the object relative to the palm."""
         return largest(self.samples.slip_mm), largest(self.samples.slip_deg)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it: a table and a picture, made once."""
+        return in_notebook(self)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """The verdict, and planned against measured contacts."""
@@ -203,10 +213,35 @@ class TrialReport(OnScreen):
             )
         return made
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data that follows ``ReportFile``; what is not a finite number becomes None."""
+    def to_dict(self, *, states: bool = True) -> dict[str, Any]:
+        """Plain data that follows ``ReportFile``; what is not a finite number becomes None.
+
+        Args:
+            states: Whether plan and recorded states are part of it: a few hundred kilobytes, from
+                which a page can be made.
+        """
+        return self.to_file(states=states).model_dump(mode="json")
+
+    def save_html(self, path: Path | str, *, task: GraspTask | None = None) -> None:
+        """Write the trial as a page: one HTML file with motion, plots, summary and this report.
+
+        Args:
+            path: The file.
+            task: The plan's task, if the report's plan is None or loading its hand would be slow.
+
+        Raises:
+            FileFormatError: The file cannot be written.
+        """
+        from planner.pages.page import write_page
+        from sim.pages import trial_page
+
+        write_page(trial_page(self.to_file(), task), path)
+
+    def to_file(self, *, states: bool = True) -> ReportFile:
+        """The same as the data of a file, which pages are made of."""
         return ReportFile(
             written_by=written_by(),
+            command=self.command,
             success=self.success,
             reason=self.reason,
             detail=self.verdict.detail,
@@ -254,64 +289,6 @@ class TrialReport(OnScreen):
             picture=None if self.picture is None else self.picture.name,
             picture_reason=self.picture_reason,
             samples=SampleData.model_validate(self.samples.to_dict()),
-        ).model_dump(mode="json")
-
-
-class ComparisonData(StrictData):
-    """Planned against measured contact of one finger, means over the hold, object frame."""
-
-    finger: str
-    planned_position_object_m: list[float | None]
-    measured_position_object_m: list[float | None]
-    position_error_mm: float | None
-    planned_normal_force_N: float
-    measured_normal_force_N: float | None
-    force_error_N: float | None
-    force_error_percent: float | None
-
-
-class EventData(StrictData):
-    """What a controller noticed and did."""
-
-    time_s: float
-    kind: EventKind
-    finger: str
-    detail: str
-
-
-class ReportFile(StrictData):
-    """A trial report as JSON."""
-
-    format: Literal["opposable-report"] = "opposable-report"
-    version: Literal[1] = REPORT_VERSION
-    written_by: str
-    success: bool
-    reason: Reason
-    detail: str
-    reason_time_s: float | None
-    hand: str
-    object: str
-    mass_kg: float
-    seed: int
-    fingers: list[str]
-    largest_slip_mm: float | None
-    largest_slip_deg: float | None
-    comparison: list[ComparisonData]
-    quality_planned: dict[str, Any]
-    quality_measured: dict[str, Any] | None
-    quality_mu: float | None = None
-    thresholds: dict[str, float]
-    physics: dict[str, float | str | list[float]]
-    least_creep_mm_s: float | None = None
-    remedies: list[str] = Field(default_factory=list)
-    timeline: dict[str, float]
-    simulated_s: float
-    wall_s: float
-    supported_until_lift: bool
-    carried_by: Literal["gantry", "mount", "arm"] = "gantry"
-    object_deviation_mm: float = 0.0
-    controller: str = ""
-    events: list[EventData] = Field(default_factory=list)
-    picture: str | None
-    picture_reason: str
-    samples: SampleData
+            plan=self.plan if states else None,
+            recording=RecordingData(**self.recording.to_dict()) if states else None,
+        )

@@ -24,6 +24,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from planner.errors import TaskError
+from planner.files import plan_to_dict
 from planner.plan import GraspPlan
 from planner.quality import analyse
 from sim.contacts import NO_FORCE, hand_contacts, merge_per_finger
@@ -197,6 +198,8 @@ class Trial:
             seed=plan.record.seed,
             fingers=task.finger_names,
             samples=samples,
+            recording=self.recorder.recording(),
+            plan=plan_to_dict(plan) if task.hand.reference and plan.forces.found else None,
             comparison=self.recorder.comparison(),
             quality_planned=plan.quality,
             quality_measured=analyse(measured, length=length) if ended_holding else None,

@@ -17,7 +17,7 @@ from planner.synthesis import OBJECTIVES
 from sim.bench.objectives import objective_tables, run_objectives, summary_of_objective
 from sim.bench.objects import bench_objects
 from sim.cli import app
-from sim.cli.common import ObjectiveOption
+from sim.cli.options import ObjectiveOption
 from sim.runner import Runner
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-import typer
 from typer.testing import CliRunner
 
 from planner.describe import CheckReport, check_hand
@@ -22,18 +21,11 @@ from planner.kinematics.state import HandState
 from planner.synthesis.seeds.opposition import opposition
 from planner.system.models import models_dir
 from planner.task import GraspTask
-from sim.cli import hands
+from sim.cli import app
 from sim.cli.common import EXIT_BAD_INPUT, EXIT_NO
 from sim.cli.inspection import inspect_hand
 
 EditHand = Callable[..., Path]
-
-
-@pytest.fixture(scope="module")
-def app() -> typer.Typer:
-    app = typer.Typer()
-    hands.register(app)
-    return app
 
 
 @pytest.fixture(scope="module")
@@ -205,7 +197,7 @@ def test_a_gripper_of_two_fingers_is_said_plainly(edit_hand: EditHand) -> None:
 
 
 def test_a_finger_that_takes_no_part_presses_with_nothing(
-    app: typer.Typer, runner: CliRunner, edit_hand: EditHand
+    runner: CliRunner, edit_hand: EditHand
 ) -> None:
     three = {'["thumb", "index", "middle", "ring"]': '["thumb", "index", "middle"]'}
     path = edit_hand(three)
@@ -267,7 +259,7 @@ def test_inspect_tells_the_same_torques(shadow: Hand) -> None:
     assert {j["name"]: j["torque_limit_N_m"] for j in joints} == told
 
 
-def test_check_hand_command(app: typer.Typer, runner: CliRunner, edit_hand: EditHand) -> None:
+def test_check_hand_command(runner: CliRunner, edit_hand: EditHand) -> None:
     good = runner.invoke(app, ["check-hand", "allegro_hand"])
     assert good.exit_code == 0, good.output
     assert "nothing forbids planning" in good.output
@@ -281,7 +273,7 @@ def test_check_hand_command(app: typer.Typer, runner: CliRunner, edit_hand: Edit
     assert missing.exit_code == EXIT_BAD_INPUT
 
 
-def test_describe_command(app: typer.Typer, runner: CliRunner, tmp_path: Path) -> None:
+def test_describe_command(runner: CliRunner, tmp_path: Path) -> None:
     model = models_dir() / "hands" / "allegro_hand" / "allegro_hand.xml"
     printed = runner.invoke(app, ["describe", str(model), "--name", "mine"])
     assert printed.exit_code == 0, printed.output
@@ -298,7 +290,7 @@ def test_describe_command(app: typer.Typer, runner: CliRunner, tmp_path: Path) -
     assert runner.invoke(app, ["describe", str(tmp_path / "no.xml")]).exit_code == EXIT_BAD_INPUT
 
 
-def test_hands_command_lists_ours_and_those_of_others(app: typer.Typer, runner: CliRunner) -> None:
+def test_hands_command_lists_ours_and_those_of_others(runner: CliRunner) -> None:
     result = runner.invoke(app, ["hands"])
     assert result.exit_code == 0
     assert "allegro_hand" in result.output

@@ -25,7 +25,7 @@ from planner.files import PlanFile, read_plan
 from planner.hand_loading import load_hand
 from sim.cli import main
 from sim.cli.common import names, print_json
-from sim.report import ReportFile
+from sim.report_file import ReportFile
 
 ROOT = Path(__file__).resolve().parent.parent
 TOO_HEAVY = ("allegro_hand", "box", "--mass", "15")

@@ -26,7 +26,8 @@ from sim.controllers import (
 )
 from sim.pads import read_pads
 from sim.protocols.disturbance import DisturbanceTrial
-from sim.report import ReportFile, TrialReport
+from sim.report import TrialReport
+from sim.report_file import ReportFile
 from sim.scene import PhysicsOptions
 from sim.simulation import Simulation
 from sim.trial import Timeline, Trial

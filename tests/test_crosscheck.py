@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-import typer
 from typer.testing import CliRunner
 
 import sim.crosscheck.check as check_module
@@ -18,7 +17,7 @@ from planner.bridge import pinocchio_from_mujoco
 from planner.errors import ModelError, NotFoundError, PlannerError, TaskError
 from planner.hands.catalog import find_hand
 from planner.system.models import models_dir
-from sim.cli.crosscheck import register
+from sim.cli import app
 from sim.crosscheck import (
     BRIDGE,
     QUANTITIES,
@@ -701,39 +700,27 @@ def test_every_known_cause_has_its_evidence() -> None:
     assert {q for cause in causes._known() for q in cause["quantities"]} <= set(QUANTITIES)
 
 
-@pytest.fixture
-def command() -> typer.Typer:
-    app = typer.Typer()
-    register(app)
-
-    @app.command()
-    def other() -> None:
-        """A second command, so that the first keeps its name."""
-
-    return app
-
-
-def test_exit_codes_are_those_of_a_ci(command: typer.Typer, tmp_path: Path) -> None:
+def test_exit_codes_are_those_of_a_ci(tmp_path: Path) -> None:
     right, wrong = tmp_path / "right.xml", tmp_path / "wrong.xml"
     right.write_text(MJCF_ARM, encoding="utf-8")
     wrong.write_text(MJCF_ARM.replace('mass="0.2"', 'mass="0.2001"'), encoding="utf-8")
     run = CliRunner().invoke
     base = ["crosscheck", str(right), "--configurations", "1", "--no-own-reader"]
-    done = run(command, base)
+    done = run(app, base)
     assert done.exit_code == 0, done.output
     assert "all judged quantities agree" in done.output
     against = [*base, "--against", str(wrong)]
-    done = run(command, [*against, "--json"])
+    done = run(app, [*against, "--json"])
     assert done.exit_code == 1
     faults = [d for d in json.loads(done.stdout)["columns"][0]["differences"] if d["part"]]
     assert (faults[0]["quantity"], faults[0]["part"]) == ("mass", "lower")
     loose = ["--parameters", "1e-3", "--dynamics", "1e-2", "--kinematics", "1e-3"]
-    assert run(command, [*against, *loose]).exit_code == 0
-    assert run(command, ["crosscheck", str(tmp_path / "gone.xml")]).exit_code == 3
-    assert run(command, [*against, "--same", "elbow"]).exit_code == 3
-    assert run(command, [*base, "--parameters", "-1"]).exit_code == 3
+    assert run(app, [*against, *loose]).exit_code == 0
+    assert run(app, ["crosscheck", str(tmp_path / "gone.xml")]).exit_code == 3
+    assert run(app, [*against, "--same", "elbow"]).exit_code == 3
+    assert run(app, [*base, "--parameters", "-1"]).exit_code == 3
     report = tmp_path / "report.json"
-    assert run(command, [*base, "--out", str(report)]).exit_code == 0
+    assert run(app, [*base, "--out", str(report)]).exit_code == 0
     assert json.loads(report.read_text(encoding="utf-8"))["kind"] == "crosscheck"
 
 

@@ -22,7 +22,8 @@ from planner.task import GraspTask, Obstacle
 from sim.contacts import hand_contacts
 from sim.controllers import Observation
 from sim.physics import PhysicsOptions
-from sim.report import ReportFile, TrialReport
+from sim.report import TrialReport
+from sim.report_file import ReportFile
 from sim.simulation import Simulation
 from sim.timeline import Timeline
 from sim.trial import Trial, simulate
@@ -122,7 +123,7 @@ def test_report_is_plain_json_that_follows_its_schema(report: TrialReport) -> No
     data = report.to_dict()
     text = json.dumps(data, allow_nan=False)
     read = ReportFile.model_validate(json.loads(text))
-    assert (read.format, read.version) == ("opposable-report", 1)
+    assert (read.format, read.version) == ("opposable-report", 2)
     assert read.success
     assert read.physics["mu"] == 0.6
     assert read.timeline["hold"] == 2.0

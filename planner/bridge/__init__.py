@@ -19,15 +19,18 @@ from planner.bridge.mirror import mirror_spec
 from planner.bridge.motors import motorise_spec
 from planner.bridge.pinocchio_model import pinocchio_from_mujoco
 from planner.bridge.prepare import add_described_parts, isolate_base, name_parts, prepare_spec
+from planner.bridge.surfaces import LinkSurface, link_surfaces
 
 __all__ = [
     "LinkGeometry",
+    "LinkSurface",
     "actuation_from_mujoco",
     "add_described_parts",
     "compile_spec",
     "couplings_from_mujoco",
     "hand_geometries",
     "isolate_base",
+    "link_surfaces",
     "load_spec",
     "mirror_spec",
     "motorise_spec",

@@ -1,12 +1,11 @@
 """Reading and compiling a model file with MuJoCo, with errors that say what to do.
 
-MJCF and URDF. ``package://`` paths of a URDF are looked up in the folders above the file, as ROS
-packages lie there; links without joints stay bodies of their own.
+MJCF and URDF. Meshes are found and converted by ``mesh_files``; links without joints stay bodies of
+their own.
 """
 
 from __future__ import annotations
 
-import os
 import re
 from collections import Counter
 from pathlib import Path
@@ -15,6 +14,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from planner.bridge.inertias import give_least_inertias
+from planner.bridge.mesh_files import convert_meshes, find_meshes
 from planner.errors import ModelError, NotFoundError
 
 __all__ = [
@@ -38,7 +39,6 @@ IMPOSSIBLE_INERTIA = "A + B >= C"
 """MuJoCo's message when it refuses moments of inertia, the largest above the sum of the others.
 """
 
-_ROS_SCHEME = re.compile(r"package:/{1,2}")  # MuJoCo drops one of the two slashes of a URL
 _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 _JOINT = re.compile(r"<joint\s(?=[^>]*\btype\s*=)[^>]*?\bname\s*=\s*[\"']([^\"']*)[\"']")
 _MIMIC = re.compile(
@@ -55,17 +55,27 @@ def load_spec(path: Path) -> Any:
     """Read an MJCF or URDF file into a fresh ``mujoco.MjSpec``.
 
     Raises:
-        ModelError: The file is missing, MuJoCo cannot read it, it holds no body, or a URDF has
-            two joints of one name or one that mimics itself.
+        ModelError: The file is missing, MuJoCo cannot read it, it holds no body, a mesh of another
+            format cannot be converted, or a URDF has two joints of one name or one that mimics
+            itself.
         NotFoundError: A joint of a URDF mimics one that does not exist.
     """
+    spec = _read(path)
+    convert_meshes(spec, path)
+    return spec
+
+
+def _read(path: Path) -> Any:
+    """``load_spec`` with meshes as the files that the model names."""
     if not path.is_file():
         raise ModelError(f"there is no model file {path}; give the path of an MJCF or URDF file")
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
+        spec = _parsed(path)
     except (ValueError, FileNotFoundError) as error:
         reason = str(error).replace("\n", "; ")
-        raise ModelError(f"MuJoCo cannot read {path} as a model: {reason}") from error
+        raise ModelError(
+            f"MuJoCo cannot read {path} as a model: {reason}{_remedy(reason)}"
+        ) from error
     if len(spec.bodies) < 2:  # the world is one
         raise ModelError(f"{path} holds no body; {_what_to_load_instead(path)}")
     spec.compiler.fusestatic = False  # a palm without joint must not vanish in the world
@@ -74,10 +84,21 @@ def load_spec(path: Path) -> Any:
         _check_joints(text, path)
         for mimic in spec.equalities:  # a URDF has no word for how soft a gear is
             mimic.solref, mimic.solimp = RIGID_SOLREF, RIGID_SOLIMP
-    for mesh in spec.meshes:
-        found = _ROS_SCHEME.match(mesh.file)
-        if found:
-            mesh.file = str(_ros_file(mesh.file[found.end() :], path))
+        give_least_inertias(spec)
+    find_meshes(spec, path)
+    return spec
+
+
+def _parsed(path: Path) -> Any:
+    """By MuJoCo, which goes by the suffix and does not know ``.mjcf``."""
+    if path.suffix.lower() != ".mjcf":
+        return mujoco.MjSpec.from_file(str(path))
+    included = [f for f in _included(path) if f.is_file() and f != path]
+    spec = mujoco.MjSpec.from_string(
+        path.read_text(encoding="utf-8", errors="replace"),
+        include={f.relative_to(path.parent).as_posix(): f.read_bytes() for f in included},
+    )
+    spec.modelfiledir = str(path.parent.absolute())
     return spec
 
 
@@ -161,6 +182,15 @@ def named_files(path: Path) -> tuple[Path, ...]:
     Raises:
         ModelError: The model cannot be read.
     """
+    files = _included(path)
+    spec = _read(path)
+    folder = path.parent / (spec.meshdir or "")
+    files |= {folder / part.file for part in (*spec.meshes, *spec.hfields) if part.file}
+    return tuple(sorted(files))
+
+
+def _included(path: Path) -> set[Path]:
+    """A model file and those that it includes or attaches, found or not."""
     files = {path}
     queue = [path]
     while queue:
@@ -169,10 +199,7 @@ def named_files(path: Path) -> tuple[Path, ...]:
         new = {path.parent / name for name in _INCLUDE.findall(text)} - files
         queue += [f for f in new if f.is_file()]
         files |= new
-    spec = load_spec(path)
-    folder = path.parent / (spec.meshdir or "")
-    files |= {folder / part.file for part in (*spec.meshes, *spec.hfields) if part.file}
-    return tuple(sorted(files))
+    return files
 
 
 def model_bytes(model: Any) -> bytes:
@@ -194,23 +221,6 @@ def _what_to_load_instead(path: Path) -> str:
     return "give a model with a <worldbody> (MJCF) or links (URDF)"
 
 
-def _ros_file(inside: str, urdf: Path) -> Path:
-    """``PACKAGE/PATH`` of a ROS URL: in a folder called PACKAGE above the URDF or beside one.
-
-    Raises:
-        ModelError: It is not there.
-    """
-    package, _, rest = inside.partition("/")
-    for folder in urdf.resolve().parents:
-        for root in (folder, folder / package):
-            if root.name == package and os.path.isfile(root / rest):
-                return root / rest
-    raise ModelError(
-        f"{urdf} names package://{inside}, and none of the folders above it is or holds "
-        f"{package!r} with that file; copy the package's folder there, or write a relative path"
-    )
-
-
 def _remedy(message: str) -> str:
     """Remedies for the refusals of MuJoCo that foreign models meet."""
     if IMPOSSIBLE_INERTIA in message or "balanceinertia" in message:
@@ -219,4 +229,9 @@ def _remedy(message: str) -> str:
         return "; give the mesh a thickness, or name its geom in drop_collision under [repair]"
     if "opening file" in message:
         return "; put the missing file there, or remove what names it from the model"
+    if "Schema violation" in message:
+        return (
+            f"; this is MuJoCo {mujoco.__version__}, and the file may be of another version: take "
+            "out or rename what it does not know"
+        )
     return ""

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from planner.bridge import compile_spec, couplings_from_mujoco
+from planner.bridge.inertias import LEAST_INERTIA, LEAST_MASS, with_least_inertias
 from planner.bridge.load import compile_balanced
 from planner.bridge.numbers import check_numbers, check_sizes
 from planner.bridge.pinocchio_model import pinocchio_from_mujoco
@@ -72,6 +73,13 @@ def repair_and_base(
             "repair.balance_inertia",
             "true",
             "MuJoCo refuses inertias of this model that no body can have (A + B < C)",
+        )
+    completed = with_least_inertias(spec)
+    if completed:
+        notes.ask(
+            f"the model gives the links {', '.join(completed)} no mass, or an inertia that no body "
+            f"has: {1e6 * LEAST_MASS:g} mg and {LEAST_INERTIA:g} kg m2 stand in for them; give the "
+            "true ones in the model"
         )
     base, why, questions = find_base(structure, base_body, what)
     notes.because("base_body", base, why)

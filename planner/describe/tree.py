@@ -98,6 +98,8 @@ def find_base(
     first, *rest = [p for p in palms if (p.chains, p.joints) == best]
     if rest:
         found = [_base_of(structure, p)[0] for p in (first, *rest)]
+        if len(set(found)) < len(found):  # chains that branch: each branch could be a palm
+            found = [structure.bodies[p.link].name for p in (first, *rest)]
         raise HandError(
             f"{what} holds several hands that look alike, on the bodies {found}; say which one is "
             "meant by base_body (--base on the command line)"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
 from itertools import pairwise
 
 import numpy as np
@@ -18,6 +19,7 @@ from planner.motion.path import ObjectPath
 from planner.motion.trajectory import JOINT_RATE, TURN_RATE, TrajectoryBuilder
 from planner.plan import GraspPlan, JointTrajectory, Verification
 from planner.quality import ClosureResult
+from planner.showing import Shown
 from planner.spatial import SE3, FloatArray
 
 __all__ = ["Knot", "MotionPlan", "MotionRecord"]
@@ -80,7 +82,7 @@ class MotionRecord(SearchRecord):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class MotionPlan:
+class MotionPlan(Shown):
     """A motion of the object in the hand; every knot passed the checks of a grasp.
 
     All poses are relative to the grasp on the table: execution lifts hand and object first, both by
@@ -206,6 +208,11 @@ class MotionPlan:
     def __repr__(self) -> str:
         """One line."""
         return f"<MotionPlan of {self.grasp.task!r}: {self.path}>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it: a table and a picture, made once."""
+        html: str = import_module("planner.showing").in_notebook(self)
+        return html
 
     def __str__(self) -> str:
         """The path, the margins, and the limits."""

@@ -26,6 +26,7 @@ __all__ = [
     "closest_on_segments",
     "collision_pairs",
     "finger_capsules",
+    "rooms_at_rest",
 ]
 
 
@@ -129,6 +130,32 @@ def collision_pairs(hand: Hand) -> tuple[tuple[int, int], ...]:
     return tuple((int(i), int(j)) for i, j in zip(first[meets], second[meets], strict=True))
 
 
+@lru_cache(maxsize=8)
+def rooms_at_rest(hand: Hand) -> FloatArray:
+    """Room (n_pairs,), m, between the ``collision_pairs`` in the hand's own postures.
+
+    Fingers that only curl keep their distance from each other, which can be less than a clearance
+    between capsules that are wider than the links. A pair is asked for no more than the larger of
+    its rooms in the postures ``open`` and ``pinch``; without these postures it is infinite.
+    """
+    capsules, pairs = finger_capsules(hand), collision_pairs(hand)
+    rooms = np.full(len(pairs), -np.inf if set(hand.description.postures) >= POSTURES else np.inf)
+    for name in sorted(POSTURES & set(hand.description.postures)):
+        poses = HandState(hand, hand.posture(name)).pin_data.oMi
+        for k, (i, j) in enumerate(pairs):
+            a, b = capsules[i], capsules[j]
+            one, other = closest_on_segments(
+                *(
+                    np.array([poses[c.joint_id].act(end)])
+                    for c in (a, b)
+                    for end in (c.inner, c.outer)
+                )
+            )
+            apart = float(np.linalg.norm(other - one)) - a.radius - b.radius
+            rooms[k] = max(rooms[k], apart - SLACK)
+    return rooms
+
+
 def closest_on_segments(
     p1: FloatArray, q1: FloatArray, p2: FloatArray, q2: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -153,6 +180,12 @@ COLLISION_SAMPLES = 400
 
 COLLISION_MARGIN = 0.005
 """Distance (m) below which two capsules meet: the clearance, and an allowance for few samples."""
+
+POSTURES = frozenset({"open", "pinch"})
+"""Postures whose distances between fingers are enough."""
+
+SLACK = 1e-4
+"""What a finger that curls may lose of its distance from its neighbour, m."""
 
 POINT_LENGTH = 1e-6
 """Length (m) below which a capsule is a sphere."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -23,6 +23,7 @@ from sim.bench.predictors import predictors_of
 from sim.bench.requests import Setting, task_for
 from sim.bench.run import ObjectJob
 from sim.physics import PhysicsOptions
+from sim.report import TrialReport
 from sim.simulation import Simulation
 from sim.tables import Row
 from sim.trial import Timeline, Trial
@@ -140,7 +141,7 @@ def try_sample(sample: Sample, check: Callable[[], None]) -> Row:
         return sample.lost("no plan")
     except PlannerError as error:
         return sample.lost(str(error))
-    verdict = _execute(plan, CONDITIONS[sample.condition], rng)
+    verdict = trial_under(plan, CONDITIONS[sample.condition], rng).verdict
     check()
     return sample.row(
         found=True,
@@ -150,8 +151,13 @@ def try_sample(sample: Sample, check: Callable[[], None]) -> Row:
     )
 
 
-def _execute(plan: GraspPlan, condition: Condition, rng: np.random.Generator) -> Any:
-    """The verdict of a trial under a condition."""
+def trial_under(
+    plan: GraspPlan,
+    condition: Condition,
+    rng: np.random.Generator,
+    record_every: float = RECORD_EVERY,
+) -> TrialReport:
+    """A trial under a condition, with a sample every so often (s)."""
     item = plan.task.object
     heavier = replace(item, mass=condition.mass_factor * item.mass)
     changed = replace(plan, task=replace(plan.task, object=heavier))
@@ -159,7 +165,7 @@ def _execute(plan: GraspPlan, condition: Condition, rng: np.random.Generator) ->
         changed,
         physics=PhysicsOptions(mu=condition.mu),
         timeline=TIMELINE,
-        record_every=RECORD_EVERY,
+        record_every=record_every,
     )
     angle = rng.uniform(0.0, 2 * np.pi)
     aside = condition.shift * np.array([np.cos(angle), np.sin(angle)])
@@ -167,7 +173,7 @@ def _execute(plan: GraspPlan, condition: Condition, rng: np.random.Generator) ->
     data.qpos[scene.object_qpos[:2]] += aside
     mujoco.mj_forward(scene.model, data)
     weight = item.mass * float(np.linalg.norm(plan.task.gravity))
-    return trial.run(on_step=_pusher(condition.push * weight * DIRECTIONS)).verdict
+    return trial.run(on_step=_pusher(condition.push * weight * DIRECTIONS))
 
 
 def _pusher(forces: FloatArray) -> Callable[[Simulation], None]:

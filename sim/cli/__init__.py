@@ -14,26 +14,15 @@ from typing import Annotated, Any
 
 import typer
 
-from sim.cli import (
-    batch,
-    certify,
-    creep,
-    crosscheck,
-    forces,
-    grasp,
-    hands,
-    look,
-    manipulation,
-    motion,
-    test,
-)
-from sim.cli.common import EXIT_BAD_INPUT, EXIT_INTERRUPTED, err, say
+from sim.cli.common import EXIT_BAD_INPUT, EXIT_INTERRUPTED, EXIT_USAGE, err, out, say
+from sim.cli.listing import GROUPS, MEASURE, overview, register
 
 __all__ = ["app", "main"]
 
 app = typer.Typer(
-    help="Plan a multi-finger grasp, execute it in MuJoCo, and judge both by the same analysis.",
-    no_args_is_help=True,
+    help="Plan a multi-finger grasp, execute it in MuJoCo, judge both by one analysis.",
+    epilog="Examples:\n" + "\n".join(f"  {group[0].example}" for group in GROUPS.values()),
+    invoke_without_command=True,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
@@ -49,11 +38,17 @@ def _say_version(asked: bool) -> None:
 
 @app.callback()
 def _opposable(
+    context: typer.Context,
     version: Annotated[
-        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Say which.")
+        bool,
+        typer.Option(
+            "--version", callback=_say_version, is_eager=True, help="Say which.", metavar=""
+        ),
     ] = False,
 ) -> None:
-    """Plan a multi-finger grasp, execute it in MuJoCo, and judge both by the same analysis."""
+    if context.invoked_subcommand is None:
+        say(out, overview(app))
+        raise typer.Exit(EXIT_USAGE)
 
 
 MEASURING = "sim.cli.bench"
@@ -67,7 +62,7 @@ NEEDS_CHECKOUT = (
 
 
 def _no_bench() -> None:
-    """Measure: tables that repeat the project's figures (in a checkout only)."""
+    """Tables that repeat the project's figures (in a checkout only)."""
     say(err, NEEDS_CHECKOUT)
     raise typer.Exit(EXIT_BAD_INPUT)
 
@@ -75,27 +70,14 @@ def _no_bench() -> None:
 def _register_bench() -> None:
     """Add the group ``bench``, or in a wheel one command that says where to find it."""
     if find_spec(MEASURING) is not None:
-        import_module(MEASURING).register(app)
+        import_module(MEASURING).register(app, MEASURE)
         return
     anything = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
-    app.command("bench", context_settings=anything)(_no_bench)
+    app.command("bench", context_settings=anything, rich_help_panel=MEASURE)(_no_bench)
 
 
-for group in (
-    grasp,
-    motion,
-    manipulation,
-    batch,
-    hands,
-    look,
-    certify,
-    forces,
-    crosscheck,
-):
-    group.register(app)
+register(app)
 _register_bench()
-for group in (test, creep):
-    group.register(app)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -41,21 +41,30 @@ def batch(
     objects: Annotated[
         list[str], typer.Argument(help="Objects as `plan` takes them.", metavar="OBJECT...")
     ],
-    n: Annotated[int, typer.Option("-n", "--number", min=1, help="Grasps per object.")] = 100,
+    n: Annotated[
+        int, typer.Option("-n", "--number", min=1, help="Grasps per object.", metavar="N")
+    ] = 100,
     folder: Annotated[
-        Path, typer.Option("--out", help="Folder; a batch that is there goes on.")
+        Path, typer.Option("--out", help="Folder; a batch that is there goes on.", metavar="DIR")
     ] = Path("grasps"),
-    workers: Annotated[int, typer.Option(help="Processes; -1 for one per core.")] = -1,
-    backend: Annotated[str, typer.Option(help="joblib's backend: loky, threading.")] = "loky",
+    workers: Annotated[int, typer.Option(help="Processes; -1 for one per core.", metavar="N")] = -1,
+    backend: Annotated[
+        str, typer.Option(help="joblib's: loky, threading.", metavar="NAME")
+    ] = "loky",
     *,
     request: PlanOptions,
-    export: Annotated[Export | None, typer.Option(help="Also write OUT/dexgraspbench.")] = None,
+    export: Annotated[
+        Export | None, typer.Option(help="Also write OUT/dexgraspbench.", metavar="FORMAT")
+    ] = None,
     export_all: Annotated[
-        bool, typer.Option(help="Fail where the format cannot take a grasp, or leave it out.")
+        bool,
+        typer.Option("--export-all", help="Fail where the format cannot take a grasp.", metavar=""),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Plan many grasps on all cores into a Parquet dataset; an interrupted batch goes on.
+    """Plan many grasps on all cores into a Parquet dataset.
+
+    An interrupted batch goes on when the same command is given again.
 
     What says how an object is, stands and may be touched holds for all objects.
     """
@@ -107,7 +116,7 @@ def extract(
     row: Annotated[int, typer.Argument(min=0, help="Number of the row, from 0.", metavar="ROW")],
     output: Annotated[Path, typer.Option("--out", "-o", help="The plan file.")] = Path("plan.json"),
 ) -> None:
-    """Verify a grasp of a batch again and write it as a plan file."""
+    """Verify a grasp of a batch again; write it as a plan file."""
     from planner.batch import GraspSet
     from planner.errors import NotFoundError
     from planner.files import write_plan
@@ -118,9 +127,3 @@ def extract(
         raise NotFoundError("row", str(row), [f"0 to {len(grasps) - 1}"])
     write_plan(grasps.plan(row), output)
     say(out, escape(f"written to {output}"))
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    app.command()(batch)
-    app.command()(extract)

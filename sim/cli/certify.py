@@ -37,11 +37,11 @@ def certify(
     seed: SeedOption = 0,
     as_json: JsonOption = False,
 ) -> None:
-    """Prove what a plan withstands: disturbing forces and torques, and errors of its contacts.
+    """Prove which loads and which errors a plan withstands.
 
     Loads are those of the planned posture under the best control that the actuators allow.
 
-    Ends with 0 if the grasp is closed and no sample contradicts a promise, else with 1.
+    Exit code 0 if the grasp is closed and no sample contradicts a promise, else with 1.
     """
     from planner.certify import certify as prove
     from planner.files import read_plan
@@ -60,8 +60,3 @@ def certify(
         say(out, escape(str(certificate)))
     if not certificate.closed or any(t.lost for t in certificate.tolerances):
         raise typer.Exit(EXIT_NO)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(certify)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import shlex
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -17,109 +18,127 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-EXIT_NO, EXIT_BAD_INPUT, EXIT_NOT_FOUND, EXIT_INTERRUPTED = 1, 3, 4, 130
-"""Done, and the answer is no; bad input; no grasp found; interrupted."""
+EXIT_NO, EXIT_USAGE, EXIT_BAD_INPUT, EXIT_NOT_FOUND, EXIT_INTERRUPTED = 1, 2, 3, 4, 130
+"""Done, and the answer is no; wrong usage; bad input; no grasp found; interrupted."""
 
 out = Console()
 err = Console(stderr=True)
 
+SCENE_PANEL, GRIP_PANEL, MOVEMENT_PANEL, SEARCH_PANEL, TRIAL_PANEL = (
+    "Object and surroundings",
+    "Hand and grip",
+    "Movement",
+    "Search",
+    "Trial",
+)
+"""Groups of options in the help of a command; what is in none is about output."""
+
 HandArgument = Annotated[
     str,
-    typer.Argument(
-        help="A hand's name, or the path of its hand.toml or of an MJCF or URDF file.",
-        metavar="HAND",
-    ),
+    typer.Argument(help="Its name, hand.toml, MJCF or URDF file.", metavar="HAND"),
 ]
 ObjectArgument = Annotated[
     str,
     typer.Argument(
-        help="sphere, box, cylinder, capsule, ellipsoid, mug, lbracket, torus, hammer, "
-        "superquadric, knot; with sizes in m: box:0.05x0.05x0.08; a mesh: "
-        "mug.stl, part.obj*0.001; a body of a model: scene.xml#mug",
+        help="box, box:0.05x0.05x0.08 (m), part.stl*0.001, scene.xml#body; sphere, cylinder, "
+        "capsule, ellipsoid, mug, lbracket, torus, hammer, superquadric, knot.",
         metavar="OBJECT",
     ),
 ]
 FingersOption = Annotated[
-    str | None, typer.Option(help="Fingers that take part: thumb,index,middle")
+    str | None,
+    typer.Option(
+        help="Those that take part: thumb,index,ring",
+        metavar="NAMES",
+        rich_help_panel=GRIP_PANEL,
+    ),
 ]
-SeedOption = Annotated[int, typer.Option(min=0, help="Same seed, same plan.")]
-MuOption = Annotated[float, typer.Option(help="Sliding friction that planning relies on (-).")]
+SeedOption = Annotated[int, typer.Option(min=0, help="Same seed, same result.", metavar="N")]
+MuOption = Annotated[
+    float,
+    typer.Option(
+        help="Sliding friction that is relied on (-).", metavar="MU", rich_help_panel=GRIP_PANEL
+    ),
+]
 StandOption = Annotated[
-    float, typer.Option(min=0.0, help="Height of a stand that carries the object, m; 0 for none.")
+    float,
+    typer.Option(
+        min=0.0,
+        help="Height of a stand under the object, m.",
+        metavar="M",
+        show_default=False,
+        rich_help_panel=SCENE_PANEL,
+    ),
 ]
-MassOption = Annotated[float | None, typer.Option(help="Mass of the object, kg (default 0.1).")]
-DensityOption = Annotated[
-    float | None, typer.Option(help="Density of the object, kg/m3, instead of its mass.")
+MassOption = Annotated[
+    float | None,
+    typer.Option(help="Mass, kg; 0.1 if not given.", metavar="KG", rich_help_panel=SCENE_PANEL),
 ]
-RepairOption = Annotated[bool, typer.Option(help="Mend a mesh that does not bound a solid.")]
-PoseOption = Annotated[
-    int, typer.Option(min=0, help="Which of its stable poses the object stands in.")
+RepairOption = Annotated[
+    bool,
+    typer.Option(
+        "--repair",
+        help="Mend a mesh that does not bound a solid.",
+        metavar="",
+        rich_help_panel=SCENE_PANEL,
+    ),
 ]
 TouchOption = Annotated[
     list[str] | None,
-    typer.Option(help="Where fingers may touch, m from the centre of mass: z>0.01,x<0.02"),
+    typer.Option(
+        help="Where it may be touched: z>0.01,x<0.02 (m).",
+        metavar="REGION",
+        rich_help_panel=SCENE_PANEL,
+    ),
 ]
 AvoidOption = Annotated[
-    list[str] | None, typer.Option(help="Where they must not touch, in the same form.")
-]
-ObjectiveOption = Annotated[
-    str,
-    typer.Option(
-        help="What the grasp should be good at: epsilon, min_weight, task, robustness, torque, "
-        "manipulability, limits; several with weights: epsilon:1,torque:0.5; none for nothing."
-    ),
-]
-TaskWrenchOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="A wrench on the object that the objective task is about: fx,fy,fz,tx,ty,tz in N and "
-        "N m, object's frame; the weight in any direction if there is none."
+        help="Where it must not be touched, likewise.",
+        metavar="REGION",
+        rich_help_panel=SCENE_PANEL,
     ),
 ]
-LoadOption = Annotated[
-    str | None,
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print JSON for machines on stdout.", metavar="")
+]
+ViewOption = Annotated[
+    bool,
     typer.Option(
-        help="The largest load that the object is to bear in the hand, in any direction: a force "
-        "in N, or force,torque in N and N m. It sizes the grip; without it the weight does."
+        "--view", help="Show it in MuJoCo's viewer.", metavar="", rich_help_panel=TRIAL_PANEL
     ),
 ]
-RoundsOption = Annotated[
-    int | None,
-    typer.Option(
-        min=0,
-        help="Rounds that work on the objectives; the planner's default if not given. More make "
-        "stronger grasps, fewer are faster.",
-    ),
-]
-AttemptsOption = Annotated[int, typer.Option(min=1, help="Attempts before giving up.")]
-CpuOption = Annotated[
-    float | None, typer.Option(help="CPU seconds before giving up; checked between attempts.")
-]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for machines on stdout.")]
 VideoOption = Annotated[
-    Path | None, typer.Option(help="Write a film here: run.mp4, run.webp or run.gif.")
+    Path | None,
+    typer.Option(help="Write a film here: run.mp4, run.webp or run.gif.", metavar="FILE"),
 ]
-PictureOption = Annotated[Path | None, typer.Option(help="Write a picture (PNG) here.")]
+PictureOption = Annotated[
+    Path | None, typer.Option(help="Write a picture (PNG) here.", metavar="FILE")
+]
 ArrowsOption = Annotated[
-    bool, typer.Option("--arrows", help="Draw contact forces into pictures and film.")
+    bool,
+    typer.Option("--arrows", help="Draw contact forces into pictures and film.", metavar=""),
 ]
-ViewOption = Annotated[bool, typer.Option("--view", help="Show the run in MuJoCo's viewer.")]
 ControllerOption = Annotated[
     str,
     typer.Option(
-        help="feedforward: the planned forces; impedance: a loop that keeps the object in place."
+        help="feedforward: the planned forces; impedance: a loop that keeps the object in place.",
+        metavar="NAME",
+        rich_help_panel=TRIAL_PANEL,
     ),
 ]
 SimMuOption = Annotated[
     float | None,
-    typer.Option(help="Sliding friction in simulation (-); that of --physics if not given."),
+    typer.Option(
+        help="Sliding friction in simulation (-).", metavar="MU", rich_help_panel=TRIAL_PANEL
+    ),
 ]
 PhysicsOption = Annotated[
     str,
     typer.Option(
-        help="How MuJoCo computes: ours, mujoco-default, menagerie, dexgraspbench, or a TOML or "
-        "JSON file with fields of PhysicsOptions.",
-        metavar="NAME|FILE",
+        help="ours, mujoco-default, menagerie, dexgraspbench, or a TOML or JSON file.",
+        metavar="NAME",
+        rich_help_panel=TRIAL_PANEL,
     ),
 ]
 PlanArgument = Annotated[Path, typer.Argument(help="A plan file.", metavar="PLAN")]
@@ -237,6 +256,25 @@ def heeding_ctrl_c() -> Iterator[Callable[[], None]]:
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
+
+
+def told_command(context: typer.Context) -> str:
+    """What the command line was told, as it can be typed again; defaults are left out."""
+    words = context.command_path.split()
+    for parameter in context.command.params:
+        name = parameter.name or ""
+        source = context.get_parameter_source(name)
+        if source is None or source.name != "COMMANDLINE":
+            continue
+        value = context.params[name]
+        values = list(value) if isinstance(value, list | tuple) else [value]
+        if parameter.param_type_name == "argument":
+            words += [str(v) for v in values]
+        elif isinstance(value, bool):
+            words.append(parameter.opts[0] if value else parameter.secondary_opts[0])
+        else:
+            words += [word for v in values for word in (parameter.opts[0], str(v))]
+    return shlex.join(words)
 
 
 def print_json(data: dict[str, Any]) -> None:

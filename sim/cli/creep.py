@@ -28,10 +28,10 @@ def creep(
     budget: Annotated[float, typer.Option(help="Largest creep that is wanted, mm/s.")] = 0.1,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure how fast a held object creeps under a physics, and what to change in the scene.
+    """How fast a held object creeps, and what to do about it.
 
-    Each change is tried and made larger until the creep that is measured keeps to the budget. Ends
-    with 0 if nothing is to be changed, and with 1 if the object creeps faster than the budget.
+    Each change is tried and made larger until the creep that is measured keeps to the budget. Exit
+    code 0 if nothing is to be changed, 1 if the object creeps faster than the budget.
     """
     from planner.errors import TaskError
     from planner.files import read_plan
@@ -78,8 +78,3 @@ def _told(speeds: dict[str, Any]) -> str:
     if speeds["lost"]:
         return f"lost ({speeds['lost']}); {formula}"
     return f"{speeds['creep_mm_s']:.2g} mm/s; {formula}"
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(creep)

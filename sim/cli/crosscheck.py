@@ -19,43 +19,71 @@ from sim.cli.common import (
     say,
 )
 
+TOLERANCES, READER_PANEL = "Tolerances", "Pinocchio's own reader"
+"""Groups of options in the help."""
+
 
 @errors_for_people()
 def crosscheck(
     model: Annotated[
-        str,
-        typer.Argument(help="MJCF or URDF file, or a hand by name.", metavar="MODEL"),
+        str, typer.Argument(help="MJCF or URDF file, or a hand's name.", metavar="MODEL")
     ],
     against: Annotated[
         str | None,
-        typer.Option(help="Compare with this model instead, part by part: a URDF with an MJCF."),
+        typer.Option(help="Another model, compared part by part.", metavar="MODEL"),
     ] = None,
     same: Annotated[
         list[str] | None,
-        typer.Option(help="REFERENCE=OTHER: a part that has another name there; repeatable."),
+        typer.Option(help="MINE=OTHER: a part's name there; repeatable.", metavar="NAMES"),
     ] = None,
     seed: SeedOption = 0,
-    configurations: Annotated[int, typer.Option(min=1, help="Random configurations.")] = 20,
-    kinematics: Annotated[float, typer.Option(help="Tolerance of poses, m and rad.")] = 1e-10,
-    dynamics: Annotated[float, typer.Option(help="Tolerance of forces, relative.")] = 1e-9,
-    parameters: Annotated[
-        float, typer.Option(help="Tolerance of masses, limits, ..., relative.")
+    configurations: Annotated[
+        int,
+        typer.Option(min=1, help="Random configurations.", metavar="N"),
+    ] = 20,
+    kinematics: Annotated[
+        float, typer.Option(help="Of poses, m and rad.", metavar="TOL", rich_help_panel=TOLERANCES)
+    ] = 1e-10,
+    dynamics: Annotated[
+        float, typer.Option(help="Of forces, relative.", metavar="TOL", rich_help_panel=TOLERANCES)
     ] = 1e-9,
-    distance: Annotated[float, typer.Option(help="Tolerance of distances, m.")] = 2e-6,
-    normal: Annotated[float, typer.Option(help="Tolerance of their directions, rad.")] = 1e-3,
+    parameters: Annotated[
+        float,
+        typer.Option(
+            help="Of masses, limits, ..., relative.", metavar="TOL", rich_help_panel=TOLERANCES
+        ),
+    ] = 1e-9,
+    distance: Annotated[
+        float, typer.Option(help="Of distances, m.", metavar="TOL", rich_help_panel=TOLERANCES)
+    ] = 2e-6,
+    normal: Annotated[
+        float, typer.Option(help="Of normals, rad.", metavar="TOL", rich_help_panel=TOLERANCES)
+    ] = 1e-3,
     own_reader: Annotated[
-        bool, typer.Option(help="Ask Pinocchio's own reader too, in a child process.")
+        bool,
+        typer.Option(
+            help="Ask it too, in a child process.", metavar="", rich_help_panel=READER_PANEL
+        ),
     ] = True,
     judge_reader: Annotated[
-        bool, typer.Option("--judge-reader", help="Its mistakes count for the exit code.")
+        bool,
+        typer.Option(
+            "--judge-reader",
+            help="Its mistakes count too.",
+            metavar="",
+            rich_help_panel=READER_PANEL,
+        ),
     ] = False,
-    timeout: Annotated[float, typer.Option(min=0.1, help="Seconds for that reader.")] = 60.0,
+    timeout: Annotated[
+        float,
+        typer.Option(min=0.1, help="Its time, s.", metavar="S", rich_help_panel=READER_PANEL),
+    ] = 60.0,
     output: Annotated[Path | None, typer.Option("--out", "-o", help="Write JSON here.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check a model in MuJoCo against Pinocchio and coal, or against another model.
+    """Check a model: MuJoCo against Pinocchio, coal, another model.
 
-    Ends with 0 if every judged quantity agrees, 1 if one differs, 3 on bad input: fit for a CI.
+    Exit code 0 if every judged quantity agrees, 1 if one differs, 3 on bad input: fit for a CI.
     """
     from planner.files import write_json
     from sim.crosscheck import Tolerances, compare_models, crosscheck_tables
@@ -122,8 +150,3 @@ def _pairs(same: list[str], against: str | None) -> dict[str, str]:
         )
     split = (pair.partition("=") for pair in same)
     return {reference.strip(): other.strip() for reference, _, other in split}
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(crosscheck)

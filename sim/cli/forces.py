@@ -46,10 +46,10 @@ def forces(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Contact forces of a plan: the problem with its names, the answer, and solvers compared.
+    """Contact forces of a plan: problem, answer, solvers compared.
 
-    Solvers meet a sequence: the weight turned through all directions, and a pulsating push. Ends
-    with 1 if the forces do not exist, or a solver missed forces that do.
+    Solvers meet a sequence: the weight turned through all directions, and a pulsating push. Exit
+    code 1 if the forces do not exist, or a solver missed forces that do.
     """
     import numpy as np
 
@@ -127,8 +127,3 @@ def _gap_table(gaps: tuple[PyramidGap, ...]) -> str:
             f"{g.median_N:>10.3f}{g.worst_N:>9.3f}{g.median_cost:>+12.1%}{g.worst_cost:>+11.1%}"
         )
     return "\n".join(lines)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command()(forces)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,6 +23,7 @@ from sim.cli.common import (
     out,
     print_json,
     say,
+    told_command,
 )
 from sim.cli.options import PlanOptions, TrialOptions, with_options
 
@@ -38,33 +40,40 @@ def _folder_name(item: Any) -> str:
 @errors_for_people()
 @with_options
 def run(
+    context: typer.Context,
     hand: HandArgument,
     object: ObjectArgument,
     out_dir: Annotated[
-        Path | None, typer.Option("--out", help="Folder for plan, report and picture.")
+        Path | None, typer.Option("--out", help="Folder for plan, report, its page and picture.")
     ] = None,
     *,
     request: PlanOptions,
     trial: TrialOptions,
     as_json: JsonOption = False,
 ) -> None:
-    """Plan a grasp, distribute its forces, execute it, judge it; writes plan, report, picture."""
-    from planner.files import plain_name, plan_to_dict, write_json, write_plan
+    """Plan a grasp, execute it, judge it; writes plan and report.
 
-    execute = trial.trial()
+    Files: plan.json, report.json, held.png, and report.html, to open in any browser: the motion,
+    the forces over time, the numbers.
+    """
+    from planner.files import plain_name, plan_to_dict, write_plan
+    from sim.report_file import write_report
+
     if out_dir is not None:
         make_folder(out_dir)
+    execute = trial.trial()
     plan = request.plan(hand, object)
     hand_name, item = plan.task.hand.name, _folder_name(plan.task.object)
     folder = out_dir or Path("runs") / f"{plain_name(hand_name)}-{plain_name(item)}-{request.seed}"
     make_folder(folder)
-    for old in ("report.json", "held.png", "held-end.png"):  # of an earlier plan in this folder
+    for old in ("report.json", "report.html", "held.png", "held-end.png"):  # of an earlier plan
         (folder / old).unlink(missing_ok=True)
     write_plan(plan, folder / "plan.json")
     if not as_json:
         say(out, escape(str(plan)))
-    report = execute(plan, folder / "held.png")
-    write_json(report.to_dict(), folder / "report.json")
+    report = replace(execute(plan, folder / "held.png"), command=told_command(context))
+    write_report(report.to_dict(), folder / "report.json")
+    report.save_html(folder / "report.html", task=plan.task)
     if as_json:
         print_json({"plan": plan_to_dict(plan), "report": report.to_dict()})
     else:
@@ -73,6 +82,7 @@ def run(
         say(out, escape(f"written to {folder}: plan.json, report.json{note}"))
         if report.drawn:
             say(out, escape(report.drawn))
+        say(out, escape(f"open in a browser: {folder / 'report.html'}"))
     exit_for(report)
 
 
@@ -109,33 +119,43 @@ def plan(
 @errors_for_people()
 @with_options
 def simulate(
+    context: typer.Context,
     plan_file: PlanArgument,
     report_file: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Write the trial report here.")
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            help="Report (JSON), its page (HTML) beside it; .html: the page only.",
+            metavar="FILE",
+        ),
     ] = None,
     picture: PictureOption = None,
     *,
     trial: TrialOptions,
     as_json: JsonOption = False,
 ) -> None:
-    """Execute a plan file in MuJoCo: approach, close, squeeze, lift, hold; and judge it."""
-    from planner.files import read_plan, write_json
+    """Execute a plan file in MuJoCo and judge whether it holds."""
+    from planner.files import read_plan
+    from sim.report_file import PAGE_SUFFIXES, write_report
 
     check_folder(report_file)
     check_folder(picture)
-    report = trial.trial()(read_plan(plan_file), picture)
-    if report_file is not None:
-        write_json(report.to_dict(), report_file)
+    plan = read_plan(plan_file)
+    report = replace(trial.trial()(plan, picture), command=told_command(context))
+    page = None if report_file is None else report_file.with_suffix(".html")
+    if report_file is not None and report_file.suffix.lower() in PAGE_SUFFIXES:
+        page = report_file
+    elif report_file is not None:
+        write_report(report.to_dict(), report_file)
+    if page is not None:
+        report.save_html(page, task=plan.task)
     if as_json:
         print_json(report.to_dict())
     else:
         out.print(report)
         if report.drawn:
             say(out, escape(report.drawn))
+        if page is not None:
+            say(out, escape(f"open in a browser: {page}"))
     exit_for(report)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    for command in (run, plan, simulate):
-        app.command()(command)

@@ -23,7 +23,7 @@ from sim.cli.common import (
 
 @errors_for_people()
 def hands() -> None:
-    """Hands that come with Opposable, and hands in packages of others that it knows."""
+    """Hands that ship, and hands in packages of others."""
     from planner.errors import PlannerError
     from planner.hands.catalog import find_hand, foreign_hand_names, hand_names
 
@@ -53,7 +53,7 @@ def describe(
     base: Annotated[str | None, typer.Option(help="Body that is the root of the hand.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
 ) -> None:
-    """Propose a hand description from a model's structure alone, with the reason for each line."""
+    """Propose a hand.toml from a model, a reason for each line."""
     from planner.describe import description_text, propose, write_proposal
     from planner.errors import FileFormatError
 
@@ -75,7 +75,7 @@ def describe(
 
 @errors_for_people()
 def check_hand(hand: HandArgument, as_json: JsonOption = False) -> None:
-    """What the planner will see of a hand, and what stands in its way."""
+    """What the planner sees of a hand, and what is in its way."""
     from planner.describe import check_hand as check
     from planner.hand_loading import load_hand
     from sim.cli.inspection import print_check
@@ -87,10 +87,3 @@ def check_hand(hand: HandArgument, as_json: JsonOption = False) -> None:
         print_check(report, out)
     if not report.ok:
         raise typer.Exit(EXIT_NO)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    app.command()(hands)
-    app.command()(describe)
-    app.command("check-hand")(check_hand)

@@ -19,7 +19,7 @@ from sim.cli.common import (
 
 @errors_for_people()
 def inspect(hand: HandArgument, as_json: JsonOption = False) -> None:
-    """What a hand is made of: joints per finger with limits, actuators, tips, masses, torques."""
+    """What a hand is made of: joints, actuators, tips, masses."""
     from planner.hand_loading import load_hand
     from sim.cli.inspection import hand_tables, inspect_hand
 
@@ -39,7 +39,7 @@ def analyse(
     edges: Annotated[int, typer.Option(min=3, help="Sides of the friction pyramid.")] = 8,
     as_json: JsonOption = False,
 ) -> None:
-    """Force closure, epsilon, min-weight and the rest of a plan or of contacts you typed in."""
+    """Force closure, epsilon, min-weight of a plan or of contacts."""
     from planner.files import read_contacts
     from planner.quality import analyse as analyse_contacts
 
@@ -62,13 +62,13 @@ def schema(
         ),
     ] = "plan",
 ) -> None:
-    """The JSON Schema of plan files, of reports, or of contact lists."""
+    """The JSON Schema of plan files, reports or contact lists."""
     from pydantic import BaseModel
 
     from planner.errors import NotFoundError
     from planner.files import ContactsFile, GaitFile, ManipulationFile, MotionFile, PlanFile
     from sim.manipulation import ManipulationReportFile
-    from sim.report import ReportFile
+    from sim.report_file import ReportFile
 
     models: dict[str, type[BaseModel]] = {
         "plan": PlanFile,
@@ -82,9 +82,3 @@ def schema(
     if kind not in models:
         raise NotFoundError("schema", kind, models)
     print_json(models[kind].model_json_schema())
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    for command in (inspect, analyse, schema):
-        app.command()(command)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +13,10 @@ from rich.markup import escape
 
 from sim.cli.common import (
     EXIT_NO,
+    GRIP_PANEL,
+    MOVEMENT_PANEL,
+    SEARCH_PANEL,
+    TRIAL_PANEL,
     ArrowsOption,
     ControllerOption,
     FingersOption,
@@ -34,6 +38,7 @@ from sim.cli.common import (
     physics_of,
     print_json,
     say,
+    told_command,
 )
 from sim.cli.movement import NO_SHIFT, RotateOption, ShiftOption, movement
 from sim.cli.options import with_options
@@ -43,7 +48,9 @@ if TYPE_CHECKING:
 
 OutOption = Annotated[
     Path | None,
-    typer.Option("--out", help="Folder for plan, trajectory, report and a picture per phase."),
+    typer.Option(
+        "--out", help="Folder for plan, trajectory, report, its page, pictures.", metavar="DIR"
+    ),
 ]
 
 DEMO_HAND, DEMO_OBJECT = "allegro_hand", "cylinder:0.03x0.08"
@@ -62,15 +69,21 @@ class TurnOptions:
     rotate: RotateOption = None
     shift: ShiftOption = NO_SHIFT
     place: Annotated[
-        str, typer.Option(help="Where the object is put, m: x,y; it stands at 0,0.")
+        str,
+        typer.Option(
+            help="Where it is put, m; it stands at 0,0.",
+            metavar="X,Y",
+            rich_help_panel=MOVEMENT_PANEL,
+        ),
     ] = "0.1,0.05"
     fingers: FingersOption = None
     seed: SeedOption = 0
     mu: Annotated[
         float,
         typer.Option(
-            help="Sliding friction that planning relies on (-); 0.45 is a tenth below the least "
-            "that bench manipulate draws, whose figures hold for it. Planning alone takes 0.5."
+            help="Sliding friction that is relied on (-).",
+            metavar="MU",
+            rich_help_panel=GRIP_PANEL,
         ),
     ] = MU
     mass: MassOption = None
@@ -79,14 +92,18 @@ class TurnOptions:
         int,
         typer.Option(
             min=1,
-            help="Attempts before giving up; more than the 30 of plan-motion, since motions are "
-            "refused too at whose end the object cannot be put down.",
+            help="Attempts before giving up.",
+            metavar="N",
+            rich_help_panel=SEARCH_PANEL,
         ),
     ] = MAX_ATTEMPTS
     gait: Annotated[
         bool,
         typer.Option(
-            "--gait", help="Turn by strokes, the fingers moving on between them, in any case."
+            "--gait",
+            help="Turn by strokes, fingers moving on between them.",
+            metavar="",
+            rich_help_panel=MOVEMENT_PANEL,
         ),
     ] = False
 
@@ -143,8 +160,10 @@ class ExecutionOptions:
         float | None,
         typer.Option(
             min=0.0,
-            help="Largest normal force of a finger in a success with closure, N; if not given, "
-            "1.5 times the plan's largest force and a quarter, at least 18.",
+            help="Largest normal force of a finger in a success with closure, N; 1.5 times the "
+            "plan's largest and a quarter, at least 18, if not given.",
+            metavar="N",
+            rich_help_panel=TRIAL_PANEL,
         ),
     ] = None
     controller: ControllerOption = "impedance"
@@ -156,12 +175,10 @@ class ExecutionOptions:
 @errors_for_people()
 @with_options
 def manipulate(
+    context: typer.Context,
     hand: Annotated[
         str | None,
-        typer.Argument(
-            help="A hand's name, or the path of its hand.toml or of an MJCF or URDF file.",
-            metavar="HAND",
-        ),
+        typer.Argument(help="Its name, hand.toml, MJCF or URDF file.", metavar="HAND"),
     ] = None,
     object: Annotated[
         str | None, typer.Argument(help="The object, as for run.", metavar="OBJECT")
@@ -170,8 +187,8 @@ def manipulate(
         Path | None,
         typer.Option(
             "--plan",
-            help="Execute this manipulation file, or a motion or gait file, which is put down at "
-            "--place; instead of HAND, OBJECT and what planning is told.",
+            help="Execute this manipulation, motion or gait instead of planning one.",
+            metavar="FILE",
         ),
     ] = None,
     *,
@@ -180,13 +197,13 @@ def manipulate(
     out_dir: OutOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Pick an object from a table, turn it in the hand, put it down; a check after every phase.
+    """Pick an object up, turn it in the hand, put it down.
 
     Where one stroke is not enough, fingers move on one at a time while the others hold. A turn that
     stalls is tried again, once. An object that does not stand as it was turned, or that the hand
     could not let go of where it was moved to, is brought back in the hand before it is put down.
 
-    Exits with 1 where a phase failed, or where the hand collided with itself, the table or the
+    Exit code 1 if a phase failed, or if the hand collided with itself, the table or the
     stand.
     """
     from planner.errors import TaskError
@@ -196,7 +213,12 @@ def manipulate(
             raise TaskError("give HAND and OBJECT, or a file: opposable manipulate --plan FILE")
         hand_name, object_name = hand, object
         _execute(
-            lambda: request.plan(hand_name, object_name), request.mu, execution, out_dir, as_json
+            lambda: request.plan(hand_name, object_name),
+            request.mu,
+            execution,
+            out_dir,
+            as_json,
+            told_command(context),
         )
         return
     if hand is not None or object is not None or request.tells_the_task:
@@ -205,21 +227,30 @@ def manipulate(
             "of planning out, or --plan"
         )
     plan = _read(plan_file, request.target())
-    _execute(lambda: plan, plan.task.mu, execution, out_dir, as_json)
+    command = told_command(context)
+    _execute(lambda: plan, plan.task.mu, execution, out_dir, as_json, command)
 
 
 @errors_for_people()
 def demo(
+    context: typer.Context,
     out_dir: OutOption = None,
     physics: PhysicsOption = "ours",
     video: VideoOption = None,
     arrows: ArrowsOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """The whole of it: an Allegro-type hand picks a cylinder, turns it by 90 degrees, places it."""
+    """An Allegro-type hand turns a cylinder by 90 degrees."""
     request = TurnOptions()
     execution = ExecutionOptions(physics=physics, video=video, arrows=arrows)
-    _execute(lambda: request.plan(DEMO_HAND, DEMO_OBJECT), request.mu, execution, out_dir, as_json)
+    _execute(
+        lambda: request.plan(DEMO_HAND, DEMO_OBJECT),
+        request.mu,
+        execution,
+        out_dir,
+        as_json,
+        told_command(context),
+    )
 
 
 def _execute(
@@ -228,6 +259,7 @@ def _execute(
     execution: ExecutionOptions,
     out_dir: Path | None,
     as_json: bool,
+    command: str,
 ) -> None:
     """Plan once all other options are known to be sound, execute, and report.
 
@@ -235,9 +267,10 @@ def _execute(
         PlannerError: Bad input, or no plan.
         Exit: A phase failed, or the hand collided.
     """
-    from planner.files import write_json, write_manipulation, write_trajectory
+    from planner.files import write_manipulation, write_trajectory
     from sim.manipulation import SuccessCriteria
     from sim.manipulation import manipulate as simulate
+    from sim.report_file import write_report
 
     physics = physics_of(execution.physics, execution.sim_mu)
     check_films(execution.video)
@@ -260,10 +293,12 @@ def _execute(
             retry=True,
             view=execution.view,
         )
+    report = replace(report, command=command)
     if out_dir is not None:
         write_manipulation(plan, out_dir / "manipulation.json")
         write_trajectory(plan.joint_trajectory(), out_dir / "trajectory.csv")
-        write_json(report.to_dict(), out_dir / "report.json")
+        write_report(report.to_dict(), out_dir / "report.json")
+        report.save_html(out_dir / "report.html", task=plan.task)
     if as_json:
         print_json(report.to_dict())
     else:
@@ -271,6 +306,7 @@ def _execute(
         if out_dir is not None:
             files = "manipulation.json, trajectory.csv, report.json"
             say(out, escape(f"written to {out_dir}: {files}"))
+            say(out, escape(f"open in a browser: {out_dir / 'report.html'}"))
         if report.drawn:
             say(out, escape(report.drawn))
     if not report.complete or report.collision is not None:
@@ -300,9 +336,3 @@ def _read(file: Path, place: tuple[float, float]) -> ManipulationPlan:
     if kind == "opposable-gait":
         return manipulation_of(read_gait(file), place=place, rests=rests)
     return read_manipulation(file)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    app.command()(manipulate)
-    app.command()(demo)

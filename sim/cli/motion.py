@@ -10,6 +10,8 @@ import typer
 from rich.markup import escape
 
 from sim.cli.common import (
+    MOVEMENT_PANEL,
+    SEARCH_PANEL,
     ArrowsOption,
     FingersOption,
     HandArgument,
@@ -29,6 +31,13 @@ from sim.cli.common import (
     print_json,
     say,
 )
+from sim.cli.movement import NO_SHIFT, ShiftOption
+from sim.cli.options import AttemptsOption
+
+AxisOption = Annotated[
+    str,
+    typer.Option(help="Axis of the turn, world.", metavar="X,Y,Z", rich_help_panel=MOVEMENT_PANEL),
+]
 
 
 @errors_for_people()
@@ -40,29 +49,40 @@ def plan_motion(
     ),
     angle: Annotated[
         float | None,
-        typer.Option(help="Turn, degrees, with its sign; as much as there is if not given."),
+        typer.Option(
+            help="Turn, degrees; the most there is if not given.",
+            metavar="DEG",
+            rich_help_panel=MOVEMENT_PANEL,
+        ),
     ] = None,
-    axis: Annotated[str, typer.Option(help="Axis of the turn, world: x,y,z.")] = "0,0,1",
-    shift: Annotated[
-        str, typer.Option(help="Translation of the object, m, world: x,y,z.")
-    ] = "0,0,0",
+    axis: AxisOption = "0,0,1",
+    shift: ShiftOption = NO_SHIFT,
     path_tolerance: Annotated[
-        float, typer.Option(help="How far the object may leave its path, m.")
+        float,
+        typer.Option(
+            help="How far it may leave its path, m.", metavar="M", rich_help_panel=MOVEMENT_PANEL
+        ),
     ] = 0.02,
     fingers: FingersOption = None,
     seed: SeedOption = 0,
     mu: MuOption = 0.5,
     mass: MassOption = None,
-    max_attempts: Annotated[int, typer.Option(min=1, help="Attempts before giving up.")] = 30,
+    max_attempts: AttemptsOption = 30,
     best_of: Annotated[
-        int | None, typer.Option(min=1, help="Attempts of which the best is taken.")
+        int | None,
+        typer.Option(
+            min=1,
+            help="Attempts of which the best is taken.",
+            metavar="N",
+            rich_help_panel=SEARCH_PANEL,
+        ),
     ] = None,
     picture: PictureOption = None,
     video: VideoOption = None,
     arrows: ArrowsOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Plan how an object is turned or moved in the hand on one grasp, and write it to a file."""
+    """Plan how an object is turned or moved on one grasp."""
     from planner.files import write_motion
     from planner.files.motions import motion_to_dict
     from planner.motion import plan_motion as plan
@@ -106,22 +126,25 @@ def plan_gait(
     hand: HandArgument,
     object: ObjectArgument,
     output: Annotated[Path, typer.Option("--out", "-o", help="The gait file.")] = Path("gait.json"),
-    angle: Annotated[float, typer.Option(help="Turn, degrees, with its sign, of any size.")] = 0.0,
-    axis: Annotated[str, typer.Option(help="Axis of the turn, world: x,y,z.")] = "0,0,1",
-    shift: Annotated[
-        str, typer.Option(help="Translation of the object, m, world: x,y,z.")
-    ] = "0,0,0",
+    angle: Annotated[
+        float,
+        typer.Option(
+            help="Turn of any size, degrees.", metavar="DEG", rich_help_panel=MOVEMENT_PANEL
+        ),
+    ] = 0.0,
+    axis: AxisOption = "0,0,1",
+    shift: ShiftOption = NO_SHIFT,
     fingers: FingersOption = None,
     seed: SeedOption = 0,
     mu: MuOption = 0.5,
     mass: MassOption = None,
-    max_attempts: Annotated[int, typer.Option(min=1, help="Attempts before giving up.")] = 30,
+    max_attempts: AttemptsOption = 30,
     picture: PictureOption = None,
     video: VideoOption = None,
     arrows: ArrowsOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Plan how fingers move on, one at a time, to turn or move an object without end."""
+    """Plan a turn of any size by strokes, fingers moving on."""
     from planner.files import write_gait
     from planner.files.gaits import gait_to_dict
     from planner.motion.gait import plan_gait as plan
@@ -156,9 +179,3 @@ def plan_gait(
         say(out, escape(f"written to {output}"))
         if drawn:
             say(out, escape(drawn))
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    app.command("plan-motion")(plan_motion)
-    app.command("plan-gait")(plan_gait)

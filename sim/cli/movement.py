@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from sim.cli.common import numbers
+from sim.cli.common import MOVEMENT_PANEL, numbers
 
 __all__ = ["NO_SHIFT", "RotateOption", "ShiftOption", "movement"]
 
@@ -16,12 +16,19 @@ NO_SHIFT, USUAL_TURN = "0,0,0", "z:90"
 RotateOption = Annotated[
     str | None,
     typer.Option(
-        help="Turn in the hand: axis (x, y, z, world) and degrees, y:30; degrees alone are about "
-        f"z; {USUAL_TURN} if neither this nor --shift is given. Beyond a half turn fingers move on."
+        help=f"Axis (world) and degrees: y:30; {USUAL_TURN} if neither this nor --shift is given.",
+        metavar="TURN",
+        rich_help_panel=MOVEMENT_PANEL,
     ),
 ]
 ShiftOption = Annotated[
-    str, typer.Option(help="Translation in the hand, m, world: x,y,z; with the turn or alone.")
+    str,
+    typer.Option(
+        help="Translation in the hand, m, world.",
+        metavar="X,Y,Z",
+        show_default=False,
+        rich_help_panel=MOVEMENT_PANEL,
+    ),
 ]
 
 Vector = tuple[float, float, float]

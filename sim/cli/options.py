@@ -14,45 +14,30 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
+import typer
 from rich.markup import escape
 
 from sim.cli.common import (
+    SEARCH_PANEL,
     ArrowsOption,
-    AttemptsOption,
-    AvoidOption,
     ControllerOption,
-    CpuOption,
-    DensityOption,
-    FingersOption,
-    LoadOption,
-    MassOption,
-    MuOption,
-    ObjectiveOption,
     PhysicsOption,
-    PoseOption,
-    RepairOption,
-    RoundsOption,
     SeedOption,
     SimMuOption,
-    TaskWrenchOption,
-    TouchOption,
     VideoOption,
     ViewOption,
     check_films,
     err,
     heeding_ctrl_c,
-    names,
     numbers,
     physics_of,
 )
+from sim.cli.task_options import TaskOptions
 
 if TYPE_CHECKING:
-    from planner.forces import ExpectedLoad
-    from planner.hands.hand import Hand
     from planner.plan import GraspPlan
-    from planner.regions import TouchRegion
     from planner.search import Attempt
     from planner.synthesis.options import SynthesisOptions
     from planner.task import GraspTask
@@ -61,6 +46,31 @@ if TYPE_CHECKING:
 __all__ = ["PlanOptions", "TrialOptions", "with_options"]
 
 Command = TypeVar("Command", bound=Callable[..., None])
+
+AttemptsOption = Annotated[
+    int,
+    typer.Option(
+        min=1, help="Attempts before giving up.", metavar="N", rich_help_panel=SEARCH_PANEL
+    ),
+]
+ObjectiveOption = Annotated[
+    str,
+    typer.Option(
+        help="epsilon, min_weight, task, robustness, torque, manipulability, limits; several "
+        "with weights: epsilon:1,torque:0.5; or none.",
+        metavar="NAMES",
+        rich_help_panel=SEARCH_PANEL,
+    ),
+]
+RoundsOption = Annotated[
+    int | None,
+    typer.Option(
+        min=0,
+        help="Rounds of work on the objectives.",
+        metavar="N",
+        rich_help_panel=SEARCH_PANEL,
+    ),
+]
 
 
 def with_options(command: Command) -> Command:
@@ -98,49 +108,27 @@ def with_options(command: Command) -> Command:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlanOptions:
+class PlanOptions(TaskOptions):
     """What ``run``, ``plan`` and ``batch`` are asked for: the same options make the same task."""
 
-    fingers: FingersOption = None
     seed: SeedOption = 0
-    mu: MuOption = 0.5
-    mass: MassOption = None
-    density: DensityOption = None
-    repair: RepairOption = False
-    pose: PoseOption = 0
-    touch: TouchOption = None
-    avoid: AvoidOption = None
-    expect_load: LoadOption = None
     max_attempts: AttemptsOption = 100
-    max_cpu_s: CpuOption = None
+    max_cpu_s: Annotated[
+        float | None,
+        typer.Option(
+            help="CPU seconds before giving up.", metavar="S", rich_help_panel=SEARCH_PANEL
+        ),
+    ] = None
     objective: ObjectiveOption = "epsilon"
-    task_wrench: TaskWrenchOption = None
+    task_wrench: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="For objective task: fx,fy,fz,tx,ty,tz, N and N m, object's axes; repeatable.",
+            metavar="W",
+            rich_help_panel=SEARCH_PANEL,
+        ),
+    ] = None
     rounds: RoundsOption = None
-
-    def task(self, hand: Hand | str, object: str) -> GraspTask:
-        """The task with a hand, or its name or path, and an object as ``parse_object`` takes it.
-
-        Raises:
-            PlannerError: An unknown name, or something that cannot be.
-        """
-        from planner.objects import parse_object
-        from planner.task import GraspTask
-
-        item = parse_object(
-            object,
-            mass=self.mass,
-            density=self.density,
-            repair=self.repair,
-            touch=self._touch_region(),
-        )
-        return GraspTask.create(
-            hand,
-            item,
-            T_world_object=item.resting_pose(index=self.pose),
-            mu=self.mu,
-            fingers=None if self.fingers is None else names(self.fingers),
-            expected_load=self._load(),
-        )
 
     def synthesis(self) -> SynthesisOptions:
         """Options of synthesis.
@@ -164,7 +152,8 @@ class PlanOptions:
             PlannerError: Bad input.
             NoGraspFoundError: No attempt found a grasp.
         """
-        from planner.search import plan_grasp
+        from planner.errors import NoGraspFoundError
+        from sim.cli.low_objects import advice_for_low
 
         options, task = self.synthesis(), self.task(hand, object)
         title = f"planning: {task.hand.name}, {task.object.name} ..."
@@ -175,33 +164,38 @@ class PlanOptions:
                 outcome = escape(str(attempt.failure or "found")[:70])
                 status.update(f"planning: attempt {attempt.index + 1}: {outcome}")
 
-            return plan_grasp(
-                task,
-                seed=self.seed,
-                max_attempts=self.max_attempts,
-                max_cpu_s=self.max_cpu_s,
-                options=options,
-                progress=show,
-            )
+            try:
+                return self._search(task, options, show)
+            except NoGraspFoundError as error:
+                standing = None if self.at is not None and self.at.count(",") > 1 else self.pose
+                if self.stand or standing is None:
+                    raise
+                status.update("planning: whether it would be found if the object stood higher ...")
+                advice = advice_for_low(task, pose=standing, options=options, progress=show)
+                if not advice:
+                    raise
+                raise NoGraspFoundError(
+                    f"no grasp of {task.object.name} with {task.hand.name} in "
+                    f"{len(error.attempts)} attempts: {advice}",
+                    error.attempts,
+                ) from error
 
-    def _touch_region(self) -> TouchRegion | None:
-        from planner.regions import TouchRegion, parse_region
+    def _search(
+        self,
+        task: GraspTask,
+        options: SynthesisOptions,
+        progress: Callable[[Attempt[GraspPlan]], None],
+    ) -> GraspPlan:
+        from planner.search import plan_grasp
 
-        if not self.touch and not self.avoid:
-            return None
-        return TouchRegion(
-            allowed=tuple(parse_region(text) for text in self.touch or ()),
-            forbidden=tuple(parse_region(text) for text in self.avoid or ()),
+        return plan_grasp(
+            task,
+            seed=self.seed,
+            max_attempts=self.max_attempts,
+            max_cpu_s=self.max_cpu_s,
+            options=options,
+            progress=progress,
         )
-
-    def _load(self) -> ExpectedLoad | None:
-        from planner.forces import ExpectedLoad
-
-        if self.expect_load is None:
-            return None
-        count = 2 if "," in self.expect_load else 1
-        force, torque = (*numbers("--expect-load", self.expect_load, count), 0.0)[:2]
-        return ExpectedLoad(force=force, torque=torque)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-__all__ = ["Event", "EventKind", "told_events"]
+__all__ = ["AS_TOLD", "Event", "EventKind", "told_events"]
 
 EventKind: TypeAlias = Literal[
     "contact lost",

@@ -14,7 +14,9 @@ from planner.spatial import SE3, FloatArray, IntArray, signed_twist
 from sim.contacts import hand_collision, hand_contacts, merge_per_finger
 from sim.manipulation.timeline import ManipulationPhase
 from sim.pads import read_pads
+from sim.recording import Recording
 from sim.simulation import Simulation
+from sim.states import StateRecorder
 
 __all__ = ["ManipulationLog", "ManipulationRecorder"]
 
@@ -59,6 +61,8 @@ class ManipulationLog:
             without contact.
         closed: (m,), force closure of the measured contacts, merged per finger, with their own
             friction.
+        epsilon: (m,), their L1 epsilon (-).
+        friction_utilisation: (m, n), share of the friction cone in use (-); NaN without contact.
         turn: (m,), signed twist about the axis of the turn, rad.
         tilt: (m,), rotation beside that, rad.
         shift: (m, 3), translation, m, palm axes.
@@ -77,6 +81,10 @@ class ManipulationLog:
     points: FloatArray = field(metadata=channel("contact_object_m", 3, per_finger=True))
     sliding: FloatArray = field(metadata=channel("sliding_mm_s", scale=MM, per_finger=True))
     closed: NDArray[np.bool_] = field(metadata=channel("closed", kind=bool))
+    epsilon: FloatArray = field(metadata=channel("epsilon"))
+    friction_utilisation: FloatArray = field(
+        metadata=channel("friction_utilisation", per_finger=True)
+    )
     turn: FloatArray = field(metadata=channel("object_in_palm_turn_deg", scale=DEG))
     tilt: FloatArray = field(metadata=channel("object_in_palm_tilt_deg", scale=DEG))
     shift: FloatArray = field(metadata=channel("object_in_palm_shift_mm", 3, scale=MM))
@@ -137,6 +145,7 @@ class ManipulationRecorder:
         self._reference: SE3 | None = None
         self._turn = 0.0
         self._rows: list[dict[str, Any]] = []
+        self._states = StateRecorder(simulation)
         self._forces: list[FloatArray] = []
 
     def note_forces(self, normal_forces: FloatArray) -> None:
@@ -176,7 +185,9 @@ class ManipulationRecorder:
         simulation = self._simulation
         scene, data = simulation.scene, simulation.data
         merged = merge_per_finger(hand_contacts(scene, data))
-        closed, _ = closure_and_epsilon(merged, length=self._length)
+        self._states.take(phase, merged)
+        closed, epsilon = closure_and_epsilon(merged, length=self._length)
+        used = dict(zip(merged.fingers, merged.friction_utilisation().tolist(), strict=True))
         forces = np.array(self._forces or [np.zeros(len(self._fingers))])
         self._forces = []
         collision, collision_N = hand_collision(scene, data)
@@ -191,6 +202,8 @@ class ManipulationRecorder:
                 "points": (pads.position - pose.translation) @ pose.rotation,
                 "sliding": np.linalg.norm(pads.sliding, axis=1) - pads.creep_speed,
                 "closed": closed,
+                "epsilon": epsilon,
+                "friction_utilisation": [used.get(f, np.nan) for f in self._fingers],
                 "turn": self._turn,
                 "tilt": tilt,
                 "shift": shift,
@@ -209,3 +222,7 @@ class ManipulationRecorder:
     def log(self) -> ManipulationLog:
         """All samples so far."""
         return ManipulationLog.of(self._rows, len(self._fingers))
+
+    def recording(self) -> Recording:
+        """The states at the same times."""
+        return self._states.recording()

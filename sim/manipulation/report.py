@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,9 @@ from numpy.typing import NDArray
 
 from planner.plain import finite
 from planner.quality import QualityReport
+from planner.showing import in_notebook
 from planner.spatial import FloatArray
+from planner.task import GraspTask
 from planner.version import written_by
 from sim.controllers import Event
 from sim.controllers.events import told_events
@@ -26,6 +29,7 @@ from sim.manipulation.timeline import (
     ManipulationTimeline,
     SuccessCriteria,
 )
+from sim.recording import Recording
 from sim.verdict import Fault, first_collision, lost
 
 __all__ = ["ManipulationReport"]
@@ -49,7 +53,10 @@ class ManipulationReport:
         asked_shift: Translation in the hand that was asked for with it (3,), m, world.
         back: Why the motion was made backwards before the object was put down, "" if it was not.
         R_world_palm: (3, 3), world from palm while the object was turned.
-        log: All samples.
+        log: What was judged, over time.
+        recording: States at the same times.
+        plan: The plan as its file has it (``planner.files.manipulation_to_dict``); None for a hand
+            that was made in Python, which no file can name.
         planned_modes: (m, n), contact modes as planned, at every sample.
         measured_modes: (m, n), as measured.
         before: Quality of the measured contacts before the lift; None if it never came to that.
@@ -64,6 +71,7 @@ class ManipulationReport:
         picture_reason: Why there are none, "" otherwise.
         earlier: What was done before, where the object was put down and all was begun again; what
             is told here is about the rest of the turn then.
+        command: What the command line was told, "" of a script.
         drawn: Pictures and film that were drawn, and how, in one line; not in the file.
     """
 
@@ -81,6 +89,8 @@ class ManipulationReport:
     back: str
     R_world_palm: FloatArray
     log: ManipulationLog
+    recording: Recording
+    plan: dict[str, Any] | None
     planned_modes: NDArray[np.str_]
     measured_modes: NDArray[np.str_]
     before: QualityReport | None
@@ -93,6 +103,7 @@ class ManipulationReport:
     pictures: dict[str, str]
     picture_reason: str
     earlier: ManipulationReport | None = None
+    command: str = ""
     drawn: str = ""
 
     @property
@@ -230,6 +241,10 @@ class ManipulationReport:
         verdict = "complete" if self.complete else f"failed in {self.reason}"
         return "\n".join([*lines, f"{verdict}; the turn: {self._judged()}"])
 
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it: a table and a picture, made once."""
+        return in_notebook(self)
+
     def _judged(self) -> str:
         """The turn in words: success with or without closure, or none."""
         if self.success_with_closure:
@@ -281,11 +296,36 @@ class ManipulationReport:
             "duration_s": self.results[-1].end if self.results else 0.0,
         }
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data that follows ``ManipulationReportFile``; what is not finite becomes None."""
+    def to_dict(self, *, states: bool = True) -> dict[str, Any]:
+        """Plain data that follows ``ManipulationReportFile``; what is not finite becomes None.
+
+        Args:
+            states: Whether plan and recorded states are part of it: a few hundred kilobytes to some
+                megabytes, from which a page can be made.
+        """
+        return self.to_file(states=states).model_dump(mode="json")
+
+    def save_html(self, path: Path | str, *, task: GraspTask | None = None) -> None:
+        """Write the manipulation as a page: one HTML file with motion, plots, summary and report.
+
+        Args:
+            path: The file.
+            task: The plan's task, if the report's plan is None or loading its hand would be slow.
+
+        Raises:
+            FileFormatError: The file cannot be written.
+        """
+        from planner.pages.page import write_page
+        from sim.manipulation.page import manipulation_page
+
+        write_page(manipulation_page(self.to_file(), task), path)
+
+    def to_file(self, *, states: bool = True) -> ManipulationReportFile:
+        """The same as the data of a file, which pages are made of."""
         return ManipulationReportFile.model_validate(
             {
                 "written_by": written_by(),
+                "command": self.command,
                 "success": self.success,
                 "success_with_closure": self.success_with_closure,
                 "complete": self.complete,
@@ -350,9 +390,11 @@ class ManipulationReport:
                         "contact_mode_measured": self.measured_modes.tolist(),
                     }
                 ),
-                "earlier": None if self.earlier is None else self.earlier.to_dict(),
+                "plan": self.plan if states else None,
+                "recording": self.recording.to_dict() if states else None,
+                "earlier": None if self.earlier is None else self.earlier.to_file(states=states),
             }
-        ).model_dump(mode="json")
+        )
 
     def _largest(self, values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
         turning = values[self.log.during(*TURNING)]

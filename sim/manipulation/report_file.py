@@ -6,13 +6,14 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from pydantic import create_model
+from pydantic import create_model, model_validator
 
-from planner.files.json_csv import checked_file, read_json
+from planner.files.json_csv import checked_file
 from planner.schema import StrictData
 from sim.manipulation.log import ManipulationLog
 from sim.manipulation.timeline import ManipulationPhase
-from sim.report import EventData
+from sim.recording import RecordingData
+from sim.report_file import EventData, check_lengths, report_data, upgraded
 
 __all__ = ["ManipulationReportFile", "read_manipulation_report"]
 
@@ -66,11 +67,15 @@ else:
 
 
 class ManipulationReportFile(StrictData):
-    """A manipulation report as JSON."""
+    """A manipulation report as JSON; ``plan``, ``recording`` and ``command`` as in ``ReportFile``.
+
+    The plan is that of its own file (``opposable schema manipulation``).
+    """
 
     format: Literal["opposable-manipulation-report"] = "opposable-manipulation-report"
-    version: Literal[1] = 1
+    version: Literal[2] = 2
     written_by: str
+    command: str = ""
     success: bool
     success_with_closure: bool
     complete: bool
@@ -102,14 +107,35 @@ class ManipulationReportFile(StrictData):
     pictures: dict[str, str]
     picture_reason: str
     samples: ManipulationSamples
+    plan: dict[str, Any] | None
+    recording: RecordingData | None
     earlier: ManipulationReportFile | None
+
+    @model_validator(mode="after")
+    def _one_length(self) -> ManipulationReportFile:
+        check_lengths(self.samples, self.recording)
+        return self
 
 
 def read_manipulation_report(path: Path | str) -> ManipulationReportFile:
-    """Read a report file of a manipulation.
+    """Read a report of a manipulation, from its JSON file or out of its page.
+
+    Files of version 1 are read too: they have neither plan nor recording.
 
     Raises:
         FileFormatError: Missing, damaged, of another format or another version.
     """
-    data = read_json(path, "manipulation report")
-    return checked_file(ManipulationReportFile, data, str(path))
+    return checked_file(ManipulationReportFile, _upgraded(report_data(path)), str(path))
+
+
+def _upgraded(data: dict[str, Any]) -> dict[str, Any]:
+    """Data of version 1 as version 2: what it did not have is unknown, earlier runs likewise."""
+    new, earlier = upgraded(data), data.get("earlier")
+    if isinstance(earlier, dict):
+        new = {**new, "earlier": _upgraded(earlier)}
+    samples, fingers = data.get("samples"), data.get("fingers")
+    if data.get("version") != 1 or not (isinstance(samples, dict) and isinstance(fingers, list)):
+        return new
+    m = len(samples.get("time_s", ()))
+    unknown = {"friction_utilisation": [[None] * len(fingers)] * m, "epsilon": [None] * m}
+    return {**new, "samples": {**samples, **unknown}}

@@ -11,6 +11,7 @@ from planner.immutable import freeze
 from planner.motion.plan import Knot, MotionPlan, MotionRecord
 from planner.motion.trajectory import JOINT_RATE, TURN_RATE, TrajectoryBuilder
 from planner.plan import JointTrajectory
+from planner.showing import Shown
 from planner.spatial import SE3, FloatArray
 
 __all__ = ["GaitPlan", "Relocation", "Stroke"]
@@ -84,7 +85,7 @@ class Relocation:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class GaitPlan:
+class GaitPlan(Shown):
     """Strokes and relocations in turn; the base stands where the grasp has it.
 
     As with a motion, hand and object are lifted first, which is left out here.

@@ -16,6 +16,7 @@ from planner.motion.manipulation.ending import Ending, standing_under
 from planner.motion.plan import MotionPlan
 from planner.motion.trajectory import JOINT_RATE, TURN_RATE, TrajectoryBuilder
 from planner.plan import GraspPlan, JointTrajectory
+from planner.showing import Shown
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.objectives.joint import driving
 from planner.task import GraspTask, Obstacle
@@ -27,7 +28,7 @@ LIFT_S, CARRY_S, LOWER_S, OPEN_S, RETREAT_S = 0.7, 0.8, 0.6, 0.4, 0.6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ManipulationPlan:
+class ManipulationPlan(Shown):
     """Pick, turn, place.
 
     Attributes:
@@ -133,7 +134,7 @@ class ManipulationPlan:
         Hand and object are at the grasp, not lifted.
         """
         motion, gait = self.motion, self.gait
-        now, q = motion.at(self._final_parameter)
+        now, q = motion.at(self.final_parameter)
         if gait is None:
             return now, q
         last = next(s for s in gait.strokes if s.cycle == gait.cycles - 1)
@@ -142,7 +143,7 @@ class ManipulationPlan:
         return SE3(turned, begin.translation + now.translation - first.translation), q
 
     @property
-    def _final_parameter(self) -> float:
+    def final_parameter(self) -> float:
         """Path parameter in (0, 1] at which the last stroke has turned the object by ``angle``."""
         strokes = 1 if self.gait is None else self.gait.cycles
         if not self.angle:
@@ -151,7 +152,7 @@ class ManipulationPlan:
 
     def _turn(self, builder: TrajectoryBuilder) -> tuple[SE3, FloatArray]:
         """Append the turn, and the way back; object, before any lift, and joints at its end."""
-        motion, end = self.motion, self._final_parameter
+        motion, end = self.motion, self.final_parameter
         if self.gait is not None:
             self.gait.add_to(builder, end)
             return self.turned_object()

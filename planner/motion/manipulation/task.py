@@ -100,7 +100,7 @@ def on_stand(task: GraspTask, height: float) -> GraspTask:
         TaskError: No table, a height that is not positive, or an object that does not stand on it.
     """
     if task.table_height is None:
-        raise TaskError("there is no table for a stand; give table_height")
+        raise TaskError("there is no table for a stand; give table_height (--table)")
     if not (np.isfinite(height) and height > 0):
         raise TaskError(f"the stand's height is {height}; give a finite number > 0 in m")
     pose = task.T_world_object

@@ -25,6 +25,7 @@ from planner.synthesis.link_capsules import (
     closest_on_segments,
     collision_pairs,
     finger_capsules,
+    rooms_at_rest,
 )
 from planner.synthesis.link_spheres import (
     LinkSphere,
@@ -41,6 +42,10 @@ from planner.synthesis.terms.term import Role, Row, Term
 from planner.synthesis.unknowns import mrp_rates
 
 __all__ = ["FINGERS", "OBJECT", "OBSTACLE", "TABLE", "Clearances"]
+
+AMPLE = 0.002
+"""Room (m) between two fingers in the hand's own postures from which on they are asked for all of
+``clear_fingers``: its default. Pairs with less are asked for the room that they have."""
 
 FASTEST = 1.1
 """Largest slope (-) of a mesh's smooth distance; a little more than that of the true one."""
@@ -287,9 +292,11 @@ def _between_fingers(g: GraspSymbols) -> list[Any]:
     capsules = finger_capsules(g.hand)
     ends = [(g.place(c.joint_id, c.inner), g.place(c.joint_id, c.outer)) for c in capsules]
     out = []
-    for i, j in collision_pairs(g.hand):
+    clear = g.option["clear_fingers"]
+    for (i, j), room in zip(collision_pairs(g.hand), rooms_at_rest(g.hand), strict=True):
         apart = between_segments(*ends[i], *ends[j])
-        least = capsules[i].radius + capsules[j].radius + g.option["clear_fingers"]
+        asked = clear if room >= AMPLE else ca.fmin(clear, float(room))
+        least = ca.fmax(capsules[i].radius + capsules[j].radius + asked, 0.0)
         out.append(ca.sumsqr(apart) - least**2)
     return out
 

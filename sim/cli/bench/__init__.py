@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import typer
 
-from sim.cli.bench import control, dexgraspbench, grasps, synthesis, turns
+from sim.cli.bench import control, dexgraspbench, grasps, pages, synthesis, turns, zoo
 
 __all__ = ["register"]
 
 
-def register(app: typer.Typer) -> None:
-    """Add the group ``bench``."""
-    bench = typer.Typer(
-        help="Measure: tables that repeat the project's figures.", no_args_is_help=True
-    )
+def register(app: typer.Typer, panel: str) -> None:
+    """Add the group ``bench`` to a panel of the help."""
+    bench = typer.Typer(help="Tables that repeat the project's figures.", no_args_is_help=True)
     for command in (
         grasps.grasps,
         synthesis.synthesis,
@@ -26,6 +24,9 @@ def register(app: typer.Typer) -> None:
         turns.manipulate,
         control.physics,
         dexgraspbench.dexgraspbench,
+        pages.pages,
+        zoo.zoo,
+        zoo.gallery,
     ):
         bench.command()(command)
-    app.add_typer(bench, name="bench")
+    app.add_typer(bench, name="bench", rich_help_panel=panel)

@@ -15,16 +15,14 @@ from sim.cli.bench.common import (
     ResultOptions,
 )
 from sim.cli.common import (
-    AttemptsOption,
     FingersOption,
     JsonOption,
     MuOption,
-    RoundsOption,
     SeedOption,
     errors_for_people,
     names,
 )
-from sim.cli.options import with_options
+from sim.cli.options import AttemptsOption, RoundsOption, with_options
 
 
 @errors_for_people()

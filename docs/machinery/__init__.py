@@ -1,0 +1,1 @@
+"""What Sphinx needs beyond its extensions: pages out of the code, mathematics without a network."""

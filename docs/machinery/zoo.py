@@ -1,0 +1,42 @@
+"""The pages of zoo and gallery, out of what ``bench zoo`` and ``bench gallery`` wrote."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from sphinx.application import Sphinx
+from sphinx.config import Config
+
+from machinery.write import write_pages
+from sim.bench.gallery.pages import SCENES, gallery_pages
+from sim.bench.zoo.pages import zoo_pages
+
+DOCS = Path(__file__).parent.parent
+EXTRA = DOCS / "gallery" / "extra"
+"""What goes into the site as it is: the entries' own pages, too large to be kept in the checkout;
+``opposable bench gallery --pages docs/gallery/extra/scenes`` makes them."""
+
+
+def add_scenes(app: Sphinx, config: Config) -> None:
+    """Take the entries' own pages into the site, if they were made."""
+    if EXTRA.is_dir():
+        config.html_extra_path = [*config.html_extra_path, str(EXTRA)]
+
+
+def write(app: Sphinx) -> None:
+    """Write the pages of both."""
+    zoo = json.loads((DOCS / "zoo" / "zoo.json").read_text(encoding="utf-8"))
+    write_pages(DOCS / "zoo" / "generated", zoo_pages(zoo))
+    gallery = json.loads((DOCS / "gallery" / "gallery.json").read_text(encoding="utf-8"))
+    scenes = {path.name for path in (EXTRA / SCENES).glob("*.html")}
+    write_pages(DOCS / "gallery" / "generated", gallery_pages(gallery, scenes))
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Write the pages when a build begins."""
+    app.add_css_file("cards.css")
+    app.connect("config-inited", add_scenes)
+    app.connect("builder-inited", write)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,60 @@
+"""``grid_html``, ``grid_script``, ``grid_models``: a grid of grasps that a server brings.
+
+Unlike a ``Page`` it is not one file: it asks its own server for columns, places of hands and pages
+of single grasps. Pictures are drawn in the browser.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from html import escape
+
+from planner.hands.hand import Hand
+from planner.pages.hand_model import hand_model
+from planner.pages.own_assets import asset
+from planner.pages.payload import pack
+from planner.pages.rows import pose_row
+from planner.pages.surroundings import object_model
+from planner.pages.three import three_source
+from planner.task import GraspTask
+
+__all__ = ["grid_html", "grid_models", "grid_script"]
+
+SCRIPTS = ("unpack.js", "bodies.js", "side.js", "thumbnails.js", "grid.js", "grid_main.js")
+"""In the order in which they run, after three.js."""
+
+
+def grid_html(title: str, subtitle: str) -> str:
+    """The page of a grid."""
+    style = "\n".join(asset(name) for name in ("page.css", "side.css", "grid.css"))
+    return asset("grid.html").format(title=escape(title), subtitle=escape(subtitle), style=style)
+
+
+def grid_script() -> str:
+    """Its script, three.js included.
+
+    Raises:
+        PlannerError: trimesh carries another three.js.
+    """
+    return "\n".join((three_source(), *(asset(name) for name in SCRIPTS)))
+
+
+def grid_models(hand: Hand, tasks: Mapping[str, GraspTask]) -> bytes:
+    """The hand and the objects that its pictures are made of, packed.
+
+    Args:
+        hand: The hand of all grasps.
+        tasks: Label of an object -> its task, in whose pose it is shown.
+    """
+    return pack(
+        {
+            "hand": hand_model(hand),
+            "objects": {
+                label: {
+                    "model": object_model(task.object.shape, label).model,
+                    "pose": pose_row(task.T_world_object),
+                }
+                for label, task in tasks.items()
+            },
+        }
+    )

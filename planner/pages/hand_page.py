@@ -1,0 +1,202 @@
+"""``hand_page``: a hand to move by its joints, its description with reasons, the findings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from planner.couplings import nearest_on_couplings
+from planner.describe import CheckReport
+from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
+from planner.pages.arrows import arrow_part
+from planner.pages.blocks import Block, Command, Facts, Sentence
+from planner.pages.described import described_lines, named_joints
+from planner.pages.hand_model import hand_model
+from planner.pages.own_assets import own_scripts
+from planner.pages.page import Page
+from planner.pages.rows import IDENTITY_ROW
+from planner.pages.scene import Actor, Model, Scene, View
+from planner.spatial import SE3, FloatArray
+
+__all__ = ["hand_page"]
+
+PALM_COLOUR, AXIS_COLOUR = (0.13, 0.55, 0.30, 1.0), (0.95, 0.52, 0.18, 1.0)
+"""Colours of the arrows along which the palm and the pads face."""
+
+PALM_ARROW, PAD_ARROW = 0.06, 0.02
+"""Lengths of these arrows, m."""
+
+ROOM = 1.2
+"""Radius of the picture over that of the hand's points: links are thicker than points (-)."""
+
+
+def hand_page(
+    hand: Hand,
+    *,
+    reasons: Mapping[str, str] | None = None,
+    questions: Sequence[str] = (),
+    check: CheckReport | None = None,
+) -> Page:
+    """A page with sliders for the joints of a hand, which keep its couplings.
+
+    Args:
+        hand: The hand.
+        reasons: Key of a line of its description, such as "fingers.index.pad" -> its reason.
+        questions: What its description leaves open.
+        check: What ``check_hand`` found, if it was asked.
+    """
+    postures = _postures(hand)
+    q = next(iter(postures.values()))
+    return Page(
+        title=hand.name,
+        subtitle=hand.description.summary,
+        summary=_summary(hand, check),
+        scene=_scene(hand, q),
+        data={
+            "name": hand.name,
+            "sha256": hand.digest,
+            "joint_names": list(hand.joint_names),
+            "q_lower_rad": hand.q_lower.tolist(),
+            "q_upper_rad": hand.q_upper.tolist(),
+            "postures_q_rad": {name: list(v) for name, v in postures.items()},
+            "fingers": list(hand.fingers),
+            "findings": [asdict(f) for f in check.findings] if check is not None else [],
+        },
+        kind="hand",
+        scripts=own_scripts("side.js", "couplings.js", "hand.js", "hand_start.js"),
+        extra=_extra(hand, q, postures, reasons or {}, questions, check),
+    )
+
+
+def _postures(hand: Hand) -> dict[str, FloatArray]:
+    """Described postures, and zero, each as joints that keep the couplings."""
+    found = {name: hand.posture(name) for name in hand.description.postures}
+    zero = hand.neutral
+    if hand.couplings:
+        kept = nearest_on_couplings(zero, hand.couplings, hand.q_lower, hand.q_upper)
+        zero = zero if kept is None else kept
+    return found | {"zero": zero}
+
+
+def _scene(hand: Hand, q: FloatArray) -> Scene:
+    state = HandState(hand, q)
+    points = [state.tip_pose(f).translation for f in hand.fingers.values()]
+    points += [state.T_base_palm.translation]
+    points += [
+        (state.joint_pose(g.joint_id) * g.T_joint_geometry).translation for g in hand.geometries
+    ]
+    focus = (np.min(points, axis=0) + np.max(points, axis=0)) / 2
+    radius = ROOM * float(np.linalg.norm(np.array(points) - focus, axis=1).max())
+    palm = state.T_base_palm.rotation @ hand.palm_normal
+    return Scene(
+        models={"hand": _with_arrows(hand)},
+        actors=(Actor(name="hand", model="hand", pose=IDENTITY_ROW, q=q),),
+        focus=focus,
+        radius=radius,
+        time=np.zeros(0),
+        views=(_view("palm", palm), _view("back", -palm), _view("start", palm + _aside(palm))),
+    )
+
+
+def _view(name: str, direction: FloatArray) -> View:
+    x, y, z = (float(v) for v in direction / np.linalg.norm(direction))
+    return View(name=name, direction=(x, y, z))
+
+
+def _aside(direction: FloatArray) -> FloatArray:
+    """A little to the side of a direction and above it, so that depth can be seen."""
+    across = np.cross([0.0, 0.0, 1.0], direction)
+    if np.linalg.norm(across) < 0.1:
+        across = np.array([0.0, 1.0, 0.0])
+    aside: FloatArray = 0.7 * across / np.linalg.norm(across) + np.array([0.0, 0.0, 0.35])
+    return aside
+
+
+def _with_arrows(hand: Hand) -> Model:
+    model, frame = hand_model(hand), hand.pin_model.frames[hand.palm_frame_id]
+    place: SE3 = frame.placement
+    arrows = [
+        arrow_part(
+            "direction that the palm faces",
+            joint=int(frame.parentJoint) - 1,
+            layer="pads",
+            start=place.translation,
+            direction=place.rotation @ hand.palm_normal,
+            length=PALM_ARROW,
+            colour=PALM_COLOUR,
+        )
+    ]
+    arrows += [
+        arrow_part(
+            f"direction that the pad of {f.name} faces",
+            joint=f.pad.joint_id - 1,
+            layer="pads",
+            start=f.pad.center + f.pad.radius * f.pad.axis,
+            direction=f.pad.axis,
+            length=PAD_ARROW,
+            colour=AXIS_COLOUR,
+        )
+        for f in hand.fingers.values()
+    ]
+    return replace(model, parts=(*model.parts, *arrows))
+
+
+def _summary(hand: Hand, check: CheckReport | None) -> tuple[Block, ...]:
+    rows = [
+        ("fingers", ", ".join(hand.fingers)),
+        ("joints", str(hand.nq)),
+        ("actuators", str(len(hand.actuation.names))),
+        ("couplings", str(len(hand.couplings))),
+        ("mass", f"{float(np.sum(hand.mj_model.body_mass)):.3g} kg"),
+        ("colliding geometries", str(len(hand.geometries))),
+    ]
+    blocks: list[Block] = [Facts(rows=tuple(rows))]
+    if check is not None:
+        counts = {
+            k: sum(f.level == k for f in check.findings) for k in ("error", "warning", "note")
+        }
+        told = ", ".join(f"{n} {k}{'s' * (n != 1)}" for k, n in counts.items() if n)
+        verdict = "Nothing forbids planning" if check.ok else "Planning is forbidden"
+        blocks.append(Sentence(text=f"{verdict}; check-hand finds {told or 'nothing'}."))
+    blocks.append(Command(text=f"opposable plan {hand.reference or hand.name} sphere:0.035"))
+    return tuple(blocks)
+
+
+def _extra(
+    hand: Hand,
+    q: FloatArray,
+    postures: Mapping[str, FloatArray],
+    reasons: Mapping[str, str],
+    questions: Sequence[str],
+    check: CheckReport | None,
+) -> dict[str, Any]:
+    facts = []
+    if check is not None:
+        facts.append(f"Pinocchio and MuJoCo agree to {check.kinematics_error:.1g} m")
+    return {
+        "hand": {
+            "q": [float(v) for v in q],
+            "postures": {name: [float(v) for v in value] for name, value in postures.items()},
+            "groups": _groups(hand),
+            "lines": [asdict(line) for line in described_lines(hand, reasons)],
+            "questions": list(questions),
+            "findings": [
+                asdict(f) | {"joints": named_joints(hand, f.what)}
+                for f in (check.findings if check is not None else ())
+            ],
+            "facts": facts,
+        }
+    }
+
+
+def _groups(hand: Hand) -> list[dict[str, Any]]:
+    """Joints under a heading: the arm, the wrist, each finger, and the rest."""
+    groups = [("arm", hand.arm_index), ("wrist", hand.wrist_index)]
+    groups += [(f.name, f.q_index) for f in hand.fingers.values()]
+    taken = {int(k) for _, index in groups for k in index}
+    groups.append(("other joints", np.array([k for k in range(hand.nq) if k not in taken], int)))
+    return [{"name": n, "joints": [int(k) for k in index]} for n, index in groups if len(index)]

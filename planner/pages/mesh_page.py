@@ -1,0 +1,212 @@
+"""``mesh_page``: an object with its stable poses, its smooth field, and where it may be touched."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from planner.objects import GraspObject
+from planner.pages.blocks import Block, Facts, Sentence
+from planner.pages.level_set import zero_level_set
+from planner.pages.own_assets import own_scripts
+from planner.pages.page import Page
+from planner.pages.rows import IDENTITY_ROW, pose_row
+from planner.pages.scene import Actor, Model, Part, Scene
+from planner.pages.simplify import simplified
+from planner.pages.surroundings import object_model, table_model
+from planner.regions import TouchRegion
+from planner.shapes import Mesh
+from planner.shapes.stable import StablePose
+from planner.shapes.triangulation import surface_triangles
+from planner.spatial import FloatArray, IntArray
+
+__all__ = ["mesh_page"]
+
+HAND = "allegro_hand"
+"""Hand of the command that the page shows."""
+
+FIELD_COLOUR = (0.85, 0.35, 0.75, 0.45)
+TOUCH_COLOUR, AVOID_COLOUR = (0.20, 0.65, 0.35, 1.0), (0.82, 0.22, 0.20, 1.0)
+"""Colours: the field's zero level, where fingers may touch, where they must not."""
+
+MOST_FIELD_TRIANGLES, MOST_REGION_TRIANGLES = 30_000, 40_000
+"""In a page of about 1 MB."""
+
+FINEST_EDGE = 1 / 60
+"""Edge of the triangles that are coloured by region, over the object's size (-)."""
+
+PROUD = 2e-3
+"""How far regions are drawn above the surface, over the bounding radius (-)."""
+
+
+def mesh_page(
+    item: GraspObject, *, spec: str = "", touch: Sequence[str] = (), avoid: Sequence[str] = ()
+) -> Page:
+    """A page of an object on a table.
+
+    Args:
+        item: The object, with its regions.
+        spec: How the command line names it, for the command that the page shows.
+        touch: The regions where fingers may touch, as the command line has them.
+        avoid: Those where they must not.
+    """
+    shape, poses = item.shape, item.shape.resting_poses()
+    shown = object_model(shape, item.name)
+    parts, notes = list(shown.model.parts), [shown.note] if shown.note else []
+    if isinstance(shape, Mesh):
+        parts.append(_field_part(shape))
+    if item.touch is not None:
+        parts += _region_parts(item)
+    rows = [pose_row(item.resting_pose(index=k)) for k in range(len(poses))]
+    radius = shape.bounding_radius
+    scene = Scene(
+        models={
+            "object": Model(joints=(), parts=tuple(parts)),
+            "table": table_model(3 * radius),
+        },
+        actors=(
+            Actor(name="object", model="object", pose=rows[0], q=np.zeros(0)),
+            Actor(name="table", model="table", pose=IDENTITY_ROW, q=np.zeros(0), layer="table"),
+        ),
+        focus=rows[0][:3],
+        radius=1.2 * radius,
+        time=np.zeros(0),
+        off=frozenset({"collision", "field", "frames", "alternatives"}),
+    )
+    options = [word for text in touch for word in ("--touch", text)]
+    options += [word for text in avoid for word in ("--avoid", text)]
+    return Page(
+        title=item.name,
+        subtitle=spec,
+        summary=tuple(_summary(item, notes)),
+        scene=scene,
+        data={
+            "name": item.name,
+            "mass_kg": item.mass,
+            "volume_m3": shape.volume,
+            "stable_poses": [_pose_data(p, row) for p, row in zip(poses, rows, strict=True)],
+        },
+        kind="object",
+        scripts=own_scripts("side.js", "object.js", "object_start.js"),
+        extra={
+            "object": {
+                "poses": [_pose_data(p, row) for p, row in zip(poses, rows, strict=True)],
+                "command": shlex.join(["opposable", "plan", HAND, spec or item.name, *options]),
+            }
+        },
+    )
+
+
+def _pose_data(pose: StablePose, row: FloatArray) -> dict[str, Any]:
+    return {
+        "pose": row.tolist(),
+        "margin_deg": pose.margin_deg,
+        "probability": pose.probability,
+    }
+
+
+def _summary(item: GraspObject, notes: Sequence[str]) -> list[Block]:
+    shape = item.shape
+    rows = [
+        ("size along x, y, z", " x ".join(f"{v:.0f}" for v in _extents(item)) + " mm"),
+        ("mass", f"{1e3 * item.mass:.0f} g"),
+        ("volume", f"{1e6 * shape.volume:.1f} cm3"),
+        ("bounding radius", f"{1e3 * shape.bounding_radius:.1f} mm about the centre of mass"),
+    ]
+    blocks: list[Block] = []
+    if isinstance(shape, Mesh):
+        field = shape.field()
+        off = float(np.abs(field.value(shape.vertices)).max())
+        rows += [
+            ("triangles", str(len(shape.faces))),
+            ("smooth field: grid", f"{1e3 * field.spacing:.2f} mm"),
+            ("smooth field: largest value at a vertex", f"{1e3 * off:.2f} mm"),
+            ("smooth field: proven bound", f"{1e3 * field.error:.2f} mm within the bounding box"),
+        ]
+        if shape.source is not None and shape.source.done:
+            blocks.append(Sentence(text=f"Mended: {'; '.join(shape.source.done)}.", kind="warning"))
+    blocks.insert(0, Facts(rows=tuple(rows)))
+    blocks += [Sentence(text=note, kind="warning") for note in notes]
+    if item.touch is not None:
+        blocks.append(Sentence(text=_regions_in_words(item, item.touch)))
+    return blocks
+
+
+def _extents(item: GraspObject) -> FloatArray:
+    axes = np.eye(3)
+    extents: FloatArray = 1e3 * np.array(
+        [item.shape.support(axis) + item.shape.support(-axis) for axis in axes]
+    )
+    return extents
+
+
+def _regions_in_words(item: GraspObject, touch: TouchRegion) -> str:
+    vertices, triangles = surface_triangles(item.shape)
+    vertices, triangles = _fine(vertices, triangles)
+    corners = vertices[triangles]
+    areas = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    free = touch.permits(corners.mean(axis=1))
+    return (
+        f"Fingers may touch {100 * areas[free].sum() / areas.sum():.0f} % of the surface (green) "
+        "and not the rest (red)."
+    )
+
+
+def _field_part(shape: Mesh) -> Part:
+    lower, upper = shape.bounds
+    vertices, triangles = zero_level_set(shape.field(), lower, upper)
+    vertices, triangles, _ = simplified(vertices, triangles, MOST_FIELD_TRIANGLES)
+    return Part(
+        name="zero level of the smooth field",
+        joint=-1,
+        layer="field",
+        vertices=vertices,
+        triangles=triangles,
+        colour=FIELD_COLOUR,
+        smooth=True,
+    )
+
+
+def _region_parts(item: GraspObject) -> list[Part]:
+    """The surface where it may be touched, and where it must not."""
+    assert item.touch is not None
+    vertices, triangles = _fine(*surface_triangles(item.shape))
+    free = item.touch.permits(vertices[triangles].mean(axis=1))
+    solid = trimesh.Trimesh(vertices, triangles, process=False)
+    vertices = vertices + PROUD * item.shape.bounding_radius * np.asarray(solid.vertex_normals)
+    out = []
+    for name, chosen, colour in (
+        ("fingers may touch here", free, TOUCH_COLOUR),
+        ("fingers must not touch here", ~free, AVOID_COLOUR),
+    ):
+        if chosen.any():
+            used, faces = np.unique(triangles[chosen], return_inverse=True)
+            out.append(
+                Part(
+                    name=name,
+                    joint=-1,
+                    layer="regions",
+                    vertices=vertices[used],
+                    triangles=faces.reshape(-1, 3).astype(np.int64),
+                    colour=colour,
+                    smooth=True,
+                )
+            )
+    return out
+
+
+def _fine(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray]:
+    """Triangles small enough that a region's border looks straight, as far as the page allows."""
+    vertices, triangles, _ = simplified(vertices, triangles, MOST_REGION_TRIANGLES)
+    edge = float(np.ptp(vertices, axis=0).max()) * FINEST_EDGE
+    while True:
+        v, f = trimesh.remesh.subdivide_to_size(vertices, triangles, edge)
+        if len(f) <= 2 * MOST_REGION_TRIANGLES:
+            return np.asarray(v, np.float64), np.asarray(f, np.int64)
+        edge *= 1.5

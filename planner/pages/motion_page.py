@@ -1,0 +1,223 @@
+"""``motion_page``: a planned motion of an object in the hand, a gait, or a whole manipulation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from planner.contacts import ContactSet
+from planner.files.gaits import gait_to_dict
+from planner.files.manipulations import manipulation_to_dict
+from planner.files.motions import motion_to_dict
+from planner.motion import Knot, MotionPlan
+from planner.motion.gait import GaitPlan
+from planner.motion.manipulation import ManipulationPlan
+from planner.pages.blocks import Block, Facts, Heading, PlotsHere, Sentence, Table, Verdict
+from planner.pages.object_motion import AnyMotion, ObjectMotion, object_motion
+from planner.pages.page import Page
+from planner.pages.plan_page import bands_of, hand_motion, task_facts
+from planner.pages.plan_scene import Stage, contact_rows, stage_of, views_of
+from planner.pages.rows import pose_rows
+from planner.pages.scene import Contacts, Line, Motion, Plot, Scene
+from planner.plan import GraspPlan
+from planner.spatial import SE3, FloatArray, signed_twist
+
+__all__ = ["motion_page"]
+
+RATE = 30.0
+"""Samples of a motion per second in a page."""
+
+
+def motion_page(plan: AnyMotion) -> Page:
+    """The page of a motion; its numbers are the plan's file."""
+    motion = plan if isinstance(plan, MotionPlan) else plan.motion
+    grasp, stage = motion.grasp, stage_of(motion.grasp)
+    what, data = _kind(plan)
+    return Page(
+        title=f"{grasp.task.hand.name} moves {grasp.task.object.shape.spec} in the hand",
+        subtitle=f"{what}: {_path(plan)}",
+        verdict=Verdict(
+            good=True,
+            text="Verified",
+            reason="At every knot the pads touch, force closure holds (least normalised min-weight "
+            f"{plan_margin(plan):.3f}), forces bear the weight, and nothing else collides.",
+        ),
+        summary=_summary(plan, motion, stage.shown.note),
+        scene=_scene(plan, grasp, stage),
+        data=data,
+        kind="motion",
+    )
+
+
+def _kind(plan: AnyMotion) -> tuple[str, dict[str, Any]]:
+    if isinstance(plan, MotionPlan):
+        return "Motion plan", motion_to_dict(plan)
+    if isinstance(plan, GaitPlan):
+        return "Gait plan", gait_to_dict(plan)
+    return "Manipulation plan", manipulation_to_dict(plan)
+
+
+def _path(plan: AnyMotion) -> str:
+    if isinstance(plan, MotionPlan):
+        return str(plan.path)
+    if isinstance(plan, GaitPlan):
+        return f"{plan.cycles} strokes of {plan.motion.path}"
+    gait = "" if plan.gait is None else f", in {plan.gait.cycles} strokes"
+    return f"turn by {np.rad2deg(plan.angle):.1f} degrees{gait}, and put down"
+
+
+def _scene(plan: AnyMotion, grasp: GraspPlan, stage: Stage) -> Scene:
+    trajectory = plan.joint_trajectory(rate_hz=RATE)
+    found = object_motion(plan, trajectory)
+    axis = (plan if isinstance(plan, MotionPlan) else plan.motion).path.axis
+    bands = bands_of(trajectory)
+    start = next((b.begin for b in bands if b.name.startswith(("turn", "stroke"))), 0.0)
+    return Scene(
+        models=stage.models,
+        actors=tuple(stage.actors),
+        focus=stage.focus,
+        radius=stage.radius,
+        time=trajectory.times,
+        motions=(
+            hand_motion(trajectory),
+            Motion(
+                actor="object",
+                pose=pose_rows(found.poses),
+                q=np.zeros((len(found.poses), 0)),
+            ),
+        ),
+        contacts=(_contacts(grasp.task.finger_names, found.contacts, float(grasp.task.mu)),),
+        plots=_plots(grasp.task.finger_names, found, axis),
+        bands=bands,
+        start=start,
+        views=views_of(grasp.task.hand, grasp.T_world_palm, grasp.contacts),
+        follow="object",
+    )
+
+
+def _contacts(fingers: Sequence[str], sets: Sequence[ContactSet | None], mu: float) -> Contacts:
+    """Contacts over time; NaN for a finger that does not touch."""
+    points, normals, forces = np.full((3, len(sets), len(fingers), 3), np.nan)
+    rows: dict[int, tuple[list[int], tuple[FloatArray, FloatArray, FloatArray]]] = {}
+    for i, one in enumerate(sets):
+        if one is None:
+            continue
+        if id(one) not in rows:
+            rows[id(one)] = [fingers.index(f) for f in one.fingers], contact_rows(one)
+        at, values = rows[id(one)]
+        points[i, at], normals[i, at], forces[i, at] = values
+    return Contacts(
+        name="planned",
+        layer="planned contacts",
+        fingers=tuple(fingers),
+        points=points,
+        normals=normals,
+        forces=np.where(np.isnan(forces), 0.0, forces),
+        mu=mu,
+        actor="object",
+    )
+
+
+def _plots(fingers: Sequence[str], found: ObjectMotion, axis: FloatArray) -> tuple[Plot, ...]:
+    normal, used = np.full((2, len(fingers), len(found.contacts)), np.nan)
+    for i, one in enumerate(found.contacts):
+        if one is not None:
+            at = [fingers.index(f) for f in one.fingers]
+            normal[at, i] = one.forces[:, 0]
+            used[at, i] = 100.0 * one.friction_utilisation()
+    turn = Line(name="turn", values=_turned(found.poses, axis))
+    return (
+        Plot(title="Turn of the object", unit="degrees", lines=(turn,)),
+        Plot(title="Planned normal force", unit="N", lines=_by_finger(fingers, normal)),
+        Plot(title="Planned use of the friction cone", unit="%", lines=_by_finger(fingers, used)),
+        _of_knots(
+            "Normalised min-weight (closure above 0)",
+            "",
+            found,
+            lambda k: k.closure.normalised_min_weight,
+        ),
+        _of_knots("Smallest clearance", "mm", found, lambda k: 1e3 * k.clearance),
+        _of_knots("Object off its path", "mm", found, lambda k: 1e3 * k.off_path),
+    )
+
+
+def _by_finger(fingers: Sequence[str], values: FloatArray) -> tuple[Line, ...]:
+    return tuple(
+        Line(name=name, values=row, group=name) for name, row in zip(fingers, values, strict=True)
+    )
+
+
+def _turned(poses: Sequence[SE3], axis: FloatArray) -> FloatArray:
+    """Turn about an axis (3,), world, since the first pose (m,), degrees."""
+    turn = [0.0]
+    for pose in poses[1:]:
+        turned = pose.rotation @ poses[0].rotation.T
+        turn.append(signed_twist(turned, axis, near=turn[-1]))
+    degrees: FloatArray = np.rad2deg(np.array(turn))
+    return degrees
+
+
+def _of_knots(title: str, unit: str, found: ObjectMotion, value: Callable[[Knot], float]) -> Plot:
+    values = np.array([np.nan if k is None else value(k) for k in found.knots])
+    return Plot(title=title, unit=unit, lines=(Line(name="knots", values=values),))
+
+
+def _summary(plan: AnyMotion, motion: MotionPlan, note: str) -> tuple[Block, ...]:
+    joint, room, where = motion.joint_room
+    rows = [
+        ("path", str(motion.path)),
+        ("knots", str(len(motion.knots))),
+        ("least normalised min-weight", f"{plan_margin(plan):.3f} of at most 1"),
+        ("least clearance", f"{1e3 * motion.clearance:.2f} mm"),
+        (
+            "off the path",
+            f"by up to {1e3 * max(k.off_path for k in motion.knots):.2f} mm of "
+            f"{1e3 * motion.path_tolerance:.1f} mm",
+        ),
+        (
+            "joint nearest to a limit",
+            f"{joint}, {100 * room:.0f} % of its range away, at {100 * where:.0f} % of the path",
+        ),
+    ]
+    if isinstance(plan, ManipulationPlan):
+        rows.append(("most loaded actuator", f"keeps {100 * plan.reserve:.0f} % of its limit"))
+        target = ", ".join(f"{v:.3f}" for v in plan.ending.T_world_target.translation)
+        rows.append(("put down at", f"({target}) m"))
+        if plan.ending.back:
+            rows.append(("turned back before", plan.ending.back))
+    blocks: list[Block] = [PlotsHere(), Heading(text="Motion"), Facts(rows=tuple(rows))]
+    blocks.append(Heading(text="Pads"))
+    blocks.append(_pads(motion))
+    gait = plan.gait if isinstance(plan, ManipulationPlan) else plan
+    if isinstance(gait, GaitPlan):
+        blocks += [Heading(text="Strokes and relocations"), _phases(gait)]
+    if motion.limits:
+        blocks.append(Heading(text="Longer if these gave way"))
+        blocks += [Sentence(text=str(limit)) for limit in motion.limits]
+    blocks += [Heading(text="Task"), Facts(rows=task_facts(motion.grasp.task))]
+    if note:
+        blocks.append(Sentence(text=note))
+    return tuple(blocks)
+
+
+def plan_margin(plan: AnyMotion) -> float:
+    """Least normalised min-weight (-) of a plan."""
+    if isinstance(plan, ManipulationPlan):
+        return plan.motion.margin if plan.gait is None else plan.gait.margin
+    return plan.margin
+
+
+def _pads(motion: MotionPlan) -> Table:
+    fingers = motion.grasp.task.finger_names
+    rows = tuple(
+        (name, f"{1e3 * slid:.2f}", f"{np.rad2deg(turned):.1f}")
+        for name, slid, turned in zip(fingers, motion.slipped, motion.pivoted, strict=True)
+    )
+    return Table(columns=("finger", "slides (mm)", "pivots (degrees)"), rows=rows, fingers=True)
+
+
+def _phases(gait: GaitPlan) -> Table:
+    rows = tuple(str(phase).partition(": ")[::2] for phase in gait.phases)
+    return Table(columns=("phase", "what happens"), rows=rows)

@@ -1,0 +1,299 @@
+"""What a page shows in three dimensions and over time, as plain data without an engine.
+
+A ``Scene`` has models (a tree of joints with meshes on it) and actors (a model at a place, which
+may move). The browser computes the kinematics of the tree, so that sliders, plans and recorded
+motions are all shown by the same few numbers: joints q and the pose of the base. Poses are rows
+(x, y, z, qw, qx, qy, qz) in m, world; times in s; joints in rad or m.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
+
+from planner.spatial import FloatArray, IntArray
+
+__all__ = [
+    "Actor",
+    "Band",
+    "Bars",
+    "Contacts",
+    "Joint",
+    "Layer",
+    "Line",
+    "Mark",
+    "Model",
+    "Motion",
+    "Part",
+    "Plot",
+    "Scene",
+    "View",
+]
+
+Layer: TypeAlias = Literal[
+    "hand",
+    "pads",
+    "object",
+    "table",
+    "obstacles",
+    "collision",
+    "field",
+    "regions",
+    "frames",
+    "alternatives",
+    "planned contacts",
+    "measured contacts",
+    "normals",
+    "cones",
+    "forces",
+]
+"""What a person switches on and off. "collision", "field", "frames", "alternatives" start off."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Joint:
+    """A joint of a model's tree, and the body that it moves.
+
+    Attributes:
+        name: Its name.
+        parent: Number of the parent joint in the model; -1 for the base.
+        placement: Pose in the parent at q = 0, (7,).
+        axis: Unit axis in the joint's own frame, (3,).
+        kind: "hinge" turns about the axis, "slide" moves along it.
+        lower: Lower limit, rad or m; -inf for none.
+        upper: Upper limit.
+    """
+
+    name: str
+    parent: int
+    placement: FloatArray
+    axis: FloatArray
+    kind: Literal["hinge", "slide"]
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Part:
+    """A mesh that is fixed to a joint of a model.
+
+    Attributes:
+        name: What is said where it is pointed at.
+        joint: Number of the joint that carries it; -1 for the base.
+        layer: What switches it.
+        vertices: (n, 3), m, in the joint's frame.
+        triangles: (k, 3), numbers of vertices, counter-clockwise from outside.
+        colour: Red, green, blue, opacity, each in [0, 1].
+        smooth: Whether it is shaded as round, across edges of less than 40 degrees.
+    """
+
+    name: str
+    joint: int
+    layer: Layer
+    vertices: FloatArray
+    triangles: IntArray
+    colour: tuple[float, float, float, float]
+    smooth: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Model:
+    """A tree of joints with meshes: a hand, an object, a table.
+
+    Attributes:
+        joints: In the order of q; parents come first.
+        parts: The meshes.
+        couplings: How sliders move together: ``(C, d)`` with C q = d, (k, nq) and (k,); None for
+            joints that move alone.
+    """
+
+    joints: tuple[Joint, ...]
+    parts: tuple[Part, ...]
+    couplings: tuple[FloatArray, FloatArray] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Actor:
+    """A model at a place.
+
+    Attributes:
+        name: Its name, as ``Motion`` and the page's buttons use it: "hand", "object".
+        model: Name of its model.
+        pose: Pose of its base, (7,), world.
+        q: Its joints, (nq,); empty for none.
+        layer: What switches the whole of it, besides the layers of its parts; None for nothing.
+        opacity: A factor on its parts' opacity.
+    """
+
+    name: str
+    model: str
+    pose: FloatArray
+    q: FloatArray
+    layer: Layer | None = None
+    opacity: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """Where an actor is over time; between samples the page shows the last one.
+
+    Attributes:
+        actor: Its name.
+        pose: (m, 7), world.
+        q: (m, nq).
+    """
+
+    actor: str
+    pose: FloatArray
+    q: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Contacts:
+    """Contacts of fingers with an object over time, or once.
+
+    Attributes:
+        name: "planned" or "measured".
+        layer: What switches the points.
+        fingers: n names.
+        points: (m, n, 3), in ``frame``, m; NaN without contact. m is 1 for what does not change.
+        normals: (m, n, 3), unit, into the object.
+        forces: (m, n, 3), what the hand does to the object, N.
+        mu: Sliding friction, which the cones are drawn with.
+        actor: Whose frame points, normals and forces are in; None for the world.
+    """
+
+    name: Literal["planned", "measured"]
+    layer: Layer
+    fingers: tuple[str, ...]
+    points: FloatArray
+    normals: FloatArray
+    forces: FloatArray
+    mu: float
+    actor: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Line:
+    """A curve of a plot.
+
+    Attributes:
+        name: In the legend.
+        values: (m,), at ``Scene.time``; NaN leaves a gap. One value, (1,), is a level.
+        dashed: Whether it is planned or a limit rather than measured.
+        group: Lines of one group have one colour, "" for a colour of its own.
+    """
+
+    name: str
+    values: FloatArray
+    dashed: bool = False
+    group: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plot:
+    """Curves over the scene's time.
+
+    Attributes:
+        title: What it shows.
+        unit: Of the vertical axis, "" for none.
+        lines: The curves.
+    """
+
+    title: str
+    unit: str
+    lines: tuple[Line, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Band:
+    """A phase: a span of time with a name."""
+
+    name: str
+    begin: float
+    end: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mark:
+    """A moment: an event of the controller, or where it went wrong.
+
+    Attributes:
+        time: s.
+        text: What happened.
+        kind: "fault" is drawn in red.
+    """
+
+    time: float
+    text: str
+    kind: Literal["event", "fault"] = "event"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Bars:
+    """States over the scene's time, one row each: contact modes of fingers.
+
+    Attributes:
+        title: What they are.
+        rows: Name of a row -> its state at every sample, m names; "" for none.
+        colours: State -> colour as in CSS.
+    """
+
+    title: str
+    rows: dict[str, tuple[str, ...]]
+    colours: dict[str, str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """A place for the camera, besides front, side and top.
+
+    Attributes:
+        name: On its button: "palm".
+        direction: From the focus to the camera, (3,), world.
+    """
+
+    name: str
+    direction: tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scene:
+    """All that a page shows beside its text.
+
+    Attributes:
+        models: Name -> model.
+        actors: What stands in the scene.
+        focus: Point that the camera looks at first, (3,), m, world.
+        radius: Size of what is to be seen, m.
+        time: (m,), s; empty for a scene that does not move.
+        motions: Where actors are at these times.
+        contacts: Sets of contacts.
+        plots: Curves over time.
+        bars: States over time.
+        bands: Phases.
+        marks: Moments.
+        start: Time at which the page opens, s.
+        off: Layers that are off when the page opens.
+        views: More places for the camera. The page opens with the one named "start" if there is
+            one, which has no button.
+        follow: Name of the actor that the camera goes along with; None for a camera that stands.
+    """
+
+    models: dict[str, Model]
+    actors: tuple[Actor, ...]
+    focus: FloatArray
+    radius: float
+    time: FloatArray
+    motions: tuple[Motion, ...] = ()
+    contacts: tuple[Contacts, ...] = ()
+    plots: tuple[Plot, ...] = ()
+    bars: tuple[Bars, ...] = ()
+    bands: tuple[Band, ...] = ()
+    marks: tuple[Mark, ...] = ()
+    start: float = 0.0
+    off: frozenset[Layer] = field(
+        default_factory=lambda: frozenset({"collision", "field", "frames", "alternatives"})
+    )
+    views: tuple[View, ...] = ()
+    follow: str | None = None

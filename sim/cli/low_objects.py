@@ -1,0 +1,111 @@
+"""What to do with an object that lies too low for the fingertips: another stable pose, or a stand.
+
+What is advised was tried: a grasp was found there in a few attempts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from planner.plan import GraspPlan
+    from planner.search import Attempt
+    from planner.shapes.stable import StablePose
+    from planner.synthesis.options import SynthesisOptions
+    from planner.task import GraspTask
+
+__all__ = ["advice_for_low"]
+
+LOW = 2.0
+"""Height of an object over the thickness of a fingertip (-) below which it may be too low. The
+Allegro-type hand, 24 mm, fails at plates of 12 and 15 mm and grasps those of 20 mm."""
+
+HIGHER = 1.2
+"""Height of another pose over the present one (-) from which it is worth trying."""
+
+MOST_POSES, ATTEMPTS = 6, 10
+"""Poses that are tried, and attempts at each: some 10 ms of CPU per attempt."""
+
+STANDS = (0.03, 0.05)
+"""Heights (m) of stands that are tried: about one and two fingertips."""
+
+
+def advice_for_low(
+    task: GraspTask,
+    *,
+    pose: int,
+    options: SynthesisOptions,
+    progress: Callable[[Attempt[GraspPlan]], None] | None = None,
+) -> str | None:
+    """What would do for a task that failed: a sentence, or None if height is not what is missing.
+
+    Args:
+        task: An object in a stable pose on a table, for which no grasp was found.
+        pose: Which of the stable poses that is.
+        options: What synthesis was asked for.
+        progress: Called after every attempt.
+    """
+    thick = 2 * max(finger.pad.radius for finger in task.fingers)
+    poses = task.object.shape.resting_poses()
+    height = _height(task, poses[pose])
+    if task.table_height is None or height >= LOW * thick:
+        return None
+    lies = (
+        f"it lies {1e3 * height:.0f} mm high on the table, and a fingertip of {task.hand.name} is "
+        f"{1e3 * thick:.0f} mm thick"
+    )
+    for remedy, other in (*_poses(task, poses, HIGHER * height), *_stands(task)):
+        if _is_found(other, options, progress):
+            return f"{lies}; {remedy}"
+    return None
+
+
+def _poses(
+    task: GraspTask, poses: tuple[StablePose, ...], least: float
+) -> Iterator[tuple[str, GraspTask]]:
+    """The task with the object in other poses, those that fall last first."""
+    from planner.spatial import SE3
+
+    higher = [k for k, pose in enumerate(poses) if _height(task, pose) >= least]
+    for k in higher[:MOST_POSES]:
+        place = task.T_world_object.translation.copy()
+        place[2] = (task.table_height or 0.0) + poses[k].height
+        yield (
+            f"pose {k} stands {1e3 * _height(task, poses[k]):.0f} mm high and a grasp was found: "
+            f"--pose {k}",
+            replace(task, T_world_object=SE3(poses[k].rotation, place)),
+        )
+
+
+def _stands(task: GraspTask) -> Iterator[tuple[str, GraspTask]]:
+    """The task with its object on stands; nothing where there are obstacles already."""
+    from planner.errors import TaskError
+    from planner.motion.manipulation import on_stand
+
+    for height in () if task.obstacles else STANDS:
+        try:
+            raised = on_stand(task, height)
+        except TaskError:  # too small for the walls
+            return
+        yield (
+            f"on a stand of {1e3 * height:.0f} mm a grasp was found: --stand {height:g}",
+            raised,
+        )
+
+
+def _is_found(task: GraspTask, options: SynthesisOptions, progress: Any) -> bool:
+    from planner.errors import NoGraspFoundError, TaskError
+    from planner.search import plan_grasp
+
+    try:
+        plan_grasp(task, max_attempts=ATTEMPTS, options=options, progress=progress)
+    except (NoGraspFoundError, TaskError):  # TaskError: too wide so, or an obstacle is in the way
+        return False
+    return True
+
+
+def _height(task: GraspTask, pose: StablePose) -> float:
+    """Height (m) of the object's top above the table in a stable pose."""
+    return pose.height + task.object.shape.support(pose.rotation[2])

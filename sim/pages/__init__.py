@@ -1,0 +1,7 @@
+"""Pages of reports: the recorded motion in three dimensions, plots over time, and the summary."""
+
+from __future__ import annotations
+
+from sim.pages.trial_page import trial_page
+
+__all__ = ["trial_page"]

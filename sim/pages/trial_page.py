@@ -1,0 +1,255 @@
+"""``trial_page``: a trial as a page: what happened, why, and the motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from planner.files.data import ContactData, PlanFile
+from planner.pages.blocks import Block, Facts, Folded, Heading, Sentence, Table, Verdict
+from planner.pages.page import Page
+from planner.pages.scene import Contacts, Line, Mark, Plot, Scene
+from planner.spatial import FloatArray
+from planner.task import GraspTask
+from sim.pages.plots import (
+    column,
+    command_plot,
+    cone_plot,
+    event_marks,
+    force_plot,
+    per_finger,
+    phase_bands,
+    quality_plot,
+)
+from sim.pages.stage import NO_STATES, Moving, bare_scene, measured_contacts, moving_stage
+from sim.pages.tasks import plan_file, task_of_plan
+from sim.pages.words import (
+    events_block,
+    facts_of,
+    grasp_rows,
+    physics_blocks,
+    plan_blocks,
+    quality_rows,
+    shown,
+    source_blocks,
+    task_rows,
+)
+from sim.recording import Recording
+from sim.report_file import ReportFile
+
+__all__ = ["force_of", "planned_in_object", "trial_page"]
+
+
+def trial_page(report: ReportFile, task: GraspTask | None = None) -> Page:
+    """The page of a trial, from its report alone.
+
+    Args:
+        report: As read from a file, or ``TrialReport.to_file()``.
+        task: Hand and object to draw, where they are at hand; those of the report's plan if None.
+
+    Raises:
+        PlannerError: The report's hand or object cannot be loaded, or have changed since.
+    """
+    plan = None if report.plan is None else plan_file(report.plan)
+    recording = None if report.recording is None else Recording.from_data(report.recording)
+    stage = None
+    if recording is not None and len(recording):
+        if task is None and plan is not None:
+            task = task_of_plan(plan)
+        stage = None if task is None else moving_stage(task, recording)
+    return Page(
+        title=f"{report.hand} grasps {report.object}",
+        subtitle=f"Trial, seed {report.seed}, {shown(report.mass_kg, 'kg')}, {report.controller}",
+        verdict=_verdict(report),
+        summary=_summary(report, plan, stage),
+        scene=_scene(report, plan, recording, stage, task),
+        data=report.model_dump(mode="json"),
+        kind="report",
+    )
+
+
+def _verdict(report: ReportFile) -> Verdict:
+    if not report.success:
+        text = f"Not held: {report.reason}"
+        return Verdict(good=False, text=text, reason=report.detail, time=report.reason_time_s)
+    reason = (
+        f"The object moved {shown(report.largest_slip_mm, 'mm')} and "
+        f"{shown(report.largest_slip_deg, 'degrees')} in the hand after the squeeze."
+    )
+    return Verdict(good=True, text="Held", reason=reason)
+
+
+# ---- the scene
+
+
+def _scene(
+    report: ReportFile,
+    plan: PlanFile | None,
+    recording: Recording | None,
+    stage: Moving | None,
+    task: GraspTask | None,
+) -> Scene | None:
+    samples = report.samples.model_dump()
+    time, phase = samples["time_s"], samples["phase"]
+    if not time:
+        return None
+    contacts = []
+    if stage is not None and recording is not None:
+        contacts.append(measured_contacts(recording))
+    if stage is not None and plan is not None:
+        contacts.append(planned_in_object(plan))
+    marks = event_marks(report.events)
+    if report.reason_time_s is not None:
+        text = f"{report.reason}: {report.detail}"
+        marks = (*marks, Mark(time=report.reason_time_s, text=text, kind="fault"))
+    return replace(
+        bare_scene(column(time)) if stage is None else stage.scene,
+        time=column(time),
+        contacts=tuple(contacts),
+        plots=_plots(report, plan, recording, task),
+        bands=phase_bands(time, phase),
+        marks=marks,
+        start=_start(report, time, phase),
+    )
+
+
+def _start(report: ReportFile, time: Sequence[float], phase: Sequence[str]) -> float:
+    """Where the page opens: where it went wrong, or at the beginning of the hold."""
+    if report.reason_time_s is not None:
+        return float(np.clip(report.reason_time_s, time[0], time[-1]))
+    return time[phase.index("hold")] if "hold" in phase else time[0]
+
+
+def _plots(
+    report: ReportFile,
+    plan: PlanFile | None,
+    recording: Recording | None,
+    task: GraspTask | None,
+) -> tuple[Plot, ...]:
+    samples, fingers, limits = report.samples.model_dump(), report.fingers, report.thresholds
+    planned = np.zeros((0, len(fingers)))
+    if plan is not None:
+        planned = np.array([[c.force_normal_N for c in plan.contacts]])
+    plots = [
+        force_plot(fingers, per_finger(samples["normal_force_N"], fingers), planned),
+        cone_plot(fingers, per_finger(samples["friction_utilisation"], fingers)),
+        quality_plot(
+            column(samples["epsilon"]), None if recording is None else recording.min_weight
+        ),
+        _slip_plot("moved", "mm", samples["object_in_palm_moved_mm"], limits["slip_mm"]),
+        _slip_plot("turned", "degrees", samples["object_in_palm_turned_deg"], limits["slip_deg"]),
+    ]
+    commands = None
+    if recording is not None:
+        commands = command_plot(recording, None if task is None else task.hand)
+    return tuple(plots if commands is None else [*plots, commands])
+
+
+def _slip_plot(what: str, unit: str, values: Sequence[float | None], limit: float) -> Plot:
+    lines = (
+        Line(name=what, values=column(values)),
+        Line(name="success ends here", values=np.array([limit]), dashed=True),
+    )
+    return Plot(title=f"Object {what} in the palm since the squeeze", unit=unit, lines=lines)
+
+
+def planned_in_object(plan: PlanFile) -> Contacts:
+    """The planned contacts, which move with the object."""
+    T_object_world = plan.task.T_world_object.pose().inverse()
+    turn = T_object_world.rotation
+    points = np.array([c.position_world_m for c in plan.contacts]) @ turn.T
+    normals = np.array([c.normal_into_object_world for c in plan.contacts]) @ turn.T
+    forces = np.array([force_of(c) for c in plan.contacts]) @ turn.T
+    return Contacts(
+        name="planned",
+        layer="planned contacts",
+        fingers=tuple(c.finger for c in plan.contacts),
+        points=(points + T_object_world.translation)[None],
+        normals=normals[None],
+        forces=forces[None],
+        mu=plan.task.mu,
+        actor="object",
+    )
+
+
+def force_of(contact: ContactData) -> FloatArray:
+    """Force of a planned contact on the object (3,), N, world."""
+    axes = np.array(
+        [contact.normal_into_object_world, contact.tangent1_world, contact.tangent2_world]
+    )
+    parts = [contact.force_normal_N, contact.force_tangent1_N, contact.force_tangent2_N]
+    return np.asarray(np.array(parts) @ axes)
+
+
+# ---- the words
+
+
+def _summary(report: ReportFile, plan: PlanFile | None, stage: Moving | None) -> tuple[Block, ...]:
+    blocks: list[Block] = []
+    if report.recording is None:
+        blocks.append(Sentence(text=NO_STATES, kind="warning"))
+    elif stage is None and report.recording.time_s:
+        text = "This report names no hand that can be loaded, so that only its numbers are shown."
+        blocks.append(Sentence(text=text, kind="warning"))
+    elif stage is not None and stage.note:
+        blocks.append(Sentence(text=stage.note, kind="warning"))
+    if report.remedies:
+        blocks.append(Sentence(text="Each of these keeps the object from creeping:"))
+        blocks += [Sentence(text=remedy) for remedy in report.remedies]
+    blocks += _comparison(report)
+    blocks += events_block(report.events)
+    rows = [("hand", report.hand), ("object", report.object), ("mass", shown(report.mass_kg, "kg"))]
+    blocks += [Heading(text="Task")]
+    blocks += [Facts(rows=(*rows, *(() if plan is None else task_rows(plan.task))))]
+    if plan is not None:
+        blocks += [Heading(text="Plan"), *plan_blocks(plan, grasp_rows(plan))]
+    blocks += physics_blocks(
+        report.physics,
+        (
+            ("controller", report.controller),
+            ("carried by", report.carried_by),
+            ("friction gives way by", shown(report.least_creep_mm_s, "mm/s before noslip")),
+            ("simulated", shown(report.simulated_s, "s")),
+            ("took", shown(report.wall_s, "s")),
+        ),
+    )
+    blocks += [
+        Folded(title="Where success ends", blocks=(facts_of(report.thresholds),)),
+        Folded(title="Durations (s) and heights (m)", blocks=(facts_of(report.timeline),)),
+        *source_blocks(report.written_by, report.command),
+    ]
+    return tuple(blocks)
+
+
+def _comparison(report: ReportFile) -> list[Block]:
+    """Planned against measured contacts while holding."""
+    if not report.comparison:
+        return []
+    rows = tuple(
+        (
+            c.finger,
+            shown(c.position_error_mm),
+            shown(c.planned_normal_force_N),
+            shown(c.measured_normal_force_N),
+            shown(c.force_error_percent),
+        )
+        for c in report.comparison
+    )
+    columns = ("finger", "off by (mm)", "planned (N)", "measured (N)", "error (%)")
+    blocks: list[Block] = [
+        Heading(text="Planned and measured contacts while holding"),
+        Table(columns=columns, rows=rows, fingers=True),
+    ]
+    both = (("planned", report.quality_planned), ("measured", report.quality_measured))
+    if report.quality_measured is not None:
+        facts = [
+            (f"{name}, {when}", value)
+            for when, quality in both
+            if quality is not None
+            for name, value in quality_rows(quality)
+        ]
+        note = f"Both with the plan's friction, mu {shown(report.quality_mu)}."
+        blocks += [Facts(rows=tuple(facts)), Sentence(text=note)]
+    return blocks

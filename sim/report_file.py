@@ -1,0 +1,189 @@
+"""``ReportFile``: a trial report as versioned JSON; how report files are written and read.
+
+A report is a JSON file, or a page (HTML) that holds the same JSON.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, model_validator
+
+from planner.files.json_csv import checked_file, read_json
+from planner.files.whole import whole_file
+from planner.pages.page import read_page_data
+from planner.schema import StrictData
+from sim.controllers.events import EventKind
+from sim.recording import RecordingData
+from sim.samples import SampleData
+from sim.verdict import Reason
+
+__all__ = [
+    "REPORT_VERSION",
+    "ComparisonData",
+    "EventData",
+    "ReportFile",
+    "check_lengths",
+    "read_report",
+    "report_data",
+    "upgraded",
+    "write_report",
+]
+
+REPORT_VERSION: Literal[2] = 2
+"""Version of ``ReportFile``; another number means another schema. Version 1 had no states."""
+
+
+class ComparisonData(StrictData):
+    """Planned against measured contact of one finger, means over the hold, object frame."""
+
+    finger: str
+    planned_position_object_m: list[float | None]
+    measured_position_object_m: list[float | None]
+    position_error_mm: float | None
+    planned_normal_force_N: float
+    measured_normal_force_N: float | None
+    force_error_N: float | None
+    force_error_percent: float | None
+
+
+class EventData(StrictData):
+    """What a controller noticed and did."""
+
+    time_s: float
+    kind: EventKind
+    finger: str
+    detail: str
+
+
+class ReportFile(StrictData):
+    """A trial report as JSON.
+
+    ``plan`` is the plan as its file has it, null for a hand that no file can name. ``recording``
+    are the states, null where they were left out and in files of version 1. ``command`` is what the
+    command line was told, "" of a script.
+    """
+
+    format: Literal["opposable-report"] = "opposable-report"
+    version: Literal[2] = REPORT_VERSION
+    written_by: str
+    command: str = ""
+    success: bool
+    reason: Reason
+    detail: str
+    reason_time_s: float | None
+    hand: str
+    object: str
+    mass_kg: float
+    seed: int
+    fingers: list[str]
+    largest_slip_mm: float | None
+    largest_slip_deg: float | None
+    comparison: list[ComparisonData]
+    quality_planned: dict[str, Any]
+    quality_measured: dict[str, Any] | None
+    quality_mu: float | None = None
+    thresholds: dict[str, float]
+    physics: dict[str, float | str | list[float]]
+    least_creep_mm_s: float | None = None
+    remedies: list[str] = Field(default_factory=list)
+    timeline: dict[str, float]
+    simulated_s: float
+    wall_s: float
+    supported_until_lift: bool
+    carried_by: Literal["gantry", "mount", "arm"] = "gantry"
+    object_deviation_mm: float = 0.0
+    controller: str = ""
+    events: list[EventData] = Field(default_factory=list)
+    picture: str | None
+    picture_reason: str
+    samples: SampleData
+    plan: dict[str, Any] | None
+    recording: RecordingData | None
+
+    @model_validator(mode="after")
+    def _one_length(self) -> ReportFile:
+        check_lengths(self.samples, self.recording)
+        return self
+
+
+def check_lengths(samples: StrictData, recording: RecordingData | None) -> None:
+    """Refuse channels of different lengths.
+
+    Raises:
+        ValueError: There are such, as pydantic wants to be told.
+    """
+    channels: dict[str, list[Any]] = samples.model_dump()
+    lengths = {len(values) for values in channels.values()}
+    if recording is not None:
+        lengths.add(len(recording.time_s))
+    if len(lengths) > 1:
+        raise ValueError(f"channels over time have different lengths, {sorted(lengths)}")
+
+
+def read_report(path: Path | str) -> ReportFile:
+    """Read a trial report, from its JSON file or out of its page.
+
+    Files of version 1 are read too: they have neither plan nor recording.
+
+    Raises:
+        FileFormatError: Missing, damaged, of another format or another version.
+    """
+    return checked_file(ReportFile, upgraded(report_data(path)), str(path))
+
+
+def report_data(path: Path | str) -> dict[str, Any]:
+    """The plain data of a report of any kind, from its JSON file or out of its page.
+
+    Raises:
+        FileFormatError: Missing, damaged, or neither.
+    """
+    if Path(path).suffix.lower() in PAGE_SUFFIXES:
+        return read_page_data(path)[1]
+    return read_json(path, "report")
+
+
+PAGE_SUFFIXES = (".html", ".htm")
+"""How names of pages end."""
+
+
+def upgraded(data: dict[str, Any]) -> dict[str, Any]:
+    """Data of version 1 as version 2: without plan and states, what was not recorded unknown."""
+    if data.get("version") != 1:
+        return data
+    return {**data, "version": 2, "plan": None, "recording": None}
+
+
+def write_report(report: dict[str, Any], path: Path | str) -> None:
+    """Write a report whole or not at all: a line per field, so that long channels stay short.
+
+    Args:
+        report: Plain data, as ``to_dict`` of a report gives it.
+        path: The file.
+
+    Raises:
+        FileFormatError: The folder does not exist or cannot be written.
+    """
+    with whole_file(Path(path)) as stream:
+        stream.write((compact_json(report) + "\n").encode())
+
+
+LONG_FIELDS = ("samples", "recording", "earlier")
+"""Fields of a report that get a line per field of their own."""
+
+
+def compact_json(data: dict[str, Any], indent: str = "") -> str:
+    """An object as JSON with a line per field; ``LONG_FIELDS`` likewise."""
+    inner = indent + " "
+    lines = [
+        f"{inner}{json.dumps(key)}: "
+        + (
+            compact_json(value, inner)
+            if key in LONG_FIELDS and isinstance(value, dict)
+            else json.dumps(value, allow_nan=False, separators=(", ", ": "))
+        )
+        for key, value in data.items()
+    ]
+    return "{\n" + ",\n".join(lines) + f"\n{indent}}}"

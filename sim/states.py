@@ -1,0 +1,104 @@
+"""``StateRecorder``: takes the states of a simulation that a ``Recording`` holds.
+
+It reads what MuJoCo has and computes nothing, so that a run with it is the same run. Poses are made
+from the joints of the same moment: MuJoCo's own poses are those of the step before.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.contacts import ContactSet
+from planner.spatial import FloatArray, pose_to_wxyz
+from sim.recording import PALM, Recording
+from sim.simulation import Simulation
+
+__all__ = ["StateRecorder"]
+
+
+class StateRecorder:
+    """States of one simulation, one row per call of ``take``."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        """Start empty."""
+        self._simulation = simulation
+        scene = simulation.scene
+        self._gantry = np.zeros(0, dtype=int) if scene.gantry is None else scene.gantry.qpos
+        self._base = simulation.plan.T_world_base  # of a hand on an arm, whose base stands
+        self._phases: list[str] = []
+        self._rows: list[FloatArray] = []
+        self._contacts: list[ContactSet] = []
+
+    def take(self, phase: str, contacts: ContactSet) -> None:
+        """Take the state of now.
+
+        Args:
+            phase: What it belongs to.
+            contacts: Contacts of the step that ended now, merged per finger, world.
+        """
+        scene, data = self._simulation.scene, self._simulation.data
+        parts = (
+            [data.time],
+            data.qpos[scene.hand_qpos],
+            data.qpos[scene.object_qpos],
+            data.ctrl[scene.hand_ctrl],
+            data.qpos[self._gantry],
+        )
+        self._rows.append(np.concatenate(parts))
+        self._phases.append(phase)
+        self._contacts.append(contacts)
+
+    def recording(self) -> Recording:
+        """Everything taken so far."""
+        scene, task = self._simulation.scene, self._simulation.plan.task
+        sizes = (1, len(scene.hand_qpos), 7, len(scene.hand_ctrl), len(self._gantry))
+        rows = np.array(self._rows).reshape(-1, sum(sizes))
+        time, q, T_world_object, commands, gantry = np.split(rows, np.cumsum(sizes)[:-1], axis=1)
+        quaternion = T_world_object[:, 3:]
+        quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+        return Recording(
+            joint_names=task.hand.joint_names,
+            actuator_names=task.hand.actuation.names,
+            control_range=task.hand.actuation.ctrl_range,
+            time=time[:, 0],
+            phase=tuple(self._phases),
+            q=q,
+            T_world_base=self._bases(gantry),
+            T_world_object=T_world_object,
+            commands=commands,
+            **self._columns(task.finger_names),
+        )
+
+    def _bases(self, gantry: FloatArray) -> FloatArray:
+        """Poses of the base (m, 7) from the joints of what carries it; an arm's base stands."""
+        carrier = self._simulation.scene.gantry
+        if carrier is None:
+            return np.tile(np.concatenate(pose_to_wxyz(self._base)), (len(gantry), 1))
+        rows = [np.concatenate(pose_to_wxyz(carrier.pose(row))) for row in gantry]
+        return np.array(rows).reshape(-1, 7)
+
+    def _columns(self, fingers: tuple[str, ...]) -> dict[str, Any]:
+        """Contacts as arrays with a column per finger, and per other part that touched."""
+        seen = (name or PALM for contacts in self._contacts for name in contacts.fingers)
+        names = tuple(dict.fromkeys((*fingers, *seen)))
+        column = {name: k for k, name in enumerate(names)}
+        m, k = len(self._contacts), len(names)
+        points, normals, forces = np.full((3, m, k, 3), np.nan)
+        friction = np.full((m, k, 2), np.nan)
+        for i, contacts in enumerate(self._contacts):
+            if not len(contacts):
+                continue
+            where = [column[name or PALM] for name in contacts.fingers]
+            points[i, where] = contacts.positions
+            normals[i, where] = contacts.normals
+            forces[i, where] = contacts.forces_in_axes()
+            friction[i, where] = contacts.friction
+        return {
+            "contact_names": names,
+            "points": points,
+            "normals": normals,
+            "forces": forces,
+            "friction": friction,
+        }

@@ -1,0 +1,24 @@
+"""Viewing: what ``opposable view`` shows in the browser, and the local server behind it.
+
+``kinds`` recognises what was named, by its content; each kind of thing is one module. ``opening``
+brings the result to a browser.
+"""
+
+from sim.viewing.kinds import Kind, ViewOptions, kinds, recognise, register_kind
+from sim.viewing.opening import Opening, show
+from sim.viewing.server import Answer, LocalServer, Site
+from sim.viewing.target import Target
+
+__all__ = [
+    "Answer",
+    "Kind",
+    "LocalServer",
+    "Opening",
+    "Site",
+    "Target",
+    "ViewOptions",
+    "kinds",
+    "recognise",
+    "register_kind",
+    "show",
+]

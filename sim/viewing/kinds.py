@@ -1,0 +1,104 @@
+"""``kinds``: the kinds of things that can be viewed, each recognised by its content.
+
+Adding one is one module with a ``KIND``, and its name in ``MODULES``; from elsewhere it is a call
+of ``register_kind``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TypeAlias
+
+from planner.errors import FileFormatError, NotFoundError
+from planner.hands.catalog import hand_names
+from planner.objects import object_names
+from planner.pages.page import Page
+from sim.viewing.server import Site
+from sim.viewing.target import Target
+
+__all__ = ["Kind", "Shown", "ViewOptions", "kinds", "recognise", "register_kind"]
+
+Shown: TypeAlias = Page | Site
+"""One page, which can be written into a file, or a site, which needs a server."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewOptions:
+    """What a person asks for besides the thing itself.
+
+    Attributes:
+        alternatives: How many further grasps of a plan's task to plan and show beside it.
+        touch: Where fingers may touch an object, each as ``planner.regions.parse_region`` reads it.
+        avoid: Where they must not.
+        repair: Whether to mend a mesh that does not bound a solid.
+    """
+
+    alternatives: int = 0
+    touch: tuple[str, ...] = ()
+    avoid: tuple[str, ...] = ()
+    repair: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """A kind of thing that can be viewed.
+
+    Attributes:
+        name: What it is called, in a list: "a grasp plan (plan.json)".
+        recognises: Whether a target is one, judged by its content.
+        shown: What there is to see of it. It may raise any ``PlannerError``.
+        takes: Names of the options that mean something for it.
+    """
+
+    name: str
+    recognises: Callable[[Target], bool]
+    shown: Callable[[Target, ViewOptions], Shown]
+    takes: frozenset[str] = frozenset()
+
+
+MODULES = ("of_hand", "of_mesh", "of_plan", "of_motion", "of_report", "of_dataset")
+"""Modules of this package with a ``KIND`` each, in the order in which they are listed."""
+
+_REGISTERED: list[Kind] = []
+
+
+def register_kind(kind: Kind) -> None:
+    """Add a kind after those that are there; one of the same name is replaced."""
+    _REGISTERED[:] = [*(k for k in _REGISTERED if k.name != kind.name), kind]
+
+
+def kinds() -> tuple[Kind, ...]:
+    """All kinds; imports what recognises them."""
+    ours = (import_module(f"{__package__}.{module}").KIND for module in MODULES)
+    return (*ours, *_REGISTERED)
+
+
+def recognise(target: Target) -> Kind:
+    """The kind of a target.
+
+    Raises:
+        NotFoundError: It is neither a name that is known nor a path that exists.
+        FileFormatError: It is a file or folder of another kind; says what can be viewed.
+    """
+    known = kinds()
+    for kind in known:
+        if kind.recognises(target):
+            return kind
+    if target.path is None:
+        raise NotFoundError(
+            "hand or object",
+            target.text,
+            (*hand_names(), *object_names()),
+            "Or give the path of a file or folder."
+            + " That path does not exist." * _like_path(target),
+        )
+    found = f"its format is {target.format!r}" if target.format else "it is of another kind"
+    raise FileFormatError(
+        f"{target.path} cannot be viewed: {found}; what can be: {', '.join(k.name for k in known)}"
+    )
+
+
+def _like_path(target: Target) -> bool:
+    return "/" in target.text or "." in target.text

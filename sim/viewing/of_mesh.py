@@ -1,0 +1,83 @@
+"""An object by its specification, a mesh file, or a body of a model."""
+
+from __future__ import annotations
+
+import struct
+
+from planner.errors import ObjectError
+from planner.objects import object_names, parse_object
+from planner.pages.mesh_page import mesh_page
+from planner.pages.page import Page
+from planner.regions import TouchRegion, parse_region
+from planner.shapes.meshes.io import CONVERTIBLE, MESH_SUFFIXES
+from sim.viewing.kinds import Kind, ViewOptions
+from sim.viewing.target import Target
+
+__all__ = ["KIND"]
+
+
+def _recognises(target: Target) -> bool:
+    if target.path is None:
+        return target.text.lower().partition(":")[0].strip() in object_names()
+    if target.names_body:
+        return True
+    return target.is_file and (_format(target) != "" or _suffix(target) in CONVERTIBLE)
+
+
+def _suffix(target: Target) -> str:
+    return "" if target.path is None else target.path.suffix.lower()
+
+
+def _format(target: Target) -> str:
+    """The suffix that the content of a mesh file asks for; "" for a file of something else."""
+    head = target.head
+    if head.startswith((b"ply\n", b"ply\r")):
+        return ".ply"
+    if head.startswith(b"glTF"):
+        return ".glb"
+    if head.lstrip().startswith(b"solid") and b"facet" in head:
+        return ".stl"
+    if len(head) >= BINARY_STL and target.path is not None:
+        (triangles,) = struct.unpack_from("<I", head, BINARY_STL - 4)
+        if target.path.stat().st_size == BINARY_STL + 50 * triangles:
+            return ".stl"
+    whole = head[: head.rfind(b"\n")]  # the last line may be cut
+    starts = {line.split(maxsplit=1)[0] for line in whole.splitlines() if line.strip()}
+    if b"v" in starts and all(word in OBJ_WORDS or word.startswith(b"#") for word in starts):
+        return ".obj"
+    return _suffix(target) if _suffix(target) in MESH_SUFFIXES else ""
+
+
+BINARY_STL = 84
+"""Bytes before the triangles of a binary STL file, the count of triangles at their end."""
+
+OBJ_WORDS = frozenset(
+    (b"v", b"vn", b"vt", b"vp", b"f", b"l", b"p", b"o", b"g", b"s", b"usemtl", b"mtllib")
+)
+"""Words with which lines of an OBJ file begin."""
+
+
+def _shown(target: Target, options: ViewOptions) -> Page:
+    wanted = _format(target) if target.is_file and not target.names_body else ""
+    if wanted and _suffix(target) != wanted and _suffix(target) not in CONVERTIBLE:
+        raise ObjectError(
+            f"{target.path} holds a mesh of the format {wanted} and is named otherwise; rename it "
+            f"to end in {wanted}"
+        )
+    touch = None
+    if options.touch or options.avoid:
+        touch = TouchRegion(
+            allowed=tuple(parse_region(text) for text in options.touch),
+            forbidden=tuple(parse_region(text) for text in options.avoid),
+        )
+    item = parse_object(target.text, repair=options.repair, touch=touch)
+    return mesh_page(item, spec=target.text, touch=options.touch, avoid=options.avoid)
+
+
+KIND = Kind(
+    name="an object or mesh (mug, box:0.05x0.05x0.08, part.stl*0.001, scene.xml#body)",
+    recognises=_recognises,
+    shown=_shown,
+    takes=frozenset({"touch", "avoid", "repair"}),
+)
+"""See ``sim.viewing.kinds``."""

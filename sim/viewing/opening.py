@@ -1,0 +1,119 @@
+"""``show``: brings a page or a site to a browser, or says where a browser finds it."""
+
+from __future__ import annotations
+
+import getpass
+import os
+import socket
+import sys
+import tempfile
+import webbrowser
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from planner.errors import FileFormatError
+from planner.files.whole import plain_name
+from planner.pages.page import Page, page_html, write_page
+from sim.viewing.kinds import Shown
+from sim.viewing.server import Answer, LocalServer, Site
+
+__all__ = ["Opening", "has_browser", "show"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Opening:
+    """Where something is to be seen.
+
+    Attributes:
+        out: Write the page into this file and do nothing else; None to show it.
+        port: Serve on this port, 0 for any free one; None for a server only where one is needed.
+        open: Whether to open the browser.
+    """
+
+    out: Path | None = None
+    port: int | None = None
+    open: bool = True
+
+
+def show(shown: Shown, opening: Opening, say: Callable[[str], None]) -> None:
+    """Write a page, open it, or serve it until Ctrl-C.
+
+    A page goes into a temporary file that the browser opens. Without a browser on this machine, or
+    where a port is asked for, a server shows it instead; a site always needs one.
+
+    Args:
+        shown: What there is to see.
+        opening: Where.
+        say: Prints a line for the person.
+
+    Raises:
+        FileFormatError: A site is to be written into a file, or the file cannot be written.
+        TaskError: The port is in use.
+    """
+    if opening.out is not None:
+        if not isinstance(shown, Page):
+            raise FileFormatError(
+                f"cannot write {opening.out}: a dataset is shown by a local server, which makes "
+                "its pages as they are asked for; leave --out away, or take one grasp out of it "
+                "with opposable extract"
+            )
+        write_page(shown, opening.out)
+        say(f"wrote {opening.out}")
+        return
+    browser = opening.open and has_browser()
+    if isinstance(shown, Page) and browser and opening.port is None:
+        file = _temporary(shown)
+        webbrowser.open(file.as_uri())
+        say(f"wrote {file}, and opened it in the browser")
+        return
+    site = _OnePage(shown) if isinstance(shown, Page) else shown
+    _serve(site, opening.port, browser, say)
+
+
+def has_browser() -> bool:
+    """Whether this machine has a display and a browser on it."""
+    displays = ("DISPLAY", "WAYLAND_DISPLAY")
+    if sys.platform == "linux" and not any(os.environ.get(d) for d in displays):
+        return False
+    try:
+        webbrowser.get()
+    except webbrowser.Error:
+        return False
+    return True
+
+
+def _temporary(page: Page) -> Path:
+    file = Path(tempfile.mkdtemp(prefix="opposable-")) / f"{plain_name(page.title)}.html"
+    write_page(page, file)
+    return file
+
+
+def _serve(site: Site, port: int | None, browser: bool, say: Callable[[str], None]) -> None:
+    server = LocalServer(site, port)
+    try:
+        say(f"open {server.address} in a browser; Ctrl-C ends")
+        if browser:
+            webbrowser.open(server.address)
+        else:
+            name = f"{getpass.getuser()}@{socket.gethostname()}"
+            say(
+                "from another machine, forward the port first: "
+                f"ssh -N -L {server.port}:127.0.0.1:{server.port} {name}"
+            )
+        server.run()
+    except KeyboardInterrupt:
+        say("stopped")  # Ctrl-C is how a server is meant to end
+    finally:
+        server.close()
+
+
+class _OnePage:
+    """A site of one page, written when it is first asked for."""
+
+    def __init__(self, page: Page) -> None:
+        self._html = page_html(page).encode()
+
+    def answer(self, path: str, query: Mapping[str, str]) -> Answer | None:
+        """The page at "/"."""
+        return Answer(body=self._html) if path == "/" else None

@@ -1,0 +1,116 @@
+"""Help of the command line: groups, one line per command, examples that work, 80 columns."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from planner.system.models import models_dir
+from sim.cli import app
+from sim.cli.listing import GROUPS, Listed, flowing
+
+RUN = CliRunner()
+LISTED = [c for group in GROUPS.values() for c in group]
+WIDTH, HEIGHT = 80, 40
+"""A terminal, characters."""
+
+LONG = ("run", "plan", "batch", "manipulate")
+"""Commands with so many options that no help of one line each fits a screen."""
+
+SLOW = (
+    *("run", "test", "demo", "manipulate", "plan-gait", "certify", "batch", "crosscheck"),
+    *("creep", "view"),
+)
+"""Commands whose example takes more than a few seconds."""
+
+JUDGING = ("test", "creep")
+"""Commands whose answer to the example is no: the default grip is not sized for shaking."""
+
+
+def printed(*arguments: str, width: int = WIDTH) -> str:
+    """What a command prints on a terminal of a width."""
+    return RUN.invoke(app, arguments, env={"COLUMNS": str(width)}, prog_name="opposable").output
+
+
+def test_every_command_is_in_one_group_and_on_one_line() -> None:
+    lines = printed("--help").splitlines()
+    for title in GROUPS:
+        assert sum(f"─ {title} ─" in line for line in lines) == 1
+    for listed in LISTED:
+        (line,) = [x for x in lines if x.startswith(f"│ {listed.name} ")]
+        first = flowing(listed.call.__doc__ or "").split("\n\n")[0]
+        assert first in line  # so it is not broken
+        assert first.endswith(".")
+    assert max(map(len, lines)) <= WIDTH
+    command = typer.main.get_command(app)
+    assert {c.name for c in LISTED} | {"bench"} == set(command.commands)  # type: ignore[attr-defined]
+    assert all(c.rich_help_panel in GROUPS for c in command.commands.values())  # type: ignore[attr-defined]
+
+
+def test_alone_it_shows_the_groups_on_one_screen() -> None:
+    done = RUN.invoke(app, [], env={"COLUMNS": str(WIDTH)})
+    assert done.exit_code == 2
+    lines = done.output.splitlines()
+    assert len(lines) <= HEIGHT // 2
+    assert max(map(len, lines)) <= WIDTH
+    for title, commands in GROUPS.items():
+        (line,) = [x for x in lines if x.startswith(title)]
+        assert all(c.name in line for c in commands)
+        assert commands[0].example in done.output
+
+
+@pytest.mark.parametrize("listed", LISTED, ids=lambda c: c.name)
+def test_help_of_a_command_fits_a_screen_and_ends_in_its_example(listed: Listed) -> None:
+    lines = printed(listed.name, "--help").splitlines()
+    assert max(map(len, lines)) <= WIDTH
+    assert f"Example: {listed.example}" in "\n".join(lines)
+    if listed.name not in LONG:
+        # a line or two more where a terminal of today is taller than the oldest
+        assert len(lines) <= HEIGHT + 3
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_long_lists_of_options_are_in_panels(name: str) -> None:
+    shown = printed(name, "--help")
+    assert all(f"─ {title} ─" in shown for title in ("Hand and grip", "Search"))
+    panels = shown.split("╭─")[1:]
+    assert max(panel.count("│ --") for panel in panels) <= 12
+
+
+@pytest.mark.parametrize("listed", LISTED, ids=lambda c: c.name)
+def test_examples_are_lines_that_the_command_takes(listed: Listed) -> None:
+    program, name, *arguments = shlex.split(listed.example)
+    assert (program, name) == ("opposable", listed.name)
+    command = typer.main.get_command(app).commands[name]  # type: ignore[attr-defined]
+    context = command.make_context(name, list(arguments))  # exits where something is not taken
+    assert context.command.name == name
+
+
+def run_examples(folder: Path, monkeypatch: pytest.MonkeyPatch, chosen: list[Listed]) -> None:
+    """Run examples in a folder in the order in which they are listed, as a reader would."""
+    shutil.copy(
+        models_dir() / "hands" / "allegro_hand" / "allegro_hand.xml", folder / "my_hand.xml"
+    )
+    monkeypatch.chdir(folder)
+    for listed in chosen:
+        done = RUN.invoke(app, shlex.split(listed.example)[1:])
+        good = (0, 1) if listed.name in JUDGING else (0,)
+        assert done.exit_code in good, f"{listed.example}: {done.output}"
+
+
+@pytest.mark.slow
+def test_examples_do_what_they_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run_examples(tmp_path, monkeypatch, LISTED)
+    for name in ("plan.json", "report.json", "first.json", "hand.toml", "runs/demo/report.json"):
+        assert (tmp_path / name).exists()
+
+
+def test_quick_examples_do_what_they_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    needs_data = ("extract", *SLOW)
+    run_examples(tmp_path, monkeypatch, [c for c in LISTED if c.name not in needs_data])
+    assert (tmp_path / "plan.json").exists()

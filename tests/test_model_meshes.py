@@ -1,0 +1,200 @@
+"""What load_spec mends: meshes that lie elsewhere or in other formats, links without inertia."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from planner.bridge import compile_spec, load_spec
+from planner.bridge.inertias import LEAST_INERTIA, LEAST_MASS, with_least_inertias
+from planner.bridge.load import model_files
+from planner.errors import ModelError
+from planner.shapes.meshes.convert import converted_mesh
+from planner.system.disk_cache import CACHE_VARIABLE
+
+SIZE = (0.06, 0.02, 0.04)
+
+URDF = """<robot name="one">{head}<link name="palm"><collision><geometry>
+<mesh filename="{mesh}" scale="1 1 1"/></geometry></collision></link></robot>"""
+
+MJCF = """<mujoco><include file="assets.xml"/><worldbody><body name="palm">
+<geom type="mesh" mesh="palm"/></body></worldbody></mujoco>"""
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+
+
+def box(path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    trimesh.creation.box(SIZE).export(path)
+    return path
+
+
+def urdf(path: Path, mesh: str, head: str = "") -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(URDF.format(mesh=mesh, head=head), encoding="utf-8")
+    return path
+
+
+def extents(model_file: Path) -> list[float]:
+    """Extents of the only mesh, m, sorted: MuJoCo turns a mesh into its principal axes."""
+    model = compile_spec(load_spec(model_file), "the model")
+    assert model.nmesh == 1
+    return sorted(float(v) for v in np.ptp(model.mesh_vert, axis=0))
+
+
+@pytest.mark.parametrize(
+    ("where", "named", "head"),
+    [
+        ("clone/meshes/palm.stl", "package://one_description/meshes/palm.stl", ""),
+        ("clone/meshes/palm.stl", "meshes/palm.stl", ""),  # from the folder above
+        ("clone/urdf/palm.stl", "/home/someone/meshes/palm.stl", ""),
+        (
+            "clone/urdf/meshes/palm.stl",
+            "meshes/palm.stl",
+            '<mujoco><compiler meshdir="meshes"/></mujoco>',
+        ),
+    ],
+    ids=["a clone of another name", "from the root", "beside the model", "mesh folder named twice"],
+)
+def test_a_mesh_is_found_where_it_lies(tmp_path: Path, where: str, named: str, head: str) -> None:
+    mesh = box(tmp_path / where)
+    model = urdf(tmp_path / "clone" / "urdf" / "one.urdf", named, head)
+    np.testing.assert_allclose(extents(model), sorted(SIZE), rtol=1e-6)
+    assert mesh.resolve() in {file.resolve() for file in model_files(model)}
+
+
+def test_a_path_that_leads_somewhere_is_kept(tmp_path: Path) -> None:
+    box(tmp_path / "palm.stl")  # one of this name beside the model is another mesh
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "palm_big.stl")
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "palm_big.stl").rename(tmp_path / "meshes" / "palm.stl")
+    np.testing.assert_allclose(
+        extents(urdf(tmp_path / "one.urdf", "meshes/palm.stl")), 0.1, rtol=1e-6
+    )
+
+
+def test_a_mesh_that_is_nowhere_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=r"opening file 'meshes/palm\.stl'; put the missing file"):
+        compile_spec(load_spec(urdf(tmp_path / "one.urdf", "meshes/palm.stl")), "it")
+    with pytest.raises(ModelError, match=r"none of the folders above it is or holds 'one'"):
+        load_spec(urdf(tmp_path / "one.urdf", "package://one/meshes/palm.stl"))
+
+
+def test_a_clone_without_its_large_files(tmp_path: Path) -> None:
+    (tmp_path / "palm.stl").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\n")
+    with pytest.raises(ModelError, match=r"palm\.stl, which is only a pointer.*run git lfs pull"):
+        load_spec(urdf(tmp_path / "one.urdf", "palm.stl"))
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".ply", ".off", ".GLB"])
+def test_formats_that_mujoco_does_not_read_are_converted(tmp_path: Path, suffix: str) -> None:
+    mesh = box(tmp_path / f"palm{suffix}")
+    model = urdf(tmp_path / "one.urdf", mesh.name)
+    np.testing.assert_allclose(extents(model), sorted(SIZE), rtol=1e-6)
+    assert mesh in model_files(model)  # so that a changed mesh is another hand
+
+
+def test_a_scale_holds_for_a_converted_mesh_too(tmp_path: Path) -> None:
+    box(tmp_path / "palm.glb")
+    model = urdf(tmp_path / "one.urdf", "palm.glb")
+    model.write_text(model.read_text().replace("1 1 1", "2 2 2"))
+    np.testing.assert_allclose(extents(model), 2 * np.sort(SIZE), rtol=1e-6)
+
+
+def test_a_collada_file_is_read_in_its_unit(tmp_path: Path) -> None:
+    pytest.importorskip("collada")
+    mesh = box(tmp_path / "palm.dae")
+    text = mesh.read_text()
+    np.testing.assert_allclose(
+        extents(urdf(tmp_path / "one.urdf", mesh.name)), sorted(SIZE), rtol=1e-6
+    )
+    asset = '<asset><unit name="centimeter" meter="0.01"/><up_axis>Y_UP</up_axis></asset>'
+    start, end = text.index("<asset>"), text.index("</asset>") + len("</asset>")
+    mesh.write_text(text[:start] + asset + text[end:])
+    np.testing.assert_allclose(np.ptp(converted_mesh(mesh)[0], axis=0), 0.01 * np.array(SIZE))
+
+
+def test_a_conversion_is_done_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = box(tmp_path / "palm.glb")
+    vertices, faces = converted_mesh(mesh)
+    monkeypatch.setattr(trimesh, "load_mesh", lambda *_, **__: pytest.fail("read again"))
+    again = converted_mesh(mesh)
+    np.testing.assert_array_equal(again[0], vertices)
+    np.testing.assert_array_equal(again[1], faces)
+
+
+def test_a_mesh_that_cannot_be_converted_is_named(tmp_path: Path) -> None:
+    (tmp_path / "palm.glb").write_bytes(b"glTF, or not")
+    with pytest.raises(ModelError, match=r"palm\.glb cannot be read as \.glb .*export it again"):
+        load_spec(urdf(tmp_path / "one.urdf", "palm.glb"))
+
+
+def test_the_suffix_mjcf_with_an_included_file(tmp_path: Path) -> None:
+    box(tmp_path / "palm.stl")
+    (tmp_path / "assets.xml").write_text(
+        '<mujoco><asset><mesh name="palm" file="palm.stl"/></asset></mujoco>'
+    )
+    model = tmp_path / "one.mjcf"
+    model.write_text(MJCF, encoding="utf-8")
+    np.testing.assert_allclose(extents(model), sorted(SIZE), rtol=1e-6)
+    assert {file.name for file in model_files(model)} == {"one.mjcf", "assets.xml", "palm.stl"}
+
+
+def test_a_file_of_another_version_of_mujoco(tmp_path: Path) -> None:
+    (tmp_path / "old.xml").write_text('<mujoco><option apirate="200"/></mujoco>')
+    with pytest.raises(ModelError, match=r"apirate.*may be of another version"):
+        load_spec(tmp_path / "old.xml")
+
+
+# --- links without mass ---------------------------------------------------------------------------
+
+CHAIN = """<robot name="two"><link name="palm"><inertial><mass value="0.2"/>
+<inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="hub">{hub}</link><link name="tip"><inertial><mass value="0.01"/>
+<inertia ixx="1e-6" iyy="1e-6" izz="1e-6" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="a" type="revolute"><parent link="palm"/><child link="hub"/><axis xyz="0 0 1"/>
+<limit lower="0" upper="1" effort="1" velocity="1"/></joint>
+<joint name="b" type="revolute"><parent link="hub"/><child link="tip"/><axis xyz="0 1 0"/>
+<limit lower="0" upper="1" effort="1" velocity="1"/></joint></robot>"""
+
+INERTIAL = """<inertial><mass value="{mass}"/>
+<inertia ixx="{i}" iyy="{i}" izz="{i}" ixy="{xy}" ixz="0" iyz="0"/></inertial>"""
+
+
+@pytest.mark.parametrize(
+    ("hub", "mass"),
+    [
+        ("", LEAST_MASS),
+        (INERTIAL.format(mass=0, i=0, xy=0), LEAST_MASS),
+        (INERTIAL.format(mass=0.02, i=0, xy=0), 0.02),
+        (INERTIAL.format(mass=0.02, i=1e-6, xy=2e-6), 0.02),
+    ],
+    ids=["nothing", "zeros", "a mass alone", "an impossible inertia"],
+)
+def test_a_link_that_only_joins_two_joints_gets_the_least_inertia(
+    tmp_path: Path, hub: str, mass: float
+) -> None:
+    path = tmp_path / "two.urdf"
+    path.write_text(CHAIN.format(hub=hub), encoding="utf-8")
+    spec = load_spec(path)
+    assert with_least_inertias(spec) == ("hub",)
+    model = compile_spec(spec, "it")
+    assert model.body("hub").mass == pytest.approx(mass)
+    np.testing.assert_allclose(model.body("hub").inertia, LEAST_INERTIA)
+    assert model.body("tip").mass == 0.01
+    np.testing.assert_allclose(model.body("tip").inertia, 1e-6)
+
+
+def test_links_with_an_inertia_keep_it(tmp_path: Path) -> None:
+    path = tmp_path / "two.urdf"
+    path.write_text(CHAIN.format(hub=INERTIAL.format(mass=0.02, i=1e-6, xy=1e-7)), encoding="utf-8")
+    spec = load_spec(path)
+    assert with_least_inertias(spec) == ()
+    inertia = compile_spec(spec, "it").body("hub").inertia
+    np.testing.assert_allclose(np.sort(inertia), [0.9e-6, 1e-6, 1.1e-6])

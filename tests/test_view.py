@@ -1,0 +1,375 @@
+"""``opposable view``: things are recognised by content, shown by a local server, or refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+import threading
+import urllib.request
+from collections.abc import Iterator, Mapping
+from http.client import HTTPConnection
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from serving import serving, small_dataset
+from typer.testing import CliRunner
+
+from planner.errors import FileFormatError, NotFoundError, ObjectError, TaskError
+from planner.files import write_plan
+from planner.hands.hand import Hand
+from planner.objects import GraspObject, parse_object
+from planner.pages.described import comments_of, described_lines, named_joints
+from planner.pages.level_set import zero_level_set
+from planner.pages.mesh_page import mesh_page
+from planner.pages.page import Page, read_page_data, write_page
+from planner.plan import GraspPlan
+from planner.search import plan_grasp
+from planner.shapes import Mesh
+from planner.system.models import models_dir
+from planner.task import GraspTask
+from sim.cli import app
+from sim.viewing import Answer, LocalServer, Opening, Target, ViewOptions, recognise, show
+from sim.viewing.dataset_tables import DatasetTables
+from sim.viewing.of_dataset import DatasetSite
+from sim.viewing.opening import has_browser
+
+RUN = CliRunner()
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("pyarrow")
+    return small_dataset(tmp_path_factory.mktemp("data") / "grasps")
+
+
+@pytest.fixture(scope="module")
+def dataset_site(dataset: Path) -> Iterator[LocalServer]:
+    with serving(DatasetSite(DatasetTables(dataset))) as server:
+        yield server
+
+
+@pytest.fixture(scope="module")
+def plan() -> GraspPlan:
+    return plan_grasp(GraspTask.create("allegro_hand", "box"), seed=0)
+
+
+@pytest.fixture
+def plan_file(plan: GraspPlan, tmp_path: Path) -> Path:
+    write_plan(plan, tmp_path / "anything.txt")
+    return tmp_path / "anything.txt"
+
+
+def kind_of(target: str | Path) -> str:
+    return recognise(Target(str(target))).name
+
+
+def viewed(target: str | Path, options: ViewOptions | None = None) -> Page:
+    found = Target(str(target))
+    page = recognise(found).shown(found, options or ViewOptions())
+    assert isinstance(page, Page)
+    return page
+
+
+# ---- what it is
+
+
+def test_hands_are_recognised_by_name_folder_description_and_model(tmp_path: Path) -> None:
+    folder = models_dir() / "hands" / "allegro_hand"
+    renamed = tmp_path / "a.description"
+    shutil.copy(folder / "hand.toml", renamed)
+    for target in (
+        "allegro_hand",
+        folder,
+        folder / "hand.toml",
+        folder / "allegro_hand.xml",
+        renamed,
+    ):
+        assert kind_of(target).startswith("a hand"), target
+
+
+def test_a_plan_is_recognised_by_its_format_and_not_by_its_name(plan_file: Path) -> None:
+    assert kind_of(plan_file) == "a grasp plan"
+
+
+def test_the_page_of_a_plan_can_be_viewed_again(plan_file: Path, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    write_page(viewed(plan_file), page)
+    again, before = viewed(page).data, read_page_data(page)[1]
+    assert again is not None
+    assert again["grasp"] == before["grasp"]
+    assert again["task"] == before["task"]
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".stl", ".obj", ".glb"])
+def test_meshes_are_recognised_by_their_content(suffix: str, tmp_path: Path) -> None:
+    file = tmp_path / f"part{suffix}"
+    trimesh.creation.box((0.05, 0.04, 0.03)).export(file)
+    assert kind_of(file).startswith("an object or mesh")
+    assert kind_of(f"{file}*0.5").startswith("an object or mesh")
+    other = file.rename(tmp_path / "part.dat")
+    assert kind_of(other).startswith("an object or mesh")
+    with pytest.raises(ObjectError, match=f"rename it to end in {suffix}"):
+        viewed(other)
+
+
+def test_objects_by_name_and_bodies_of_models_are_objects(tmp_path: Path) -> None:
+    scene = tmp_path / "scene.xml"
+    scene.write_text(
+        '<mujoco><worldbody><body name="block"><freejoint/><geom type="box" size="0.02 0.03 0.04"/>'
+        "</body></worldbody></mujoco>"
+    )
+    for target in ("mug", "box:0.05x0.05x0.08", f"{scene}#block"):
+        assert kind_of(target).startswith("an object or mesh"), target
+
+
+# ---- what cannot be viewed: one clear line each
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"hello, world\n", "it is of another kind; what can be: a hand"),
+        (b"", "it is of another kind"),
+        (b"\x00\xff" * 50, "it is of another kind"),
+        (b'{"format": "opposable-plan", "version": 1,', "is damaged or not JSON"),
+        (b'{"format": "opposable-report", "version": 7}', "version 7"),
+        (b'{"format": "other-thing"}', "its format is 'other-thing'"),
+        (b"<!DOCTYPE html><html><body>news</body></html>", "not a page with numbers in it"),
+        (b"a = 1\nb = 'two'\n", "it is of another kind"),
+    ],
+)
+def test_a_foreign_or_damaged_file_is_refused(content: bytes, message: str, tmp_path: Path) -> None:
+    file = tmp_path / "thing.bin"
+    file.write_bytes(content)
+    with pytest.raises(FileFormatError, match=message) as refusal:
+        viewed(file)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_foreign_folder_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileFormatError, match="cannot be viewed"):
+        kind_of(tmp_path)
+
+
+def test_a_name_of_nothing_says_what_there_is() -> None:
+    with pytest.raises(NotFoundError, match="Did you mean 'allegro_hand'"):
+        kind_of("alegro_hand")
+    with pytest.raises(NotFoundError, match="That path does not exist"):
+        kind_of("runs/report.json")
+
+
+def test_options_that_mean_nothing_are_refused() -> None:
+    done = RUN.invoke(app, ["view", "mug", "--alternatives", "2"])
+    assert done.exit_code == 3
+    assert "--alternatives means nothing for an object" in done.output
+
+
+def test_a_mesh_of_many_triangles_is_decimated_and_says_so() -> None:
+    fine = trimesh.creation.icosphere(subdivisions=6, radius=0.04)
+    shape = Mesh.from_triangles(np.array(fine.vertices), np.array(fine.faces))
+    page = mesh_page(GraspObject(name="ball", shape=shape))
+    assert page.scene is not None
+    drawn = sum(len(p.triangles) for p in page.scene.models["object"].parts if p.layer == "object")
+    assert drawn < 81_920 / 2
+    told = [b.text for b in page.summary if hasattr(b, "text")]
+    assert any("of the object's 81920" in text for text in told)
+
+
+# ---- where it is shown
+
+
+class Echo:
+    """A site that answers with the address it is asked for."""
+
+    def answer(self, path: str, query: Mapping[str, str]) -> Answer | None:
+        if path == "/fault":
+            raise FileFormatError("this cannot be shown; try another")
+        return None if path.startswith("/none") else Answer(body=path.encode())
+
+
+@pytest.fixture
+def server() -> Iterator[LocalServer]:
+    with serving(Echo()) as made:
+        yield made
+
+
+def asked(server: LocalServer, path: str, host: str | None = None) -> tuple[int, bytes]:
+    connection = HTTPConnection("127.0.0.1", server.port, timeout=10)
+    connection.request("GET", path, headers={"Host": host} if host else {})
+    answer = connection.getresponse()
+    found = answer.status, answer.read()
+    connection.close()
+    return found
+
+
+def test_the_server_answers_faults_in_one_line(server: LocalServer) -> None:
+    assert asked(server, "/") == (200, b"/")
+    assert asked(server, "/none")[0] == 404
+    status, text = asked(server, "/fault")
+    assert (status, text) == (422, b"this cannot be shown; try another")
+
+
+def test_the_server_answers_to_no_other_name(server: LocalServer) -> None:
+    assert asked(server, "/", "localhost:9")[0] == 200  # as ssh forwards it
+    assert asked(server, "/", "evil.example")[0] == 403
+    assert asked(server, "/", "127.0.0.1.evil.example")[0] == 403
+
+
+def test_the_server_is_reached_from_this_machine_alone(server: LocalServer) -> None:
+    assert server.address == f"http://127.0.0.1:{server.port}/"
+    other = socket.gethostbyname(socket.gethostname())
+    if other.startswith("127."):
+        pytest.skip("this machine has no other address")
+    with pytest.raises(OSError, match="refused"):
+        socket.create_connection((other, server.port), timeout=2)
+
+
+def test_no_address_reaches_the_disk(dataset_site: LocalServer) -> None:
+    for path in (
+        "/../../../../etc/passwd",
+        "/%2e%2e/%2e%2e/etc/passwd",
+        "/manifest.json",
+        "/grasp/../manifest.json",
+        "/details/-1",
+        "/grasp/0x1",
+        "//etc/passwd",
+    ):
+        status, body = asked(dataset_site, path)
+        assert status == 404, path
+        assert b"root:" not in body
+        assert b"opposable-grasps" not in body
+
+
+def test_a_port_in_use_is_said(server: LocalServer) -> None:
+    with pytest.raises(TaskError, match=f"port {server.port}.*give another --port"):
+        LocalServer(Echo(), server.port)
+
+
+def test_without_a_display_there_is_no_browser(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert not has_browser()
+
+
+def test_without_a_browser_it_serves_and_says_where(
+    monkeypatch: pytest.MonkeyPatch, plan_file: Path
+) -> None:
+    monkeypatch.setattr("sim.viewing.opening.has_browser", lambda: False)
+    said: list[str] = []
+    pages: list[bytes] = []
+
+    def interrupted(self: LocalServer) -> None:
+        thread = threading.Thread(target=self._server.serve_forever)
+        thread.start()
+        pages.append(urllib.request.urlopen(self.address).read())
+        self.stop()
+        thread.join()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(LocalServer, "run", interrupted)
+    show(viewed(plan_file), Opening(port=0), said.append)
+    assert said[0].startswith("open http://127.0.0.1:")
+    assert "ssh -N -L" in said[1]
+    assert said[-1] == "stopped"
+    assert pages[0].startswith(b"<!DOCTYPE html>")
+
+
+def test_with_a_browser_a_file_is_opened(monkeypatch: pytest.MonkeyPatch, plan_file: Path) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr("sim.viewing.opening.has_browser", lambda: True)
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    show(viewed(plan_file), Opening(), lambda _: None)
+    (address,) = opened
+    assert address.startswith("file://")
+    assert read_page_data(Path(address.removeprefix("file://")))[0] == "plan"
+
+
+def test_a_page_is_written_where_it_is_asked_for(plan_file: Path, tmp_path: Path) -> None:
+    done = RUN.invoke(app, ["view", str(plan_file), "--out", str(tmp_path / "p.html")])
+    assert done.exit_code == 0, done.output
+    assert read_page_data(tmp_path / "p.html")[0] == "plan"
+    done = RUN.invoke(app, ["view", str(plan_file), "--out", str(tmp_path / "no" / "p.html")])
+    assert done.exit_code == 3
+    assert "there is no folder" in done.output
+
+
+def test_a_dataset_is_not_written_into_a_file(dataset: Path, tmp_path: Path) -> None:
+    done = RUN.invoke(app, ["view", str(dataset), "--out", str(tmp_path / "p.html")])
+    assert done.exit_code == 3
+    assert "leave --out away" in done.output
+
+
+# ---- what is shown
+
+
+def test_alternatives_stand_beside_the_plan(plan_file: Path) -> None:
+    page = viewed(plan_file, ViewOptions(alternatives=2))
+    assert page.scene is not None
+    ghosts = [a for a in page.scene.actors if a.layer == "alternatives"]
+    assert [a.name for a in ghosts] == ["seed 1", "seed 2"]
+    assert "alternatives" not in page.scene.off
+    assert not np.allclose(ghosts[0].pose, ghosts[1].pose)
+
+
+def test_lines_of_a_description_have_their_comments_and_joints(allegro: Hand) -> None:
+    assert allegro.path is not None
+    lines = {line.key: line for line in described_lines(allegro, comments_of(allegro.path))}
+    assert "the tip spheres" in lines["fingers.thumb.name"].why
+    assert lines["fingers.index.joints"].joints == tuple(allegro.fingers["index"].q_index)
+    assert lines["fingers.index.pad"].pads
+    assert lines["postures.pinch"].posture == "pinch"
+    assert named_joints(allegro, "index_2 overlaps with palm") == (
+        -1,
+        allegro.joint_index("index_2"),
+    )
+
+
+def test_the_zero_level_is_closed_and_on_the_field() -> None:
+    shape = parse_object("torus").shape
+    assert isinstance(shape, Mesh)
+    vertices, triangles = zero_level_set(shape.field(), *shape.bounds)
+    solid = trimesh.Trimesh(vertices, triangles, process=False)
+    assert solid.is_watertight
+    assert solid.euler_number == 0  # it has a hole, as a torus does
+    assert np.abs(shape.field().value(vertices)).max() < 1e-6
+    assert solid.volume == pytest.approx(shape.volume, rel=0.05)  # positive: faces look outwards
+
+
+def test_regions_cover_the_surface(tmp_path: Path) -> None:
+    page = viewed("box:0.04x0.04x0.08", ViewOptions(touch=("z>0",), avoid=("x>0.019",)))
+    assert page.scene is not None
+    parts = {p.name: p for p in page.scene.models["object"].parts if p.layer == "regions"}
+    allowed, forbidden = parts["fingers may touch here"], parts["fingers must not touch here"]
+    middle = allowed.vertices[allowed.triangles].mean(axis=1)
+    assert (middle[:, 2] > -1e-4).all()
+    assert (middle[:, 0] < 0.0192).all()
+    areas = [
+        trimesh.Trimesh(p.vertices, p.triangles, process=False).area for p in (allowed, forbidden)
+    ]
+    whole = 2 * 0.04 * 0.04 + 4 * 0.04 * 0.08
+    assert sum(areas) == pytest.approx(whole, rel=0.02)
+
+
+def test_a_dataset_has_its_columns_poses_and_attempts(dataset_site: LocalServer) -> None:
+    def got(path: str) -> dict:  # type: ignore[type-arg]
+        status, body = asked(dataset_site, path)
+        assert status == 200
+        return json.loads(body)  # type: ignore[no-any-return]
+
+    rows = got("/rows")
+    assert rows["count"] == 6
+    assert rows["columns"]["object"] == ["sphere:0.035"] * 3 + ["box:0.05x0.05x0.08"] * 3
+    found = [i for i, ok in enumerate(rows["columns"]["found"]) if ok]
+    poses = got(f"/poses?rows={','.join(map(str, range(9)))}")
+    assert sorted(map(int, poses)) == found
+    assert len(poses[str(found[0])]["base"]) == 7
+    details = got(f"/details/{found[0]}")
+    assert len(details["attempts"]) == rows["columns"]["attempts"][found[0]]
+    assert details["attempts"][-1]["reason"] == ""
+    status, body = asked(dataset_site, "/grasp/77")
+    assert status == 422
+    assert b"0 to 5" in body
