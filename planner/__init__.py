@@ -12,7 +12,7 @@ loading MuJoCo, Pinocchio, coal or CasADi.
 
 from typing import TYPE_CHECKING
 
-from planner.showing import register_page
+from planner.showing import register_notebook, register_page
 from planner.system.lazy_names import lazy_names
 from planner.version import __version__
 
@@ -118,3 +118,8 @@ register_page("GraspPlan", "planner.pages.plan_page:plan_page")
 register_page("MotionPlan", "planner.pages.motion_page:motion_page")
 register_page("GaitPlan", "planner.pages.motion_page:motion_page")
 register_page("ManipulationPlan", "planner.pages.motion_page:motion_page")
+register_notebook("ContactSet", "planner.pages.notebook:contacts_html")
+register_notebook("GraspPlan", "planner.pages.notebook:plan_html")
+register_notebook("GraspSet", "planner.pages.notebook:dataset_html")
+register_notebook("Hand", "planner.pages.notebook:hand_html")
+register_notebook("MotionPlan", "planner.pages.notebook:motion_html")

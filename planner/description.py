@@ -28,6 +28,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
+"""Three finite numbers x, y, z."""
 
 
 LEAST_COEFFICIENT, MOST_COEFFICIENT = 1e-6, 1e6

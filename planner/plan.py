@@ -16,7 +16,7 @@ from planner.forces import ForceSolution
 from planner.immutable import freeze
 from planner.kinematics.state import HandState
 from planner.quality import QualityReport, analyse
-from planner.showing import Shown
+from planner.showing import Shown, in_notebook
 from planner.spatial import SE3, FloatArray, interpolate_path, minimum_jerk
 from planner.task import GraspTask
 
@@ -158,6 +158,10 @@ class GraspPlan(Shown):
                 f"{self.verification.closest[0]}",
             ]
         )
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it: a table and a picture, made once."""
+        return in_notebook(self)
 
     @cached_property
     def quality(self) -> QualityReport:

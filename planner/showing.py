@@ -1,8 +1,8 @@
-"""``Shown``: what gives a plan, a motion or a report its ``save_html``.
+"""``Shown`` and ``in_notebook``: what gives things their ``save_html`` and ``_repr_html_``.
 
 Plans stand below the room that makes pages, so they cannot import it. The packages, which stand
-above all their rooms, say by name where the page of each kind is made (``register_page``); it is
-imported when the first page is asked for.
+above all their rooms, say by name where the page of each kind is made (``register_page``), and what
+a notebook shows of it (``register_notebook``); that is imported when it is first asked for.
 """
 
 from __future__ import annotations
@@ -13,10 +13,16 @@ from typing import Any
 
 from planner.errors import NotFoundError
 
-__all__ = ["Shown", "page_of", "register_page"]
+__all__ = ["Shown", "in_notebook", "page_of", "register_notebook", "register_page"]
 
 _MAKERS: dict[str, str] = {}
 """Name of a class -> "module:function" of what makes its page."""
+
+_NOTEBOOK: dict[str, str] = {}
+"""Name of a class -> "module:function" of what a notebook shows of it."""
+
+_KEPT = "_notebook_html"
+"""Where a thing keeps it."""
 
 _WRITER = "planner.pages.page:write_page"
 
@@ -29,6 +35,35 @@ def register_page(kind: str, maker: str) -> None:
         maker: "module:function", a function of the thing that returns ``planner.pages.page.Page``.
     """
     _MAKERS[kind] = maker
+
+
+def register_notebook(kind: str, maker: str) -> None:
+    """Say what makes the HTML that notebooks show of a kind of thing.
+
+    Args:
+        kind: Name of its class.
+        maker: "module:function", a function of the thing that returns HTML.
+    """
+    _NOTEBOOK[kind] = maker
+
+
+def in_notebook(thing: object) -> str:
+    """What a notebook shows of a thing that does not change: a table and a small picture as HTML.
+
+    It is made once for each thing. Give ``_repr_html_`` of a registered kind this body.
+
+    Raises:
+        NotFoundError: Nothing makes it for this kind.
+    """
+    kept = vars(thing)
+    if _KEPT not in kept:
+        kind = type(thing).__name__
+        if kind not in _NOTEBOOK:
+            hint = "Register a function with planner.showing.register_notebook."
+            raise NotFoundError("kind of thing for notebooks", kind, _NOTEBOOK, hint)
+        kept[_KEPT] = _named(_NOTEBOOK[kind])(thing)
+    html: str = kept[_KEPT]
+    return html
 
 
 def page_of(thing: object) -> Any:

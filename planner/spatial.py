@@ -37,9 +37,12 @@ __all__ = [
 ]
 
 FloatArray: TypeAlias = NDArray[np.float64]
+"""An array of float64; docstrings say its shape and unit."""
 IntArray: TypeAlias = NDArray[np.int64]
+"""An array of int64: indices, mostly."""
 if TYPE_CHECKING:
     SE3: TypeAlias = Any  # Pinocchio ships no types
+    """A pose, ``pinocchio.SE3``: ``T_a_b`` maps coordinates in b to those in a."""
 else:
 
     def __getattr__(name: str) -> Any:

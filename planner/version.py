@@ -9,6 +9,7 @@ from __future__ import annotations
 __all__ = ["__version__", "written_by"]
 
 __version__ = "0.1.0"
+"""Version of both packages; the wheel is built with it."""
 
 
 def written_by() -> str:

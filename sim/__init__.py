@@ -12,6 +12,7 @@ own package, ``sim.crosscheck``.
 
 from typing import TYPE_CHECKING
 
+from planner.showing import register_notebook
 from planner.system.lazy_names import lazy_names
 
 if TYPE_CHECKING:
@@ -70,3 +71,6 @@ _HOMES = {
 """Public name -> the module that defines it."""
 
 __getattr__, __dir__ = lazy_names(__name__, _HOMES)
+
+register_notebook("ManipulationReport", "sim.looking.notebook:manipulation_html")
+register_notebook("TrialReport", "sim.looking.notebook:trial_html")

@@ -15,6 +15,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, IntArray
@@ -74,6 +75,13 @@ class Gantry:
         rz = np.arctan2(-turn[0, 1], turn[0, 0])
         shift = T_world_base.translation - self.T_world_base.translation
         return np.concatenate([shift, [rx, ry, rz]])
+
+    def pose(self, coordinates: FloatArray) -> SE3:
+        """Pose of the hand's base for joints (6,), m and rad: the inverse of ``coordinates``."""
+        turn = self.T_world_base.rotation
+        for angle, axis in zip(coordinates[:2:-1], np.eye(3)[::-1], strict=True):  # Rx Ry Rz R0
+            turn = pin.exp3(float(angle) * axis) @ turn
+        return SE3(turn, self.T_world_base.translation + coordinates[:3])
 
     def command(self, data: Any, target: FloatArray, velocity: FloatArray) -> FloatArray:
         """Servo commands (6,) that move the gantry.

@@ -14,6 +14,7 @@ from rich.text import Text
 from planner.contacts import ContactSet
 from planner.plain import finite
 from planner.quality import QualityReport
+from planner.showing import in_notebook
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 from planner.version import written_by
@@ -144,6 +145,10 @@ class TrialReport(OnScreen):
     def largest_slip(self) -> tuple[float, float]:
         """Largest movement (mm) and rotation (degrees) of the object relative to the palm."""
         return largest(self.samples.slip_mm), largest(self.samples.slip_deg)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it: a table and a picture, made once."""
+        return in_notebook(self)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """The verdict, and planned against measured contacts."""

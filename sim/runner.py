@@ -7,10 +7,15 @@ from __future__ import annotations
 
 import os
 import platform
+import shlex
 import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import partial
+from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
 from rich.console import Console
@@ -37,17 +42,40 @@ Check: TypeAlias = Callable[[], None]
 
 
 def made_with() -> dict[str, Any]:
-    """What a measurement was made with and on, for its file.
+    """What a measurement was made with and on, and when, for its file.
 
     The load average (processes that want the processor, over the last minute) tells whether the
-    machine was quiet.
+    machine was quiet. Without a checkout there is no commit, and outside of the command line no
+    command: both are "" then.
     """
     return {
         "written_by": written_by(),
+        "command": _command(),
+        "date": datetime.now(UTC).date().isoformat(),
+        "commit": _commit(),
         "machine": f"{platform.machine()}, Python {platform.python_version()}",
         "cores": os.cpu_count(),
         "load_average": round(os.getloadavg()[0], 2),
     }
+
+
+def _command() -> str:
+    """The command line, where it is one of ours."""
+    name = Path(sys.argv[0]).name
+    return shlex.join([name, *sys.argv[1:]]) if name == "opposable" else ""
+
+
+def _commit() -> str:
+    """The commit of the checkout, "-dirty" at its end where files differ from it."""
+    root = Path(__file__).resolve().parent.parent
+    if not (root / ".git").exists():
+        return ""
+    asked = ["git", "-C", str(root), "describe", "--always", "--dirty", "--exclude=*"]
+    try:
+        done = subprocess.run(asked, capture_output=True, text=True, check=False)
+    except OSError:  # there is no git
+        return ""
+    return done.stdout.strip()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from planner.contacts import ContactSet
 from planner.spatial import FloatArray, pose_to_wxyz
@@ -73,20 +72,12 @@ class StateRecorder:
         )
 
     def _bases(self, gantry: FloatArray) -> FloatArray:
-        """Poses of the base (m, 7) from the joints of the gantry (m, 6), or (m, 0) without one."""
-        if self._simulation.scene.gantry is None:
+        """Poses of the base (m, 7) from the joints of what carries it; an arm's base stands."""
+        carrier = self._simulation.scene.gantry
+        if carrier is None:
             return np.tile(np.concatenate(pose_to_wxyz(self._base)), (len(gantry), 1))
-        zero = self._simulation.scene.gantry.T_world_base
-        first = pin.Quaternion(zero.rotation)
-        out = np.zeros((len(gantry), 7))
-        out[:, :3] = zero.translation + gantry[:, :3]
-        axes = np.eye(3)
-        for row, angles in zip(out, gantry[:, 3:], strict=True):
-            turn = first
-            for angle, axis in zip(angles[::-1], axes[::-1], strict=True):  # Rx Ry Rz R0
-                turn = pin.Quaternion(pin.AngleAxis(float(angle), axis)) * turn
-            row[3:] = turn.w, turn.x, turn.y, turn.z
-        return out
+        rows = [np.concatenate(pose_to_wxyz(carrier.pose(row))) for row in gantry]
+        return np.array(rows).reshape(-1, 7)
 
     def _columns(self, fingers: tuple[str, ...]) -> dict[str, Any]:
         """Contacts as arrays with a column per finger, and per other part that touched."""

@@ -47,6 +47,7 @@ Reason: TypeAlias = Literal[
     "stopped",
     "diverged",
 ]
+"""Why a trial did not succeed; "" if it did."""
 
 REASONS: tuple[Reason, ...] = Reason.__args__  # type: ignore[attr-defined]
 """Every reason a verdict can have; "" is success."""

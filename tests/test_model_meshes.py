@@ -1,4 +1,4 @@
-"""Meshes that a model names: found where models in the wild keep them, and converted."""
+"""What load_spec mends: meshes that lie elsewhere or in other formats, links without inertia."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pytest
 import trimesh
 
 from planner.bridge import compile_spec, load_spec
+from planner.bridge.inertias import LEAST_INERTIA, LEAST_MASS, with_least_inertias
 from planner.bridge.load import model_files
 from planner.errors import ModelError
 from planner.shapes.meshes.convert import converted_mesh
@@ -149,3 +150,51 @@ def test_a_file_of_another_version_of_mujoco(tmp_path: Path) -> None:
     (tmp_path / "old.xml").write_text('<mujoco><option apirate="200"/></mujoco>')
     with pytest.raises(ModelError, match=r"apirate.*may be of another version"):
         load_spec(tmp_path / "old.xml")
+
+
+# --- links without mass ---------------------------------------------------------------------------
+
+CHAIN = """<robot name="two"><link name="palm"><inertial><mass value="0.2"/>
+<inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="hub">{hub}</link><link name="tip"><inertial><mass value="0.01"/>
+<inertia ixx="1e-6" iyy="1e-6" izz="1e-6" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="a" type="revolute"><parent link="palm"/><child link="hub"/><axis xyz="0 0 1"/>
+<limit lower="0" upper="1" effort="1" velocity="1"/></joint>
+<joint name="b" type="revolute"><parent link="hub"/><child link="tip"/><axis xyz="0 1 0"/>
+<limit lower="0" upper="1" effort="1" velocity="1"/></joint></robot>"""
+
+INERTIAL = """<inertial><mass value="{mass}"/>
+<inertia ixx="{i}" iyy="{i}" izz="{i}" ixy="{xy}" ixz="0" iyz="0"/></inertial>"""
+
+
+@pytest.mark.parametrize(
+    ("hub", "mass"),
+    [
+        ("", LEAST_MASS),
+        (INERTIAL.format(mass=0, i=0, xy=0), LEAST_MASS),
+        (INERTIAL.format(mass=0.02, i=0, xy=0), 0.02),
+        (INERTIAL.format(mass=0.02, i=1e-6, xy=2e-6), 0.02),
+    ],
+    ids=["nothing", "zeros", "a mass alone", "an impossible inertia"],
+)
+def test_a_link_that_only_joins_two_joints_gets_the_least_inertia(
+    tmp_path: Path, hub: str, mass: float
+) -> None:
+    path = tmp_path / "two.urdf"
+    path.write_text(CHAIN.format(hub=hub), encoding="utf-8")
+    spec = load_spec(path)
+    assert with_least_inertias(spec) == ("hub",)
+    model = compile_spec(spec, "it")
+    assert model.body("hub").mass == pytest.approx(mass)
+    np.testing.assert_allclose(model.body("hub").inertia, LEAST_INERTIA)
+    assert model.body("tip").mass == 0.01
+    np.testing.assert_allclose(model.body("tip").inertia, 1e-6)
+
+
+def test_links_with_an_inertia_keep_it(tmp_path: Path) -> None:
+    path = tmp_path / "two.urdf"
+    path.write_text(CHAIN.format(hub=INERTIAL.format(mass=0.02, i=1e-6, xy=1e-7)), encoding="utf-8")
+    spec = load_spec(path)
+    assert with_least_inertias(spec) == ()
+    inertia = compile_spec(spec, "it").body("hub").inertia
+    np.testing.assert_allclose(np.sort(inertia), [0.9e-6, 1e-6, 1.1e-6])

@@ -45,7 +45,8 @@ def tape_of(scene: Scene, *turns_deg: float) -> Tape:
 
 
 def pixels_of(path: Path) -> FloatArray:
-    return np.asarray(Image.open(path)).astype(float)
+    with Image.open(path) as picture:
+        return np.asarray(picture).astype(float)
 
 
 @pytest.fixture(scope="module", params=[0.0, None])

@@ -34,6 +34,8 @@ def ours(value: object) -> bool:
 
 def attribute_doc(name: PublicName) -> list[str]:
     """The docstring below a constant or an alias, line by line."""
+    if inspect.ismodule(name.value):
+        return (inspect.getdoc(name.value) or "").splitlines()
     return ModuleAnalyzer.for_module(name.home).find_attr_docs().get(("", name.home_name), [])
 
 

@@ -215,8 +215,8 @@ def parts(model: Any) -> list[Any]:
     return found
 
 
-def page(form: Format) -> str:
-    """The page of one format: tables of fields, and an example."""
+def tables(form: Format) -> list[str]:
+    """What a format is for, and the tables of its fields."""
     lines = [form.title, "=" * len(form.title), "", form.text, ""]
     for model in parts(form.model):
         if model is not form.model:
@@ -236,7 +236,12 @@ def page(form: Format) -> str:
             lines += [f"   * - ``{name}``", f"     - ``{kind}``", f"     - {left_out}"]
             lines += [f"     - {shown(meaning.replace('``', ''))}"] * explained
         lines += [""]
-    lines += ["Example", "-------", ""]
+    return lines
+
+
+def page(form: Format) -> str:
+    """The page of one format: tables of fields, and an example."""
+    lines = [*tables(form), "Example", "-------", ""]
     if form.language == "json":
         lines += ["Long lists are cut short here: ``...`` stands for what is left out.", ""]
     language = "text" if form.language == "json" else form.language

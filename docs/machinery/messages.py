@@ -98,7 +98,8 @@ class Reader:
                     text = "; ".join(filter(None, [what, remedy]))
                     yield Message(text, _name(node.func), self.room)
         elif isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
-            yield from self._raised(node.exc, function)
+            if _name(node.exc.func) == "ValueError":  # of a validator: it names a fault of a file
+                yield from self._raised(node.exc, function)
         elif isinstance(node, ast.Call) and _name(node.func) == "Failure":
             given = {k.arg: k.value for k in node.keywords if k.arg}
             if {"kind", "text"} <= given.keys():
@@ -111,8 +112,6 @@ class Reader:
 
     def _raised(self, call: ast.Call, function: ast.AST | None) -> Iterator[Message]:
         error = _name(call.func)
-        if error not in PAGES:
-            return
         if error == "NotFoundError":
             given = dict(zip(("what", "given", "available", "hint"), call.args, strict=False))
             given |= {k.arg: k.value for k in call.keywords if k.arg}

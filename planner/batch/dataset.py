@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
+from importlib import import_module
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -69,6 +70,11 @@ class GraspSet:
             f"<GraspSet: {len(self)} of {self.manifest.total} grasps by {self.manifest.hand}, "
             f"{len(self.labels)} objects, {self.folder}>"
         )
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it: a table and a picture, made once."""
+        html: str = import_module("planner.showing").in_notebook(self)
+        return html
 
     @property
     def labels(self) -> tuple[str, ...]:

@@ -36,7 +36,9 @@ __all__ = [
 ]
 
 OBJECT = "object"
+"""Name of the object among the geometries."""
 TABLE = "table"
+"""Name of the table among the geometries."""
 
 TABLE_SIZE = (2.0, 2.0, 0.1)
 """Full extents (m) of the table: wide enough for any hand, centred under the object."""

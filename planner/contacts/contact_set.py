@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
@@ -43,6 +44,7 @@ __all__ = [
 ]
 
 ContactModel: TypeAlias = Literal["frictionless", "point", "soft"]
+"""What a contact transmits: a normal force, friction too, or torsion about the normal as well."""
 
 CONTACT_DIM: dict[str, int] = {"frictionless": 1, "point": 3, "soft": 4}
 """Number of force components that each contact model transmits."""
@@ -237,6 +239,11 @@ class ContactSet:
             fingers=tuple(c.finger for c in contacts),
             center=float_array("center", center),
         )
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it: a table and a picture, made once."""
+        html: str = import_module("planner.showing").in_notebook(self)
+        return html
 
     def __len__(self) -> int:
         """Number of contacts."""

@@ -53,7 +53,9 @@ __all__ = [
 ]
 
 Pyramid: TypeAlias = Literal["inscribed", "circumscribed"]
+"""How a friction pyramid lies to its cone: edges on the cone, or faces."""
 Cone: TypeAlias = Literal["inscribed", "circumscribed", "round"]
+"""A friction pyramid of either kind, or the round cone itself."""
 
 MIN_EDGES = 3
 """Fewest edges of a polyhedral friction cone (-): two span no area."""

@@ -42,6 +42,7 @@ __all__ = [
 ]
 
 PLAN_VERSION = 1
+"""Version of plan files that is written."""
 
 QUATERNION_TOL = 1e-3
 """How far (-) the length of a quaternion in a file may be from 1: figures typed with few digits."""

@@ -39,6 +39,7 @@ __all__ = [
 ]
 
 MirrorAxis: TypeAlias = Literal["x", "y", "z"]
+"""Normal of the plane of reflection: an axis of the base."""
 
 
 class MirrorDescription(StrictData):

@@ -13,6 +13,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
@@ -259,6 +260,11 @@ class Hand:
         if len(set(chosen)) != len(chosen):
             raise TaskError(f"a finger is named twice in {list(chosen)}; name each once")
         return tuple(self.fingers[name] for name in chosen)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it: a table and a picture, made once."""
+        html: str = import_module("planner.showing").in_notebook(self)
+        return html
 
     def __repr__(self) -> str:
         """One line; ``opposable inspect`` prints the rest."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
 from itertools import pairwise
 
 import numpy as np
@@ -207,6 +208,11 @@ class MotionPlan(Shown):
     def __repr__(self) -> str:
         """One line."""
         return f"<MotionPlan of {self.grasp.task!r}: {self.path}>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it: a table and a picture, made once."""
+        html: str = import_module("planner.showing").in_notebook(self)
+        return html
 
     def __str__(self) -> str:
         """The path, the margins, and the limits."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -37,18 +38,24 @@ PROUD = 3e-4
 """How far (m) a pad is drawn above its sphere, so that it is not hidden in the tip."""
 
 
-def hand_model(hand: Hand) -> Model:
+@lru_cache(maxsize=8)
+def hand_model(hand: Hand, *, for_painter: bool = False) -> Model:
     """A hand, with its arm if it has one, as a model: joints in the order of q.
 
     Bodies are drawn by their visual geoms, those without one by their colliding geoms. Layer
     "pads" holds the part of each pad's sphere on which contacts may lie, "collision" what collides
     (a mesh by its convex hull).
+
+    Args:
+        hand: The hand.
+        for_painter: Every triangle, and nothing of "collision": ``planner.pages.painter`` makes its
+            own choice of triangles, in a tenth of the time.
     """
     surfaces = link_surfaces(hand.mj_model, hand.pin_model)
     seen = {s.body for s in surfaces if not s.collides and s.colour[3] > 0}
     shown = [s for s in surfaces if s.collides != (s.body in seen)]
-    hulls = [_collision(s) for s in surfaces if s.collides]
-    share = MOST_TRIANGLES / max(1, sum(len(s.triangles) for s in shown))
+    hulls = [_collision(s) for s in surfaces if s.collides and not for_painter]
+    share = 1.0 if for_painter else MOST_TRIANGLES / max(1, sum(len(s.triangles) for s in shown))
     carriers = {f.pad.geom for f in hand.fingers.values()}
     matrix, value = hand.coupling_matrix
     return Model(

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image, ImageDraw
 
-from planner.pages.scene import Actor, Contacts, Layer, Model, Scene
-from planner.pages.simplify import simplified
+from planner.pages.scene import Actor, Contacts, Layer, Model, Part, Scene
+from planner.pages.simplify import clustered
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
 
 __all__ = ["data_uri", "paint"]
@@ -25,8 +25,8 @@ SUPERSAMPLE = 2
 MOST_TRIANGLES = 6000
 """Triangles of all parts together; meshes of models with more are simplified."""
 
-LEAST_TRIANGLES = 60
-"""That every part may keep."""
+LEAST_TRIANGLES, LEAST_OF_OBJECT = 60, 4000
+"""That every part, and a part of the object, may keep: walls of a mug are thin."""
 
 LONGEST_EDGE = 0.15
 """Longest edge of a triangle, in radii of the scene: a large one would be sorted wrongly."""
@@ -54,7 +54,7 @@ PAD_NEARER = 2e-3
 SEEN = 2.0
 """How far from the middle, in radii of the scene, triangles are painted: an arm reaches out."""
 
-DARKEST = 0.10
+DARKEST = 0.2
 """What black is painted as (-), so that its shades can be told apart."""
 
 DOT = 0.019
@@ -72,6 +72,7 @@ def paint(
     direction: Sequence[float],
     *,
     size: tuple[int, int] = (320, 260),
+    up: Sequence[float] = (0.0, 0.0, 1.0),
 ) -> bytes:
     """A picture of a scene as it stands, as PNG.
 
@@ -79,8 +80,9 @@ def paint(
         scene: Actors, where they are, and contacts, of which the first set is marked.
         direction: From the middle to the camera, (3,), world.
         size: Width and height, pixels.
+        up: What is up in the picture, (3,), world, not along ``direction``.
     """
-    camera = _camera(np.array(direction, dtype=np.float64))
+    camera = _camera(np.array(direction, dtype=np.float64), np.array(up, dtype=np.float64))
     corners, colours, nearer = _triangles(scene)
     turned = (corners - scene.focus) @ camera.T  # right, up, towards the camera
     cross: FloatArray = np.cross(turned[:, 1] - turned[:, 0], turned[:, 2] - turned[:, 0])
@@ -90,9 +92,9 @@ def paint(
     order = np.argsort(depth, kind="stable")
     shades = _shaded(cross, colours)
     marks = (_marks(scene) - scene.focus) @ camera.T
-    centers = turned.mean(axis=1)
-    seen = centers[np.linalg.norm(centers, axis=1) <= scene.radius, :2]
-    lower, upper = (seen.min(axis=0), seen.max(axis=0)) if len(seen) else (np.zeros(2), np.ones(2))
+    points = np.concatenate([turned.mean(axis=1), marks.reshape(-1, 3)])
+    seen = points[np.linalg.norm(points, axis=1) <= scene.radius, :2]
+    lower, upper = seen.min(axis=0), seen.max(axis=0)
     wide = np.array(size) * SUPERSAMPLE
     scale = float(((1 - 2 * MARGIN) * wide / np.maximum(upper - lower, 1e-9)).min())
     middle = (lower + upper) / 2
@@ -131,13 +133,10 @@ def data_uri(picture: bytes) -> str:
     return "data:image/png;base64," + base64.b64encode(picture).decode("ascii")
 
 
-def _camera(direction: FloatArray) -> FloatArray:
+def _camera(direction: FloatArray, up: FloatArray) -> FloatArray:
     """Rotation (3, 3) from the world to right, up and towards the camera."""
     towards = direction / np.linalg.norm(direction)
-    vertical = np.array([0.0, 0.0, 1.0])
-    if abs(towards[2]) > 0.99:  # from above or below: y is up
-        vertical = np.array([0.0, 1.0, 0.0])
-    right = np.cross(vertical, towards)
+    right = np.cross(up, towards)
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(towards, right), towards])
 
@@ -158,8 +157,9 @@ def _triangles(scene: Scene) -> tuple[FloatArray, FloatArray, FloatArray]:
     share = MOST_TRIANGLES / max(1, sum(len(part.triangles) for _, part, _ in found))
     corners, colours, nearer = [np.zeros((0, 3, 3))], [np.zeros((0, 3))], [np.zeros(0)]
     for _, part, poses in found:
-        most = max(LEAST_TRIANGLES, int(share * len(part.triangles)))
-        vertices, triangles, _ = simplified(part.vertices, part.triangles, most)
+        least = LEAST_OF_OBJECT if part.layer == "object" else LEAST_TRIANGLES
+        most = max(least, int(share * len(part.triangles)))
+        vertices, triangles = _coarser(part, most)
         pose = poses[part.joint]
         placed = vertices @ pose.rotation.T + pose.translation
         some = placed[triangles]
@@ -169,6 +169,16 @@ def _triangles(scene: Scene) -> tuple[FloatArray, FloatArray, FloatArray]:
         colours.append(np.broadcast_to(part.colour[:3], (len(some), 3)))
         nearer.append(np.full(len(some), PAD_NEARER if part.layer == "pads" else 0.0))
     return np.concatenate(corners), np.concatenate(colours), np.concatenate(nearer)
+
+
+def _coarser(part: Part, most: int) -> tuple[FloatArray, IntArray]:
+    """Vertices and triangles of a part, about as few as wanted: a triangle for half a cell."""
+    if len(part.triangles) <= most:
+        return part.vertices, part.triangles
+    a, b, c = np.moveaxis(part.vertices[part.triangles], 1, 0)
+    area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
+    cell = max(float(np.sqrt(2 * area / most)), 1e-6)
+    return clustered(part.vertices, part.triangles, part.vertices.min(axis=0), cell)
 
 
 def _poses(model: Model, actor: Actor) -> dict[int, SE3]:
@@ -237,5 +247,5 @@ def _marks(scene: Scene) -> FloatArray:
             normals = normals @ pose.rotation.T
     touching = np.isfinite(points).all(axis=1)
     tails = points - NORMAL * scene.radius * normals
-    marks: FloatArray = np.stack([points, tails], axis=1)
-    return marks[touching]
+    marks: FloatArray = np.stack([points[touching], tails[touching]], axis=1)
+    return marks

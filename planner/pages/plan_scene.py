@@ -38,12 +38,18 @@ class Stage:
     """
 
     def __init__(
-        self, task: GraspTask, T_world_base: SE3, q: FloatArray, T_world_object: SE3
+        self,
+        task: GraspTask,
+        T_world_base: SE3,
+        q: FloatArray,
+        T_world_object: SE3,
+        *,
+        for_painter: bool = False,
     ) -> None:
-        """Models and actors for hand and object where they are given."""
+        """Models and actors for hand and object where they are given; see ``hand_model``."""
         self.shown: ShownObject = object_model(task.object.shape, task.object.name)
         self.models: dict[str, Model] = {
-            "hand": hand_model(task.hand),
+            "hand": hand_model(task.hand, for_painter=for_painter),
             "object": self.shown.model,
         }
         self.focus, self.radius = _extent(task, T_world_base, q, T_world_object)

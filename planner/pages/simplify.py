@@ -6,10 +6,16 @@ import numpy as np
 
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["simplified"]
+__all__ = ["clustered", "simplified"]
 
-ROUNDS = 12
-"""Bisections of the grid's cell; the last ones change the number of triangles by 1 %."""
+ROUNDS = 8
+"""Sizes of cells that are tried at most."""
+
+ENOUGH = 0.85
+"""Share of the allowed triangles that ends the search (-)."""
+
+CELLS = 1 << 20
+"""Cells along the longest side at most; three numbers of a cell fit into 63 bits."""
 
 
 def simplified(
@@ -25,29 +31,61 @@ def simplified(
     if len(triangles) <= most:
         return vertices, triangles, False
     low, size = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
-    coarse, fine = size / 4, size / 4096
-    best = _clustered(vertices, triangles, low, coarse)
+    # a surface of this area has about one vertex and two triangles per cell
+    cell = float(np.sqrt(2.0 * _area(vertices, triangles) / most))
+    finest, best = size / CELLS, None
+    too_fine = 0.0
     for _ in range(ROUNDS):
-        cell = float(np.sqrt(coarse * fine))
-        candidate = _clustered(vertices, triangles, low, cell)
-        if len(candidate[1]) <= most:
-            best, coarse = candidate, cell
+        cell = max(cell, finest)
+        kept, number = _cells(vertices, triangles, low, cell)
+        if len(kept) <= most:
+            best = (kept, number)
+            if len(kept) >= ENOUGH * most:
+                break
         else:
-            fine = cell
-    return *best, True
+            too_fine = max(too_fine, cell)
+        step = np.sqrt(max(len(kept), 1) / (0.95 * most))
+        cell = max(cell * step, 1.02 * too_fine)
+    if best is None:
+        best = _cells(vertices, triangles, low, size)
+    kept, number = best
+    return _means(vertices, number), kept, True
 
 
-def _clustered(
+def clustered(
     vertices: FloatArray, triangles: IntArray, low: FloatArray, cell: float
 ) -> tuple[FloatArray, IntArray]:
-    """Each cell's vertices become their mean; triangles without area and doubles go."""
-    at = np.floor((vertices - low) / cell).astype(np.int64)
-    key = (at[:, 0] << 42) + (at[:, 1] << 21) + at[:, 2]
-    _, number, counts = np.unique(key, return_inverse=True, return_counts=True)
+    """Each cell's vertices become their mean; triangles without area and doubles go.
+
+    Args:
+        vertices: (n, 3), m.
+        triangles: (k, 3), numbers of vertices.
+        low: Corner (3,) of the grid, below all vertices, m.
+        cell: Edge of a cell, m.
+    """
+    kept, number = _cells(vertices, triangles, low, cell)
+    return _means(vertices, number), kept
+
+
+def _means(vertices: FloatArray, number: IntArray) -> FloatArray:
+    """Mean (c, 3) of the vertices of each cell."""
     sums = np.column_stack([np.bincount(number, vertices[:, k]) for k in range(3)])
-    means: FloatArray = sums / counts[:, None]
+    return np.asarray(sums / np.bincount(number)[:, None])
+
+
+def _area(vertices: FloatArray, triangles: IntArray) -> float:
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
+
+
+def _cells(
+    vertices: FloatArray, triangles: IntArray, low: FloatArray, cell: float
+) -> tuple[IntArray, IntArray]:
+    """Triangles (m, 3) between cells, no two alike, and the number of each vertex's cell (n,)."""
+    at = np.floor((vertices - low) / cell).astype(np.int64)
+    _, number = np.unique((at[:, 0] << 42) + (at[:, 1] << 21) + at[:, 2], return_inverse=True)
     new = number[triangles]
-    has_area = (new[:, 0] != new[:, 1]) & (new[:, 1] != new[:, 2]) & (new[:, 2] != new[:, 0])
-    new = new[has_area]
-    _, first = np.unique(np.sort(new, axis=1), axis=0, return_index=True)
-    return means, np.asarray(new[np.sort(first)], dtype=np.int64)
+    new = new[(new[:, 0] != new[:, 1]) & (new[:, 1] != new[:, 2]) & (new[:, 2] != new[:, 0])]
+    corners, n = np.sort(new, axis=1), int(number.max()) + 1
+    _, first = np.unique((corners[:, 0] * n + corners[:, 1]) * n + corners[:, 2], return_index=True)
+    return np.asarray(new[np.sort(first)], dtype=np.int64), number

@@ -324,6 +324,20 @@ def check_folder(file: Path | None) -> None:
         raise FileFormatError(f"cannot write {file}: it is a folder; name a file")
 
 
+def check_films(*files: Path | None) -> None:
+    """Refuse files that cannot be written, the last of them a film, before the work.
+
+    Raises:
+        FileFormatError: A folder that does not exist.
+        TaskError: A film of an unknown kind, or one that needs a package.
+    """
+    from sim.looking.film import check_video
+
+    for file in files:
+        check_folder(file)
+    check_video(files[-1])
+
+
 def exit_for(report: Any) -> None:
     """Exit as a trial report says."""
     if report.reason == "interrupted":

@@ -26,7 +26,6 @@ from sim.cli.common import (
     told_command,
 )
 from sim.cli.options import PlanOptions, TrialOptions, with_options
-from sim.cli.pictures import draw_grasp
 
 LONGEST_NAME = 60
 """Characters of an object in a folder's name."""
@@ -101,6 +100,7 @@ def plan(
 ) -> None:
     """Plan a grasp and write it to a file."""
     from planner.files import plan_to_dict, write_plan
+    from sim.manipulation.drawing import draw_grasp
 
     check_folder(output)
     check_folder(picture)

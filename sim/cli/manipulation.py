@@ -28,6 +28,7 @@ from sim.cli.common import (
     StandOption,
     VideoOption,
     ViewOption,
+    check_films,
     err,
     errors_for_people,
     make_folder,
@@ -41,7 +42,6 @@ from sim.cli.common import (
 )
 from sim.cli.movement import NO_SHIFT, RotateOption, ShiftOption, movement
 from sim.cli.options import with_options
-from sim.cli.pictures import check_films
 
 if TYPE_CHECKING:
     from planner.motion.manipulation import ManipulationPlan

@@ -22,6 +22,7 @@ from sim.cli.common import (
     PictureOption,
     SeedOption,
     VideoOption,
+    check_films,
     err,
     errors_for_people,
     names,
@@ -32,7 +33,6 @@ from sim.cli.common import (
 )
 from sim.cli.movement import NO_SHIFT, ShiftOption
 from sim.cli.options import AttemptsOption
-from sim.cli.pictures import check_films, draw_motion
 
 AxisOption = Annotated[
     str,
@@ -88,6 +88,7 @@ def plan_motion(
     from planner.motion import plan_motion as plan
     from planner.objects import parse_object
     from planner.task import GraspTask
+    from sim.manipulation.drawing import draw_motion
 
     check_films(output, picture, video)
     task = GraspTask.create(
@@ -149,6 +150,7 @@ def plan_gait(
     from planner.motion.gait import plan_gait as plan
     from planner.objects import parse_object
     from planner.task import GraspTask
+    from sim.manipulation.drawing import draw_motion
 
     check_films(output, picture, video)
     task = GraspTask.create(

@@ -28,12 +28,12 @@ from sim.cli.common import (
     SimMuOption,
     VideoOption,
     ViewOption,
+    check_films,
     err,
     heeding_ctrl_c,
     numbers,
     physics_of,
 )
-from sim.cli.pictures import check_films
 from sim.cli.task_options import TaskOptions
 
 if TYPE_CHECKING:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -24,7 +24,15 @@ from sim.cli.common import (
     physics_of,
     print_json,
     say,
+    told_command,
 )
+
+if TYPE_CHECKING:
+    from planner.plan import GraspPlan
+    from sim.protocols import ProtocolReport
+
+PAGES = ("none", "failures", "all")
+"""Of which trials pages are written."""
 
 TABLE_WIDTH = 120
 """Width of the table, characters."""
@@ -32,6 +40,7 @@ TABLE_WIDTH = 120
 
 @errors_for_people()
 def test(
+    context: typer.Context,
     plans: Annotated[list[Path], typer.Argument(help="Plan files.", metavar="PLAN...")],
     protocol: Annotated[
         str,
@@ -46,6 +55,12 @@ def test(
     folder: Annotated[
         Path, typer.Option("--out", help="Folder for reports and trials.csv.", metavar="DIR")
     ] = Path("runs/test"),
+    pages: Annotated[
+        str,
+        typer.Option(
+            help="Of which trials a page (HTML) is written into the folder: none, failures or all."
+        ),
+    ] = "none",
     seed: SeedOption = 0,
     video: Annotated[
         str | None,
@@ -59,14 +74,13 @@ def test(
     rest in every direction. Of all protocols, those that a hand cannot take are skipped. The
     protocol dexgraspbench has the physics of its original, whatever --physics says.
     """
-    from planner.errors import TaskError
+    from planner.errors import NotFoundError, TaskError
     from planner.files import read_plan, write_json
     from sim.controllers import named_controller
     from sim.looking.backend import why_not
     from sim.looking.film import check_video
     from sim.protocols import (
         PROTOCOLS,
-        ProtocolReport,
         Settings,
         protocol_table,
         run_protocol,
@@ -76,6 +90,8 @@ def test(
     )
 
     named_controller(controller)  # bad input ends here
+    if pages not in PAGES:
+        raise NotFoundError("choice of pages", pages, PAGES)
     computed = physics_of(physics)
     ending = "" if video is None else f".{video}"
     check_video(f"film{ending}" if ending else None)
@@ -88,6 +104,7 @@ def test(
         ending = ""
     reports: list[ProtocolReport] = []
     skipped: list[dict[str, str]] = []
+    written: list[Path] = []
     with heeding_ctrl_c() as check:
         for number, (path, plan) in enumerate(loaded):
             for name, some in trials.items():
@@ -113,6 +130,9 @@ def test(
                 reports.append(report)
                 write_json(report.to_dict(), folder / f"{stem}.json")
                 write_csv(reports, folder / "trials.csv")
+                if pages != "none":
+                    command = told_command(context)
+                    written += _write_pages(report, plan, folder / stem, pages, command)
                 if not as_json:
                     # a narrow terminal breaks its lines
                     Console(width=max(out.width, TABLE_WIDTH)).print(protocol_table(report))
@@ -128,8 +148,30 @@ def test(
     else:
         films = f", {len(list(folder.glob(f'*{ending}')))} films" if ending else ""
         say(out, escape(f"written to {folder}: a report per plan and protocol, trials.csv{films}"))
+        if pages != "none":
+            first = f", the first is {written[0]}" if written else ""
+            say(out, escape(f"pages to open in a browser: {len(written)}{first}"))
     if not all(report.complete for report in reports):
         say(err, "interrupted; what was done is kept")
         raise typer.Exit(EXIT_INTERRUPTED)
     if not all(report.success for report in reports):
         raise typer.Exit(EXIT_NO)
+
+
+def _write_pages(
+    report: ProtocolReport, plan: GraspPlan, stem: Path, which: str, command: str
+) -> list[Path]:
+    """Write a page for every trial, or for those that were not held; the files."""
+    from planner.files import plain_name
+    from planner.pages.page import write_page
+    from sim.protocols.page import outcome_page
+
+    written = []
+    for outcome in report.outcomes:
+        moved = outcome.recording is not None and len(outcome.recording) > 0
+        if not moved or (which == "failures" and (outcome.held or outcome.grows)):
+            continue
+        path = stem.with_name(f"{stem.name}-{outcome.index:03d}-{plain_name(outcome.name)}.html")
+        write_page(outcome_page(report, outcome, plan, command), path)
+        written.append(path)
+    return written

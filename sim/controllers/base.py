@@ -38,6 +38,7 @@ Phase: TypeAlias = Literal[
     "open",
     "retreat",
 ]
+"""A phase of a trial or a manipulation."""
 
 PHASES: tuple[Phase, ...] = ("approach", "close", "squeeze", "settle", "lift", "hold")
 """Phases of a trial in order. A manipulation (``sim.manipulation``) turns the object in the hand,

@@ -25,6 +25,7 @@ __all__ = [
 ]
 
 MakeController: TypeAlias = Callable[[GraspPlan], Controller]
+"""What makes a controller of a plan: a class or a function."""
 
 AnyController: TypeAlias = str | Controller | MakeController
 """What is accepted as a controller: a name out of ``CONTROLLERS``, a controller, or a class or

@@ -35,7 +35,7 @@ FLOOR_DEPTH = 0.5
 """How far (m) below the object the floor is drawn where there is no table."""
 
 LAMPS = {
-    "key lamp": ((0.32, -0.42, -1.0), (0.44, 0.43, 0.40), True),
+    "key lamp": ((0.32, -0.42, -1.0), (0.42, 0.41, 0.38), True),
     "fill lamp": ((0.8, 0.9, -0.8), (0.16, 0.18, 0.21), False),
 }
 """Name -> direction of the light for a camera that looks along +x (y is left), brightness, and
@@ -67,7 +67,7 @@ def add_scenery(
     look.quality.shadowsize = 4096
     look.map.znear, look.map.shadowclip = 0.02, 4.5
     look.headlight.ambient = (0.40, 0.40, 0.41)
-    look.headlight.diffuse = (0.30, 0.30, 0.30)
+    look.headlight.diffuse = (0.36, 0.36, 0.36)
     look.headlight.specular = (0.05, 0.05, 0.05)
     spec.stat.center, spec.stat.extent = focus, scale * EXTENT
     spec.add_texture(

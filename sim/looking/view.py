@@ -23,8 +23,8 @@ __all__ = ["FIELD_OF_VIEW_DEG", "Subject", "View", "choose_views", "sees"]
 FIELD_OF_VIEW_DEG = 32.0
 """Vertical field of view of every camera, degrees: as a lens that does not distort a hand."""
 
-AZIMUTHS_DEG = tuple(float(a) for a in range(0, 360, 30))
-ELEVATIONS_DEG = (-22.0, -35.0)
+AZIMUTHS_DEG = tuple(float(a) for a in range(0, 360, 20))
+ELEVATIONS_DEG = (-20.0, -35.0)
 """Directions that are tried, degrees: MuJoCo's elevation is negative for a look from above."""
 
 RAYS = (40, 30)
@@ -38,6 +38,12 @@ MARGIN = 1.12
 
 TIP_SHARE = 0.6
 """How much the tips count in the choice of a direction; the object counts the rest."""
+
+CLUTTER = 0.6
+"""What a picture that is full of forearm or arm costs, as a share of the best score."""
+
+ENOUGH = 0.5
+"""Share of a tip, of what its best direction shows, at which it counts as seen."""
 
 FOLLOW_S = 0.5
 """Standard deviation (s) of the smoothing of the point that is looked at."""
@@ -148,7 +154,10 @@ def _best_direction(
         for azimuth in AZIMUTHS_DEG
     ]
     parts = (subject.object_body, *subject.tips)
+    moving = set(np.flatnonzero(model.body_weldid).tolist())
+    beside = sorted(moving - set(subject.bodies))
     areas = np.zeros((len(directions), len(poses), len(parts)))
+    clutter = np.zeros((len(directions), len(poses)))
     for k, qpos in enumerate(poses):
         cloud = _points(model, data, qpos, subject)
         middle = _middle(cloud)
@@ -156,12 +165,14 @@ def _best_direction(
             distance = _distance(cloud - middle, direction, aspect)
             view = replace(direction, lookat=middle, distance=distance)
             seen = sees(model, data, view, aspect)
+            clutter[i, k] = np.isin(seen, beside).mean()
             areas[i, k] = [distance**2 * np.count_nonzero(seen == body) for body in parts]
     shares = areas / np.maximum(areas.max(axis=0), 1e-9)
     tips = np.sqrt(shares[..., 1:]).mean(
         axis=(1, 2)
     )  # the root: one tip hidden is worse than two half hidden
     score = (1 - TIP_SHARE) * shares[..., 0].mean(axis=1) + TIP_SHARE * tips
+    score -= CLUTTER * clutter.mean(axis=1)
     return directions[int(np.argmax(score))]
 
 

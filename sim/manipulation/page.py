@@ -29,7 +29,6 @@ from sim.pages.tasks import task_of_plan
 from sim.pages.words import (
     events_block,
     facts_of,
-    friction_of,
     physics_blocks,
     plan_blocks,
     quality_rows,
@@ -132,12 +131,11 @@ def _scene(
     task: GraspTask | None,
     fault: float | None,
 ) -> Scene:
-    report = parts[-1].report
     time = np.concatenate([part.time for part in parts])
     bands = tuple(band for part in parts for band in _bands(part))
     contacts = []
     if stage is not None and recording is not None and task is not None:
-        contacts.append(measured_contacts(recording, friction_of(report.physics)))
+        contacts.append(measured_contacts(recording))
         if all(part.plan is not None for part in parts):
             contacts.append(planned_contacts(parts, task.mu))
     turning = next((b.begin for b in bands if b.name.startswith("turn")), time[0])

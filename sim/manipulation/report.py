@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planner.plain import finite
 from planner.quality import QualityReport
+from planner.showing import in_notebook
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 from planner.version import written_by
@@ -239,6 +240,10 @@ class ManipulationReport:
         lines += [f"controller: {line}" for line in told_events(self.events)]
         verdict = "complete" if self.complete else f"failed in {self.reason}"
         return "\n".join([*lines, f"{verdict}; the turn: {self._judged()}"])
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of it: a table and a picture, made once."""
+        return in_notebook(self)
 
     def _judged(self) -> str:
         """The turn in words: success with or without closure, or none."""

@@ -39,6 +39,7 @@ ManipulationPhase: TypeAlias = Literal[
     "regrasp",
     "back",
 ]
+"""A phase of a manipulation."""
 
 PHASES: tuple[ManipulationPhase, ...] = ManipulationPhase.__args__[:-2]  # type: ignore[attr-defined]
 """Phases of a manipulation in order, of one stroke that goes as planned. What else may happen is in

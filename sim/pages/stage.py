@@ -89,8 +89,10 @@ def bare_scene(time: FloatArray) -> Scene:
     return Scene(models={}, actors=(), focus=np.zeros(3), radius=0.1, time=time)
 
 
-def measured_contacts(recording: Recording, mu: float) -> Contacts:
-    """The recorded contacts, with cones of the simulation's friction."""
+def measured_contacts(recording: Recording) -> Contacts:
+    """The recorded contacts, with cones of the sliding friction that most of them have."""
+    friction = recording.friction[..., 0]
+    known = friction[np.isfinite(friction)]
     return Contacts(
         name="measured",
         layer="measured contacts",
@@ -98,5 +100,5 @@ def measured_contacts(recording: Recording, mu: float) -> Contacts:
         points=recording.points,
         normals=recording.normals,
         forces=recording.forces,
-        mu=mu,
+        mu=float(np.median(known)) if len(known) else 0.0,
     )

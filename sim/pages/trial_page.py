@@ -28,7 +28,6 @@ from sim.pages.tasks import plan_file, task_of_plan
 from sim.pages.words import (
     events_block,
     facts_of,
-    friction_of,
     grasp_rows,
     physics_blocks,
     plan_blocks,
@@ -98,7 +97,7 @@ def _scene(
         return None
     contacts = []
     if stage is not None and recording is not None:
-        contacts.append(measured_contacts(recording, friction_of(report.physics)))
+        contacts.append(measured_contacts(recording))
     if stage is not None and plan is not None:
         contacts.append(planned_in_object(plan))
     marks = event_marks(report.events)

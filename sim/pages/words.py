@@ -12,7 +12,6 @@ from sim.report_file import EventData
 __all__ = [
     "events_block",
     "facts_of",
-    "friction_of",
     "grasp_rows",
     "physics_blocks",
     "plan_blocks",
@@ -26,21 +25,20 @@ DIGITS = 3
 """Significant digits of a number."""
 
 
-def shown(value: float | str | Sequence[float] | None, unit: str = "") -> str:
-    """A number of the report with its unit, or several; "unknown" where there is none."""
+def shown(value: Any, unit: str = "") -> str:
+    """A value of the report with its unit, or several; "unknown" where there is none."""
     if value is None:
         return "unknown"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {shown(one)}" for name, one in value.items())
     if isinstance(value, str):
         return value
     if isinstance(value, Sequence):
         return " ".join([", ".join(shown(v) for v in value), unit]).rstrip()
     text = str(value) if isinstance(value, int) else f"{value:.{DIGITS}g}"
     return f"{text} {unit}".rstrip()
-
-
-def friction_of(physics: Mapping[str, Any]) -> float:
-    """Sliding friction (-) of a report's physics."""
-    return float(physics["mu"])
 
 
 def facts_of(values: Mapping[str, Any]) -> Facts:

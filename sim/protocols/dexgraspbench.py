@@ -91,6 +91,7 @@ class DexGraspBenchCase:
             fault=fault,
             fingers=task.finger_names,
             samples=test.trial.samples,
+            recording=test.trial.recording,
             load=test.trial.loads,
             unit="N",
             wrench=force / np.linalg.norm(force),

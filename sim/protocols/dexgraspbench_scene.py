@@ -23,7 +23,7 @@ import numpy as np
 from planner.bridge import compile_spec
 from planner.exchange.dexgraspbench import benchmark_pieces
 from planner.exchange.dexgraspbench.hand_file import T_model_base
-from planner.spatial import SE3, FloatArray, pose_to_wxyz
+from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
 from planner.task import GraspTask
 from sim.controllers.base import Phase
 from sim.gantry import Gantry
@@ -87,6 +87,10 @@ class Welded(Gantry):
     def coordinates(self, T_world_base: SE3) -> FloatArray:
         """Position and quaternion w, x, y, z (7,) of the free body for a pose of the base."""
         return np.concatenate(pose_to_wxyz(T_world_base * self.T_base_model))
+
+    def pose(self, coordinates: FloatArray) -> SE3:
+        """Pose of the base for position and quaternion (7,) of the free body."""
+        return pose_from_wxyz(coordinates[:3], coordinates[3:]) * self.T_base_model.inverse()
 
     def drive(self, data: Any, phase: Phase, share: float) -> None:
         """Nothing: the mocap body stands where the grasp is."""

@@ -25,6 +25,7 @@ from sim.controllers import AnyController, Phase
 from sim.controllers.monitors import SLIP_SPEED
 from sim.physics import PhysicsOptions
 from sim.recorder import Recorder
+from sim.recording import Recording
 from sim.samples import Samples
 from sim.scene import Scene
 from sim.simulation import Simulation
@@ -185,6 +186,11 @@ class DisturbanceTrial:
     def samples(self) -> Samples:
         """What was recorded so far."""
         return self._recorder.samples()
+
+    @property
+    def recording(self) -> Recording:
+        """The states at the same times."""
+        return self._recorder.recording()
 
     @property
     def loads(self) -> FloatArray:

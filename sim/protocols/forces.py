@@ -236,6 +236,7 @@ def _outcome(index: int, name: str, hold: DisturbanceTrial, fault: Fault | None)
         fault=fault,
         fingers=hold.plan.task.finger_names,
         samples=hold.samples,
+        recording=hold.recording,
         load=hold.loads,
         events=hold.simulation.events,
     )

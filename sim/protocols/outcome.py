@@ -17,6 +17,7 @@ from planner.certify import NEAR, Neighbourhood
 from planner.plain import finite
 from planner.spatial import FloatArray
 from sim.controllers import Event
+from sim.recording import Recording
 from sim.samples import Samples
 from sim.verdict import Fault, Reason
 
@@ -34,7 +35,8 @@ class Outcome:
             there ``largest_load_held`` counts.
         fault: Why and when it was not; None if it was.
         fingers: Names of the columns of ``samples``, n.
-        samples: What was recorded, m samples.
+        samples: What was judged, m samples.
+        recording: States at the same times, of which pages are made; None where there are none.
         load: (m,), size of the disturbance at each sample: N, or N m for a pure torque; 0 without.
         unit: Unit of ``load``, "" where nothing is loaded.
         largest_load_held: Largest load under which the object came to rest; NaN where none grows.
@@ -59,6 +61,7 @@ class Outcome:
     fingers: tuple[str, ...]
     samples: Samples
     load: FloatArray
+    recording: Recording | None = None
     unit: str = ""
     largest_load_held: float = float("nan")
     failure_load: float = float("nan")

@@ -89,6 +89,7 @@ class RobustCase:
             fault=report.verdict.fault,
             fingers=report.fingers,
             samples=report.samples,
+            recording=report.recording,
             load=np.zeros(len(report.samples)),
             events=report.events,
             conditions={

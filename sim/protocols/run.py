@@ -230,7 +230,7 @@ def physics_of(plan: GraspPlan, physics: PhysicsOptions) -> dict[str, Any]:
         "solref": [physics.time_constant, physics.solref[1]],
         "solimp": list(physics.solimp),
         "mujoco": mujoco.__version__,
-        **{k: v for k, v in made_with().items() if k != "load_average"},
+        **{k: v for k, v in made_with().items() if k in ("written_by", "machine", "cores")},
     }
 
 

@@ -80,6 +80,7 @@ class ShakeCase:
             fault=fault,
             fingers=plan.task.finger_names,
             samples=hold.samples,
+            recording=hold.recording,
             load=hold.loads,
             events=hold.simulation.events,
             conditions={

@@ -24,13 +24,16 @@ __all__ = ["FORMAT", "EntryJob", "run_gallery", "small_film"]
 
 FORMAT = "opposable-gallery"
 
+ROOT = Path(__file__).resolve().parents[3]
+"""The checkout, from which the scripts import."""
+
 TIME_LIMIT = 300.0
 """Longest that an entry may run, s."""
 
 SIZE = (320, 240)
-FRAMES = 40
-QUALITY = 45
-"""Pixels, most frames and WebP quality of a film in the gallery: some 50 kB."""
+FRAMES = 30
+QUALITY = 32
+"""Pixels, most frames and WebP quality of a film in the gallery: some 40 kB."""
 
 MOST_LINES = 60
 """Lines of output that are kept."""
@@ -75,7 +78,7 @@ def run_entry(job: EntryJob, check: Check) -> Row:
             done = subprocess.run(
                 [sys.executable, "-W", "ignore", "-m", "sim.bench.gallery.watch", folder, *what],
                 cwd=there / "run",
-                env={**os.environ, "PYTHONPATH": str(EXAMPLES.parent)},
+                env={**os.environ, "PYTHONPATH": str(ROOT)},
                 capture_output=True,
                 text=True,
                 timeout=TIME_LIMIT,

@@ -13,6 +13,7 @@ import runpy
 import sys
 from collections.abc import Callable
 from functools import wraps
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -40,9 +41,8 @@ def watch(folder: Path, arguments: list[str]) -> None:
     _keep_plans(plans)
     try:
         if arguments[0] == "opposable":
-            from sim.cli import app
-
-            app(arguments[1:], standalone_mode=False)
+            command = entry_points(group="console_scripts")["opposable"].load()
+            command(arguments[1:])
         else:
             sys.argv = arguments
             sys.path.insert(0, str(Path(arguments[0]).parent))

@@ -6,19 +6,20 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from planner.contacts import ContactSet
-    from planner.motion import MotionPlan
-    from planner.motion.gait import GaitPlan
-    from planner.motion.plan import Knot
-    from planner.plan import GraspPlan
-    from planner.spatial import SE3, FloatArray
+from planner.contacts import ContactSet
+from planner.motion import MotionPlan
+from planner.motion.gait import GaitPlan, Stroke
+from planner.motion.plan import Knot
+from planner.plan import GraspPlan
+from planner.spatial import SE3, FloatArray
+from sim.looking.picture import draw_tape
+from sim.looking.tape import Tape
+from sim.scene import build_scene
 
-__all__ = ["check_films", "draw_grasp", "draw_motion"]
+__all__ = ["draw_grasp", "draw_motion"]
 
 STROKE_S, RELOCATION_S = 3.0, 1.0
 """How long a stroke and a relocation take in a film of a plan, s."""
@@ -34,21 +35,6 @@ class Pose:
     q: FloatArray
     T_world_object: SE3
     contacts: ContactSet | None
-
-
-def check_films(*files: Path | None) -> None:
-    """Refuse files that cannot be written, the last of them a film, before the work.
-
-    Raises:
-        FileFormatError: A folder that does not exist.
-        TaskError: A film of an unknown kind, or one that needs a package.
-    """
-    from sim.cli.common import check_folder
-    from sim.looking.film import check_video
-
-    for file in files:
-        check_folder(file)
-    check_video(files[-1])
 
 
 def draw_grasp(plan: GraspPlan, picture: Path, *, arrows: bool) -> str:
@@ -74,8 +60,6 @@ def draw_motion(
         video: File of the film, if one is wanted.
         arrows: Draw the planned contact forces; fingers that move on are drawn without any.
     """
-    from planner.motion.gait import GaitPlan
-
     motion = plan.motion if isinstance(plan, GaitPlan) else plan
     in_the_air = replace(motion.grasp.task, table_height=None, obstacles=())
     poses = list(_poses(plan))
@@ -87,10 +71,6 @@ def draw_motion(
 def _draw(
     plan: GraspPlan, poses: list[Pose], *, picture: Path | None, video: Path | None, arrows: bool
 ) -> str:
-    from sim.looking.picture import draw_tape
-    from sim.looking.tape import Tape
-    from sim.scene import build_scene
-
     scene = build_scene(plan.task, T_world_base=plan.T_world_base, q=plan.q)
 
     def tape_of(poses: list[Pose]) -> Tape:
@@ -109,8 +89,6 @@ def _draw(
 
 
 def _poses(plan: MotionPlan | GaitPlan) -> Iterator[Pose]:
-    from planner.motion.gait import GaitPlan, Stroke
-
     if not isinstance(plan, GaitPlan):
         yield from _stroke(plan.knots)
         return
@@ -125,8 +103,6 @@ def _poses(plan: MotionPlan | GaitPlan) -> Iterator[Pose]:
 
 
 def _stroke(knots: tuple[Knot, ...]) -> Iterator[Pose]:
-    from planner.spatial import SE3
-
     count = max(2, round(STROKE_S * RATE / (len(knots) - 1)))
     for a, b in pairwise(knots):
         for share in np.linspace(0.0, 1.0, count):

@@ -1,0 +1,103 @@
+"""What a notebook shows of reports: a table, and a picture of the moment that decided.
+
+``planner.showing.in_notebook`` calls these; see ``planner.pages.notebook``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from planner.contacts import ContactSet
+from planner.errors import PlannerError
+from planner.files.data import TaskData
+from planner.files.tasks import task_from_data
+from planner.hand_loading import load_hand
+from planner.pages.notebook import grasp_picture, notebook_html
+from planner.spatial import pose_from_wxyz
+
+__all__ = ["manipulation_html", "trial_html"]
+
+
+def trial_html(report: Any) -> str:
+    """A ``sim.report.TrialReport``: verdict, planned and measured contacts; the end of the hold."""
+    moved, turned = report.largest_slip
+    verdict = (
+        f"held: the object moved {moved:.2f} mm and {turned:.2f} degrees in the hand"
+        if report.success
+        else f"not held, {report.reason}: {report.verdict.detail}"
+    )
+    rows = [
+        (
+            c.finger,
+            _number(c.position_error_mm, 2),
+            f"{c.planned_normal_force:.2f}",
+            f"{c.measured_normal_force:.2f}",
+        )
+        for c in report.comparison
+    ]
+    return notebook_html(
+        f"{report.hand}, {report.object}: {'held' if report.success else 'not held'}",
+        ("finger", "contact off by (mm)", "planned (N)", "measured (N)"),
+        rows,
+        notes=(
+            verdict,
+            f"{1e3 * report.mass_kg:.0f} g, seed {report.seed}, control {report.controller}, "
+            f"physics {report.physics['name']}, {report.simulated_s:.1f} s simulated",
+        ),
+        picture=_picture(report, report.plan),
+    )
+
+
+def manipulation_html(report: Any) -> str:
+    """A ``sim.manipulation.ManipulationReport``: phases and the turn; how it ended."""
+    rows = [
+        (r.phase, "passed" if r.passed else "failed", "" if r.passed else r.reason)
+        for r in report.results
+    ]
+    asked, turned = np.rad2deg(report.asked), np.rad2deg(report.turned)
+    plan = report.plan
+    motion = None if plan is None else plan["motion"] or plan["gait"]["stroke"]
+    return notebook_html(
+        f"{report.hand}, {report.object}: {'complete' if report.complete else 'failed'}",
+        ("phase", "outcome", "reason"),
+        rows,
+        notes=(
+            f"turned {_number(float(turned), 2)} of {asked:.1f} degrees",
+            report.reason
+            or f"success {'with' if report.success_with_closure else 'without'} closure",
+        ),
+        picture=_picture(report, None if motion is None else motion["grasp"]),
+    )
+
+
+def _picture(report: Any, grasp: dict[str, Any] | None) -> bytes | None:
+    """The recorded state that matters; None without one, or where the hand is not to be had."""
+    recording = report.recording
+    if grasp is None or not len(recording):
+        return None
+    try:
+        task_data = TaskData.model_validate(grasp["task"])
+        named = task_data.hand
+        hand = load_hand(named.description_path or named.name, download=False)
+        hand = hand.rolling if named.rolling else hand
+        task = task_from_data(task_data, hand)
+    except PlannerError:  # made on another machine: the table says what there is to say
+        return None
+    if list(hand.joint_names) != list(recording.joint_names):
+        return None
+    held = [i for i, phase in enumerate(recording.phase) if phase == "hold"]
+    i = held[-1] if held else len(recording) - 1
+    contacts: ContactSet = recording.contacts(i)
+    return grasp_picture(
+        task,
+        pose_from_wxyz(recording.T_world_base[i, :3], recording.T_world_base[i, 3:]),
+        recording.q[i],
+        pose_from_wxyz(recording.T_world_object[i, :3], recording.T_world_object[i, 3:]),
+        contacts,
+    )
+
+
+def _number(value: float, digits: int) -> str:
+    return "-" if np.isnan(value) else f"{value:.{digits}f}"

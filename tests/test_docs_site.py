@@ -1,0 +1,132 @@
+"""The built site: no warning, no dead link, nothing from outside, formulas without scripts."""
+
+from __future__ import annotations
+
+import resource
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("sphinx")
+pytest.importorskip("furo")
+pytest.importorskip("myst_parser")
+pytest.importorskip("sphinx_copybutton")
+pytest.importorskip("pyarrow")
+
+from machinery.check import check
+
+ROOT = Path(__file__).resolve().parent.parent
+BUILD_S = 300.0
+"""Most CPU (s) that a build may take."""
+
+
+def children_cpu() -> float:
+    """CPU (s) of all processes that this one has waited for."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site, built as its readers build it, warnings as errors."""
+    folder = tmp_path_factory.mktemp("documentation") / "site"
+    begun = children_cpu()
+    done = subprocess.run(
+        [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-E", "docs", str(folder)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert children_cpu() - begun < BUILD_S
+    return folder
+
+
+@pytest.mark.slow
+def test_no_link_is_dead_and_nothing_is_loaded_from_outside(site: Path) -> None:
+    found = check(site)
+    assert found.links > 1000
+    assert (found.dead, found.outside, found.malformed) == ([], [], [])
+
+
+@pytest.mark.slow
+def test_a_browser_without_a_network_shows_every_kind_of_page(site: Path) -> None:
+    playwright = pytest.importorskip("playwright.sync_api")
+    browser_path = shutil.which("chromium") or shutil.which("chromium-browser")
+    if browser_path is None:
+        pytest.skip("no package of a browser (chromium) is installed")
+    asked: list[str] = []
+    errors: list[str] = []
+    with playwright.sync_playwright() as tools:
+        browser = tools.chromium.launch(executable_path=browser_path, args=["--no-sandbox"])
+        page = browser.new_context(offline=True).new_page()
+        page.on("request", lambda request: asked.append(request.url))
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        for path in pages_of(site):
+            page.goto(path.as_uri())
+            assert page.locator("h1, #searchbox, input[type=search]").first.is_visible(), path
+        browser.close()
+    assert errors == []
+    assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
+
+
+def pages_of(site: Path) -> Iterator[Path]:
+    """One page of each folder, and all of the first level."""
+    seen: set[Path] = set()
+    for path in sorted(site.rglob("*.html")):
+        if "_static" not in path.parts and (path.parent == site or path.parent not in seen):
+            seen.add(path.parent)
+            yield path
+
+
+def page_in(folder: Path, body: str, name: str = "index.html") -> None:
+    folder.mkdir(exist_ok=True)
+    (folder / name).write_text(f"<html><body>{body}</body></html>", encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("body", "kind"),
+    [
+        ('<a href="nowhere.html">x</a>', "dead"),
+        ('<a href="other.html#nothing">x</a>', "dead"),
+        ('<a href="../outside.html">x</a>', "dead"),
+        ('<img src="picture.png">', "dead"),
+        ('<script src="https://cdn.example.org/x.js"></script>', "outside"),
+        ('<img src="//example.org/x.png">', "outside"),
+        ("<style>@import 'https://fonts.example.org/x.css';</style>", "outside"),
+        ('<p style="background: url(https://example.org/x.png)">x</p>', "outside"),
+        ('<link rel="stylesheet" href="https://example.org/x.css">', "outside"),
+        ('<a href="https://exa mple">x</a>', "malformed"),
+    ],
+)
+def test_a_fault_of_a_site_is_noticed(body: str, kind: str, tmp_path: Path) -> None:
+    page_in(tmp_path / "site", body)
+    page_in(tmp_path / "site", "<p id='place'>x</p>", "other.html")
+    page_in(tmp_path, "", "outside.html")
+    found = check(tmp_path / "site")
+    faults = {name: len(getattr(found, name)) for name in ("dead", "outside", "malformed")}
+    assert faults == {"dead": 0, "outside": 0, "malformed": 0} | {kind: 1}
+
+
+def test_links_that_lead_somewhere_are_no_fault(tmp_path: Path) -> None:
+    page_in(tmp_path, '<a href="other.html#place">x</a> <a href="https://example.org/a">y</a>')
+    page_in(tmp_path, "<p id='place'>x</p><a href='index.html'>x</a>", "other.html")
+    found = check(tmp_path)
+    assert (found.dead, found.outside, found.malformed) == ([], [], [])
+    assert found.links == 2
+    assert found.external == {"https://example.org/a"}
+
+
+def test_formulas_are_mathml() -> None:
+    from docutils import nodes
+    from machinery.mathml import mathml
+
+    made = mathml(r"\lVert f_{t,i} \rVert \le \mu f_n", block=True, where=nodes.paragraph())
+    assert made.startswith("<math")
+    assert "<msub>" in made
+    assert "<mi>μ</mi>" in made
