@@ -65,12 +65,10 @@ def advice_for_low(
     return None
 
 
-def said_of_low(error: NoGraspFoundError, task: GraspTask, advice: str | None) -> NoGraspFoundError:
-    """The error with the advice in place of the residuals of terms; the error itself without."""
+def said_of_low(error: NoGraspFoundError, task: GraspTask, advice: str) -> NoGraspFoundError:
+    """The error with the advice in place of the residuals of terms."""
     from planner.errors import NoGraspFoundError
 
-    if advice is None:
-        return error
     return NoGraspFoundError(
         f"no grasp of {task.object.name} with {task.hand.name} in {len(error.attempts)} attempts: "
         f"{advice}",

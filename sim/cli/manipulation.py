@@ -154,6 +154,8 @@ class TurnOptions:
                 )
             except NoGraspFoundError as error:
                 advice = advice_for_low(task, pose=None, options=SynthesisOptions())
+                if advice is None:
+                    raise
                 raise said_of_low(error, task, advice) from error
 
 

@@ -172,6 +172,8 @@ class PlanOptions(TaskOptions):
                     raise
                 status.update("planning: whether it would be found if the object stood higher ...")
                 advice = advice_for_low(task, pose=standing, options=options, progress=show)
+                if advice is None:
+                    raise
                 raise said_of_low(error, task, advice) from error
 
     def _search(
