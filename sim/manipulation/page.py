@@ -8,7 +8,7 @@ from functools import reduce
 
 import numpy as np
 
-from planner.pages.blocks import Block, Facts, Folded, Heading, Sentence, Table, Verdict
+from planner.pages.blocks import Block, Facts, Folded, Heading, PlotsHere, Sentence, Table, Verdict
 from planner.pages.page import Page
 from planner.pages.scene import Band, Bars, Line, Mark, Plot, Scene
 from planner.spatial import FloatArray
@@ -261,6 +261,7 @@ def _summary(parts: Sequence[Part], stage: Moving | None) -> tuple[Block, ...]:
     if report.made_backwards_because:
         text = f"Made backwards before it was put down: {report.made_backwards_because}."
         blocks.append(Sentence(text=text))
+    blocks.append(PlotsHere())
     for part in parts:
         blocks += _phases(part)
     numbers = dict(report.numbers)

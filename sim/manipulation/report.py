@@ -55,8 +55,8 @@ class ManipulationReport:
         R_world_palm: (3, 3), world from palm while the object was turned.
         log: What was judged, over time.
         recording: States at the same times.
-        plan: The plan as its file has it (``planner.files.manipulations.manipulation_to_dict``); None for a hand
-            that was made in Python, which no file can name.
+        plan: The plan as its file has it (``planner.files.manipulations.manipulation_to_dict``);
+            None for a hand that was made in Python, which no file can name.
         planned_modes: (m, n), contact modes as planned, at every sample.
         measured_modes: (m, n), as measured.
         before: Quality of the measured contacts before the lift; None if it never came to that.

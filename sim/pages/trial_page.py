@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from planner.files.data import ContactData, PlanFile
-from planner.pages.blocks import Block, Facts, Folded, Heading, Sentence, Table, Verdict
+from planner.pages.blocks import Block, Facts, Folded, Heading, PlotsHere, Sentence, Table, Verdict
 from planner.pages.page import Page
 from planner.pages.scene import Contacts, Line, Mark, Plot, Scene
 from planner.spatial import FloatArray
@@ -198,7 +198,7 @@ def _summary(report: ReportFile, plan: PlanFile | None, stage: Moving | None) ->
     if report.remedies:
         blocks.append(Sentence(text="Each of these keeps the object from creeping:"))
         blocks += [Sentence(text=remedy) for remedy in report.remedies]
-    blocks += _comparison(report)
+    blocks += [PlotsHere(), *_comparison(report)]
     blocks += events_block(report.events)
     rows = [("hand", report.hand), ("object", report.object), ("mass", shown(report.mass_kg, "kg"))]
     blocks += [Heading(text="Task")]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from planner.errors import TaskError
-from planner.pages.blocks import Block, Facts, Folded, Heading, Verdict
+from planner.pages.blocks import Block, Facts, Folded, Heading, PlotsHere, Verdict
 from planner.pages.page import Page
 from planner.pages.plan_scene import planned_contacts
 from planner.pages.scene import Line, Mark, Plot
@@ -138,6 +138,7 @@ def _summary(data: dict[str, Any], events: list[EventData], note: str) -> tuple[
     }
     friction = {**data["physics"], "mu": data["physics"]["friction"]}
     return (
+        PlotsHere(),
         Facts(rows=tuple((name, shown(data[name])) for name in HEAD if data[name] != "")),
         Heading(text="What came of it"),
         facts_of(facts),

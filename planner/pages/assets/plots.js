@@ -174,7 +174,6 @@ Opposable.Plots = class {
     const scale = this.ground(item, width, top, bottom), { times } = this.clock;
     rows.forEach(([name, states], r) => {
       const y = top + r * (height + 4) + 2;
-      Opposable.svg("text", { x: scale.left - 6, y: y + 12, class: "tick end" }, svg, name);
       let begin = 0;
       for (let i = 1; i <= states.length; i++) {
         if (i < states.length && states[i] === states[begin]) continue;
@@ -188,6 +187,8 @@ Opposable.Plots = class {
         }
         begin = i;
       }
+      // over the bars: names are longer than the margin
+      Opposable.svg("text", { x: scale.left + 4, y: y + 12, class: "tick over" }, svg, name);
     });
     this.addCursor(item, top, bottom);
   }
