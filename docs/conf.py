@@ -27,6 +27,7 @@ extensions = [
     "machinery.formats",
     "machinery.zoo",
     "machinery.messages",
+    "machinery.results",
 ]
 exclude_patterns = ["machinery"]
 root_doc = "index"

@@ -89,7 +89,7 @@ def checked(pinch: float, wide: float) -> CheckReport:
     gaps = {"open": wide, "pinch": pinch}
     rows = tuple(PostureRow(name=n, gap=g, facing_deg=(), clearance=0.0) for n, g in gaps.items())
     empty = dict.fromkeys(("joints", "couplings", "workspaces", "pads", "touches", "findings"), ())
-    return CheckReport(hand="h", postures=rows, kinematics_error=0.0, **empty)  # type: ignore[arg-type]
+    return CheckReport(hand="h", postures=rows, kinematics_error=0.0, **empty)
 
 
 def test_objects_fit_between_the_pads() -> None:

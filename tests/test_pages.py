@@ -27,18 +27,21 @@ from planner.contacts import ContactSet
 from planner.errors import FileFormatError, NotFoundError
 from planner.files import plan_to_dict
 from planner.hands.catalog import hand_names
+from planner.kinematics.state import HandState
 from planner.pages.hand_model import hand_model
 from planner.pages.motion_page import motion_page
 from planner.pages.object_motion import object_motion
 from planner.pages.page import page_html, read_page_data, write_page
 from planner.pages.payload import pack
 from planner.pages.plan_page import RATE, bands_of, plan_page
+from planner.pages.plan_scene import stage_of
 from planner.pages.polar import resisted_forces
 from planner.pages.rows import pose_row
 from planner.pages.scene import Model
 from planner.pages.simplify import simplified
 from planner.pages.surroundings import MOST_TRIANGLES, object_model
 from planner.pages.three import three_source
+from planner.pages.viewpoint import hand_points, views_of
 from planner.quality import primitive_wrenches
 from planner.shapes import SIZED_SHAPES
 from planner.shapes.mesh import Mesh
@@ -319,3 +322,35 @@ def test_contacts_without_closure_have_no_chart(plan: GraspPlan) -> None:
     set_ = plan.contacts
     two = ContactSet.from_contacts([set_[0], set_[1]], center=set_.center)
     assert resisted_forces(two, 0.05) is None
+
+
+def test_a_page_opens_from_where_the_hand_does_not_hide_the_object() -> None:
+    down = np.array([0.0, 0.0, -1.0])
+    seen = 0.03 * np.random.default_rng(0).uniform(-1, 1, size=(30, 3))
+    nothing = np.full((1, 3), 9.0)
+    open_view = views_of(down, None, nothing, seen)[0].direction
+    # a wall between the object and that place
+    grid = np.stack(np.meshgrid(np.linspace(-0.1, 0.1, 40), np.linspace(-0.1, 0.1, 40)), axis=-1)
+    across = np.linalg.svd(np.array([open_view]))[2][1:]
+    wall = 0.1 * np.array(open_view) + grid.reshape(-1, 2) @ across
+    moved, palm = views_of(down, None, wall, seen)
+    assert np.dot(moved.direction, open_view) < 0.8
+    assert palm.direction == (0.0, 0.0, -1.0)
+
+
+def test_a_page_opens_from_beside_the_palm(plan: GraspPlan) -> None:
+    views = {v.name: np.array(v.direction) for v in stage_of(plan).views(plan.contacts)}
+    facing = plan.T_world_palm.rotation @ plan.task.hand.palm_normal
+    assert abs(views["start"] @ facing) < 0.6
+    assert np.allclose(views["palm"], facing)
+
+
+def test_points_of_a_hand_lie_on_its_geometry(plan: GraspPlan) -> None:
+    hand = plan.task.hand
+    state = HandState(hand, plan.q)
+    points = hand_points(hand_model(hand), plan.T_world_base, state)
+    tip = hand.fingers["index"].pad
+    center = (plan.T_world_base * state.joint_pose(tip.joint_id)).act(tip.center)
+    away = np.linalg.norm(points - center, axis=1)
+    assert (np.abs(away - tip.radius) < 1e-2 * tip.radius).sum() > 5
+    assert away.max() < 0.4

@@ -15,6 +15,7 @@ from PIL import Image
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.looking.backend import open_backend
+from sim.looking.dress import dress_hand
 from sim.looking.picture import PICTURE, Drawn, draw_tape, moments_of
 from sim.looking.tape import Tape
 from sim.looking.view import Subject
@@ -160,6 +161,21 @@ def test_looks_weigh_nothing_and_touch_nothing(monkeypatch: pytest.MonkeyPatch) 
         ):
             a, b = getattr(dressed, f"geom_{field}"), getattr(bare, f"geom_{field}")
             assert np.array_equal(a[collides], b[there]), field
+
+
+def test_a_published_hand_is_drawn_as_it_is_under_our_sky() -> None:
+    spec = mujoco.MjSpec.from_string(
+        """<mujoco><asset><texture name="sky" type="skybox" builtin="flat" width="8" height="48"/>
+        <texture name="skin" type="2d" builtin="flat" width="8" height="8"/></asset>
+        <worldbody><light name="own"/><body><geom name="seen" size="0.1" contype="0"
+        conaffinity="0"/><geom name="felt" type="box" size="0.1 0.1 0.1"/></body></worldbody>
+        </mujoco>"""
+    )
+    dress_hand(spec, spec.compile())
+    model = spec.compile()
+    assert [model.texture(i).name for i in range(model.ntex)] == ["skin"]
+    assert model.nlight == 0
+    assert model.ngeom == 2 and not model.geom_group.any()
 
 
 def test_what_collides_and_is_not_drawn_is_drawn_as_something_else() -> None:

@@ -31,7 +31,19 @@ from planner.shapes import Mesh
 from planner.system.models import models_dir
 from planner.task import GraspTask
 from sim.cli import app
-from sim.viewing import Answer, LocalServer, Opening, Target, ViewOptions, recognise, show
+from sim.report_file import write_report
+from sim.timeline import Timeline
+from sim.trial import simulate
+from sim.viewing import (
+    Answer,
+    LocalServer,
+    Opening,
+    Target,
+    ViewOptions,
+    recognise,
+    show,
+    warnings_of,
+)
 from sim.viewing.dataset_tables import DatasetTables
 from sim.viewing.of_dataset import DatasetSite
 from sim.viewing.opening import has_browser
@@ -373,3 +385,39 @@ def test_a_dataset_has_its_columns_poses_and_attempts(dataset_site: LocalServer)
     status, body = asked(dataset_site, "/grasp/77")
     assert status == 422
     assert b"0 to 5" in body
+
+
+# ---- reports
+
+
+@pytest.fixture(scope="module")
+def run_folder(plan: GraspPlan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run, with its report as JSON."""
+    folder = tmp_path_factory.mktemp("run")
+    timeline = Timeline(approach=0.3, close=0.3, squeeze=0.3, settle=0.2, lift=0.4, hold=0.3)
+    write_report(simulate(plan, timeline=timeline).to_dict(), folder / "report.json")
+    return folder
+
+
+def test_a_report_is_shown_as_file_page_or_folder(run_folder: Path, tmp_path: Path) -> None:
+    page = viewed(run_folder / "report.json")
+    write_page(page, tmp_path / "report.html")
+    for target in (run_folder, tmp_path / "report.html"):
+        assert kind_of(target).startswith("a report"), target
+        shown = viewed(target)
+        assert shown.data == page.data
+        assert shown.scene is not None
+        assert {"hand", "object"} <= {a.name for a in shown.scene.actors}
+        assert warnings_of(shown) == ()
+
+
+def test_a_report_without_states_says_so_in_one_line(run_folder: Path, tmp_path: Path) -> None:
+    old = json.loads((run_folder / "report.json").read_text()) | {"version": 1}
+    del old["plan"], old["recording"]
+    file = tmp_path / "old.json"
+    file.write_text(json.dumps(old))
+    done = RUN.invoke(app, ["view", str(file), "--out", str(tmp_path / "old.html")])
+    assert done.exit_code == 0
+    (line,) = [x for x in done.output.splitlines() if "no recorded states" in x]
+    assert "run it again" in line
+    assert read_page_data(tmp_path / "old.html")[0] == "report"

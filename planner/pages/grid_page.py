@@ -7,6 +7,7 @@ of single grasps. Pictures are drawn in the browser.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from html import escape
 
 from planner.hands.hand import Hand
@@ -14,6 +15,8 @@ from planner.pages.hand_model import hand_model
 from planner.pages.own_assets import asset
 from planner.pages.payload import pack
 from planner.pages.rows import pose_row
+from planner.pages.scene import Model
+from planner.pages.simplify import simplified
 from planner.pages.surroundings import object_model
 from planner.pages.three import three_source
 from planner.task import GraspTask
@@ -22,6 +25,12 @@ __all__ = ["grid_html", "grid_models", "grid_script"]
 
 SCRIPTS = ("unpack.js", "bodies.js", "side.js", "thumbnails.js", "grid.js", "grid_main.js")
 """In the order in which they run, after three.js."""
+
+MOST_TRIANGLES = 12_000
+"""Of a hand or an object in a picture of 176 pixels."""
+
+DRAWN = ("hand", "pads", "object")
+"""Layers in a picture."""
 
 
 def grid_html(title: str, subtitle: str) -> str:
@@ -48,13 +57,29 @@ def grid_models(hand: Hand, tasks: Mapping[str, GraspTask]) -> bytes:
     """
     return pack(
         {
-            "hand": hand_model(hand),
+            "hand": _light(hand_model(hand)),
             "objects": {
                 label: {
-                    "model": object_model(task.object.shape, label).model,
+                    "model": _light(object_model(task.object.shape, label).model),
                     "pose": pose_row(task.T_world_object),
                 }
                 for label, task in tasks.items()
             },
         }
     )
+
+
+def _light(model: Model) -> Model:
+    """A model with what a small picture shows, and with few triangles."""
+    drawn = [part for part in model.parts if part.layer in DRAWN]
+    share = MOST_TRIANGLES / max(1, sum(len(part.triangles) for part in drawn))
+    parts = []
+    for part in drawn:
+        most = max(LEAST_TRIANGLES, int(share * len(part.triangles)))
+        vertices, triangles, _ = simplified(part.vertices, part.triangles, most)
+        parts.append(replace(part, vertices=vertices, triangles=triangles))
+    return Model(joints=model.joints, parts=tuple(parts))
+
+
+LEAST_TRIANGLES = 60
+"""That every part may keep."""

@@ -27,11 +27,8 @@ __all__ = ["hand_page"]
 PALM_COLOUR, AXIS_COLOUR = (0.13, 0.55, 0.30, 1.0), (0.95, 0.52, 0.18, 1.0)
 """Colours of the arrows along which the palm and the pads face."""
 
-PALM_ARROW, PAD_ARROW = 0.06, 0.02
+PALM_ARROW, PAD_ARROW = 0.08, 0.02
 """Lengths of these arrows, m."""
-
-ROOM = 1.2
-"""Radius of the picture over that of the hand's points: links are thicker than points (-)."""
 
 
 def hand_page(
@@ -83,23 +80,31 @@ def _postures(hand: Hand) -> dict[str, FloatArray]:
 
 
 def _scene(hand: Hand, q: FloatArray) -> Scene:
-    state = HandState(hand, q)
-    points = [state.tip_pose(f).translation for f in hand.fingers.values()]
-    points += [state.T_base_palm.translation]
-    points += [
-        (state.joint_pose(g.joint_id) * g.T_joint_geometry).translation for g in hand.geometries
-    ]
-    focus = (np.min(points, axis=0) + np.max(points, axis=0)) / 2
-    radius = ROOM * float(np.linalg.norm(np.array(points) - focus, axis=1).max())
+    state, model = HandState(hand, q), hand_model(hand)
+    points = np.concatenate(
+        [
+            np.array([state.joint_pose(p.joint + 1).act(v) for v in _corners(p.vertices)])
+            for p in model.parts
+            if p.layer == "hand"
+        ]
+    )
+    focus = (points.min(axis=0) + points.max(axis=0)) / 2
     palm = state.T_base_palm.rotation @ hand.palm_normal
     return Scene(
-        models={"hand": _with_arrows(hand)},
+        models={"hand": _with_arrows(hand, model)},
         actors=(Actor(name="hand", model="hand", pose=IDENTITY_ROW, q=q),),
         focus=focus,
-        radius=radius,
+        radius=float(np.linalg.norm(points - focus, axis=1).max()),
         time=np.zeros(0),
         views=(_view("palm", palm), _view("back", -palm), _view("start", palm + _aside(palm))),
     )
+
+
+def _corners(vertices: FloatArray) -> FloatArray:
+    """Corners (8, 3) of the box around points."""
+    ends = np.array([vertices.min(axis=0), vertices.max(axis=0)])
+    choice = np.array(np.meshgrid([0, 1], [0, 1], [0, 1])).reshape(3, -1).T
+    return np.column_stack([ends[choice[:, k], k] for k in range(3)])
 
 
 def _view(name: str, direction: FloatArray) -> View:
@@ -116,15 +121,20 @@ def _aside(direction: FloatArray) -> FloatArray:
     return aside
 
 
-def _with_arrows(hand: Hand) -> Model:
-    model, frame = hand_model(hand), hand.pin_model.frames[hand.palm_frame_id]
+def _with_arrows(hand: Hand, model: Model) -> Model:
+    frame = hand.pin_model.frames[hand.palm_frame_id]
     place: SE3 = frame.placement
+    joint = int(frame.parentJoint) - 1
+    on_palm = [p.vertices for p in model.parts if p.joint == joint and p.layer == "hand"]
+    middle = place.translation
+    if on_palm:
+        middle = _corners(np.concatenate(on_palm)).mean(axis=0)
     arrows = [
         arrow_part(
             "direction that the palm faces",
-            joint=int(frame.parentJoint) - 1,
+            joint=joint,
             layer="pads",
-            start=place.translation,
+            start=middle,
             direction=place.rotation @ hand.palm_normal,
             length=PALM_ARROW,
             colour=PALM_COLOUR,

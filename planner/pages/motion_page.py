@@ -18,7 +18,7 @@ from planner.pages.blocks import Block, Facts, Heading, PlotsHere, Sentence, Tab
 from planner.pages.object_motion import AnyMotion, ObjectMotion, object_motion
 from planner.pages.page import Page
 from planner.pages.plan_page import bands_of, hand_motion, task_facts
-from planner.pages.plan_scene import Stage, contact_rows, stage_of, views_of
+from planner.pages.plan_scene import Stage, contact_rows, stage_of
 from planner.pages.rows import pose_rows
 from planner.pages.scene import Contacts, Line, Motion, Plot, Scene
 from planner.plan import GraspPlan
@@ -92,7 +92,7 @@ def _scene(plan: AnyMotion, grasp: GraspPlan, stage: Stage) -> Scene:
         plots=_plots(grasp.task.finger_names, found, axis),
         bands=bands,
         start=start,
-        views=views_of(grasp.task.hand, grasp.T_world_palm, grasp.contacts),
+        views=stage.views(grasp.contacts),
         follow="object",
     )
 

@@ -18,7 +18,7 @@ from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.pages.hand_model import hand_model
 from planner.pages.painter import data_uri, paint
-from planner.pages.plan_scene import Stage, planned_contacts, views_of
+from planner.pages.plan_scene import Stage, planned_contacts
 from planner.pages.rows import IDENTITY_ROW
 from planner.pages.scene import Actor, Model, Part, Scene
 from planner.plan import GraspPlan
@@ -213,7 +213,6 @@ def grasp_picture(
 ) -> bytes:
     """Hand and object where they are, with contacts (world) as marks, as PNG."""
     stage = Stage(task, T_world_base, q, T_world_object, for_painter=True)
-    T_world_palm = T_world_base * HandState(task.hand, q).T_base_palm
     marked = contacts is not None and len(contacts) > 0
     scene = Scene(
         models=stage.models,
@@ -223,7 +222,7 @@ def grasp_picture(
         time=np.zeros(0),
         contacts=(planned_contacts([contacts]),) if contacts is not None and marked else (),
     )
-    return paint(scene, views_of(task.hand, T_world_palm, contacts)[0].direction)
+    return paint(scene, stage.views(contacts)[0].direction)
 
 
 def _hand_picture(hand: Hand) -> bytes:

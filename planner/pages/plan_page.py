@@ -9,7 +9,7 @@ import numpy as np
 from planner.files.plans import plan_to_dict
 from planner.pages.blocks import Block, Command, Facts, Folded, Heading, Sentence, Table, Verdict
 from planner.pages.page import Page
-from planner.pages.plan_scene import Stage, planned_contacts, stage_of, views_of
+from planner.pages.plan_scene import Stage, planned_contacts, stage_of
 from planner.pages.polar import resisted_forces
 from planner.pages.rows import pose_rows
 from planner.pages.scene import Band, Motion, Scene
@@ -54,7 +54,7 @@ def _scene(plan: GraspPlan, stage: Stage) -> Scene:
         contacts=(planned_contacts([plan.contacts]),),
         bands=bands_of(trajectory),
         start=float(trajectory.times[-1]),
-        views=views_of(plan.task.hand, plan.T_world_palm, plan.contacts),
+        views=stage.views(plan.contacts),
     )
 
 

@@ -7,17 +7,21 @@ from collections.abc import Sequence
 import numpy as np
 
 from planner.contacts import ContactSet
-from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.pages.hand_model import hand_model
 from planner.pages.rows import IDENTITY_ROW, pose_row
 from planner.pages.scene import Actor, Contacts, Layer, Model, View
 from planner.pages.surroundings import ShownObject, object_model, obstacle_model, table_model
+from planner.pages.viewpoint import hand_points, views_of
 from planner.plan import GraspPlan
+from planner.shapes.triangulation import surface_points
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 
-__all__ = ["Stage", "contact_rows", "planned_contacts", "stage_of", "views_of"]
+__all__ = ["Stage", "contact_rows", "planned_contacts", "stage_of"]
+
+SEEN = 40
+"""Points of the object by which views are compared."""
 
 MARGIN = 0.03
 """How far (m) the picture reaches beyond joints and object: the thickness of a finger."""
@@ -47,6 +51,8 @@ class Stage:
         for_painter: bool = False,
     ) -> None:
         """Models and actors for hand and object where they are given; see ``hand_model``."""
+        self._hand, self._object = task.hand, task.object.shape
+        self._T_world_base, self._q, self._T_world_object = T_world_base, q, T_world_object
         self.shown: ShownObject = object_model(task.object.shape, task.object.name)
         self.models: dict[str, Model] = {
             "hand": hand_model(task.hand, for_painter=for_painter),
@@ -67,6 +73,19 @@ class Stage:
             self.models[name] = obstacle_model(obstacle)
             pose = pose_row(obstacle.T_world_obstacle)
             self.actors.append(Actor(name=name, model=name, pose=pose, q=np.zeros(0)))
+
+    def views(self, contacts: ContactSet | None) -> tuple[View, ...]:
+        """The opening place of the camera, and that which faces the palm.
+
+        Args:
+            contacts: World; None where nothing is held.
+        """
+        state = HandState(self._hand, self._q)
+        palm = self._T_world_base * state.T_base_palm
+        hiding = hand_points(self.models["hand"], self._T_world_base, state)
+        seen = surface_points(self._object, SEEN)
+        seen = seen @ self._T_world_object.rotation.T + self._T_world_object.translation
+        return views_of(palm.rotation @ self._hand.palm_normal, contacts, hiding, seen)
 
 
 def stage_of(plan: GraspPlan) -> Stage:
@@ -114,31 +133,3 @@ def planned_contacts(
         mu=float(np.min(sets[0].mu)),
         actor=actor,
     )
-
-
-def views_of(hand: Hand, T_world_palm: SE3, contacts: ContactSet | None) -> tuple[View, ...]:
-    """The opening place of the camera, beside the palm and across the grip, and "palm"."""
-    facing = T_world_palm.rotation @ hand.palm_normal
-    grip = np.zeros(3)
-    if contacts is not None and len(contacts):
-        _, vectors = np.linalg.eigh(contacts.normals.T @ contacts.normals)
-        grip = vectors[:, -1]
-    best, score = np.array([0.75, -1.0, 0.62]), -np.inf
-    for azimuth in np.deg2rad(np.arange(-180, 180, 15)):
-        direction = np.array([np.cos(azimuth), np.sin(azimuth), 0.45])
-        direction /= np.linalg.norm(direction)
-        value = -abs(direction @ facing) - 0.6 * abs(direction @ grip)
-        # where that leaves a choice, from the right and the front
-        value += 0.1 * float(direction @ [0.5, -0.75, 0.0])
-        if value > score:
-            best, score = direction, value
-    palm = _unit(facing)
-    return (
-        View(name="start", direction=(float(best[0]), float(best[1]), float(best[2]))),
-        View(name="palm", direction=(float(palm[0]), float(palm[1]), float(palm[2]))),
-    )
-
-
-def _unit(vector: FloatArray) -> FloatArray:
-    unit: FloatArray = vector / np.linalg.norm(vector)
-    return unit

@@ -70,7 +70,7 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
             example="opposable plan-gait shadow_hand cylinder:0.03x0.10 --angle 180",
         ),
     ),
-    "See": (Listed(call=view, example="opposable view shadow_hand -o hand.html"),),
+    "Look": (Listed(call=view, example="opposable view plan.json -o plan.html"),),
     "Forces and certificates": (
         Listed(call=analyse, example="opposable analyse plan.json"),
         Listed(call=forces, example="opposable forces plan.json"),
@@ -88,7 +88,6 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
         Listed(call=inspect, example="opposable inspect shadow_hand"),
         Listed(call=crosscheck, example="opposable crosscheck my_hand.xml"),
     ),
-    "Look": (Listed(call=view, example="opposable view plan.json -o plan.html"),),
     MEASURE: (Listed(call=creep, example="opposable creep plan.json --physics menagerie"),),
 }
 """Title of a group -> its commands; the first example is the group's."""

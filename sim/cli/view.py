@@ -54,7 +54,7 @@ def view(
     What it is, its content says. Without a display a server on 127.0.0.1 shows it, until Ctrl-C.
     """
     from planner.errors import TaskError
-    from sim.viewing import Opening, Target, ViewOptions, recognise, show
+    from sim.viewing import Opening, Target, ViewOptions, recognise, show, warnings_of
 
     check_folder(output)
     target = Target(what)
@@ -71,5 +71,7 @@ def view(
     )
     with err.status(escape(f"preparing {what} ...")):
         shown = kind.shown(target, options)
+    for warning in warnings_of(shown):
+        say(err, f"[yellow]{escape(warning)}[/]")
     opening = Opening(out=output, port=port, open=not no_open)
     show(shown, opening, lambda line: say(out, escape(line)))

@@ -2,7 +2,8 @@
 
 What is added has no mass and does not collide. What it stands for goes to a group of geoms that is
 not drawn (3 in MuJoCo's viewer) and collides as before; pads and links are drawn as they collide.
-A hand that has geoms to be seen only, as published models have, is left as it is.
+A hand that has geoms to be seen only, as published models have, is drawn as it is; but of its sky
+and its lights a scene has its own.
 """
 
 from __future__ import annotations
@@ -46,12 +47,15 @@ RIM = 32
 
 
 def dress_hand(spec: Any, model: Any) -> None:
-    """Add what is seen to a spec of a hand, in place.
+    """Add what is seen to a spec of a hand, in place; take its own sky and lights away.
 
     Args:
         spec: ``mujoco.MjSpec`` with named geoms.
         model: The same, compiled: ``mujoco.MjModel``.
     """
+    skies = [t for t in spec.textures if t.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX]
+    for element in (*skies, *spec.lights):
+        spec.delete(element)
     if spec.compiler.discardvisual or not _plain(model):
         return
     housings: dict[int, list[int]] = defaultdict(list)

@@ -40,7 +40,7 @@ SMALL = replace(LARGE, size=(480, 360), larger=2.0)
 
 FORMATS = {
     ".mp4": FilmFormat(quality=LARGE, rate=25.0, most=1500),
-    ".webp": FilmFormat(quality=LARGE, rate=12.5, most=500),
+    ".webp": FilmFormat(quality=LARGE, rate=20.0, most=600),
     ".gif": FilmFormat(quality=SMALL, rate=12.5, most=500),
 }
 """File ending -> format. A GIF has 256 colours and is several times as large: so it is smaller."""

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planner.errors import FileFormatError
-from planner.kinematics.state import HandState
-from planner.pages.plan_scene import Stage, views_of
+from planner.pages.plan_scene import Stage
 from planner.pages.scene import Contacts, Motion, Scene
 from planner.spatial import FloatArray, pose_from_wxyz
 from planner.task import GraspTask, Obstacle
@@ -67,7 +66,6 @@ def moving_stage(
     stage = Stage(task, base, recording.q[grip], item)
     followed = "hand" if hand.arm is None else "object"
     way = recording.T_world_base if hand.arm is None else recording.T_world_object
-    T_world_palm = base * HandState(hand, recording.q[grip]).T_base_palm
     scene = Scene(
         models=stage.models,
         actors=tuple(stage.actors),
@@ -78,7 +76,7 @@ def moving_stage(
             Motion(actor="hand", pose=recording.T_world_base, q=recording.q),
             Motion(actor="object", pose=recording.T_world_object, q=np.zeros((len(recording), 0))),
         ),
-        views=views_of(hand, T_world_palm, recording.contacts(grip)),
+        views=stage.views(recording.contacts(grip)),
         follow=followed,
     )
     return Moving(scene=scene, note=stage.shown.note)

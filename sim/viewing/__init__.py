@@ -5,7 +5,7 @@ brings the result to a browser.
 """
 
 from sim.viewing.kinds import Kind, ViewOptions, kinds, recognise, register_kind
-from sim.viewing.opening import Opening, show
+from sim.viewing.opening import Opening, show, warnings_of
 from sim.viewing.server import Answer, LocalServer, Site
 from sim.viewing.target import Target
 
@@ -21,4 +21,5 @@ __all__ = [
     "recognise",
     "register_kind",
     "show",
+    "warnings_of",
 ]

@@ -14,11 +14,12 @@ from pathlib import Path
 
 from planner.errors import FileFormatError
 from planner.files.whole import plain_name
+from planner.pages.blocks import Sentence
 from planner.pages.page import Page, page_html, write_page
 from sim.viewing.kinds import Shown
 from sim.viewing.server import Answer, LocalServer, Site
 
-__all__ = ["Opening", "has_browser", "show"]
+__all__ = ["Opening", "has_browser", "show", "warnings_of"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +70,14 @@ def show(shown: Shown, opening: Opening, say: Callable[[str], None]) -> None:
         return
     site = _OnePage(shown) if isinstance(shown, Page) else shown
     _serve(site, opening.port, browser, say)
+
+
+def warnings_of(shown: Shown) -> tuple[str, ...]:
+    """What a page warns of: what is missing in it, or simplified."""
+    if not isinstance(shown, Page):
+        return ()
+    sentences = [block for block in shown.summary if isinstance(block, Sentence)]
+    return tuple(s.text for s in sentences if s.kind == "warning")
 
 
 def has_browser() -> bool:

@@ -89,9 +89,9 @@ Opposable.Stage = class {
 
   addLights() {
     const r = this.scene.radius;
-    this.world.add(new THREE.HemisphereLight(0xf6f8ff, 0xb9b0a4, 0.5));
+    this.world.add(new THREE.HemisphereLight(0xf6f8ff, 0xb9b0a4, 0.46));
     this.lights = [
-      { light: new THREE.DirectionalLight(0xfff4e6, 0.56), from: [1.1, -0.9, 3.2] },
+      { light: new THREE.DirectionalLight(0xfff4e6, 0.52), from: [1.1, -0.9, 3.2] },
       { light: new THREE.DirectionalLight(0xdce8ff, 0.24), from: [-2, -1.2, 1.0] },
       { light: new THREE.DirectionalLight(0xffffff, 0.26), from: [0.4, 2.4, 0.9] },
     ];

@@ -19,8 +19,6 @@ COMMANDS = {
         "A full turn in the hand, by strokes and regrasps",
         ("manipulate", "shadow_hand", "cylinder", "--angle", "360"),
     ),
-    "mug": ("A mug, a mesh, is picked up", ("run", "shadow_hand", "mug")),
-    "arm": ("A hand on an arm", ("run", "allegro_on_arm7", "cylinder")),
 }
 """Commands beside the scripts: name -> title and arguments of ``opposable``."""
 

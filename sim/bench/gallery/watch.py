@@ -41,8 +41,9 @@ def watch(folder: Path, arguments: list[str]) -> None:
     _keep_plans(plans)
     try:
         if arguments[0] == "opposable":
-            command = entry_points(group="console_scripts")["opposable"].load()
-            command(arguments[1:])
+            (program,) = entry_points(group="console_scripts", name="opposable")
+            sys.argv = arguments
+            program.load()()
         else:
             sys.argv = arguments
             sys.path.insert(0, str(Path(arguments[0]).parent))
@@ -70,7 +71,8 @@ def _film(owner: Any, method: str, folder: Path, shown: list[Any]) -> None:
 
 def _keep_plans(plans: list[Any]) -> None:
     """Note what ``plan_grasp`` finds."""
-    original = planner.search.search
+    home: Any = planner.search
+    original = home.search
 
     @wraps(original)
     def noted(*arguments: Any, **options: Any) -> Any:
@@ -79,7 +81,7 @@ def _keep_plans(plans: list[Any]) -> None:
             plans.append(plan)
         return plan, made
 
-    planner.search.search = noted  # type: ignore[assignment]
+    home.search = noted
 
 
 if __name__ == "__main__":

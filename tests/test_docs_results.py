@@ -1,0 +1,83 @@
+"""Tables of results come out of the files of the commands that measure."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("sphinx")
+
+from machinery import results
+from rich.table import Table
+
+from sim import runner
+
+ROOT = Path(__file__).resolve().parent.parent
+FILES = sorted(results.DATA.glob("*.json"))
+PAGES = "\n".join(p.read_text(encoding="utf-8") for p in (ROOT / "docs" / "results").glob("*.md"))
+
+
+def result(path: Path) -> dict[str, Any]:
+    read = json.loads(path.read_text(encoding="utf-8"))
+    assert isinstance(read, dict)
+    return read
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: p.name)
+def test_a_file_says_how_it_was_measured_and_stands_on_a_page(path: Path) -> None:
+    read = result(path)
+    assert read["command"].startswith("opposable bench ")
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d", read["date"])
+    assert re.fullmatch(r"[0-9a-f]{7,}", read["commit"]), "measured on files that were changed"
+    assert not read["interrupted"]
+    assert path.stat().st_size < 1000 * results.LARGEST_KB
+    assert f"```{{measured}} {path.name}" in PAGES
+    assert ".. list-table::" in results.as_page(read)
+
+
+def test_every_file_that_a_page_shows_is_there() -> None:
+    shown = set(re.findall(r"```\{measured\} (\S+)", PAGES))
+    assert shown
+    assert shown == {path.name for path in FILES}
+
+
+def test_every_kind_of_measurement_can_be_shown() -> None:
+    formats = set()
+    for path in (ROOT / "sim" / "bench").rglob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        formats |= set(re.findall(r'(?:kind=|FORMAT = |kind = )"(opposable-[\w-]+)"', text))
+    known = {*results.TABLES, *(name.removesuffix("-summary") for name in results.TABLES)}
+    assert len(formats) > 8
+    assert formats - known <= {"opposable-zoo", "opposable-gallery"}  # pages of their own
+
+
+def test_a_table_of_the_terminal_becomes_one_of_a_page() -> None:
+    table = Table("hand", "held", title="grasps")
+    table.add_row("allegro_hand", "10/10")
+    assert results.as_list_table(table) == [
+        "**grasps**",
+        "",
+        ".. list-table::",
+        "   :header-rows: 1",
+        "",
+        "   * - hand",
+        "     - held",
+        "   * - allegro\\_hand",
+        "     - 10/10",
+        "",
+    ]
+
+
+def test_a_measurement_says_command_date_and_commit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.argv", ["bin/opposable", "bench", "grasps", "--hands", "a b"])
+    made = runner.made_with()
+    assert made["command"] == "opposable bench grasps --hands 'a b'"
+    assert re.fullmatch(r"\d{4}-\d\d-\d\d", made["date"])
+    if (ROOT / ".git").exists():
+        assert re.fullmatch(r"([0-9a-f]{7,}(-dirty)?)?", made["commit"])
+    monkeypatch.setattr("sys.argv", ["pytest"])
+    assert runner.made_with()["command"] == ""
