@@ -102,6 +102,7 @@ class Measured(SphinxDirective):
         if not path.is_file():
             raise self.error(f"{path.name} is not in docs/results/data; measure it with --out")
         self.env.note_dependency(str(path))
+        self.env.note_dependency(__file__)
         result = json.loads(path.read_text(encoding="utf-8"))
         return self.parse_text_to_nodes("\n".join(as_page(result)))
 
