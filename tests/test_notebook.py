@@ -200,8 +200,18 @@ def test_a_trial_shows_planned_and_measured_forces(report: TrialReport) -> None:
 
 
 def test_a_report_without_a_recording_has_a_table_alone(report: TrialReport) -> None:
-    over_time = ("time", "phase", "q", "T_world_base", "T_world_object", "points", "normals")
-    over_time += ("forces", "friction", "commands")
+    poses = ("T_world_base", "T_world_object")
+    over_time = (
+        "time",
+        "phase",
+        "q",
+        *poses,
+        "points",
+        "normals",
+        "forces",
+        "friction",
+        "commands",
+    )
     recording = report.recording
     nothing = replace(recording, **{name: getattr(recording, name)[:0] for name in over_time})
     cells = seen(replace(report, recording=nothing))
