@@ -47,6 +47,15 @@ def test_a_low_object_is_told_what_would_do_and_it_does(
     assert plan(f"{line} {found[0]}", tmp_path) == (0, "")
 
 
+def test_what_is_to_be_turned_is_told_its_stand() -> None:
+    line = ["manipulate", "allegro_hand", "cylinder:0.04x0.015", "--max-attempts", "4"]
+    done = RUN.invoke(app, line)
+    assert done.exit_code == 4
+    said = " ".join(done.stderr.split())
+    assert "it lies 15 mm high on the table" in said
+    assert said.endswith("on a stand of 30 mm a grasp was found: --stand 0.03")
+
+
 def test_a_pose_comes_before_a_stand_and_says_how_high_it_is() -> None:
     task = GraspTask.create("allegro_hand", "box:0.1x0.06x0.012")
     advice = advice_for_low(task, pose=0, options=SynthesisOptions())

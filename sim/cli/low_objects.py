@@ -10,13 +10,14 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from planner.errors import NoGraspFoundError
     from planner.plan import GraspPlan
     from planner.search import Attempt
     from planner.shapes.stable import StablePose
     from planner.synthesis.options import SynthesisOptions
     from planner.task import GraspTask
 
-__all__ = ["advice_for_low"]
+__all__ = ["advice_for_low", "said_of_low"]
 
 LOW = 2.0
 """Height of an object over the thickness of a fingertip (-) below which it may be too low. The
@@ -35,7 +36,7 @@ STANDS = (0.03, 0.05)
 def advice_for_low(
     task: GraspTask,
     *,
-    pose: int,
+    pose: int | None,
     options: SynthesisOptions,
     progress: Callable[[Attempt[GraspPlan]], None] | None = None,
 ) -> str | None:
@@ -43,23 +44,36 @@ def advice_for_low(
 
     Args:
         task: An object in a stable pose on a table, for which no grasp was found.
-        pose: Which of the stable poses that is.
+        pose: Which of the stable poses that is; None where the command takes no other, and it is
+            the first.
         options: What synthesis was asked for.
         progress: Called after every attempt.
     """
     thick = 2 * max(finger.pad.radius for finger in task.fingers)
     poses = task.object.shape.resting_poses()
-    height = _height(task, poses[pose])
+    height = _height(task, poses[pose or 0])
     if task.table_height is None or height >= LOW * thick:
         return None
     lies = (
         f"it lies {1e3 * height:.0f} mm high on the table, and a fingertip of {task.hand.name} is "
         f"{1e3 * thick:.0f} mm thick"
     )
-    for remedy, other in (*_poses(task, poses, HIGHER * height), *_stands(task)):
+    others = () if pose is None else _poses(task, poses, HIGHER * height)
+    for remedy, other in (*others, *_stands(task)):
         if _is_found(other, options, progress):
             return f"{lies}; {remedy}"
     return None
+
+
+def said_of_low(error: NoGraspFoundError, task: GraspTask, advice: str) -> NoGraspFoundError:
+    """The error with the advice in place of the residuals of terms."""
+    from planner.errors import NoGraspFoundError
+
+    return NoGraspFoundError(
+        f"no grasp of {task.object.name} with {task.hand.name} in {len(error.attempts)} attempts: "
+        f"{advice}",
+        error.attempts,
+    )
 
 
 def _poses(

@@ -124,8 +124,11 @@ class TurnOptions:
         Raises:
             PlannerError: Bad input, or nothing was found.
         """
+        from planner.errors import NoGraspFoundError
         from planner.motion.manipulation import manipulation_task, on_stand, plan_manipulation
         from planner.objects import parse_object
+        from planner.synthesis.options import SynthesisOptions
+        from sim.cli.low_objects import advice_for_low, said_of_low
         from sim.manipulation import rests, settled
 
         axis, degrees, shift = movement(self.rotate, self.shift)
@@ -137,17 +140,23 @@ class TurnOptions:
         )
         task = settled(on_stand(task, self.stand) if self.stand else task)
         with err.status(f"planning: {task.hand.name}, {task.object.name} ..."):
-            return plan_manipulation(
-                task,
-                axis=axis,
-                angle=math.radians(degrees),
-                shift=shift,
-                place=self.target(),
-                seed=self.seed,
-                max_attempts=self.max_attempts,
-                regrasp=self.gait,
-                rests=rests,
-            )
+            try:
+                return plan_manipulation(
+                    task,
+                    axis=axis,
+                    angle=math.radians(degrees),
+                    shift=shift,
+                    place=self.target(),
+                    seed=self.seed,
+                    max_attempts=self.max_attempts,
+                    regrasp=self.gait,
+                    rests=rests,
+                )
+            except NoGraspFoundError as error:
+                advice = advice_for_low(task, pose=None, options=SynthesisOptions())
+                if advice is None:
+                    raise
+                raise said_of_low(error, task, advice) from error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -298,7 +307,7 @@ def _execute(
         write_manipulation(plan, out_dir / "manipulation.json")
         write_trajectory(plan.joint_trajectory(), out_dir / "trajectory.csv")
         write_report(report.to_dict(), out_dir / "report.json")
-        report.save_html(out_dir / "report.html", task=plan.task)
+        report.save_html(out_dir / "report.html")
     if as_json:
         print_json(report.to_dict())
     else:

@@ -153,7 +153,7 @@ class PlanOptions(TaskOptions):
             NoGraspFoundError: No attempt found a grasp.
         """
         from planner.errors import NoGraspFoundError
-        from sim.cli.low_objects import advice_for_low
+        from sim.cli.low_objects import advice_for_low, said_of_low
 
         options, task = self.synthesis(), self.task(hand, object)
         title = f"planning: {task.hand.name}, {task.object.name} ..."
@@ -172,13 +172,9 @@ class PlanOptions(TaskOptions):
                     raise
                 status.update("planning: whether it would be found if the object stood higher ...")
                 advice = advice_for_low(task, pose=standing, options=options, progress=show)
-                if not advice:
+                if advice is None:
                     raise
-                raise NoGraspFoundError(
-                    f"no grasp of {task.object.name} with {task.hand.name} in "
-                    f"{len(error.attempts)} attempts: {advice}",
-                    error.attempts,
-                ) from error
+                raise said_of_low(error, task, advice) from error
 
     def _search(
         self,
