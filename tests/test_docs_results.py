@@ -36,7 +36,7 @@ def test_a_file_says_how_it_was_measured_and_stands_on_a_page(path: Path) -> Non
     assert not read["interrupted"]
     assert path.stat().st_size < 1000 * results.LARGEST_KB
     assert f"```{{measured}} {path.name}" in PAGES
-    assert ".. list-table::" in results.as_page(read)
+    assert any(line.startswith("| ---") for line in results.as_page(read))
 
 
 def test_every_file_that_a_page_shows_is_there() -> None:
@@ -58,16 +58,12 @@ def test_every_kind_of_measurement_can_be_shown() -> None:
 def test_a_table_of_the_terminal_becomes_one_of_a_page() -> None:
     table = Table("hand", "held", title="grasps")
     table.add_row("allegro_hand", "10/10")
-    assert results.as_list_table(table) == [
+    assert results.as_markdown(table) == [
         "**grasps**",
         "",
-        ".. list-table::",
-        "   :header-rows: 1",
-        "",
-        "   * - hand",
-        "     - held",
-        "   * - allegro\\_hand",
-        "     - 10/10",
+        "| hand | held |",
+        "| --- | --- |",
+        "| allegro\\_hand | 10/10 |",
         "",
     ]
 

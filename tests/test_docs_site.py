@@ -55,6 +55,16 @@ def test_no_link_is_dead_and_nothing_is_loaded_from_outside(site: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("page", ["grasps", "forces", "manipulation"])
+def test_a_measurement_is_shown_as_a_table(site: Path, page: str) -> None:
+    text = (site / "results" / f"{page}.html").read_text(encoding="utf-8")
+    before = text[: text.index("when and on which commit was not noted")]
+    assert "load average" in before
+    assert "<table" in before
+    assert "list-table" not in text
+
+
+@pytest.mark.slow
 def test_a_browser_without_a_network_shows_every_kind_of_page(site: Path) -> None:
     asked: list[str] = []
     errors: list[str] = []

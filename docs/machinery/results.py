@@ -71,24 +71,23 @@ def text_of(cell: object) -> str:
     return shown(str(getattr(cell, "plain", cell)))
 
 
-def as_list_table(table: Table) -> list[str]:
+def as_markdown(table: Table) -> list[str]:
     """A table of the terminal as one of a page."""
-    lines = [".. list-table::", "   :header-rows: 1", ""]
-    rows = zip(*(list(column.cells) for column in table.columns), strict=True)
-    for row in [[column.header for column in table.columns], *rows]:
-        for k, cell in enumerate(row):
-            lines.append(f"   {'* -' if k == 0 else '  -'} {text_of(cell)}".rstrip())
+    rows = list(zip(*(list(column.cells) for column in table.columns), strict=True))
+    head = [column.header for column in table.columns]
+    lines = [f"| {' | '.join(text_of(cell) for cell in row)} |" for row in [head, *rows]]
+    lines.insert(1, "|" + " --- |" * len(head))
     title = [f"**{text_of(table.title)}**", ""] if table.title else []
     caption = [text_of(table.caption), ""] if table.caption else []
     return [*title, *lines, "", *caption]
 
 
 def as_page(result: dict[str, Any]) -> list[str]:
-    """How a result was measured, and its tables."""
+    """How a result was measured, and its tables, in Markdown."""
     made = TABLES[result["format"]](result)
     lines = [made_with(result), ""]
     for one in (made,) if isinstance(made, Table | str) else made:
-        lines += as_list_table(one) if isinstance(one, Table) else [shown(one), ""]
+        lines += as_markdown(one) if isinstance(one, Table) else [shown(one), ""]
     return lines
 
 
