@@ -12,11 +12,12 @@ from rich.table import Table
 from rich.text import Text
 
 from planner.contacts import ContactSet
+from planner.files import plan_to_dict
 from planner.plain import finite
+from planner.plan import GraspPlan
 from planner.quality import QualityReport
 from planner.showing import in_notebook
 from planner.spatial import FloatArray
-from planner.task import GraspTask
 from planner.version import written_by
 from sim.controllers.events import Event
 from sim.recording import Recording, RecordingData
@@ -69,8 +70,7 @@ class TrialReport(OnScreen):
         fingers: Names of the fingers that take part, order of the columns in ``samples``.
         samples: What was judged, over time.
         recording: States at the same times.
-        plan: The plan as its file has it (``planner.files.plan_to_dict``); None for a hand that was
-            made in Python, which no file can name, and for a plan without forces.
+        plan: What was executed.
         comparison: Planned against measured contacts, one per finger; empty without a hold.
         quality_planned: Analysis of the planned contacts.
         quality_measured: The same analysis of where the contacts were at the end of the hold,
@@ -108,7 +108,7 @@ class TrialReport(OnScreen):
     fingers: tuple[str, ...]
     samples: Samples
     recording: Recording
-    plan: dict[str, Any] | None
+    plan: GraspPlan
     comparison: tuple[FingerComparison, ...]
     quality_planned: QualityReport
     quality_measured: QualityReport | None
@@ -222,12 +222,8 @@ class TrialReport(OnScreen):
         """
         return self.to_file(states=states).model_dump(mode="json")
 
-    def save_html(self, path: Path | str, *, task: GraspTask | None = None) -> None:
+    def save_html(self, path: Path | str) -> None:
         """Write the trial as a page: one HTML file with motion, plots, summary and this report.
-
-        Args:
-            path: The file.
-            task: The plan's task, if the report's plan is None or loading its hand would be slow.
 
         Raises:
             FileFormatError: The file cannot be written.
@@ -235,7 +231,7 @@ class TrialReport(OnScreen):
         from planner.pages.page import write_page
         from sim.pages import trial_page
 
-        write_page(trial_page(self.to_file(), task), path)
+        write_page(trial_page(self.to_file(), self.plan.task), path)
 
     def to_file(self, *, states: bool = True) -> ReportFile:
         """The same as the data of a file, which pages are made of."""
@@ -289,6 +285,14 @@ class TrialReport(OnScreen):
             picture=None if self.picture is None else self.picture.name,
             picture_reason=self.picture_reason,
             samples=SampleData.model_validate(self.samples.to_dict()),
-            plan=self.plan if states else None,
+            plan=self._plan_to_dict() if states else None,
             recording=RecordingData(**self.recording.to_dict()) if states else None,
         )
+
+    def _plan_to_dict(self) -> dict[str, Any] | None:
+        """The plan as its file has it; None where there can be no file.
+
+        None can name a hand that was made in Python, and none holds a plan without forces.
+        """
+        named = self.plan.task.hand.reference is not None
+        return plan_to_dict(self.plan) if named and self.plan.forces.found else None

@@ -24,7 +24,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from planner.errors import TaskError
-from planner.files import plan_to_dict
 from planner.plan import GraspPlan
 from planner.quality import analyse
 from sim.contacts import NO_FORCE, hand_contacts, merge_per_finger
@@ -199,7 +198,7 @@ class Trial:
             fingers=task.finger_names,
             samples=samples,
             recording=self.recorder.recording(),
-            plan=plan_to_dict(plan) if task.hand.reference and plan.forces.found else None,
+            plan=plan,
             comparison=self.recorder.comparison(),
             quality_planned=plan.quality,
             quality_measured=analyse(measured, length=length) if ended_holding else None,

@@ -14,7 +14,12 @@ import pytest
 pytest.importorskip("sphinx")
 pytest.importorskip("pyarrow")
 
-from machinery import api, commands, examples, formats, messages, public
+import machinery.api as api
+import machinery.commands as commands
+import machinery.examples as examples
+import machinery.formats as formats
+import machinery.messages as messages
+import machinery.public as public
 
 import planner
 import sim

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import resource
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -17,6 +16,7 @@ pytest.importorskip("myst_parser")
 pytest.importorskip("sphinx_copybutton")
 pytest.importorskip("pyarrow")
 
+from browser import browser
 from machinery.check import check
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -56,21 +56,15 @@ def test_no_link_is_dead_and_nothing_is_loaded_from_outside(site: Path) -> None:
 
 @pytest.mark.slow
 def test_a_browser_without_a_network_shows_every_kind_of_page(site: Path) -> None:
-    playwright = pytest.importorskip("playwright.sync_api")
-    browser_path = shutil.which("chromium") or shutil.which("chromium-browser")
-    if browser_path is None:
-        pytest.skip("no package of a browser (chromium) is installed")
     asked: list[str] = []
     errors: list[str] = []
-    with playwright.sync_playwright() as tools:
-        browser = tools.chromium.launch(executable_path=browser_path, args=["--no-sandbox"])
-        page = browser.new_context(offline=True).new_page()
+    with browser() as chromium:
+        page = chromium.new_context(offline=True).new_page()
         page.on("request", lambda request: asked.append(request.url))
         page.on("pageerror", lambda error: errors.append(str(error)))
         for path in pages_of(site):
             page.goto(path.as_uri())
             assert page.locator("h1, #searchbox, input[type=search]").first.is_visible(), path
-        browser.close()
     assert errors == []
     assert [url for url in asked if not url.startswith(("file:", "data:", "blob:"))] == []
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from scipy.optimize import linprog
+from typer.testing import CliRunner
 
 from planner import (
     GraspPlan,
@@ -25,7 +28,7 @@ from planner import (
 )
 from planner.contacts import ContactSet
 from planner.errors import FileFormatError, NotFoundError
-from planner.files import plan_to_dict
+from planner.files import plan_to_dict, read_plan
 from planner.hands.catalog import hand_names
 from planner.kinematics.state import HandState
 from planner.pages.hand_model import hand_model
@@ -33,7 +36,7 @@ from planner.pages.motion_page import motion_page
 from planner.pages.object_motion import object_motion
 from planner.pages.page import page_html, read_page_data, write_page
 from planner.pages.payload import pack
-from planner.pages.plan_page import RATE, bands_of, plan_page
+from planner.pages.plan_page import RATE, bands_of, plan_command, plan_page
 from planner.pages.plan_scene import stage_of
 from planner.pages.polar import resisted_forces
 from planner.pages.rows import pose_row
@@ -47,6 +50,7 @@ from planner.shapes import SIZED_SHAPES
 from planner.shapes.mesh import Mesh
 from planner.showing import page_of
 from planner.spatial import SE3, FloatArray, minimum_jerk, pose_from_wxyz
+from sim.cli import app
 
 LARGEST_PAGE = 1_000_000
 """Bytes of a plan's page."""
@@ -354,3 +358,18 @@ def test_points_of_a_hand_lie_on_its_geometry(plan: GraspPlan) -> None:
     away = np.linalg.norm(points - center, axis=1)
     assert (np.abs(away - tip.radius) < 1e-2 * tip.radius).sum() > 5
     assert away.max() < 0.4
+
+
+def test_the_command_on_the_page_gives_the_plan_again(plan: GraspPlan, tmp_path: Path) -> None:
+    words = shlex.split(plan_command(plan))
+    assert words[0] == "opposable"
+    result = CliRunner().invoke(app, [*words[1:], "--out", str(tmp_path / "plan.json")])
+    assert result.exit_code == 0, result.output
+    again = read_plan(tmp_path / "plan.json")
+    assert np.allclose(again.q, plan.q, atol=1e-9)
+    assert np.allclose(again.T_world_base.homogeneous, plan.T_world_base.homogeneous, atol=1e-9)
+
+
+def test_a_task_that_the_command_line_cannot_say_has_no_command(plan: GraspPlan) -> None:
+    lifted = dataclasses.replace(plan.task, gravity=np.array([0.0, 0.0, -1.62]))
+    assert plan_command(dataclasses.replace(plan, task=lifted)) == ""

@@ -307,7 +307,7 @@ def test_a_page_is_made_of_the_json_alone(
     """Without the plan at hand, and the same to the last byte."""
     write_report(held.to_dict(), tmp_path / "report.json")
     write_page(trial_page(read_report(tmp_path / "report.json")), tmp_path / "again.html")
-    held.save_html(tmp_path / "at_hand.html", task=plan.task)
+    held.save_html(tmp_path / "at_hand.html")
     assert (tmp_path / "again.html").read_bytes() == (tmp_path / "at_hand.html").read_bytes()
 
 
@@ -366,6 +366,20 @@ def test_a_page_that_cannot_be_written_is_an_error_for_people(
 ) -> None:
     with pytest.raises(FileFormatError, match="cannot write"):
         held.save_html(tmp_path / "no folder" / "report.html")
+
+
+def test_a_hand_that_no_file_can_name_is_shown_from_the_report_in_memory(
+    turned: ManipulationReport, held: TrialReport, plan: GraspPlan, tmp_path: Path
+) -> None:
+    hand = replace(plan.task.hand, reference=None)
+    made = replace(held, plan=replace(plan, task=replace(plan.task, hand=hand)))
+    file = made.to_file()
+    assert file.plan is None and file.recording is not None
+    shown, alone = trial_page(file, made.plan.task), trial_page(file)
+    assert shown.scene is not None and len(shown.scene.actors) == 3
+    assert alone.scene is not None and alone.scene.actors == ()
+    assert any("names no hand that can be loaded" in text for text in texts(alone.summary))
+    made.save_html(tmp_path / "report.html")
 
 
 # --- in the browser ----------------------------------------------------------------------------

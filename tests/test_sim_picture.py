@@ -178,6 +178,20 @@ def test_a_published_hand_is_drawn_as_it_is_under_our_sky() -> None:
     assert model.ngeom == 2 and not model.geom_group.any()
 
 
+def test_looks_add_no_mass_where_inertia_comes_from_geoms() -> None:
+    spec = mujoco.MjSpec.from_string(
+        """<mujoco><worldbody><body><geom name="palm" type="box" size="0.04 0.04 0.01"/>
+        <body><joint axis="0 1 0"/><geom name="link" type="capsule" size="0.01"
+        fromto="0 0 0 0 0 0.05"/></body></body></worldbody></mujoco>"""
+    )
+    bare = spec.compile()
+    dress_hand(spec, bare)
+    dressed = spec.compile()
+    assert dressed.ngeom == bare.ngeom + 3  # a housing, a boot, a pin
+    assert np.array_equal(dressed.body_mass, bare.body_mass)
+    assert np.array_equal(dressed.body_inertia, bare.body_inertia)
+
+
 def test_what_collides_and_is_not_drawn_is_drawn_as_something_else() -> None:
     for hand in ("allegro_hand", "shadow_hand"):
         model = scene_of("box", hand).model

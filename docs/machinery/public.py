@@ -80,7 +80,16 @@ GROUPS: dict[str, list[str]] = {
         "sim.samples",
         "sim.contacts",
         "sim.recorder",
+        "sim.recording",
+        "sim.states",
+        "sim.report_file",
+    ],
+    "Pages, pictures and films": [
+        "sim.pages",
+        "sim.viewing",
         "sim.looking",
+        "planner.pages",
+        "planner.showing",
     ],
     "Controllers": [
         "sim.controllers",

@@ -115,6 +115,7 @@ class Folded:
 Block: TypeAlias = (
     Heading | Sentence | Verdict | Facts | Table | Command | Image | PlotsHere | Folded | Polar
 )
+"""What a column of a page is made of."""
 
 
 PLOTS = '<div id="plots"></div>'

@@ -22,6 +22,7 @@ from planner.spatial import SE3, minimum_jerk
 __all__ = ["AnyMotion", "ObjectMotion", "object_motion"]
 
 AnyMotion = MotionPlan | GaitPlan | ManipulationPlan
+"""A plan of how an object moves in the hand, of either kind, or a whole manipulation."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -103,7 +103,9 @@ def headless() -> Iterator[Any]:
     try:
         playwright = import_module("playwright.sync_api")
     except ImportError as error:
-        raise PlannerError("opening pages needs playwright; pip install playwright") from error
+        raise PlannerError(
+            "opening pages needs playwright: pip install 'opposable[browser]'"
+        ) from error
     with playwright.sync_playwright() as running:
         browser = running.chromium.launch(executable_path=program, args=ARGUMENTS)
         yield browser

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -190,7 +190,7 @@ def _trial(plan: GraspPlan, rng: np.random.Generator, *, forces: bool) -> Made:
         outcome=report.reason or "held",
         states=States.of(report.recording) if recorded else None,
         fault=report.verdict.time if recorded and not report.success else None,
-        write=partial(report.save_html, task=plan.task),
+        write=report.save_html,
     )
 
 
@@ -230,7 +230,7 @@ def _manipulation(
         outcome="complete" if report.complete else report.reason.split(":")[0],
         states=States.of(recording),
         fault=None if good else scene.start,
-        write=partial(report.save_html, task=task),
+        write=report.save_html,
     )
 
 

@@ -73,7 +73,7 @@ def run(
         say(out, escape(str(plan)))
     report = replace(execute(plan, folder / "held.png"), command=told_command(context))
     write_report(report.to_dict(), folder / "report.json")
-    report.save_html(folder / "report.html", task=plan.task)
+    report.save_html(folder / "report.html")
     if as_json:
         print_json({"plan": plan_to_dict(plan), "report": report.to_dict()})
     else:
@@ -149,7 +149,7 @@ def simulate(
     elif report_file is not None:
         write_report(report.to_dict(), report_file)
     if page is not None:
-        report.save_html(page, task=plan.task)
+        report.save_html(page)
     if as_json:
         print_json(report.to_dict())
     else:

@@ -307,7 +307,7 @@ def _execute(
         write_manipulation(plan, out_dir / "manipulation.json")
         write_trajectory(plan.joint_trajectory(), out_dir / "trajectory.csv")
         write_report(report.to_dict(), out_dir / "report.json")
-        report.save_html(out_dir / "report.html", task=plan.task)
+        report.save_html(out_dir / "report.html")
     if as_json:
         print_json(report.to_dict())
     else:

@@ -110,7 +110,10 @@ def _verdict(report: ManipulationReportFile, fault: float | None) -> Verdict:
 
 
 def _fault_time(parts: Sequence[Part]) -> float | None:
-    """When it first went wrong, on the page's axis, s; None if nothing did."""
+    """When it first went wrong, on the page's axis, s; None if nothing did in the end."""
+    last = parts[-1].report
+    if last.complete and last.success_with_closure:
+        return None
     times = [p.end_s + part.shift for part in parts for p in part.report.phases if not p.passed]
     for part in parts:
         limit = part.report.criteria["collision_N"]

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.files.manipulations import manipulation_to_dict
+from planner.motion.manipulation import ManipulationPlan
 from planner.plain import finite
 from planner.quality import QualityReport
 from planner.showing import in_notebook
 from planner.spatial import FloatArray
-from planner.task import GraspTask
 from planner.version import written_by
 from sim.controllers import Event
 from sim.controllers.events import told_events
@@ -55,8 +56,7 @@ class ManipulationReport:
         R_world_palm: (3, 3), world from palm while the object was turned.
         log: What was judged, over time.
         recording: States at the same times.
-        plan: The plan as its file has it (``planner.files.manipulations.manipulation_to_dict``);
-            None for a hand that was made in Python, which no file can name.
+        plan: What was executed.
         planned_modes: (m, n), contact modes as planned, at every sample.
         measured_modes: (m, n), as measured.
         before: Quality of the measured contacts before the lift; None if it never came to that.
@@ -90,7 +90,7 @@ class ManipulationReport:
     R_world_palm: FloatArray
     log: ManipulationLog
     recording: Recording
-    plan: dict[str, Any] | None
+    plan: ManipulationPlan
     planned_modes: NDArray[np.str_]
     measured_modes: NDArray[np.str_]
     before: QualityReport | None
@@ -305,12 +305,8 @@ class ManipulationReport:
         """
         return self.to_file(states=states).model_dump(mode="json")
 
-    def save_html(self, path: Path | str, *, task: GraspTask | None = None) -> None:
+    def save_html(self, path: Path | str) -> None:
         """Write the manipulation as a page: one HTML file with motion, plots, summary and report.
-
-        Args:
-            path: The file.
-            task: The plan's task, if the report's plan is None or loading its hand would be slow.
 
         Raises:
             FileFormatError: The file cannot be written.
@@ -318,7 +314,7 @@ class ManipulationReport:
         from planner.pages.page import write_page
         from sim.manipulation.page import manipulation_page
 
-        write_page(manipulation_page(self.to_file(), task), path)
+        write_page(manipulation_page(self.to_file(), self.plan.task), path)
 
     def to_file(self, *, states: bool = True) -> ManipulationReportFile:
         """The same as the data of a file, which pages are made of."""
@@ -390,11 +386,16 @@ class ManipulationReport:
                         "contact_mode_measured": self.measured_modes.tolist(),
                     }
                 ),
-                "plan": self.plan if states else None,
+                "plan": self._plan_to_dict() if states else None,
                 "recording": self.recording.to_dict() if states else None,
                 "earlier": None if self.earlier is None else self.earlier.to_file(states=states),
             }
         )
+
+    def _plan_to_dict(self) -> dict[str, Any] | None:
+        """The plan as its file has it; None for a hand made in Python, which no file can name."""
+        named = self.plan.task.hand.reference is not None
+        return manipulation_to_dict(self.plan) if named else None
 
     def _largest(self, values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
         turning = values[self.log.during(*TURNING)]

@@ -17,7 +17,6 @@ import numpy as np
 
 from planner.errors import PlannerError
 from planner.failure import Failure
-from planner.files.manipulations import manipulation_to_dict
 from planner.motion.gait import Relocation, cut_motion, plan_back, plan_others
 from planner.motion.manipulation import Ending, ManipulationPlan, plan_manipulation
 from planner.motion.manipulation.ending import backwards, object_at_target, stands
@@ -203,7 +202,7 @@ class ManipulationRun:
             R_world_palm=plan.grasp.T_world_palm.rotation,
             log=log,
             recording=self.sim.recorder.recording(),
-            plan=None if plan.task.hand.reference is None else manipulation_to_dict(plan),
+            plan=plan,
             planned_modes=planned_modes(log.time, points),
             measured_modes=measured_modes(log.time, log.points, log.sliding, wanted),
             before=self._phases.quality.get("verify"),

@@ -4,7 +4,7 @@
 brings the result to a browser.
 """
 
-from sim.viewing.kinds import Kind, ViewOptions, kinds, recognise, register_kind
+from sim.viewing.kinds import Kind, ViewOptions, recognise, register_kind
 from sim.viewing.opening import Opening, show, warnings_of
 from sim.viewing.server import Answer, LocalServer, Site
 from sim.viewing.target import Target
@@ -17,7 +17,6 @@ __all__ = [
     "Site",
     "Target",
     "ViewOptions",
-    "kinds",
     "recognise",
     "register_kind",
     "show",

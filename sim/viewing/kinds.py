@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 from typing import TypeAlias
 
 from planner.errors import FileFormatError, NotFoundError
@@ -18,9 +19,23 @@ from planner.pages.page import Page
 from sim.viewing.server import Site
 from sim.viewing.target import Target
 
-__all__ = ["Kind", "Shown", "ViewOptions", "kinds", "recognise", "register_kind"]
+__all__ = ["Kind", "Shown", "ViewOptions", "WrittenPage", "kinds", "recognise", "register_kind"]
 
-Shown: TypeAlias = Page | Site
+
+@dataclass(frozen=True, kw_only=True)
+class WrittenPage:
+    """A page that is a file already.
+
+    Attributes:
+        path: The file.
+        html: Its content.
+    """
+
+    path: Path
+    html: str
+
+
+Shown: TypeAlias = Page | WrittenPage | Site
 """One page, which can be written into a file, or a site, which needs a server."""
 
 
@@ -58,7 +73,7 @@ class Kind:
     takes: frozenset[str] = frozenset()
 
 
-MODULES = ("of_hand", "of_mesh", "of_plan", "of_motion", "of_report", "of_dataset")
+MODULES = ("of_hand", "of_mesh", "of_plan", "of_motion", "of_report", "of_dataset", "of_page")
 """Modules of this package with a ``KIND`` each, in the order in which they are listed."""
 
 _REGISTERED: list[Kind] = []

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from planner.errors import FileFormatError
-from planner.files.whole import plain_name
+from planner.files.whole import plain_name, whole_file
 from planner.pages.blocks import Sentence
-from planner.pages.page import Page, page_html, write_page
-from sim.viewing.kinds import Shown
+from planner.pages.page import Page, page_html
+from sim.viewing.kinds import Shown, WrittenPage
 from sim.viewing.server import Answer, LocalServer, Site
 
 __all__ = ["Opening", "has_browser", "show", "warnings_of"]
@@ -53,22 +53,22 @@ def show(shown: Shown, opening: Opening, say: Callable[[str], None]) -> None:
         TaskError: The port is in use.
     """
     if opening.out is not None:
-        if not isinstance(shown, Page):
+        if not isinstance(shown, Page | WrittenPage):
             raise FileFormatError(
                 f"cannot write {opening.out}: a dataset is shown by a local server, which makes "
                 "its pages as they are asked for; leave --out away, or take one grasp out of it "
                 "with opposable extract"
             )
-        write_page(shown, opening.out)
+        _write(shown, opening.out)
         say(f"wrote {opening.out}")
         return
     browser = opening.open and has_browser()
-    if isinstance(shown, Page) and browser and opening.port is None:
-        file = _temporary(shown)
-        webbrowser.open(file.as_uri())
-        say(f"wrote {file}, and opened it in the browser")
+    if isinstance(shown, Page | WrittenPage) and browser and opening.port is None:
+        file = shown.path if isinstance(shown, WrittenPage) else _temporary(shown)
+        webbrowser.open(file.resolve().as_uri())
+        say(f"opened {file} in the browser")
         return
-    site = _OnePage(shown) if isinstance(shown, Page) else shown
+    site = _OnePage(_html(shown)) if isinstance(shown, Page | WrittenPage) else shown
     _serve(site, opening.port, browser, say)
 
 
@@ -94,8 +94,18 @@ def has_browser() -> bool:
 
 def _temporary(page: Page) -> Path:
     file = Path(tempfile.mkdtemp(prefix="opposable-")) / f"{plain_name(page.title)}.html"
-    write_page(page, file)
+    _write(page, file)
     return file
+
+
+def _html(page: Page | WrittenPage) -> str:
+    return page.html if isinstance(page, WrittenPage) else page_html(page)
+
+
+def _write(page: Page | WrittenPage, file: Path) -> None:
+    text = _html(page)
+    with whole_file(file) as stream:
+        stream.write(text.encode())
 
 
 def _serve(site: Site, port: int | None, browser: bool, say: Callable[[str], None]) -> None:
@@ -118,10 +128,10 @@ def _serve(site: Site, port: int | None, browser: bool, say: Callable[[str], Non
 
 
 class _OnePage:
-    """A site of one page, written when it is first asked for."""
+    """A site of one page."""
 
-    def __init__(self, page: Page) -> None:
-        self._html = page_html(page).encode()
+    def __init__(self, html: str) -> None:
+        self._html = html.encode()
 
     def answer(self, path: str, query: Mapping[str, str]) -> Answer | None:
         """The page at "/"."""

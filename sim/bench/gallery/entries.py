@@ -13,11 +13,17 @@ __all__ = ["EXAMPLES", "Entry", "chosen", "gallery_entries"]
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 """Folder of the examples, in the checkout."""
 
+FULL_TURN = (
+    *("manipulate", "shadow_hand", "cylinder:0.03x0.08", "--rotate", "z:360"),
+    *("--mu", "0.7", "--sim-mu", "0.8"),
+)
+"""By strokes and regrasps: the hand turns the object by some 60 degrees at a time."""
+
 COMMANDS = {
     "demo": ("The demonstration: pick, turn by 90 degrees, place", ("demo",)),
     "full-turn": (
         "A full turn in the hand, by strokes and regrasps",
-        ("manipulate", "shadow_hand", "cylinder", "--angle", "360"),
+        FULL_TURN,
     ),
 }
 """Commands beside the scripts: name -> title and arguments of ``opposable``."""

@@ -27,7 +27,7 @@ FORMAT = "opposable-gallery"
 ROOT = Path(__file__).resolve().parents[3]
 """The checkout, from which the scripts import."""
 
-TIME_LIMIT = 300.0
+TIME_LIMIT = 900.0
 """Longest that an entry may run, s."""
 
 SIZE = (320, 240)

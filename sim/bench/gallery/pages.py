@@ -51,8 +51,14 @@ def _card(row: Row) -> str:
         title=_name(row),
         page=f"generated/{row['name']}.md",
         picture=f"{PICTURES}/{row['picture']}" if row["picture"] else "",
-        lines=(plain(row["title"]) + ".",),
+        lines=(_sentence(row),),
     )
+
+
+def _sentence(row: Row) -> str:
+    """The title as a sentence."""
+    text = plain(row["title"])
+    return text if text.endswith(("?", "!")) else f"{text}."
 
 
 def _name(row: Row) -> str:
@@ -61,7 +67,7 @@ def _name(row: Row) -> str:
 
 
 def _page(row: Row, scenes: Collection[str]) -> str:
-    parts = [f"# {plain(_name(row))}\n", f"{plain(row['title'])}.\n"]
+    parts = [f"# {plain(_name(row))}\n", f"{_sentence(row)}\n"]
     if row["picture"]:
         parts.append(f"![{plain(row['title'])}](../{PICTURES}/{row['picture']})\n")
     if row["page"] in scenes:
