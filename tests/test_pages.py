@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 from scipy.optimize import linprog
 from typer.testing import CliRunner
 
@@ -136,8 +137,6 @@ def test_an_object_is_drawn_with_its_true_surface_and_a_mark(kind: str) -> None:
 
 
 def test_a_mesh_of_very_many_triangles_is_simplified_and_the_page_says_so() -> None:
-    import trimesh
-
     ball = trimesh.creation.icosphere(subdivisions=7, radius=0.04)
     assert len(ball.faces) > 200_000
     mesh = Mesh.from_triangles(np.asarray(ball.vertices), np.asarray(ball.faces))
@@ -373,3 +372,8 @@ def test_the_command_on_the_page_gives_the_plan_again(plan: GraspPlan, tmp_path:
 def test_a_task_that_the_command_line_cannot_say_has_no_command(plan: GraspPlan) -> None:
     lifted = dataclasses.replace(plan.task, gravity=np.array([0.0, 0.0, -1.62]))
     assert plan_command(dataclasses.replace(plan, task=lifted)) == ""
+    ball = trimesh.creation.icosphere(radius=0.03)
+    made = Mesh.from_triangles(np.asarray(ball.vertices), np.asarray(ball.faces))
+    item = dataclasses.replace(plan.task.object, shape=made)
+    task = dataclasses.replace(plan.task, object=item, T_world_object=item.resting_pose())
+    assert plan_command(dataclasses.replace(plan, task=task)) == ""

@@ -19,10 +19,13 @@ from typer.testing import CliRunner
 from planner.errors import FileFormatError, NotFoundError, ObjectError, TaskError
 from planner.files import write_plan
 from planner.hands.hand import Hand
+from planner.kinematics.state import HandState
+from planner.motion.gait import plan_gait
 from planner.objects import GraspObject, parse_object
 from planner.pages.described import comments_of, described_lines, named_joints
 from planner.pages.level_set import zero_level_set
 from planner.pages.mesh_page import mesh_page
+from planner.pages.object_motion import object_motion
 from planner.pages.page import Page, read_page_data, write_page
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
@@ -440,3 +443,30 @@ def test_a_report_without_states_says_so_in_one_line(run_folder: Path, tmp_path:
     (line,) = [x for x in done.output.splitlines() if "no recorded states" in x]
     assert "run it again" in line
     assert read_page_data(tmp_path / "old.html")[0] == "report"
+
+
+# ---- motions
+
+
+def test_pads_stay_on_their_contacts_along_a_gait(shadow: Hand) -> None:
+    gait = plan_gait(GraspTask.create(shadow, "cylinder:0.03x0.10"), angle=np.deg2rad(90), seed=0)
+    trajectory = gait.joint_trajectory(rate_hz=30.0)
+    found = object_motion(gait, trajectory)
+    assert {"stroke 2", "regrasp thumb"} <= set(trajectory.phases)
+    places = np.array([pose.translation for pose in found.poses])
+    assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() < 1e-3  # m between samples
+    turned = found.poses[0].rotation.T @ found.poses[-1].rotation
+    assert np.arctan2(turned[1, 0], turned[0, 0]) == pytest.approx(gait.angle, abs=1e-6)
+    off = []
+    for q, base, pose, contacts in zip(
+        trajectory.positions, trajectory.T_world_base, found.poses, found.contacts, strict=True
+    ):
+        if contacts is None:
+            continue
+        state = HandState(shadow, q)
+        for name, point in zip(contacts.fingers, contacts.positions, strict=True):
+            pad = shadow.fingers[name].pad
+            centre = (base * state.joint_pose(pad.joint_id)).act(pad.center)
+            off.append(abs(float(np.linalg.norm(centre - pose.act(point))) - pad.radius))
+    assert max(off) < 5e-4  # the tolerance of touch
+    assert len(off) > 500

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
-from importlib import import_module
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from planner.batch.thinning import thin
 from planner.errors import FileFormatError, NotFoundError
 from planner.failure import Failure
 from planner.plan import GraspPlan, SolveRecord
+from planner.showing import in_notebook
 from planner.spatial import SE3, IntArray, pose_from_wxyz
 from planner.task import GraspTask
 from planner.verification.grasp import verify_grasp
@@ -73,8 +73,7 @@ class GraspSet:
 
     def _repr_html_(self) -> str:
         """What a notebook shows of it: a table and a picture, made once."""
-        html: str = import_module("planner.showing").in_notebook(self)
-        return html
+        return in_notebook(self)
 
     @property
     def labels(self) -> tuple[str, ...]:

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
@@ -29,6 +28,7 @@ from numpy.typing import ArrayLike
 from planner.arrays import float_array, per_item
 from planner.contacts.friction import cone_utilisation
 from planner.errors import ContactError
+from planner.showing import in_notebook
 from planner.spatial import FloatArray, contact_frames, skew
 
 if TYPE_CHECKING:
@@ -242,8 +242,7 @@ class ContactSet:
 
     def _repr_html_(self) -> str:
         """What a notebook shows of it: a table and a picture, made once."""
-        html: str = import_module("planner.showing").in_notebook(self)
-        return html
+        return in_notebook(self)
 
     def __len__(self) -> int:
         """Number of contacts."""

@@ -13,7 +13,6 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
@@ -28,6 +27,7 @@ from planner.description import HandDescription
 from planner.errors import HandError, NotFoundError, TaskError
 from planner.hands.arm import Arm
 from planner.hands.fingers import Finger
+from planner.showing import in_notebook
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["Hand"]
@@ -263,8 +263,7 @@ class Hand:
 
     def _repr_html_(self) -> str:
         """What a notebook shows of it: a table and a picture, made once."""
-        html: str = import_module("planner.showing").in_notebook(self)
-        return html
+        return in_notebook(self)
 
     def __repr__(self) -> str:
         """One line; ``opposable inspect`` prints the rest."""

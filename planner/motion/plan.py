@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
 from itertools import pairwise
 
 import numpy as np
@@ -19,7 +18,7 @@ from planner.motion.path import ObjectPath
 from planner.motion.trajectory import JOINT_RATE, TURN_RATE, TrajectoryBuilder
 from planner.plan import GraspPlan, JointTrajectory, Verification
 from planner.quality import ClosureResult
-from planner.showing import Shown
+from planner.showing import Shown, in_notebook
 from planner.spatial import SE3, FloatArray
 
 __all__ = ["Knot", "MotionPlan", "MotionRecord"]
@@ -211,8 +210,7 @@ class MotionPlan(Shown):
 
     def _repr_html_(self) -> str:
         """What a notebook shows of it: a table and a picture, made once."""
-        html: str = import_module("planner.showing").in_notebook(self)
-        return html
+        return in_notebook(self)
 
     def __str__(self) -> str:
         """The path, the margins, and the limits."""

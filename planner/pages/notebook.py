@@ -35,7 +35,7 @@ __all__ = [
     "plan_html",
 ]
 
-MOST_ROWS = 12
+MOST_ROWS = 16
 """Rows of a table; what is left out is counted."""
 
 HULL_COLOUR = (0.80, 0.86, 0.92, 1.0)
@@ -66,13 +66,13 @@ def notebook_html(
     body = "".join(
         "<tr>" + "".join(f"<td>{escape(c)}</td>" for c in row) + "</tr>" for row in rows[:MOST_ROWS]
     )
-    told = [*notes, *([f"and {len(rows) - MOST_ROWS} more"] if len(rows) > MOST_ROWS else [])]
+    left = f"<div>and {len(rows) - MOST_ROWS} more</div>" if len(rows) > MOST_ROWS else ""
     image = "" if picture is None else f'<img src="{data_uri(picture)}" alt="{escape(title)}">'
     return (
         '<div style="display:flex;gap:1em;align-items:flex-start;flex-wrap:wrap">'
         f"{image}<div><strong>{escape(title)}</strong>"
-        + "".join(f"<div>{escape(note)}</div>" for note in told)
-        + f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div></div>"
+        + "".join(f"<div>{escape(note)}</div>" for note in notes)
+        + f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{left}</div></div>"
     )
 
 

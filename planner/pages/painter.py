@@ -25,8 +25,8 @@ SUPERSAMPLE = 2
 MOST_TRIANGLES = 6000
 """Triangles of all parts together; meshes of models with more are simplified."""
 
-LEAST_TRIANGLES, LEAST_OF_OBJECT = 60, 4000
-"""That every part, and a part of the object, may keep: walls of a mug are thin."""
+LEAST_TRIANGLES, LEAST_OF_OBJECT = 60, 20_000
+"""That every part, and a part of the object, may keep: thin walls would get holes."""
 
 LONGEST_EDGE = 0.15
 """Longest edge of a triangle, in radii of the scene: a large one would be sorted wrongly."""

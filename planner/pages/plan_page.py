@@ -14,6 +14,7 @@ from planner.pages.polar import resisted_forces
 from planner.pages.rows import pose_rows
 from planner.pages.scene import Band, Motion, Scene
 from planner.plan import GraspPlan, JointTrajectory
+from planner.shapes.mesh import Mesh
 from planner.task import GraspTask
 from planner.version import written_by
 
@@ -210,9 +211,14 @@ def _origin(plan: GraspPlan) -> tuple[Block, ...]:
 
 
 def plan_command(plan: GraspPlan) -> str:
-    """The command line that gives the plan again; "" where the command line cannot say the task."""
-    task, record = plan.task, plan.record
-    if task.hand.reference is None or record.objective == "task":
+    """The command line that gives the plan again; "" where the command line cannot say the task.
+
+    Margins and weights of the search are taken to be the default ones: a plan does not keep them.
+    """
+    task, record, shape = plan.task, plan.record, plan.task.object.shape
+    if task.hand.reference is None or task.hand.rolls or record.objective == "task":
+        return ""
+    if isinstance(shape, Mesh) and shape.source is None:
         return ""
     again = GraspTask.create(task.hand, task.object, mu=task.mu, fingers=task.finger_names)
     same = (
@@ -233,7 +239,7 @@ def plan_command(plan: GraspPlan) -> str:
     words += ["--seed", str(record.seed)]
     if not task.may_spare_fingers:
         words += ["--fingers", ",".join(task.finger_names)]
-    words += ["--mu", f"{task.mu:g}", "--mass", f"{task.object.mass!r}"]
+    words += ["--mu", f"{task.mu!r}", "--mass", f"{task.object.mass!r}"]
     if record.objective != "epsilon":
         words += ["--objective", record.objective]
     return shlex.join(words)

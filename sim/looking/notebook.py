@@ -9,11 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from planner.contacts import ContactSet
-from planner.errors import PlannerError
-from planner.files.data import TaskData
-from planner.files.tasks import task_from_data
-from planner.hand_loading import load_hand
 from planner.pages.notebook import grasp_picture, notebook_html
 from planner.spatial import pose_from_wxyz
 
@@ -46,7 +41,7 @@ def trial_html(report: Any) -> str:
             f"{1e3 * report.mass_kg:.0f} g, seed {report.seed}, control {report.controller}, "
             f"physics {report.physics['name']}, {report.simulated_s:.1f} s simulated",
         ),
-        picture=_picture(report, report.plan),
+        picture=_picture(report),
     )
 
 
@@ -57,8 +52,6 @@ def manipulation_html(report: Any) -> str:
         for r in report.results
     ]
     asked, turned = np.rad2deg(report.asked), np.rad2deg(report.turned)
-    plan = report.plan
-    motion = None if plan is None else plan["motion"] or plan["gait"]["stroke"]
     return notebook_html(
         f"{report.hand}, {report.object}: {'complete' if report.complete else 'failed'}",
         ("phase", "outcome", "reason"),
@@ -68,34 +61,23 @@ def manipulation_html(report: Any) -> str:
             report.reason
             or f"success {'with' if report.success_with_closure else 'without'} closure",
         ),
-        picture=_picture(report, None if motion is None else motion["grasp"]),
+        picture=_picture(report),
     )
 
 
-def _picture(report: Any, grasp: dict[str, Any] | None) -> bytes | None:
-    """The recorded state that matters; None without one, or where the hand is not to be had."""
+def _picture(report: Any) -> bytes | None:
+    """The recorded state that matters; None where nothing was recorded."""
     recording = report.recording
-    if grasp is None or not len(recording):
-        return None
-    try:
-        task_data = TaskData.model_validate(grasp["task"])
-        named = task_data.hand
-        hand = load_hand(named.description_path or named.name, download=False)
-        hand = hand.rolling if named.rolling else hand
-        task = task_from_data(task_data, hand)
-    except PlannerError:  # made on another machine: the table says what there is to say
-        return None
-    if list(hand.joint_names) != list(recording.joint_names):
+    if not len(recording):
         return None
     held = [i for i, phase in enumerate(recording.phase) if phase == "hold"]
     i = held[-1] if held else len(recording) - 1
-    contacts: ContactSet = recording.contacts(i)
     return grasp_picture(
-        task,
+        report.plan.task,
         pose_from_wxyz(recording.T_world_base[i, :3], recording.T_world_base[i, 3:]),
         recording.q[i],
         pose_from_wxyz(recording.T_world_object[i, :3], recording.T_world_object[i, 3:]),
-        contacts,
+        recording.contacts(i),
     )
 
 
