@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from planner.contacts import ContactSet
-from planner.files import plan_to_dict
+from planner.files import plan_from_dict, plan_to_dict
 from planner.plain import finite
 from planner.plan import GraspPlan
 from planner.quality import QualityReport
@@ -130,6 +130,14 @@ class TrialReport(OnScreen):
     picture_reason: str = "none was asked for"
     command: str = ""
     drawn: str = ""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """How it is sent to another process: its plan as a plan file has it."""
+        return {**vars(self), "plan": plan_to_dict(self.plan)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """How it arrives there."""
+        vars(self).update(state, plan=plan_from_dict(state["plan"], "a report's plan"))
 
     @property
     def success(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -235,6 +236,17 @@ def test_a_report_is_read_as_it_was_written(
     assert read.plan is not None and read.plan["format"] == "opposable-plan"
     bare = ReportFile.model_validate(report.to_dict(states=False))
     assert (bare.plan, bare.recording) == (None, None)
+
+
+def test_a_report_comes_back_from_another_process(
+    seen: tuple[TrialReport, list[dict[str, Any]]],
+) -> None:
+    report, _ = seen
+    back: TrialReport = pickle.loads(pickle.dumps(report))
+    assert np.array_equal(back.plan.q, report.plan.q)
+    assert back.plan.task.hand.digest == report.plan.task.hand.digest
+    assert back.to_dict()["recording"] == report.to_dict()["recording"]
+    assert back.verdict == report.verdict
 
 
 def version_1(report: TrialReport) -> dict[str, Any]:

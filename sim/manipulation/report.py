@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.files.manipulations import manipulation_to_dict
+from planner.files.manipulations import manipulation_from_dict, manipulation_to_dict
 from planner.motion.manipulation import ManipulationPlan
 from planner.plain import finite
 from planner.quality import QualityReport
@@ -105,6 +105,14 @@ class ManipulationReport:
     earlier: ManipulationReport | None = None
     command: str = ""
     drawn: str = ""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """How it is sent to another process: its plan as a file has it."""
+        return {**vars(self), "plan": manipulation_to_dict(self.plan)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """How it arrives there."""
+        vars(self).update(state, plan=manipulation_from_dict(state["plan"], "a report's plan"))
 
     @property
     def reason(self) -> str:
