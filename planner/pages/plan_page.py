@@ -130,7 +130,7 @@ def _contact_table(plan: GraspPlan) -> Table:
             f"{plan.contacts.forces[i, 0]:.2f}",
             f"{np.linalg.norm(plan.contacts.forces[i, 1:3]):.2f}",
             f"{100 * used[i]:.0f} %",
-            f"{1e6 * plan.verification.pad_gaps[i]:.1f}",
+            f"{1e6 * plan.verification.pad_gaps[i]:z.1f}",
         )
         for i, name in enumerate(plan.task.finger_names)
     )

@@ -29,6 +29,7 @@ from sim.pages.tasks import task_of_plan
 from sim.pages.words import (
     events_block,
     facts_of,
+    in_words,
     physics_blocks,
     plan_blocks,
     quality_rows,
@@ -304,7 +305,7 @@ def _summary(parts: Sequence[Part], stage: Moving | None) -> tuple[Block, ...]:
 def _phases(part: Part) -> list[Block]:
     rows = []
     for p in part.report.phases:
-        told = ", ".join(f"{name} {shown(value)}" for name, value in p.numbers.items())
+        told = ", ".join(f"{in_words(name)} {shown(value)}" for name, value in p.numbers.items())
         outcome = "passed" if p.passed else "; ".join(filter(None, (p.reason, p.then)))
         rows.append((f"{p.phase} {p.about}".strip(), shown(p.end_s), outcome, told))
     table = Table(columns=("phase", "ended at (s)", "outcome", "numbers"), rows=tuple(rows))

@@ -13,6 +13,7 @@ __all__ = [
     "events_block",
     "facts_of",
     "grasp_rows",
+    "in_words",
     "physics_blocks",
     "plan_blocks",
     "quality_rows",
@@ -32,7 +33,7 @@ def shown(value: Any, unit: str = "") -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, Mapping):
-        return ", ".join(f"{name} {shown(one)}" for name, one in value.items())
+        return ", ".join(f"{in_words(name)} {shown(one)}" for name, one in value.items())
     if isinstance(value, str):
         return value
     if isinstance(value, Sequence):
@@ -41,9 +42,30 @@ def shown(value: Any, unit: str = "") -> str:
     return f"{text} {unit}".rstrip()
 
 
+UNITS = {
+    "mm_s": "mm/s",
+    "rad_s": "rad/s",
+    "deg": "degrees",
+    "mm": "mm",
+    "kg": "kg",
+    "N": "N",
+    "m": "m",
+    "s": "s",
+}
+"""Ending of a name in files -> the unit that it says; the longer endings first."""
+
+
+def in_words(name: str) -> str:
+    """A name in files as people read it: ``time_to_angle_s`` is "time to angle (s)"."""
+    for ending, unit in UNITS.items():
+        if name.endswith(f"_{ending}"):
+            return f"{name.removesuffix(f'_{ending}').replace('_', ' ')} ({unit})"
+    return name.replace("_", " ")
+
+
 def facts_of(values: Mapping[str, Any]) -> Facts:
-    """All of a table of the report; names in files say the unit."""
-    return Facts(rows=tuple((name, shown(value)) for name, value in values.items()))
+    """All of a table of the report."""
+    return Facts(rows=tuple((in_words(name), shown(value)) for name, value in values.items()))
 
 
 def task_rows(task: TaskData) -> tuple[tuple[str, str], ...]:
