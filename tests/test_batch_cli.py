@@ -122,7 +122,8 @@ def test_a_batch_takes_what_a_plan_takes(tmp_path: Path) -> None:
 def test_the_options_of_run_are_those_of_batch() -> None:
     # but for how a plan is executed, which a batch does not do
     run, batch = (set(signature(command).parameters) for command in (grasp.run, commands.batch))
-    assert run - batch == {"object", "out_dir", "sim_mu", "physics", "controller", "view"}
+    executed = {"sim_mu", "physics", "controller", "view", "video", "arrows"}
+    assert run - batch == {"object", "out_dir", "context"} | executed
 
 
 def test_grasps_that_spare_fingers_go_the_same_ways(tmp_path: Path) -> None:

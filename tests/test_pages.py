@@ -136,6 +136,7 @@ def test_an_object_is_drawn_with_its_true_surface_and_a_mark(kind: str) -> None:
     assert shown.note == ""
 
 
+@pytest.mark.slow
 def test_a_mesh_of_very_many_triangles_is_simplified_and_the_page_says_so() -> None:
     ball = trimesh.creation.icosphere(subdivisions=7, radius=0.04)
     assert len(ball.faces) > 200_000
