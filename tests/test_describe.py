@@ -499,6 +499,21 @@ def test_a_model_beside_the_file_is_named_relatively(
     assert json.dumps(proposed_claw.description.model) in elsewhere
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.05])
+def test_a_zero_that_was_proposed_is_written(
+    proposed_claw: Proposal, friction: float, tmp_path: Path
+) -> None:
+    """A model's dry friction is replaced by none: not the same as leaving it as it is."""
+    before = proposed_claw.description
+    defaults = before.joint_defaults.model_copy(update={"frictionloss": friction})
+    description = before.model_copy(update={"joint_defaults": defaults})
+    path = tmp_path / "hand.toml"
+    path.write_text(description_text(description, tmp_path), encoding="utf-8")
+    read = read_description(path).description
+    assert read.joint_defaults == description.joint_defaults
+    assert read.joint_defaults.frictionloss == friction
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.text(min_size=1, max_size=12), st.text(max_size=12), st.floats(-3, 3))
 def test_any_name_survives_the_file(joint: str, geom: str, value: float) -> None:

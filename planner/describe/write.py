@@ -68,11 +68,7 @@ def description_text(
         lines += _line(key, getattr(d, key), because.get(key))
     lines += _line("allowed_contacts", d.allowed_contacts)
     for table in ("repair", "joint_defaults"):
-        values = {
-            k: v
-            for k, v in getattr(d, table).model_dump().items()
-            if v not in (None, False, (), [])
-        }
+        values = getattr(d, table).model_dump(exclude_defaults=True)
         if values:
             lines += ["", f"[{table}]"]
             for key, value in values.items():
@@ -80,7 +76,7 @@ def description_text(
     lines += _comments([because["actuators"]] if "actuators" in because else [], gap=True)
     for actuator in d.actuators:
         lines += ["", "[[actuators]]"]
-        values = {k: v for k, v in actuator.model_dump().items() if v not in ((), "")}
+        values = actuator.model_dump(exclude_defaults=True)
         lines += [text for key, value in values.items() for text in _line(key, value)]
     for finger in d.fingers:
         key = f"fingers.{finger.name}"
