@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
+from planner.bridge.inertias import LEAST_INERTIA, LEAST_MASS
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, IntArray
 from sim.controllers.base import Phase
@@ -26,6 +27,8 @@ __all__ = [
     "GANTRY",
     "GANTRY_AXES",
     "GANTRY_FREQUENCY",
+    "GANTRY_INERTIA",
+    "GANTRY_MASS",
     "Gantry",
     "GantryCarrier",
     "add_gantry",
@@ -44,6 +47,14 @@ GANTRY_FREQUENCY = 60.0
 
 GANTRY_DAMPING = 1.0
 """Damping ratio of each gantry axis (-): no overshoot."""
+
+GANTRY_MASS = LEAST_MASS
+"""Mass of a gantry to which nothing with a mass is fixed, kg: MuJoCo refuses to move a body without
+one. It counts as none, as that of a link does which only joins two joints."""
+
+GANTRY_INERTIA = LEAST_INERTIA
+"""Its moment of inertia about every axis, kg m^2. MuJoCo's own limit of 1e-15 would not do: where
+the wrist has no armature, turning the gantry against the wrist would meet no inertia but this."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -127,8 +138,17 @@ class GantryCarrier:
         return (lifted if phase == "hold" else np.zeros(6)), np.zeros(6)
 
 
-def add_gantry(spec: Any, body: Any) -> None:
-    """Give a body of a ``mujoco.MjSpec``, which stands where the base is, the joints and servos."""
+def add_gantry(spec: Any, body: Any, hand_model: Any) -> None:
+    """Give a body of a ``mujoco.MjSpec`` the joints and servos, and a mass if it carries none.
+
+    Args:
+        spec: The scene; changed.
+        body: Stands where the base is; the hand is attached to it.
+        hand_model: ``mujoco.MjModel`` of the hand alone.
+    """
+    if not _fixed_mass(hand_model):
+        body.explicitinertial = True
+        body.mass, body.inertia = GANTRY_MASS, np.full(3, GANTRY_INERTIA)
     for k, axis in enumerate(GANTRY_AXES):
         name = f"{GANTRY}_{axis}"
         kind = mujoco.mjtJoint.mjJNT_SLIDE if k < 3 else mujoco.mjtJoint.mjJNT_HINGE
@@ -137,6 +157,13 @@ def add_gantry(spec: Any, body: Any) -> None:
         servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
         servo.gaintype = mujoco.mjtGain.mjGAIN_FIXED
         servo.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+
+
+def _fixed_mass(hand_model: Any) -> bool:
+    """Whether a body that no joint of the hand moves has the mass and inertia MuJoCo asks for."""
+    fixed = hand_model.body_weldid == 0
+    least = np.minimum(hand_model.body_mass, hand_model.body_inertia.min(axis=1))
+    return bool((least[fixed] >= mujoco.mjMINVAL).any())
 
 
 def tuned_gantry(model: Any, T_world_base: SE3, payload: float, payload_body: str) -> Gantry:

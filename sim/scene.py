@@ -206,7 +206,7 @@ def _add_hand(spec: Any, task: GraspTask, T_world_base: SE3, physics: PhysicsOpt
     dress_hand(child, task.hand.mj_model)
     spec.attach(child, prefix=HAND_PREFIX, frame=gantry.add_frame(quat=quaternion))
     if task.hand.arm is None:
-        add_gantry(spec, gantry)
+        add_gantry(spec, gantry, task.hand.mj_model)
 
 
 def add_looks(spec: Any, task: GraspTask, T_world_base: SE3, q: FloatArray) -> None:

@@ -52,6 +52,9 @@ def extents(model_file: Path) -> list[float]:
     ("where", "named", "head"),
     [
         ("clone/meshes/palm.stl", "package://one_description/meshes/palm.stl", ""),
+        ("clone/meshes/palm.stl", "package:///one_description/meshes/palm.stl", ""),
+        ("clone/one/meshes/palm.stl", "package:///one//meshes/palm.stl", ""),
+        ("clone/meshes/palm.stl", "package://data/robots/clone/meshes/palm.stl", ""),
         ("clone/meshes/palm.stl", "meshes/palm.stl", ""),  # from the folder above
         ("clone/urdf/palm.stl", "/home/someone/meshes/palm.stl", ""),
         (
@@ -60,7 +63,15 @@ def extents(model_file: Path) -> list[float]:
             '<mujoco><compiler meshdir="meshes"/></mujoco>',
         ),
     ],
-    ids=["a clone of another name", "from the root", "beside the model", "mesh folder named twice"],
+    ids=[
+        "a clone of another name",
+        "three slashes",
+        "three slashes, then two",
+        "a part of the package",
+        "from the root",
+        "beside the model",
+        "mesh folder named twice",
+    ],
 )
 def test_a_mesh_is_found_where_it_lies(tmp_path: Path, where: str, named: str, head: str) -> None:
     mesh = box(tmp_path / where)
@@ -82,8 +93,11 @@ def test_a_path_that_leads_somewhere_is_kept(tmp_path: Path) -> None:
 def test_a_mesh_that_is_nowhere_is_named(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"opening file 'meshes/palm\.stl'; put the missing file"):
         compile_spec(load_spec(urdf(tmp_path / "one.urdf", "meshes/palm.stl")), "it")
-    with pytest.raises(ModelError, match=r"none of the folders above it is or holds 'one'"):
-        load_spec(urdf(tmp_path / "one.urdf", "package://one/meshes/palm.stl"))
+    for slashes in ("//", "///"):
+        model = urdf(tmp_path / "one.urdf", f"package:{slashes}one/meshes/palm.stl")
+        with pytest.raises(ModelError, match=r"folders above it is or holds 'one'") as told:
+            load_spec(model)
+        assert f"copy the package's folder into {tmp_path.resolve()}, from" in str(told.value)
 
 
 def test_a_clone_without_its_large_files(tmp_path: Path) -> None:

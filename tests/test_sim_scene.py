@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pinocchio as pin
@@ -12,9 +15,10 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.spatial import SE3
+from planner.system.models import models_dir
 from planner.task import GraspTask, Obstacle
 from sim.contacts import other_touches
-from sim.gantry import GANTRY_FREQUENCY, Gantry
+from sim.gantry import GANTRY, GANTRY_FREQUENCY, GANTRY_INERTIA, GANTRY_MASS, Gantry
 from sim.physics import PhysicsOptions
 from sim.scene import HAND_PREFIX, Scene, build_scene
 
@@ -266,3 +270,47 @@ def test_obstacles_stand_where_the_task_says(hand: Hand) -> None:
     np.testing.assert_allclose(geom.size, [0.01, 0.05, 0.05])
     data = scene.start(hand.posture("open"), ABOVE)
     np.testing.assert_allclose(data.geom("obstacle/table").xpos, pose.translation, atol=1e-12)
+
+
+def without_mass(edit_hand: Callable[..., Path]) -> Path:
+    """The Allegro with a palm that weighs nothing."""
+    palm = 'mass="0.4154" diaginertia="0.000754 0.00037 0.0005"'
+    return edit_hand(xml={palm: 'mass="0" diaginertia="0 0 0"'})
+
+
+def from_the_palm(edit_hand: Callable[..., Path]) -> Path:
+    """The Shadow hand from its palm on, which the last joint of the wrist moves."""
+    file, source = edit_hand(), models_dir() / "hands" / "shadow_hand"
+    text = (source / "hand.toml").read_text(encoding="utf-8")
+    for old, new in (
+        ('base_body = "forearm"', 'base_body = "palm"'),
+        ('["WRJ2", "WRJ1"]', '["WRJ1"]'),
+        ('"shadow_hand.xml"', f'"{(source / "shadow_hand.xml").as_posix()}"'),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+@pytest.mark.parametrize("write", [without_mass, from_the_palm])
+def test_a_gantry_to_which_no_mass_is_fixed_gets_the_least(
+    edit_hand: Callable[..., Path], write: Callable[[Callable[..., Path]], Path]
+) -> None:
+    hand = load_hand(write(edit_hand))
+    scene = build_scene(GraspTask.create(hand, "box"), T_world_base=ABOVE)
+    body = scene.model.body(GANTRY)
+    assert body.mass == GANTRY_MASS
+    np.testing.assert_array_equal(body.inertia, GANTRY_INERTIA)
+    data, q = scene.start(hand.posture("open"), ABOVE), hand.posture("open")
+    for _ in range(200):
+        gravity = HandState(hand, q).gravity_torque(ABOVE.rotation.T @ [0, 0, -9.81])
+        data.ctrl[scene.hand_ctrl], _ = hand.actuation.ctrl_for_torque(q, 0.0 * q, gravity)
+        data.ctrl[gantry_of(scene).ctrl] = gantry_of(scene).command(data, np.zeros(6), np.zeros(6))
+        mujoco.mj_step(scene.model, data)
+    assert np.abs(data.qpos[gantry_of(scene).qpos]).max() < 0.001
+
+
+def test_a_gantry_with_a_mass_fixed_to_it_has_none_of_its_own(scene: Scene) -> None:
+    assert scene.model.body(GANTRY).mass == 0.0
+    assert not scene.model.body(GANTRY).inertia.any()

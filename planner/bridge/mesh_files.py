@@ -16,7 +16,7 @@ from planner.shapes.meshes.convert import CONVERTED_SUFFIXES, converted_mesh
 
 __all__ = ["convert_meshes", "find_meshes"]
 
-_ROS_SCHEME = re.compile(r"package:/{1,2}")  # MuJoCo drops one of the two slashes of a URL
+_ROS_SCHEME = re.compile(r"package:/+")  # MuJoCo drops one of a URL's slashes; some write three
 
 LFS_POINTER = b"version https://git-lfs"
 """What a file begins with that a clone without Git LFS has in place of its content."""
@@ -30,7 +30,8 @@ def find_meshes(spec: Any, path: Path) -> None:
 
     A path that leads nowhere is tried below the folders above the model, then by its last part in
     the model's mesh folder and beside the model. ``package://NAME/PATH`` is looked for in a folder
-    called NAME above the model or beside one, then as PATH below the folders above it.
+    called NAME above the model or beside one, then as PATH below the folders above it, then as the
+    rest of PATH below a folder above it whose name PATH has.
 
     Args:
         spec: As read from ``path``.
@@ -88,7 +89,7 @@ def _ros_file(inside: str, model: Path) -> Path:
         ModelError: It is not there.
     """
     package, _, rest = inside.partition("/")
-    above = model.resolve().parents
+    rest, above = rest.lstrip("/"), model.resolve().parents
     for folder in above:
         for root in (folder, folder / package):
             if root.name == package and os.path.isfile(root / rest):
@@ -96,9 +97,15 @@ def _ros_file(inside: str, model: Path) -> Path:
     for folder in above[: MOST_ABOVE + 1]:  # a clone that is called otherwise than the package
         if rest and os.path.isfile(folder / rest):
             return folder / rest
+    parts = rest.split("/")
+    for folder in above:  # a part of the package, moved alone
+        for k, part in enumerate(parts[:-1], start=1):
+            if folder.name == part and os.path.isfile(folder.joinpath(*parts[k:])):
+                return folder.joinpath(*parts[k:])
     raise ModelError(
         f"{model} names package://{inside}, and none of the folders above it is or holds "
-        f"{package!r} with that file; copy the package's folder there, or write a relative path"
+        f"{package!r} with that file; copy the package's folder into {above[0]}, from which the "
+        "search goes upwards, or write a relative path"
     )
 
 
