@@ -293,7 +293,7 @@ def test_no_grasp_found_has_its_own_exit_code_and_writes_nothing(tmp_path: Path)
     ("arguments", "words"),
     [
         (("inspect", "alegro_hand"), "Did you mean 'allegro_hand'?"),
-        (("inspect", "nowhere/hand.toml"), "That path does not exist."),
+        (("inspect", "nowhere/hand.toml"), "nowhere/hand.toml does not exist; give a hand.toml"),
         (("plan", "allegro_hand", "bax"), "Did you mean 'box'?"),
         (("plan", "allegro_hand", "box", "--fingers", "thumb,indx,ring"), "mean 'index'?"),
         (("plan", "allegro_hand", "box", "--mass", "-1"), "mass is -1.0; give kg > 0"),
