@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from functools import partial
 from typing import Any
 
 __all__ = [
@@ -23,35 +24,55 @@ __all__ = [
 ]
 
 
+MOST_LISTED = 20
+"""More names than this are not listed where one of them is near the one asked for."""
+
+
 class PlannerError(Exception):
     """Root of the family: catch this to catch every error that Opposable means you to see."""
 
 
 class NotFoundError(PlannerError):
-    """A name that does not exist; says what there is and the nearest name."""
+    """A name or path that does not exist; of a name, says what there is and the nearest."""
 
-    def __init__(self, what: str, given: str, available: Iterable[str], hint: str = "") -> None:
+    def __init__(
+        self,
+        what: str,
+        given: str,
+        available: Iterable[str],
+        hint: str = "",
+        *,
+        is_path: bool = False,
+    ) -> None:
         """Compose the message.
 
         Args:
             what: Kind of thing looked for, for example "hand".
             given: The name that was asked for.
             available: The names that exist.
-            hint: What else the user can do, a sentence.
+            hint: What else the user can do, a sentence; of a path, what follows "does not exist;".
+            is_path: Whether a path was asked for: no names are listed then.
         """
         self.what = what
         self.given = given
         self.available = tuple(sorted(available))
         self.hint = hint
+        self.is_path = is_path
+        if is_path:
+            super().__init__(f"{given} does not exist; {hint}")
+            return
         near = get_close_matches(given, self.available, n=1)
         meant = f" Did you mean {near[0]!r}?" if near else ""
-        listed = ", ".join(self.available) if self.available else "none"
+        listed = f" There is: {', '.join(self.available) if self.available else 'none'}."
+        if near and len(self.available) > MOST_LISTED:
+            listed = ""
         tail = f" {hint}" if hint else ""
-        super().__init__(f"no {what} is called {given!r}.{meant} There is: {listed}.{tail}")
+        super().__init__(f"no {what} is called {given!r}.{meant}{listed}{tail}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         """How it is sent to another process: it is made again of what it was made of."""
-        return type(self), (self.what, self.given, self.available, self.hint)
+        again = partial(type(self), is_path=self.is_path)
+        return again, (self.what, self.given, self.available, self.hint)
 
 
 class ModelError(PlannerError):

@@ -101,6 +101,12 @@ def test_an_object_stands_in_the_pose_that_is_asked_for(tmp_path: Path) -> None:
     assert refused.code == 3 and "there is no pose 9" in refused.err
 
 
+def test_a_plan_file_as_the_object_is_told_what_takes_it(planned: Path) -> None:
+    result = opposable("plan", "allegro_hand", planned)
+    assert result.code == 3
+    assert f"is a plan file, not an object: opposable simulate {planned}" in result.err
+
+
 def test_a_plan_file_is_valid_and_the_same_for_the_same_seed(planned: Path) -> None:
     first = json.loads(planned.read_text(encoding="utf-8"))
     PlanFile.model_validate(first)
@@ -293,7 +299,7 @@ def test_no_grasp_found_has_its_own_exit_code_and_writes_nothing(tmp_path: Path)
     ("arguments", "words"),
     [
         (("inspect", "alegro_hand"), "Did you mean 'allegro_hand'?"),
-        (("inspect", "nowhere/hand.toml"), "That path does not exist."),
+        (("inspect", "nowhere/hand.toml"), "nowhere/hand.toml does not exist; give a hand.toml"),
         (("plan", "allegro_hand", "bax"), "Did you mean 'box'?"),
         (("plan", "allegro_hand", "box", "--fingers", "thumb,indx,ring"), "mean 'index'?"),
         (("plan", "allegro_hand", "box", "--mass", "-1"), "mass is -1.0; give kg > 0"),

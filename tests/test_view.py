@@ -195,7 +195,7 @@ def test_a_foreign_folder_is_refused(tmp_path: Path) -> None:
 def test_a_name_of_nothing_says_what_there_is() -> None:
     with pytest.raises(NotFoundError, match="Did you mean 'allegro_hand'"):
         kind_of("alegro_hand")
-    with pytest.raises(NotFoundError, match="That path does not exist"):
+    with pytest.raises(NotFoundError, match=r"^runs/report\.json does not exist; give a file"):
         kind_of("runs/report.json")
 
 

@@ -118,6 +118,9 @@ class Reader:
             for what in self.texts(given["what"], function):
                 hints = list(self.texts(given["hint"], function)) if "hint" in given else [""]
                 for hint in hints:
+                    if "is_path" in given:
+                        yield Message(f"<path> does not exist; {hint}", error, self.room)
+                        continue
                     there = "Did you mean <nearest>? There is: <names>."
                     yield Message(
                         f"no {what} is called <name>. {there} {hint}".strip(), error, self.room

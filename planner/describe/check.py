@@ -143,7 +143,8 @@ def _couplings(hand: Hand) -> tuple[str, ...]:
             f"{c.row[k]:+.4g} {hand.joint_names[int(k)]}" for k in np.flatnonzero(c.row)
         )
         kind = "stop, active in a grasp" if c.one_sided else "equality"
-        out.append(f"{c.name}: {terms} = {c.value:.4g} ({kind})")
+        sign = ">=" if c.one_sided else "="
+        out.append(f"{c.name}: {terms} {sign} {c.value:.4g} ({kind})")
     return tuple(out)
 
 

@@ -102,7 +102,7 @@ def find_base(
             found = [structure.bodies[p.link].name for p in (first, *rest)]
         raise HandError(
             f"{what} holds several hands that look alike, on the bodies {found}; say which one is "
-            "meant by base_body (--base on the command line)"
+            "meant: --base NAME (base_body in Python)"
         )
     base, upstream = _base_of(structure, first)
     why = f"the root above the link that carries {first.chains} chains of joints"

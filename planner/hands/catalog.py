@@ -131,10 +131,11 @@ def find_hand(name_or_path: str | Path, *, download: bool = True) -> Path:
                 f"that ends in {', '.join(MODEL_SUFFIXES)}"
             )
         return path
-    looks_like_path = path.suffix or len(path.parts) > 1
-    hint = "Or give the path of a hand.toml or of a model." + (
-        " That path does not exist." * bool(looks_like_path)
-    )
+    # package:NAME may hold a slash, and is none
+    if "/" in text.partition(":")[0] or path.suffix.lower() in (".toml", *MODEL_SUFFIXES):
+        advice = "give a hand.toml, a model, or a name that opposable hands lists"
+        raise NotFoundError("hand", str(path), hand_names(), advice, is_path=True)
+    hint = "Or give the path of a hand.toml or of a model."
     names = (*hand_names(), *(foreign_hand_names() if name else ()))
     raise NotFoundError("hand", text, names, hint)
 

@@ -13,7 +13,7 @@ from planner.objects import GraspObject
 from planner.pages.blocks import Block, Facts, Sentence
 from planner.pages.level_set import zero_level_set
 from planner.pages.own_assets import own_scripts
-from planner.pages.page import Page
+from planner.pages.page import Page, without_folder
 from planner.pages.rows import IDENTITY_ROW, pose_row
 from planner.pages.scene import Actor, Model, Part, Scene
 from planner.pages.simplify import simplified
@@ -81,7 +81,7 @@ def mesh_page(
     options += [word for text in avoid for word in ("--avoid", text)]
     return Page(
         title=item.name,
-        subtitle=spec,
+        subtitle=without_folder(spec),
         summary=tuple(_summary(item, notes)),
         scene=scene,
         data={

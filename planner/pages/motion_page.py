@@ -16,7 +16,7 @@ from planner.motion.gait import GaitPlan
 from planner.motion.manipulation import ManipulationPlan
 from planner.pages.blocks import Block, Facts, Heading, PlotsHere, Sentence, Table, Verdict
 from planner.pages.object_motion import AnyMotion, ObjectMotion, object_motion
-from planner.pages.page import Page
+from planner.pages.page import Page, without_folder
 from planner.pages.plan_page import bands_of, hand_motion, task_facts
 from planner.pages.plan_scene import Stage, contact_rows, stage_of
 from planner.pages.rows import pose_rows
@@ -36,7 +36,8 @@ def motion_page(plan: AnyMotion) -> Page:
     grasp, stage = motion.grasp, stage_of(motion.grasp)
     what, data = _kind(plan)
     return Page(
-        title=f"{grasp.task.hand.name} moves {grasp.task.object.shape.spec} in the hand",
+        title=f"{grasp.task.hand.name} moves {without_folder(grasp.task.object.shape.spec)} in the "
+        "hand",
         subtitle=f"{what}: {_path(plan)}",
         verdict=Verdict(
             good=True,

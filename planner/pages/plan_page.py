@@ -8,7 +8,7 @@ import numpy as np
 
 from planner.files.plans import plan_to_dict
 from planner.pages.blocks import Block, Command, Facts, Folded, Heading, Sentence, Table, Verdict
-from planner.pages.page import Page
+from planner.pages.page import Page, without_folder
 from planner.pages.plan_scene import Stage, planned_contacts, stage_of
 from planner.pages.polar import resisted_forces
 from planner.pages.rows import pose_rows
@@ -28,7 +28,7 @@ def plan_page(plan: GraspPlan) -> Page:
     """The page of a plan; its numbers are the plan file, which ``read_page_data`` gives back."""
     task, stage = plan.task, stage_of(plan)
     return Page(
-        title=f"{task.hand.name} grasps {task.object.shape.spec}",
+        title=f"{task.hand.name} grasps {without_folder(task.object.shape.spec)}",
         subtitle=f"Grasp plan, seed {plan.record.seed}, {len(task.finger_names)} fingers",
         verdict=_verdict(plan),
         summary=_summary(plan, stage.shown.note),

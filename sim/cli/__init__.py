@@ -42,7 +42,7 @@ def _opposable(
     version: Annotated[
         bool,
         typer.Option(
-            "--version", callback=_say_version, is_eager=True, help="Say which.", metavar=""
+            "--version", callback=_say_version, is_eager=True, help="Print the version.", metavar=""
         ),
     ] = False,
 ) -> None:

@@ -42,7 +42,10 @@ def forces(
     ] = None,
     edges: Annotated[int, typer.Option(min=3, help="Sides of the friction pyramids.")] = 8,
     gaps: Annotated[
-        bool, typer.Option("--gaps", help="Set pyramids beside the round cone (needs clarabel).")
+        bool,
+        typer.Option(
+            "--gaps", help="Set pyramids beside the round cone (needs clarabel).", metavar=""
+        ),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -51,7 +51,7 @@ def describe(
     ] = None,
     name: Annotated[str | None, typer.Option(help="What to call the hand.")] = None,
     base: Annotated[str | None, typer.Option(help="Body that is the root of the hand.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.", metavar="")] = False,
 ) -> None:
     """Propose a hand.toml from a model, a reason for each line."""
     from planner.describe import description_text, propose, write_proposal

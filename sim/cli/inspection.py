@@ -156,7 +156,8 @@ def hand_tables(hand: Hand) -> list[Table]:
         for c in data["couplings"]:
             terms = " ".join(f"{v:+g} {j}" for j, v in c["joints"].items())
             kind = "stop: can only push the left side up" if c["one_sided"] else "two-sided"
-            couplings.add_row(c["name"], f"{terms} = {c['value']:g}", kind)
+            sign = ">=" if c["one_sided"] else "="
+            couplings.add_row(c["name"], f"{terms} {sign} {c['value']:g}", kind)
         tables.append(couplings)
     return tables
 
@@ -169,7 +170,7 @@ def print_check(report: CheckReport, console: Console) -> None:
 
     joints = Table(title=f"{report.hand}: joints in the order of q")
     for column in ("joint", "of", "q", "qpos", "range", "torque N m", "actuators"):
-        joints.add_column(column)
+        joints.add_column(column, overflow="fold")
     for j in report.joints:
         joints.add_row(
             escape(j.name),

@@ -25,7 +25,9 @@ def view(
     ],
     output: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Write the page here, no more.", metavar="FILE"),
+        typer.Option(
+            "--out", "-o", help="Write the page here, no more; not for a dataset.", metavar="FILE"
+        ),
     ] = None,
     port: Annotated[
         int | None,
@@ -51,7 +53,8 @@ def view(
 ) -> None:
     """Show a hand, object, plan, run or dataset in the browser.
 
-    What it is, its content says. Without a display a server on 127.0.0.1 shows it, until Ctrl-C.
+    The kind of file is recognised from its content. Without a display a server on 127.0.0.1 shows
+    the page until Ctrl-C.
     """
     from planner.errors import TaskError
     from sim.viewing import Opening, Target, ViewOptions, recognise, show, warnings_of

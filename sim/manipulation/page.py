@@ -9,7 +9,7 @@ from functools import reduce
 import numpy as np
 
 from planner.pages.blocks import Block, Facts, Folded, Heading, PlotsHere, Sentence, Table, Verdict
-from planner.pages.page import Page
+from planner.pages.page import Page, without_folder
 from planner.pages.scene import Band, Bars, Line, Mark, Plot, Scene
 from planner.spatial import FloatArray
 from planner.task import GraspTask
@@ -73,7 +73,8 @@ def manipulation_page(report: ManipulationReportFile, task: GraspTask | None = N
         stage = moving_stage(task, recording, obstacles_of(last.plan, task))
     fault = _fault_time(parts)
     return Page(
-        title=f"{report.hand} turns {report.object} by {shown(report.asked_deg, 'degrees')}",
+        title=f"{report.hand} turns {without_folder(report.object)} by "
+        f"{shown(report.asked_deg, 'degrees')}",
         subtitle=f"Manipulation, seed {report.seed}, {shown(report.mass_kg, 'kg')}, "
         f"{report.controller}",
         verdict=_verdict(report, fault),

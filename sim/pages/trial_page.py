@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.files.data import ContactData, PlanFile
 from planner.pages.blocks import Block, Facts, Folded, Heading, PlotsHere, Sentence, Table, Verdict
-from planner.pages.page import Page
+from planner.pages.page import Page, without_folder
 from planner.pages.scene import Contacts, Line, Mark, Plot, Scene
 from planner.spatial import FloatArray
 from planner.task import GraspTask
@@ -60,7 +60,7 @@ def trial_page(report: ReportFile, task: GraspTask | None = None) -> Page:
             task = task_of_plan(plan)
         stage = None if task is None else moving_stage(task, recording)
     return Page(
-        title=f"{report.hand} grasps {report.object}",
+        title=f"{report.hand} grasps {without_folder(report.object)}",
         subtitle=f"Trial, seed {report.seed}, {shown(report.mass_kg, 'kg')}, {report.controller}",
         verdict=_verdict(report),
         summary=_summary(report, plan, stage),

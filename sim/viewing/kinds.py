@@ -102,13 +102,12 @@ def recognise(target: Target) -> Kind:
         if kind.recognises(target):
             return kind
     if target.path is None:
-        raise NotFoundError(
-            "hand or object",
-            target.text,
-            (*hand_names(), *object_names()),
-            "Or give the path of a file or folder."
-            + " That path does not exist." * _like_path(target),
-        )
+        names = (*hand_names(), *object_names())
+        if _like_path(target):
+            advice = "give a file, a folder, or the name of a hand or object"
+            raise NotFoundError("hand or object", target.text, names, advice, is_path=True)
+        hint = "Or give the path of a file or folder."
+        raise NotFoundError("hand or object", target.text, names, hint)
     found = f"its format is {target.format!r}" if target.format else "it is of another kind"
     raise FileFormatError(
         f"{target.path} cannot be viewed: {found}; what can be: {', '.join(k.name for k in known)}"

@@ -42,7 +42,8 @@ class HandPanel {
   slider(parent, k) {
     const joint = this.joints[k], tied = this.rows.some((row) => row[k] !== 0);
     const label = element("label", "joint", parent);
-    const name = element("span", "name", label, joint.name);
+    const name = element("span", "name", label);
+    element("span", "", name, joint.name).title = joint.name;
     if (tied) element("span", "tied", name, "coupled");
     const input = element("input", "", label);
     Object.assign(input, { type: "range", min: joint.lower, max: joint.upper, step: "any" });

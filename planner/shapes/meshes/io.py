@@ -141,7 +141,9 @@ def check_solid(
     """
     wrong_size = size_fault(vertices)
     if wrong_size:
-        raise ObjectError(_message(name, [wrong_size]))
+        file = name if Path(name).suffix else "FILE"
+        remedy = wrong_size.remedy.replace("FILE", file)
+        raise ObjectError(f"{name} {wrong_size.what}; sizes are in metres: {remedy}")
     done: tuple[str, ...] = ()
     faults = faults_of(vertices, faces)
     if faults and repair:

@@ -80,15 +80,15 @@ def size_fault(vertices: FloatArray) -> Fault | None:
     extent = float(np.ptp(vertices, axis=0).max())
     if extent > LARGEST:
         return Fault(
-            what=f"it is {extent:.4g} m long, more than {LARGEST:g} m",
+            what=f"is {extent:.4g} m long, more than {LARGEST:g} m",
             repairable=False,
             remedy="if the file is in millimetres, give scale 0.001 (FILE*0.001)",
         )
     if extent < THINNEST:
         return Fault(
-            what=f"it is {1e3 * extent:.4g} mm long, less than {1e3 * THINNEST:g} mm",
+            what=f"is {1e3 * extent:.4g} mm long, less than {1e3 * THINNEST:g} mm",
             repairable=False,
-            remedy="sizes are in metres; give a larger scale (FILE*1000)",
+            remedy="give a larger scale (FILE*1000)",
         )
     return None
 

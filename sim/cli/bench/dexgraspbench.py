@@ -34,7 +34,10 @@ def dexgraspbench(
         str, typer.Option(help="The benchmark's settings, comma separated.")
     ] = "fc,tabletop",
     compare: Annotated[
-        bool, typer.Option(help="Also judge every grasp by our own --protocol dexgraspbench.")
+        bool,
+        typer.Option(
+            help="Also judge every grasp by our own --protocol dexgraspbench.", metavar=""
+        ),
     ] = True,
     *,
     result: ResultOptions,

@@ -34,14 +34,16 @@ def synthesis(
     seed: SeedOption = 0,
     mu: MuOption = 0.5,
     fingers: FingersOption = None,
-    floating: Annotated[bool, typer.Option("--floating/--table", help="Without a table.")] = False,
+    floating: Annotated[
+        bool, typer.Option("--floating/--table", help="Without a table.", metavar="")
+    ] = False,
     clearance: Annotated[
         float, typer.Option(min=0, help="Least distance of what must not touch, m.")
     ] = 0.0,
     rounds: RoundsOption = None,
     max_attempts: AttemptsOption = 100,
     baseline: Annotated[
-        bool, typer.Option("--baseline", help="Compare with FRoGGeR's figures.")
+        bool, typer.Option("--baseline", help="Compare with FRoGGeR's figures.", metavar="")
     ] = False,
     *,
     result: ResultOptions,
