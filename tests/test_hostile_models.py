@@ -114,7 +114,7 @@ def test_urdfs_that_do_not_say_what_they_mean_are_refused(kind: str, tmp_path: P
         (
             "<mujoco><worldbody><body>" + 2 * '<inertial pos="0 0 0" mass="1"/>' + "</body>"
             "</worldbody></mujoco>",
-            "repeated element.*; keep one of them",
+            "'inertial'.*; keep one of them",
         ),
     ],
 )
