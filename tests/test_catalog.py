@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+<<<<<<< HEAD
+=======
+import pickle
+>>>>>>> h-cli
 import re
 import shutil
 import subprocess
@@ -94,6 +98,19 @@ def test_a_misspelt_hand_is_answered_with_the_nearest_name(given: str, nearest: 
     assert caught.value.available == hand_names()
 
 
+def test_a_long_list_is_left_out_where_a_name_is_near() -> None:
+    names = [f"joint_{k}" for k in range(60)]
+    assert str(NotFoundError("joint", "joint_7x", names, "Mend it.")).endswith("? Mend it.")
+    assert "There is: joint_0, " in str(NotFoundError("joint", "zzz", names))
+
+
+def test_an_error_of_a_path_can_be_sent_to_another_process() -> None:
+    error = NotFoundError("hand", "a/b.xml", ["c"], "give another", is_path=True)
+    again = pickle.loads(pickle.dumps(error))
+    assert str(again) == str(error) == "a/b.xml does not exist; give another"
+    assert again.available == ("c",)
+
+
 def test_a_name_like_none_of_them_gets_the_list_and_no_guess() -> None:
     with pytest.raises(NotFoundError) as caught:
         load_hand("zzz")
@@ -112,7 +129,11 @@ def test_a_path_that_does_not_exist_is_called_a_path(
 
 @pytest.mark.parametrize("given", ["", "a" * 400, "a\0b", "hand.toml/" + "a" * 400])
 def test_a_name_that_no_file_can_have(given: str) -> None:
+<<<<<<< HEAD
     with pytest.raises(NotFoundError, match="no hand is called |does not exist; give"):
+=======
+    with pytest.raises(NotFoundError, match=r"no hand is called |does not exist; give"):
+>>>>>>> h-cli
         load_hand(given)
 
 

@@ -101,6 +101,12 @@ def test_an_object_stands_in_the_pose_that_is_asked_for(tmp_path: Path) -> None:
     assert refused.code == 3 and "there is no pose 9" in refused.err
 
 
+def test_a_plan_file_as_the_object_is_told_what_takes_it(planned: Path) -> None:
+    result = opposable("plan", "allegro_hand", planned)
+    assert result.code == 3
+    assert f"is a plan file, not an object: opposable simulate {planned}" in result.err
+
+
 def test_a_plan_file_is_valid_and_the_same_for_the_same_seed(planned: Path) -> None:
     first = json.loads(planned.read_text(encoding="utf-8"))
     PlanFile.model_validate(first)

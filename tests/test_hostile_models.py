@@ -107,6 +107,24 @@ def test_urdfs_that_do_not_say_what_they_mean_are_refused(kind: str, tmp_path: P
         propose(written(tmp_path, text.replace(old, new, 1), "claw.urdf"))
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("<mujocoinclude><option/></mujocoinclude>", "fragment: give the file that includes it"),
+        (
+            "<mujoco><worldbody><body>" + 2 * '<inertial pos="0 0 0" mass="1"/>' + "</body>"
+            "</worldbody></mujoco>",
+            "'inertial'.*; keep one of them",
+        ),
+    ],
+)
+def test_a_fragment_and_a_repeated_element_are_told_what_to_do(
+    text: str, message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ModelError, match=message):
+        load_spec(written(tmp_path, text, "part.xml"))
+
+
 def test_a_mimic_in_a_comment_and_the_joints_of_a_transmission_do_not_count(tmp_path: Path) -> None:
     more = (
         '<!-- <mimic joint="gone"/> --><transmission name="t"><joint name="f1.0"/>'

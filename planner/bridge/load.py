@@ -72,7 +72,7 @@ def _read(path: Path) -> Any:
     try:
         spec = _parsed(path)
     except (ValueError, FileNotFoundError) as error:
-        reason = str(error).replace("\n", "; ")
+        reason = str(error).strip().replace("\n", "; ")
         raise ModelError(
             f"MuJoCo cannot read {path} as a model: {reason}{_remedy(reason)}"
         ) from error
@@ -229,6 +229,10 @@ def _remedy(message: str) -> str:
         return "; give the mesh a thickness, or name its geom in drop_collision under [repair]"
     if "opening file" in message:
         return "; put the missing file there, or remove what names it from the model"
+    if "mujocoinclude" in message:
+        return "; it is a fragment: give the file that includes it"
+    if "repeated element" in message or "unique element" in message:
+        return "; keep one of them"
     if "Schema violation" in message:
         return (
             f"; this is MuJoCo {mujoco.__version__}, and the file may be of another version: take "

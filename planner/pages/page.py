@@ -28,7 +28,7 @@ from planner.pages.scene import Scene
 from planner.pages.three import three_source
 from planner.version import __version__
 
-__all__ = ["Page", "page_html", "read_page_data", "write_page"]
+__all__ = ["Page", "page_html", "read_page_data", "without_folder", "write_page"]
 
 SCRIPTS = (
     "unpack.js",
@@ -79,6 +79,11 @@ class Page:
     kind: str = ""
     scripts: tuple[str, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
+
+
+def without_folder(spec: str) -> str:
+    """What a title calls an object: of a mesh or model file the name, without its folder."""
+    return re.split(r"[/\\]", spec)[-1]
 
 
 def write_page(page: Page, path: Path | str) -> None:

@@ -107,6 +107,24 @@ def with_options(command: Command) -> Command:
     return stated_as
 
 
+def _refuse_our_file(object: str) -> None:
+    """Say which command takes a plan or report that was given as the object.
+
+    Raises:
+        TaskError: It is one.
+    """
+    if not object.lower().endswith(".json"):
+        return
+    from planner.errors import TaskError
+    from sim.viewing.target import Target
+
+    kind = Target(object).format
+    if kind == "opposable-plan":
+        raise TaskError(f"{object} is a plan file, not an object: opposable simulate {object}")
+    if kind.startswith("opposable-"):
+        raise TaskError(f"{object} is of format {kind!r}, not an object: opposable view {object}")
+
+
 @dataclass(frozen=True, kw_only=True)
 class PlanOptions(TaskOptions):
     """What ``run``, ``plan`` and ``batch`` are asked for: the same options make the same task."""
@@ -149,12 +167,13 @@ class PlanOptions(TaskOptions):
         """Plan with a spinner that counts attempts on stderr.
 
         Raises:
-            PlannerError: Bad input.
+            PlannerError: Bad input; a file of ours in place of the object is told what takes it.
             NoGraspFoundError: No attempt found a grasp.
         """
         from planner.errors import NoGraspFoundError
         from sim.cli.low_objects import advice_for_low, said_of_low
 
+        _refuse_our_file(object)
         options, task = self.synthesis(), self.task(hand, object)
         title = f"planning: {task.hand.name}, {task.object.name} ..."
         with heeding_ctrl_c() as check, err.status(title) as status:
