@@ -171,11 +171,7 @@ BAD: dict[str, tuple[Make, str]] = {
     ),
     "in millimetres": (
         exported(lambda: box(60.0)),
-<<<<<<< HEAD
-        r"is 60 m long, more than 2 m; sizes are in metres: if the file is in millimetres, give scale 0\.001",
-=======
         r"is 60 m long, more than 2 m; sizes are in metres: .* scale 0\.001 \([^ ]+\.\w+\*0",
->>>>>>> h-cli
     ),
     "a tenth of a millimetre": (
         exported(lambda: box(1e-4)),

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-<<<<<<< HEAD
-=======
 import pickle
->>>>>>> h-cli
 import re
 import shutil
 import subprocess
@@ -129,11 +126,7 @@ def test_a_path_that_does_not_exist_is_called_a_path(
 
 @pytest.mark.parametrize("given", ["", "a" * 400, "a\0b", "hand.toml/" + "a" * 400])
 def test_a_name_that_no_file_can_have(given: str) -> None:
-<<<<<<< HEAD
-    with pytest.raises(NotFoundError, match="no hand is called |does not exist; give"):
-=======
     with pytest.raises(NotFoundError, match=r"no hand is called |does not exist; give"):
->>>>>>> h-cli
         load_hand(given)
 
 

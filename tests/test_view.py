@@ -9,6 +9,7 @@ import urllib.request
 from collections.abc import Iterator, Mapping
 from http.client import HTTPConnection
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -110,13 +111,24 @@ def test_a_plan_is_recognised_by_its_format_and_not_by_its_name(plan_file: Path)
     assert kind_of(plan_file) == "a grasp plan"
 
 
+def _numbers(data: Any) -> list[float]:
+    """All numbers of plain data, in order."""
+    if isinstance(data, dict):
+        return [n for value in data.values() for n in _numbers(value)]
+    if isinstance(data, list):
+        return [n for value in data for n in _numbers(value)]
+    return [float(data)] if isinstance(data, int | float) else []
+
+
 def test_the_page_of_a_plan_can_be_viewed_again(plan_file: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     write_page(viewed(plan_file), page)
     again, before = viewed(page).data, read_page_data(page)[1]
     assert again is not None
-    assert again["grasp"] == before["grasp"]
-    assert again["task"] == before["task"]
+    # poses are read as rotations and written as quaternions: the last digit may differ
+    np.testing.assert_allclose(_numbers(again["grasp"]), _numbers(before["grasp"]), atol=1e-12)
+    np.testing.assert_allclose(_numbers(again["task"]), _numbers(before["task"]), atol=1e-12)
+    assert json.dumps(again["task"]["hand"]) == json.dumps(before["task"]["hand"])
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".stl", ".obj", ".glb"])

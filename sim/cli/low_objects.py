@@ -26,7 +26,7 @@ Allegro-type hand, 24 mm, fails at plates of 12 and 15 mm and grasps those of 20
 HIGHER = 1.2
 """Height of another pose over the present one (-) from which it is worth trying."""
 
-MOST_POSES, ATTEMPTS = 6, 10
+MOST_POSES, ATTEMPTS = 6, 30
 """Poses that are tried, and attempts at each: some 10 ms of CPU per attempt."""
 
 STANDS = (0.03, 0.05)

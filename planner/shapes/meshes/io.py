@@ -27,6 +27,9 @@ CONVERTIBLE = {
 }
 """Formats of meshes that trimesh converts, and the packages that it needs for that."""
 
+STL_HEAD, STL_TRIANGLE = 84, 50
+"""Bytes of a binary STL: of its head, whose last four count the triangles, and of a triangle."""
+
 PLAIN_PATH = re.compile(r"[\w./ :+,@=~-]+")
 """Paths that mean the same to every shell, between double quotes, and to Python."""
 
@@ -84,17 +87,35 @@ def _conversion(path: Path) -> str:
     return f'. To convert it{needed}: python -c "{command}"'
 
 
+def _is_whole_stl(path: Path) -> bool:
+    """Whether a binary STL has the bytes of the triangles that it announces; text counts as whole.
+
+    trimesh takes what is left of another for text, in whatever encoding a detector suggests.
+    """
+    with path.open("rb") as file:
+        head = file.read(STL_HEAD)
+    if head.lstrip()[:5].lower() == b"solid":
+        return True
+    announced = int.from_bytes(head[STL_HEAD - 4 :], "little")
+    return len(head) == STL_HEAD and path.stat().st_size >= STL_HEAD + STL_TRIANGLE * announced
+
+
 def _read(path: Path) -> tuple[FloatArray, IntArray]:
+    broken = ObjectError(
+        f"{path.name} cannot be read as {path.suffix.lower()}: it is neither binary nor text "
+        "of that format, or it is cut short; export it again"
+    )
     try:
+        if path.suffix.lower() == ".stl" and not _is_whole_stl(path):
+            raise broken
         # read_mesh refuses vertices that are not finite
         with np.errstate(invalid="ignore"):
             mesh = _loaded(path)
             vertices, faces = np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces)
     except ImportError as fault:  # bytes of no known encoding send trimesh looking for a detector
-        raise ObjectError(
-            f"{path.name} cannot be read as {path.suffix.lower()}: it is neither binary nor text "
-            "of that format, or it is cut short; export it again"
-        ) from fault
+        raise broken from fault
+    except ObjectError:
+        raise
     except Exception as fault:  # trimesh's readers raise whatever the bytes provoke
         raise ObjectError(
             f"{path.name} cannot be read as {path.suffix.lower()} ({type(fault).__name__}: "
