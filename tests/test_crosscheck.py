@@ -727,7 +727,7 @@ def test_exit_codes_are_those_of_a_ci(tmp_path: Path) -> None:
 def test_bad_input_is_named(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"a int is no model; give the path"):
         crosscheck(3)
-    with pytest.raises(NotFoundError, match=r"'gone\.xml'"):
+    with pytest.raises(NotFoundError, match=r"^gone\.xml does not exist; give a hand\.toml"):
         crosscheck("gone.xml")
     with pytest.raises(TaskError, match=r"n_configurations 0; give .* at least one"):
         crosscheck("allegro_hand", n_configurations=0)

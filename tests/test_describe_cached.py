@@ -194,7 +194,7 @@ def test_a_damaged_file_is_made_anew(
 
 
 def test_errors_are_those_of_propose(own_cache: Path, tmp_path: Path) -> None:
-    with pytest.raises(NotFoundError, match="no hand is called"):
+    with pytest.raises(NotFoundError, match=r"^nothing\.xml does not exist; give a hand\.toml"):
         proposed_description("nothing.xml")
     with pytest.raises(HandError, match="is a description already"):
         proposed_description("allegro_hand")

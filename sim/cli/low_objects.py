@@ -27,7 +27,7 @@ HIGHER = 1.2
 """Height of another pose over the present one (-) from which it is worth trying."""
 
 MOST_POSES, ATTEMPTS = 6, 30
-"""Poses that are tried, and attempts at each: some 10 ms of CPU per attempt."""
+"""Poses that are tried, and attempts at each: some tens of ms of CPU per attempt."""
 
 STANDS = (0.03, 0.05)
 """Heights (m) of stands that are tried: about one and two fingertips."""
