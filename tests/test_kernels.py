@@ -1,0 +1,61 @@
+"""The door to compiled kernels: which form runs, and that both can be asked."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from planner.numerics.kernels import compile_loops, kernel
+
+
+def plain_norms(rows: np.ndarray) -> np.ndarray:
+    norms: np.ndarray = np.sqrt((rows**2).sum(axis=1))
+    return norms
+
+
+@kernel(plain_norms)
+def norms(rows: np.ndarray) -> np.ndarray:
+    out = np.empty(len(rows))
+    for i in range(len(rows)):
+        total = 0.0
+        for j in range(rows.shape[1]):
+            total += rows[i, j] * rows[i, j]
+        out[i] = np.sqrt(total)
+    return out
+
+
+def test_both_forms_agree() -> None:
+    pytest.importorskip("numba")
+    rows = np.random.default_rng(0).normal(size=(20, 3))
+    expected = plain_norms(rows)
+    assert np.allclose(norms(rows), expected, atol=1e-15, rtol=0)
+    assert np.allclose(compile_loops(norms.loops)(rows), expected, atol=1e-15, rtol=0)  # type: ignore[attr-defined]
+    assert norms.plain is plain_norms  # type: ignore[attr-defined]
+
+
+def test_numba_is_not_imported_before_a_kernel_is_called() -> None:
+    code = "import sys, planner.search, planner.numerics.kernels; print('numba' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+
+
+@pytest.mark.parametrize("asked", ["0", ""])
+def test_the_variable_switches_kernels_off(asked: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OPPOSABLE_COMPILE", asked)
+    ran: list[str] = []
+
+    def same_plain(x: float) -> float:
+        ran.append("plain")
+        return x
+
+    @kernel(same_plain)
+    def same(x: float) -> float:
+        return x
+
+    assert same(2.0) == 2.0
+    has_numba = importlib.util.find_spec("numba") is not None
+    assert (ran == ["plain"]) == (asked == "0" or not has_numba)
