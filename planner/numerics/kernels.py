@@ -4,20 +4,27 @@ Where arrays are small, calling NumPy costs more than its arithmetic. A kernel i
 plain loops, which numba compiles, and in NumPy, which runs where numba is missing or not wanted
 (``OPPOSABLE_COMPILE=0``). Both give the same numbers to rounding, which a test of each kernel
 checks. numba is imported at the first call of a kernel, never before: that costs 0.3 s.
+
+Loops may call loops: those of other kernels, and those marked ``loops_of_kernels``, which only
+kernels call.
 """
 
 from __future__ import annotations
 
+import dis
+import hashlib
 import importlib
 import importlib.util
+import marshal
 import os
 from collections.abc import Callable
-from functools import wraps
+from functools import lru_cache, wraps
+from types import CodeType, FunctionType
 from typing import Any, ParamSpec, TypeVar
 
 from planner.numerics.casadi_compiled import COMPILE_VARIABLE
 
-__all__ = ["compile_loops", "kernel", "kernels_are_compiled"]
+__all__ = ["compile_loops", "kernel", "kernels_are_compiled", "loops_of_kernels"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -55,8 +62,51 @@ def kernel(plain: Callable[P, R]) -> Callable[[Callable[P, R]], Callable[P, R]]:
     return decorate
 
 
+def loops_of_kernels(loops: Callable[P, R]) -> Callable[P, R]:
+    """Mark loops that kernels call: compiled as a part of them, never on their own."""
+    loops.loops = loops  # type: ignore[attr-defined]
+    return loops
+
+
 def compile_loops(loops: Callable[P, R]) -> Callable[P, R]:
-    """Compiled loops; numba keeps the machine code beside the module, or in the user's cache."""
-    numba: Any = importlib.import_module("numba")
-    compiled: Callable[P, R] = numba.njit(cache=True, fastmath=False, error_model="numpy")(loops)
+    """Compiled loops; numba keeps the machine code beside the module, or in the user's cache.
+
+    numba notices a change of the module that it compiles. The name under which the machine code is
+    kept changes with whatever the loops call or take from other modules.
+    """
+    compiled: Callable[P, R] = _compile(loops)
     return compiled
+
+
+@lru_cache(maxsize=256)
+def _compile(loops: Any) -> Any:
+    numba: Any = importlib.import_module("numba")
+    called = {
+        name: value.loops for name, value in _taken(loops).items() if hasattr(value, "loops")
+    }
+    globals_ = {**loops.__globals__, **{name: _compile(one) for name, one in called.items()}}
+    copy = FunctionType(loops.__code__, globals_, loops.__name__, loops.__defaults__)
+    copy.__qualname__ = f"{loops.__qualname__}_{_digest(loops)[:12]}"
+    return numba.njit(cache=True, fastmath=False, error_model="numpy")(copy)
+
+
+def _digest(loops: Any) -> str:
+    """Digest of loops, of the numbers that they take from modules, and of the loops they call."""
+    parts = [marshal.dumps(_without_place(loops.__code__))]
+    for value in _taken(loops).values():
+        if hasattr(value, "loops"):
+            parts.append(_digest(value.loops).encode())
+        elif isinstance(value, int | float | str | tuple):
+            parts.append(repr(value).encode())
+    return hashlib.sha256(b"\0".join(parts)).hexdigest()
+
+
+def _taken(loops: Any) -> dict[str, Any]:
+    """What loops take from their module, by name."""
+    names = {i.argval for i in dis.get_instructions(loops) if i.opname == "LOAD_GLOBAL"}
+    return {name: loops.__globals__[name] for name in sorted(names) if name in loops.__globals__}
+
+
+def _without_place(code: CodeType) -> CodeType:
+    """Code that does not know where its file lies."""
+    return code.replace(co_filename="", co_firstlineno=1, co_linetable=b"")

@@ -23,7 +23,6 @@ from planner.numerics.levenberg_marquardt import (
     SLOW,
     SOLVED,
     LMResult,
-    levenberg_marquardt,
 )
 from planner.quality.weakest import wrench_faces
 from planner.shapes import Mesh, Shape
@@ -112,8 +111,8 @@ class _Run:
     def __init__(
         self, problem: GraspProblem, task: GraspTask, start: Start, parameters: FloatArray
     ) -> None:
-        self.residuals = problem.residuals.clone()
-        self.residuals.set_parameters(parameters, problem.surface.field_of(task.object.shape))
+        field = problem.surface.field_of(task.object.shape)
+        self.residuals = problem.least_squares(parameters, field)
         self._problem, self._task, self._start = problem, task, start
         self._unknowns = problem.formulation.unknowns
         self._lower, self._upper = problem.bounds(start)
@@ -132,8 +131,7 @@ class _Run:
 
     def solve(self, budget: int, damping: float | None = None, slow: float = SLOW) -> None:
         """Move on by at most ``budget`` evaluations."""
-        self.end = levenberg_marquardt(
-            self.residuals,
+        self.end = self.residuals.minimise(
             np.clip(self.x, self._lower, self._upper),
             lower=self._lower,
             upper=self._upper,

@@ -29,10 +29,14 @@ import numpy as np
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
+from planner.numerics.kernels import kernels_are_compiled
 from planner.shapes import Shape
 from planner.shapes.surface import Patch, Surface
 from planner.spatial import SE3, FloatArray
+from planner.synthesis.field_points import Field
 from planner.synthesis.formulation import Formulation, formulate
+from planner.synthesis.loops.build import LoopProblem, loop_problem
+from planner.synthesis.loops.solver import LoopResiduals
 from planner.synthesis.mesh_surface import surface_of
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.residuals import Residuals
@@ -131,6 +135,21 @@ class GraspProblem:
     def __str__(self) -> str:
         """Variables, parameters and all terms, one line each."""
         return f"{self._head}\n{table_of(self.terms)}"
+
+    @built
+    def _loops(self) -> LoopProblem | None:
+        return loop_problem(self.residuals)
+
+    def least_squares(self, p: FloatArray, field: Field | None) -> Residuals | LoopResiduals:
+        """The residuals of one run with parameters p, and the field of a mesh.
+
+        As compiled loops, unless numba is missing or not wanted.
+        """
+        if kernels_are_compiled() and self._loops is not None:
+            return LoopResiduals(self._loops, p, field)
+        mine = self.residuals.clone()
+        mine.set_parameters(p, field)
+        return mine
 
     @property
     def _head(self) -> str:

@@ -8,7 +8,9 @@ has a name: ``row_names`` gives those of the last call.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -16,6 +18,7 @@ from numpy.typing import NDArray
 
 from planner.numerics.casadi_buffers import into_buffers
 from planner.numerics.casadi_compiled import compiled
+from planner.numerics.levenberg_marquardt import SLOW, LMResult, levenberg_marquardt
 from planner.spatial import FloatArray
 from planner.synthesis.field_points import COEFFICIENTS, Field
 from planner.synthesis.formulation import Formulation
@@ -25,7 +28,7 @@ from planner.synthesis.terms.resistance import Resistance
 from planner.synthesis.terms.source import ActiveRows, RowSource, names_of
 from planner.synthesis.terms.term import Row, WrittenTerm
 from planner.system.stage_times import stage
-from planner.system.threads import BUILDING
+from planner.system.threads import BUILDING, built
 
 __all__ = ["Residuals"]
 
@@ -40,6 +43,13 @@ class Residuals:
     Attributes:
         formulation: The written terms.
         required: The terms that must hold, by name.
+        inputs: Symbols of unknowns, parameters and Taylor rows of a mesh.
+        residual: Written rows (m,) as an expression, with weight and margin.
+        jacobian: Theirs by the unknowns (m, n).
+        rows: Their names.
+        both: Whether each counts on both sides of zero (m,).
+        n_required: So many of them must hold, the first.
+        clearances, resistance: Rows that come in numbers.
         n_terms: After a call: how many of the first rows belong to terms that must hold.
     """
 
@@ -50,22 +60,22 @@ class Residuals:
             formulation: The written terms.
         """
         self.formulation, symbols = formulation, formulation.symbols
-        self._clearances = Clearances(symbols)
+        self.clearances = Clearances(symbols)
         self._true_links = TrueLinks(symbols.hand)
-        self._resistance = Resistance(symbols)
+        self.resistance = Resistance(symbols)
         points = symbols.surface.field
         self._points = points if points is not None and len(points) else None
         tau = ca.SX(0, 1) if self._points is None else self._points.symbols
         written = formulation.written
         rows = [w.term.weight * (w.expression - w.term.margin) for w in written]
-        residual = ca.densify(ca.vertcat(*rows))
-        jacobian = ca.jacobian(residual, symbols.x)
-        self._rows = tuple(row for w in written for row in w.rows)
-        self._n_terms = self.n_terms = sum(not row.term.role.is_cost for row in self._rows)
-        self._both: NDArray[np.bool_] = np.array([not r.term.role.one_sided for r in self._rows])
+        self.residual = residual = ca.densify(ca.vertcat(*rows))
+        self.jacobian = jacobian = ca.jacobian(residual, symbols.x)
+        self.rows = tuple(row for w in written for row in w.rows)
+        self.n_required = self.n_terms = sum(not row.term.role.is_cost for row in self.rows)
+        self.both: NDArray[np.bool_] = np.array([not r.term.role.one_sided for r in self.rows])
         row, column = (np.array(v) for v in jacobian.sparsity().get_triplet())
-        written_terms = (r.term for r in self._rows[: self._n_terms])
-        required = (*written_terms, *self._clearances.rows, LINKS)
+        written_terms = (r.term for r in self.rows[: self.n_required])
+        required = (*written_terms, *self.clearances.rows, LINKS)
         self.required = {term.name: term for term in required}
         self._at, self._width = row * symbols.x.numel() + column, symbols.x.numel()
         outputs = {
@@ -74,21 +84,21 @@ class Residuals:
             for name, value in source.outputs.items()
         }
         self._outputs = tuple(outputs)
-        inputs = [symbols.x, formulation.p, tau]
-        results = [residual, jacobian, *outputs.values()]
-        self._function = compiled(ca.Function("residuals", inputs, results))
-        self._make_room()
+        self.inputs = [symbols.x, formulation.p, tau]
+        self._shared = _Shared(self.inputs, [residual, jacobian, *outputs.values()])
+        self._call: Callable[[], None] | None = None
+        self._p = np.zeros(formulation.p.numel())
         self._field: Field | None = None
         self._active: tuple[list[ActiveRows], NDArray[np.bool_], list[ActiveRows]]
 
     @property
     def _sources(self) -> tuple[RowSource, ...]:
-        return self._clearances, self._true_links, self._resistance
+        return self.clearances, self._true_links, self.resistance
 
-    def _make_room(self) -> None:
-        """Arrays for arguments and results."""
-        f = self._function
-        self._x, self._p, self._tau = (np.zeros(f.numel_in(i)) for i in range(3))
+    def _make_room(self) -> Callable[[], None]:
+        """Arrays for arguments and results, and the call that reads and writes them."""
+        f = self._shared.function
+        self._x, self._tau = np.zeros(f.numel_in(0)), np.zeros(f.numel_in(2))
         self._values, self._entries = np.zeros(f.numel_out(0)), np.zeros(f.nnz_out(1))
         self._jacobian = np.zeros((len(self._values), self._width))
         # matrices are transposed: CasADi stores columns
@@ -97,15 +107,15 @@ class Residuals:
         for k, source in enumerate(self._sources):
             source.receive({name: found[k, name] for name in source.outputs})
         arguments = [self._x, self._p, self._tau]
-        self._call = into_buffers(f, arguments, [self._values, self._entries, *rest])
+        return into_buffers(f, arguments, [self._values, self._entries, *rest])
 
     def clone(self) -> Residuals:
         """The same expressions with parameters and results of their own."""
         other = copy(self)
-        other._clearances = self._clearances.clone()
+        other.clearances = self.clearances.clone()
         other._true_links = self._true_links.clone()
-        other._resistance = self._resistance.clone()
-        other._make_room()
+        other.resistance = self.resistance.clone()
+        other._p, other._call = np.zeros_like(self._p), None
         return other
 
     def set_parameters(self, p: FloatArray, field: Field | None) -> None:
@@ -123,7 +133,7 @@ class Residuals:
 
     def set_directions(self, directions: FloatArray, target: float = 0.0) -> None:
         """Directions (k, 6) of wrench to work on from now on; resistance to reach in each (-)."""
-        self._resistance.set_directions(directions, target)
+        self.resistance.set_directions(directions, target)
 
     def set_objectives(self, values: FloatArray) -> None:
         """Parameters of the objectives' rows from now on; none switches them off."""
@@ -138,7 +148,32 @@ class Residuals:
         with stage("residuals"):
             return self._evaluate(x)
 
+    def minimise(
+        self,
+        x: FloatArray,
+        *,
+        lower: FloatArray,
+        upper: FloatArray,
+        scale: FloatArray,
+        max_iterations: int,
+        damping: float | None = None,
+        slow: float = SLOW,
+    ) -> LMResult:
+        """A run of ``levenberg_marquardt``."""
+        return levenberg_marquardt(
+            self,
+            x,
+            lower=lower,
+            upper=upper,
+            scale=scale,
+            max_iterations=max_iterations,
+            damping=damping,
+            slow=slow,
+        )
+
     def _evaluate(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        if self._call is None:
+            self._call = self._make_room()
         self._x[:] = x
         if self._field is not None:
             points = self.formulation.unknowns.points(x)
@@ -147,12 +182,12 @@ class Residuals:
             taylor[:, 3:] = self._field.taylor(points, 2)
         self._call()
         self._jacobian.ravel()[self._at] = self._entries
-        counts = self._both | (self._values < 0.0)
-        before = [*self._clearances(x), *self._true_links(x)]
-        after = self._resistance(x)
+        counts = self.both | (self._values < 0.0)
+        before = [*self.clearances(x), *self._true_links(x)]
+        after = self.resistance(x)
         self._active = before, counts, after
         self.n_terms = sum(len(a.values) for a in before)
-        self.n_terms += int(np.count_nonzero(counts[: self._n_terms]))
+        self.n_terms += int(np.count_nonzero(counts[: self.n_required]))
         return (
             np.concatenate(
                 [
@@ -175,7 +210,7 @@ class Residuals:
         before, counts, after = self._active
         rows = {term: rows for source in self._sources for term, rows in source.rows.items()}
         names = [row for active in before for row in names_of(active, rows)]
-        names += [self._rows[k] for k in np.flatnonzero(counts).tolist()]
+        names += [self.rows[k] for k in np.flatnonzero(counts).tolist()]
         return names + [row for active in after for row in names_of(active, rows)]
 
     @property
@@ -185,25 +220,45 @@ class Residuals:
         Resistance, true distances of links and clearances from a mesh have no expression.
         """
         with BUILDING:
-            expressions = self._clearances.expressions
+            expressions = self.clearances.expressions
         before, after = (
             [
                 WrittenTerm(term=term, rows=rows, expression=expressions.get(term))
                 for source in sources
                 for term, rows in source.rows.items()
             ]
-            for sources in ((self._clearances, self._true_links), (self._resistance,))
+            for sources in ((self.clearances, self._true_links), (self.resistance,))
         )
         return (*before, *self.formulation.written, *after)
 
     def violations(self) -> dict[str, float]:
         """Largest violation of each term that must hold at the last x, in its unit."""
-        out = dict.fromkeys(self.required, 0.0)
-        for i, row in enumerate(self._rows[: self._n_terms]):
-            term = row.term
-            value = float(self._values[i]) / term.weight + term.margin
-            out[term.name] = max(out[term.name], -value if term.role.one_sided else abs(value))
+        out = self.written_violations(self._values)
         for active in self._active[0]:
             name = active.term.name
             out[name] = max(out[name], -float(active.values.min()))
         return out
+
+    def written_violations(self, values: FloatArray) -> dict[str, float]:
+        """Largest violation of each term that must hold; of written terms from their values (m,).
+
+        Of others it is zero.
+        """
+        out = dict.fromkeys(self.required, 0.0)
+        for value, row in zip(values[: self.n_required].tolist(), self.rows, strict=False):
+            term = row.term
+            value = value / term.weight + term.margin
+            out[term.name] = max(out[term.name], -value if term.role.one_sided else abs(value))
+        return out
+
+
+class _Shared:
+    """The function that all clones call; made at the first call, since compiled loops need none."""
+
+    def __init__(self, inputs: list[Any], results: list[Any]) -> None:
+        self._inputs, self._results = inputs, results
+
+    @built
+    def function(self) -> Any:
+        """Residuals, their Jacobian and what the row sources need."""
+        return compiled(ca.Function("residuals", self._inputs, self._results))

@@ -87,6 +87,11 @@ class DistanceField:
         """Spacing of the finest grid, m."""
         return self.levels[0].spacing
 
+    @property
+    def flat(self) -> FloatArray:
+        """Coefficients of all levels one after the other, each level by rows (k,), m."""
+        return self._tables.flat
+
     def taylor(self, points: FloatArray, order: int = 2) -> FloatArray:
         """Value and partial derivatives at points.
 

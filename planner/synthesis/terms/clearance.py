@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.shapes.surface import box_clearance
+from planner.shapes.surface import SIZE_DIM, box_clearance
 from planner.spatial import FloatArray, IntArray
 from planner.synthesis.field_points import Field
 from planner.synthesis.link_capsules import (
@@ -41,11 +41,24 @@ from planner.synthesis.terms.source import ActiveRows
 from planner.synthesis.terms.term import Role, Row, Term
 from planner.synthesis.unknowns import mrp_rates
 
-__all__ = ["FINGERS", "OBJECT", "OBSTACLE", "TABLE", "Clearances"]
+__all__ = [
+    "FASTEST",
+    "FINGERS",
+    "OBJECT",
+    "OBSTACLE",
+    "OBSTACLE_DIM",
+    "TABLE",
+    "Clearances",
+    "box_clearance_of",
+    "clearance_of",
+]
 
 AMPLE = 0.002
 """Room (m) between two fingers in the hand's own postures from which on they are asked for all of
 ``clear_fingers``: its default. Pairs with less are asked for the room that they have."""
+
+OBSTACLE_DIM = 15
+"""Numbers of an obstacle among the parameters."""
 
 FASTEST = 1.1
 """Largest slope (-) of a mesh's smooth distance; a little more than that of the true one."""
@@ -99,6 +112,10 @@ class Clearances:
 
     Attributes:
         outputs, rows: See ``RowSource``.
+        spheres: Spheres that avoid object and obstacles.
+        radii: Theirs (n,), m.
+        hull: Spheres that avoid the table.
+        pairs: Capsules of ``finger_capsules`` that avoid each other (n_pairs, 2).
     """
 
     def __init__(self, symbols: GraspSymbols) -> None:
@@ -110,21 +127,21 @@ class Clearances:
         g, hand = symbols, symbols.hand
         self._symbols, self._hand, self._surface = g, hand, g.surface
         self._size = g.unknowns.size
-        self._spheres = moving(hand, link_spheres(hand))
-        self._hull = moving(hand, hull_spheres(hand))
+        self.spheres = moving(hand, link_spheres(hand))
+        self.hull = moving(hand, hull_spheres(hand))
         capsules = finger_capsules(hand)
-        self._on_spheres = HandPoints(hand, g.unknowns, [b.joint_id for b in self._spheres])
-        self._on_hull = HandPoints(hand, g.unknowns, [b.joint_id for b in self._hull])
+        self._on_spheres = HandPoints(hand, g.unknowns, [b.joint_id for b in self.spheres])
+        self._on_hull = HandPoints(hand, g.unknowns, [b.joint_id for b in self.hull])
         self._on_capsules = HandPoints(hand, g.unknowns, [b.joint_id for b in capsules])
-        self._pairs = np.array(collision_pairs(hand), dtype=np.int64).reshape(-1, 2)
-        self._radii = np.array([b.radius for b in self._spheres])
+        self.pairs = np.array(collision_pairs(hand), dtype=np.int64).reshape(-1, 2)
+        self.radii = np.array([b.radius for b in self.spheres])
         touching = [f.name for f in g.fingers]
-        self._avoids, self._on_tip = _avoiding(self._spheres, touching)
-        centers = [g.place(b.joint_id, b.center) for b in self._spheres]
+        self._avoids, self._on_tip = _avoiding(self.spheres, touching)
+        centers = [g.place(b.joint_id, b.center) for b in self.spheres]
         values, slopes = ca.SX(1, 0), ca.SX(3, 0)
         if g.surface.field is None:
-            values, slopes = _distances(centers, g.surface.clearance, g.size)
-        boxes = [_distances(centers, _from_box, ca.horzcat(*box)) for box in g.boxes]
+            values, slopes = _distances(centers, clearance_of(g.surface.clearance), g.size)
+        boxes = [_distances(centers, box_clearance_of(), ca.vertcat(*map(ca.vec, box))) for box in g.boxes]
         point, normal, offset = g.symbolic.point, *g.table
         ends = [(point(c.joint_id, c.inner), point(c.joint_id, c.outer)) for c in capsules]
         heights = [
@@ -132,12 +149,12 @@ class Clearances:
             - offset
             - b.radius
             - g.option["clear_table"]
-            for b in self._hull
+            for b in self.hull
         ]
         self.outputs: dict[str, Any] = {
             "centers": _columns(centers),
-            "spheres": _columns([point(b.joint_id, b.center) for b in self._spheres]),
-            "hull": _columns([point(b.joint_id, b.center) for b in self._hull]),
+            "spheres": _columns([point(b.joint_id, b.center) for b in self.spheres]),
+            "hull": _columns([point(b.joint_id, b.center) for b in self.hull]),
             "inner": _columns([inner for inner, _ in ends]),
             "outer": _columns([outer for _, outer in ends]),
             "distances": values,
@@ -153,15 +170,15 @@ class Clearances:
 
     def _named(self) -> dict[Term, tuple[Row, ...]]:
         """Names of all rows; spheres that need not avoid the object have none."""
-        sphere = [(b.finger,) if b.finger else () for b in self._spheres]
-        hull = [(b.finger,) if b.finger else () for b in self._hull]
+        sphere = [(b.finger,) if b.finger else () for b in self.spheres]
+        hull = [(b.finger,) if b.finger else () for b in self.hull]
         capsule = [c.finger for c in finger_capsules(self._hand)]
         about: dict[Term, list[tuple[int, tuple[str, ...]]]] = {
             OBJECT: [(k, sphere[k]) for k in np.flatnonzero(self._avoids).tolist()],
             TABLE: list(enumerate(hull)),
             OBSTACLE: list(enumerate(sphere * len(self._symbols.boxes))),
             FINGERS: [
-                (k, (capsule[i], capsule[j])) for k, (i, j) in enumerate(self._pairs.tolist())
+                (k, (capsule[i], capsule[j])) for k, (i, j) in enumerate(self.pairs.tolist())
             ],
         }
         return {term: tuple(term.row(a, k) for k, a in rows) for term, rows in about.items()}
@@ -173,9 +190,9 @@ class Clearances:
         by_sphere = self.outputs["distances"].T
         if g.surface.field is None:
             margin = [g.option["clear_tip" if tip else "clear_object"] for tip in self._on_tip]
-            by_sphere -= ca.vertcat(*margin) + self._radii + self._surface.distance_error
+            by_sphere -= ca.vertcat(*margin) + self.radii + self._surface.distance_error
         around = self.outputs["obstacle_distances"].T
-        around = [around[:, k] - self._radii - g.option["clear_table"] for k in range(len(g.boxes))]
+        around = [around[:, k] - self.radii - g.option["clear_table"] for k in range(len(g.boxes))]
         which = np.flatnonzero(self._avoids).tolist()
         return {
             OBJECT: by_sphere[which] if g.surface.field is None and which else None,
@@ -195,13 +212,39 @@ class Clearances:
     def set_parameters(self, values: dict[str, FloatArray], field: Field | None) -> None:
         """See ``RowSource``."""
         self._values, self._field = values, field
-        margin = np.where(self._on_tip, values["clear_tip"][0], values["clear_object"][0])
-        self._reach = self._radii + margin + self._surface.distance_error
-        self._reach[~self._avoids] = -np.inf
+        self._reach = self.reach(values)
         self._seen = np.full((len(self._reach), 3), np.inf)
-        self._gaps = np.where(self._avoids, -np.inf, np.inf)
+        self._gaps = self.unknown_gaps()
         root = values["root"][:9]
         self._root = root.reshape(3, 3, order="F") if len(root) else None
+
+    def reach(self, values: dict[str, FloatArray]) -> FloatArray:
+        """What the distance of each sphere's centre from the object must be (n,), m.
+
+        Minus infinity where it need not be any. ``values`` are parameters by name.
+        """
+        margin = np.where(self._on_tip, values["clear_tip"][0], values["clear_object"][0])
+        out: FloatArray = self.radii + margin + self._surface.distance_error
+        out[~self._avoids] = -np.inf
+        return out
+
+    def unknown_gaps(self) -> FloatArray:
+        """Clearances (n,), m, of spheres that have not been looked up: those that count at once."""
+        return np.where(self._avoids, -np.inf, np.inf)
+
+    def heights(self, values: dict[str, FloatArray]) -> FloatArray:
+        """What the height of each hull sphere along the table's normal must be (n_hull,), m."""
+        least = float(values["table"][3] + values["clear_table"][0])
+        return np.array([b.radius for b in self.hull]) + least
+
+    def squared_distances(self, values: dict[str, FloatArray]) -> FloatArray:
+        """What the squared distance of each pair of capsules must be (n_pairs,), m2."""
+        radii = np.array([c.radius for c in finger_capsules(self._hand)])
+        rooms, clear = rooms_at_rest(self._hand), float(values["clear_fingers"][0])
+        asked = np.where(rooms >= AMPLE, clear, np.minimum(clear, rooms))
+        least = np.maximum(radii[self.pairs].sum(axis=1) + asked, 0.0)
+        out: FloatArray = least**2
+        return out
 
     def __call__(self, x: FloatArray) -> list[ActiveRows]:
         """See ``RowSource``."""
@@ -251,11 +294,11 @@ class Clearances:
         return [ActiveRows(TABLE, heights[bad], rows, bad)]
 
     def _obstacles(self) -> list[ActiveRows]:
-        n = len(self._radii)
+        n = len(self.radii)
         slopes = self._found["obstacle_slopes"]
         parts = []
         for k, gaps in enumerate(self._found["obstacle_distances"].T):
-            room = gaps - self._radii - self._values["clear_table"][0]
+            room = gaps - self.radii - self._values["clear_table"][0]
             bad = np.flatnonzero(room < 0.0)
             if len(bad):
                 at = self._found["spheres"][bad]
@@ -268,7 +311,7 @@ class Clearances:
         bad = np.flatnonzero(rooms < 0.0)
         if not len(bad):
             return []
-        first, second = self._pairs[bad].T
+        first, second = self.pairs[bad].T
         inner, outer = self._found["inner"], self._found["outer"]
         end, foot = closest_on_segments(inner[first], outer[first], inner[second], outer[second])
         twice = 2.0 * (end - foot)
@@ -301,20 +344,26 @@ def _between_fingers(g: GraspSymbols) -> list[Any]:
     return out
 
 
-def _distances(
-    points: list[Any], clearance: Callable[[Any, Any], Any], size: Any
-) -> tuple[Any, Any]:
-    """Distances (1, n) and gradients (3, n) of a clearance expression at points."""
-    of, at = ca.SX.sym("of", size.shape), ca.SX.sym("at", 3)
+def clearance_of(clearance: Callable[[Any, Any], Any], numbers: int = SIZE_DIM) -> Any:
+    """A clearance as CasADi function of numbers (``numbers``,) and a point: value, gradient."""
+    of, at = ca.SX.sym("of", numbers), ca.SX.sym("at", 3)
     value = clearance(of, at)
-    both = ca.Function("clearance", [of, at], [value, ca.gradient(value, at)])
-    found = [both(size, p) for p in points]
+    return ca.Function("clearance", [of, at], [value, ca.densify(ca.gradient(value, at))])
+
+
+def box_clearance_of() -> Any:
+    """Clearance from an obstacle; its numbers (15,) are those of ``obstacles_in_object``."""
+
+    def clearance(box: Any, point: Any) -> Any:
+        return box_clearance(box[12:], ca.reshape(box[:9], 3, 3) @ point + box[9:12])
+
+    return clearance_of(clearance, OBSTACLE_DIM)
+
+
+def _distances(points: list[Any], clearance: Any, size: Any) -> tuple[Any, Any]:
+    """Distances (1, n) and gradients (3, n) of a clearance at points."""
+    found = [clearance(size, p) for p in points]
     return ca.horzcat(*[v for v, _ in found]), ca.horzcat(*[g for _, g in found])
-
-
-def _from_box(box: Any, point: Any) -> Any:
-    """Clearance from a box: rotation (3, 3), translation (3,) and half extents (3,) in columns."""
-    return box_clearance(box[:, 4], box[:, :3] @ point + box[:, 3])
 
 
 def _columns(points: list[Any]) -> Any:

@@ -19,7 +19,13 @@ from planner.synthesis.symbols import GraspSymbols
 from planner.synthesis.terms.source import ActiveRows
 from planner.synthesis.terms.term import Role, Row, Term
 
-__all__ = ["N_DIRECTIONS", "RESISTANCE", "RESISTANCE_WEIGHT", "Resistance"]
+__all__ = [
+    "N_DIRECTIONS",
+    "RESISTANCE",
+    "RESISTANCE_WEIGHT",
+    "Resistance",
+    "checked_directions",
+]
 
 N_DIRECTIONS = 64
 """Most directions of wrench in one round: with few of them a round makes other directions weak."""
@@ -84,9 +90,7 @@ class Resistance:
         Raises:
             ValueError: More than ``N_DIRECTIONS``.
         """
-        if len(directions) > N_DIRECTIONS:
-            raise ValueError(f"there are {len(directions)} directions; give up to {N_DIRECTIONS}")
-        self._directions, self._target = directions[directions.any(axis=1)], target
+        self._directions, self._target = checked_directions(directions), target
 
     def __call__(self, x: FloatArray) -> list[ActiveRows]:
         """See ``RowSource``."""
@@ -104,6 +108,18 @@ class Resistance:
         rows = np.zeros((len(values), len(x)))
         rows[:, self._unknowns.point_columns] = slopes
         return [ActiveRows(RESISTANCE, values, rows, short)]
+
+
+def checked_directions(directions: FloatArray) -> FloatArray:
+    """Those of the directions (k, 6) that are not zero.
+
+    Raises:
+        ValueError: More than ``N_DIRECTIONS``.
+    """
+    if len(directions) > N_DIRECTIONS:
+        raise ValueError(f"there are {len(directions)} directions; give up to {N_DIRECTIONS}")
+    kept: FloatArray = directions[directions.any(axis=1)]
+    return kept
 
 
 _NONE = np.zeros((0, 6))

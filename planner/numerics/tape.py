@@ -1,0 +1,281 @@
+"""``Tape``: a CasADi function of scalars as arrays, which kernels evaluate without leaving numba.
+
+CasADi's virtual machine decides at every instruction what it is. A tape is the same instructions in
+another order: by depth, and within a depth by kind. Runs of one kind are plain loops, and results
+are the virtual machine's to the last bit. ``run_tape`` evaluates one set of arguments,
+``run_tape_on_lanes`` many of them side by side.
+
+The work array holds arguments, then constants, then one result per instruction.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.numerics.kernels import loops_of_kernels
+from planner.spatial import FloatArray, IntArray
+
+__all__ = ["Program", "Tape", "run_tape", "run_tape_on_lanes", "tape_of"]
+
+
+class Program(NamedTuple):
+    """The instructions, for kernels.
+
+    Attributes:
+        kinds: Of each run of instructions what they do (g,).
+        ends: Where each run ends (g,); it starts where the one before ends.
+        left: First operand of each instruction (k,): its place in the work array.
+        right: Second operand (k,); the first again where there is one.
+        first: Place of the first result.
+    """
+
+    kinds: IntArray
+    ends: IntArray
+    left: NDArray[np.uint32]
+    right: NDArray[np.uint32]
+    first: int
+
+
+class Tape(NamedTuple):
+    """A function as arrays.
+
+    Attributes:
+        program: The instructions.
+        work: What the work array begins with: zeros for the arguments, the constants (w,).
+        arguments: Where each argument begins.
+        results: Of each result where its entries are, by columns without structural zeros.
+    """
+
+    program: Program
+    work: FloatArray
+    arguments: tuple[int, ...]
+    results: tuple[IntArray, ...]
+
+
+_KINDS: tuple[int, ...] = (
+    ca.OP_ADD,
+    ca.OP_SUB,
+    ca.OP_MUL,
+    ca.OP_DIV,
+    ca.OP_NEG,
+    ca.OP_SQ,
+    ca.OP_TWICE,
+    ca.OP_INV,
+    ca.OP_SQRT,
+    ca.OP_SIN,
+    ca.OP_COS,
+    ca.OP_EXP,
+    ca.OP_LOG,
+    ca.OP_FMIN,
+    ca.OP_FMAX,
+    ca.OP_FABS,
+    ca.OP_SIGN,
+    ca.OP_LT,
+    ca.OP_LE,
+    ca.OP_EQ,
+    ca.OP_NE,
+    ca.OP_NOT,
+    ca.OP_AND,
+    ca.OP_OR,
+    ca.OP_IF_ELSE_ZERO,
+    ca.OP_POW,
+    ca.OP_CONSTPOW,
+    ca.OP_TAN,
+    ca.OP_ATAN2,
+    ca.OP_ASIN,
+    ca.OP_ACOS,
+    ca.OP_ATAN,
+    ca.OP_TANH,
+)
+"""Instructions that kernels know; the number of each kind is its place here."""
+
+
+def tape_of(function: Any) -> Tape | None:
+    """A CasADi function of SX as a tape; None where it holds an instruction kernels do not know."""
+    sizes = [function.nnz_in(i) for i in range(function.n_in())]
+    begins = [0, *np.cumsum(sizes).tolist()]
+    results = [np.zeros(function.nnz_out(i), dtype=np.int64) for i in range(function.n_out())]
+    depth, value_of = [0] * begins[-1], {}  # of values; the value that a register holds
+    constants: dict[float, int] = {}
+    lines: list[tuple[int, int, int, int, int]] = []  # depth, kind, operands, value
+    kind_of = {op: kind for kind, op in enumerate(_KINDS)}
+    for k in range(function.n_instructions()):
+        op = function.instruction_id(k)
+        into = function.instruction_output(k)
+        if op == ca.OP_CONST:
+            number = function.instruction_constant(k)
+            if number not in constants:
+                constants[number] = len(depth)
+                depth.append(0)
+            value_of[into[0]] = constants[number]
+            continue
+        of = function.instruction_input(k)
+        if op == ca.OP_INPUT:
+            value_of[into[0]] = begins[of[0]] + of[1]
+        elif op == ca.OP_OUTPUT:
+            results[into[0]][into[1]] = value_of[of[0]]
+        elif op in kind_of:
+            left = value_of[of[0]]
+            right = value_of[of[1]] if len(of) > 1 else left
+            lines.append((max(depth[left], depth[right]) + 1, kind_of[op], left, right, len(depth)))
+            value_of[into[0]] = len(depth)
+            depth.append(lines[-1][0])
+        else:
+            return None
+    return _laid_out(begins, constants, sorted(lines), len(depth), results)
+
+
+def _laid_out(
+    begins: Sequence[int],
+    constants: dict[float, int],
+    lines: list[tuple[int, int, int, int, int]],
+    n_values: int,
+    results: list[IntArray],
+) -> Tape:
+    """Values renumbered in the order in which they are computed."""
+    table = np.array(lines, dtype=np.int64).reshape(-1, 5)
+    n_in, first = begins[-1], begins[-1] + len(constants)
+    place = np.zeros(n_values, dtype=np.int64)
+    place[:n_in] = np.arange(n_in)
+    place[list(constants.values())] = n_in + np.arange(len(constants))
+    place[table[:, 4]] = first + np.arange(len(table))
+    work = np.zeros(first + len(table))
+    work[n_in:first] = list(constants)
+    last = np.ones(len(table), dtype=bool)
+    last[:-1] = (np.diff(table[:, 0]) != 0) | (np.diff(table[:, 1]) != 0)
+    ends = np.flatnonzero(last)
+    program = Program(
+        kinds=table[ends, 1],
+        ends=ends + 1,
+        left=place[table[:, 2]].astype(np.uint32),
+        right=place[table[:, 3]].astype(np.uint32),
+        first=first,
+    )
+    return Tape(
+        program=program,
+        work=work,
+        arguments=tuple(begins[:-1]),
+        results=tuple(place[r] for r in results),
+    )
+
+
+@loops_of_kernels
+def run_tape(program: Program, work: FloatArray) -> None:
+    """Compute all results from the arguments in the work array (w,)."""
+    left, right, first = program.left, program.right, program.first
+    start = 0
+    for g in range(len(program.kinds)):
+        kind, end = program.kinds[g], program.ends[g]
+        out = work[first + start : first + end]
+        a, b = left[start:end], right[start:end]
+        if kind == 0:
+            for k in range(len(out)):
+                out[k] = work[a[k]] + work[b[k]]
+        elif kind == 1:
+            for k in range(len(out)):
+                out[k] = work[a[k]] - work[b[k]]
+        elif kind == 2:
+            for k in range(len(out)):
+                out[k] = work[a[k]] * work[b[k]]
+        else:
+            for k in range(len(out)):
+                out[k] = compute(kind, work[a[k]], work[b[k]])
+        start = end
+
+
+@loops_of_kernels
+def run_tape_on_lanes(program: Program, work: FloatArray) -> None:
+    """The same for many sets of arguments side by side: the columns of the work array (w, n)."""
+    left, right, first = program.left, program.right, program.first
+    start = 0
+    for g in range(len(program.kinds)):
+        kind, end = program.kinds[g], program.ends[g]
+        for k in range(start, end):
+            out, a, b = work[first + k], work[left[k]], work[right[k]]
+            if kind == 0:
+                for i in range(len(out)):
+                    out[i] = a[i] + b[i]
+            elif kind == 1:
+                for i in range(len(out)):
+                    out[i] = a[i] - b[i]
+            elif kind == 2:
+                for i in range(len(out)):
+                    out[i] = a[i] * b[i]
+            else:
+                for i in range(len(out)):
+                    out[i] = compute(kind, a[i], b[i])
+        start = end
+
+
+@loops_of_kernels
+def compute(kind: int, a: float, b: float) -> float:  # noqa: C901, PLR0911, PLR0912
+    """What an instruction of a kind, by its place in ``_KINDS``, makes of its operands."""
+    if kind == 0:
+        return a + b
+    if kind == 1:
+        return a - b
+    if kind == 2:
+        return a * b
+    if kind == 3:
+        return a / b
+    if kind == 4:
+        return -a
+    if kind == 5:
+        return a * a
+    if kind == 6:
+        return 2.0 * a
+    if kind == 7:
+        return 1.0 / a
+    if kind == 8:
+        return math.sqrt(a)
+    if kind == 9:
+        return math.sin(a)
+    if kind == 10:
+        return math.cos(a)
+    if kind == 11:
+        return math.exp(a)
+    if kind == 12:
+        return math.log(a)
+    if kind == 13:
+        return b if b < a or a != a else a
+    if kind == 14:
+        return b if b > a or a != a else a
+    if kind == 15:
+        return abs(a)
+    if kind == 16:
+        return 1.0 if a > 0.0 else (-1.0 if a < 0.0 else a)
+    if kind == 17:
+        return 1.0 if a < b else 0.0
+    if kind == 18:
+        return 1.0 if a <= b else 0.0
+    if kind == 19:
+        return 1.0 if a == b else 0.0
+    if kind == 20:
+        return 1.0 if a != b else 0.0
+    if kind == 21:
+        return 1.0 if a == 0.0 else 0.0
+    if kind == 22:
+        return 1.0 if a != 0.0 and b != 0.0 else 0.0
+    if kind == 23:
+        return 1.0 if a != 0.0 or b != 0.0 else 0.0
+    if kind == 24:
+        return b if a != 0.0 else 0.0
+    if kind in (25, 26):
+        return math.pow(a, b)
+    if kind == 27:
+        return math.tan(a)
+    if kind == 28:
+        return math.atan2(a, b)
+    if kind == 29:
+        return math.asin(a)
+    if kind == 30:
+        return math.acos(a)
+    if kind == 31:
+        return math.atan(a)
+    return math.tanh(a)

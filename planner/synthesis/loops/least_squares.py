@@ -1,0 +1,249 @@
+"""Levenberg-Marquardt on a grasp in loops: ``planner.numerics.levenberg_marquardt`` in one kernel.
+
+The normal equations are summed up from the entries of the rows that count. Python is not entered
+between the first evaluation of a run and the last.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.numerics.kernels import loops_of_kernels
+from planner.numerics.levenberg_marquardt import (
+    FIRST_DAMPING,
+    LEAST_GAIN,
+    MOST_GROWTH,
+    NOTHING,
+    ROUNDS,
+    SOLVED,
+)
+from planner.spatial import FloatArray, IntArray
+from planner.synthesis.loops.rows import evaluate
+from planner.synthesis.loops.tables import ProblemTables, RunTables, Sources
+
+__all__ = ["STATUS", "minimise"]
+
+STATUS = ("out of iterations", "solved", "no step descends", "stalled")
+"""Why a run ended, by number."""
+
+
+@loops_of_kernels
+def minimise(
+    p: ProblemTables,
+    run: RunTables,
+    sources: Sources,
+    x: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    scale: FloatArray,
+    max_iterations: int,
+    damping: float,
+    slow: float,
+    stalled: float,
+    patience: int,
+) -> tuple[float, int, int, float]:
+    """Minimise from x (n,), which is overwritten; the last evaluation is at the x that is left.
+
+    Arguments are those of ``levenberg_marquardt``; a damping of NaN stands for None.
+
+    Returns:
+        Largest residual of a term, number in ``STATUS``, evaluations, damping of the next step.
+    """
+    places = np.full(len(x), -1)
+    n = 0
+    for k in range(len(x)):
+        if upper[k] > lower[k]:
+            places[k] = n
+            n += 1
+    unit, least, most = np.empty(n), np.empty(n), np.empty(n)
+    for k in range(len(x)):
+        if places[k] >= 0:
+            unit[places[k]] = scale[k]
+    normal, slope, step = np.empty((n, n)), np.empty(n), np.empty(n)
+    damped, held = np.empty((n, n)), np.empty(n, dtype=np.bool_)
+    to = x.copy()
+    rows, worst = evaluate(p, run, sources, x)
+    total = sum_of_squares(run, rows)
+    growth, idle, iterations, status = 2.0, 0, 1, 0
+    moved = False  # whether the last evaluation was elsewhere
+    while iterations < max_iterations:
+        if total <= NOTHING:
+            status = 1
+            break
+        normal_equations(run, rows, places, unit, normal, slope)
+        if math.isnan(damping):
+            damping = 0.0
+            for k in range(n):
+                damping = max(damping, FIRST_DAMPING * normal[k, k])
+        for k in range(len(x)):
+            if places[k] >= 0:
+                least[places[k]] = (lower[k] - x[k]) / scale[k]
+                most[places[k]] = (upper[k] - x[k]) / scale[k]
+        accepted, gain, total_to, worst_to = False, 0.0, 0.0, 0.0
+        while iterations < max_iterations and growth <= MOST_GROWTH:
+            bounded_step(normal, slope, damping, least, most, damped, held, step)
+            expected = expected_decrease(normal, slope, step)
+            for k in range(len(x)):
+                if places[k] >= 0:
+                    reached = x[k] + step[places[k]] * scale[k]
+                    to[k] = min(max(reached, lower[k]), upper[k])
+            rows, worst_to = evaluate(p, run, sources, to)
+            moved = True
+            iterations += 1
+            total_to = sum_of_squares(run, rows)
+            gain = (total - total_to) / expected if expected > 0 else -1.0
+            accepted = gain > LEAST_GAIN
+            if accepted:
+                break
+            damping, growth = damping * growth, growth * 2.0
+        if not accepted:
+            status = 2
+            break
+        gained = (total - total_to) / total
+        x[:] = to
+        moved = False
+        total, worst = total_to, worst_to
+        damping, growth = damping * max(1 / 3, 1 - (2 * min(gain, 1.0) - 1) ** 3), 2.0
+        idle = idle + 1 if gained < stalled else 0
+        if worst < SOLVED and gained < slow:
+            status = 1
+            break
+        if idle >= patience:
+            status = 3
+            break
+    if moved:
+        evaluate(p, run, sources, x)
+    return worst, status, iterations, damping
+
+
+@loops_of_kernels
+def sum_of_squares(run: RunTables, rows: int) -> float:
+    """Of so many residuals."""
+    total = 0.0
+    for k in range(rows):
+        total += run.residuals[k] * run.residuals[k]
+    return total
+
+
+@loops_of_kernels
+def normal_equations(
+    run: RunTables,
+    rows: int,
+    places: IntArray,
+    unit: FloatArray,
+    normal: FloatArray,
+    slope: FloatArray,
+) -> None:
+    """J'J (n, n) and J'r (n,) of the free unknowns in their units, from the entries of the rows.
+
+    ``places`` is the place of every unknown among the free ones, or -1. Entries of a row are in the
+    order of the unknowns.
+    """
+    n = len(slope)
+    normal[:] = 0.0
+    slope[:] = 0.0
+    at, value = np.empty(len(places), dtype=np.int64), np.empty(len(places))
+    begin = 0
+    for row in range(rows):
+        r, count = run.residuals[row], 0
+        for k in range(begin, run.row_ends[row]):
+            i = places[run.columns[k]]
+            if i >= 0:
+                at[count], value[count] = i, run.entries[k] * unit[i]
+                count += 1
+        begin = run.row_ends[row]
+        for a in range(count):
+            i, v = at[a], value[a]
+            slope[i] += r * v
+            for b in range(a + 1):
+                normal[i, at[b]] += v * value[b]
+    for i in range(n):
+        for j in range(i):
+            normal[j, i] = normal[i, j]
+
+
+@loops_of_kernels
+def expected_decrease(normal: FloatArray, slope: FloatArray, step: FloatArray) -> float:
+    """Of the sum of squares, by a step of the linearised residuals."""
+    total = 0.0
+    for i in range(len(step)):
+        along = 2.0 * slope[i]
+        for j in range(len(step)):
+            along += normal[i, j] * step[j]
+        total += along * step[i]
+    return -total
+
+
+@loops_of_kernels
+def bounded_step(
+    normal: FloatArray,
+    slope: FloatArray,
+    damping: float,
+    least: FloatArray,
+    most: FloatArray,
+    damped: FloatArray,
+    held: NDArray[np.bool_],
+    step: FloatArray,
+) -> None:
+    """Solve (J'J + damping I) step = -J'r with least <= step <= most, as ``_step`` does."""
+    n = len(slope)
+    step[:] = 0.0
+    for i in range(n):
+        held[i] = (least[i] >= 0 and slope[i] > 0) or (most[i] <= 0 and slope[i] < 0)
+    free, target = np.empty(n, dtype=np.int64), np.empty(n)
+    for _ in range(ROUNDS):
+        m = 0
+        for i in range(n):
+            if not held[i]:
+                free[m] = i
+                m += 1
+        if m == 0:
+            break
+        for a in range(m):
+            i = free[a]
+            target[a] = -slope[i]
+            if m < n:
+                for j in range(n):
+                    if held[j]:
+                        target[a] -= normal[i, j] * step[j]
+            for b in range(a, m):
+                damped[a, b] = normal[i, free[b]]
+            damped[a, a] += damping
+        solve_positive(damped, target, m)
+        beyond = False
+        for a in range(m):
+            step[free[a]] = target[a]
+        for i in range(n):
+            if step[i] < least[i] or step[i] > most[i]:
+                step[i] = min(max(step[i], least[i]), most[i])
+                held[i] = beyond = True
+        if not beyond:
+            break
+
+
+@loops_of_kernels
+def solve_positive(matrix: FloatArray, target: FloatArray, n: int) -> None:
+    """Solve with the first n rows of a symmetric positive definite matrix, into ``target``.
+
+    Only the upper triangle is read; Cholesky's factor U, matrix = U'U, takes its place.
+    """
+    for i in range(n):
+        row = matrix[i]
+        pivot = 1.0 / math.sqrt(row[i])
+        for k in range(i, n):
+            row[k] *= pivot
+        target[i] *= pivot
+        for j in range(i + 1, n):
+            factor, below = row[j], matrix[j]
+            if factor != 0.0:
+                for k in range(j, n):
+                    below[k] -= factor * row[k]
+                target[j] -= factor * target[i]
+    for i in range(n - 1, -1, -1):
+        row, value = matrix[i], target[i]
+        for k in range(i + 1, n):
+            value -= row[k] * target[k]
+        target[i] = value / row[i]
