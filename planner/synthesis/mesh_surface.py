@@ -33,6 +33,13 @@ of the mean normal within the radius of smoothing: 1 on flat and evenly round pl
 right-angled edge."""
 
 
+STEEP_ON_WALLS, EDGE_WORTH_ON_WALLS = 0.99, 3.0
+"""Least slope (-) in front of thin walls, and weight factor (-) of a lower one. The parallel surface
+goes around a rim in a round bend, where the slope is 0.95. On five cups and bowls of 1 to 3 mm 17.5
+grasps were found per CPU second with these, 12.1 with 0.93 and 1 (Allegro-type hand; Shadow-type:
+14.6 with these, 12.1 with 0.99 and 1)."""
+
+
 class _MeshSurface(Surface):
     """The zero level of a mesh's smooth distance field; one object per problem."""
 
@@ -45,22 +52,25 @@ class _MeshSurface(Surface):
         steep: float,
         steep_on_walls: float,
         edge_worth: float,
+        edge_worth_on_walls: float,
         skin: float,
     ) -> None:
         """Begin to collect the points at which the problem needs the field."""
         self.field: FieldPoints = FieldPoints()
         self.normal_error, self.distance_error = normal_error, distance_error
         self._steep, self._steep_on_walls = steep, steep_on_walls
-        self._edge_worth = edge_worth
+        self._edge_worth, self._edge_worth_on_walls = edge_worth, edge_worth_on_walls
         self._skin = skin
 
     def field_of(self, shape: Mesh) -> Field:
         return shape.field(fine=self._skin == 0.0)
 
     def size(self, shape: Mesh) -> FloatArray:
-        steep = self._steep_on_walls if shape.thin_walled else self._steep
-        skin = self._skin * shape.field().spacing if shape.thin_walled else 0.0
-        return np.array([_steepness(shape, steep, skin), skin, 0.0])
+        if not shape.thin_walled:
+            return np.array([_steepness(shape, self._steep, 0.0), 0.0, self._edge_worth])
+        skin = self._skin * shape.field().spacing
+        steep = _steepness(shape, self._steep_on_walls, skin)
+        return np.array([steep, skin, self._edge_worth_on_walls])
 
     def skin(self, size: Any) -> Any:
         return size[1]
@@ -81,7 +91,7 @@ class _MeshSurface(Surface):
 
     def flatness(self, size: Any, p: Any) -> Any:
         gradient = self.field.at(p)[1]
-        return self._edge_worth * (ca.sumsqr(gradient) - size[0] ** 2) / (2 * size[0])
+        return size[2] * (ca.sumsqr(gradient) - size[0] ** 2) / (2 * size[0])
 
     def clearance(self, size: Any, c: Any) -> Any:
         return self.field.at(c)[0]
@@ -110,8 +120,9 @@ def mesh_surface(
     normal_error: float = NORMAL_ERROR,
     distance_error: float = DISTANCE_ERROR,
     steep: float = STEEP,
-    steep_on_walls: float | None = None,
+    steep_on_walls: float = STEEP_ON_WALLS,
     edge_worth: float = 1.0,
+    edge_worth_on_walls: float = EDGE_WORTH_ON_WALLS,
     skin: float = SKIN,
 ) -> Surface:
     """The form of a mesh in the grasp problem.
@@ -120,13 +131,21 @@ def mesh_surface(
         normal_error: Largest error of the normals, rad.
         distance_error: Added to every clearance of links, m.
         steep: Least slope (-) of the smooth distance at a contact that is on no edge.
-        steep_on_walls: The same on an object of thin walls, where the slope varies; ``steep`` if
-            None.
+        steep_on_walls: The same on an object of thin walls, in front of them or on them: see
+            ``skin``.
         edge_worth: Weight factor (-) of a lower slope.
+        edge_worth_on_walls: The same on an object of thin walls.
         skin: See ``SKIN``. 0 for contacts on thin walls themselves, by a finer field.
     """
-    on_walls = steep if steep_on_walls is None else steep_on_walls
-    return _MeshSurface(normal_error, distance_error, steep, on_walls, edge_worth, skin)
+    return _MeshSurface(
+        normal_error,
+        distance_error,
+        steep,
+        steep_on_walls,
+        edge_worth,
+        edge_worth_on_walls,
+        skin,
+    )
 
 
 def surface_of(shape: Shape) -> Surface:
