@@ -70,6 +70,10 @@ ABOVE_TABLE = 0.004
 SAMPLES = 600
 """Surface points from which rays go through the body."""
 
+TILT = 0.45
+"""Sine of the largest angle (27 degrees) between normals and the second ray of each point: sides
+that lean towards one another, as those of a bowl, are met by it."""
+
 FACING = float(np.cos(np.deg2rad(35.0)))
 """Smallest cosine between the line through both points and each normal: a little more than a
 friction cone of 0.5 (27 degrees), since the solver moves contacts."""
@@ -90,18 +94,29 @@ class OpposedPairs:
     widths: FloatArray
 
 
+def _directions(rng: np.random.Generator, n: int) -> FloatArray:
+    """Unit vectors (n, 3), uniform."""
+    v = rng.normal(size=(n, 3))
+    out: FloatArray = v / np.linalg.norm(v, axis=1, keepdims=True)
+    return out
+
+
 @lru_cache(maxsize=16)
 def opposed_pairs(mesh: Mesh) -> OpposedPairs:
     """Opposed pairs of a mesh; always the same ones."""
-    points, normals = mesh.surface_samples(SAMPLES, np.random.default_rng(0))
-    ray, depth, across = mesh.pierced(points, -normals)
-    slant = -np.einsum("ij,ij->i", across, normals[ray])  # cosine of ray and normal
-    ray, depth, slant = ray[slant > 0.0], depth[slant > 0.0], slant[slant > 0.0]
+    rng = np.random.default_rng(0)
+    points, normals = mesh.surface_samples(SAMPLES, rng)
+    tilted = -normals + TILT * _directions(rng, len(points))
+    tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
+    points, directions = np.vstack([points, points]), np.vstack([-normals, tilted])
+    ray, depth, across = mesh.pierced(points, directions)
+    facing = np.einsum("ij,ij->i", across, directions[ray])
+    ray, depth, facing = (v[facing > 0.0] for v in (ray, depth, facing))  # where rays leave
     first = np.flatnonzero(np.diff(ray, prepend=-1))
     last = np.flatnonzero(np.diff(ray, append=-1))
     exits = np.concatenate([first, last[last > first]])
-    exits = exits[slant[exits] >= FACING]
-    points, directions, width = points[ray[exits]], -normals[ray[exits]], depth[exits]
+    exits = exits[facing[exits] >= FACING]
+    points, directions, width = points[ray[exits]], directions[ray[exits]], depth[exits]
     return OpposedPairs(
         centers=points + width[:, None] / 2 * directions, directions=directions, widths=width
     )
