@@ -40,12 +40,15 @@ FAR_POINTS = 4_000
 measured to: some 4 mm apart, which leaves 0.1 mm at 25 mm."""
 
 
-def fit_mesh_field(surface: NearestTriangles, thickness: float) -> DistanceField:
+def fit_mesh_field(
+    surface: NearestTriangles, thickness: float, *, wall: float = np.inf
+) -> DistanceField:
     """The field of a sound mesh whose centre of mass is at the origin.
 
     Args:
         surface: Its triangles.
         thickness: Of its walls, m, if it has thin ones: ``Mesh.wall_thickness``.
+        wall: Thickness, m, of the walls that the grid must resolve: ``fit_field``.
     """
     distance = _MeshDistance(surface)
     corners = surface.corners.reshape(-1, 3)
@@ -56,7 +59,7 @@ def fit_mesh_field(surface: NearestTriangles, thickness: float) -> DistanceField
         on_grid=distance.on_grid,
         bracket=distance.bracket,
         smoothing=min(SMOOTHED_SHARE * thickness, SMOOTHED_MOST),
-        wall=thickness,
+        wall=wall,
     )
 
 
