@@ -331,7 +331,7 @@ class Mesh(Shape):
                     return known
             except (KeyError, ValueError, IndexError, TypeError):  # TypeError: rows for numbers
                 pass  # of another form: made anew
-        field = fit_mesh_field(self._surface, self.wall_thickness)
+        field = fit_mesh_field(self._surface, self.wall_thickness, self.wall_thickness)
         write_arrays("field", key, field.to_arrays())
         return field
 
