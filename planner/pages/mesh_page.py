@@ -119,7 +119,7 @@ def _summary(item: GraspObject, notes: Sequence[str]) -> list[Block]:
     ]
     blocks: list[Block] = []
     if isinstance(shape, Mesh):
-        field = shape.field()
+        field = shape.field(fine=True)
         off = float(np.abs(field.value(shape.vertices)).max())
         rows += [
             ("triangles", str(len(shape.faces))),
@@ -160,7 +160,7 @@ def _regions_in_words(item: GraspObject, touch: TouchRegion) -> str:
 
 def _field_part(shape: Mesh) -> Part:
     lower, upper = shape.bounds
-    vertices, triangles = zero_level_set(shape.field(), lower, upper)
+    vertices, triangles = zero_level_set(shape.field(fine=True), lower, upper)
     vertices, triangles, _ = simplified(vertices, triangles, MOST_FIELD_TRIANGLES)
     return Part(
         name="zero level of the smooth field",

@@ -24,6 +24,7 @@ from planner.shapes.field.grid_distance import FIELD_VERSION, field_fits, fit_me
 from planner.shapes.meshes.io import check_solid, read_mesh
 from planner.shapes.meshes.nearest_triangle import NearestTriangles, coal_tree
 from planner.shapes.meshes.polyhedron import Polyhedron, checked_triangles, digest_of
+from planner.shapes.meshes.rays import pierced
 from planner.shapes.meshes.triangles import winding_number
 from planner.shapes.stable import StablePose, stable_poses
 from planner.spatial import FloatArray, IntArray
@@ -48,6 +49,9 @@ class MeshSource:
     repair: bool = False
     done: tuple[str, ...] = ()
 
+
+THIN = 0.006
+"""Thickness (m) below which the walls of a mesh are thin."""
 
 OPPOSITE = -0.5
 """Cosine between opposite normals, at most: 120 degrees."""
@@ -203,6 +207,11 @@ class Mesh(Shape):
         """Twice the volume by the area, m: on an object of thin walls, how thick they are."""
         return 2 * self.volume / float(self._surface.areas.sum())
 
+    @property
+    def thin_walled(self) -> bool:
+        """Whether walls are thinner than ``THIN``, or the solid is small: a cube of 18 mm."""
+        return self.wall_thickness < THIN
+
     def inertia(self, mass: float) -> FloatArray:
         """By the divergence theorem, exact for the polyhedron; (3, 3), kg m2."""
         second = self._solid.second_moments
@@ -316,13 +325,44 @@ class Mesh(Shape):
         a, b, c = (self._surface.corners[triangle, k] for k in range(3))
         return a + u * (b - a) + v * (c - a), self._surface.normals[triangle]
 
-    def field(self) -> DistanceField:
-        """The smooth distance: prepared once, kept in memory and on disk."""
-        return self._field
+    def pierced(
+        self, starts: FloatArray, directions: FloatArray, *, least: float = 1e-6
+    ) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Where rays pass through the surface, sorted by ray, then by depth.
+
+        Args:
+            starts: Where rays begin (n, 3), m.
+            directions: Unit vectors (n, 3).
+            least: Depth (m) from which on they are looked at: they may begin on the surface.
+
+        Returns:
+            Number of the ray (k,), depth (k,), m, and outward normal there (k, 3).
+        """
+        corners, length = self._surface.corners, 2 * self.bounding_radius
+        ray, depth, triangle = pierced(
+            self._coal_tree, corners, starts, directions, length, least=least
+        )
+        return ray, depth, self._surface.normals[triangle]
+
+    def field(self, *, fine: bool = False) -> DistanceField:
+        """The smooth distance: prepared once, kept in memory and on disk.
+
+        Args:
+            fine: Whether it must be right on thin walls too, as far as memory allows. Else it is
+                right at some distance from them only: see ``planner.synthesis.mesh_surface``.
+        """
+        return self._fine_field if fine else self._field
+
+    @cached_property
+    def _fine_field(self) -> DistanceField:
+        return self._kept_field("", self.wall_thickness)
 
     @cached_property
     def _field(self) -> DistanceField:
-        key = f"{FIELD_VERSION}-{self.digest}"
+        return self._kept_field("-coarse", np.inf) if self.thin_walled else self._fine_field
+
+    def _kept_field(self, name: str, wall: float) -> DistanceField:
+        key = f"{FIELD_VERSION}-{self.digest}{name}"
         stored = read_arrays("field", key)
         if stored is not None:
             try:
@@ -331,7 +371,7 @@ class Mesh(Shape):
                     return known
             except (KeyError, ValueError, IndexError, TypeError):  # TypeError: rows for numbers
                 pass  # of another form: made anew
-        field = fit_mesh_field(self._surface, self.wall_thickness, self.wall_thickness)
+        field = fit_mesh_field(self._surface, self.wall_thickness, wall=wall)
         write_arrays("field", key, field.to_arrays())
         return field
 

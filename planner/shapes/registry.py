@@ -25,7 +25,21 @@ from planner.shapes.box import Box
 from planner.shapes.capsule import Capsule
 from planner.shapes.cylinder import Cylinder
 from planner.shapes.ellipsoid import Ellipsoid
-from planner.shapes.made import Hammer, Knot, LBracket, Mug, Superquadric, Torus
+from planner.shapes.made import (
+    Bowl,
+    Channel,
+    Cup,
+    Hammer,
+    Knot,
+    LBracket,
+    Mug,
+    Pan,
+    Plate,
+    Superquadric,
+    Teacup,
+    Torus,
+    Tube,
+)
 from planner.shapes.mesh import Mesh
 from planner.shapes.sphere import Sphere
 
@@ -41,6 +55,7 @@ __all__ = [
 _OWN: tuple[type[Shape], ...] = (
     *(Sphere, Box, Cylinder, Capsule, Ellipsoid),
     *(Mug, LBracket, Torus, Hammer, Superquadric, Knot),
+    *(Cup, Teacup, Bowl, Pan, Plate, Channel, Tube),
 )
 
 SIZED_SHAPES: dict[str, type[Shape]] = {}

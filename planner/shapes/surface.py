@@ -86,6 +86,14 @@ class Surface(ABC):
     def size(self, shape: Any) -> FloatArray:
         """Parameters (3,) of the problem for a shape's size, m."""
 
+    def skin(self, size: Any) -> Any:
+        """How far in front of the true surface contact points are looked for, m; pads are shorter by it.
+
+        Args:
+            size: Of the shape, see ``size``: numbers or symbols.
+        """
+        return 0.0
+
     @abstractmethod
     def patches(self, shape: Any) -> tuple[Patch, ...]:
         """The patches of a shape."""

@@ -1,4 +1,12 @@
-"""The smooth surface of a mesh in the synthesis problem, and the surface of any shape."""
+"""The smooth surface of a mesh in the synthesis problem, and the surface of any shape.
+
+On thin walls the smooth distance is wrong: a grid that tells both sides of a wall of 1 mm apart has
+a hundred million nodes, and a coarser one finds a value of 0.6 mm on the wall and a third of the
+slope. In front of the wall it is right. So contact points of a grasp on thin walls are looked for
+on a parallel surface, a skin of ``SKIN`` cells before the true one, and pads are shorter by as
+much. Normals are the same; lever arms of tangential forces are longer by the skin, which the
+verdict on the true surface is not.
+"""
 
 from __future__ import annotations
 
@@ -37,22 +45,29 @@ class _MeshSurface(Surface):
         steep: float,
         steep_on_walls: float,
         edge_worth: float,
+        skin: float,
     ) -> None:
         """Begin to collect the points at which the problem needs the field."""
         self.field: FieldPoints = FieldPoints()
         self.normal_error, self.distance_error = normal_error, distance_error
         self._steep, self._steep_on_walls = steep, steep_on_walls
         self._edge_worth = edge_worth
+        self._skin = skin
 
     def field_of(self, shape: Mesh) -> Field:
-        return shape.field()
+        return shape.field(fine=self._skin == 0.0)
 
     def size(self, shape: Mesh) -> FloatArray:
-        steep = self._steep_on_walls if shape.wall_thickness < WALL else self._steep
-        return np.array([_steepness(shape, steep), 0.0, 0.0])
+        steep = self._steep_on_walls if shape.thin_walled else self._steep
+        skin = self._skin * shape.field().spacing if shape.thin_walled else 0.0
+        return np.array([_steepness(shape, steep, skin), skin, 0.0])
+
+    def skin(self, size: Any) -> Any:
+        return size[1]
 
     def patches(self, shape: Mesh) -> tuple[Patch, ...]:
-        return (whole_surface("surface", 2 * shape.half_extents),)
+        reach = 2 * shape.half_extents
+        return (whole_surface("surface", reach + self.skin(self.size(shape))),)
 
     def patch_at(self, shape: Mesh, point: FloatArray, normal: FloatArray) -> Patch:
         return self.patches(shape)[0]
@@ -62,7 +77,7 @@ class _MeshSurface(Surface):
         return gradient / soft_norm(gradient[0], gradient[1], gradient[2])
 
     def surface_error(self, size: Any, code: Any, p: Any) -> Any:
-        return self.field.at(p)[0]
+        return self.field.at(p)[0] - self.skin(size)
 
     def flatness(self, size: Any, p: Any) -> Any:
         gradient = self.field.at(p)[1]
@@ -72,18 +87,21 @@ class _MeshSurface(Surface):
         return self.field.at(c)[0]
 
 
-WALL = 0.006
-"""Thickness (m) below which a mesh has thin walls, or is a small solid: a cube of 18 mm."""
-
 SAMPLES = 1000
 """Surface points for the median slope, which thin walls lower everywhere."""
 
 
+SKIN = 1.5
+"""Distance in front of thin walls, in cells of the field, at which its error no longer depends on
+the wall: 0.12 mm in 95 % of places on cups of 0.5 to 3 mm, normals within 4 degrees in 90 %."""
+
+
 @lru_cache(maxsize=16)
-def _steepness(mesh: Mesh, steep: float) -> float:
-    """Least slope (-) of the smooth distance at points of a mesh that are on no edge."""
-    points, _ = mesh.surface_samples(SAMPLES, np.random.default_rng(0))
-    slopes = np.linalg.norm(mesh.field().taylor(points, 1)[:, 1:4], axis=1)
+def _steepness(mesh: Mesh, steep: float, skin: float) -> float:
+    """Least slope (-) of the smooth distance at points, a skin (m) before a mesh, on no edge."""
+    points, normals = mesh.surface_samples(SAMPLES, np.random.default_rng(0))
+    field = mesh.field(fine=skin == 0.0)
+    slopes = np.linalg.norm(field.taylor(points + skin * normals, 1)[:, 1:4], axis=1)
     return min(steep, float(np.median(slopes)))
 
 
@@ -94,6 +112,7 @@ def mesh_surface(
     steep: float = STEEP,
     steep_on_walls: float | None = None,
     edge_worth: float = 1.0,
+    skin: float = SKIN,
 ) -> Surface:
     """The form of a mesh in the grasp problem.
 
@@ -104,9 +123,10 @@ def mesh_surface(
         steep_on_walls: The same on an object of thin walls, where the slope varies; ``steep`` if
             None.
         edge_worth: Weight factor (-) of a lower slope.
+        skin: See ``SKIN``. 0 for contacts on thin walls themselves, by a finer field.
     """
     on_walls = steep if steep_on_walls is None else steep_on_walls
-    return _MeshSurface(normal_error, distance_error, steep, on_walls, edge_worth)
+    return _MeshSurface(normal_error, distance_error, steep, on_walls, edge_worth, skin)
 
 
 def surface_of(shape: Shape) -> Surface:

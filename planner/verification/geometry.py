@@ -34,12 +34,15 @@ EDGE_SPREAD = float(np.deg2rad(25.0))
 """Largest dispersion of normals there (rad); it is 45 degrees on a right-angled edge."""
 
 
-def edge_failures(task: GraspTask, points: FloatArray) -> list[Failure]:
-    """Which contacts, at points (n, 3) of the object's frame, m, are on an edge of a mesh.
+def edge_failures(task: GraspTask, touches: Sequence[PadContact]) -> list[Failure]:
+    """Which contacts, one for each finger, are on an edge of a mesh.
 
-    Contacts on primitives keep off edges by construction: their dispersion is 0.
+    Contacts on primitives keep off edges by construction: their dispersion is 0. Of a thin wall
+    only the side that a pad presses on counts: it never meets the other one.
     """
-    spreads = task.object.shape.normal_dispersion(points, EDGE_RADIUS)
+    points = np.array([touch.point for touch in touches])
+    outward = np.array([touch.outward for touch in touches])
+    spreads = task.object.shape.normal_dispersion(points, EDGE_RADIUS, facing=outward)
     return [
         Failure(
             kind="edge",
@@ -156,7 +159,7 @@ def verify_geometry(
             )
             if not good
         ]
-    failures += edge_failures(task, points)
+    failures += edge_failures(task, touches)
     failures += [
         Failure(kind="penetration", text=f"penetration, {c}", numbers={"distance": c.distance})
         for c in others

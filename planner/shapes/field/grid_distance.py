@@ -27,7 +27,7 @@ STEP = 0.75
 
 
 def fit_mesh_field(
-    surface: NearestTriangles, thickness: float, wall: float = np.inf
+    surface: NearestTriangles, thickness: float, *, wall: float = np.inf
 ) -> DistanceField:
     """The field of a sound mesh whose centre of mass is at the origin.
 

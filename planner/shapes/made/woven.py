@@ -1,4 +1,4 @@
-"""Objects whose triangles are woven from rings: bracket, torus, superquadric and knot.
+"""Objects whose triangles are woven from rings: brackets, torus, superquadric and knot.
 
 A ring is a closed row of points; a surface is a stack of rings, wound so that normals point
 outwards when a ring runs counter-clockwise about the direction of the stack. Their sizes are no
@@ -18,7 +18,7 @@ from planner.errors import ObjectError
 from planner.shapes.made.base import Made
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["Knot", "LBracket", "Superquadric", "Torus"]
+__all__ = ["Channel", "Knot", "LBracket", "Superquadric", "Torus"]
 
 TORUS_AROUND, TORUS_ACROSS = 72, 36
 """Points around the ring and around its tube: the facets deviate by 0.1 mm at the default size."""
@@ -85,13 +85,55 @@ class LBracket(Made):
 
     def _triangles(self) -> tuple[FloatArray, IntArray]:
         a, h, t = self.length, self.height, self.thickness
-        # counter-clockwise seen against y: about the direction of the stack
         outline = np.array([[0, 0], [0, h], [t, h], [t, t], [a, t], [a, 0]])
-        ring = np.insert(outline, 1, 0.0, axis=1)
-        rings = np.stack([ring, ring + np.array([0.0, self.width, 0.0])])
         fan = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]])
-        faces = np.concatenate([stacked(rings), fan + len(ring), fan[:, ::-1]])
-        return rings.reshape(-1, 3), faces
+        return _extruded(outline, fan, self.width)
+
+
+@dataclass(frozen=True, eq=False)
+class Channel(Made):
+    """A U-profile of sheet: a web in the plane of x and y, a flange along z at either end of x.
+
+    Attributes:
+        length: Extent along x, m.
+        height: Extent along z, m.
+        width: Extent along y, m.
+        thickness: Of web and flanges, m.
+    """
+
+    kind: ClassVar[str] = "channel"
+    size_names: ClassVar[tuple[str, ...]] = ("length", "height", "width", "thickness")
+    default_sizes: ClassVar[tuple[float, ...]] = (0.06, 0.06, 0.08, 0.002)
+    length: float = 0.06
+    height: float = 0.06
+    width: float = 0.08
+    thickness: float = 0.002
+
+    def _check(self) -> None:
+        if self.thickness >= 0.49 * min(self.length, 2 * self.height):
+            raise ObjectError(
+                f"channel: thickness {self.thickness} m leaves no inside in {self.length} x "
+                f"{self.height} m; give a smaller thickness"
+            )
+
+    def _triangles(self) -> tuple[FloatArray, IntArray]:
+        a, h, t = self.length, self.height, self.thickness
+        outline = np.array([[0, 0], [0, h], [t, h], [t, t], [a - t, t], [a - t, h], [a, h], [a, 0]])
+        fan = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 7], [3, 4, 7], [4, 5, 6], [4, 6, 7]])
+        return _extruded(outline, fan, self.width)
+
+
+def _extruded(outline: FloatArray, fan: IntArray, width: float) -> tuple[FloatArray, IntArray]:
+    """Vertices and faces of a polygon (n, 2) in x and z, filled by triangles, and moved along y.
+
+    Args:
+        outline: m, counter-clockwise seen against y: about the direction of the stack.
+        fan: Triangles (k, 3) of the polygon, likewise.
+        width: m.
+    """
+    ring = np.insert(outline, 1, 0.0, axis=1)
+    rings = np.stack([ring, ring + np.array([0.0, width, 0.0])])
+    return rings.reshape(-1, 3), np.concatenate([stacked(rings), fan + len(ring), fan[:, ::-1]])
 
 
 @dataclass(frozen=True, eq=False)

@@ -110,6 +110,9 @@ class Seeder:
         state = HandState(task.hand, q)
         pads = np.array([T_object_base.act(state.pad_center(f)) for f in task.fingers])
         points, normals = task.object.shape.closest_point(pads)
+        skin = self.surface.skin(self.surface.size(task.object.shape))
+        if skin > 0.0:
+            points = points + skin * normals
         if task.object.shape.flat_sides is not None:
             # the nearest faces are often neighbours; those that the pads face are opposed
             normals = -np.array([T_object_base.rotation @ state.pad_axis(f) for f in task.fingers])

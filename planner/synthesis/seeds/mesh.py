@@ -70,9 +70,6 @@ ABOVE_TABLE = 0.004
 SAMPLES = 600
 """Surface points from which rays go through the body."""
 
-STEP = 0.001
-"""Step (m) along a ray: the thinnest wall that is found is twice as thick."""
-
 FACING = float(np.cos(np.deg2rad(35.0)))
 """Smallest cosine between the line through both points and each normal: a little more than a
 friction cone of 0.5 (27 degrees), since the solver moves contacts."""
@@ -97,30 +94,16 @@ class OpposedPairs:
 def opposed_pairs(mesh: Mesh) -> OpposedPairs:
     """Opposed pairs of a mesh; always the same ones."""
     points, normals = mesh.surface_samples(SAMPLES, np.random.default_rng(0))
-    field = mesh.field()
-    depths = np.arange(STEP, 2 * mesh.bounding_radius, STEP)
-    first, last = np.zeros(len(points)), np.zeros(len(points))
-    before = np.full(len(points), -STEP)
-    for depth in depths:
-        value = field.taylor(points - depth * normals, 0)[:, 0]
-        out = (before < 0.0) & (value >= 0.0) & (depth > STEP)
-        share = value / np.where(out, value - before, 1.0)
-        last[out] = (depth - STEP * np.clip(share, 0.0, 1.0))[out]
-        first[out & (first == 0.0)] = last[out & (first == 0.0)]
-        before = value
-    through = last > first
-    points = np.vstack([points, points[through]])
-    directions = -np.vstack([normals, normals[through]])
-    width = np.concatenate([first, last[through]])
-    found = width > 0.0
-    points, directions, width = points[found], directions[found], width[found]
-    gradients = field.taylor(points + width[:, None] * directions, 1)[:, 1:4]
-    gradients /= np.maximum(np.linalg.norm(gradients, axis=1, keepdims=True), 1e-9)
-    back = np.einsum("ij,ij->i", gradients, directions) >= FACING
+    ray, depth, across = mesh.pierced(points, -normals)
+    slant = -np.einsum("ij,ij->i", across, normals[ray])  # cosine of ray and normal
+    ray, depth, slant = ray[slant > 0.0], depth[slant > 0.0], slant[slant > 0.0]
+    first = np.flatnonzero(np.diff(ray, prepend=-1))
+    last = np.flatnonzero(np.diff(ray, append=-1))
+    exits = np.concatenate([first, last[last > first]])
+    exits = exits[slant[exits] >= FACING]
+    points, directions, width = points[ray[exits]], -normals[ray[exits]], depth[exits]
     return OpposedPairs(
-        centers=(points + width[:, None] / 2 * directions)[back],
-        directions=directions[back],
-        widths=width[back],
+        centers=points + width[:, None] / 2 * directions, directions=directions, widths=width
     )
 
 

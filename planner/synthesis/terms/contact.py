@@ -27,7 +27,8 @@ def _touch(g: GraspSymbols) -> Iterator[Rows]:
     for finger, center, point, normal in zip(
         g.fingers, g.centers, g.points, g.outward, strict=True
     ):
-        gap = g.rotation @ center + g.shift - point - finger.pad.radius * normal
+        apart = finger.pad.radius - g.surface.skin(g.size)
+        gap = g.rotation @ center + g.shift - point - apart * normal
         yield Rows(expression=gap, about=(finger.name,))
 
 
