@@ -18,9 +18,10 @@ from planner.spatial import FloatArray, IntArray
 
 __all__ = ["Grid", "Measure", "Pyramid", "grid_nodes", "within_cells"]
 
-NEAR = (2, 4, 5)
-"""Nodes that are measured on the finest grid, the next, and all coarser ones: those of which a
-point of the surface is within so many spacings along each axis, and a few more."""
+NEAR = (2, 3, 5, 5)
+"""Nodes that are measured on the finest grid, the next one, and so on: those of which a point of
+the surface is within so many spacings along each axis, and a few more. The last holds for all
+coarser ones."""
 
 BEGIN = 8
 """Spacing of the grid that is measured as a whole, in spacings of the first that is asked for."""
@@ -99,7 +100,7 @@ class Pyramid:
         halvings = min(round(np.log2(spacing / self._finest)), len(NEAR) - 1)
         self.measured = within_cells(cells, values.shape, NEAR[halvings])
         nodes: FloatArray = (np.argwhere(self.measured) + first) * np.float64(spacing)
-        values[self.measured] = self._measure(nodes, halvings == 0)
+        values[self.measured] = self._measure(nodes, halvings < 2)
         return Grid(first=first, spacing=spacing, values=values)
 
 

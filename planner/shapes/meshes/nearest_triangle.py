@@ -39,6 +39,7 @@ class NearestTriangles:
         feature_normals: Outward normals (m, 7, 3), not of unit length, of each triangle's corners,
             edges and face.
         at_vertex: Triangles at the vertices, one vertex after the other.
+        tree: See ``coal_tree``.
         first_at_vertex: Where those of each vertex begin in it, (n + 1,).
     """
 
@@ -58,8 +59,8 @@ class NearestTriangles:
         order = np.argsort(faces.ravel(), kind="stable")
         self.at_vertex = order // 3
         self.first_at_vertex = np.searchsorted(faces.ravel()[order], np.arange(len(vertices) + 1))
-        self._tree, self._probe = coal_tree(vertices, faces), coal.Sphere(0.0)
-        self._distance = coal.ComputeDistance(self._tree, self._probe)
+        self.tree, self._probe = coal_tree(vertices, faces), coal.Sphere(0.0)
+        self._distance = coal.ComputeDistance(self.tree, self._probe)
         self._step = float(np.sqrt(self.areas.sum() / COVER_POINTS))
         points, self._cover_owner = cover(self.corners, self._step)
         self._cover_tree = cKDTree(points)
