@@ -65,11 +65,11 @@ def quick_fit(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     """A field that is fitted once for all tests; the list tells how often one was asked for."""
     calls: list[object] = []
 
-    def fit(surface: NearestTriangles, thickness: float) -> DistanceField:
+    def fit(surface: NearestTriangles, thickness: float, *, wall: float) -> DistanceField:
         calls.append(surface)
         key = surface.corners.tobytes()
         if key not in FITTED:
-            FITTED[key] = fit_mesh_field(surface, thickness)
+            FITTED[key] = fit_mesh_field(surface, thickness, wall=wall)
         return FITTED[key]
 
     monkeypatch.setattr("planner.shapes.mesh.fit_mesh_field", fit)

@@ -22,7 +22,7 @@ from planner.shapes.convex import convex_geometry
 from planner.shapes.field.distance_field import DistanceField
 from planner.shapes.field.grid_distance import FIELD_VERSION, field_fits, fit_mesh_field
 from planner.shapes.meshes.io import check_solid, read_mesh
-from planner.shapes.meshes.nearest_triangle import NearestTriangles, coal_tree
+from planner.shapes.meshes.nearest_triangle import NearestTriangles
 from planner.shapes.meshes.polyhedron import Polyhedron, checked_triangles, digest_of
 from planner.shapes.meshes.rays import pierced
 from planner.shapes.meshes.triangles import winding_number
@@ -244,11 +244,7 @@ class Mesh(Shape):
 
     def coal_geometry(self) -> Any:
         """``coal.BVHModelOBBRSS``: a triangle soup without an inside."""
-        return self._coal_tree
-
-    @cached_property
-    def _coal_tree(self) -> Any:
-        return coal_tree(self.vertices, self.faces)
+        return self._surface.tree
 
     @cached_property
     def coal_hull(self) -> Any:
@@ -340,7 +336,7 @@ class Mesh(Shape):
         """
         corners, length = self._surface.corners, 2 * self.bounding_radius
         ray, depth, triangle = pierced(
-            self._coal_tree, corners, starts, directions, length, least=least
+            self._surface.tree, corners, starts, directions, length, least=least
         )
         return ray, depth, self._surface.normals[triangle]
 

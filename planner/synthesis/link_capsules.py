@@ -116,16 +116,19 @@ def collision_pairs(hand: Hand) -> tuple[tuple[int, int], ...]:
     matrix, value = hand.coupling_matrix
     project = np.linalg.pinv(matrix) if len(value) else np.zeros((hand.nq, 0))
     rng = np.random.default_rng(0)
-    times = np.zeros(len(pairs), dtype=int)
+    turns, shifts = [], []
     for _ in range(COLLISION_SAMPLES):
         q = rng.uniform(hand.q_lower, hand.q_upper)
         q = np.clip(q - project @ (matrix @ q - value), hand.q_lower, hand.q_upper)
         poses = HandState(hand, q).pin_data.oMi
-        turn = np.array([pose.rotation for pose in poses])[joint]
-        shift = np.array([pose.translation for pose in poses])[joint]
-        at = np.einsum("nij,nkj->nki", turn, ends) + shift[:, None]
-        one, other = closest_on_segments(at[first, 0], at[first, 1], at[second, 0], at[second, 1])
-        times += np.linalg.norm(other - one, axis=1) < least
+        turns.append(np.array([pose.rotation for pose in poses])[joint])
+        shifts.append(np.array([pose.translation for pose in poses])[joint])
+    at = np.einsum("snij,nkj->nksi", np.array(turns), ends)
+    at += np.array(shifts).transpose(1, 0, 2)[:, None]
+    times = np.zeros(len(pairs), dtype=int)
+    for k, (i, j) in enumerate(pairs):
+        one, other = closest_on_segments(at[i, 0], at[i, 1], at[j, 0], at[j, 1])
+        times[k] = np.count_nonzero(np.linalg.norm(other - one, axis=1) < least[k])
     meets = times >= OFTEN * COLLISION_SAMPLES
     return tuple((int(i), int(j)) for i, j in zip(first[meets], second[meets], strict=True))
 

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, spline_filter
 
 from planner.shapes.field.distance_field import DistanceField, Level
+from planner.shapes.field.pyramid import grid_nodes
 from planner.spatial import FloatArray, IntArray
 
 __all__ = [
@@ -21,8 +22,9 @@ __all__ = [
     "Distance",
     "GridDistance",
     "error_bound",
+    "finest_spacing",
     "fit_field",
-    "grid_nodes",
+    "on_grids",
 ]
 
 RIM_STEP = 1e-5
@@ -85,16 +87,20 @@ Distance = Callable[[FloatArray], FloatArray]
 GridDistance = Callable[[IntArray, tuple[int, int, int], float], FloatArray]
 """Signed distance (nx, ny, nz), m, of the nodes of a grid: first node (3,), counts, spacing (m)."""
 
-Bracket = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-"""Lower and upper bounds (n,), m, of the signed distance of points (n, 3), m."""
+Bracket = Callable[[IntArray, tuple[int, int, int], float], tuple[FloatArray, FloatArray]]
+"""Lower and upper bounds (nx, ny, nz), m, of the signed distance of the nodes of a grid."""
+
+
+def on_grids(distance: Distance) -> GridDistance:
+    """A distance that is measured at every node."""
+    return lambda first, shape, h: distance(grid_nodes(first, shape, h)).reshape(shape)
 
 
 def fit_field(
-    distance: Distance,
+    on_grid: GridDistance,
     lower: FloatArray,
     upper: FloatArray,
     *,
-    on_grid: GridDistance | None = None,
     bracket: Bracket | None = None,
     smoothing: float = 0.0,
     wall: float = np.inf,
@@ -102,13 +108,37 @@ def fit_field(
     """A field for a solid whose origin is inside its bounding box.
 
     Args:
-        distance: Used for the coarser grids; near the surface it need not be exact.
+        on_grid: The distance, asked for on three grids, each within the one before and with its
+            spacing over a power of two. See ``on_grids``.
         lower: Lower corner (3,) of the solid's bounding box, m.
         upper: Upper corner (3,), m.
-        on_grid: Used for the finest grid, and called first. ``distance`` if None.
-        bracket: What bounds the error at the nodes of the finest grid, called last. ``distance`` if
-            None, which is exact then.
+        bracket: What bounds the error at the nodes of the last grid, asked for at those around the
+            bounding box. ``on_grid`` if None, which is exact then.
         smoothing: Standard deviation of the Gaussian, m, if that is more than ``SMOOTHING`` cells.
+        wall: Thickness of the walls, m.
+    """
+    spacing, margin = finest_spacing(lower, upper, wall)
+    far_radius = float(np.mean(np.abs([lower, upper])))
+    first, shape = _grid(lower - margin, upper + margin, spacing)
+    h = spacing * MIDDLE_RATIO
+    around = max(MIDDLE_MARGIN, margin + TAPER * h)
+    reach = max(FAR_REACH, float(np.max(np.abs([lower, upper])) + around) / BLEND_FROM)
+    far = _far_level(on_grid, h * FAR_RATIO, far_radius, reach)
+    middle_first, middle_shape = _grid(lower - around, upper + around, h)
+    middle = _corrected(far, FAR_RATIO, middle_first, on_grid(middle_first, middle_shape, h))
+    samples = on_grid(first, shape, spacing)
+    smooth = gaussian_filter(samples, max(SMOOTHING, smoothing / spacing), mode="nearest")
+    fine = _corrected(middle, MIDDLE_RATIO, first, smooth)
+    error = error_bound(fine, lower, upper, bracket or (lambda *grid: (on_grid(*grid),) * 2))
+    return DistanceField(levels=(fine, middle, far), far_radius=far_radius, error=error)
+
+
+def finest_spacing(lower: FloatArray, upper: FloatArray, wall: float) -> tuple[float, float]:
+    """Spacing (m) of the finest grid around a box, and how far (m) it reaches beyond it.
+
+    Args:
+        lower: Lower corner (3,), m.
+        upper: Upper corner (3,), m.
         wall: Thickness of the walls, m.
     """
     margin = MARGIN
@@ -118,23 +148,7 @@ def fit_field(
         spacing = max(FINEST, np.cbrt(volume / CELLS))
         spacing = float(min(spacing, max(wall / ACROSS, np.cbrt(volume / MOST_CELLS))))
         margin = max(MARGIN, TAPER * spacing)
-    far_radius = float(np.mean(np.abs([lower, upper])))
-    first, shape = _grid(lower - margin, upper + margin, spacing)
-    if on_grid is None:
-        samples = distance(grid_nodes(first, shape, spacing)).reshape(shape)
-    else:
-        samples = on_grid(first, shape, spacing)
-    h = spacing * MIDDLE_RATIO
-    around = max(MIDDLE_MARGIN, margin + TAPER * h)
-    reach = max(FAR_REACH, float(np.max(np.abs([lower, upper])) + around) / BLEND_FROM)
-    far = _far_level(distance, h * FAR_RATIO, far_radius, reach)
-    middle_first, middle_shape = _grid(lower - around, upper + around, h)
-    middle_samples = distance(grid_nodes(middle_first, middle_shape, h)).reshape(middle_shape)
-    middle = _corrected(far, FAR_RATIO, middle_first, middle_samples)
-    smooth = gaussian_filter(samples, max(SMOOTHING, smoothing / spacing), mode="nearest")
-    fine = _corrected(middle, MIDDLE_RATIO, first, smooth)
-    error = error_bound(fine, lower, upper, bracket or (lambda points: (distance(points),) * 2))
-    return DistanceField(levels=(fine, middle, far), far_radius=far_radius, error=error)
+    return spacing, margin
 
 
 def error_bound(level: Level, lower: FloatArray, upper: FloatArray, bracket: Bracket) -> float:
@@ -158,8 +172,8 @@ def error_bound(level: Level, lower: FloatArray, upper: FloatArray, bracket: Bra
     x, y, z = (int(v) for v in np.ceil(upper / h).astype(np.int64) - first + 1)
     at = first - level.first
     box = tuple(slice(a, a + s) for a, s in zip(at, (x, y, z), strict=True))
-    values = _at_nodes(level.coefficients)[box].ravel()
-    low, high = bracket(grid_nodes(first, (x, y, z), h))
+    values = _at_nodes(level.coefficients)[box]
+    low, high = bracket(first, (x, y, z), h)
     at_nodes = float(np.maximum(values - low, high - values).max())
     near = level.coefficients[tuple(slice(b.start - 1, b.stop + 1) for b in box)]
     bend = sum(float(np.abs(np.diff(near, n=2, axis=axis)).max()) for axis in range(3)) / 8
@@ -178,22 +192,22 @@ def _corrected(coarse: Level, ratio: int, first: IntArray, samples: FloatArray) 
     )
 
 
-def _far_level(distance: Distance, h: float, far_radius: float, reach: float) -> Level:
+def _far_level(on_grid: GridDistance, h: float, far_radius: float, reach: float) -> Level:
     """The coarsest level, of a half width: its samples become |p| - r towards the rim."""
     box = np.full(3, reach)
     first, shape = _grid(-box, box, h)
     # a spline filter assumes a mirror at its ends: let it die out in nodes that are dropped again
     wide = shape[0] + 2 * SETTLE, shape[1] + 2 * SETTLE, shape[2] + 2 * SETTLE
-    nodes = grid_nodes(first - SETTLE, wide, h)
-    share = np.abs(nodes).max(axis=1) / reach
+    squares = [((f - SETTLE + np.arange(s)) * h) ** 2 for f, s in zip(first, wide, strict=True)]
+    x, y, z = squares[0][:, None, None], squares[1][:, None], squares[2]
+    share = np.sqrt(np.maximum(np.maximum(x, y), z)) / reach
     t = np.clip((share - BLEND_FROM) / (1.0 - BLEND_FROM), 0.0, 1.0)
     weight = t**3 * (10 - 15 * t + 6 * t**2)  # two continuous derivatives
-    samples = weight * (np.linalg.norm(nodes, axis=1) - far_radius)
-    near = weight < 1
-    samples[near] += (1 - weight[near]) * distance(nodes[near])
-    coefficients = spline_filter(samples.reshape(wide), order=3)
-    inner = slice(SETTLE, -SETTLE)
-    return Level(first=first, spacing=h, coefficients=coefficients[inner, inner, inner].copy())
+    samples = weight * (np.sqrt(x + y + z) - far_radius)
+    inner = (slice(SETTLE, -SETTLE),) * 3
+    samples[inner] += (1 - weight[inner]) * on_grid(first, shape, h)
+    coefficients = spline_filter(samples, order=3)
+    return Level(first=first, spacing=h, coefficients=coefficients[inner].copy())
 
 
 def _grid(lower: FloatArray, upper: FloatArray, h: float) -> tuple[IntArray, tuple[int, int, int]]:
@@ -202,12 +216,6 @@ def _grid(lower: FloatArray, upper: FloatArray, h: float) -> tuple[IntArray, tup
     last = np.ceil(upper / h).astype(np.int64) + RIM
     x, y, z = (int(v) for v in last - first + 1)
     return first, (x, y, z)
-
-
-def grid_nodes(first: IntArray, shape: tuple[int, ...], h: float) -> FloatArray:
-    """Nodes (nx ny nz, 3) of a grid, m: first node (3,), counts (3,), spacing (m)."""
-    axes = [(f + np.arange(s)) * h for f, s in zip(first, shape, strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def _taper(shape: tuple[int, ...]) -> FloatArray:
@@ -243,10 +251,13 @@ def _refined(level: Level, ratio: int, first: IntArray, shape: tuple[int, ...]) 
     while ratio > 1:
         for axis in range(3):
             a = np.moveaxis(c, axis, 0)
-            fine = np.zeros((2 * len(a) + 3, *a.shape[1:]))
-            for k, w in enumerate((1, 4, 6, 4, 1)):
-                fine[k : k + 2 * len(a) : 2] += w / 8 * a
+            fine = np.empty((2 * len(a) - 4, *a.shape[1:]))
+            np.add(a[:-2], a[2:], out=fine[::2])
+            fine[::2] += 6 * a[1:-1]
+            fine[::2] /= 8
+            np.add(a[1:-1], a[2:], out=fine[1::2])
+            fine[1::2] /= 2
             c = np.moveaxis(fine, 0, axis)
-        start, ratio = 2 * start - 2, ratio // 2
+        start, ratio = 2 * (start + 1), ratio // 2
     box = tuple(slice(a, a + s) for a, s in zip(first - start, shape, strict=True))
     return np.ascontiguousarray(c[box])

@@ -36,6 +36,11 @@ class NearestTriangles:
         areas: (m,), m2.
         normals: Outward unit normals (m, 3) of the faces; zero where a face has no area.
         neighbours: (m, 3), see ``edge_table``.
+        feature_normals: Outward normals (m, 7, 3), not of unit length, of each triangle's corners,
+            edges and face.
+        at_vertex: Triangles at the vertices, one vertex after the other.
+        tree: See ``coal_tree``.
+        first_at_vertex: Where those of each vertex begin in it, (n + 1,).
     """
 
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
@@ -49,13 +54,13 @@ class NearestTriangles:
         self.areas = twice / 2
         self.normals = cross / np.where(twice > 0, twice, 1.0)[:, None]
         self.neighbours = edge_table(faces)
-        self._feature_normals = self._all_feature_normals(len(vertices))
+        self.feature_normals = self._all_feature_normals(len(vertices))
         # the triangles at each vertex, one vertex after the other
         order = np.argsort(faces.ravel(), kind="stable")
-        self._at_vertex = order // 3
-        self._start = np.searchsorted(faces.ravel()[order], np.arange(len(vertices) + 1))
-        self._tree, self._probe = coal_tree(vertices, faces), coal.Sphere(0.0)
-        self._distance = coal.ComputeDistance(self._tree, self._probe)
+        self.at_vertex = order // 3
+        self.first_at_vertex = np.searchsorted(faces.ravel()[order], np.arange(len(vertices) + 1))
+        self.tree, self._probe = coal_tree(vertices, faces), coal.Sphere(0.0)
+        self._distance = coal.ComputeDistance(self.tree, self._probe)
         self._step = float(np.sqrt(self.areas.sum() / COVER_POINTS))
         points, self._cover_owner = cover(self.corners, self._step)
         self._cover_tree = cKDTree(points)
@@ -91,19 +96,19 @@ class NearestTriangles:
     ) -> tuple[FloatArray, IntArray, FloatArray]:
         """As ``nearest``, among a triangle (n,) for each point and all that share a corner."""
         corners = self.faces[guess]
-        counts = self._start[corners + 1] - self._start[corners]  # (n, 3)
-        begin = np.repeat(self._start[corners].ravel(), counts.ravel())
+        counts = self.first_at_vertex[corners + 1] - self.first_at_vertex[corners]  # (n, 3)
+        begin = np.repeat(self.first_at_vertex[corners].ravel(), counts.ravel())
         offset = np.arange(len(begin)) - np.repeat(
             np.cumsum(counts.ravel()) - counts.ravel(), counts.ravel()
         )
-        candidate = self._at_vertex[begin + offset]
+        candidate = self.at_vertex[begin + offset]
         row = np.repeat(np.arange(len(points)), counts.sum(axis=1))
         q, feature = nearest_on_triangles(points[row], self.corners[candidate])
         squares = ((points[row] - q) ** 2).sum(axis=1)
         order = np.lexsort((candidate, squares, row))
         best = order[np.searchsorted(row[order], np.arange(len(points)))]
         triangle = candidate[best]
-        return q[best], triangle, self._feature_normals[triangle, feature[best]]
+        return q[best], triangle, self.feature_normals[triangle, feature[best]]
 
     def _by_coal(self, points: FloatArray) -> IntArray:
         request, result = coal.DistanceRequest(), coal.DistanceResult()
@@ -134,12 +139,10 @@ class NearestTriangles:
 
 def coal_tree(vertices: FloatArray, faces: IntArray) -> Any:
     """The triangles as a ``coal.BVHModelOBBRSS``, which has no inside."""
-    points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
-    points.extend(list(np.asarray(vertices, dtype=np.float64)))
-    triangles.extend([coal.Triangle(*face) for face in faces.tolist()])
     tree = coal.BVHModelOBBRSS()
     tree.beginModel(len(faces), len(vertices))
-    tree.addSubModel(points, triangles)
+    tree.addVertices(np.ascontiguousarray(vertices, dtype=np.float64))
+    tree.addTriangles(np.ascontiguousarray(faces, dtype=np.int64))
     tree.endModel()
     return tree
 

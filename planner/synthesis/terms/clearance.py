@@ -334,10 +334,12 @@ def _between_fingers(g: GraspSymbols) -> list[Any]:
     """Squared distance of capsules of different fingers, less the least allowed (m2)."""
     capsules = finger_capsules(g.hand)
     ends = [(g.place(c.joint_id, c.inner), g.place(c.joint_id, c.outer)) for c in capsules]
+    corners = [ca.SX.sym(name, 3) for name in ("p1", "q1", "p2", "q2")]
+    way = ca.Function("way", corners, [between_segments(*corners)])  # written once: 1 ms each
     out = []
     clear = g.option["clear_fingers"]
     for (i, j), room in zip(collision_pairs(g.hand), rooms_at_rest(g.hand), strict=True):
-        apart = between_segments(*ends[i], *ends[j])
+        apart = way(*ends[i], *ends[j])
         asked = clear if room >= AMPLE else ca.fmin(clear, float(room))
         least = ca.fmax(capsules[i].radius + capsules[j].radius + asked, 0.0)
         out.append(ca.sumsqr(apart) - least**2)
