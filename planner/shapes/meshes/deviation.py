@@ -53,14 +53,12 @@ def _only_in(one: Surface, other: Surface) -> IntArray:
 
 def _points(corners: FloatArray) -> FloatArray:
     """Points spread over triangles (k, 3, 3), and some of their corners."""
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = float(np.linalg.norm(normal, axis=1).sum()) / 2
-    # no more than a few points on each of many triangles
-    step = float(np.sqrt(max(area, 1e-18) / MOST_POINTS))
-    spread, _ = cover(corners, step)
+    edges = np.roll(corners, -1, axis=1) - corners
+    area = float(np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum()) / 2
+    length = float(np.linalg.norm(edges, axis=2).max(axis=1).sum())  # needles have no area
+    spread, _ = cover(corners, max(float(np.sqrt(area / MOST_POINTS)), length / MOST_POINTS, SAME))
     own = np.unique(corners.reshape(-1, 3), axis=0)
-    thinned = (p[:: max(1, len(p) // MOST_POINTS)] for p in (spread, own))
-    return np.concatenate(list(thinned))
+    return np.concatenate([p[:: max(1, len(p) // MOST_POINTS)] for p in (spread, own)])
 
 
 def _distances(surface: Surface, points: FloatArray) -> FloatArray:

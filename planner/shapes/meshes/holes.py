@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.shapes.meshes.edges import directed_edges
 from planner.spatial import FloatArray, IntArray
@@ -62,8 +63,11 @@ def close_holes(
         if width > widest:
             continue
         widths.append(width)
+        filling = None
         if len(ring) <= LONGEST_RIM:
-            parts.append(ring[_least_area(vertices[ring])])
+            filling = _least_area(vertices[ring], _joined(ring, faces))
+        if filling is not None:
+            parts.append(ring[filling])
             continue
         points.append(vertices[ring].mean(axis=0)[None])
         parts.append(np.column_stack([ring, np.roll(ring, -1), np.full(len(ring), count)]))
@@ -71,10 +75,23 @@ def close_holes(
     return np.concatenate(points), np.concatenate(parts), widths
 
 
-def _least_area(ring: FloatArray) -> IntArray:
+def _joined(ring: IntArray, faces: IntArray) -> NDArray[np.bool_]:
+    """Which vertices of a rim (n, n) are the ends of an edge already."""
+    place = np.full(int(faces.max()) + 1, -1)
+    place[ring] = np.arange(len(ring))
+    tail, head = directed_edges(faces)
+    a, b = place[tail], place[head]
+    both = (a >= 0) & (b >= 0)
+    out = np.zeros((len(ring), len(ring)), dtype=bool)
+    out[a[both], b[both]] = out[b[both], a[both]] = True
+    return out
+
+
+def _least_area(ring: FloatArray, joined: NDArray[np.bool_]) -> IntArray | None:
     """Triangles (n - 2, 3) of a closed polygon (n, 3 coordinates) with the least area together.
 
-    Dynamic programming (Barequet and Sharir, "Filling gaps in the boundary of a polyhedron", 1995).
+    None if none does without a diagonal between vertices that an edge joins already. Dynamic
+    programming (Barequet and Sharir, "Filling gaps in the boundary of a polyhedron", 1995).
     """
     n = len(ring)
     cost, split = np.zeros((n, n)), np.zeros((n, n), dtype=np.int64)
@@ -84,7 +101,10 @@ def _least_area(ring: FloatArray) -> IntArray:
             normal = np.cross(ring[between] - ring[i], ring[k] - ring[i])
             total = cost[i, between] + cost[between, k] + np.linalg.norm(normal, axis=1)
             best = int(np.argmin(total))
-            cost[i, k], split[i, k] = total[best], between[best]
+            taken = joined[i, k] and gap < n - 1
+            cost[i, k], split[i, k] = np.inf if taken else total[best], between[best]
+    if not np.isfinite(cost[0, n - 1]):
+        return None
     out, stack = [], [(0, n - 1)]
     while stack:
         i, k = stack.pop()

@@ -1,6 +1,6 @@
 """Repair of the edges of triangles, so that each is of two that run through it oppositely.
 
-In this order: triangles without extent and repeated ones go, nearly equal vertices on open edges
+In this order: triangles without extent go, and so do repeated ones; nearly equal vertices on open edges
 become one, surfaces that touch along an edge are cut apart there, flaps that hang on such an edge
 go, neighbours are wound alike, holes are closed, and bodies are turned right side out. These are
 the defects that scanners, exporters and decimation leave. Crossings are ``mending``'s.
@@ -50,6 +50,8 @@ def with_paired_edges(
     if paired_edges(faces) is not None:
         return vertices, faces
     faces = _once(faces, done)
+    if len(faces) == 0:
+        return vertices, faces
     vertices, faces = _merged(vertices, faces, done)
     faces = _without_flaps(faces, done)
     faces = _alike(faces, done)
@@ -61,14 +63,24 @@ def with_paired_edges(
 
 
 def _once(faces: IntArray, done: list[str]) -> IntArray:
-    """No triangle with two equal corners, none twice."""
+    """No triangle with two equal corners, none twice; two wound oppositely enclose nothing and go.
+
+    Where two solids share a face, what goes is the wall between them.
+    """
     extended = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-    faces = faces[extended]
-    _, once = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-    gone = int((~extended).sum()) + len(faces) - len(once)
-    if gone:
-        done.append(f"{gone} repeated or empty triangle(s) removed")
-    return faces[np.sort(once)]
+    left = faces[extended]
+    if len(left) == 0:
+        return left
+    after = (np.argmin(left, axis=1)[:, None] + np.array([1, 2])) % 3
+    second, third = np.take_along_axis(left, after, axis=1).T
+    _, first, of_face = np.unique(
+        np.sort(left, axis=1), axis=0, return_index=True, return_inverse=True
+    )
+    sense = np.bincount(of_face.ravel(), np.where(second < third, 1.0, -1.0))
+    left = left[np.sort(first[sense != 0])]
+    if len(left) < len(faces):
+        done.append(f"{len(faces) - len(left)} repeated or empty triangle(s) removed")
+    return left
 
 
 def _merged(vertices: FloatArray, faces: IntArray, done: list[str]) -> Triangles:

@@ -166,9 +166,7 @@ def _edge_faults(vertices: FloatArray, faces: IntArray) -> tuple[Fault, ...]:
     return tuple(out)
 
 
-def _side_faults(
-    corners: FloatArray, body: IntArray, volumes: FloatArray
-) -> tuple[Fault, ...]:
+def _side_faults(corners: FloatArray, body: IntArray, volumes: FloatArray) -> tuple[Fault, ...]:
     """Bodies that are inside out, or lie in another without being a cavity of it."""
     around = surroundings(corners, body, len(volumes))
     good = around == np.where(volumes > 0, 0, 1)
