@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from planner.errors import ObjectError
-from planner.shapes.meshes.repair import repaired
-from planner.shapes.meshes.soundness import MOST_TRIANGLES, Fault, faults_of, size_fault
+from planner.shapes.meshes.mending import Mending, mended
+from planner.shapes.meshes.soundness import MOST_TRIANGLES, faults_of, size_fault
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["CONVERTIBLE", "MESH_SUFFIXES", "check_solid", "read_mesh"]
@@ -144,43 +143,50 @@ def _loaded(path: Path) -> Any:
 
 
 def check_solid(
-    name: str, vertices: FloatArray, faces: IntArray, *, repair: bool
-) -> tuple[FloatArray, IntArray, tuple[str, ...]]:
-    """The surface of a solid, mended if asked for.
+    name: str, vertices: FloatArray, faces: IntArray, *, repair: bool = False, strict: bool = False
+) -> Mending | None:
+    """How the surface of a solid was mended; None if it is sound as it is.
 
     Args:
         name: What to call it in messages.
         vertices: (n, 3), m.
         faces: (m, 3).
-        repair: Whether to mend what can be mended.
-
-    Returns:
-        Vertices, faces, and what was mended.
+        repair: Whether to accept what mending changes, however much that is.
+        strict: Whether to refuse what would have to be mended.
 
     Raises:
         ObjectError: It bounds no solid; says what is wrong, where, and what can be done.
     """
+    if repair and strict:
+        raise ObjectError(
+            f"{name}: repair and strict are both asked for; give one of them: --repair accepts "
+            "what mending changes, --strict refuses what would have to be mended"
+        )
     wrong_size = size_fault(vertices)
     if wrong_size:
         file = name if Path(name).suffix else "FILE"
         remedy = wrong_size.remedy.replace("FILE", file)
         raise ObjectError(f"{name} {wrong_size.what}; sizes are in metres: {remedy}")
-    done: tuple[str, ...] = ()
     faults = faults_of(vertices, faces)
-    if faults and repair:
-        vertices, faces, done = repaired(vertices, faces)
-        faults = faults_of(vertices, faces)
-        if faults:
-            tried = "; ".join(done) if done else "nothing could be mended"
-            raise ObjectError(f"{_message(name, faults)} Repair was tried: {tried}.")
-    if faults:
-        raise ObjectError(_message(name, faults))
-    return vertices, faces, done
-
-
-def _message(name: str, faults: Sequence[Fault]) -> str:
-    what = "; ".join(fault.what for fault in faults)
-    remedies = dict.fromkeys(fault.remedy for fault in faults if fault.remedy)
-    if all(fault.repairable for fault in faults):
-        remedies["try repair=True (--repair), or mend it in the program that made it"] = None
-    return f"{name} is not the surface of a solid: {what}; {'; '.join(remedies)}."
+    if not faults:
+        return None
+    what = f"{name} is not the surface of a solid: {'; '.join(fault.what for fault in faults)}"
+    if strict:
+        raise ObjectError(
+            f"{what}; it is not mended, since --strict (strict=True) is given: leave that out, or "
+            "mend it in the program that made it"
+        )
+    mending = mended(vertices, faces)
+    if mending.faults:
+        tried = "; ".join(mending.done) if mending.done else "nothing could be mended"
+        left = "; ".join(fault.what for fault in mending.faults)
+        raise ObjectError(
+            f"{what}. Mending was tried ({tried}), and then {left}; close it, or unite its parts, "
+            "in the program that made it"
+        )
+    if mending.too_much and not repair:
+        raise ObjectError(
+            f"{what}; {mending.too_much}: accept that with --repair (repair=True), or mend it in "
+            "the program that made it"
+        )
+    return mending
