@@ -1,7 +1,8 @@
 """``StateRecorder``: takes the states of a simulation that a ``Recording`` holds.
 
-It reads what MuJoCo has and computes nothing, so that a run with it is the same run. Poses are made
-from the joints of the same moment: MuJoCo's own poses are those of the step before.
+It copies what MuJoCo has and computes nothing while the simulation runs, so that a run with it is
+the same run. Poses are made from the joints of the same moment: MuJoCo's own poses are those of the
+step before.
 """
 
 from __future__ import annotations
@@ -10,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from planner.contacts import ContactSet
 from planner.spatial import FloatArray, pose_to_wxyz
+from sim.contacts import ContactHistory
 from sim.recording import PALM, Recording
 from sim.simulation import Simulation
 
@@ -19,7 +20,11 @@ __all__ = ["StateRecorder"]
 
 
 class StateRecorder:
-    """States of one simulation, one row per call of ``take``."""
+    """States of one simulation, one row per call of ``take``.
+
+    Attributes:
+        contacts: Contacts at the same moments, of the steps that ended then.
+    """
 
     def __init__(self, simulation: Simulation) -> None:
         """Start empty."""
@@ -29,15 +34,10 @@ class StateRecorder:
         self._base = simulation.plan.T_world_base  # of a hand on an arm, whose base stands
         self._phases: list[str] = []
         self._rows: list[FloatArray] = []
-        self._contacts: list[ContactSet] = []
+        self.contacts = ContactHistory(scene.model, scene.object_body, scene.finger_of_geom)
 
-    def take(self, phase: str, contacts: ContactSet) -> None:
-        """Take the state of now.
-
-        Args:
-            phase: What it belongs to.
-            contacts: Contacts of the step that ended now, merged per finger, world.
-        """
+    def take(self, phase: str) -> None:
+        """Take the state of now, which belongs to a phase."""
         scene, data = self._simulation.scene, self._simulation.data
         parts = (
             [data.time],
@@ -48,7 +48,7 @@ class StateRecorder:
         )
         self._rows.append(np.concatenate(parts))
         self._phases.append(phase)
-        self._contacts.append(contacts)
+        self.contacts.note(data)
 
     def recording(self) -> Recording:
         """Everything taken so far."""
@@ -81,20 +81,20 @@ class StateRecorder:
 
     def _columns(self, fingers: tuple[str, ...]) -> dict[str, Any]:
         """Contacts as arrays with a column per finger, and per other part that touched."""
-        seen = (name or PALM for contacts in self._contacts for name in contacts.fingers)
+        rows = self.contacts.rows().merged
+        seen = (rows.names[k] or PALM for k in dict.fromkeys(rows.finger.tolist()))
         names = tuple(dict.fromkeys((*fingers, *seen)))
-        column = {name: k for k, name in enumerate(names)}
-        m, k = len(self._contacts), len(names)
+        column = np.array(
+            [names.index(n or PALM) if (n or PALM) in names else -1 for n in rows.names]
+        )
+        m, k = len(self._rows), len(names)
         points, normals, forces = np.full((3, m, k, 3), np.nan)
         friction = np.full((m, k, 2), np.nan)
-        for i, contacts in enumerate(self._contacts):
-            if not len(contacts):
-                continue
-            where = [column[name or PALM] for name in contacts.fingers]
-            points[i, where] = contacts.positions
-            normals[i, where] = contacts.normals
-            forces[i, where] = contacts.forces_in_axes()
-            friction[i, where] = contacts.friction
+        where = rows.moment, column[rows.finger]
+        points[where] = rows.positions
+        normals[where] = rows.frames[:, :, 0]
+        forces[where] = rows.forces_in_axes()
+        friction[where] = rows.used_friction()
         return {
             "contact_names": names,
             "points": points,

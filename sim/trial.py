@@ -33,6 +33,7 @@ from sim.looking.film import check_video
 from sim.looking.picture import draw_tape, moments_of
 from sim.recorder import Recorder
 from sim.report import TrialReport
+from sim.samples import Samples
 from sim.scene import PhysicsOptions
 from sim.simulation import Simulation
 from sim.timeline import Timeline
@@ -127,9 +128,8 @@ class Trial:
             raise TaskError("this trial has run already; make a new Trial to run again")
         begin = time.perf_counter()
         if not self.plan.forces.found:
-            return self._report(
-                Verdict(Fault(reason="infeasible forces", detail=self.plan.forces.reason)), begin
-            )
+            fault = Fault(reason="infeasible forces", detail=self.plan.forces.reason)
+            return self._report(Verdict(fault), self.recorder.samples(), begin)
 
         def after_step(simulation: Simulation) -> None:
             if progress is not None and simulation.due(self.recorder.every):
@@ -150,8 +150,9 @@ class Trial:
             interrupted = True
         finally:
             simulation.close()
+        samples = self.recorder.samples()
         verdict = judge(
-            self.recorder.samples(),
+            samples,
             fingers=self.plan.task.finger_names,
             needed=self.plan.task.fingers_needed,
             lift_mm=1e3 * self.timeline.lift_height,
@@ -160,7 +161,7 @@ class Trial:
             stopped=simulation.stopped,
             diverged=simulation.diverged,
         )
-        report = self._report(verdict, begin)
+        report = self._report(verdict, samples, begin)
         if tape is None:
             return report
         failed_at = None if verdict.fault is None else verdict.fault.time
@@ -178,9 +179,8 @@ class Trial:
             drawn=str(drawn),
         )
 
-    def _report(self, verdict: Verdict, begin: float) -> TrialReport:
+    def _report(self, verdict: Verdict, samples: Samples, begin: float) -> TrialReport:
         plan, task, simulation = self.plan, self.plan.task, self.simulation
-        samples = self.recorder.samples()
         merged = merge_per_finger(hand_contacts(simulation.scene, simulation.data))
         # under the plan's own friction, so that the two can be compared
         measured = replace(

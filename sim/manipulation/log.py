@@ -185,7 +185,7 @@ class ManipulationRecorder:
         simulation = self._simulation
         scene, data = simulation.scene, simulation.data
         merged = merge_per_finger(hand_contacts(scene, data))
-        self._states.take(phase, merged)
+        self._states.take(phase)
         closed, epsilon = closure_and_epsilon(merged, length=self._length)
         used = dict(zip(merged.fingers, merged.friction_utilisation().tolist(), strict=True))
         forces = np.array(self._forces or [np.zeros(len(self._fingers))])
