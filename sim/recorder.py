@@ -14,8 +14,8 @@ import numpy as np
 from planner.quality import closure_and_epsilon, force_closure
 from planner.spatial import SE3, FloatArray, pose_change
 from planner.tolerances import CLOSURE_EDGES
-from sim.contacts import ContactRows
-from sim.recording import Recording
+from sim.contacts import ContactHistory, ContactRows
+from sim.recording import PALM, Recording
 from sim.report import FingerComparison
 from sim.samples import Samples
 from sim.simulation import Simulation
@@ -48,6 +48,8 @@ class Recorder:
         self._reference: SE3 | None = None
         self._rows: list[dict[str, Any]] = []
         self._states = StateRecorder(simulation)
+        self._contacts = ContactHistory.of(simulation.scene)
+        self._samples: Samples | None = None
         self._poses: list[SE3] = []  # of the object
 
     def mark_reference(self) -> None:
@@ -73,15 +75,22 @@ class Recorder:
             }
         )
         self._states.take(simulation.phase)
+        self._contacts.note(simulation.data)
         self._poses.append(T_world_object)
+        self._samples = None
 
     def samples(self) -> Samples:
-        """Everything recorded so far."""
-        raw = self._states.contacts.rows()
+        """Everything recorded so far; made once."""
+        if self._samples is None:
+            self._samples = self._make_samples()
+        return self._samples
+
+    def _make_samples(self) -> Samples:
+        raw = self._contacts.rows()
         counts = raw.counts()
         own = [raw.names.index(finger) for finger in self._fingers]
         normal, used = self._per_finger(raw.merged)
-        collision, force = self._states.contacts.collisions(self._simulation.scene)
+        collision, force = self._contacts.collisions(self._simulation.scene)
         columns: dict[str, Any] = {
             "contacts": counts[:, own],
             "palm_contacts": np.delete(counts, own, axis=1).sum(axis=1),
@@ -98,7 +107,8 @@ class Recorder:
 
     def recording(self) -> Recording:
         """The states at the same times."""
-        return self._states.recording()
+        merged = self._contacts.rows().merged
+        return self._states.recording(merged.columns(self._fingers, PALM))
 
     def comparison(self) -> tuple[FingerComparison, ...]:
         """Planned against measured contacts while holding; empty if it never came to that."""
@@ -106,7 +116,7 @@ class Recorder:
         if not hold:
             return ()
         planned = self._simulation.plan.contacts_in_object
-        merged = self._states.contacts.rows().merged
+        merged = self._contacts.rows().merged
         turn = np.array([pose.rotation for pose in self._poses])[merged.moment]
         shift = np.array([pose.translation for pose in self._poses])[merged.moment]
         local = np.einsum("nji,nj->ni", turn, merged.positions - shift)

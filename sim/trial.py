@@ -33,7 +33,6 @@ from sim.looking.film import check_video
 from sim.looking.picture import draw_tape, moments_of
 from sim.recorder import Recorder
 from sim.report import TrialReport
-from sim.samples import Samples
 from sim.scene import PhysicsOptions
 from sim.simulation import Simulation
 from sim.timeline import Timeline
@@ -129,7 +128,7 @@ class Trial:
         begin = time.perf_counter()
         if not self.plan.forces.found:
             fault = Fault(reason="infeasible forces", detail=self.plan.forces.reason)
-            return self._report(Verdict(fault), self.recorder.samples(), begin)
+            return self._report(Verdict(fault), begin)
 
         def after_step(simulation: Simulation) -> None:
             if progress is not None and simulation.due(self.recorder.every):
@@ -150,9 +149,8 @@ class Trial:
             interrupted = True
         finally:
             simulation.close()
-        samples = self.recorder.samples()
         verdict = judge(
-            samples,
+            self.recorder.samples(),
             fingers=self.plan.task.finger_names,
             needed=self.plan.task.fingers_needed,
             lift_mm=1e3 * self.timeline.lift_height,
@@ -161,7 +159,7 @@ class Trial:
             stopped=simulation.stopped,
             diverged=simulation.diverged,
         )
-        report = self._report(verdict, samples, begin)
+        report = self._report(verdict, begin)
         if tape is None:
             return report
         failed_at = None if verdict.fault is None else verdict.fault.time
@@ -179,8 +177,9 @@ class Trial:
             drawn=str(drawn),
         )
 
-    def _report(self, verdict: Verdict, samples: Samples, begin: float) -> TrialReport:
+    def _report(self, verdict: Verdict, begin: float) -> TrialReport:
         plan, task, simulation = self.plan, self.plan.task, self.simulation
+        samples = self.recorder.samples()
         merged = merge_per_finger(hand_contacts(simulation.scene, simulation.data))
         # under the plan's own friction, so that the two can be compared
         measured = replace(

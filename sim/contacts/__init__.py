@@ -19,7 +19,7 @@ from __future__ import annotations
 from sim.contacts.history import ContactHistory, contacts_from_mujoco, hand_contacts
 from sim.contacts.reading import NO_FORCE, contact_loads, normal_forces, object_contacts
 from sim.contacts.rows import ContactRows, as_believed, merge_per_finger
-from sim.contacts.touches import Touch, hand_collision, other_touches
+from sim.contacts.touches import Touch, other_touches
 
 __all__ = [
     "NO_FORCE",
@@ -29,7 +29,6 @@ __all__ = [
     "as_believed",
     "contact_loads",
     "contacts_from_mujoco",
-    "hand_collision",
     "hand_contacts",
     "merge_per_finger",
     "normal_forces",

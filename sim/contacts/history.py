@@ -67,6 +67,11 @@ class ContactHistory:
         self._centers: list[FloatArray] = []
         self._read: ContactRows | None = None
 
+    @classmethod
+    def of(cls, scene: Scene) -> ContactHistory:
+        """An empty one of a scene."""
+        return cls(scene.model, scene.object_body, scene.finger_of_geom)
+
     def note(self, data: Any) -> None:
         """Note the contacts of ``mujoco.MjData`` after a step."""
         contact = data.contact
@@ -125,7 +130,7 @@ class ContactHistory:
         """The pair with the largest normal force of hand on table, obstacle or itself, per moment.
 
         Returns:
-            m names of the pair, "" without, and the forces (m,), N; see ``hand_collision``.
+            m names of the pair, "" without, and the forces (m,), N.
         """
         noted = self._noted()
         hand, of_object = self._finger[noted.geoms] >= 0, self._of_object(noted.geoms)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -52,9 +53,14 @@ class ContactRows:
     friction: FloatArray
     forces: FloatArray
 
+    def of(self, moment: int) -> slice:
+        """Where the contacts of one moment stand."""
+        first, last = self._bounds[moment : moment + 2].tolist()
+        return slice(first, last)
+
     def at(self, moment: int) -> ContactSet:
         """The contacts of one moment, about the object's centre of mass then."""
-        rows = slice(*self._bounds[moment : moment + 2])
+        rows = self.of(moment)
         mu, torsion = self.friction[rows].T
         return ContactSet(
             positions=self.positions[rows],
@@ -85,6 +91,31 @@ class ContactRows:
     def forces_in_axes(self) -> FloatArray:
         """Forces on the object (K, 3), world axes, N."""
         return np.asarray(np.einsum("nij,nj->ni", self.frames, self.forces[:, :3]))
+
+    def columns(self, fingers: tuple[str, ...], rest: str) -> dict[str, Any]:
+        """Merged contacts as fields of a ``Recording``: a column per finger and other part.
+
+        Args:
+            fingers: Names of the first columns.
+            rest: Name of the column of what belongs to no finger.
+        """
+        own = [name or rest for name in self.names]
+        touching = [own[k] for k in dict.fromkeys(self.finger.tolist())]
+        names = tuple(dict.fromkeys((*fingers, *touching)))
+        place = np.array([names.index(name) if name in names else -1 for name in own])
+        where = self.moment, place[self.finger]
+        m, k = len(self.centers), len(names)
+        points, normals, forces = np.full((3, m, k, 3), np.nan)
+        friction = np.full((m, k, 2), np.nan)
+        points[where], normals[where] = self.positions, self.frames[:, :, 0]
+        forces[where], friction[where] = self.forces_in_axes(), self.used_friction()
+        return {
+            "contact_names": names,
+            "points": points,
+            "normals": normals,
+            "forces": forces,
+            "friction": friction,
+        }
 
     @cached_property
     def merged(self) -> ContactRows:

@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeAlias
 from sim.contacts.reading import NO_FORCE, contact_forces
 from sim.scene import HAND_PREFIX, OBJECT, OBSTACLE_PREFIX, TABLE, Scene
 
-__all__ = ["Touch", "collisions", "hand_collision", "other_touches"]
+__all__ = ["Touch", "collisions", "other_touches"]
 
 TouchKind: TypeAlias = Literal[
     "hand-hand", "hand-table", "hand-obstacle", "object-table", "object-obstacle"
@@ -36,28 +36,25 @@ class Touch:
 
 def other_touches(scene: Scene, data: Any) -> list[Touch]:
     """Loaded contacts that are not between hand and object."""
-    return _touches(scene, *_geoms_and_forces(scene, data))
-
-
-def hand_collision(scene: Scene, data: Any) -> tuple[str, float]:
-    """The pair with the largest normal force (N) of hand on table, obstacle or itself; "" and 0."""
-    return collisions(scene, *_geoms_and_forces(scene, data))
+    forces = contact_forces(scene.model, data)[:, 0].tolist()
+    return _touches(scene, data.contact.geom.tolist(), forces)
 
 
 def collisions(
     scene: Scene, geoms: Sequence[Sequence[int]], forces: Sequence[float]
 ) -> tuple[str, float]:
-    """The same of contacts between pairs of geoms with their normal forces, N."""
+    """The pair with the largest normal force (N) of hand on table, obstacle or itself; "" and 0.
+
+    Args:
+        scene: What the geoms belong to.
+        geoms: Pairs of geoms that touch.
+        forces: Their normal forces, N.
+    """
     hits: dict[str, float] = defaultdict(float)
     for touch in _touches(scene, geoms, forces):
         if touch.kind.startswith("hand"):
             hits[f"{touch.first} - {touch.second}"] += touch.normal_force
     return max(hits.items(), key=lambda hit: hit[1], default=("", 0.0))
-
-
-def _geoms_and_forces(scene: Scene, data: Any) -> tuple[list[list[int]], list[float]]:
-    """Pairs of geoms and normal forces (N) of every contact now."""
-    return data.contact.geom.tolist(), contact_forces(scene.model, data)[:, 0].tolist()
 
 
 def _touches(scene: Scene, geoms: Sequence[Sequence[int]], forces: Sequence[float]) -> list[Touch]:
