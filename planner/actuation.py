@@ -132,7 +132,7 @@ class Actuation:
         """
         still = np.zeros(len(self.joint_names))
         offset, _, _ = self._split(q, still, still)
-        ends = np.sort(self.gain[:, None] * self.ctrl_range, axis=1) + offset[:, None]
+        ends = self._tables.reach.T + offset[:, None]
         return np.clip(ends, self.force_range[:, :1], self.force_range[:, 1:])
 
     def torque_limits(self, q: FloatArray) -> FloatArray:
@@ -203,9 +203,8 @@ class Actuation:
             HandError: Wrong shape, or NaN.
         """
         offset, wanted, lam = self._split(q, v, torque)
-        low, high, ctrl_low, ctrl_high = self._tables.ranges
-        ctrl = (np.minimum(np.maximum(wanted, low), high) - offset) / self.gain
-        ctrl = np.minimum(np.maximum(ctrl, ctrl_low), ctrl_high)
+        low, high, _, _ = self._tables.ranges
+        ctrl = self._commands(offset, wanted)
         force = np.minimum(np.maximum(self.gain * ctrl + offset, low), high)
         achieved = self._tables.moment_t @ force + self.passive_torque(q)
         change = force - wanted
@@ -213,6 +212,38 @@ class Actuation:
             missing = np.asarray(torque, dtype=np.float64) - achieved
             lam = self._reaction(self.stop_rows.T, self.active_stops(q), missing)
         return ctrl, achieved + self._tables.stops_t @ lam
+
+    def commands(self, q: FloatArray, v: FloatArray, torque: FloatArray) -> FloatArray:
+        """The commands (nu,) of ``ctrl_for_torque`` alone, in half of its time."""
+        offset, wanted, _ = self._split(q, v, torque)
+        return self._commands(offset, wanted)
+
+    def short_of(self, q: FloatArray, torque: FloatArray, tolerance: float) -> NDArray[np.bool_]:
+        """Which actuators' limits at rest at q are below what a joint torque takes, (nu,).
+
+        The forces are those of ``split_torque``, the limits those of ``force_limits``.
+
+        Args:
+            q: Joints (nv,), rad.
+            torque: Wanted joint torque (nv,), N m.
+            tolerance: How far (N m) a force may lie beyond its limit.
+
+        Raises:
+            HandError: Wrong shape, or NaN.
+        """
+        offset, force, _ = self._split(q, np.zeros(len(self.joint_names)), torque)
+        low, high, _, _ = self._tables.ranges
+        least, greatest = self._tables.reach
+        return np.asarray(
+            (force > np.minimum(np.maximum(greatest + offset, low), high) + tolerance)
+            | (force < np.minimum(np.maximum(least + offset, low), high) - tolerance)
+        )
+
+    def _commands(self, offset: FloatArray, wanted: FloatArray) -> FloatArray:
+        """Commands (nu,) for wanted forces (nu,), clipped, with the force at ctrl = 0 (nu,)."""
+        low, high, ctrl_low, ctrl_high = self._tables.ranges
+        ctrl = (np.minimum(np.maximum(wanted, low), high) - offset) / self.gain
+        return np.asarray(np.minimum(np.maximum(ctrl, ctrl_low), ctrl_high))
 
     def _split(
         self, q: FloatArray, v: FloatArray, torque: FloatArray
@@ -279,6 +310,7 @@ class _Tables:
         stops_driven: pinv(R^T) S^T (nu, ns).
         moment_t, stops_t: R^T (nv, nu) and S^T (nv, ns), contiguous.
         ranges: Force and ctrl ranges as four arrays (nu,): low, high, low, high.
+        reach: (2, nu), least and greatest force of the ctrl range, offset left aside.
         choices: Where every useful stop acts on one row of N only, the problem falls apart into
             rows. Then for each row: the stops that help a torque >= 0 and those that help one < 0,
             best aligned first, as (place in ``useful``, stop, entry of N S^T). Else None.
@@ -293,6 +325,7 @@ class _Tables:
     moment_t: FloatArray
     stops_t: FloatArray
     ranges: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+    reach: FloatArray
     choices: list[tuple[list[tuple[int, int, float]], list[tuple[int, int, float]]]] | None
 
     @classmethod
@@ -343,6 +376,7 @@ class _Tables:
             moment_t=np.ascontiguousarray(a.moment.T),
             stops_t=np.ascontiguousarray(a.stop_rows.T),
             ranges=(*a.force_range.T.copy(), *a.ctrl_range.T.copy()),
+            reach=np.sort(a.gain[:, None] * a.ctrl_range, axis=1).T.copy(),
             choices=choices,
         )
 

@@ -71,7 +71,7 @@ class ArmCarrier:
         torque[index] = data.qfrc_bias[self._dof]
         torque[index] += self._stiffness * (target - data.qpos[self._qpos])
         torque[index] += self._damping * (velocity - data.qvel[self._dof])
-        ctrl, _ = self._hand.actuation.ctrl_for_torque(self._q, v, torque)
+        ctrl = self._hand.actuation.commands(self._q, v, torque)
         data.ctrl[self._scene.arm_ctrl] = ctrl[self._rows]
 
     def motion(self, phase: Phase, share: float) -> tuple[FloatArray, FloatArray]:

@@ -117,6 +117,8 @@ class GantryCarrier:
         """Note where the approach begins."""
         self._gantry, self._timeline = gantry, timeline
         self._start = gantry.coordinates(plan.T_world_base_start)
+        self._lifted = np.array([0.0, 0.0, timeline.lift_height, 0.0, 0.0, 0.0])
+        self._low, self._still = np.zeros((2, 6))
 
     def drive(self, data: Any, phase: Phase, share: float) -> None:
         """Set the gantry's commands."""
@@ -129,13 +131,13 @@ class GantryCarrier:
         Those of the grasp are zero.
         """
         timeline = self._timeline
-        s, rate = timeline.profile(share)
-        lifted = np.array([0.0, 0.0, timeline.lift_height, 0.0, 0.0, 0.0])
         if phase == "approach":
+            s, rate = timeline.profile(share)
             return (1.0 - s) * self._start, -rate / timeline.approach * self._start
         if phase == "lift":
-            return s * lifted, rate / timeline.lift * lifted
-        return (lifted if phase == "hold" else np.zeros(6)), np.zeros(6)
+            s, rate = timeline.profile(share)
+            return s * self._lifted, rate / timeline.lift * self._lifted
+        return (self._lifted if phase == "hold" else self._low), self._still
 
 
 def add_gantry(spec: Any, body: Any, hand_model: Any) -> None:

@@ -1,17 +1,21 @@
-"""``Recorder``: takes samples of a trial and turns them into ``Samples`` and comparisons."""
+"""``Recorder``: takes samples of a trial and turns them into ``Samples`` and comparisons.
+
+A sample copies what is there. What can be computed from that is computed after the run, for all
+samples at once; closure and epsilon, which take longer than a trial, when they are asked for.
+"""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from planner.contacts import ContactSet
 from planner.quality import closure_and_epsilon, force_closure
 from planner.spatial import SE3, FloatArray, pose_change
 from planner.tolerances import CLOSURE_EDGES
-from sim.contacts import hand_collision, hand_contacts, merge_per_finger
-from sim.recording import Recording
+from sim.contacts import ContactHistory, ContactRows
+from sim.recording import PALM, Recording
 from sim.report import FingerComparison
 from sim.samples import Samples
 from sim.simulation import Simulation
@@ -44,7 +48,9 @@ class Recorder:
         self._reference: SE3 | None = None
         self._rows: list[dict[str, Any]] = []
         self._states = StateRecorder(simulation)
-        self._held: list[tuple[FloatArray, FloatArray]] = []
+        self._contacts = ContactHistory.of(simulation.scene)
+        self._samples: Samples | None = None
+        self._poses: list[SE3] = []  # of the object
 
     def mark_reference(self) -> None:
         """From now on, slip is movement relative to how the object lies in the palm now."""
@@ -53,58 +59,69 @@ class Recorder:
     def record(self) -> None:
         """Take a sample of now."""
         simulation = self._simulation
-        scene, data, phase = simulation.scene, simulation.data, simulation.phase
-        raw = hand_contacts(scene, data)
-        merged = merge_per_finger(raw)
-        closed, epsilon = closure_and_epsilon(merged, length=self._length)
-        unmerged = closed
-        if len(raw) != len(merged):
-            unmerged = force_closure(raw, CLOSURE_EDGES).closed
         T_world_object, first = simulation.T_world_object, simulation.plan.task.T_world_object
         moved, turned = pose_change(first, T_world_object)
         slip = self.slip()
-        collision, force = hand_collision(scene, data)
-        normal, used = self._per_finger(merged)
         self._rows.append(
             {
-                "time": float(data.time),
-                "phase": phase,
-                "contacts": [raw.fingers.count(f) for f in self._fingers],
-                "palm_contacts": sum(f not in self._fingers for f in raw.fingers),
-                "normal_force": normal,
-                "friction_utilisation": used,
-                "closed": closed,
-                "closed_unmerged": unmerged,
-                "epsilon": epsilon,
+                "time": simulation.time,
+                "phase": simulation.phase,
                 "slip_mm": slip[0],
                 "slip_deg": slip[1],
                 "moved_mm": moved,
                 "turned_deg": turned,
                 "lift_mm": 1e3 * (T_world_object.translation[2] - first.translation[2]),
-                "collision_N": force,
-                "collision": collision,
                 "saturated": simulation.saturated_actuators(),
             }
         )
-        self._states.take(phase, merged)
-        if phase == "hold":
-            self._held.append(self._positions(merged, T_world_object, normal))
+        self._states.take(simulation.phase)
+        self._contacts.note(simulation.data)
+        self._poses.append(T_world_object)
+        self._samples = None
 
     def samples(self) -> Samples:
-        """Everything recorded so far."""
-        return Samples.from_rows(self._rows, len(self._fingers))
+        """Everything recorded so far; made once."""
+        if self._samples is None:
+            self._samples = self._make_samples()
+        return self._samples
+
+    def _make_samples(self) -> Samples:
+        raw = self._contacts.rows()
+        counts = raw.counts()
+        own = [raw.names.index(finger) for finger in self._fingers]
+        normal, used = self._per_finger(raw.merged)
+        collision, force = self._contacts.collisions(self._simulation.scene)
+        columns: dict[str, Any] = {
+            "contacts": counts[:, own],
+            "palm_contacts": np.delete(counts, own, axis=1).sum(axis=1),
+            "normal_force": normal,
+            "friction_utilisation": used,
+            "collision_N": force,
+            "collision": collision,
+        }
+        for name in self._rows[0] if self._rows else _ROW:
+            columns[name] = [row[name] for row in self._rows]
+        return Samples.of(
+            columns, len(self._fingers), later=partial(_closure, raw, length=self._length)
+        )
 
     def recording(self) -> Recording:
         """The states at the same times."""
-        return self._states.recording()
+        merged = self._contacts.rows().merged
+        return self._states.recording(merged.columns(self._fingers, PALM))
 
     def comparison(self) -> tuple[FingerComparison, ...]:
         """Planned against measured contacts while holding; empty if it never came to that."""
-        if not self._held:
+        hold = [i for i, row in enumerate(self._rows) if row["phase"] == "hold"]
+        if not hold:
             return ()
         planned = self._simulation.plan.contacts_in_object
-        position = np.array([p for p, _ in self._held])  # (m, n, 3)
-        force = np.array([f for _, f in self._held])  # (m, n)
+        merged = self._contacts.rows().merged
+        turn = np.array([pose.rotation for pose in self._poses])[merged.moment]
+        shift = np.array([pose.translation for pose in self._poses])[merged.moment]
+        local = np.einsum("nji,nj->ni", turn, merged.positions - shift)
+        position = self._spread(merged, local)[hold]  # (m, n, 3)
+        force = self._per_finger(merged)[0][hold]  # (m, n)
         out = []
         for i, finger in enumerate(self._fingers):
             known = position[np.isfinite(position[:, i, 0]), i]
@@ -131,20 +148,48 @@ class Recorder:
             return NAN, NAN
         return pose_change(self._reference, self._simulation.T_palm_object)
 
-    def _per_finger(self, merged: ContactSet) -> tuple[list[float], list[float]]:
-        """Normal force (N, 0 without contact) and friction utilisation (NaN) of each finger."""
-        used = merged.friction_utilisation() if len(merged) else np.zeros(0)
-        where = {f: i for i, f in enumerate(merged.fingers)}
-        normal = [float(merged.forces[where[f], 0]) if f in where else 0.0 for f in self._fingers]
-        return normal, [float(used[where[f]]) if f in where else NAN for f in self._fingers]
+    def _per_finger(self, merged: ContactRows) -> tuple[FloatArray, FloatArray]:
+        """Normal force (N, 0 without contact) and friction utilisation (NaN), (m, n) each."""
+        normal = self._spread(merged, merged.forces[:, :1])[:, :, 0]
+        used = self._spread(merged, merged.friction_utilisation()[:, None])[:, :, 0]
+        return np.nan_to_num(normal), used
 
-    def _positions(
-        self, merged: ContactSet, T_world_object: SE3, normal: list[float]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Contact positions (n, 3) in the object's frame (NaN: no contact) and normal forces."""
-        local = merged.transformed(T_world_object.inverse())
-        position = np.full((len(self._fingers), 3), NAN)
-        for i, finger in enumerate(self._fingers):
-            if finger in local.fingers:
-                position[i] = local.positions[local.fingers.index(finger)]
-        return position, np.array(normal)
+    def _spread(self, merged: ContactRows, values: FloatArray) -> FloatArray:
+        """Values of merged contacts (K, d) by moment and finger, (m, n, d); NaN without contact."""
+        out = np.full((len(merged.centers), len(merged.names), values.shape[1]), NAN)
+        out[merged.moment, merged.finger] = values
+        return out[:, [merged.names.index(finger) for finger in self._fingers]]
+
+
+_ROW = (
+    "time",
+    "phase",
+    "slip_mm",
+    "slip_deg",
+    "moved_mm",
+    "turned_deg",
+    "lift_mm",
+    "saturated",
+)
+"""What a sample notes itself; the contacts say the rest."""
+
+
+def _closure(raw: ContactRows, length: float) -> dict[str, Any]:
+    """Closure and epsilon of the contacts of every moment.
+
+    Args:
+        raw: Contacts, not merged.
+        length: Torque is divided by it, m.
+    """
+    closed, unmerged, epsilon = [], [], []
+    merged = raw.merged
+    several = raw.counts().sum(axis=1) != merged.counts().sum(axis=1)
+    for moment in range(len(raw.centers)):
+        is_closed, radius = closure_and_epsilon(merged.at(moment), length=length)
+        closed.append(is_closed)
+        epsilon.append(radius)
+        as_they_are = is_closed
+        if several[moment]:
+            as_they_are = force_closure(raw.at(moment), CLOSURE_EDGES).closed
+        unmerged.append(as_they_are)
+    return {"closed": closed, "closed_unmerged": unmerged, "epsilon": epsilon}

@@ -1,13 +1,13 @@
 """``Samples``: what was recorded over time. Its fields are the one table of channels.
 
-A channel is one field of ``Samples`` and one value in the rows of ``sim.recorder``. Its name in
+A channel is one field of ``Samples`` and one column that ``sim.recorder`` makes. Its name in
 files, its type and whether it has a column per finger stand with the field; arrays, JSON and the
 schema of the file follow from that.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import GenericAlias, MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args, get_type_hints
@@ -24,6 +24,9 @@ from sim.controllers.base import Phase
 __all__ = ["CHANNELS", "Channel", "SampleData", "Samples"]
 
 BoolArray: TypeAlias = NDArray[np.bool_]
+
+LATER = ("closed", "closed_unmerged", "epsilon")
+"""Fields that may be computed when one of them is first asked for: 1 to 3 ms per sample."""
 
 _JSON: dict[type, Any] = {float: float | None, int: int, bool: bool, str: str, tuple: list[str]}
 """Type of a channel -> type of one of its values in a file."""
@@ -42,6 +45,13 @@ class Channel:
     key: str
     kind: type = float
     per_finger: bool = False
+
+    def values(self, column: Any, n_fingers: int) -> Any:
+        """A column of values as the field has it."""
+        if self.kind in (str, tuple):
+            return tuple(column)
+        shape = (-1, n_fingers) if self.per_finger else (-1,)
+        return np.array(column, dtype=self.kind).reshape(shape)
 
     @property
     def in_file(self) -> Any:
@@ -95,17 +105,42 @@ class Samples:
     saturated: Annotated[tuple[tuple[str, ...], ...], Channel("actuators_at_limit", tuple)]
 
     @classmethod
-    def from_rows(cls, rows: Sequence[Mapping[str, Any]], n_fingers: int) -> Samples:
-        """Samples out of rows, each with a value for every channel by the name of its field."""
-        columns: dict[str, Any] = {}
-        for name, channel in CHANNELS.items():
-            values = [row[name] for row in rows]
-            if channel.kind in (str, tuple):
-                columns[name] = tuple(values)
-            else:
-                shape = (-1, n_fingers) if channel.per_finger else (-1,)
-                columns[name] = np.array(values, dtype=channel.kind).reshape(shape)
-        return cls(**columns)
+    def of(
+        cls,
+        columns: Mapping[str, Any],
+        n_fingers: int,
+        *,
+        later: Callable[[], Mapping[str, Any]] | None = None,
+    ) -> Samples:
+        """Samples out of columns by the names of the fields.
+
+        Args:
+            columns: A value per sample for every field, or all but those that come later.
+            n_fingers: Fingers that take part.
+            later: Gives the columns ``LATER``, called when one of them is asked for.
+        """
+        made = object.__new__(cls)
+        for name, column in columns.items():
+            made.__dict__[name] = CHANNELS[name].values(column, n_fingers)
+        if later is not None:
+            made.__dict__["_later"] = later
+        return made
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Called for what is not there yet: the columns that come later."""
+            later = self.__dict__.get("_later")
+            if name not in LATER or later is None:
+                raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}")
+            for key, column in later().items():
+                self.__dict__[key] = CHANNELS[key].values(column, 0)
+            del self.__dict__["_later"]
+            return self.__dict__[name]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """How it is sent to another process: whole."""
+        return {name: getattr(self, name) for name in CHANNELS}
 
     def to_dict(self) -> dict[str, Any]:
         """Lists by the channels' names in files; what is not a finite number becomes None."""

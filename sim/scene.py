@@ -16,11 +16,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
 import mujoco
 import numpy as np
+from pinocchio import SE3
 
 from planner.bridge import compile_spec
 from planner.collision.world import TABLE_SIZE
@@ -29,7 +31,7 @@ from planner.kinematics.state import HandState
 from planner.shapes import Shape
 from planner.shapes.decomposition.pieces import solid_deviation, solid_geoms
 from planner.shapes.triangulation import surface_triangles
-from planner.spatial import SE3, FloatArray, IntArray, pose_to_wxyz
+from planner.spatial import FloatArray, IntArray, pose_to_wxyz
 from planner.task import GraspTask
 from sim.gantry import GANTRY, Gantry, add_gantry, tuned_gantry
 from sim.looking.dress import HIDDEN_GROUP, dress_hand
@@ -111,6 +113,12 @@ class Scene:
     finger_of_geom: Mapping[int, str]
     support: int
     deviation: float
+
+    @cached_property
+    def object_geoms(self) -> frozenset[int]:
+        """Ids of the geoms of the object."""
+        body: IntArray = self.model.geom_bodyid
+        return frozenset(np.flatnonzero(body == self.object_body).tolist())
 
     def posed(self, q: FloatArray, T_world_base: SE3, T_world_object: SE3) -> FloatArray:
         """State (qpos) with the hand at q (nq,) and a base pose, and the object at a pose."""

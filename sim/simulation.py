@@ -125,6 +125,9 @@ class Simulation:
         self.tape: Tape | None = None
         self._viewer: Viewer | None = None
         self._ctrl: FloatArray = self.data.ctrl[self.scene.hand_ctrl].copy()
+        actuation = plan.task.hand.actuation
+        ranges = np.concatenate([actuation.force_range.T, actuation.ctrl_range.T])
+        self._limits = ranges + LIMIT_MARGIN * np.array([[1.0], [-1.0], [1.0], [-1.0]])
         tapes = _tapes.get()
         if tapes is not None:
             tapes.append(self.record())
@@ -196,7 +199,7 @@ class Simulation:
         observation = self.observe(phase, share)
         data.ctrl[scene.hand_ctrl] = self._commands(observation)
         self.carrier.drive(data, phase, share)
-        self._ctrl = data.ctrl[scene.hand_ctrl].copy()
+        self._ctrl = data.ctrl[scene.hand_ctrl]
         mujoco.mj_step(scene.model, data)
         self.steps += 1
         return observation
@@ -244,6 +247,8 @@ class Simulation:
     @property
     def diverged(self) -> str:
         """What MuJoCo warns of, "" if nothing: numbers that are not finite or huge."""
+        if not self.data.warning.number.any():
+            return ""
         for what, index in _BAD_NUMBERS.items():
             if self.data.warning[index].number:
                 return f"{what} are not finite or huge at {self.time:.3f} s"
@@ -333,13 +338,13 @@ class Simulation:
 
     def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the hand's actuators that could not do what was asked in the last step."""
-        actuation = self.plan.task.hand.actuation
-        force = self.data.actuator_force[self.scene.hand_ctrl]
-        low, high = actuation.force_range.T
-        at_limit = (force >= high - LIMIT_MARGIN) | (force <= low + LIMIT_MARGIN)
-        low, high = actuation.ctrl_range.T
-        at_limit |= (self._ctrl >= high - LIMIT_MARGIN) | (self._ctrl <= low + LIMIT_MARGIN)
-        names = {actuation.names[i] for i in np.flatnonzero(at_limit)}
+        low, high, ctrl_low, ctrl_high = self._limits
+        force, ctrl = self.data.actuator_force[self.scene.hand_ctrl], self._ctrl
+        at_limit = (force >= high) | (force <= low) | (ctrl >= ctrl_high) | (ctrl <= ctrl_low)
+        names = set()
+        if at_limit.any():
+            all_names = self.plan.task.hand.actuation.names
+            names = {all_names[i] for i in np.flatnonzero(at_limit)}
         if isinstance(self.controller, ReportsLimits):
             names.update(self.controller.saturated_actuators())
         return tuple(sorted(names))

@@ -1,18 +1,19 @@
 """``StateRecorder``: takes the states of a simulation that a ``Recording`` holds.
 
-It reads what MuJoCo has and computes nothing, so that a run with it is the same run. Poses are made
-from the joints of the same moment: MuJoCo's own poses are those of the step before.
+It copies what MuJoCo has and computes nothing while the simulation runs, so that a run with it is
+the same run. Poses are made from the joints of the same moment: MuJoCo's own poses are those of the
+step before.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from planner.contacts import ContactSet
 from planner.spatial import FloatArray, pose_to_wxyz
-from sim.recording import PALM, Recording
+from sim.recording import Recording
 from sim.simulation import Simulation
 
 __all__ = ["StateRecorder"]
@@ -29,15 +30,9 @@ class StateRecorder:
         self._base = simulation.plan.T_world_base  # of a hand on an arm, whose base stands
         self._phases: list[str] = []
         self._rows: list[FloatArray] = []
-        self._contacts: list[ContactSet] = []
 
-    def take(self, phase: str, contacts: ContactSet) -> None:
-        """Take the state of now.
-
-        Args:
-            phase: What it belongs to.
-            contacts: Contacts of the step that ended now, merged per finger, world.
-        """
+    def take(self, phase: str) -> None:
+        """Take the state of now, which belongs to a phase."""
         scene, data = self._simulation.scene, self._simulation.data
         parts = (
             [data.time],
@@ -48,10 +43,13 @@ class StateRecorder:
         )
         self._rows.append(np.concatenate(parts))
         self._phases.append(phase)
-        self._contacts.append(contacts)
 
-    def recording(self) -> Recording:
-        """Everything taken so far."""
+    def recording(self, contacts: Mapping[str, Any]) -> Recording:
+        """Everything taken so far.
+
+        Args:
+            contacts: Fields of ``Recording`` about the contacts at the same moments.
+        """
         scene, task = self._simulation.scene, self._simulation.plan.task
         sizes = (1, len(scene.hand_qpos), 7, len(scene.hand_ctrl), len(self._gantry))
         rows = np.array(self._rows).reshape(-1, sum(sizes))
@@ -68,7 +66,7 @@ class StateRecorder:
             T_world_base=self._bases(gantry),
             T_world_object=T_world_object,
             commands=commands,
-            **self._columns(task.finger_names),
+            **contacts,
         )
 
     def _bases(self, gantry: FloatArray) -> FloatArray:
@@ -78,27 +76,3 @@ class StateRecorder:
             return np.tile(np.concatenate(pose_to_wxyz(self._base)), (len(gantry), 1))
         rows = [np.concatenate(pose_to_wxyz(carrier.pose(row))) for row in gantry]
         return np.array(rows).reshape(-1, 7)
-
-    def _columns(self, fingers: tuple[str, ...]) -> dict[str, Any]:
-        """Contacts as arrays with a column per finger, and per other part that touched."""
-        seen = (name or PALM for contacts in self._contacts for name in contacts.fingers)
-        names = tuple(dict.fromkeys((*fingers, *seen)))
-        column = {name: k for k, name in enumerate(names)}
-        m, k = len(self._contacts), len(names)
-        points, normals, forces = np.full((3, m, k, 3), np.nan)
-        friction = np.full((m, k, 2), np.nan)
-        for i, contacts in enumerate(self._contacts):
-            if not len(contacts):
-                continue
-            where = [column[name or PALM] for name in contacts.fingers]
-            points[i, where] = contacts.positions
-            normals[i, where] = contacts.normals
-            forces[i, where] = contacts.forces_in_axes()
-            friction[i, where] = contacts.friction
-        return {
-            "contact_names": names,
-            "points": points,
-            "normals": normals,
-            "forces": forces,
-            "friction": friction,
-        }

@@ -127,9 +127,8 @@ class Trial:
             raise TaskError("this trial has run already; make a new Trial to run again")
         begin = time.perf_counter()
         if not self.plan.forces.found:
-            return self._report(
-                Verdict(Fault(reason="infeasible forces", detail=self.plan.forces.reason)), begin
-            )
+            fault = Fault(reason="infeasible forces", detail=self.plan.forces.reason)
+            return self._report(Verdict(fault), begin)
 
         def after_step(simulation: Simulation) -> None:
             if progress is not None and simulation.due(self.recorder.every):

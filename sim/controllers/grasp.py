@@ -17,14 +17,14 @@ neutral equilibrium. Joints whose actuators have no stiffness (motors) get one h
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 
 from planner.actuation import Actuation
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState, MovingHand
+from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
-from planner.spatial import SE3, FloatArray, minimum_jerk, skew
+from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers.base import Observation
+from sim.controllers.loads import HandLoads, crossed
 from sim.controllers.motors import MotorServo
 from sim.controllers.schedule import TOUCH_FORCE
 
@@ -75,7 +75,8 @@ class GraspController:
         self._share = np.zeros(len(self._fingers))
         self._reach = np.zeros(len(self._fingers))
         self._servo = MotorServo(self._hand, plan.q)
-        self._state = MovingHand(self._hand, plan.q)
+        self._loads = HandLoads(self._hand, self._fingers)
+        self._still = np.zeros(self._hand.nq)
         self._torque = np.zeros(self._hand.nq)
         self._latched = False
         self._time = 0.0
@@ -85,7 +86,7 @@ class GraspController:
         """Commands (nu,) for the hand's actuators."""
         elapsed, self._time = observation.time - self._time, observation.time
         gravity = observation.T_world_base.rotation.T @ self._gravity
-        torque = self._state.move(observation.q).gravity_torque(gravity)
+        torque = self._loads.move(observation.q, gravity)
         if observation.phase == "close":
             self._close(observation, elapsed)
         elif observation.phase != "approach":
@@ -93,13 +94,14 @@ class GraspController:
                 self._latched = True
                 self._servo.rest()
                 self.q_ref = observation.q.copy()
-            ramp = observation.progress if observation.phase == "squeeze" else 1.0
-            scale = FIRST_SHARE + (1.0 - FIRST_SHARE) * float(minimum_jerk(np.asarray(ramp)))
-            torque += scale * self._pressing_torque(observation)
+            pressing = self._pressing_torque(observation)
+            if observation.phase == "squeeze":
+                ramp = float(minimum_jerk(np.asarray(observation.progress)))
+                pressing *= FIRST_SHARE + (1.0 - FIRST_SHARE) * ramp
+            torque += pressing
         torque += self._servo.torque(observation.time, self.q_ref, observation.q, observation.v)
         self._torque = torque
-        ctrl, _ = self._hand.actuation.ctrl_for_torque(self.q_ref, np.zeros(self._hand.nq), torque)
-        return ctrl
+        return self._hand.actuation.commands(self.q_ref, self._still, torque)
 
     def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last step wanted."""
@@ -129,18 +131,8 @@ class GraspController:
         turn = T_base_object.rotation.T
         points = self._points @ turn + T_base_object.translation
         forces = self._forces @ turn
-        # Wrenches on the object about the base's origin, as Pinocchio's WORLD Jacobian wants them.
-        moments = np.einsum("nij,nj->ni", skew(points), forces) + self._moments @ turn
-        torque = np.zeros(self._hand.nq)
-        for finger, force, moment in zip(self._fingers, forces, moments, strict=True):
-            jacobian = pin.getJointJacobian(
-                self._hand.pin_model,
-                self._state.pin_data,
-                finger.pad.joint_id,
-                pin.ReferenceFrame.WORLD,
-            )
-            torque += force @ jacobian[:3] + moment @ jacobian[3:]
-        return torque
+        # wrenches on the object about the base's origin
+        return self._loads.torque(forces, crossed(points, forces) + self._moments @ turn)
 
     def _search_directions(self) -> FloatArray:
         """Joint motion (n_fingers, nq), rad/m, that moves each pad along its normal."""
@@ -160,7 +152,5 @@ class GraspController:
 
 def saturated(actuation: Actuation, q: FloatArray, torque: FloatArray) -> tuple[str, ...]:
     """Names of the actuators whose limits at q (nq,) are below what a joint torque (nq,) takes."""
-    force, _ = actuation.split_torque(q, torque)
-    low, high = actuation.force_limits(q).T
-    beyond = np.flatnonzero((force > high + LIMIT_TOL) | (force < low - LIMIT_TOL))
-    return tuple(actuation.names[i] for i in beyond)
+    beyond = actuation.short_of(q, torque, LIMIT_TOL)
+    return tuple(actuation.names[i] for i in np.flatnonzero(beyond)) if beyond.any() else ()

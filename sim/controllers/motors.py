@@ -43,6 +43,8 @@ class MotorServo:
         self._drag, self._stiction = (part * mine for part in joint_drag(hand))
         self._goal: FloatArray | None = None
         self._time = 0.0
+        gains = self._stiffness, self._damping, self._drag, self._stiction
+        self._acts = any(gain.any() for gain in gains)
 
     def rest(self) -> None:
         """The next posture may be anywhere: it is not moved to, it is where the hand is."""
@@ -57,12 +59,14 @@ class MotorServo:
             q: Where they are (nq,), rad.
             v: Their rates (nq,), rad/s.
         """
+        if not self._acts:
+            return np.zeros(len(goal))
         elapsed, self._time = time - self._time, time
         rate = np.zeros(len(goal))
         if self._goal is not None and elapsed > 0:
             rate = (goal - self._goal) / elapsed
         self._goal = goal.copy()
-        sign = np.clip(rate / FULL_FRICTION_RATE, -1.0, 1.0)
+        sign = np.minimum(np.maximum(rate / FULL_FRICTION_RATE, -1.0), 1.0)
         drag = self._drag * rate + self._stiction * sign
         return np.asarray(self._stiffness * (goal - q) + self._damping * (rate - v) + drag)
 

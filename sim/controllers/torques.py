@@ -181,10 +181,9 @@ class HoldingTorques:
         )
         self._torque = torque
         self._law_q = np.where(self._moving, self._q, self._q_ref)
-        ctrl, _ = self._hand.actuation.ctrl_for_torque(
+        return self._hand.actuation.commands(
             self._law_q, np.where(self._moving, self._v, 0.0), torque
         )
-        return ctrl
 
     def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last command wanted."""

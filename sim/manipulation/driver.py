@@ -136,7 +136,7 @@ class PostureServo:
         gravity = observation.T_world_base.rotation.T @ self._gravity
         torque = self._state.move(observation.q).gravity_torque(gravity)
         torque += self._servo.torque(observation.time, q, observation.q, observation.v)
-        ctrl, _ = self._hand.actuation.ctrl_for_torque(q, np.zeros(self._hand.nq), torque)
+        ctrl = self._hand.actuation.commands(q, np.zeros(self._hand.nq), torque)
         return ctrl
 
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from planner.quality import closure_and_epsilon
 from planner.spatial import SE3, FloatArray, IntArray, signed_twist
-from sim.contacts import hand_collision, hand_contacts, merge_per_finger
+from sim.contacts import ContactHistory
 from sim.manipulation.timeline import ManipulationPhase
 from sim.pads import read_pads
-from sim.recording import Recording
+from sim.recording import PALM, Recording
 from sim.simulation import Simulation
 from sim.states import StateRecorder
 
@@ -146,6 +146,7 @@ class ManipulationRecorder:
         self._turn = 0.0
         self._rows: list[dict[str, Any]] = []
         self._states = StateRecorder(simulation)
+        self._contacts = ContactHistory.of(simulation.scene)
         self._forces: list[FloatArray] = []
 
     def note_forces(self, normal_forces: FloatArray) -> None:
@@ -184,13 +185,10 @@ class ManipulationRecorder:
         """
         simulation = self._simulation
         scene, data = simulation.scene, simulation.data
-        merged = merge_per_finger(hand_contacts(scene, data))
-        self._states.take(phase, merged)
-        closed, epsilon = closure_and_epsilon(merged, length=self._length)
-        used = dict(zip(merged.fingers, merged.friction_utilisation().tolist(), strict=True))
+        self._states.take(phase)
+        self._contacts.note(data)
         forces = np.array(self._forces or [np.zeros(len(self._fingers))])
         self._forces = []
-        collision, collision_N = hand_collision(scene, data)
         pads = read_pads(scene, data, self._fingers)
         pose, now = simulation.T_world_object, simulation.T_palm_object
         self._turn, tilt, shift = self.moved()
@@ -198,12 +196,8 @@ class ManipulationRecorder:
             {
                 "time": float(data.time),
                 "phase": phase,
-                "touching": len(set(merged.fingers) - {""}),
                 "points": (pads.position - pose.translation) @ pose.rotation,
                 "sliding": np.linalg.norm(pads.sliding, axis=1) - pads.creep_speed,
-                "closed": closed,
-                "epsilon": epsilon,
-                "friction_utilisation": [used.get(f, np.nan) for f in self._fingers],
                 "turn": self._turn,
                 "tilt": tilt,
                 "shift": shift,
@@ -214,15 +208,36 @@ class ManipulationRecorder:
                 "away": away.copy(),
                 "normal_force": forces.mean(axis=0),
                 "peak_force": forces.max(axis=0),
-                "collision_N": collision_N,
-                "collision": collision,
             }
         )
 
     def log(self) -> ManipulationLog:
         """All samples so far."""
-        return ManipulationLog.of(self._rows, len(self._fingers))
+        merged = self._contacts.rows().merged
+        collision, force = self._contacts.collisions(self._simulation.scene)
+        touching = np.delete(merged.counts(), merged.names.index(""), axis=1).sum(axis=1)
+        used = merged.friction_utilisation()
+        rows = []
+        for i, row in enumerate(self._rows):
+            mine = merged.of(i)
+            share = {
+                merged.names[k]: u for k, u in zip(merged.finger[mine], used[mine], strict=True)
+            }
+            closed, epsilon = closure_and_epsilon(merged.at(i), length=self._length)
+            rows.append(
+                row
+                | {
+                    "touching": touching[i],
+                    "closed": closed,
+                    "epsilon": epsilon,
+                    "friction_utilisation": [share.get(f, np.nan) for f in self._fingers],
+                    "collision_N": force[i],
+                    "collision": collision[i],
+                }
+            )
+        return ManipulationLog.of(rows, len(self._fingers))
 
     def recording(self) -> Recording:
         """The states at the same times."""
-        return self._states.recording()
+        merged = self._contacts.rows().merged
+        return self._states.recording(merged.columns(self._fingers, PALM))

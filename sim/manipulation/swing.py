@@ -106,7 +106,7 @@ class FingerSwing:
         torque = self._state.move(observation.q).gravity_torque(gravity)
         torque += self._hand.pin_model.damping * v
         torque += self._stiffness * (q - observation.q) + self._damping * (v - observation.v)
-        ctrl, _ = self._hand.actuation.ctrl_for_torque(q, v, torque)
+        ctrl = self._hand.actuation.commands(q, v, torque)
         return ctrl
 
     def _at(self, share: float, bent: FloatArray) -> FloatArray:
