@@ -15,9 +15,10 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
-from planner.numerics.casadi_compiled import COMPILE_VARIABLE
+__all__ = ["COMPILE_VARIABLE", "compile_loops", "kernel", "kernels_are_compiled"]
 
-__all__ = ["compile_loops", "kernel", "kernels_are_compiled"]
+COMPILE_VARIABLE = "OPPOSABLE_COMPILE"
+"""Environment variable: "0" compiles nothing, "1" compiles expressions of CasADi too."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
