@@ -100,6 +100,7 @@ class ContactSet:
 
     def __post_init__(self) -> None:
         """Check shapes, finiteness and ranges; freeze the arrays."""
+        self._take({name: getattr(self, name) for name in _SHAPES})
         if len(self.fingers) != len(self.models):
             raise ContactError(f"{len(self.fingers)} finger names for {len(self.models)} contacts")
         for model in self.models:
@@ -108,7 +109,6 @@ class ContactSet:
         if not CONTACT_DIM.keys() >= set(self.models):
             unknown = sorted({m for m in self.models if m not in CONTACT_DIM})
             raise ContactError(f"unknown contact model {unknown}; use one of {list(CONTACT_DIM)}")
-        self._take({name: getattr(self, name) for name in _SHAPES})
 
     def _take(self, arrays: dict[str, Any]) -> None:
         """Keep read-only copies of arrays after checking them."""
