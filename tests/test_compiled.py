@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from planner.errors import PlannerError
-from planner.numerics.casadi_compiled import COMPILE_VARIABLE, compiled
+from planner.numerics.casadi_compiled import compiled
+from planner.numerics.kernels import COMPILE_VARIABLE
 from planner.system import trusted_files as trust
 from planner.system.disk_cache import CACHE_VARIABLE
 from planner.system.trusted_files import digest_file

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.contacts import ContactSet
@@ -36,6 +36,7 @@ def resistance(direction: FloatArray, points: FloatArray, inward: FloatArray) ->
     return float((direction @ wrenches).max())
 
 
+@settings(deadline=None)
 @given(st.integers(0, 10_000))
 def test_directions_are_weak_apart_and_in_order(seed: int) -> None:
     points, inward = spread(seed)

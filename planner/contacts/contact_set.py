@@ -18,14 +18,15 @@ The last is MuJoCo's elliptic cone with condim 4. mu has no unit, mu_torsion is 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from planner.arrays import float_array, per_item
+from planner.contacts.checks import check_forces, check_frames, check_friction, check_positions
 from planner.contacts.friction import cone_utilisation
 from planner.errors import ContactError
 from planner.showing import in_notebook
@@ -36,11 +37,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CONTACT_DIM",
-    "MOST_FRICTION",
     "Contact",
     "ContactModel",
     "ContactSet",
-    "check_frames",
 ]
 
 ContactModel: TypeAlias = Literal["frictionless", "point", "soft"]
@@ -48,37 +47,6 @@ ContactModel: TypeAlias = Literal["frictionless", "point", "soft"]
 
 CONTACT_DIM: dict[str, int] = {"frictionless": 1, "point": 3, "soft": 4}
 """Number of force components that each contact model transmits."""
-
-FARTHEST = 1e6
-"""Largest coordinate (m): beyond it torques lose the digits that a verdict needs."""
-
-MOST_FRICTION = 1e3
-"""Largest sliding friction (-) and torsional friction (m): a force may be 89.94 degrees off the
-normal. Beyond it the normal parts drown in the tangential ones, and rank is misjudged."""
-
-_IDENTITY = np.eye(3)
-
-_ORTHONORMAL_TOL = 1e-6
-"""How far a given frame may be from a rotation matrix (-)."""
-
-
-def check_frames(frames: FloatArray) -> None:
-    """Refuse contact frames (n, 3, 3) that are not right-handed rotation matrices.
-
-    Raises:
-        ContactError: So, or they hold NaN.
-    """
-    if len(frames) == 0:
-        return
-    error = frames.transpose(0, 2, 1) @ frames
-    error -= _IDENTITY
-    if not (
-        max(error.max(), -error.min()) <= _ORTHONORMAL_TOL and np.linalg.det(frames).min() > 0.0
-    ):
-        raise ContactError(
-            "a contact frame is not a right-handed rotation matrix; give [normal, tangent1, "
-            "tangent2] in its columns, as contact_frames makes them"
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,39 +100,37 @@ class ContactSet:
 
     def __post_init__(self) -> None:
         """Check shapes, finiteness and ranges; freeze the arrays."""
+        self._take({name: getattr(self, name) for name in _SHAPES})
+        if len(self.fingers) != len(self.models):
+            raise ContactError(f"{len(self.fingers)} finger names for {len(self.models)} contacts")
+        for model in self.models:
+            if not isinstance(model, str):
+                raise ContactError(f"contact models are names; use some of {list(CONTACT_DIM)}")
+        if not CONTACT_DIM.keys() >= set(self.models):
+            unknown = sorted({m for m in self.models if m not in CONTACT_DIM})
+            raise ContactError(f"unknown contact model {unknown}; use one of {list(CONTACT_DIM)}")
+
+    def _take(self, arrays: dict[str, Any]) -> None:
+        """Keep read-only copies of arrays after checking them."""
         n = len(self.models)
-        shapes = {
-            "positions": (n, 3),
-            "frames": (n, 3, 3),
-            "mu": (n,),
-            "mu_torsion": (n,),
-            "forces": (n, 4),
-            "center": (3,),
-        }
-        for name, shape in shapes.items():
-            value = float_array(name, getattr(self, name), copy=True)
+        for name, given in arrays.items():
+            if type(given) is np.ndarray and given.dtype == np.float64:
+                value = given.copy()
+            else:
+                value = float_array(name, given, copy=True)
+            shape = _SHAPES[name] if name == "center" else (n, *_SHAPES[name])
             if value.shape != shape:
                 raise ContactError(f"{name} has shape {value.shape}, but {n} contacts need {shape}")
-            if name != "forces" and not np.isfinite(value).all():
-                raise ContactError(f"{name} holds NaN or infinity; give finite numbers")
+            _RANGES[name](value, name)
             value.flags.writeable = False
-            object.__setattr__(self, name, value)
-        if len(self.fingers) != n:
-            raise ContactError(f"{len(self.fingers)} finger names for {n} contacts")
-        if np.isinf(self.forces).any():
-            raise ContactError("forces hold infinity; give finite numbers, NaN where unknown")
-        if max(np.abs(self.positions).max(initial=0.0), np.abs(self.center).max()) > FARTHEST:
-            raise ContactError(f"a position is farther than {FARTHEST:g} m away; give metres")
-        if (self.mu < 0).any() or (self.mu_torsion < 0).any():
-            raise ContactError("friction is negative; mu and mu_torsion must be >= 0")
-        if max(self.mu.max(initial=0.0), self.mu_torsion.max(initial=0.0)) > MOST_FRICTION:
-            raise ContactError(f"friction is above {MOST_FRICTION:g}; give mu and mu_torsion below")
-        if not all(isinstance(m, str) for m in self.models):
-            raise ContactError(f"contact models are names; use some of {list(CONTACT_DIM)}")
-        unknown = sorted({m for m in self.models if m not in CONTACT_DIM})
-        if unknown:
-            raise ContactError(f"unknown contact model {unknown}; use one of {list(CONTACT_DIM)}")
-        check_frames(self.frames)
+            self.__dict__[name] = value
+
+    def _changed(self, **arrays: FloatArray) -> ContactSet:
+        """The same contacts with other arrays; those that stay need no check."""
+        other = object.__new__(type(self))
+        other.__dict__.update({name: self.__dict__[name] for name in _FIELDS})
+        other._take(arrays)
+        return other
 
     @classmethod
     def from_arrays(
@@ -278,14 +244,13 @@ class ContactSet:
 
     def with_forces(self, forces: ArrayLike) -> ContactSet:
         """The same contacts with forces (n, 4) in the contact frames."""
-        return replace(self, forces=float_array("forces", forces))
+        return self._changed(forces=float_array("forces", forces))
 
     def with_friction(self, mu: ArrayLike, mu_torsion: ArrayLike | None = None) -> ContactSet:
         """The same contacts with another friction, a number or (n,) each."""
         n = len(self)
         torsion = self.mu_torsion if mu_torsion is None else mu_torsion
-        return replace(
-            self,
+        return self._changed(
             mu=per_item("mu", mu, n),
             mu_torsion=per_item("mu_torsion", torsion, n),
         )
@@ -297,8 +262,7 @@ class ContactSet:
             T_new_old: Pose of the present frame of reference in the new one.
         """
         rotation, shift = T_new_old.rotation, T_new_old.translation
-        return replace(
-            self,
+        return self._changed(
             positions=self.positions @ rotation.T + shift,
             frames=rotation @ self.frames,
             center=rotation @ self.center + shift,
@@ -311,14 +275,18 @@ class ContactSet:
         them; rows are [force; torque about ``center``] in the set's axes, unscaled (N, N m).
         (Murray, Li, Sastry 1994, section 5.2.)
         """
-        arms = skew(self.positions - self.center)
-        columns = [np.zeros((6, 0))]
-        for frame, arm, dim in zip(self.frames, arms, self.dims, strict=True):
-            linear = frame[:, : min(dim, 3)]
-            columns.append(np.vstack([linear, arm @ linear]))
-            if dim == 4:
-                columns.append(np.concatenate([np.zeros(3), frame[:, 0]])[:, None])
-        return np.hstack(columns)
+        n = len(self.models)
+        maps = np.zeros((6, n, 4))
+        by_contact = maps.transpose(1, 0, 2)
+        by_contact[:, :3, :3] = self.frames
+        np.matmul(skew(self.positions - self.center), self.frames, out=by_contact[:, 3:, :3])
+        by_contact[:, 3:, 3] = self.frames[:, :, 0]
+        return maps.reshape(6, -1)[:, self._transmitted.ravel()]
+
+    @property
+    def _transmitted(self) -> NDArray[np.bool_]:
+        """Which of f_n, f_t1, f_t2, tau_n each contact transmits, (n, 4)."""
+        return np.array([_TRANSMITTED[m] for m in self.models], dtype=np.bool_).reshape(-1, 4)
 
     def forces_in_axes(self) -> FloatArray:
         """Contact forces turned into the set's axes, (n, 3), N."""
@@ -329,8 +297,15 @@ class ContactSet:
 
         Components that a contact's model does not transmit are left out.
         """
-        parts = [f[:d] for f, d in zip(self.forces, self.dims, strict=True)]
-        return np.asarray(self.grasp_map() @ np.concatenate([np.zeros(0), *parts]))
+        return self.wrench_of(self.forces)
+
+    def wrench_of(self, forces: FloatArray) -> FloatArray:
+        """Sum of forces (n, 4) in the contact frames as a wrench (6,), like ``wrench``."""
+        carried = np.where(self._transmitted, forces, 0.0)
+        force = (self.frames @ carried[:, :3, None])[:, :, 0]
+        arms = skew(self.positions - self.center)
+        torque = (arms @ force[:, :, None])[:, :, 0] + carried[:, 3:] * self.frames[:, :, 0]
+        return np.concatenate([force.sum(axis=0), torque.sum(axis=0)])
 
     def friction_utilisation(self) -> FloatArray:
         """Share of the friction cone in use, (n,): 0 on the normal, 1 on the cone, above 1 outside.
@@ -339,6 +314,32 @@ class ContactSet:
         """
         torsion = np.where([m == "soft" for m in self.models], self.mu_torsion, np.nan)
         return cone_utilisation(self.forces, self.mu, torsion)
+
+
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "positions": (3,),
+    "frames": (3, 3),
+    "mu": (),
+    "mu_torsion": (),
+    "forces": (4,),
+    "center": (3,),
+}
+"""Arrays of a set, with their shape for each contact; there is one centre."""
+
+_RANGES: dict[str, Callable[[FloatArray, str], None]] = {
+    "positions": check_positions,
+    "frames": check_frames,
+    "mu": check_friction,
+    "mu_torsion": check_friction,
+    "forces": check_forces,
+    "center": check_positions,
+}
+"""What refuses the numbers of each."""
+
+_FIELDS = (*_SHAPES, "models", "fingers")
+
+_TRANSMITTED = {model: [i < dim for i in range(4)] for model, dim in CONTACT_DIM.items()}
+"""Which of f_n, f_t1, f_t2, tau_n each contact model transmits."""
 
 
 def _listed(what: str, value: Any) -> tuple[Any, ...]:

@@ -23,13 +23,11 @@ from typing import Any
 import casadi as ca
 
 from planner.errors import PlannerError
+from planner.numerics.kernels import COMPILE_VARIABLE
 from planner.system.disk_cache import cache_directory
 from planner.system.trusted_files import check_folder, is_intact, make_private, seal
 
-__all__ = ["COMPILE_VARIABLE", "compiled"]
-
-COMPILE_VARIABLE = "OPPOSABLE_COMPILE"
-"""Environment variable: "1" compiles, "" or "0" does not."""
+__all__ = ["compiled"]
 
 FLAGS = ("-O1", "-ffp-contract=off", "-shared", "-fPIC")
 """Flags of the compiler; -O2 compiles longer and gains nothing."""

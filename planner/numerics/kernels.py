@@ -22,9 +22,16 @@ from functools import lru_cache, wraps
 from types import CodeType, FunctionType
 from typing import Any, ParamSpec, TypeVar
 
-from planner.numerics.casadi_compiled import COMPILE_VARIABLE
+__all__ = [
+    "COMPILE_VARIABLE",
+    "compile_loops",
+    "kernel",
+    "kernels_are_compiled",
+    "loops_of_kernels",
+]
 
-__all__ = ["compile_loops", "kernel", "kernels_are_compiled", "loops_of_kernels"]
+COMPILE_VARIABLE = "OPPOSABLE_COMPILE"
+"""Environment variable: "0" compiles nothing, "1" compiles expressions of CasADi too."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
