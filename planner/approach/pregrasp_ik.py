@@ -14,6 +14,7 @@ minimised; the verdict is ``planner.approach.pregrasp``'s, on the true geometry.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -74,8 +75,11 @@ LEAST = 2e-3
 """Shortest step (rad) that a joint is left: the programmes want some room."""
 
 
+@lru_cache(maxsize=16)
 def undetermined_joints(hand: Hand) -> IntArray:
     """Joints (k,) that do not come back in the air the way that they were opened, ascending.
+
+    Found once for a hand; read-only.
 
     Those of an actuator that moves several joints and leaves it to a contact to hold one of them at
     a stop. In the air the joints share its motion by their damping: if that takes the one off its
@@ -91,7 +95,9 @@ def undetermined_joints(hand: Hand) -> IntArray:
         if stop.one_sided and np.abs(left @ stop.row).max() > UNDETERMINED:
             leaving = np.abs(shared @ stop.row) > UNDETERMINED
             out |= (hand.actuation.moment[leaving] != 0.0).any(axis=0)
-    return np.flatnonzero(out)
+    found = np.flatnonzero(out)
+    found.flags.writeable = False
+    return found
 
 
 class PregraspIk:

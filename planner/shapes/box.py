@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import product
 from typing import Any, ClassVar, Self
 
@@ -13,7 +14,7 @@ import numpy as np
 from planner.shapes.base import ALIGNED, Shape, checked_extents, checked_points
 from planner.shapes.closest_point import nearest_of_faces, sign
 from planner.shapes.stable import StablePose, stable_poses
-from planner.shapes.surface import CODE_DIM, Patch, Surface, box_clearance, edge_margin
+from planner.shapes.surface import CODE_DIM, KEPT, Patch, Surface, box_clearance, edge_margin
 from planner.spatial import FloatArray
 
 __all__ = ["Box"]
@@ -129,18 +130,7 @@ class _BoxSurface(Surface):
         return np.array(shape.half_extents)
 
     def patches(self, shape: Box) -> tuple[Patch, ...]:
-        half = shape.half_extents
-        out = []
-        for axis in range(3):
-            for side in (1.0, -1.0):
-                code = np.zeros(CODE_DIM)
-                code[axis] = side
-                reach = half - np.array([edge_margin(h) for h in half])
-                lower, upper = -reach, reach.copy()
-                lower[axis] = upper[axis] = side * half[axis]
-                name = ("+" if side > 0 else "-") + "xyz"[axis]
-                out.append(Patch(name=name, code=code, lower=lower, upper=upper))
-        return tuple(out)
+        return _patches(shape)
 
     def patch_at(self, shape: Box, point: FloatArray, normal: FloatArray) -> Patch:
         return max(self.patches(shape), key=lambda patch: float(patch.code @ normal))
@@ -153,6 +143,22 @@ class _BoxSurface(Surface):
 
     def clearance(self, size: Any, c: Any) -> Any:
         return box_clearance(size, c)
+
+
+@lru_cache(maxsize=KEPT)
+def _patches(shape: Box) -> tuple[Patch, ...]:
+    half = shape.half_extents
+    out = []
+    for axis in range(3):
+        for side in (1.0, -1.0):
+            code = np.zeros(CODE_DIM)
+            code[axis] = side
+            reach = half - np.array([edge_margin(h) for h in half])
+            lower, upper = -reach, reach.copy()
+            lower[axis] = upper[axis] = side * half[axis]
+            name = ("+" if side > 0 else "-") + "xyz"[axis]
+            out.append(Patch(name=name, code=code, lower=lower, upper=upper))
+    return tuple(out)
 
 
 _SURFACE = _BoxSurface()

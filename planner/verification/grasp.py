@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from planner.approach.pregrasp import Approach, find_approach, verify_approach
+from planner.collision.moving_hand import moving_hand
 from planner.collision.pad_contact import pad_contacts
 from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
@@ -21,7 +22,6 @@ from planner.forces import (
     distribute_forces,
     gravity_wrench,
 )
-from planner.kinematics.state import HandState
 from planner.plan import GraspPlan, SolveRecord
 from planner.quality import ClosureResult, force_closure
 from planner.spatial import SE3, FloatArray
@@ -169,7 +169,7 @@ def force_arguments(
         T_world_base: Base pose.
         q: Joints (nq,).
     """
-    state = HandState(task.hand, q)
+    state = moving_hand(task.hand).move(q)
     inverse = T_world_base.inverse()
     rotation = T_world_base.rotation
     jacobians = np.array(
