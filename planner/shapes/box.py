@@ -12,10 +12,10 @@ import coal
 import numpy as np
 
 from planner.shapes.base import ALIGNED, Shape, checked_extents, checked_points
-from planner.shapes.closest_point import nearest_of_faces, sign
+from planner.shapes.closest_point import ON_SURFACE, sign
 from planner.shapes.stable import StablePose, stable_poses
 from planner.shapes.surface import CODE_DIM, KEPT, Patch, Surface, box_clearance, edge_margin
-from planner.spatial import FloatArray
+from planner.spatial import FloatArray, fixed_array
 
 __all__ = ["Box"]
 
@@ -80,14 +80,18 @@ class Box(Shape):
     def closest_point(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See ``Shape``; inside, the nearest face."""
         p, half = checked_points(points), self.half_extents
-        side = sign(p)
-        face_points = np.repeat(p[:, None, :], 3, axis=1)  # (n, 3 faces, 3)
-        face_normals = np.zeros_like(face_points)
-        for k in range(3):
-            face_points[:, k, k] = side[:, k] * half[k]
-            face_normals[:, k, k] = side[:, k]
-        clamped = np.clip(p, -half, half)
-        return nearest_of_faces(p, clamped, half - np.abs(p), face_points, face_normals)
+        clamped = p.clip(-half, half)
+        gap = p - clamped
+        distance = np.sqrt((gap * gap).sum(axis=1))
+        outside = distance > ON_SURFACE
+        surface, normal = clamped, gap / np.where(outside, distance, 1.0)[:, None]
+        if not outside.all():
+            row = np.flatnonzero(~outside)
+            face = (half - np.abs(p[row])).argmin(axis=1)
+            side = sign(p[row, face])
+            surface[row], normal[row] = p[row], 0.0
+            surface[row, face], normal[row, face] = side * half[face], side
+        return surface, normal
 
     def resting_poses(self) -> tuple[StablePose, ...]:
         """Standing as it is, then on each of the other faces, those that tilt farthest first."""
@@ -105,7 +109,7 @@ class Box(Shape):
     @property
     def flat_sides(self) -> FloatArray | None:
         """+x, +y, +z, -x, -y, -z, (6, 3)."""
-        return np.vstack([np.eye(3), -np.eye(3)])
+        return _SIDES
 
     def curvature_and_edges(
         self, points: FloatArray, normals: FloatArray
@@ -121,6 +125,9 @@ class Box(Shape):
     def surface(self) -> Surface:
         """See ``Shape``."""
         return _SURFACE
+
+
+_SIDES = fixed_array(np.vstack([np.eye(3), -np.eye(3)]))
 
 
 class _BoxSurface(Surface):

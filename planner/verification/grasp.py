@@ -170,14 +170,11 @@ def force_arguments(
         q: Joints (nq,).
     """
     state = moving_hand(task.hand).move(q)
-    inverse = T_world_base.inverse()
     rotation = T_world_base.rotation
-    jacobians = np.array(
-        [
-            rotation @ state.point_jacobian(f.pad.joint_id, inverse.act(p)).reshape(2, 3, -1)
-            for f, p in zip(task.fingers, contacts.positions, strict=True)
-        ]
-    ).reshape(len(contacts), 6, -1)
+    joints = np.array([f.pad.joint_id for f in task.fingers])
+    points = (contacts.positions - T_world_base.translation) @ rotation
+    local = state.point_jacobians(joints, points)
+    jacobians = (rotation @ local.reshape(-1, 2, 3, task.hand.nq)).reshape(local.shape)
     return {
         "wrench": gravity_wrench(task.object.mass, task.gravity),
         "min_normal": task.grip_force,
