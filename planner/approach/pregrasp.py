@@ -213,7 +213,8 @@ def _verify_straight(
 ) -> Failure | None:
     """What a floating hand touches on the straight way in, None if nothing."""
     begin, end = approach.T_world_base_start, T_world_base
-    if not np.allclose(begin.rotation, end.rotation, atol=SAME_ROTATION):
+    same = (begin.rotation == end.rotation).all()
+    if not same and not np.allclose(begin.rotation, end.rotation, atol=SAME_ROTATION):
         return _invalid("the hand turns on its way in")
     # from the grasp outwards: what touches mostly touches there
     back = begin.translation - end.translation

@@ -71,13 +71,19 @@ class Sweep:
         self._with_mesh, self._first = np.flatnonzero(table.on_mesh), table.first
 
     def violation(
-        self, q: FloatArray, fixed: list[SE3], way: FloatArray, clearance: float
+        self,
+        q: FloatArray,
+        fixed: list[SE3],
+        forms: FloatArray | None,
+        way: FloatArray,
+        clearance: float,
     ) -> tuple[int | None, int, float] | None:
         """The first that comes nearer than a clearance (m) on a way, None if nothing does.
 
         Args:
             q: Joints (nq,).
             fixed: Poses of what stands around, in the base, before; the object first.
+            forms: Where the forms of the bounds are then; None where bounds do not pay.
             way: How the hand moves (3,), m, base axes.
             clearance: m, above ``LEAST_STEP``.
 
@@ -86,7 +92,7 @@ class Sweep:
             mesh; and its distance, m.
         """
         after = [SE3(pose.rotation, pose.translation - way) for pose in fixed]
-        unsure = self._unsure(self._convex, q, fixed, way, clearance)
+        unsure = self._unsure(self._convex, forms, way, clearance)
         if (
             len(unsure) > 0
             and not self._stays_clear(
@@ -98,7 +104,7 @@ class Sweep:
                 return found[0], 0, found[1]
         if self._mesh is None or self._hull is None:
             return None
-        near = self._unsure(self._with_mesh, q, fixed, way, clearance)
+        near = self._unsure(self._with_mesh, forms, way, clearance)
         bodies = self._first[near]
         if len(bodies) == 0:
             return None
@@ -110,12 +116,12 @@ class Sweep:
         return None if body is None else (None, *body)
 
     def _unsure(
-        self, numbers: IntArray, q: FloatArray, fixed: list[SE3], way: FloatArray, clearance: float
+        self, numbers: IntArray, forms: FloatArray | None, way: FloatArray, clearance: float
     ) -> IntArray:
-        """Which pairs, by their numbers, are not clear for certain by simple bodies around them."""
-        if not self._bounds.pays:
+        """Which pairs, by their numbers, are not clear for certain by the forms around them."""
+        if forms is None:
             return numbers
-        return numbers[~self._bounds.clear_along(q, fixed, numbers, way, clearance)]
+        return numbers[~self._bounds.clear_along(forms, numbers, way, clearance)]
 
     def _lie(self, numbers: IntArray, q: FloatArray, fixed: list[SE3]) -> PairQuery:
         self._pairs.place(q, fixed)

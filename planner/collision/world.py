@@ -88,6 +88,10 @@ class CollisionWorld:
             hull = hull_pairs(hand, task.object.shape)
         self._bounds = LinkBounds(hand.pin_model, table.model, table.pairs, table.n_hand)
         self._sweep = Sweep(self._geometries, table, self._bounds, self._mesh, hull)
+        self._around = np.flatnonzero(table.hand_environment_pairs)
+        self._apart = np.flatnonzero(table.hand_environment_pairs | table.finger_pairs)
+        self._forms: FloatArray | None = None  # where the forms of the bounds are
+        self._base, self._held = np.full((4, 4), np.nan), False
         self._q, self._fixed, self._settled = hand.q_lower, list(table.fixed), False
 
     def distances(self, T_world_base: SE3, q: FloatArray) -> list[Clearance]:
@@ -144,6 +148,14 @@ class CollisionWorld:
         """
         self._place(T_world_base, q)
         which = self._table.hand_environment_pairs if surroundings_only else self._all
+        if self._bounds.pays:
+            asked = self._around if surroundings_only else self._numbers
+            near = asked[self._least(asked, clearance) < clearance]
+            if len(near) == 0:
+                return None
+            if not self._table.on_mesh[near].any():
+                found = self._nearest_by_bounds(near, clearance)
+                return found if found.distance < clearance else None
         if not self._is_any_below(which, clearance):
             return None
         found = self._nearest(which, clearance)
@@ -157,7 +169,8 @@ class CollisionWorld:
         if not self._bounds.pays:
             return np.arange(len(path))
         self._place(T_world_base, path[0])
-        bounds = self._bounds.at(path, self._fixed, self._numbers, np.full(len(path), LEAST_LIMIT))
+        forms = self._bounds.place(path, self._fixed)
+        bounds = self._bounds.at(forms, self._numbers, np.full(len(path), LEAST_LIMIT))
         return np.flatnonzero((bounds < LEAST_LIMIT).any(axis=1))
 
     def nearest_on_arm(
@@ -193,9 +206,11 @@ class CollisionWorld:
             The pair with its distance where it first is too near, None if none is: without a gap,
             see ``planner.collision.sweep``.
         """
-        inverse = T_world_base.inverse()
-        fixed = [inverse * pose for pose in self._table.fixed]
-        found = self._sweep.violation(q, fixed, inverse.rotation @ way, clearance)
+        self._place(T_world_base, q)
+        forms = self._placed_forms() if self._bounds.pays else None
+        way = T_world_base.rotation.T @ way
+        found = self._sweep.violation(q, self._fixed, forms, way, clearance)
+        self._settled = False  # the sweep has moved them
         if found is None:
             return None
         pair, body, distance = found
@@ -211,10 +226,24 @@ class CollisionWorld:
         Of fingers only the last three joints' links count: those before are side by side always.
         """
         self._place(T_world_base, q)
-        around = self._nearest(self._table.hand_environment_pairs, environment)
+        table = self._table
+        if self._bounds.pays:
+            wanted = np.where(table.hand_environment_pairs, environment, fingers)[self._apart]
+            near = self._least(self._apart, max(environment, fingers)) < wanted
+            return not near.any() or self._keeps(self._apart[near], wanted[near], environment)
+        around = self._nearest(table.hand_environment_pairs, environment)
         if around.distance < environment:
             return False
-        return bool(self._nearest(self._table.finger_pairs, fingers).distance >= fingers)
+        return bool(self._nearest(table.finger_pairs, fingers).distance >= fingers)
+
+    def _keeps(self, numbers: IntArray, wanted: FloatArray, from_mesh: float) -> bool:
+        """Whether pairs, by their numbers (k,), are as far apart (m) as wanted (k,), measured."""
+        self._settle()
+        on_mesh = self._table.on_mesh[numbers]
+        convex = numbers[~on_mesh]
+        if (self._geometries.measure(convex) < wanted[~on_mesh]).any():
+            return False
+        return not on_mesh.any() or self._nearest_on_mesh(numbers[on_mesh], from_mesh) is None
 
     def near(
         self,
@@ -297,13 +326,18 @@ class CollisionWorld:
         Raises:
             TaskError: A number is not finite.
         """
-        if not math.isfinite(float(q.sum()) + float(T_world_base.homogeneous.sum())):
+        base, held = T_world_base.homogeneous, T_world_object is not None
+        same = not (held or self._held) and (base == self._base).all() and (q == self._q).all()
+        if same:
+            return
+        if not math.isfinite(float(q.sum()) + float(base.sum())):
             raise TaskError("the base pose or q holds NaN or infinity; give finite numbers")
         inverse = T_world_base.inverse()
-        self._q, self._fixed = q, [inverse * pose for pose in self._table.fixed]
+        self._q, self._base, self._held = q.copy(), base, held
+        self._fixed = [inverse * pose for pose in self._table.fixed]
         if T_world_object is not None:
             self._fixed[0] = inverse * T_world_object
-        self._settled = False
+        self._forms, self._settled = None, False
 
     def _settle(self) -> None:
         """Put every geometry there, before coal is asked."""
@@ -313,10 +347,15 @@ class CollisionWorld:
                 self._mesh.place(self._geometries.poses, self._fixed[0])
             self._settled = True
 
+    def _placed_forms(self) -> FloatArray:
+        """Where the forms of the bounds are (1, n, 3, 4)."""
+        if self._forms is None:
+            self._forms = self._bounds.place(self._q[None], self._fixed)
+        return self._forms
+
     def _least(self, asked: IntArray, limit: float) -> FloatArray:
         """Lower bounds of the distances (m) of pairs by their numbers (k,), rough from a limit."""
-        bounds = self._bounds.at(self._q[None], self._fixed, asked, np.array([limit]))
-        return np.asarray(bounds[0])
+        return np.asarray(self._bounds.at(self._placed_forms(), asked, np.array([limit]))[0])
 
     def _nearest(self, which: NDArray[np.bool_], limit: float = np.inf) -> Clearance:
         """The pair of smallest signed distance among those told, where they were last placed.
@@ -336,19 +375,19 @@ class CollisionWorld:
     def _nearest_by_bounds(self, asked: IntArray, limit: float) -> Clearance:
         """The same: pairs in the order of their bounds, until no other can be nearer."""
         bounds = self._least(asked, limit)
-        near = np.flatnonzero(bounds < limit)
-        if len(near) == 0:
+        order = bounds.argsort(kind="stable")
+        order = order[bounds[order] < limit]
+        if len(order) == 0:
             return self._clearance(int(asked[0]) if len(asked) > 0 else 0, limit)
         self._settle()
-        numbers = asked[near[np.argsort(bounds[near], kind="stable")]]
-        k, least = int(numbers[0]), limit
-        bound_of = dict(zip(asked.tolist(), bounds.tolist(), strict=True))
-        for number in numbers[~self._table.on_mesh[numbers]].tolist():
-            if bound_of[number] >= max(least, 0.0):  # of a depth there is no bound
+        numbers, k, least = asked[order], int(asked[order[0]]), limit
+        convex = ~self._table.on_mesh[numbers]
+        for number, bound in zip(numbers[convex], bounds[order][convex], strict=True):
+            if bound >= max(least, 0.0):  # of a depth there is no bound
                 break
             distance = float(self._geometries.measure(np.array([number]))[0])
             if distance < least:
-                k, least = number, distance
+                k, least = int(number), distance
         on_mesh = numbers[self._table.on_mesh[numbers]]
         if self._mesh is not None and len(on_mesh) > 0:
             found = self._nearest_on_mesh(np.sort(on_mesh), least)
@@ -364,11 +403,6 @@ class CollisionWorld:
 
     def _is_any_below(self, which: NDArray[np.bool_], limit: float) -> bool:
         """Whether a pair among those told may be nearer than a limit (m), in one look at all."""
-        if self._bounds.pays:
-            asked = np.flatnonzero(which)
-            near = asked[self._least(asked, limit) < limit]
-            if not self._table.on_mesh[near].any():
-                return len(near) > 0
         self._settle()
         if self._geometries.any_below(which, limit):
             return True

@@ -8,6 +8,7 @@ enough needs no query of coal.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -318,10 +319,12 @@ class LinkBounds:
         self._capsules = np.array([f.capsule for f in forms])
         self._along = np.array([f.along for f in forms], dtype=np.int64)
         self.pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-        middles = [SE3(np.eye(3), f.middle) for f in forms]
-        moving = [g.placement * middle for g, middle in zip(objects, middles, strict=True)]
+        moving = [
+            g.placement * SE3(np.eye(3), f.middle) for g, f in zip(objects, forms, strict=True)
+        ]
         self._carriers = np.array([g.parentJoint for g in objects[:n_moving]], dtype=np.int64)
-        self._bodies, self._fixed_middles = _matrices(moving[:n_moving]), middles[n_moving:]
+        self._bodies = _matrices(moving[:n_moving])
+        self._fixed_middles = [f.middle for f in forms[n_moving:]]
         self._parents = np.array(list(pin_model.parents), dtype=np.int64)
         self._joints = _matrices(list(pin_model.jointPlacements))
         self._axes = joint_axes(pin_model)
@@ -331,62 +334,32 @@ class LinkBounds:
         """Whether bounds take less time than asking coal: where kernels are compiled."""
         return kernels_are_compiled()
 
-    def at(
-        self, q: FloatArray, fixed: Sequence[SE3], pairs: IntArray, limits: FloatArray
-    ) -> FloatArray:
-        """Lower bounds (b, k) of distances at configurations, m; rough from a limit on.
-
-        Where two geometries meet, the bound is negative, but not of their depth.
+    def place(self, q: FloatArray, fixed: Sequence[SE3]) -> FloatArray:
+        """Poses (b, n, 3, 4) of all forms at configurations, in the base.
 
         Args:
             q: Configurations (b, nq).
             fixed: Poses in the base of what stands around.
+        """
+        n = len(self._carriers)
+        out = np.empty((len(q), n + len(fixed), 3, 4))
+        out[:, :n] = _place(
+            q, self._parents, self._joints, self._axes, self._carriers, self._bodies
+        )
+        for i, (pose, middle) in enumerate(zip(fixed, self._fixed_middles, strict=True), n):
+            out[:, i, :, :3], out[:, i, :, 3] = pose.rotation, pose.act(middle)
+        return out
+
+    def at(self, poses: FloatArray, pairs: IntArray, limits: FloatArray) -> FloatArray:
+        """Lower bounds (b, k) of distances, m; rough ones from a limit on.
+
+        Where two geometries meet, the bound is negative, but not of their depth.
+
+        Args:
+            poses: (b, n, 3, 4), see ``place``.
             pairs: Numbers of pairs (k,).
             limits: (b,), m.
         """
-        return self._at(self._poses(q, fixed), pairs, limits)
-
-    def clear_along(
-        self,
-        q: FloatArray,
-        fixed: Sequence[SE3],
-        pairs: IntArray,
-        way: FloatArray,
-        clearance: float,
-    ) -> NDArray[np.bool_]:
-        """Which pairs (k,) keep a clearance (m) for certain while the hand moves straight.
-
-        Args:
-            q: The configuration (nq,).
-            fixed: Poses in the base, at the beginning, of what stands around.
-            pairs: Numbers of pairs (k,) of hand and surroundings.
-            way: How the hand moves, (3,), m, base axes.
-            clearance: m.
-        """
-        length = float(np.linalg.norm(way))
-        if length == 0.0:
-            return np.asarray(self.at(q[None], fixed, pairs, np.array([clearance]))[0] >= clearance)
-        places = np.minimum(PLACES, length)
-        gaps = np.diff(places)
-        around = np.maximum(np.append(gaps, 0.0), np.append(0.0, gaps))
-        poses = np.repeat(self._poses(q[None], fixed), len(places), axis=0)
-        poses[:, len(self._carriers) :, :, 3] -= (places / length)[:, None, None] * way
-        found = self._at(poses, pairs, clearance + around)
-        # between two places a distance changes by no more than the way between them
-        between = (found[1:] + found[:-1] - gaps[:, None]) / 2.0
-        return np.asarray((between >= clearance).all(axis=0))
-
-    def _poses(self, q: FloatArray, fixed: Sequence[SE3]) -> FloatArray:
-        """Poses (b, n, 3, 4) of all bodies."""
-        moving = _place(q, self._parents, self._joints, self._axes, self._carriers, self._bodies)
-        n = len(self._carriers)
-        out = np.empty((len(q), n + len(fixed), 3, 4))
-        out[:, :n] = moving
-        for i, (pose, middle) in enumerate(zip(fixed, self._fixed_middles, strict=True)):
-            out[:, n + i, :, :3], out[:, n + i, :, 3] = pose.rotation, pose.act(middle.translation)
-        return out
-
-    def _at(self, poses: FloatArray, pairs: IntArray, limits: FloatArray) -> FloatArray:
         return _bound(
             poses,
             self._kinds,
@@ -396,6 +369,32 @@ class LinkBounds:
             self.pairs[pairs],
             limits,
         )
+
+    def clear_along(
+        self, poses: FloatArray, pairs: IntArray, way: FloatArray, clearance: float
+    ) -> NDArray[np.bool_]:
+        """Which pairs (k,) keep a clearance (m) for certain while the hand moves straight.
+
+        Args:
+            poses: At the beginning, (1, n, 3, 4), see ``place``.
+            pairs: Numbers of pairs (k,) of hand and surroundings.
+            way: How the hand moves, (3,), m, base axes.
+            clearance: m.
+        """
+        length = math.sqrt(float(way @ way))
+        if length == 0.0:
+            return np.asarray(self.at(poses, pairs, np.array([clearance]))[0] >= clearance)
+        places = np.minimum(PLACES, length)
+        gaps = places[1:] - places[:-1]
+        around = np.full(len(places), clearance)
+        around[:-1] += gaps
+        around[1:] = np.maximum(around[1:], clearance + gaps)
+        along = np.repeat(poses, len(places), axis=0)
+        along[:, len(self._carriers) :, :, 3] -= (places / length)[:, None, None] * way
+        found = self.at(along, pairs, around)
+        # between two places a distance changes by no more than the way between them
+        between = (found[1:] + found[:-1] - gaps[:, None]) / 2.0
+        return np.asarray(between.min(axis=0) >= clearance)
 
 
 FIRST_PLACE, GROWTH, N_PLACES = 0.0005, 1.35, 24
