@@ -172,7 +172,7 @@ class _GraspContext:
         with stage("project"):
             q = project_onto_surface(task, T_world_base, q)
         plan = verify_grasp(task, T_world_base, q, record=record, world=world)
-        if isinstance(plan, Failure):
+        if isinstance(plan, Failure) or not problem.own_terms:
             return plan
         at = plan.contacts_in_object
         point = GraspPoint(task=task, q=plan.q, points=at.positions, inward=at.normals)

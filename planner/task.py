@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from numbers import Real
 from pathlib import Path
 
@@ -300,7 +301,7 @@ class GraspTask:
         """Fewest fingers that can close a grasp with these contacts."""
         return FINGERS_NEEDED["point" if self._is_without_torsion else self.contact_model]
 
-    @property
+    @cached_property
     def fingers(self) -> tuple[Finger, ...]:
         """The fingers that take part."""
         return tuple(self.hand.fingers[name] for name in self.finger_names)

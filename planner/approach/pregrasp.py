@@ -53,8 +53,9 @@ STANDOFF = 0.12
 APPROACH_CLEARANCE = 0.001
 """Smallest distance (m) to object, table and obstacles on the way in."""
 
-CLOSING_SAMPLES = 12
-"""Configurations checked along the closing motion: pads move about 2 mm between two of them."""
+CLOSING_SHARES = np.linspace(1.0, 0.0, 12, endpoint=False)[:, None]
+"""Shares (-) of the way from grasp to pre-grasp at which closing is checked: pads move about 2 mm
+between two of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,8 +168,9 @@ def _verify_closing(
     world: CollisionWorld, T_world_base: SE3, q: FloatArray, opened: FloatArray
 ) -> Failure | None:
     """What touches while the fingers close, None if nothing does."""
-    for s in np.linspace(1.0, 0.0, CLOSING_SAMPLES, endpoint=False):
-        touching = world.nearest_below(T_world_base, q + s * (opened - q))
+    path = q + CLOSING_SHARES * (opened - q)
+    for i in world.maybe_touching(T_world_base, path):
+        touching = world.nearest_below(T_world_base, path[i])
         if touching is not None and touching.distance <= 0.0:
             return Failure(
                 kind="closing_collision",
@@ -211,7 +213,8 @@ def _verify_straight(
 ) -> Failure | None:
     """What a floating hand touches on the straight way in, None if nothing."""
     begin, end = approach.T_world_base_start, T_world_base
-    if not np.allclose(begin.rotation, end.rotation, atol=SAME_ROTATION):
+    same = (begin.rotation == end.rotation).all()
+    if not same and not np.allclose(begin.rotation, end.rotation, atol=SAME_ROTATION):
         return _invalid("the hand turns on its way in")
     # from the grasp outwards: what touches mostly touches there
     back = begin.translation - end.translation

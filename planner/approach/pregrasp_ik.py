@@ -14,12 +14,16 @@ minimised; the verdict is ``planner.approach.pregrasp``'s, on the true geometry.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.collision.world import CollisionWorld, NearPairs
 from planner.hands.hand import Hand
+from planner.kinematics.point_motion import point_jacobians
 from planner.numerics.ik_step import Barrier, Task, constrained_ik_step
+from planner.numerics.kernels import kernel
 from planner.spatial import SE3, FloatArray, IntArray
 
 __all__ = ["OPENED_SHARE", "PregraspIk", "undetermined_joints"]
@@ -74,8 +78,11 @@ LEAST = 2e-3
 """Shortest step (rad) that a joint is left: the programmes want some room."""
 
 
+@lru_cache(maxsize=16)
 def undetermined_joints(hand: Hand) -> IntArray:
     """Joints (k,) that do not come back in the air the way that they were opened, ascending.
+
+    Found once for a hand; read-only.
 
     Those of an actuator that moves several joints and leaves it to a contact to hold one of them at
     a stop. In the air the joints share its motion by their damping: if that takes the one off its
@@ -91,7 +98,9 @@ def undetermined_joints(hand: Hand) -> IntArray:
         if stop.one_sided and np.abs(left @ stop.row).max() > UNDETERMINED:
             leaving = np.abs(shared @ stop.row) > UNDETERMINED
             out |= (hand.actuation.moment[leaving] != 0.0).any(axis=0)
-    return np.flatnonzero(out)
+    found = np.flatnonzero(out)
+    found.flags.writeable = False
+    return found
 
 
 class PregraspIk:
@@ -117,13 +126,15 @@ class PregraspIk:
         hand, self._fingers = world.task.hand, world.task.fingers
         self._world, self._T_world_base, self._grasp = world, T_world_base, q
         self._state = world.moving.move(q)
-        self._pad_joints = np.repeat([f.pad.joint_id for f in self._fingers], 3)
-        self._begin = np.array([self._state.pad_center(f) for f in self._fingers])
+        self._pad_joints, self._begin = self._state.pads(self._fingers)
         self._inward = normals @ T_world_base.rotation  # (n, 3), base
         self._matrix, self._value = hand.coupling_matrix
         self._lower, self._upper = hand.q_lower, hand.q_upper
-        held = np.concatenate([hand.wrist_index, hand.arm_index, np.array(still, dtype=np.int64)])
-        self._free = np.setdiff1d(np.arange(hand.nq), held)
+        moved = np.ones(hand.nq, dtype=bool)
+        for held in (hand.wrist_index, hand.arm_index, np.array(still, dtype=np.int64)):
+            moved[held] = False
+        self._free = np.flatnonzero(moved)
+        self._held = self._matrix[:, self._free]
 
     def solve(self, distance: float) -> FloatArray | None:
         """Joints (nq,) with the pads back along the normals (m); None if limits forbid it.
@@ -136,7 +147,7 @@ class PregraspIk:
             if not self._world.is_clear(self._T_world_base, q, **clear):
                 near = self._world.near(self._T_world_base, q, SEEN)
                 q = self._descend(q, distance, near)
-        if q is None or self._pads(q, distance)[2].min() < OPENED_SHARE:
+        if q is None or self._shares(q, distance).min() < OPENED_SHARE:
             return None
         return q
 
@@ -145,8 +156,7 @@ class PregraspIk:
         last, reach = np.zeros(len(q)), np.full(len(q), LARGEST)
         seen = None if near is None else near.numbers[~near.mesh]
         for _ in range(STEPS[near is not None]):
-            rows, misses, shares = self._pads(q, distance)
-            rates = -np.einsum("ni,nij->nj", self._inward, rows.reshape(len(shares), 3, -1))
+            rows, misses, rates, shares = self._pads(q, distance)
             least = OPENED_SHARE + MARGIN - shares
             if near is not None:
                 short, moving = self._near(q, near)
@@ -167,16 +177,26 @@ class PregraspIk:
                 near = self._world.near(self._T_world_base, q, SEEN, seen)
         return np.clip(q, self._lower, self._upper)
 
-    def _pads(self, q: FloatArray, distance: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Rates (3 n, nq) of the pads' misses and misses (3 n,), by the distance; shares (n,)."""
+    def _pads(
+        self, q: FloatArray, distance: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """See ``_opening``, at q (nq,)."""
         state = self._state.move(q)
-        centers = np.array([state.pad_center(f) for f in self._fingers])
-        n = len(centers)
-        directions = np.tile(np.eye(3), (n, 1))
-        rows = state.point_rates(self._pad_joints, np.repeat(centers, 3, axis=0), directions)
-        moved = (centers - self._begin) / distance
-        shares = -np.einsum("ij,ij->i", moved, self._inward)
-        return rows / distance, (moved + self._inward).ravel(), shares
+        joints, centers = state.pads(self._fingers)
+        return _opening(
+            state.pin_data.J,
+            state.hand.moved_by,
+            joints,
+            centers,
+            self._begin,
+            self._inward,
+            distance,
+        )
+
+    def _shares(self, q: FloatArray, distance: float) -> FloatArray:
+        """By which share (n,) of the distance each pad is opened at q (nq,)."""
+        moved = self._state.move(q).pads(self._fingers)[1] - self._begin
+        return np.asarray(-(moved * self._inward).sum(axis=1) / distance)
 
     def _near(self, q: FloatArray, near: NearPairs) -> tuple[FloatArray, FloatArray]:
         """By how much distances that can be changed are too small (k,), m, and rates (k, nq)."""
@@ -205,7 +225,7 @@ class PregraspIk:
             [Barrier(rates[:n, free], least[:n]), Barrier(rates[n:, free], least[n:])],
             np.clip(self._lower - q, -reach, 0.0)[free],
             np.clip(self._upper - q, 0.0, reach)[free],
-            equality=Task(self._matrix[:, free], off),
+            equality=Task(self._held, off),
             posture=(self._grasp - q)[free],
             posture_weight=POSTURE_WEIGHT,
             damping=DAMPING,
@@ -216,3 +236,65 @@ class PregraspIk:
         step = np.zeros(len(q))
         step[free] = found
         return step
+
+
+def _opening_plain(
+    jacobian: FloatArray,
+    moved_by: NDArray[np.bool_],
+    joint_ids: IntArray,
+    centers: FloatArray,
+    begin: FloatArray,
+    inward: FloatArray,
+    distance: float,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """``_opening`` in NumPy."""
+    n = len(centers)
+    rows = point_jacobians.plain(jacobian, moved_by, joint_ids, centers)[:, :3] / distance  # type: ignore[attr-defined]
+    moved = (centers - begin) / distance
+    rates = -np.einsum("ni,nij->nj", inward, rows)
+    shares = -np.einsum("ij,ij->i", moved, inward)
+    return rows.reshape(3 * n, -1), (moved + inward).ravel(), rates, shares
+
+
+@kernel(_opening_plain)
+def _opening(
+    jacobian: FloatArray,
+    moved_by: NDArray[np.bool_],
+    joint_ids: IntArray,
+    centers: FloatArray,
+    begin: FloatArray,
+    inward: FloatArray,
+    distance: float,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Where pads are on their way out, in units of a distance, and how that changes.
+
+    Args:
+        jacobian: See ``planner.kinematics.point_motion``.
+        moved_by: Likewise.
+        joint_ids: Pinocchio joints (n,) that the pads move with.
+        centers: Of the pads (n, 3), m, base.
+        begin: Where they are at the grasp.
+        inward: Normals into the object (n, 3).
+        distance: m.
+
+    Returns:
+        Rates (3 n, nq) of the misses, misses (3 n,), rates (n, nq) of the shares, shares (n,).
+    """
+    n, nq = len(centers), jacobian.shape[1]
+    rows, misses = np.zeros((3 * n, nq)), np.empty(3 * n)
+    rates, shares = np.zeros((n, nq)), np.zeros(n)
+    for i in range(n):
+        for a in range(3):
+            moved = (centers[i, a] - begin[i, a]) / distance
+            misses[3 * i + a] = moved + inward[i, a]
+            shares[i] -= moved * inward[i, a]
+        x, y, z = centers[i, 0], centers[i, 1], centers[i, 2]
+        for j in range(nq):
+            if moved_by[joint_ids[i], j]:
+                u, v, w = jacobian[3, j], jacobian[4, j], jacobian[5, j]
+                rows[3 * i, j] = (jacobian[0, j] + v * z - w * y) / distance
+                rows[3 * i + 1, j] = (jacobian[1, j] + w * x - u * z) / distance
+                rows[3 * i + 2, j] = (jacobian[2, j] + u * y - v * x) / distance
+                for a in range(3):
+                    rates[i, j] -= inward[i, a] * rows[3 * i + a, j]
+    return rows, misses, rates, shares

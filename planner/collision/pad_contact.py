@@ -34,6 +34,9 @@ __all__ = [
 ROUND = ("sphere", "capsule")
 """Kinds of geometry whose surface is a pad's sphere where the pad may touch."""
 
+IDENTITY = SE3.Identity()
+"""The object's pose in its own frame; read only."""
+
 LIFTED = 1e-3
 """How far (m) a geometry is drawn back before coal is asked for points and normal: apart, both are
 exact, whatever the depth was."""
@@ -91,6 +94,10 @@ class PadContactQueries:
         self._task = task
         self._state = MovingHand(hand, hand.q_lower)
         self._to_object = task.T_world_object.inverse()
+        self._joints = np.array([f.pad.joint_id for f in task.fingers])
+        self._radii = np.array([f.pad.radius for f in task.fingers])
+        nowhere = np.zeros(0)
+        self._at = (nowhere, nowhere, nowhere), np.zeros((4, 4))  # the last answer, and its pose
         self.round = [pad_geometry(hand, f.pad.geom).kind in ROUND for f in task.fingers]
         """Whether each pad's sphere is its geometry's surface."""
         self._pairs = [
@@ -129,23 +136,28 @@ class PadContactQueries:
             if not is_round:
                 gaps[i], points[i], outward[i] = self._whole(i, base, points[i], outward[i])
         to_base = base.inverse()
-        jacobians = [
-            self._state.point_jacobian(f.pad.joint_id, to_base.act(p))[:3]
-            for f, p in zip(self._task.fingers, points, strict=True)
-        ]
-        return PadGaps(gaps=gaps, points=points, outward=outward, jacobians=np.array(jacobians))
+        in_base = points @ to_base.rotation.T + to_base.translation
+        jacobians = self._state.point_jacobians(self._joints, in_base)[:, :3]
+        return PadGaps(gaps=gaps, points=points, outward=outward, jacobians=jacobians)
 
     def _spheres(
         self, T_world_base: SE3, q: FloatArray
     ) -> tuple[SE3, FloatArray, FloatArray, FloatArray]:
-        """Base in the object's frame; of the pads' spheres, gaps, nearest points and normals."""
-        self._state.move(q)
+        """Base in the object's frame; of the pads' spheres, gaps, nearest points and normals.
+
+        The last answer is kept: what is projected onto the surface is verified next.
+        """
         base = self._to_object * T_world_base
-        fingers = self._task.fingers
-        centers = np.array([base.act(self._state.pad_center(f)) for f in fingers])
+        at, pose = self._at
+        if np.array_equal(q, self._state.q) and np.array_equal(pose, base.homogeneous):
+            return base, at[0].copy(), at[1].copy(), at[2].copy()
+        self._state.move(q)
+        _, centers = self._state.pads(self._task.fingers)
+        centers = centers @ base.rotation.T + base.translation
         points, outward = self._task.object.shape.closest_point(centers)
-        gaps = np.einsum("ij,ij->i", centers - points, outward)
-        return base, gaps - [f.pad.radius for f in fingers], points, outward
+        gaps = ((centers - points) * outward).sum(axis=1) - self._radii
+        self._at = (gaps, points, outward), base.homogeneous
+        return base, gaps.copy(), points.copy(), outward.copy()
 
     def _whole(
         self, i: int, base: SE3, point: FloatArray, outward: FloatArray
@@ -153,13 +165,13 @@ class PadContactQueries:
         """Gap of all that may touch with finger i, and the point and normal of its contact."""
         pose = base * self._state.joint_pose(self._task.fingers[i].pad.joint_id)
         pairs = [(pair, pose * local) for pair, local in self._pairs[i]]
-        gaps = [pair.distance(at, SE3.Identity()) for pair, at in pairs]
+        gaps = [pair.distance(at, IDENTITY) for pair, at in pairs]
         gap = min(gaps)
         if self.round[i]:
             return gap, point, outward
         pair, at = pairs[gaps.index(gap)]
         lifted = SE3(at.rotation, at.translation + (LIFTED + max(-gap, 0.0)) * outward)
-        found = pair.query(lifted, SE3.Identity())
+        found = pair.query(lifted, IDENTITY)
         return gap, found.point_b, -found.normal
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from planner.errors import TaskError
 from planner.hands.hand import Hand
+from planner.kinematics.point_motion import point_rates
 from planner.kinematics.state import HandKinematics
 from planner.proximity.convex import DistancePair
 from planner.proximity.mesh import MeshPair
@@ -92,8 +93,9 @@ class NearPairs:
 
     def rates(self, hand: HandKinematics) -> FloatArray:
         """How the distances change with the joints, (k, nq), of a hand where the pairs are."""
-        ahead = hand.point_rates(self.joints[:, 1], self.points_b, self.normals)
-        behind = hand.point_rates(self.joints[:, 0], self.points_a, self.normals)
+        jacobian, moved_by = hand.pin_data.J, hand.hand.moved_by
+        ahead = point_rates(jacobian, moved_by, self.joints[:, 1], self.points_b, self.normals)
+        behind = point_rates(jacobian, moved_by, self.joints[:, 0], self.points_a, self.normals)
         return ahead - behind
 
 

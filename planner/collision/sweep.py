@@ -14,7 +14,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from planner.collision.pair_table import PairTable
 from planner.hands.hand import Hand
+from planner.kinematics.link_bounds import LinkBounds
 from planner.proximity.convex_pairs import GeometryPairs, PairQuery
 from planner.proximity.mesh_pairs import MeshPairs
 from planner.shapes import Mesh
@@ -49,7 +51,8 @@ class Sweep:
     def __init__(
         self,
         pairs: GeometryPairs,
-        convex: IntArray,
+        table: PairTable,
+        bounds: LinkBounds,
         mesh: MeshPairs | None,
         hull: GeometryPairs | None,
     ) -> None:
@@ -57,22 +60,30 @@ class Sweep:
 
         Args:
             pairs: All pairs of the world.
-            convex: Numbers of those of hand and convex surroundings.
+            table: Which they are.
+            bounds: Of their distances.
             mesh: Those of the hand and the object, if it is a mesh.
             hull: The same with its convex hull.
         """
-        self._pairs, self._convex, self._mesh, self._hull = pairs, convex, mesh, hull
-        self._chosen = np.zeros(pairs.count, dtype=bool)
-        self._chosen[convex] = True
+        self._pairs, self._bounds, self._mesh, self._hull = pairs, bounds, mesh, hull
+        self._chosen = table.hand_environment_pairs & ~table.on_mesh
+        self._convex = np.flatnonzero(self._chosen)
+        self._with_mesh, self._first = np.flatnonzero(table.on_mesh), table.first
 
     def violation(
-        self, q: FloatArray, fixed: list[SE3], way: FloatArray, clearance: float
+        self,
+        q: FloatArray,
+        fixed: list[SE3],
+        forms: FloatArray | None,
+        way: FloatArray,
+        clearance: float,
     ) -> tuple[int | None, int, float] | None:
         """The first that comes nearer than a clearance (m) on a way, None if nothing does.
 
         Args:
             q: Joints (nq,).
             fixed: Poses of what stands around, in the base, before; the object first.
+            forms: Where the forms of the bounds are then; None where bounds do not pay.
             way: How the hand moves (3,), m, base axes.
             clearance: m, above ``LEAST_STEP``.
 
@@ -81,29 +92,45 @@ class Sweep:
             mesh; and its distance, m.
         """
         after = [SE3(pose.rotation, pose.translation - way) for pose in fixed]
-        if not self._stays_clear(
-            [self._lie(q, poses) for poses in (fixed, after)], way, clearance
-        ).all():
+        unsure = self._unsure(self._convex, forms, way, clearance)
+        if (
+            len(unsure) > 0
+            and not self._stays_clear(
+                [self._lie(unsure, q, poses) for poses in (fixed, after)], way, clearance
+            ).all()
+        ):
             found = self._follow_convex(q, fixed, way, clearance)
             if found is not None:
                 return found[0], 0, found[1]
         if self._mesh is None or self._hull is None:
             return None
-        ends = [self._lie_to_hull(q, poses[0]) for poses in (fixed, after)]
-        unsure = np.flatnonzero(~self._stays_clear(ends, way, clearance))
+        near = self._unsure(self._with_mesh, forms, way, clearance)
+        bodies = self._first[near]
+        if len(bodies) == 0:
+            return None
+        ends = [self._lie_to_hull(bodies, q, poses[0]) for poses in (fixed, after)]
+        bodies = bodies[~self._stays_clear(ends, way, clearance)]
         self._pairs.place(q, fixed)
         self._mesh.place(self._pairs.poses, fixed[0])
-        body = self._mesh.follow(unsure, way, clearance, LEAST_STEP, LONGEST_STEP)
+        body = self._mesh.follow(bodies, way, clearance, LEAST_STEP, LONGEST_STEP)
         return None if body is None else (None, *body)
 
-    def _lie(self, q: FloatArray, fixed: list[SE3]) -> PairQuery:
-        self._pairs.place(q, fixed)
-        return self._pairs.at(self._convex)
+    def _unsure(
+        self, numbers: IntArray, forms: FloatArray | None, way: FloatArray, clearance: float
+    ) -> IntArray:
+        """Which pairs, by their numbers, are not clear for certain by the forms around them."""
+        if forms is None:
+            return numbers
+        return numbers[~self._bounds.clear_along(forms, numbers, way, clearance)]
 
-    def _lie_to_hull(self, q: FloatArray, pose: SE3) -> PairQuery:
+    def _lie(self, numbers: IntArray, q: FloatArray, fixed: list[SE3]) -> PairQuery:
+        self._pairs.place(q, fixed)
+        return self._pairs.at(numbers)
+
+    def _lie_to_hull(self, bodies: IntArray, q: FloatArray, pose: SE3) -> PairQuery:
         hull: Any = self._hull
         hull.place(q, [pose])
-        lying: PairQuery = hull.at(np.arange(hull.count))
+        lying: PairQuery = hull.at(bodies)
         return lying
 
     def _stays_clear(

@@ -28,7 +28,7 @@ from planner.errors import HandError, NotFoundError, TaskError
 from planner.hands.arm import Arm
 from planner.hands.fingers import Finger
 from planner.showing import in_notebook
-from planner.spatial import FloatArray, IntArray
+from planner.spatial import FloatArray, IntArray, fixed_array
 
 __all__ = ["Hand"]
 
@@ -100,25 +100,25 @@ class Hand:
         """A fresh ``mujoco.MjSpec`` of the hand, to be edited or attached to a scene."""
         return self.spec.copy()
 
-    @property
+    @cached_property
     def joint_names(self) -> tuple[str, ...]:
         """Joint names in the order of q."""
         return tuple(self.pin_model.names)[1:]
 
-    @property
+    @cached_property
     def nq(self) -> int:
         """Number of joints."""
         return int(self.pin_model.nq)
 
-    @property
+    @cached_property
     def q_lower(self) -> FloatArray:
-        """Lower joint limits (nq,), rad or m."""
-        return np.array(self.pin_model.lowerPositionLimit)
+        """Lower joint limits (nq,), rad or m; read-only."""
+        return fixed_array(self.pin_model.lowerPositionLimit)
 
-    @property
+    @cached_property
     def q_upper(self) -> FloatArray:
-        """Upper joint limits (nq,), rad or m."""
-        return np.array(self.pin_model.upperPositionLimit)
+        """Upper joint limits (nq,), rad or m; read-only."""
+        return fixed_array(self.pin_model.upperPositionLimit)
 
     @property
     def neutral(self) -> FloatArray:
@@ -151,21 +151,21 @@ class Hand:
             table[i, [int(j) - 1 for j in model.supports[i] if j > 0]] = True
         return table
 
-    @property
+    @cached_property
     def palm_frame_id(self) -> int:
         """Number of the palm's body frame in ``pin_model.frames``."""
         return int(self.pin_model.getBodyId(self.description.palm_body))
 
-    @property
+    @cached_property
     def palm_normal(self) -> FloatArray:
-        """Direction the palm faces (3,), unit, in the palm's frame."""
-        return np.array(self.description.palm_normal)
+        """Direction the palm faces (3,), unit, in the palm's frame; read-only."""
+        return fixed_array(self.description.palm_normal)
 
-    @property
+    @cached_property
     def coupling_matrix(self) -> tuple[FloatArray, FloatArray]:
-        """C (m, nq) and d (m,) of the kinematic couplings C q = d."""
-        rows = [c.row for c in self.couplings]
-        return np.array(rows).reshape(-1, self.nq), np.array([c.value for c in self.couplings])
+        """C (m, nq) and d (m,) of the kinematic couplings C q = d; read-only."""
+        rows = np.array([c.row for c in self.couplings]).reshape(-1, self.nq)
+        return fixed_array(rows), fixed_array([c.value for c in self.couplings])
 
     def joint_index(self, name: str) -> int:
         """Where a joint stands in q.

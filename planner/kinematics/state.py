@@ -7,6 +7,7 @@ in the hand's base frame; multiply by ``T_world_base`` to see it from the world.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,8 @@ from planner.arrays import finite_array
 from planner.errors import HandError, ModelError
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.spatial import SE3, FloatArray, IntArray, skew
+from planner.kinematics.point_motion import point_jacobians
+from planner.spatial import SE3, FloatArray, IntArray, cross, skew
 
 __all__ = ["HandKinematics", "HandState", "MovingHand", "joint_axes"]
 
@@ -99,16 +101,26 @@ class HandKinematics:
         Returns:
             (k, nq), direction_i . (Jacobian of point_i).
         """
-        moments = np.stack(
-            [
-                points[:, 1] * directions[:, 2] - points[:, 2] * directions[:, 1],
-                points[:, 2] * directions[:, 0] - points[:, 0] * directions[:, 2],
-                points[:, 0] * directions[:, 1] - points[:, 1] * directions[:, 0],
-            ],
-            axis=1,
-        )
-        rates = np.hstack([directions, moments]) @ self.pin_data.J
+        # not compiled: the solver's choices among equal directions follow the last digit of these
+        rows = np.concatenate([directions, cross(points, directions)], axis=1)
+        rates = rows @ self.pin_data.J
         return np.asarray(np.where(self.hand.moved_by[joint_ids], rates, 0.0))
+
+    def point_jacobians(self, joint_ids: IntArray, points: FloatArray) -> FloatArray:
+        """Jacobians (k, 6, nq) of points that move with joints, see ``point_jacobian``.
+
+        Args:
+            joint_ids: Pinocchio joints (k,).
+            points: (k, 3), m, in the base.
+        """
+        return point_jacobians(self.pin_data.J, self.hand.moved_by, joint_ids, points)
+
+    def pads(self, fingers: Sequence[Finger]) -> tuple[IntArray, FloatArray]:
+        """Pinocchio joints (n,) that the fingers' pads move with, and the pads' centres (n, 3)."""
+        joints = [f.pad.joint_id for f in fingers]
+        poses = self.pin_data.oMi
+        centers = [poses[j].act(f.pad.center) for j, f in zip(joints, fingers, strict=True)]
+        return np.array(joints), np.array(centers)
 
     def gravity_torque(self, gravity_base: FloatArray) -> FloatArray:
         """Joint torques (nq,) that hold the hand against gravity (3,), m/s2, in base axes.

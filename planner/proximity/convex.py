@@ -101,8 +101,7 @@ class DistancePair:
         Raises:
             ModelError: coal's iteration did not converge; extreme proportions can cause it.
         """
-        transform_a = coal.Transform3s(pose_a.rotation, pose_a.translation)
-        transform_b = coal.Transform3s(pose_b.rotation, pose_b.translation)
+        transform_a, transform_b = coal.Transform3s(pose_a), coal.Transform3s(pose_b)
         for request in self._requests:
             self._result.clear()
             distance = float(self._compute(transform_a, transform_b, request, self._result))

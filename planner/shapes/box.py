@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import product
 from typing import Any, ClassVar, Self
 
@@ -11,10 +12,10 @@ import coal
 import numpy as np
 
 from planner.shapes.base import ALIGNED, Shape, checked_extents, checked_points
-from planner.shapes.closest_point import nearest_of_faces, sign
+from planner.shapes.closest_point import ON_SURFACE, sign
 from planner.shapes.stable import StablePose, stable_poses
-from planner.shapes.surface import CODE_DIM, Patch, Surface, box_clearance, edge_margin
-from planner.spatial import FloatArray
+from planner.shapes.surface import CODE_DIM, KEPT, Patch, Surface, box_clearance, edge_margin
+from planner.spatial import FloatArray, fixed_array
 
 __all__ = ["Box"]
 
@@ -79,14 +80,18 @@ class Box(Shape):
     def closest_point(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See ``Shape``; inside, the nearest face."""
         p, half = checked_points(points), self.half_extents
-        side = sign(p)
-        face_points = np.repeat(p[:, None, :], 3, axis=1)  # (n, 3 faces, 3)
-        face_normals = np.zeros_like(face_points)
-        for k in range(3):
-            face_points[:, k, k] = side[:, k] * half[k]
-            face_normals[:, k, k] = side[:, k]
-        clamped = np.clip(p, -half, half)
-        return nearest_of_faces(p, clamped, half - np.abs(p), face_points, face_normals)
+        clamped = p.clip(-half, half)
+        gap = p - clamped
+        distance = np.sqrt((gap * gap).sum(axis=1))
+        outside = distance > ON_SURFACE
+        surface, normal = clamped, gap / np.where(outside, distance, 1.0)[:, None]
+        if not outside.all():
+            row = np.flatnonzero(~outside)
+            face = (half - np.abs(p[row])).argmin(axis=1)
+            side = sign(p[row, face])
+            surface[row], normal[row] = p[row], 0.0
+            surface[row, face], normal[row, face] = side * half[face], side
+        return surface, normal
 
     def resting_poses(self) -> tuple[StablePose, ...]:
         """Standing as it is, then on each of the other faces, those that tilt farthest first."""
@@ -104,7 +109,7 @@ class Box(Shape):
     @property
     def flat_sides(self) -> FloatArray | None:
         """+x, +y, +z, -x, -y, -z, (6, 3)."""
-        return np.vstack([np.eye(3), -np.eye(3)])
+        return _SIDES
 
     def curvature_and_edges(
         self, points: FloatArray, normals: FloatArray
@@ -122,6 +127,9 @@ class Box(Shape):
         return _SURFACE
 
 
+_SIDES = fixed_array(np.vstack([np.eye(3), -np.eye(3)]))
+
+
 class _BoxSurface(Surface):
     kind = "box"
 
@@ -129,18 +137,7 @@ class _BoxSurface(Surface):
         return np.array(shape.half_extents)
 
     def patches(self, shape: Box) -> tuple[Patch, ...]:
-        half = shape.half_extents
-        out = []
-        for axis in range(3):
-            for side in (1.0, -1.0):
-                code = np.zeros(CODE_DIM)
-                code[axis] = side
-                reach = half - np.array([edge_margin(h) for h in half])
-                lower, upper = -reach, reach.copy()
-                lower[axis] = upper[axis] = side * half[axis]
-                name = ("+" if side > 0 else "-") + "xyz"[axis]
-                out.append(Patch(name=name, code=code, lower=lower, upper=upper))
-        return tuple(out)
+        return _patches(shape)
 
     def patch_at(self, shape: Box, point: FloatArray, normal: FloatArray) -> Patch:
         return max(self.patches(shape), key=lambda patch: float(patch.code @ normal))
@@ -153,6 +150,22 @@ class _BoxSurface(Surface):
 
     def clearance(self, size: Any, c: Any) -> Any:
         return box_clearance(size, c)
+
+
+@lru_cache(maxsize=KEPT)
+def _patches(shape: Box) -> tuple[Patch, ...]:
+    half = shape.half_extents
+    out = []
+    for axis in range(3):
+        for side in (1.0, -1.0):
+            code = np.zeros(CODE_DIM)
+            code[axis] = side
+            reach = half - np.array([edge_margin(h) for h in half])
+            lower, upper = -reach, reach.copy()
+            lower[axis] = upper[axis] = side * half[axis]
+            name = ("+" if side > 0 else "-") + "xyz"[axis]
+            out.append(Patch(name=name, code=code, lower=lower, upper=upper))
+    return tuple(out)
 
 
 _SURFACE = _BoxSurface()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -12,7 +13,7 @@ import numpy as np
 from planner.errors import ObjectError
 from planner.shapes.base import Shape, checked_length, checked_points
 from planner.shapes.closest_point import unit
-from planner.shapes.surface import Patch, Surface, soft_norm
+from planner.shapes.surface import KEPT, Patch, Surface, soft_norm
 from planner.spatial import FloatArray
 
 __all__ = ["Capsule"]
@@ -128,21 +129,7 @@ class _CapsuleSurface(Surface):
         return np.array([shape.radius, shape.height / 2 - shape.radius, 0.0])
 
     def patches(self, shape: Capsule) -> tuple[Patch, ...]:
-        radius, core = shape.radius, shape.height / 2 - shape.radius
-        wide = 2 * radius
-        side = np.array([wide, wide, core])
-        out = [Patch(name="side", code=np.array([1.0, 0.0, 0.0]), lower=-side, upper=side)]
-        for sign in (1.0, -1.0):
-            ends = sorted((sign * core, sign * (core + wide)))
-            out.append(
-                Patch(
-                    name="+z" if sign > 0 else "-z",
-                    code=np.array([0.0, sign, 0.0]),
-                    lower=np.array([-wide, -wide, ends[0]]),
-                    upper=np.array([wide, wide, ends[1]]),
-                )
-            )
-        return tuple(out)
+        return _patches(shape)
 
     def patch_at(self, shape: Capsule, point: FloatArray, normal: FloatArray) -> Patch:
         side, top, bottom = self.patches(shape)
@@ -165,6 +152,25 @@ class _CapsuleSurface(Surface):
     def clearance(self, size: Any, c: Any) -> Any:
         beyond = ca.fmax(soft_norm(c[2]) - size[1], 0)
         return soft_norm(c[0], c[1], beyond) - size[0]
+
+
+@lru_cache(maxsize=KEPT)
+def _patches(shape: Capsule) -> tuple[Patch, ...]:
+    radius, core = shape.radius, shape.height / 2 - shape.radius
+    wide = 2 * radius
+    side = np.array([wide, wide, core])
+    out = [Patch(name="side", code=np.array([1.0, 0.0, 0.0]), lower=-side, upper=side)]
+    for sign in (1.0, -1.0):
+        ends = sorted((sign * core, sign * (core + wide)))
+        out.append(
+            Patch(
+                name="+z" if sign > 0 else "-z",
+                code=np.array([0.0, sign, 0.0]),
+                lower=np.array([-wide, -wide, ends[0]]),
+                upper=np.array([wide, wide, ends[1]]),
+            )
+        )
+    return tuple(out)
 
 
 _SURFACE = _CapsuleSurface()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -11,7 +12,7 @@ import numpy as np
 
 from planner.shapes.base import ALIGNED, Shape, checked_length, checked_points
 from planner.shapes.closest_point import nearest_on_cylinder
-from planner.shapes.surface import Patch, Surface, edge_margin, soft_max, soft_norm
+from planner.shapes.surface import KEPT, Patch, Surface, edge_margin, soft_max, soft_norm
 from planner.spatial import FloatArray
 
 __all__ = ["Cylinder"]
@@ -107,22 +108,7 @@ class _CylinderSurface(Surface):
         return np.array([shape.radius, shape.height / 2, 0.0])
 
     def patches(self, shape: Cylinder) -> tuple[Patch, ...]:
-        radius, half = shape.radius, shape.height / 2
-        side = np.array([2 * radius, 2 * radius, half - edge_margin(half)])
-        out = [Patch(name="side", code=np.array([1.0, 0.0, 0.0]), lower=-side, upper=side)]
-        # the largest square inside the end's disc less its margin
-        square = (radius - edge_margin(radius)) / np.sqrt(2)
-        for sign in (1.0, -1.0):
-            out.append(
-                Patch(
-                    name="+z" if sign > 0 else "-z",
-                    code=np.array([0.0, sign, 0.0]),
-                    # z is fixed by the surface equation; its bounds only leave room around it
-                    lower=np.array([-square, -square, sign * half - radius]),
-                    upper=np.array([square, square, sign * half + radius]),
-                )
-            )
-        return tuple(out)
+        return _patches(shape)
 
     def patch_at(self, shape: Cylinder, point: FloatArray, normal: FloatArray) -> Patch:
         side, top, bottom = self.patches(shape)
@@ -140,6 +126,26 @@ class _CylinderSurface(Surface):
 
     def clearance(self, size: Any, c: Any) -> Any:
         return soft_max(soft_norm(c[0], c[1]) - size[0], soft_norm(c[2]) - size[1])
+
+
+@lru_cache(maxsize=KEPT)
+def _patches(shape: Cylinder) -> tuple[Patch, ...]:
+    radius, half = shape.radius, shape.height / 2
+    side = np.array([2 * radius, 2 * radius, half - edge_margin(half)])
+    out = [Patch(name="side", code=np.array([1.0, 0.0, 0.0]), lower=-side, upper=side)]
+    # the largest square inside the end's disc less its margin
+    square = (radius - edge_margin(radius)) / np.sqrt(2)
+    for sign in (1.0, -1.0):
+        out.append(
+            Patch(
+                name="+z" if sign > 0 else "-z",
+                code=np.array([0.0, sign, 0.0]),
+                # z is fixed by the surface equation; its bounds only leave room around it
+                lower=np.array([-square, -square, sign * half - radius]),
+                upper=np.array([square, square, sign * half + radius]),
+            )
+        )
+    return tuple(out)
 
 
 _SURFACE = _CylinderSurface()

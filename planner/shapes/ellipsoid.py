@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar, Self
 
 import casadi as ca
@@ -21,7 +22,7 @@ import numpy as np
 
 from planner.shapes.base import Shape, checked_extents, checked_points
 from planner.shapes.closest_point import sign, unit
-from planner.shapes.surface import Patch, Surface, soft_norm, whole_surface
+from planner.shapes.surface import KEPT, Patch, Surface, soft_norm, whole_surface
 from planner.spatial import FloatArray
 
 __all__ = ["Ellipsoid"]
@@ -168,7 +169,7 @@ class _EllipsoidSurface(Surface):
         return np.array(shape.half_extents)
 
     def patches(self, shape: Ellipsoid) -> tuple[Patch, ...]:
-        return (whole_surface("ellipsoid", 2 * shape.half_extents),)
+        return _patches(shape)
 
     def patch_at(self, shape: Ellipsoid, point: FloatArray, normal: FloatArray) -> Patch:
         return self.patches(shape)[0]
@@ -185,6 +186,11 @@ class _EllipsoidSurface(Surface):
         a, b = c / size, c / size**2
         k0, k1 = soft_norm(a[0], a[1], a[2]), soft_norm(b[0], b[1], b[2])
         return k0 * (k0 - 1) / k1
+
+
+@lru_cache(maxsize=KEPT)
+def _patches(shape: Ellipsoid) -> tuple[Patch, ...]:
+    return (whole_surface("ellipsoid", 2 * shape.half_extents),)
 
 
 _SURFACE = _EllipsoidSurface()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -11,7 +12,7 @@ import numpy as np
 
 from planner.shapes.base import Shape, checked_length, checked_points
 from planner.shapes.closest_point import unit
-from planner.shapes.surface import Patch, Surface, soft_norm, whole_surface
+from planner.shapes.surface import KEPT, Patch, Surface, soft_norm, whole_surface
 from planner.spatial import FloatArray
 
 __all__ = ["Sphere"]
@@ -94,7 +95,7 @@ class _SphereSurface(Surface):
         return np.array([shape.radius, 0.0, 0.0])
 
     def patches(self, shape: Sphere) -> tuple[Patch, ...]:
-        return (whole_surface("sphere", 2 * shape.half_extents),)
+        return _patches(shape)
 
     def patch_at(self, shape: Sphere, point: FloatArray, normal: FloatArray) -> Patch:
         return self.patches(shape)[0]
@@ -107,6 +108,11 @@ class _SphereSurface(Surface):
 
     def clearance(self, size: Any, c: Any) -> Any:
         return soft_norm(c[0], c[1], c[2]) - size[0]
+
+
+@lru_cache(maxsize=KEPT)
+def _patches(shape: Sphere) -> tuple[Patch, ...]:
+    return (whole_surface("sphere", 2 * shape.half_extents),)
 
 
 _SURFACE = _SphereSurface()

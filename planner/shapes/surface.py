@@ -26,6 +26,7 @@ from planner.spatial import FloatArray
 
 __all__ = [
     "CODE_DIM",
+    "KEPT",
     "SIZE_DIM",
     "Patch",
     "Surface",
@@ -42,6 +43,9 @@ SOFTNESS = 0.002
 EDGE_MARGIN = 0.004
 """Distance (m) that a contact keeps from the rim of its patch: a fingertip that rolls or creeps by
 a few millimetres must not reach the edge. At most a quarter of the patch's half width."""
+
+KEPT = 16
+"""Shapes whose patches a surface keeps: every start asks for them."""
 
 SIZE_DIM = 3
 """Numbers that describe a shape's size in the synthesis problem."""

@@ -26,9 +26,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from planner.collision.moving_hand import moving_hand
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
 from planner.numerics.kernels import kernels_are_compiled
 from planner.shapes import Shape
 from planner.shapes.surface import Patch, Surface
@@ -233,7 +233,7 @@ class GraspProblem:
         """Pose of the link that s and t move, object frame: the base, or an arm's last link."""
         if self.hand.arm is None:
             return start.T_object_base
-        state = HandState(self.hand, start.q)
+        state = moving_hand(self.hand).move(start.q)
         return start.T_object_base * state.joint_pose(self.hand.arm.flange)
 
     def parameters(

@@ -16,7 +16,7 @@ from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
 from planner.failure import Failure
 from planner.plan import Verification
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, contact_frames
 from planner.task import GraspTask
 from planner.tolerances import ANGLE_TOL, FLAT_ANGLE_TOL, JOINT_TOL, PENETRATION_TOL, TOUCH_TOL
 
@@ -80,14 +80,20 @@ def contacts_at(task: GraspTask, T_world_base: SE3, q: FloatArray) -> ContactSet
 
 def contacts_of(task: GraspTask, touches: Sequence[PadContact]) -> ContactSet:
     """The same from the touches of all fingers, if they are at hand."""
-    return ContactSet.from_arrays(
-        np.array([touch.point for touch in touches]),
-        -np.array([touch.outward for touch in touches]),
-        mu=task.mu,
-        mu_torsion=task.mu_torsion,
-        model=task.contact_model,
+    n, turn, shift = len(touches), task.T_world_object.rotation, task.T_world_object.translation
+    points = np.array([touch.point for touch in touches])
+    # tangents belong to the object: chosen in its frame, and turned with it
+    frames = contact_frames(-np.array([touch.outward for touch in touches]))
+    return ContactSet(
+        positions=points @ turn.T + shift,
+        frames=turn @ frames,
+        models=(task.contact_model,) * n,
+        mu=np.full(n, task.mu),
+        mu_torsion=np.full(n, task.mu_torsion),
+        forces=np.full((n, 4), np.nan),
         fingers=task.finger_names,
-    ).transformed(task.T_world_object)
+        center=shift,
+    )
 
 
 def verify_geometry(

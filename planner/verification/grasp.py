@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from planner.approach.pregrasp import Approach, find_approach, verify_approach
+from planner.collision.moving_hand import moving_hand
 from planner.collision.pad_contact import pad_contacts
 from planner.collision.world import CollisionWorld
 from planner.contacts import ContactSet
@@ -21,7 +22,6 @@ from planner.forces import (
     distribute_forces,
     gravity_wrench,
 )
-from planner.kinematics.state import HandState
 from planner.plan import GraspPlan, SolveRecord
 from planner.quality import ClosureResult, force_closure
 from planner.spatial import SE3, FloatArray
@@ -169,15 +169,12 @@ def force_arguments(
         T_world_base: Base pose.
         q: Joints (nq,).
     """
-    state = HandState(task.hand, q)
-    inverse = T_world_base.inverse()
+    state = moving_hand(task.hand).move(q)
     rotation = T_world_base.rotation
-    jacobians = np.array(
-        [
-            rotation @ state.point_jacobian(f.pad.joint_id, inverse.act(p)).reshape(2, 3, -1)
-            for f, p in zip(task.fingers, contacts.positions, strict=True)
-        ]
-    ).reshape(len(contacts), 6, -1)
+    joints = np.array([f.pad.joint_id for f in task.fingers])
+    points = (contacts.positions - T_world_base.translation) @ rotation
+    local = state.point_jacobians(joints, points)
+    jacobians = (rotation @ local.reshape(-1, 2, 3, task.hand.nq)).reshape(local.shape)
     return {
         "wrench": gravity_wrench(task.object.mass, task.gravity),
         "min_normal": task.grip_force,

@@ -11,6 +11,8 @@ repeated until gaps and couplings are met (``planner.numerics.ik_step``).
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from planner.collision.pad_contact import pad_contact_queries
@@ -41,15 +43,15 @@ def project_onto_surface(task: GraspTask, T_world_base: SE3, q: FloatArray) -> F
     """
     hand, touching = task.hand, pad_contact_queries(task)
     matrix, value = hand.coupling_matrix
-    index = _moved(task, matrix)
+    index = _moved(task)
     lower, upper = hand.q_lower[index], hand.q_upper[index]
     turn = T_world_base.rotation.T @ task.T_world_object.rotation
     q = q.copy()
     for _ in range(STEPS):
         found = touching.gaps(T_world_base, q)
         missing = value - matrix @ q
-        worst = np.abs(found.gaps).max()
-        arrived = worst <= GAP_TOL and np.abs(missing).max(initial=0.0) <= COUPLING_TOL
+        worst = float(np.abs(found.gaps).max())
+        arrived = worst <= GAP_TOL and float(np.abs(missing).max(initial=0.0)) <= COUPLING_TOL
         if arrived or worst > FARTHEST:
             break
         rates = np.einsum("ni,nij->nj", found.outward @ turn.T, found.jacobians)
@@ -58,9 +60,13 @@ def project_onto_surface(task: GraspTask, T_world_base: SE3, q: FloatArray) -> F
     return q
 
 
-def _moved(task: GraspTask, matrix: FloatArray) -> IntArray:
+@lru_cache(maxsize=8)
+def _moved(task: GraspTask) -> IntArray:
     """Joints (k,) that may move: the task's fingers, and what is coupled on fingers left out."""
-    coupled = np.flatnonzero(np.abs(matrix).sum(axis=0))
-    held = np.concatenate([task.hand.wrist_index, task.hand.arm_index])
+    hand = task.hand
+    coupled = np.flatnonzero(np.abs(hand.coupling_matrix[0]).sum(axis=0))
+    held = np.concatenate([hand.wrist_index, hand.arm_index])
     mine = np.concatenate([f.q_index for f in task.fingers])
-    return np.union1d(mine, np.setdiff1d(coupled, held))
+    found = np.union1d(mine, np.setdiff1d(coupled, held))
+    found.flags.writeable = False
+    return found

@@ -14,10 +14,10 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
+from planner.collision.moving_hand import moving_hand
 from planner.errors import TaskError
 from planner.failure import Failure
 from planner.kinematics.arm_ik import reach
-from planner.kinematics.state import HandState
 from planner.shapes.surface import Patch, Surface
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.mesh_surface import surface_of
@@ -107,7 +107,7 @@ class Seeder:
                 return carried
             T_world_base, q = carried
         T_object_base = task.T_world_object.inverse() * T_world_base
-        state = HandState(task.hand, q)
+        state = moving_hand(task.hand).move(q)
         pads = np.array([T_object_base.act(state.pad_center(f)) for f in task.fingers])
         points, normals = task.object.shape.closest_point(pads)
         skin = self.surface.skin(self.surface.size(task.object.shape))
@@ -169,7 +169,7 @@ class Seeder:
         least = np.inf
         for _ in range(DRAWS):
             T_world_free, q = self._place(rng)
-            T_world_palm = T_world_free * HandState(hand, q).T_base_palm
+            T_world_palm = T_world_free * moving_hand(hand).move(q).T_base_palm
             reached = reach(hand, T_world_base.inverse() * T_world_palm, q)
             if reached.there:
                 return T_world_base, reached.q
@@ -186,7 +186,7 @@ class Seeder:
         task, hand = self.task, self.task.hand
         if hand.arm is None or task.T_world_base is None:
             return
-        state = HandState(hand, self.posture)
+        state = moving_hand(hand).move(self.posture)
         first = task.T_world_base.act(state.joint_pose(int(hand.arm.chain[0]) + 1).translation)
         palm = float(np.linalg.norm(state.T_base_palm.translation - self.pinch.center))
         far = float(np.linalg.norm(task.T_world_object.translation - first))
@@ -220,7 +220,7 @@ class Seeder:
     @property
     def tripod(self) -> tuple[str, ...]:
         """The opposer and the two fingers nearest to it, or all where there are no more."""
-        state = HandState(self.task.hand, self.posture)
+        state = moving_hand(self.task.hand).move(self.posture)
         pads = np.array([state.pad_center(f) for f in self.task.fingers])
         away = np.linalg.norm(pads - pads[self.pinch.opposer], axis=1)
         kept = set(np.argsort(away, kind="stable")[:TRIPOD])

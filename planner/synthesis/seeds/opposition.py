@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from planner.collision.moving_hand import moving_hand
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
-from planner.spatial import FloatArray
+from planner.spatial import FloatArray, cross
 from planner.synthesis.link_spheres import LinkSphere
 from planner.task import GraspTask
 
@@ -41,32 +42,35 @@ class Opposition:
 
 def opposition(task: GraspTask, q: FloatArray) -> Opposition:
     """Opposition of the task's fingers at q."""
-    state = HandState(task.hand, q)
-    centers = np.array([state.pad_center(f) for f in task.fingers])
-    axes = np.array([state.pad_axis(f) for f in task.fingers])
+    state = moving_hand(task.hand).move(q)
+    fingers = task.fingers
+    n = len(fingers)
+    centers = np.array([state.pad_center(f) for f in fingers])
+    axes = np.array([state.pad_axis(f) for f in fingers])
     # the opposer's pad faces against the sum of the other pads
-    against = axes @ axes.sum(axis=0) - 1.0
-    opposer = int(np.argmin(against))
-    others = np.delete(centers, opposer, axis=0).mean(axis=0)
+    opposer = int((axes @ axes.sum(axis=0)).argmin())
+    rest = np.arange(n) != opposer
+    others = centers[rest].sum(axis=0) / (n - 1)
     across = others - centers[opposer]
-    width = float(np.linalg.norm(across))
+    width = math.sqrt(float(across @ across))
     axis = across / width
     center = (others + centers[opposer]) / 2
     side = np.array(state.T_base_palm.translation) - center
     side -= axis * (axis @ side)
-    pads = [f.pad.radius for f in task.fingers]
+    radii = [f.pad.radius for f in fingers]
+    beside = (sum(radii) - radii[opposer]) / (n - 1)
     return Opposition(
         opposer=opposer,
         axis=axis,
         center=center,
-        palm_side=side / np.linalg.norm(side),
-        gap=width - pads[opposer] - float(np.mean(np.delete(pads, opposer))),
+        palm_side=side / math.sqrt(float(side @ side)),
+        gap=width - radii[opposer] - beside,
     )
 
 
 def frame_of(axis: FloatArray, side: FloatArray) -> FloatArray:
     """Rotation (3, 3) whose columns are two orthogonal unit vectors and their product."""
-    return np.column_stack([axis, side, np.cross(axis, side)])
+    return np.array([axis, side, cross(axis, side)]).T
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,7 +122,7 @@ def measure_postures(
     local = np.array([b.center for b in spheres])[:, :, None]
     places, pads = [], []
     for k in order:
-        state = HandState(hand, drawn[k])
+        state = moving_hand(hand).move(drawn[k])
         poses = state.pin_data.oMi
         turns = np.array([pose.rotation for pose in poses])[joints]
         shifts = np.array([pose.translation for pose in poses])[joints]
