@@ -17,7 +17,7 @@ from planner.system.lazy_names import lazy_names
 from planner.version import __version__
 
 if TYPE_CHECKING:
-    from planner.batch import GraspSet, plan_grasps
+    from planner.batch import GraspSet, plan_grasps, plan_several
     from planner.contacts import Contact, ContactSet
     from planner.errors import NoGraspFoundError, PlannerError
     from planner.files import read_plan, write_plan
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from planner.objects import GraspObject, parse_object
     from planner.plan import GraspPlan
     from planner.quality import analyse, force_closure
-    from planner.search import attempts, plan_grasp
+    from planner.search import attempts, plan_grasp, plans
     from planner.spatial import SE3
     from planner.task import GraspTask, Obstacle
 
@@ -72,6 +72,8 @@ __all__ = [
     "plan_grasps",
     "plan_manipulation",
     "plan_motion",
+    "plan_several",
+    "plans",
     "read_plan",
     "write_plan",
 ]
@@ -107,6 +109,8 @@ _HOMES = {
     "plan_grasps": "planner.batch",
     "plan_manipulation": "planner.motion.manipulation",
     "plan_motion": "planner.motion",
+    "plan_several": "planner.batch",
+    "plans": "planner.search",
     "read_plan": "planner.files",
     "write_plan": "planner.files",
 }

@@ -20,10 +20,12 @@ from planner.failure import Failure
 
 __all__ = [
     "Attempt",
+    "Built",
     "SearchContext",
     "SearchRecord",
     "check_seed",
     "nothing_found",
+    "recorded",
     "run_attempts",
     "search",
 ]
@@ -69,12 +71,16 @@ RecordedT = TypeVar("RecordedT", bound=Recorded)
 FoundT_co = TypeVar("FoundT_co", covariant=True)
 
 
-class SearchContext(Protocol[FoundT_co]):
-    """What several attempts share: problem, solver, geometry."""
+class Built(Protocol):
+    """What takes time to build, once for all attempts."""
 
     @property
     def build_s(self) -> float:
-        """Time that building the problem took, s."""
+        """Time that building took, s."""
+
+
+class SearchContext(Built, Protocol[FoundT_co]):
+    """What several attempts share: problem, solver, geometry."""
 
     def attempt(self, rng: np.random.Generator) -> FoundT_co | Failure:
         """One attempt: a plan, or why there is none."""
@@ -89,12 +95,15 @@ class Attempt(Generic[PlanT]):
         plan: The plan if it was found.
         failure: Why not, None if found.
         cpu_s: CPU time of this attempt, s.
+        best: Value of the best plan up to this attempt, as its search compares plans; None before
+            the first one, and outside a search.
     """
 
     index: int
     plan: PlanT | None
     failure: Failure | None
     cpu_s: float
+    best: float | None = None
 
 
 def check_seed(seed: int) -> None:
@@ -123,53 +132,76 @@ def run_attempts(
         outcome = shared.attempt(np.random.default_rng([seed, index]))
         cpu = time.process_time() - begin
         total += cpu
-        if isinstance(outcome, Failure):
-            yield Attempt(index=index, plan=None, failure=outcome, cpu_s=cpu)
-            continue
-        record = replace(
-            outcome.record,
-            seed=seed,
-            attempt=index,
-            attempts=index + 1,
-            cpu_s=total,
-            build_s=shared.build_s,
-        )
-        plan = replace(outcome, record=record)
-        yield Attempt(index=index, plan=plan, failure=None, cpu_s=cpu)
+        yield recorded(outcome, seed=seed, index=index, cpu_s=cpu, total=total, context=shared)
+
+
+def recorded(
+    outcome: RecordedT | Failure,
+    *,
+    seed: int,
+    index: int,
+    cpu_s: float,
+    total: float,
+    context: Built,
+) -> Attempt[RecordedT]:
+    """An attempt; its plan, if it is one, with the record of the search so far.
+
+    Args:
+        outcome: What the attempt gave.
+        seed: Seed of the search.
+        index: Number of the attempt.
+        cpu_s: CPU time of the attempt, s.
+        total: The same of all so far, s.
+        context: What attempts share.
+    """
+    if isinstance(outcome, Failure):
+        return Attempt(index=index, plan=None, failure=outcome, cpu_s=cpu_s)
+    record = replace(
+        outcome.record,
+        seed=seed,
+        attempt=index,
+        attempts=index + 1,
+        cpu_s=total,
+        build_s=context.build_s,
+    )
+    return Attempt(index=index, plan=replace(outcome, record=record), failure=None, cpu_s=cpu_s)
 
 
 def search(
     attempts: Iterable[Attempt[PlanT]],
     *,
-    max_attempts: int,
+    max_attempts: int | None,
     max_cpu_s: float | None = None,
-    best_of: int = 1,
+    best_of: int | None = 1,
     merit: Callable[[PlanT], float] = lambda plan: 0.0,
-    progress: Callable[[Attempt[PlanT]], None] | None = None,
+    progress: Callable[[Attempt[PlanT]], object] | None = None,
 ) -> tuple[PlanT | None, list[Attempt[PlanT]]]:
-    """The best plan of ``best_of`` attempts, else the first one later; and all attempts made.
+    """The best of the first ``best_of`` plans that are found; and all attempts made.
 
     Args:
         attempts: One after the other.
-        max_attempts: Budget in attempts.
+        max_attempts: Budget in attempts; None for no limit.
         max_cpu_s: Budget in CPU seconds, looked at between attempts; None for no limit.
-        best_of: Attempts that are made in any case.
+        best_of: Plans after which the search ends; None for the best within the budget.
         merit: The larger the better; of equals the first is taken.
-        progress: Called after every attempt.
+        progress: Called after every attempt, which tells the best value so far; the search ends
+            with what it has where this returns True.
     """
     made: list[Attempt[PlanT]] = []
     best: PlanT | None = None
-    used = 0.0
+    value, found, used = -np.inf, 0, 0.0
     for attempt in attempts:
-        made.append(attempt)
         used += attempt.cpu_s
-        if progress is not None:
-            progress(attempt)
-        plan = attempt.plan
-        if plan is not None and (best is None or merit(plan) > merit(best)):
-            best = plan
-        spent = len(made) >= max_attempts or (max_cpu_s is not None and used >= max_cpu_s)
-        if spent or (best is not None and len(made) >= best_of):
+        if attempt.plan is not None:
+            found += 1
+            worth = merit(attempt.plan)
+            if best is None or worth > value:
+                best, value = attempt.plan, worth
+        made.append(replace(attempt, best=None if best is None else value))
+        stop = progress is not None and progress(made[-1]) is True
+        spent = max_attempts is not None and len(made) >= max_attempts
+        spent = spent or (max_cpu_s is not None and used >= max_cpu_s)
+        if stop or spent or (best_of is not None and found >= best_of):
             break
     return best, made
 

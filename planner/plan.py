@@ -20,7 +20,7 @@ from planner.showing import Shown, in_notebook
 from planner.spatial import SE3, FloatArray, interpolate_path, minimum_jerk
 from planner.task import GraspTask
 
-__all__ = ["GraspPlan", "JointTrajectory", "SolveRecord", "Verification"]
+__all__ = ["BestOf", "GraspPlan", "JointTrajectory", "SolveRecord", "Verification"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,18 +61,42 @@ class Verification:
 
 
 @dataclass(frozen=True, kw_only=True)
+class BestOf:
+    """Of how many plans one is the best, and by what.
+
+    Attributes:
+        found: Plans that the search found.
+        metric: Metric by which they were compared, or several with weights
+            (``planner.plan_metrics.Measure``).
+        value: Of the plan, in the metric's unit.
+        improving: Whether the attempts built on each other (``keep="best"``).
+    """
+
+    found: int
+    metric: str
+    value: float
+    improving: bool
+
+
+@dataclass(frozen=True, kw_only=True)
 class SolveRecord(SearchRecord):
     """Where a grasp comes from.
+
+    Of a plan that is the best of several, ``attempts`` and ``cpu_s`` are those of the whole search:
+    the same seed with ``max_attempts=attempts`` and otherwise the same arguments gives it again on
+    any machine, whatever the budget in CPU seconds was.
 
     Attributes:
         iterations: Evaluations of the residuals in its attempt.
         status: Why least squares ended (informative only; the verdict is ``Verification``).
         objective: What the grasp was to be good at, as ``SynthesisOptions.objective``.
+        best: Of how many it is the best; None for the first found.
     """
 
     iterations: int
     status: str
     objective: str = "epsilon"
+    best: BestOf | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,6 +161,13 @@ class GraspPlan(Shown):
     def __str__(self) -> str:
         """A screen: contacts with their forces, and the quality."""
         task, record, closure = self.task, self.record, self.quality.closure
+        best = record.best
+        found = f"found at attempt {record.attempt + 1}"
+        if best is not None:
+            found = (
+                f"the best of {best.found} found in {record.attempts} attempts by {best.metric}, "
+                f"{best.value:.4g}, at attempt {record.attempt + 1},"
+            )
         at, used = self.contacts_in_object.positions, self.contacts.friction_utilisation()
         rows = [
             f"{name:10} {' '.join(f'{1e3 * v:7.1f}' for v in at[i])} "
@@ -147,8 +178,8 @@ class GraspPlan(Shown):
         return "\n".join(
             [
                 f"plan: {task.hand.name} grasps {task.object.shape.spec} "
-                f"({1e3 * task.object.mass:.0f} g), seed {record.seed}: found at attempt "
-                f"{record.attempt + 1} in {record.cpu_s:.2f} s of CPU "
+                f"({1e3 * task.object.mass:.0f} g), seed {record.seed}: {found} "
+                f"in {record.cpu_s:.2f} s of CPU "
                 f"(building {record.build_s:.2f} s)",
                 *([f"object mended: {task.object.mended}"] if task.object.mended else []),
                 "finger       contact in object (mm)  force (N)  friction used  pad gap (um)",

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,18 +32,23 @@ from scipy.spatial import ConvexHull
 from planner.arrays import float_array
 from planner.contacts import ContactSet
 from planner.errors import ContactError
+from planner.forces import ForceSolution
 from planner.hands.fingers import Finger
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.quality import epsilon_l1, min_weight, primitive_wrenches
 from planner.quality.ball import flat_direction
-from planner.spatial import FloatArray
+from planner.spatial import SE3, FloatArray
 from planner.synthesis.objectives.joint import driving, free_velocities
 from planner.synthesis.objectives.task_wrenches import resisted_wrenches
 from planner.synthesis.objectives.wrench import NORMAL_ERROR, POSITION_ERROR, narrowed
+from planner.synthesis.options import named_weights
+from planner.task import GraspTask
 
 __all__ = [
     "METRICS",
+    "Measure",
+    "MeasuredGrasp",
     "Metric",
     "evaluate_metrics",
     "mean_singular_value",
@@ -54,17 +60,77 @@ EDGES = 8
 """Edges of the friction pyramids."""
 
 
+class MeasuredGrasp(Protocol):
+    """What metrics need of a grasp: a plan has it, and so has a grasp that is not verified yet."""
+
+    @property
+    def task(self) -> GraspTask:
+        """What was asked."""
+
+    @property
+    def T_world_base(self) -> SE3:
+        """Pose of the hand's base."""
+
+    @property
+    def q(self) -> FloatArray:
+        """Joints (nq,)."""
+
+    @property
+    def contacts(self) -> ContactSet:
+        """Contacts, world."""
+
+    @property
+    def contacts_in_object(self) -> ContactSet:
+        """Contacts, object frame."""
+
+    @property
+    def forces(self) -> ForceSolution:
+        """Planned forces."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Metric:
     """A metric of a plan; more is better.
 
     Attributes:
         unit: "-" for none.
-        value: From a plan and the task wrenches (k, 6), object frame.
+        value: From a grasp and the task wrenches (k, 6), object frame.
     """
 
     unit: str
-    value: Callable[[GraspPlan, FloatArray], float]
+    value: Callable[[MeasuredGrasp, FloatArray], float]
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One number by which plans are compared: a metric, or a weighted sum of several.
+
+    Attributes:
+        text: The metric's name, or several with weights, "epsilon:1,limits:0.5".
+        weights: Weight of each metric's value, in one over its unit.
+        task_wrenches: Of the metric "task" (k, 6), object frame; if empty, the object's weight.
+    """
+
+    text: str
+    weights: dict[str, float]
+    task_wrenches: FloatArray
+
+    @classmethod
+    def of(cls, metric: str | Mapping[str, float], task_wrenches: ArrayLike = ()) -> Measure:
+        """From a name, "epsilon:1,limits:0.5", or a mapping of names to weights > 0.
+
+        Raises:
+            NotFoundError: A metric that does not exist.
+            TaskError: A name twice, or a weight that is not a number > 0.
+        """
+        weights = named_weights(metric, METRICS, what="metric")
+        text = ",".join(n if w == 1.0 else f"{n}:{w!r}" for n, w in weights.items())
+        return cls(text, weights, np.asarray(task_wrenches, dtype=np.float64))
+
+    def __call__(self, grasp: MeasuredGrasp) -> float:
+        """The value of a grasp; more is better."""
+        wrenches = resisted_wrenches(grasp.task, self.task_wrenches)
+        return sum(w * METRICS[name].value(grasp, wrenches) for name, w in self.weights.items())
 
 
 def evaluate_metrics(plan: GraspPlan, task_wrenches: ArrayLike = ()) -> dict[str, float]:
@@ -136,7 +202,7 @@ def _faces(contacts: ContactSet, length: float) -> FloatArray:
     return np.asarray(ConvexHull(wrenches, qhull_options="QJ").equations)
 
 
-def _torque_margin(plan: GraspPlan) -> float:
+def _torque_margin(plan: MeasuredGrasp) -> float:
     hand, task = plan.task.hand, plan.task
     used = driving(hand, task.fingers)
     low, high = hand.actuation.force_limits(plan.q)[used].T
@@ -146,7 +212,7 @@ def _torque_margin(plan: GraspPlan) -> float:
     return 1.0 - float(np.nanmax(spent, initial=0.0))
 
 
-def _manipulability(plan: GraspPlan) -> float:
+def _manipulability(plan: MeasuredGrasp) -> float:
     state = HandState(plan.task.hand, plan.q)
     points = plan.contacts.transformed(plan.T_world_base.inverse()).positions
     return min(
@@ -162,7 +228,7 @@ def mean_singular_value(state: HandState, finger: Finger, point: FloatArray) -> 
     return float(np.prod(values) ** (1 / len(values)))
 
 
-def _limit_distance(plan: GraspPlan) -> float:
+def _limit_distance(plan: MeasuredGrasp) -> float:
     hand = plan.task.hand
     index = np.concatenate([f.q_index for f in plan.task.fingers])
     lower, upper = hand.q_lower[index], hand.q_upper[index]
@@ -170,7 +236,7 @@ def _limit_distance(plan: GraspPlan) -> float:
     return float((near / np.where(upper > lower, upper - lower, np.inf))[upper > lower].min())
 
 
-def _length(plan: GraspPlan) -> float:
+def _length(plan: MeasuredGrasp) -> float:
     return plan.task.object.shape.bounding_radius
 
 

@@ -1,17 +1,20 @@
 """``plan_grasp``: draw a start, solve, verify on the true geometry, distribute forces; repeat.
 
 Attempts end by iteration limits, never by the clock, so that a seed gives the same plan on any
-machine; budgets stop between attempts.
+machine; budgets stop between attempts. Asked for are the first grasp, the best of so many
+independent ones, or the best that a budget gives (``planner.best``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from planner.attempt import Attempt, check_seed, nothing_found, run_attempts, search
+from planner.best.attempts import improving_attempts
+from planner.best.wanted import BEST, DEFAULT_MAX_ATTEMPTS, FIRST, Wanted
 from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
 from planner.failure import Failure
@@ -19,6 +22,7 @@ from planner.plan import GraspPlan, SolveRecord
 from planner.synthesis.link_capsules import capsules_are_true
 from planner.synthesis.optimize import NEARLY, optimize_grasp
 from planner.synthesis.options import ProblemForm, SynthesisOptions
+from planner.synthesis.problem import Candidate, GraspProblem
 from planner.synthesis.problem_cache import Problems, problems_for
 from planner.synthesis.seeds.draw import Seeder
 from planner.synthesis.seeds.mesh import seeder_for
@@ -31,14 +35,12 @@ from planner.verification.grasp import verify_grasp
 from planner.verification.projection import project_onto_surface
 
 __all__ = [
+    "DEFAULT_MAX_ATTEMPTS",
     "Attempt",
     "attempts",
     "plan_grasp",
+    "plans",
 ]
-
-DEFAULT_MAX_ATTEMPTS = 100
-"""Attempts before giving up. On the shipped shapes one or two are usual; one that fails costs some
-ten milliseconds."""
 
 SPARE_AFTER = 5
 """Attempts after which every other one is made with three fingers alone, if the choice of fingers
@@ -60,29 +62,51 @@ def attempts(
         TaskError: The object cannot be grasped by this hand, found out before solving.
     """
     check_seed(seed)
-    options = options or SynthesisOptions()
+    context = _contexts(task, options or SynthesisOptions())
+    return run_attempts(lambda index: context(index, False), seed=seed)
+
+
+def _contexts(task: GraspTask, options: SynthesisOptions) -> Callable[[int, bool], _GraspContext]:
+    """What the attempt of a number shares with others; whether a search for the best has a grasp.
+
+    Raises:
+        TaskError: The object cannot be grasped by this hand, found out before solving.
+    """
     _problem(task, options.form)
 
-    def context(index: int) -> _GraspContext:
+    def context(index: int, is_found: bool) -> _GraspContext:
         past = index - SPARE_AFTER
-        spares = task.may_spare_fingers and past >= 0 and past % 2 == 0
+        spares = task.may_spare_fingers and past >= 0 and past % 2 == 0 and not is_found
         problem = (_spared_problem if spares else _problem)(task, options.form)
         _world(problem.task)  # this thread's own is made before the attempt's time begins
         return _GraspContext(problem, options)
 
-    return run_attempts(context, seed=seed)
+    return context
 
 
 def plan_grasp(
     task: GraspTask,
     *,
     seed: int = 0,
-    max_attempts: int = DEFAULT_MAX_ATTEMPTS,
+    max_attempts: int | None = None,
     max_cpu_s: float | None = None,
+    best_of: int | None = None,
+    keep: str = FIRST,
+    metric: str | Mapping[str, float] | None = None,
     options: SynthesisOptions | None = None,
-    progress: Callable[[Attempt[GraspPlan]], None] | None = None,
+    progress: Callable[[Attempt[GraspPlan]], object] | None = None,
 ) -> GraspPlan:
-    """The first grasp that holds on the true geometry.
+    """A grasp that holds on the true geometry: the first one, or the best of several.
+
+    ``best_of=8`` takes the best of the first eight found, which are those that eight independent
+    attempts give. ``keep="best"`` spends a budget on one good grasp: attempts build on each other,
+    and what would not be the best is not verified; that gives more than ``best_of`` in the same
+    time.
+
+    In counts (``best_of``, ``max_attempts``) the same seed gives the same plan on any machine. What
+    a budget in CPU seconds gives depends on the machine: ``plan.record.attempts`` tells how many
+    attempts were made, and the same call with ``max_attempts`` of that many, without
+    ``max_cpu_s``, gives the same plan again.
 
     May be called from any number of threads, and from ``progress``; each call gives what it gives
     alone. Threads share the hand, the objects and the tasks, none of which ever changes. They take
@@ -91,23 +115,39 @@ def plan_grasp(
     Args:
         task: What to grasp, with what, where.
         seed: Same seed, same plan.
-        max_attempts: Budget in attempts.
+        max_attempts: Budget in attempts; None for 100, or for no limit where ``keep`` is "best" and
+            ``max_cpu_s`` is given.
         max_cpu_s: Budget in CPU seconds, looked at between attempts; None for no limit.
-        options: Margins and weights of the problem.
-        progress: Called after every attempt.
+        best_of: Grasps to find, of which the best is taken; fewer where the budget ends before.
+            None for one.
+        keep: "first", or "best" for the best that the budget gives.
+        metric: By what plans are compared (``planner.plan_metrics.METRICS``): a name, several as
+            "epsilon:1,limits:0.5", or a mapping of names to weights; of a weighted sum each weight
+            is in one over its metric's unit. None for the objective of ``options``.
+        options: Margins, weights and objectives of the problem; None for the metric as objective.
+        progress: Called after every attempt, which tells the value of the best so far; where it
+            returns True the search ends with what it has.
 
     Raises:
         NoGraspFoundError: The budget ended; carries every attempt and its failure.
-        TaskError: The task cannot work, or a budget is not positive.
+        NotFoundError: A metric, or something to keep, that does not exist.
+        TaskError: The task cannot work, a budget is not positive, or ``best_of`` and ``metric`` do
+            not go with ``keep``.
     """
-    if max_attempts < 1:
-        raise TaskError(f"max_attempts is {max_attempts}; give at least 1")
-    if max_cpu_s is not None and not max_cpu_s > 0:
-        raise TaskError(f"max_cpu_s is {max_cpu_s}; give seconds > 0")
-    plan, made = search(
-        attempts(task, seed=seed, options=options),
+    wanted = Wanted.of(
         max_attempts=max_attempts,
         max_cpu_s=max_cpu_s,
+        best_of=best_of,
+        keep=keep,
+        metric=metric,
+        options=options,
+    )
+    plan, made = search(
+        _wanted_attempts(task, seed, wanted),
+        max_attempts=wanted.max_attempts,
+        max_cpu_s=max_cpu_s,
+        best_of=wanted.best_of,
+        merit=wanted.value,
         progress=progress,
     )
     if plan is None:
@@ -117,7 +157,63 @@ def plan_grasp(
             "Try more attempts, other fingers, another pose or size of the object, more friction "
             "or less grip",
         )
-    return plan
+    return wanted.recorded(plan, made)
+
+
+def plans(
+    task: GraspTask,
+    *,
+    seed: int = 0,
+    max_attempts: int | None = None,
+    max_cpu_s: float | None = None,
+    metric: str | Mapping[str, float] | None = None,
+    options: SynthesisOptions | None = None,
+) -> Iterator[GraspPlan]:
+    """Better and better grasps, each better than the last: those of ``keep="best"`` as they come.
+
+    Take as many as there is time for, and the last one. The last of n attempts is what
+    ``plan_grasp(task, seed=seed, keep="best", max_attempts=n)`` gives.
+
+    Args:
+        task: What to grasp, with what, where.
+        seed: Same seed, same plans.
+        max_attempts: Attempts after which it ends; None for no limit: it goes on for ever, and a
+            next one may never come.
+        max_cpu_s: CPU seconds of attempts after which it ends; None for no limit.
+        metric: As in ``plan_grasp``.
+        options: As in ``plan_grasp``.
+
+    Raises:
+        NotFoundError: A metric that does not exist.
+        TaskError: The task cannot work, or a budget is not positive.
+    """
+    wanted = Wanted.of(
+        max_attempts=max_attempts, max_cpu_s=max_cpu_s, keep=BEST, metric=metric, options=options
+    )
+    endless = _wanted_attempts(task, seed, wanted)
+
+    def better() -> Iterator[GraspPlan]:
+        made: list[Attempt[GraspPlan]] = []
+        value, used = -np.inf, 0.0
+        for attempt in endless:
+            made.append(attempt)
+            used += attempt.cpu_s
+            if attempt.plan is not None and (worth := wanted.value(attempt.plan)) > value:
+                value = worth
+                yield wanted.recorded(attempt.plan, made)
+            if len(made) == max_attempts or (max_cpu_s is not None and used >= max_cpu_s):
+                return
+
+    return better()
+
+
+def _wanted_attempts(task: GraspTask, seed: int, wanted: Wanted) -> Iterator[Attempt[GraspPlan]]:
+    """Independent attempts, or those that build on each other."""
+    if wanted.measure is None or not wanted.improving:
+        return attempts(task, seed=seed, options=wanted.options)
+    check_seed(seed)
+    contexts = _contexts(task, wanted.options)
+    return improving_attempts(contexts, seed=seed, measure=wanted.measure)
 
 
 @dataclass(frozen=True)
@@ -141,19 +237,41 @@ class _GraspContext:
         """Time that building the problems took, s."""
         return self.problem.problems.build_s
 
+    @property
+    def task(self) -> GraspTask:
+        """The task."""
+        return self.problem.task
+
+    @property
+    def grasp_problem(self) -> GraspProblem:
+        """Its problem."""
+        return self.problem.problems.grasp
+
+    @property
+    def seeder(self) -> Seeder:
+        """What draws its starts."""
+        return self.problem.seeder
+
+    @property
+    def links(self) -> CollisionWorld | None:
+        """The true links, where the capsules of the terms are not exactly those."""
+        return None if capsules_are_true(self.task.hand) else _world(self.task)
+
     def attempt(self, rng: np.random.Generator) -> GraspPlan | Failure:
         """Draw a start, solve, project onto the true surface, verify."""
-        task, problem, seeder = self.problem.task, self.problem.problems.grasp, self.problem.seeder
-        options, world = self.options, _world(task)
+        task, problem, options = self.task, self.grasp_problem, self.options
         with stage("seed"):
-            start = seeder.draw(rng)
+            start = self.seeder.draw(rng)
         if isinstance(start, Failure):
             return start
-        parameters = problem.parameters(task, start, seeder.posture, options)
+        parameters = problem.parameters(task, start, self.seeder.posture, options)
         with stage("solve"):
-            # the true links where the capsules of the terms are not exactly those
-            links = None if capsules_are_true(task.hand) else world
-            candidate = optimize_grasp(problem, task, start, parameters, options, links)
+            candidate = optimize_grasp(problem, task, start, parameters, options, self.links)
+        return self.verified(candidate)
+
+    def verified(self, candidate: Candidate) -> GraspPlan | Failure:
+        """Project a candidate onto the true surface and verify it."""
+        task, problem = self.task, self.grasp_problem
         worst, weighted = problem.worst_violation(candidate.violation)
         if not weighted <= NEARLY:
             violation = candidate.violation[worst.name]
@@ -165,13 +283,13 @@ class _GraspContext:
         record = SolveRecord(
             iterations=candidate.iterations,
             status=candidate.status,
-            objective=str(options.objective),
+            objective=str(self.options.objective),
         )
         q = np.clip(candidate.q, task.hand.q_lower, task.hand.q_upper)
         T_world_base = task.T_world_object * candidate.T_object_base
         with stage("project"):
             q = project_onto_surface(task, T_world_base, q)
-        plan = verify_grasp(task, T_world_base, q, record=record, world=world)
+        plan = verify_grasp(task, T_world_base, q, record=record, world=_world(task))
         if isinstance(plan, Failure) or not problem.own_terms:
             return plan
         at = plan.contacts_in_object

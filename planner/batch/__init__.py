@@ -4,6 +4,7 @@ from planner.batch.dataset import GraspSet
 from planner.batch.diversity import Diversity, diversity
 from planner.batch.features import GraspFeatures
 from planner.batch.run import BatchProgress, plan_grasps
+from planner.batch.several import plan_several, separations
 from planner.batch.thinning import thin
 
 __all__ = [
@@ -13,5 +14,7 @@ __all__ = [
     "GraspSet",
     "diversity",
     "plan_grasps",
+    "plan_several",
+    "separations",
     "thin",
 ]

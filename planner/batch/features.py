@@ -88,14 +88,24 @@ class GraspFeatures:
 
     @classmethod
     def of_plans(cls, plans: Sequence[GraspPlan]) -> GraspFeatures:
-        """Of plans of one object by one hand with the same fingers.
+        """Of plans of one object by one hand; c is for the fingers of the one that has most.
 
         Raises:
-            TaskError: There is none.
+            TaskError: There is none, or one has fingers that this one has not.
         """
         if not plans:
             raise TaskError("there are no plans to compare; give at least one")
-        index = _finger_joints(plans[0].task)
+        whole = max((plan.task for plan in plans), key=lambda task: len(task.fingers))
+        index, names = _finger_joints(whole), list(whole.finger_names)
+        contacts = np.full((len(plans), len(names), 3), np.nan)
+        for places, plan in zip(contacts, plans, strict=True):
+            if other := sorted(set(plan.task.finger_names) - set(names)):
+                raise TaskError(
+                    f"a plan uses {', '.join(other)}, and another {', '.join(names)}; give plans "
+                    "of one task"
+                )
+            taken = [names.index(name) for name in plan.task.finger_names]
+            places[taken] = plan.contacts_in_object.positions
         to_object = [plan.task.T_world_object.inverse() for plan in plans]
         bases = [T * plan.T_world_base for T, plan in zip(to_object, plans, strict=True)]
         palms = [T * plan.T_world_palm for T, plan in zip(to_object, plans, strict=True)]
@@ -104,7 +114,7 @@ class GraspFeatures:
             positions=np.array([T.translation for T in bases]),
             rotations=np.array([T.rotation for T in bases]),
             approach=np.array([T.rotation @ normal for T in palms]),
-            contacts=np.array([plan.contacts_in_object.positions for plan in plans]),
+            contacts=contacts,
             q=np.array([plan.q[index] for plan in plans]),
         )
 

@@ -6,6 +6,7 @@ Field names carry units and frames; a pose is a position in metres and a quatern
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -15,7 +16,7 @@ from planner.approach.arm_path import ArmPath
 from planner.contacts import ContactModel
 from planner.errors import FileFormatError
 from planner.hands.hand import Hand
-from planner.plan import GraspPlan
+from planner.plan import BestOf, GraspPlan, SolveRecord
 from planner.regions import Region, TouchRegion
 from planner.schema import StrictData
 from planner.spatial import SE3, pose_from_wxyz, pose_to_wxyz
@@ -242,6 +243,15 @@ class ContactData(StrictData):
     torque_normal_N_m: Finite
 
 
+class BestData(StrictData):
+    """Of how many plans it is the best, and by what; none in the first plan found."""
+
+    found: int
+    metric: str
+    value: Finite
+    improving: bool
+
+
 class RecordData(StrictData):
     """Where the plan comes from."""
 
@@ -253,13 +263,26 @@ class RecordData(StrictData):
     cpu_s: Finite
     build_s: Finite
     objective: str = "epsilon"
+    best: BestData | None = None
+
+    @classmethod
+    def of(cls, record: SolveRecord) -> RecordData:
+        """From a plan's record."""
+        names = [name for name in cls.model_fields if name != "best"]
+        best = None if record.best is None else BestData(**asdict(record.best))
+        return cls(**{name: getattr(record, name) for name in names}, best=best)
+
+    def record(self) -> SolveRecord:
+        """The plan's record."""
+        best = None if self.best is None else BestOf(**self.best.model_dump())
+        return SolveRecord(**self.model_dump(exclude={"best"}), best=best)
 
 
 class PlanFile(StrictData):
-    """A grasp plan as JSON."""
+    """A grasp plan as JSON; version 2 where it is the best of several, which version 1 has not."""
 
     format: Literal["opposable-plan"] = "opposable-plan"
-    version: Literal[1] = 1
+    version: Literal[1, 2] = 1
     written_by: str
     task: TaskData
     grasp: GraspData

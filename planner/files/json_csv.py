@@ -6,7 +6,7 @@ import csv
 import io
 import json
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 from pydantic import ValidationError
@@ -79,24 +79,25 @@ def checked_file(schema: type[FileT], data: dict[str, Any], source: str) -> File
     """Plain data as the file of a schema.
 
     Args:
-        schema: With fields ``format`` ("opposable-KIND") and ``version``, whose defaults are what
-            is read.
+        schema: With fields ``format`` ("opposable-KIND"), whose default is what is read, and
+            ``version``, a ``Literal`` of those that are.
         data: What the file holds.
         source: What errors call it, as its path.
 
     Raises:
         FileFormatError: Another format or version, or damaged.
     """
-    wanted = {name: schema.model_fields[name].default for name in ("format", "version")}
-    kind = str(wanted["format"]).removeprefix("opposable-")
-    if data.get("format") != wanted["format"]:
+    wanted = str(schema.model_fields["format"].default)
+    versions = get_args(schema.model_fields["version"].annotation)
+    kind = wanted.removeprefix("opposable-")
+    if data.get("format") != wanted:
         raise FileFormatError(
             f"{source} is not a {kind} file: its format is {data.get('format')!r}"
         )
-    if data.get("version") != wanted["version"]:
+    if data.get("version") not in versions:
         raise FileFormatError(
             f"{source} has {kind} version {data.get('version')!r}; this Opposable reads version "
-            f"{wanted['version']}; plan again"
+            f"{' or '.join(map(str, versions))}; plan again"
         )
     try:
         return schema.model_validate(data)

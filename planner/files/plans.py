@@ -31,7 +31,7 @@ from planner.files.json_csv import checked_file, read_json, write_json
 from planner.files.tasks import task_data, task_from_data
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
-from planner.plan import GraspPlan, SolveRecord
+from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from planner.verification.grasp import verify_grasp
 from planner.version import written_by
@@ -54,7 +54,9 @@ recomputed from the stored joints: what rounding leaves after a quadratic progra
 def plan_to_dict(plan: GraspPlan) -> dict[str, Any]:
     """A plan as plain data that follows ``PlanFile``."""
     hand = plan.task.hand
+    is_best = plan.record.best is not None
     data = PlanFile(
+        version=2 if is_best else 1,
         written_by=written_by(),
         task=task_data(plan.task),
         grasp=GraspData(
@@ -74,9 +76,9 @@ def plan_to_dict(plan: GraspPlan) -> dict[str, Any]:
         smallest_clearances_m={
             f"{c.first} - {c.second}": c.distance for c in plan.verification.closest
         },
-        record=RecordData(**{k: getattr(plan.record, k) for k in RecordData.model_fields}),
+        record=RecordData.of(plan.record),
     )
-    return data.model_dump(mode="json")
+    return data.model_dump(mode="json", exclude=None if is_best else {"record": {"best"}})
 
 
 def contact_data(contacts: ContactSet) -> list[ContactData]:
@@ -162,7 +164,7 @@ def _rebuild(file: PlanFile, hand: Hand, source: str) -> GraspPlan:
         task,
         grasp.T_world_base.pose(),
         hand.checked_q(grasp.q_rad, "q_rad"),
-        record=SolveRecord(**file.record.model_dump()),
+        record=file.record.record(),
         approach=approach,
     )
     if isinstance(plan, Failure):

@@ -36,7 +36,7 @@ from planner.synthesis.terms.resistance import N_DIRECTIONS
 from planner.system.stage_times import stage
 from planner.task import GraspTask
 
-__all__ = ["NEARLY", "optimize_grasp"]
+__all__ = ["GAIN", "MEND_ITERATIONS", "NEARLY", "GraspRun", "optimize_grasp"]
 
 TURN_SCALE, SHIFT_SCALE, JOINT_SCALE, POINT_SCALE, FORCE_SCALE = 0.3, 0.02, 0.3, 0.01, 0.5
 """Steps that count as alike in least squares: Rodrigues parameters (-), base (m), joints (rad or
@@ -84,7 +84,7 @@ def optimize_grasp(
     """
     rounds = options.rounds if options.weights else 0
     begin = time.process_time()
-    run = _Run(problem, task, start, parameters)
+    run = GraspRun(problem, task, start, parameters)
     run.solve(MAX_ITERATIONS)
     status = run.end.status
     if run.end.worst <= NEARLY:
@@ -96,24 +96,31 @@ def optimize_grasp(
                 run.refresh_link_distances(world, options)
             run.solve(ROUND_ITERATIONS, damping)
             damping = run.end.damping  # the trust region carries over
-        run.residuals.set_directions(np.zeros((0, 6)))
-        run.residuals.set_objectives(np.zeros(0))
+        run.drop_objectives()
         near = run.refresh_link_distances(world, options)
         if near or (rounds and run.end.worst > SOLVED):
             run.solve(MEND_ITERATIONS, slow=np.inf)
-    violation = run.residuals.violations()
-    return problem.candidate(start, run.x, violation, status, run.iterations, begin)
+    return run.candidate(status, begin)
 
 
-class _Run:
-    """The state of one optimisation: unknowns, their bounds and the residuals."""
+class GraspRun:
+    """The state of one optimisation: unknowns, their bounds and the residuals.
+
+    Attributes:
+        start: Where it began.
+        residuals: A clone of the problem's, with its own parameters and directions.
+        x: The unknowns.
+        end: How the last ``solve`` ended.
+        iterations: Evaluations so far.
+    """
 
     def __init__(
         self, problem: GraspProblem, task: GraspTask, start: Start, parameters: FloatArray
     ) -> None:
+        """Begin at a start; arguments are those of ``optimize_grasp``."""
         field = problem.surface.field_of(task.object.shape)
         self.residuals = problem.least_squares(parameters, field)
-        self._problem, self._task, self._start = problem, task, start
+        self._problem, self._task, self.start = problem, task, start
         self._unknowns = problem.formulation.unknowns
         self._lower, self._upper = problem.bounds(start)
         n = len(problem.fingers)
@@ -128,6 +135,7 @@ class _Run:
         self.x = problem.first(start)
         self.end: LMResult
         self.iterations = 0
+        self._faces: tuple[FloatArray, FloatArray] | None = None
 
     def solve(self, budget: int, damping: float | None = None, slow: float = SLOW) -> None:
         """Move on by at most ``budget`` evaluations."""
@@ -150,7 +158,7 @@ class _Run:
         if world is None:
             return False
         with stage("links"):
-            pose = self._problem.base_pose(self._start, self.x)
+            pose = self._problem.base_pose(self.start, self.x)
             near = find_link_distances(
                 world,
                 self._unknowns,
@@ -162,18 +170,48 @@ class _Run:
         self.residuals.keep_apart(near)
         return near is not None and near.urgent
 
-    def update_objectives(self, options: SynthesisOptions) -> None:
-        """Linearise the objectives at the present grasp."""
+    def set_parameters(self, parameters: FloatArray) -> None:
+        """Other parameters from now on; directions, objectives and distances are dropped."""
+        shape = self._task.object.shape
+        self.residuals.set_parameters(parameters, self._problem.surface.field_of(shape))
+
+    def drop_objectives(self) -> None:
+        """Work on the terms alone from now on."""
+        self.residuals.set_directions(np.zeros((0, 6)))
+        self.residuals.set_objectives(np.zeros(0))
+
+    def contacts(self) -> tuple[FloatArray, FloatArray]:
+        """Contacts (n, 3) and outward normals (n, 3) at x, object frame."""
+        return _contacts(self._task.object.shape, self._unknowns.points(self.x))
+
+    def wrench_faces(self) -> FloatArray:
+        """Faces (k, 7) of the hull of wrenches at x, the nearest first (``quality.weakest``)."""
+        if self._faces is None or self._faces[0] is not self.x:
+            points, outward = self.contacts()
+            length = self._task.object.shape.bounding_radius
+            self._faces = self.x, wrench_faces(points, -outward, self._task.mu, length)
+        return self._faces[1]
+
+    @property
+    def least_resistance(self) -> float:
+        """Epsilon at x with coarse pyramids (-)."""
+        faces = self.wrench_faces()
+        return max(-float(faces[0, 6]), 0.0) if len(faces) else 0.0
+
+    def update_objectives(self, options: SynthesisOptions, gain: float = GAIN) -> None:
+        """Linearise the objectives at the present grasp.
+
+        Args:
+            options: Objectives and their weights.
+            gain: Target of epsilon over the least resistance (-).
+        """
         problem, task, weights = self._problem, self._task, options.weights
-        shape = task.object.shape
-        points, outward = _contacts(shape, self._unknowns.points(self.x))
         if EPSILON in weights:
-            length = shape.bounding_radius
-            faces = wrench_faces(points, -outward, task.mu, length)[:N_DIRECTIONS]
-            least = max(-float(faces[0, 6]), 0.0) if len(faces) else 0.0
+            faces = self.wrench_faces()[:N_DIRECTIONS]
             found = np.sqrt(weights[EPSILON]) * faces[:, :6]
-            self.residuals.set_directions(found, least + GAIN)
+            self.residuals.set_directions(found, self.least_resistance + gain)
         if problem.objectives:
+            points, outward = self.contacts()
             point = GraspPoint(
                 task=task,
                 q=self._unknowns.q(self.x),
@@ -182,6 +220,13 @@ class _Run:
                 wrenches=resisted_wrenches(task, options.task_wrenches),
             )
             self.residuals.set_objectives(objective_parameters(problem.objectives, weights, point))
+
+    def candidate(self, status: str, begin: float) -> Candidate:
+        """The result at x, where the residuals were called last; CPU time counts from ``begin``."""
+        violation = self.residuals.violations()
+        return self._problem.candidate(
+            self.start, self.x, violation, status, self.iterations, begin
+        )
 
 
 def _contacts(shape: Shape, points: FloatArray) -> tuple[FloatArray, FloatArray]:

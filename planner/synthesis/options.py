@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
@@ -17,7 +17,7 @@ from planner.synthesis.terms.registry import TERMS, checked_terms
 from planner.synthesis.terms.term import Term
 from planner.tolerances import SYNTHESIS_SHARE
 
-__all__ = ["NO_OBJECTIVE", "OPTION_NAMES", "ProblemForm", "SynthesisOptions"]
+__all__ = ["NO_OBJECTIVE", "OPTION_NAMES", "ProblemForm", "SynthesisOptions", "named_weights"]
 
 NO_OBJECTIVE = "none"
 """Name for no objective at all: the first grasp that is reached."""
@@ -125,7 +125,7 @@ OPTION_NAMES = tuple(
 
 
 def _checked_weights(objective: str | Mapping[str, float]) -> dict[str, float]:
-    """Weights by name in the registry's order.
+    """Weights by name in the registry's order; none for "none".
 
     Raises:
         NotFoundError: An objective that does not exist.
@@ -133,22 +133,42 @@ def _checked_weights(objective: str | Mapping[str, float]) -> dict[str, float]:
     """
     if objective == NO_OBJECTIVE:
         return {}
-    pairs = _pairs(objective) if isinstance(objective, str) else list(objective.items())
-    given = dict(pairs)
+    hint = f"{NO_OBJECTIVE!r} alone stands for no objective."
+    return named_weights(objective, OBJECTIVES, what="objective", hint=hint)
+
+
+def named_weights(
+    given: str | Mapping[str, float], names: Collection[str], *, what: str, hint: str = ""
+) -> dict[str, float]:
+    """Weights by name, in the order of the names that there are.
+
+    Args:
+        given: "epsilon", "epsilon:1,torque:0.5", or a mapping.
+        names: The names that there are.
+        what: What errors call one of them.
+        hint: What the error of an unknown name adds.
+
+    Raises:
+        NotFoundError: A name that does not exist.
+        TaskError: None at all, a name twice, or a weight that is not a number > 0.
+    """
+    if not isinstance(given, str | Mapping) or not given:
+        raise TaskError(f"{what} is {given!r}; give a name, or a mapping of names to weights > 0")
+    pairs = _pairs(given, what) if isinstance(given, str) else list(given.items())
     for name, weight in pairs:
-        if name not in OBJECTIVES:
-            hint = f"{NO_OBJECTIVE!r} alone stands for no objective."
-            raise NotFoundError("objective", str(name), OBJECTIVES, hint)
+        if name not in names:
+            raise NotFoundError(what, str(name), names, hint)
         if isinstance(weight, bool) or not isinstance(weight, int | float):
             raise TaskError(f"the weight of {name!r} is {weight!r}; give a number > 0")
         if not (np.isfinite(weight) and weight > 0):
             raise TaskError(f"the weight of {name!r} is {weight}; give a finite number > 0")
-    if len(given) < len(pairs):
-        raise TaskError(f"objective {objective!r} names one twice; give each name once")
-    return {name: float(given[name]) for name in OBJECTIVES if name in given}
+    weights = dict(pairs)
+    if len(weights) < len(pairs):
+        raise TaskError(f"{what} {given!r} names one twice; give each name once")
+    return {name: float(weights[name]) for name in names if name in weights}
 
 
-def _pairs(text: str) -> list[tuple[str, float]]:
+def _pairs(text: str, what: str) -> list[tuple[str, float]]:
     """Names and weights out of "epsilon:1,torque:0.5"; no weight is 1."""
     pairs = []
     for part in text.split(","):
@@ -157,7 +177,7 @@ def _pairs(text: str) -> list[tuple[str, float]]:
             pairs.append((name, float(weight) if colon else 1.0))
         except ValueError as error:
             raise TaskError(
-                f"the weight of objective {name!r} is {weight!r}; write NAME:WEIGHT with a number "
+                f"the weight of {what} {name!r} is {weight!r}; write NAME:WEIGHT with a number "
                 "> 0, for example torque:0.5"
             ) from error
     return pairs

@@ -72,6 +72,7 @@ def batch(
     from planner.exchange.dexgraspbench import export_dexgraspbench
     from planner.files import write_json
     from planner.hand_loading import load_hand
+    from planner.search import DEFAULT_MAX_ATTEMPTS
     from sim.cli.batch_report import BatchBar, batch_summary, batch_table
 
     loaded = load_hand(hand)
@@ -87,7 +88,7 @@ def batch(
                 workers=workers,
                 backend=backend,
                 out=folder,
-                max_attempts=request.max_attempts,
+                max_attempts=request.max_attempts or DEFAULT_MAX_ATTEMPTS,
                 max_cpu_s=request.max_cpu_s,
                 options=options,
                 progress=bar.show,

@@ -8,7 +8,7 @@ import os
 import shlex
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -242,26 +242,43 @@ def errors_for_people() -> Iterator[None]:
         raise typer.Exit(EXIT_INTERRUPTED) from error
 
 
+class CtrlC:
+    """Whether Ctrl-C was pressed; a call raises the KeyboardInterrupt that got lost, if one did."""
+
+    def __init__(self) -> None:
+        """Not yet."""
+        self.pressed = False
+
+    def __call__(self) -> None:
+        """Raise if it was pressed.
+
+        Raises:
+            KeyboardInterrupt: It was.
+        """
+        if self.pressed:
+            raise KeyboardInterrupt
+
+
 @contextmanager
-def heeding_ctrl_c() -> Iterator[Callable[[], None]]:
-    """Give a function that raises the KeyboardInterrupt that got lost, if one did.
+def heeding_ctrl_c(*, at_once: bool = True) -> Iterator[CtrlC]:
+    """Note Ctrl-C, and raise the KeyboardInterrupt that got lost, if one did.
 
     CasADi makes a failed attempt out of a Ctrl-C while it solves, and planning would go on.
     SIGTERM, by which a system ends what runs too long, counts as Ctrl-C meanwhile.
+
+    Args:
+        at_once: Whether the first Ctrl-C raises; else it is only noted, and the second one raises.
     """
-    pressed: list[bool] = []
+    noted = CtrlC()
 
     def remember(*_: object) -> None:
-        pressed.append(True)
-        raise KeyboardInterrupt
-
-    def check() -> None:
-        if pressed:
+        again, noted.pressed = noted.pressed, True
+        if at_once or again:
             raise KeyboardInterrupt
 
     handlers = {s: signal.signal(s, remember) for s in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield check
+        yield noted
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)

@@ -10,6 +10,7 @@ import typer
 from rich.markup import escape
 
 from sim.cli.common import (
+    SEARCH_PANEL,
     ArrowsOption,
     HandArgument,
     JsonOption,
@@ -25,7 +26,8 @@ from sim.cli.common import (
     say,
     told_command,
 )
-from sim.cli.options import PlanOptions, TrialOptions, with_options
+from sim.cli.options import BestOptions, TrialOptions, with_options
+from sim.cli.several import numbered, plans_table
 
 LONGEST_NAME = 60
 """Characters of an object in a folder's name."""
@@ -47,7 +49,7 @@ def run(
         Path | None, typer.Option("--out", help="Folder for plan, report, its page and picture.")
     ] = None,
     *,
-    request: PlanOptions,
+    request: BestOptions,
     trial: TrialOptions,
     as_json: JsonOption = False,
 ) -> None:
@@ -91,19 +93,50 @@ def run(
 def plan(
     hand: HandArgument,
     object: ObjectArgument,
-    output: Annotated[Path, typer.Option("--out", "-o", help="The plan file.")] = Path("plan.json"),
+    output: Annotated[
+        Path, typer.Option("--out", "-o", help="The plan file; of several, NAME-1.json and so on.")
+    ] = Path("plan.json"),
     picture: PictureOption = None,
     arrows: ArrowsOption = False,
+    n: Annotated[
+        int,
+        typer.Option(
+            "-n", "--number", min=1, help="Grasps.", metavar="N", rich_help_panel=SEARCH_PANEL
+        ),
+    ] = 1,
+    diverse: Annotated[
+        bool,
+        typer.Option(
+            "--diverse",
+            help="Of more that are found, the N that differ most.",
+            metavar="",
+            rich_help_panel=SEARCH_PANEL,
+        ),
+    ] = False,
     *,
-    request: PlanOptions,
+    request: BestOptions,
     as_json: JsonOption = False,
 ) -> None:
-    """Plan a grasp and write it to a file."""
+    """Plan a grasp, or several, and write it to a file."""
     from planner.files import plan_to_dict, write_plan
     from sim.manipulation.drawing import draw_grasp
 
     check_folder(output)
     check_folder(picture)
+    if n > 1 or diverse:
+        found_several = request.several(hand, object, n, diverse=diverse)
+        files = numbered(output, len(found_several))
+        for plan, file in zip(found_several, files, strict=True):
+            write_plan(plan, file)
+        if picture is not None:
+            drawings = numbered(picture, len(found_several))
+            for plan, drawing in zip(found_several, drawings, strict=True):
+                draw_grasp(plan, drawing, arrows=arrows)
+        if as_json:
+            print_json({"plans": [plan_to_dict(plan) for plan in found_several]})
+        else:
+            out.print(plans_table(found_several, files))
+        return
     found = request.plan(hand, object)
     write_plan(found, output)
     drawn = "" if picture is None else draw_grasp(found, picture, arrows=arrows)

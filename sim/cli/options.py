@@ -33,6 +33,7 @@ from sim.cli.common import (
     heeding_ctrl_c,
     numbers,
     physics_of,
+    say,
 )
 from sim.cli.task_options import TaskOptions
 
@@ -40,10 +41,9 @@ if TYPE_CHECKING:
     from planner.plan import GraspPlan
     from planner.search import Attempt
     from planner.synthesis.options import SynthesisOptions
-    from planner.task import GraspTask
     from sim.report import TrialReport
 
-__all__ = ["PlanOptions", "TrialOptions", "with_options"]
+__all__ = ["BestOptions", "PlanOptions", "TrialOptions", "with_options"]
 
 Command = TypeVar("Command", bound=Callable[..., None])
 
@@ -51,6 +51,15 @@ AttemptsOption = Annotated[
     int,
     typer.Option(
         min=1, help="Attempts before giving up.", metavar="N", rich_help_panel=SEARCH_PANEL
+    ),
+]
+GraspAttemptsOption = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        help="Attempts before giving up; 100 if not given.",
+        metavar="N",
+        rich_help_panel=SEARCH_PANEL,
     ),
 ]
 ObjectiveOption = Annotated[
@@ -130,7 +139,7 @@ class PlanOptions(TaskOptions):
     """What ``run``, ``plan`` and ``batch`` are asked for: the same options make the same task."""
 
     seed: SeedOption = 0
-    max_attempts: AttemptsOption = 100
+    max_attempts: GraspAttemptsOption = None
     max_cpu_s: Annotated[
         float | None,
         typer.Option(
@@ -163,28 +172,77 @@ class PlanOptions(TaskOptions):
         )
         return options if self.rounds is None else replace(options, rounds=self.rounds)
 
+
+@dataclass(frozen=True, kw_only=True)
+class BestOptions(PlanOptions):
+    """What ``run`` and ``plan`` are asked for beside that: which of several grasps."""
+
+    best_of: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Grasps to find, of which the best is taken.",
+            metavar="N",
+            rich_help_panel=SEARCH_PANEL,
+        ),
+    ] = None
+    keep: Annotated[
+        str,
+        typer.Option(
+            help="first, or best: the best within --max-attempts or --max-cpu-s.",
+            metavar="NAME",
+            rich_help_panel=SEARCH_PANEL,
+        ),
+    ] = "first"
+    metric: Annotated[
+        str | None,
+        typer.Option(
+            help="By what the best is chosen, as --objective; that one if not given.",
+            metavar="NAMES",
+            rich_help_panel=SEARCH_PANEL,
+        ),
+    ] = None
+
     def plan(self, hand: str, object: str) -> GraspPlan:
-        """Plan with a spinner that counts attempts on stderr.
+        """Plan with a spinner that counts attempts, and tells the best value, on stderr.
 
         Raises:
             PlannerError: Bad input; a file of ours in place of the object is told what takes it.
             NoGraspFoundError: No attempt found a grasp.
+            KeyboardInterrupt: Ctrl-C before anything was found; later it ends a search for the best
+                with what it has.
         """
         from planner.errors import NoGraspFoundError
+        from planner.search import plan_grasp
         from sim.cli.low_objects import advice_for_low, said_of_low
 
         _refuse_our_file(object)
         options, task = self.synthesis(), self.task(hand, object)
+        compares = self.best_of is not None or self.keep != "first"
         title = f"planning: {task.hand.name}, {task.object.name} ..."
-        with heeding_ctrl_c() as check, err.status(title) as status:
+        with heeding_ctrl_c(at_once=not compares) as check, err.status(title) as status:
 
-            def show(attempt: Attempt[GraspPlan]) -> None:
-                check()
+            def show(attempt: Attempt[GraspPlan]) -> bool:
                 outcome = escape(str(attempt.failure or "found")[:70])
-                status.update(f"planning: attempt {attempt.index + 1}: {outcome}")
+                best = "" if attempt.best is None or not compares else f", best {attempt.best:.4g}"
+                status.update(f"planning: attempt {attempt.index + 1}{best}: {outcome}")
+                if check.pressed and compares and attempt.best is not None:
+                    return True
+                check()
+                return False
 
             try:
-                return self._search(task, options, show)
+                plan = plan_grasp(
+                    task,
+                    seed=self.seed,
+                    max_attempts=self.max_attempts,
+                    max_cpu_s=self.max_cpu_s,
+                    best_of=self.best_of,
+                    keep=self.keep,
+                    metric=self.metric,
+                    options=options,
+                    progress=show,
+                )
             except NoGraspFoundError as error:
                 standing = None if self.at is not None and self.at.count(",") > 1 else self.pose
                 if self.stand or standing is None:
@@ -201,23 +259,55 @@ class PlanOptions(TaskOptions):
                 if advice is None:
                     raise
                 raise said_of_low(error, task, advice) from error
+        best = plan.record.best
+        if check.pressed and best is not None:
+            say(
+                err,
+                f"interrupted: the best of {best.found} found in {plan.record.attempts} attempts "
+                "is kept",
+            )
+        return plan
 
-    def _search(
-        self,
-        task: GraspTask,
-        options: SynthesisOptions,
-        progress: Callable[[Attempt[GraspPlan]], None],
-    ) -> GraspPlan:
-        from planner.search import plan_grasp
+    def several(self, hand: str, object: str, n: int, *, diverse: bool) -> list[GraspPlan]:
+        """Plan several grasps, with a spinner; Ctrl-C ends it with what was found.
 
-        return plan_grasp(
-            task,
-            seed=self.seed,
-            max_attempts=self.max_attempts,
-            max_cpu_s=self.max_cpu_s,
-            options=options,
-            progress=progress,
-        )
+        Raises:
+            PlannerError: Bad input, or options of a single grasp.
+            NoGraspFoundError: No attempt found a grasp.
+            KeyboardInterrupt: Ctrl-C before anything was found.
+        """
+        from planner.batch import plan_several
+        from planner.errors import TaskError
+
+        _refuse_our_file(object)
+        if self.best_of is not None or self.keep != "first":
+            raise TaskError(
+                f"--best-of and --keep choose one grasp, and {n} are asked for; leave one out"
+            )
+        options, task = self.synthesis(), self.task(hand, object)
+        title = f"planning: {task.hand.name}, {task.object.name} ..."
+        found = 0
+        with heeding_ctrl_c(at_once=False) as check, err.status(title) as status:
+
+            def show(attempt: Attempt[GraspPlan]) -> bool:
+                nonlocal found
+                found += attempt.plan is not None
+                if check.pressed and not found:
+                    check()
+                status.update(f"planning: attempt {attempt.index + 1}: {found} found")
+                return check.pressed
+
+            return plan_several(
+                task,
+                n,
+                diverse=diverse,
+                seed=self.seed,
+                max_attempts=self.max_attempts,
+                max_cpu_s=self.max_cpu_s,
+                metric=self.metric,
+                options=options,
+                progress=show,
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

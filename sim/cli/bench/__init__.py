@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from sim.cli.bench import control, dexgraspbench, grasps, pages, synthesis, turns, zoo
+from sim.cli.bench import best, control, dexgraspbench, grasps, pages, synthesis, turns, zoo
 
 __all__ = ["register"]
 
@@ -16,6 +16,7 @@ def register(app: typer.Typer, panel: str) -> None:
         grasps.grasps,
         synthesis.synthesis,
         synthesis.objectives,
+        best.best,
         grasps.metrics,
         synthesis.scaling,
         control.forces,
