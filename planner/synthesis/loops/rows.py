@@ -30,6 +30,7 @@ from planner.synthesis.loops.tables import (
     Surroundings,
     Written,
 )
+from planner.synthesis.resistance import TIE
 from planner.synthesis.terms.clearance import FASTEST, FINGERS, OBJECT, OBSTACLE, TABLE
 from planner.synthesis.terms.link_distance import LINKS, ROUNDING
 from planner.synthesis.terms.resistance import RESISTANCE_WEIGHT
@@ -326,20 +327,23 @@ def resistance_rows(
     """Append the directions of wrench in which resistance falls short of its target."""
     g, t, z, w, slope = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     normals, slopes = np.empty(contacts.normals_at.shape), np.empty(contacts.slopes_at.shape)
+    resisted = np.empty(len(normals))
     gather(work, contacts.normals_at.ravel(), normals.ravel())
     gather(work, contacts.slopes_at.ravel(), slopes.ravel())
     points = x[contacts.first : contacts.first + 3 * len(normals)].reshape(-1, 3)
     for k in range(len(directions)):
         u = directions[k]
-        best, highest = -1, -math.inf
+        highest = -math.inf
         for i in range(len(normals)):
             pressed, across = part(u, points[i], normals[i], length, g, t)
-            if pressed + mu * across > highest:
-                best, highest = i, pressed + mu * across
-        size = 0.0
+            resisted[i] = pressed + mu * across
+            highest = max(highest, resisted[i])
+        best, size = 0, 0.0
+        while resisted[best] < highest - TIE:
+            best += 1
         for i in range(6):
             size += u[i] * u[i]
-        value = highest - target * math.sqrt(size)
+        value = resisted[best] - target * math.sqrt(size)
         if value < 0.0:
             normal = normals[best]
             pressed, across = part(u, points[best], normal, length, g, t)
