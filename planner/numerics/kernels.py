@@ -82,10 +82,11 @@ def compile_loops(loops: Callable[P, R]) -> Callable[P, R]:
 def _compile(loops: Any, *, called: bool) -> Any:
     """Compiled loops; those that others call can be called from Python only slowly, if at all."""
     numba: Any = importlib.import_module("numba")
-    calls = {
-        name: value.loops for name, value in _taken(loops).items() if hasattr(value, "loops")
+    calls = {name: value.loops for name, value in _taken(loops).items() if hasattr(value, "loops")}
+    globals_ = {
+        **loops.__globals__,
+        **{name: _compile(one, called=True) for name, one in calls.items()},
     }
-    globals_ = {**loops.__globals__, **{name: _compile(one, called=True) for name, one in calls.items()}}
     copy = FunctionType(loops.__code__, globals_, loops.__name__, loops.__defaults__)
     copy.__qualname__ = f"{loops.__qualname__}_{_digest(loops)[:12]}"
     options = {"fastmath": False, "error_model": "numpy", "no_cfunc_wrapper": True}
