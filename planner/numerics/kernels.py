@@ -81,20 +81,23 @@ def compile_loops(loops: Callable[P, R]) -> Callable[P, R]:
     numba notices a change of the module that it compiles. The name under which the machine code is
     kept changes with whatever the loops call or take from other modules.
     """
-    compiled: Callable[P, R] = _compile(loops)
+    compiled: Callable[P, R] = _compile(loops, called=False)
     return compiled
 
 
 @lru_cache(maxsize=256)
-def _compile(loops: Any) -> Any:
+def _compile(loops: Any, *, called: bool) -> Any:
+    """Compiled loops; those that others call can be called from Python only slowly, if at all."""
     numba: Any = importlib.import_module("numba")
-    called = {
-        name: value.loops for name, value in _taken(loops).items() if hasattr(value, "loops")
+    calls = {name: value.loops for name, value in _taken(loops).items() if hasattr(value, "loops")}
+    globals_ = {
+        **loops.__globals__,
+        **{name: _compile(one, called=True) for name, one in calls.items()},
     }
-    globals_ = {**loops.__globals__, **{name: _compile(one) for name, one in called.items()}}
     copy = FunctionType(loops.__code__, globals_, loops.__name__, loops.__defaults__)
     copy.__qualname__ = f"{loops.__qualname__}_{_digest(loops)[:12]}"
-    return numba.njit(cache=True, fastmath=False, error_model="numpy")(copy)
+    options = {"fastmath": False, "error_model": "numpy", "no_cfunc_wrapper": True}
+    return numba.njit(cache=not called, no_cpython_wrapper=called, **options)(copy)
 
 
 def _digest(loops: Any) -> str:

@@ -214,7 +214,7 @@ def run_tape_on_lanes(program: Program, work: FloatArray) -> None:
 
 
 @loops_of_kernels
-def compute(kind: int, a: float, b: float) -> float:  # noqa: C901, PLR0911, PLR0912
+def compute(kind: int, a: float, b: float) -> float:
     """What an instruction of a kind, by its place in ``_KINDS``, makes of its operands."""
     if kind == 0:
         return a + b

@@ -247,8 +247,8 @@ class Residuals:
         out = dict.fromkeys(self.required, 0.0)
         for value, row in zip(values[: self.n_required].tolist(), self.rows, strict=False):
             term = row.term
-            value = value / term.weight + term.margin
-            out[term.name] = max(out[term.name], -value if term.role.one_sided else abs(value))
+            short = -(value / term.weight + term.margin)
+            out[term.name] = max(out[term.name], short if term.role.one_sided else abs(short))
         return out
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from planner.spatial import FloatArray, IntArray
 from planner.synthesis.contact_wrenches import TINY
 
-__all__ = ["least_resisted", "missing_resistance"]
+__all__ = ["TIE", "least_resisted", "missing_resistance"]
 
 
 def missing_resistance(
@@ -50,7 +50,7 @@ def missing_resistance(
     t = g + pressed[:, :, None] * outward[:, None, :]
     across = np.sqrt(np.einsum("nmi,nmi->nm", t, t) + TINY)
     resisted = pressed + mu * across
-    best = resisted.argmax(axis=0)
+    best = (resisted >= resisted.max(axis=0) - TIE).argmax(axis=0)
     every = np.arange(len(directions))
     values = resisted[best, every] - target * np.sqrt(np.einsum("mi,mi->m", directions, directions))
     short = np.flatnonzero(values < 0.0)
@@ -104,5 +104,9 @@ def _turning(p: FloatArray) -> FloatArray:
     out[:, AFTER, NEXT] = p[:, AXIS]
     return out
 
+
+TIE = 1e-9
+"""Contacts whose resistance differs by less than this (-) resist alike, and the first counts: faces
+of a box give exact ties, which rounding must not decide."""
 
 AXIS, NEXT, AFTER = np.arange(3), np.array([1, 2, 0]), np.array([2, 0, 1])

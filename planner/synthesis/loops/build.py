@@ -9,9 +9,18 @@ import numpy as np
 
 from planner.hands.hand import Hand
 from planner.numerics.tape import Tape, tape_of
-from planner.spatial import FloatArray, IntArray
+from planner.spatial import IntArray
 from planner.synthesis.link_capsules import finger_capsules
-from planner.synthesis.loops.tables import ProblemTables
+from planner.synthesis.link_spheres import LinkSphere
+from planner.synthesis.loops.tables import (
+    Capsules,
+    Clearance,
+    Contacts,
+    Joints,
+    Points,
+    ProblemTables,
+    Written,
+)
 from planner.synthesis.residuals import Residuals
 from planner.synthesis.terms.clearance import box_clearance_of, clearance_of
 
@@ -54,58 +63,49 @@ def loop_problem(residuals: Residuals) -> LoopProblem | None:
         contacts["normal_jacobians"],
     ]
     dense = [r if r is jacobian else ca.densify(r) for r in results]
-    tapes = (
-        tape_of(ca.Function("residuals", residuals.inputs, dense)),
-        tape_of(clearance_of(lambda _, p: p[0] if g.surface.field else g.surface.clearance(_, p))),
-        tape_of(box_clearance_of()),
-    )
-    tape, clearance, box = tapes
+    on_mesh = g.surface.field is not None
+    tape = tape_of(ca.Function("residuals", residuals.inputs, dense))
+    box = tape_of(box_clearance_of())
+    clearance = box if on_mesh else tape_of(clearance_of(g.surface.clearance))
     if tape is None or clearance is None or box is None:
         return None
     values, entries, twists, rotation, joints, normals, slopes = tape.results
     row, column = (np.array(v, dtype=np.int64) for v in jacobian.sparsity().get_triplet())
     by_rows = np.lexsort((column, row))
-    chains, chain_ends, carried = _chains(hand)
     capsules, n = finger_capsules(hand), len(g.fingers)
-    spheres, hull = clearances.spheres, clearances.hull
     tables = ProblemTables(
         program=tape.program,
-        taylor_begin=tape.arguments[2] if g.surface.field else -1,
-        values_at=values,
-        entries_at=entries[by_rows],
-        entry_columns=column[by_rows],
-        entry_ends=np.cumsum(np.bincount(row, minlength=len(values))),
-        both=residuals.both,
-        n_required=residuals.n_required,
-        twists_at=twists.reshape(-1, 6),
-        rotation_at=rotation,
-        joints_at=joints.reshape(-1, 12),
-        normals_at=normals.reshape(n, 3),
-        slopes_at=slopes.reshape(n, 3, 3),
-        point_begin=residuals.formulation.unknowns.point_columns.start,
-        chains=chains,
-        chain_ends=chain_ends,
-        carried=carried,
-        sphere_joint=_numbers([b.joint_id for b in spheres]),
-        sphere_point=_points([b.center for b in spheres]),
-        hull_joint=_numbers([b.joint_id for b in hull]),
-        hull_point=_points([b.center for b in hull]),
-        capsule_joint=_numbers([c.joint_id for c in capsules]),
-        capsule_inner=_points([c.inner for c in capsules]),
-        capsule_outer=_points([c.outer for c in capsules]),
-        pairs=clearances.pairs,
-        clearance=clearance.program,
-        clearance_at=np.concatenate(clearance.results),
-        clearance_point=clearance.arguments[1],
-        box=box.program,
-        box_at=np.concatenate(box.results),
-        box_point=box.arguments[1],
+        written=Written(
+            values_at=values,
+            entries_at=entries[by_rows],
+            entry_columns=column[by_rows],
+            entry_ends=np.cumsum(np.bincount(row, minlength=len(values))),
+            both=residuals.both,
+            n_required=residuals.n_required,
+        ),
+        joints=_joints(hand, twists.reshape(-1, 6), rotation, joints.reshape(-1, 12)),
+        contacts=Contacts(
+            normals_at=normals.reshape(n, 3),
+            slopes_at=slopes.reshape(n, 3, 3),
+            first=residuals.formulation.unknowns.point_columns.start,
+            taylor=tape.arguments[2] if on_mesh else -1,
+        ),
+        spheres=_points(clearances.spheres),
+        hull=_points(clearances.hull),
+        capsules=Capsules(
+            joint=np.array([c.joint_id for c in capsules], dtype=np.int64),
+            inner=np.array([c.inner for c in capsules]).reshape(-1, 3),
+            outer=np.array([c.outer for c in capsules]).reshape(-1, 3),
+            pairs=clearances.pairs,
+        ),
+        object=_clearance(clearance),
+        obstacle=_clearance(box),
     )
     return LoopProblem(residuals=residuals, tables=tables, tape=tape, clearance=clearance, box=box)
 
 
-def _chains(hand: Hand) -> tuple[IntArray, IntArray, FloatArray]:
-    """Joints that move what is fixed to each joint, their ends, and whether s and t move it.
+def _joints(hand: Hand, twists: IntArray, rotation: IntArray, joints: IntArray) -> Joints:
+    """What moves what.
 
     What the arm carries is placed by the unknowns s and t, its other links by its joints.
     """
@@ -114,12 +114,24 @@ def _chains(hand: Hand) -> tuple[IntArray, IntArray, FloatArray]:
     if hand.arm is not None:
         carried = moved[:, hand.arm.chain[-1]].copy()
         moved[np.ix_(carried, hand.arm.chain)] = False
-    return np.nonzero(moved)[1], np.cumsum(moved.sum(axis=1)), carried
+    return Joints(
+        twists_at=twists,
+        rotation_at=rotation,
+        joints_at=joints,
+        chains=np.nonzero(moved)[1],
+        chain_ends=np.append(0, np.cumsum(moved.sum(axis=1))),
+        carried=carried.astype(np.int64),
+    )
 
 
-def _numbers(values: list[int]) -> IntArray:
-    return np.array(values, dtype=np.int64)
+def _points(spheres: tuple[LinkSphere, ...]) -> Points:
+    return Points(
+        joint=np.array([b.joint_id for b in spheres], dtype=np.int64),
+        at=np.array([b.center for b in spheres], dtype=np.float64).reshape(-1, 3),
+    )
 
 
-def _points(values: list[FloatArray]) -> FloatArray:
-    return np.array(values, dtype=np.float64).reshape(-1, 3)
+def _clearance(tape: Tape) -> Clearance:
+    return Clearance(
+        program=tape.program, results=np.concatenate(tape.results), point=tape.arguments[1]
+    )

@@ -22,7 +22,7 @@ from planner.numerics.levenberg_marquardt import (
 )
 from planner.spatial import FloatArray, IntArray
 from planner.synthesis.loops.rows import evaluate
-from planner.synthesis.loops.tables import ProblemTables, RunTables, Sources
+from planner.synthesis.loops.tables import ProblemTables, Rows, RunTables, Sources
 
 __all__ = ["STATUS", "minimise"]
 
@@ -65,73 +65,63 @@ def minimise(
     normal, slope, step = np.empty((n, n)), np.empty(n), np.empty(n)
     damped, held = np.empty((n, n)), np.empty(n, dtype=np.bool_)
     to = x.copy()
-    rows, worst = evaluate(p, run, sources, x)
-    total = sum_of_squares(run, rows)
-    growth, idle, iterations, status = 2.0, 0, 1, 0
-    moved = False  # whether the last evaluation was elsewhere
-    while iterations < max_iterations:
-        if total <= NOTHING:
-            status = 1
+    total, worst, gain, expected = 0.0, 0.0, 0.0, 0.0
+    growth, idle, iterations, status = 2.0, 0, 0, 0
+    back = False  # the last step was refused, and the run ends
+    while True:
+        rows, worst_to = evaluate(p, run, sources, to)
+        if back:
             break
-        normal_equations(run, rows, places, unit, normal, slope)
-        if math.isnan(damping):
-            damping = 0.0
-            for k in range(n):
-                damping = max(damping, FIRST_DAMPING * normal[k, k])
-        for k in range(len(x)):
-            if places[k] >= 0:
-                least[places[k]] = (lower[k] - x[k]) / scale[k]
-                most[places[k]] = (upper[k] - x[k]) / scale[k]
-        accepted, gain, total_to, worst_to = False, 0.0, 0.0, 0.0
-        while iterations < max_iterations and growth <= MOST_GROWTH:
-            bounded_step(normal, slope, damping, least, most, damped, held, step)
-            expected = expected_decrease(normal, slope, step)
+        iterations += 1
+        total_to = 0.0
+        for value in run.rows.values[:rows]:
+            total_to += value * value
+        if iterations > 1:
+            gain = (total - total_to) / expected if expected > 0 else -1.0
+        if iterations == 1 or gain > LEAST_GAIN:
+            x[:] = to
+            if iterations > 1:
+                gained = (total - total_to) / total
+                damping *= max(1 / 3, 1 - (2 * min(gain, 1.0) - 1) ** 3)
+                growth = 2.0
+                idle = idle + 1 if gained < stalled else 0
+                if worst_to < SOLVED and gained < slow:
+                    status = 1
+                elif idle >= patience:
+                    status = 3
+            total, worst = total_to, worst_to
+            if status == 0 and iterations < max_iterations and total <= NOTHING:
+                status = 1
+            if status or iterations >= max_iterations:
+                break
+            normal_equations(run.rows, rows, places, unit, normal, slope)
+            if math.isnan(damping):
+                damping = 0.0
+                for k in range(n):
+                    damping = max(damping, FIRST_DAMPING * normal[k, k])
             for k in range(len(x)):
                 if places[k] >= 0:
-                    reached = x[k] + step[places[k]] * scale[k]
-                    to[k] = min(max(reached, lower[k]), upper[k])
-            rows, worst_to = evaluate(p, run, sources, to)
-            moved = True
-            iterations += 1
-            total_to = sum_of_squares(run, rows)
-            gain = (total - total_to) / expected if expected > 0 else -1.0
-            accepted = gain > LEAST_GAIN
-            if accepted:
-                break
+                    least[places[k]] = (lower[k] - x[k]) / scale[k]
+                    most[places[k]] = (upper[k] - x[k]) / scale[k]
+        else:
             damping, growth = damping * growth, growth * 2.0
-        if not accepted:
-            status = 2
-            break
-        gained = (total - total_to) / total
-        x[:] = to
-        moved = False
-        total, worst = total_to, worst_to
-        damping, growth = damping * max(1 / 3, 1 - (2 * min(gain, 1.0) - 1) ** 3), 2.0
-        idle = idle + 1 if gained < stalled else 0
-        if worst < SOLVED and gained < slow:
-            status = 1
-            break
-        if idle >= patience:
-            status = 3
-            break
-    if moved:
-        evaluate(p, run, sources, x)
+            if iterations >= max_iterations or growth > MOST_GROWTH:
+                status, back = 2, True
+                to[:] = x
+                continue
+        bounded_step(normal, slope, damping, least, most, damped, held, step)
+        expected = expected_decrease(normal, slope, step)
+        for k in range(len(x)):
+            if places[k] >= 0:
+                reached = x[k] + step[places[k]] * scale[k]
+                to[k] = min(max(reached, lower[k]), upper[k])
     return worst, status, iterations, damping
 
 
 @loops_of_kernels
-def sum_of_squares(run: RunTables, rows: int) -> float:
-    """Of so many residuals."""
-    total = 0.0
-    for k in range(rows):
-        total += run.residuals[k] * run.residuals[k]
-    return total
-
-
-@loops_of_kernels
 def normal_equations(
-    run: RunTables,
-    rows: int,
+    rows: Rows,
+    n_rows: int,
     places: IntArray,
     unit: FloatArray,
     normal: FloatArray,
@@ -147,14 +137,14 @@ def normal_equations(
     slope[:] = 0.0
     at, value = np.empty(len(places), dtype=np.int64), np.empty(len(places))
     begin = 0
-    for row in range(rows):
-        r, count = run.residuals[row], 0
-        for k in range(begin, run.row_ends[row]):
-            i = places[run.columns[k]]
+    for row in range(n_rows):
+        r, count = rows.values[row], 0
+        for k in range(begin, rows.ends[row]):
+            i = places[rows.columns[k]]
             if i >= 0:
-                at[count], value[count] = i, run.entries[k] * unit[i]
+                at[count], value[count] = i, rows.entries[k] * unit[i]
                 count += 1
-        begin = run.row_ends[row]
+        begin = rows.ends[row]
         for a in range(count):
             i, v = at[a], value[a]
             slope[i] += r * v

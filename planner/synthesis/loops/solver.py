@@ -14,12 +14,13 @@ import numpy as np
 from planner.numerics.kernels import compile_loops
 from planner.numerics.levenberg_marquardt import PATIENCE, SLOW, STALLED, LMResult
 from planner.shapes.field.distance_field import DistanceField
+from planner.shapes.surface import SIZE_DIM
 from planner.spatial import FloatArray
 from planner.synthesis.field_points import Field
 from planner.synthesis.loops.build import LoopProblem
 from planner.synthesis.loops.field import NO_FIELD, spline_tables
 from planner.synthesis.loops.least_squares import STATUS, minimise
-from planner.synthesis.loops.tables import RunTables, Sources
+from planner.synthesis.loops.tables import Kept, ObjectRoom, Rows, RunTables, Sources, Surroundings
 from planner.synthesis.terms.clearance import FINGERS, OBJECT, OBSTACLE, OBSTACLE_DIM, TABLE
 from planner.synthesis.terms.link_distance import LINKS, LinkDistances
 from planner.synthesis.terms.resistance import N_DIRECTIONS, checked_directions
@@ -27,7 +28,7 @@ from planner.synthesis.terms.resistance import N_DIRECTIONS, checked_directions
 __all__ = ["LoopResiduals"]
 
 SOURCES = OBJECT, TABLE, OBSTACLE, FINGERS, LINKS
-"""The terms of ``RunTables.least``, in its order."""
+"""The terms of ``Rows.least``, in its order."""
 
 LINK_ROWS = 64
 """True distances for which there is room at first."""
@@ -46,7 +47,7 @@ class LoopResiduals:
         """
         self._problem = problem
         self._run = _run_tables(problem, p, field)
-        n = len(self._run.kept_x)
+        n = len(self._run.kept.x)
         self._sources = Sources(
             link_values=np.zeros(0),
             link_rows=np.zeros((0, n)),
@@ -68,11 +69,11 @@ class LoopResiduals:
         new = values if values.size else 0.0
         if np.any(now != new):
             now[:] = new
-            self._run.kept[0] = -1
+            self._run.kept.counts[0] = -1
 
     def keep_apart(self, distances: LinkDistances | None) -> None:
         """See ``Residuals.keep_apart``."""
-        n = len(self._run.kept_x)
+        n = len(self._run.kept.x)
         d = distances
         self._sources = self._sources._replace(
             link_values=np.zeros(0) if d is None else d.values,
@@ -80,7 +81,10 @@ class LoopResiduals:
             link_x=np.zeros(n) if d is None else d.x,
         )
         if d is not None and len(d.values) > LINK_ROWS:
-            self._run = _with_rows(self._run, self._problem, len(d.values))
+            rows = _rows(self._problem, len(self._run.around.lanes), len(d.values))
+            rows.least[:] = self._run.rows.least
+            self._run = self._run._replace(rows=rows)
+            self._run.kept.counts[0] = -1
 
     def minimise(
         self,
@@ -119,74 +123,71 @@ class LoopResiduals:
 
     def violations(self) -> dict[str, float]:
         """See ``Residuals.violations``."""
-        values = self._run.work[self._problem.tables.values_at]
+        values = self._run.work[self._problem.tables.written.values_at]
         out = self._problem.residuals.written_violations(values)
-        for term, least in zip(SOURCES, self._run.least.tolist(), strict=True):
+        for term, least in zip(SOURCES, self._run.rows.least.tolist(), strict=True):
             out[term.name] = max(out[term.name], -least)
         return out
 
 
 def _run_tables(problem: LoopProblem, p: FloatArray, field: Field | None) -> RunTables:
     """The numbers of a task; no rows yet."""
-    t, clearances = problem.tables, problem.residuals.clearances
+    clearances = problem.residuals.clearances
     values = problem.residuals.formulation.unpack(p)
-    if (t.taylor_begin >= 0) != isinstance(field, DistanceField):
-        raise TypeError("these residuals need a distance field, or an expression has none")
-    n_spheres = len(t.sphere_joint)
+    on_mesh = problem.tables.contacts.taylor >= 0
+    if on_mesh != isinstance(field, DistanceField):
+        raise TypeError("these residuals need a distance field, or have no place for one")
+    n = len(clearances.radii)
     work = problem.tape.work.copy()
     work[problem.tape.arguments[1] :][: len(p)] = p
-    lanes = np.repeat(problem.clearance.work[:, None], n_spheres, axis=1)
-    lanes[: len(values["size"])] = values["size"][:, None]
     boxes = values["obstacles"].reshape(-1, OBSTACLE_DIM)
-    box_lanes = np.repeat(problem.box.work[None, :, None], len(boxes), axis=0)
-    box_lanes = np.repeat(box_lanes, n_spheres, axis=2)
+    lanes = np.repeat(problem.clearance.work[:, None], n, axis=1)
+    if not on_mesh:
+        lanes[:SIZE_DIM] = values["size"][:, None]
+    box_lanes = np.tile(problem.box.work[None, :, None], (len(boxes), 1, n))
     box_lanes[:, :OBSTACLE_DIM] = boxes[:, :, None]
     root = values["root"] if len(values["root"]) else np.zeros(12)
-    size = problem.residuals.formulation.unknowns.size
-    nothing = np.zeros(0)
-    return _with_rows(
-        RunTables(
-            work=work,
+    return RunTables(
+        work=work,
+        object=ObjectRoom(
             reach=clearances.reach(values),
-            gaps=clearances.unknown_gaps(),
-            seen=np.full((n_spheres, 3), np.inf),
+            known=clearances.unknown_gaps(),
+            seen=np.full((n, 3), np.inf),
             lanes=lanes,
-            box_lanes=box_lanes,
-            obstacle_reach=clearances.radii + values["clear_table"][0],
-            root=np.ascontiguousarray(root[:9].reshape(3, 3, order="F")),
-            root_origin=root[9:].copy(),
+            field=spline_tables(field) if isinstance(field, DistanceField) else NO_FIELD,
+        ),
+        around=Surroundings(
+            lanes=box_lanes,
+            reach=clearances.radii + values["clear_table"][0],
             normal=values["table"][:3].copy(),
             height=clearances.heights(values),
             apart=clearances.squared_distances(values),
-            field=spline_tables(field) if isinstance(field, DistanceField) else NO_FIELD,
-            mu=float(values["mu"][0]),
-            length=float(values["length"][0]),
-            residuals=nothing,
-            row_ends=np.zeros(0, dtype=np.int64),
-            columns=np.zeros(0, dtype=np.int64),
-            entries=nothing,
-            least=np.zeros(len(SOURCES)),
-            kept=np.full(2, -1),
-            kept_x=np.zeros(size),
-            kept_worst=np.zeros(1),
+            root=np.ascontiguousarray(root[:9].reshape(3, 3, order="F")),
+            root_origin=root[9:].copy(),
         ),
-        problem,
-        LINK_ROWS,
+        rows=_rows(problem, len(boxes), LINK_ROWS),
+        kept=Kept(
+            x=np.zeros(problem.residuals.formulation.unknowns.size),
+            counts=np.full(2, -1),
+            worst=np.zeros(1),
+        ),
+        mu=float(values["mu"][0]),
+        length=float(values["length"][0]),
     )
 
 
-def _with_rows(run: RunTables, problem: LoopProblem, n_links: int) -> RunTables:
-    """With room for all rows that there can be, and none of them known."""
-    t, size = problem.tables, len(run.kept_x)
-    n_joints = len(t.twists_at)
-    points = len(run.reach) * (1 + len(run.box_lanes)) + len(t.hull_joint)
-    rows = points + len(t.pairs) + len(t.values_at) + n_links + N_DIRECTIONS
-    entries = points * (6 + n_joints) + len(t.pairs) * n_joints + len(t.entries_at)
+def _rows(problem: LoopProblem, n_obstacles: int, n_links: int) -> Rows:
+    """Room for all rows that there can be."""
+    t, size = problem.tables, problem.residuals.formulation.unknowns.size
+    n_joints, n_pairs = len(t.joints.twists_at), len(t.capsules.pairs)
+    points = len(t.spheres.joint) * (1 + n_obstacles) + len(t.hull.joint)
+    rows = points + n_pairs + len(t.written.values_at) + n_links + N_DIRECTIONS
+    entries = points * (6 + n_joints) + n_pairs * n_joints + len(t.written.entries_at)
     entries += n_links * size + 3 * N_DIRECTIONS
-    return run._replace(
-        residuals=np.empty(rows),
-        row_ends=np.empty(rows, dtype=np.int64),
+    return Rows(
+        values=np.empty(rows),
+        ends=np.empty(rows, dtype=np.int64),
         columns=np.empty(entries, dtype=np.int64),
         entries=np.empty(entries),
-        kept=np.full(2, -1),
+        least=np.zeros(len(SOURCES)),
     )

@@ -1,4 +1,9 @@
-"""What the loops of a run of least squares read and write, as arrays."""
+"""What the loops of a run of least squares read and write, as arrays.
+
+numba handles small tuples of arrays far faster than large ones, so loops get the parts they need.
+Points that move with the hand are fixed in joints' frames; joint 0 is the base, or an arm's root.
+What a program computes is found at ``*_at`` in its work array.
+"""
 
 from __future__ import annotations
 
@@ -11,131 +16,218 @@ from planner.numerics.tape import Program
 from planner.spatial import FloatArray, IntArray
 from planner.synthesis.loops.field import SplineTables
 
-__all__ = ["ProblemTables", "RunTables", "Sources"]
+__all__ = [
+    "Capsules",
+    "Clearance",
+    "Contacts",
+    "Joints",
+    "Kept",
+    "ObjectRoom",
+    "Points",
+    "ProblemTables",
+    "Rows",
+    "RunTables",
+    "Sources",
+    "Surroundings",
+    "Written",
+]
 
 
-class ProblemTables(NamedTuple):
-    """What is the same for all runs of a problem.
-
-    Rows of the written terms come by rows, those that must hold first. Points that move with the
-    hand are fixed in joints' frames; joint 0 is the base, or an arm's root. What a program computes
-    is found at ``*_at`` in its work array.
+class Written(NamedTuple):
+    """The terms that are written as expressions; rows that must hold come first.
 
     Attributes:
-        program: Written terms and kinematics. Its arguments: unknowns, parameters, Taylor rows.
-        taylor_begin: Where the Taylor rows of a mesh begin in its work array; -1 without a mesh.
-        values_at: Of each written row its value (m,).
+        values_at: Of each row its value (m,).
         entries_at: Entries of their Jacobian, by rows (e,).
         entry_columns: The unknown of each entry (e,).
         entry_ends: Where each row's entries end (m,).
         both: Whether a row counts on both sides of zero (m,).
-        n_required: So many of the written rows must hold.
-        twists_at: Of each joint linear and angular rate (nq, 6), in the frame of its placement.
-        rotation_at: R0 M(s) by rows (9,).
-        joints_at: Of each joint its rotation by rows, then its origin (nq + 1, 12).
-        normals_at: Outward normals at the contacts (n, 3).
-        slopes_at: Their Jacobians by the contacts (n, 3, 3).
-        point_begin: First unknown of the contact points.
-        chains: Joints (places in q) that move what is fixed to each joint, all in one array.
-        chain_ends: Where those of each joint end (nq + 1,).
-        carried: Whether s and t move what is fixed to a joint (nq + 1,).
-        sphere_joint, sphere_point: Spheres that avoid object and obstacles (k,), (k, 3).
-        hull_joint, hull_point: Spheres that avoid the table.
-        capsule_joint, capsule_inner, capsule_outer: Capsules of the fingers.
-        pairs: Capsules (k, 2) that can meet.
-        clearance: Clearance from an object that is an expression, and its gradient.
-        clearance_at: Value, gradient (4,).
-        clearance_point: Where its argument, the point, begins.
-        box: The same of an obstacle.
-        box_at, box_point: See ``clearance``.
+        n_required: So many of the rows must hold.
     """
 
-    program: Program
-    taylor_begin: int
     values_at: IntArray
     entries_at: IntArray
     entry_columns: IntArray
     entry_ends: IntArray
     both: NDArray[np.bool_]
     n_required: int
+
+
+class Joints(NamedTuple):
+    """How the hand moves.
+
+    Attributes:
+        twists_at: Of each joint linear and angular rate (nq, 6), in the frame of its placement.
+        rotation_at: R0 M(s) by rows (9,).
+        joints_at: Of each joint its rotation by rows, then its origin (nq + 1, 12).
+        chains: Joints (places in q) that move what is fixed to each joint, all in one array.
+        chain_ends: Those of joint j are from ``chain_ends[j]`` to ``chain_ends[j + 1]`` (nq + 2,).
+        carried: Whether s and t move what is fixed to a joint: 1 or 0 (nq + 1,).
+    """
+
     twists_at: IntArray
     rotation_at: IntArray
     joints_at: IntArray
-    normals_at: IntArray
-    slopes_at: IntArray
-    point_begin: int
     chains: IntArray
     chain_ends: IntArray
-    carried: NDArray[np.bool_]
-    sphere_joint: IntArray
-    sphere_point: FloatArray
-    hull_joint: IntArray
-    hull_point: FloatArray
-    capsule_joint: IntArray
-    capsule_inner: FloatArray
-    capsule_outer: FloatArray
+    carried: IntArray
+
+
+class Contacts(NamedTuple):
+    """The contact points.
+
+    Attributes:
+        normals_at: Outward normals (n, 3).
+        slopes_at: Their Jacobians by the contacts (n, 3, 3).
+        first: First unknown of the contact points.
+        taylor: Where the Taylor rows of a mesh begin in the work array; -1 without a mesh.
+    """
+
+    normals_at: IntArray
+    slopes_at: IntArray
+    first: int
+    taylor: int
+
+
+class Points(NamedTuple):
+    """Points (k, 3), m, each fixed in the frame of a joint (k,)."""
+
+    joint: IntArray
+    at: FloatArray
+
+
+class Capsules(NamedTuple):
+    """Capsules of the fingers: joint (k,), ends (k, 3), and pairs (p, 2) that can meet."""
+
+    joint: IntArray
+    inner: FloatArray
+    outer: FloatArray
     pairs: IntArray
-    clearance: Program
-    clearance_at: IntArray
-    clearance_point: int
-    box: Program
-    box_at: IntArray
-    box_point: int
+
+
+class Clearance(NamedTuple):
+    """A clearance as a program of a point, which is at ``point`` in its work array.
+
+    ``results`` (4,) are the places of value and gradient.
+    """
+
+    program: Program
+    results: IntArray
+    point: int
+
+
+class ProblemTables(NamedTuple):
+    """What is the same for all runs of a problem.
+
+    Attributes:
+        program: Written terms and kinematics; of unknowns, parameters, and Taylor rows of a mesh.
+        written, joints, contacts, capsules: See there.
+        spheres: Spheres that avoid object and obstacles.
+        hull: Spheres that avoid the table.
+        object: Clearance from the object; of a mesh it is not used.
+        obstacle: Clearance from an obstacle.
+    """
+
+    program: Program
+    written: Written
+    joints: Joints
+    contacts: Contacts
+    spheres: Points
+    hull: Points
+    capsules: Capsules
+    object: Clearance
+    obstacle: Clearance
+
+
+class ObjectRoom(NamedTuple):
+    """Spheres and the object.
+
+    Attributes:
+        reach: What each sphere's clearance from the object must be, m; -inf where it need not be.
+        known: On a mesh: last known clearance of each sphere less ``reach``, m.
+        seen: On a mesh: where each sphere was when it was last looked up (k, 3), m.
+        lanes: Work array of the clearance's program, a column for each sphere.
+        field: Distance field of a mesh.
+    """
+
+    reach: FloatArray
+    known: FloatArray
+    seen: FloatArray
+    lanes: FloatArray
+    field: SplineTables
+
+
+class Surroundings(NamedTuple):
+    """Obstacles, table, other fingers, and the root of an arm.
+
+    Attributes:
+        lanes: Work array of the clearance from each obstacle, a column for each sphere (o, w, k).
+        reach: What each sphere's clearance from obstacles must be (k,), m.
+        normal: Of the table (3,).
+        height: What each hull sphere's height along the normal must be (k,), m.
+        apart: Of each pair of capsules the squared distance asked for, m2.
+        root: Rotation of an arm's root in the object's frame (3, 3); unused without an arm.
+        root_origin: Its origin (3,), m.
+    """
+
+    lanes: FloatArray
+    reach: FloatArray
+    normal: FloatArray
+    height: FloatArray
+    apart: FloatArray
+    root: FloatArray
+    root_origin: FloatArray
+
+
+class Rows(NamedTuple):
+    """The weighted rows of the last evaluation.
+
+    Attributes:
+        values: (r,).
+        ends: Where the entries of each row end (r,).
+        columns, entries: Unknown and value of each entry.
+        least: Least value of clearances from object, table, obstacles, fingers, true links, (5,);
+            0 where none is violated.
+    """
+
+    values: FloatArray
+    ends: IntArray
+    columns: IntArray
+    entries: FloatArray
+    least: FloatArray
+
+
+class Kept(NamedTuple):
+    """Which rows depend on the unknowns alone, and stay while these do.
+
+    Attributes:
+        x: Unknowns at the last evaluation (n,).
+        counts: Those rows, or -1 if none are known; their entries (2,).
+        worst: Largest of them that must hold (1,).
+    """
+
+    x: FloatArray
+    counts: IntArray
+    worst: FloatArray
 
 
 class RunTables(NamedTuple):
     """Numbers of one task, and the rows of the last evaluation.
 
     Attributes:
-        work: Work array of ``program``, with parameters and constants.
-        reach: What each sphere's clearance from the object must be, m; -inf where it need not be.
-        gaps: On a mesh: last known clearance of each sphere less ``reach``, m.
-        seen: On a mesh: where each sphere was when it was last looked up (k, 3), m.
-        lanes: Work array of ``clearance``, a column for each sphere.
-        box_lanes: The same of each obstacle (o, w, k).
-        obstacle_reach: What each sphere's clearance from obstacles must be (k,), m.
-        root: Rotation of an arm's root in the object's frame (3, 3); unused without an arm.
-        root_origin: Its origin (3,), m.
-        normal: Of the table (3,).
-        height: What each hull sphere's height along the normal must be (k,), m.
-        apart: Of each pair of capsules the squared distance asked for, m2.
-        field: Distance field of a mesh.
+        work: Work array of the program, with parameters and constants.
+        object, around, rows, kept: See there.
         mu: Friction (-).
         length: Characteristic length, m.
-        residuals: Weighted rows (r,).
-        row_ends: Where the entries of each row end (r,).
-        columns, entries: Unknown and value of each entry.
-        least: Least value of clearances from object, table, obstacles, fingers, true links, (5,);
-            0 where none is violated.
-        kept: What is known at ``kept_x``: rows that depend on the unknowns alone, or -1 if none;
-            their entries.
-        kept_x: Unknowns at the last evaluation (n,).
-        kept_worst: Largest of those rows that must hold (1,).
     """
 
     work: FloatArray
-    reach: FloatArray
-    gaps: FloatArray
-    seen: FloatArray
-    lanes: FloatArray
-    box_lanes: FloatArray
-    obstacle_reach: FloatArray
-    root: FloatArray
-    root_origin: FloatArray
-    normal: FloatArray
-    height: FloatArray
-    apart: FloatArray
-    field: SplineTables
+    object: ObjectRoom
+    around: Surroundings
+    rows: Rows
+    kept: Kept
     mu: float
     length: float
-    residuals: FloatArray
-    row_ends: IntArray
-    columns: IntArray
-    entries: FloatArray
-    least: FloatArray
-    kept: IntArray
-    kept_x: FloatArray
-    kept_worst: FloatArray
 
 
 class Sources(NamedTuple):

@@ -141,7 +141,10 @@ class Clearances:
         values, slopes = ca.SX(1, 0), ca.SX(3, 0)
         if g.surface.field is None:
             values, slopes = _distances(centers, clearance_of(g.surface.clearance), g.size)
-        boxes = [_distances(centers, box_clearance_of(), ca.vertcat(*map(ca.vec, box))) for box in g.boxes]
+        boxes = [
+            _distances(centers, box_clearance_of(), ca.vertcat(*map(ca.vec, box)))
+            for box in g.boxes
+        ]
         point, normal, offset = g.symbolic.point, *g.table
         ends = [(point(c.joint_id, c.inner), point(c.joint_id, c.outer)) for c in capsules]
         heights = [
