@@ -23,6 +23,7 @@ from planner.forces import (
     distribute_forces,
     gravity_wrench,
 )
+from planner.forces.friction_part import friction_part
 from planner.forces.screen import torque_table
 from planner.quality import primitive_wrenches
 from planner.spatial import FloatArray
@@ -413,3 +414,52 @@ def test_problem_and_answer_can_be_built_and_solved_apart() -> None:
     x[1] = 0.6
     assert problem.residuals(x).cone == pytest.approx(0.1 * np.cos(np.pi / 8))
     assert problem.residuals(x * np.nan).worst == np.inf
+
+
+def test_the_layout_of_friction_is_shared_and_cannot_be_written() -> None:
+    contacts = ContactSet.from_arrays(np.eye(3), -np.eye(3), mu=0.5, fingers=["a", "b", "c"])
+    moved = ContactSet.from_arrays(2 * np.eye(3), -np.eye(3), mu=0.5, fingers=["a", "b", "c"])
+    rough = contacts.with_friction(0.6)
+    part, same, other = (
+        friction_part(c.models, c.fingers, c.friction.tobytes(), 8, "inscribed", 0.0)
+        for c in (contacts, moved, rough)
+    )
+    assert part is same
+    assert part is not other
+    with pytest.raises(ValueError, match="read-only"):
+        part.faces[0, 0] = 1.0
+    first = build_force_problem(contacts, wrench=np.zeros(6), min_normal=1.0)
+    second = build_force_problem(contacts, wrench=np.zeros(6), min_normal=2.0)
+    assert first.lower.max() == 1.0
+    assert second.lower.max() == 2.0
+    steeper = build_force_problem(rough, wrench=np.zeros(6))
+    assert np.abs(steeper.faces - first.faces).max() > 0.05
+    with pytest.raises(ContactError, match="edges"):
+        build_force_problem(contacts, wrench=np.zeros(6), edges=8.0)  # type: ignore[arg-type]
+
+
+@given(st.integers(0, 10_000))
+def test_the_sum_of_forces_is_the_grasp_map_times_them(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(0, 6))
+    kinds: list[ContactModel] = ["frictionless", "point", "soft"]
+    models = [kinds[k] for k in rng.integers(0, 3, n)]
+    contacts = ContactSet.from_arrays(
+        rng.normal(size=(n, 3)),
+        rng.normal(size=(n, 3)),
+        model=models,
+        mu_torsion=0.01,
+        center=rng.normal(size=3),
+    )
+    forces = rng.normal(size=(n, 4))
+    carried = [f[:d] for f, d in zip(forces, contacts.dims, strict=True)]
+    expected = contacts.grasp_map() @ np.concatenate([np.zeros(0), *carried])
+    np.testing.assert_allclose(contacts.wrench_of(forces), expected, atol=1e-12)
+    np.testing.assert_allclose(contacts.with_forces(forces).wrench(), expected, atol=1e-12)
+    # torques by hand, about the centre
+    torque = np.zeros(3)
+    for i, dim in enumerate(contacts.dims):
+        in_axes = contacts.frames[i, :, : min(dim, 3)] @ forces[i, : min(dim, 3)]
+        torque += np.cross(contacts.positions[i] - contacts.center, in_axes)
+        torque += (forces[i, 3] if dim == 4 else 0.0) * contacts.normals[i]
+    np.testing.assert_allclose(contacts.wrench_of(forces)[3:], torque, atol=1e-12)

@@ -132,6 +132,16 @@ def test_tendon_and_stop_share_the_torque() -> None:
     assert solution.stop_forces == pytest.approx([0.015 * NEEDED], rel=1e-5)
 
 
+def test_shares_are_those_at_the_q_of_the_problem_wherever_its_limits_have_been_since() -> None:
+    early, late = (tendon_finger((0.05, 0.02), (0.5, 0.5)) for _ in range(2))
+    expected = early.actuator_forces, early.stop_forces
+    assert late.problem.torque_limits is not None
+    late.problem.torque_limits.at(np.array([0.7, 0.5]), np.zeros((2, 2)))  # off the stop
+    assert late.actuator_forces == pytest.approx(expected[0], abs=1e-12)
+    assert late.stop_forces == pytest.approx(expected[1], abs=1e-12)
+    assert expected[1].any()
+
+
 @pytest.mark.parametrize(("levers", "q"), [((0.02, 0.05), (0.5, 0.5)), ((0.05, 0.02), (0.7, 0.5))])
 def test_a_torque_that_tendon_and_stop_cannot_make_is_refused(
     levers: tuple[float, float], q: tuple[float, float]

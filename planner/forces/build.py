@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Required, TypedDict, get_args
 
@@ -10,12 +11,15 @@ from numpy.typing import ArrayLike
 
 from planner.actuation import Actuation
 from planner.arrays import checked_number, finite_array, float_array, per_item
-from planner.contacts import Cone, ContactSet, pyramid_faces, round_cone
+from planner.contacts import Cone, ContactSet
+from planner.contacts.friction import check_edges
 from planner.errors import ContactError, ObjectError
 from planner.forces.costs import QuadraticCost
-from planner.forces.problem import ForceProblem, contact_names
-from planner.forces.torque_limits import TorqueLimits, loaded_rows
+from planner.forces.friction_part import friction_part
+from planner.forces.problem import ForceProblem
+from planner.forces.torque_limits import TorqueCase, TorqueLimits, loaded_rows
 from planner.spatial import FloatArray
+from planner.system.threads import made_once
 
 __all__ = ["ForceArguments", "LimitArguments", "build_force_problem", "gravity_wrench"]
 
@@ -33,7 +37,6 @@ EDGE_MARGIN = 0.2
 """Share of the friction (-) that forces keep from the cone's edge where that has a cost: friction
 coefficients are seldom known better."""
 
-_COMPONENTS = ("f_n", "f_t1", "f_t2", "tau_n")
 _WRENCH_ROWS = ("force x", "force y", "force z", "torque x", "torque y", "torque z")
 
 
@@ -128,13 +131,16 @@ def build_force_problem(
         raise ContactError(f"friction_scale is {friction_scale}; give a factor in (0, 1]")
     if cone not in get_args(Cone):
         raise ContactError(f"cone is {cone!r}; use 'inscribed', 'circumscribed' or 'round'")
+    if cone != "round":
+        check_edges(edges, cone)
     checked_number("edge_cost", edge_cost, least=0.0)
-    scaled = contacts.with_friction(
-        friction_scale * contacts.mu, friction_scale * contacts.mu_torsion
-    )
-    part = _ContactPart(scaled, edges=edges, cone=cone, margin=EDGE_MARGIN if edge_cost else 0.0)
-    part.lower[part.normal], part.upper[part.normal] = least, most
-    arm = float(np.linalg.norm(contacts.positions - contacts.center, axis=1).max(initial=0.0))
+    friction = friction_scale * contacts.friction
+    margin = EDGE_MARGIN if edge_cost else 0.0
+    part = friction_part(contacts.models, contacts.fingers, friction.tobytes(), edges, cone, margin)
+    lower, upper = part.lower.copy(), part.upper.copy()
+    lower[part.normal], upper[part.normal] = least, most
+    arms = contacts.positions - contacts.center
+    arm = math.sqrt((arms * arms).sum(axis=1).max(initial=0.0))
     length = arm if arm > MIN_LENGTH else 1.0
     joint_map, gravity = _joint_map(contacts, jacobians, gravity_torque)
     limits = _torque_limits(actuation, joint_map, q, gravity, jacobians is not None)
@@ -173,17 +179,21 @@ def build_force_problem(
         rows=rows,
         low=low,
         high=high,
-        row_names=(*_WRENCH_ROWS, *part.face_names, *_torque_names(limits, torque_rows.tolist())),
+        row_names=(
+            *_WRENCH_ROWS,
+            *part.face_names,
+            *(() if limits is None else _torque_names(limits, tuple(torque_rows.tolist()))),
+        ),
         n_faces=mf,
         torque_rows=torque_rows,
-        cones=np.hstack([part.cones, np.zeros((len(part.cones), ne))]),
+        cones=np.concatenate([part.cones, np.zeros((len(part.cones), ne))], axis=1),
         cone_sizes=part.cone_sizes,
-        cone_names=tuple(part.cone_names),
-        lower=np.concatenate([part.lower, np.zeros(excess), extra_low]),
-        upper=np.concatenate([part.upper, np.full(excess, np.inf), extra_high]),
+        cone_names=part.cone_names,
+        lower=np.concatenate([lower, np.zeros(excess), extra_low]),
+        upper=np.concatenate([upper, np.full(excess, np.inf), extra_high]),
         column_names=(
             *part.names,
-            *(f"{label} excess" for label in contact_names(contacts)[:excess]),
+            *part.excess_names,
             *(() if limits is None else _made_names(limits, limits.case.extra.tolist())),
         ),
         column_scale=column_scale,
@@ -204,60 +214,6 @@ def build_force_problem(
     )
 
 
-class _ContactPart:
-    """Columns of the contact forces and of the excess, with their friction.
-
-    Attributes:
-        names: Of the force components (nf,).
-        normal: Which of them are normal forces (n,).
-        unit, lower, upper: (nf,).
-        faces: (m, nf + ne), rows <= 0.
-        cones: (mc, nf + ne), blocks [head, tail ...].
-        cone_sizes: Rows of each block.
-        face_names, cone_names: Of rows and blocks.
-    """
-
-    def __init__(self, contacts: ContactSet, *, edges: int, cone: Cone, margin: float) -> None:
-        """Lay them out contact by contact; a margin > 0 brings the excess."""
-        size, n, labels = sum(contacts.dims), len(contacts), contact_names(contacts)
-        width = size + (n if margin else 0)
-        self.names, self.face_names, self.cone_names = list[str](), list[str](), list[str]()
-        self.normal = np.cumsum([0, *contacts.dims])[:-1]
-        self.unit = np.ones(size)
-        self.lower, self.upper = np.full(size, -np.inf), np.full(size, np.inf)
-        faces, cones = [np.zeros((0, width))], [np.zeros((0, width))]
-        friction = contacts.friction.tolist()
-        for i, (at, dim) in enumerate(zip(self.normal, contacts.dims, strict=True)):
-            self.names += [f"{labels[i]} {c}" for c in _COMPONENTS[:dim]]
-            mu, twist = friction[i]
-            without = np.flatnonzero(np.array([1.0, mu, mu, twist])[:dim] == 0.0)
-            self.lower[at + without] = self.upper[at + without] = 0.0
-            if twist:
-                self.unit[at + 3] = twist  # a torsion counts like the normal force that it needs
-            name = f"friction of {labels[i]}"
-            rows = (
-                round_cone(mu, twist) if cone == "round" else pyramid_faces(mu, twist, edges, cone)
-            )
-            block = np.zeros((len(rows), width))
-            block[:, at : at + dim] = rows[:, :dim]
-            if margin:
-                block[:, size + i] = rows[:, 0]
-                block[:, at] *= 1.0 - margin
-                most = np.zeros((1, width))
-                most[0, size + i], most[0, at] = 1.0, -margin
-            if cone == "round":
-                cones.append(block)
-                self.cone_names += [name] * min(len(rows), 1)
-            else:
-                faces.append(block)
-                self.face_names += [name] * len(rows)
-            if margin:
-                faces.append(most)
-                self.face_names.append(name)
-        self.faces, self.cones = np.vstack(faces), np.vstack(cones)
-        self.cone_sizes = tuple(len(rows) for rows in cones if len(rows))
-
-
 def _joint_map(
     contacts: ContactSet, jacobians: ArrayLike | None, gravity_torque: ArrayLike | None
 ) -> tuple[FloatArray, FloatArray]:
@@ -273,6 +229,14 @@ def _joint_map(
     if not np.isfinite(jac).all():
         raise ContactError("jacobians hold NaN or infinity; give finite numbers")
     nv = jac.shape[2]
+    gravity = (
+        np.zeros(nv)
+        if gravity_torque is None
+        else finite_array("gravity_torque", gravity_torque, (nv,))
+    )
+    if n and dims == (3,) * n:
+        turned = contacts.frames.transpose(0, 2, 1) @ jac[:, :3]
+        return np.ascontiguousarray(turned.reshape(-1, nv).T), gravity
     columns = [np.zeros((nv, 0))]
     for i, dim in enumerate(dims):
         frame = contacts.frames[i]
@@ -285,11 +249,6 @@ def _joint_map(
                 )
             angular = jac[i, 3:].T @ frame[:, :1] if jac.shape[1] == 6 else np.zeros((nv, 1))
             columns.append(angular)
-    gravity = (
-        np.zeros(nv)
-        if gravity_torque is None
-        else finite_array("gravity_torque", gravity_torque, (nv,))
-    )
     return np.hstack(columns), gravity
 
 
@@ -330,16 +289,21 @@ def _made_names(limits: TorqueLimits, columns: Sequence[int]) -> list[str]:
     return [names[j] for j in columns]
 
 
-def _torque_names(limits: TorqueLimits | None, rows: Sequence[int]) -> list[str]:
+def _torque_names(limits: TorqueLimits, rows: tuple[int, ...]) -> tuple[str, ...]:
     """What each row of torque is: an actuator, a stop, or joints that nothing drives that way."""
-    if limits is None:
-        return []
-    joints, out = limits.actuation.joint_names, []
+    return _names_of_case(limits.actuation, limits.case, rows)
+
+
+@made_once(256)
+def _names_of_case(
+    actuation: Actuation, case: TorqueCase, rows: tuple[int, ...]
+) -> tuple[str, ...]:
+    names, out = (*actuation.names, *actuation.stop_names), list[str]()
     for i in rows:
-        column = limits.case.made[i]
+        column = case.made[i]
         if column >= 0:
-            out += _made_names(limits, [column])
+            out.append(names[column])
         else:
-            mixed = (joints[j] for j in np.flatnonzero(limits.case.rows[i]))
+            mixed = (actuation.joint_names[j] for j in np.flatnonzero(case.rows[i]))
             out.append(f"undriven torque of {', '.join(mixed)}")
-    return out
+    return tuple(out)

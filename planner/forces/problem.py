@@ -22,6 +22,7 @@ give the solver what ``ForceProblem.dense_qp`` makes, and judge its answer by th
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -34,7 +35,7 @@ from planner.forces.torque_limits import TorqueLimits
 from planner.numerics.dense_qp import DenseQp
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["RESIDUAL_TOL", "ForceProblem", "ForceResiduals", "contact_names"]
+__all__ = ["RESIDUAL_TOL", "ForceProblem", "ForceResiduals", "contact_names", "names_of_contacts"]
 
 RESIDUAL_TOL = 1e-6
 """Largest residual of an answer, in units of ``ForceProblem.force_scale`` (-): 1e-6 N for a weight
@@ -157,11 +158,15 @@ class ForceProblem:
         """
         scale, nx = self.column_scale, len(self.column_names)
         qp = DenseQp(nx, len(self.rows), 6)
-        qp.p[:] = self.quadratic * np.outer(scale, scale)
-        qp.q[:] = self.linear * scale / unit
-        qp.a[:] = self.row_scale[:, None] * self.rows * scale
-        qp.low[:], qp.high[:] = self.row_scale * (self.low, self.high) / unit
-        qp.lower[:], qp.upper[:] = (self.lower, self.upper) / (scale * unit)
+        np.multiply(self.quadratic, scale[:, None] * scale, out=qp.p)
+        np.multiply(self.linear, scale / unit, out=qp.q)
+        np.multiply(self.row_scale[:, None] * self.rows, scale, out=qp.a)
+        for of_rows, bounds, row_end, end in (
+            (self.low, self.lower, qp.low, qp.lower),
+            (self.high, self.upper, qp.high, qp.upper),
+        ):
+            np.divide(self.row_scale * of_rows, unit, out=row_end)
+            np.divide(bounds, scale * unit, out=end)
         qp.cones, qp.cone_sizes = self.cones * scale, self.cone_sizes
         return qp
 
@@ -180,7 +185,11 @@ class ForceProblem:
 
     def contact_forces(self, x: FloatArray) -> FloatArray:
         """Contact forces (n, 4) in the contact frames; 0 where a model transmits nothing."""
-        forces = np.zeros((len(self.contacts), 4))
+        n = len(self.contacts)
+        forces = np.zeros((n, 4))
+        if self.contacts.dims == (3,) * n:
+            forces[:, :3] = x[: 3 * n].reshape(n, 3)
+            return forces
         start = 0
         for row, dim in zip(forces, self.contacts.dims, strict=True):
             row[:dim] = x[start : start + dim]
@@ -198,22 +207,20 @@ class ForceProblem:
             return ForceResiduals(
                 wrench=np.full(6, np.inf), cone=np.inf, bounds=np.inf, torque=nothing, worst=np.inf
             )
-        wrench = self.contacts.with_forces(self.contact_forces(x)).wrench() + self.wrench
-        qp, unit = self.dense_qp(), self.column_scale
-        value = qp.a @ (x / unit)
-        off = value - np.clip(value, qp.low, qp.high)
+        wrench = self.contacts.wrench_of(self.contact_forces(x)) + self.wrench
+        value = self.rows @ x
+        off = self.row_scale * (value - np.minimum(np.maximum(value, self.low), self.high))
         faces, torque = off[6 : 6 + self.n_faces], off[6 + self.n_faces :]
         missing = np.zeros(len(self.gravity_torque))
         if self.torque_limits is not None:
-            rows = (
-                self.torque_limits.case.rows
-            )  # square: an error in a row is an error of the joint torques
-            by_row = np.zeros(len(rows))
+            by_row = np.zeros(len(missing))
             by_row[self.torque_rows] = self.length * torque
-            missing = np.asarray(np.linalg.solve(rows, by_row))
-        outside = np.maximum(self.lower - x, x - self.upper) / unit
-        blocks = np.split(self.cones @ x, np.cumsum(self.cone_sizes, dtype=int)[:-1])
-        round_cones = [float(np.linalg.norm(b[1:]) - b[0]) for b in blocks if len(b)]
+            missing = self.torque_limits.case.inverse @ by_row
+        outside = np.maximum(self.lower - x, x - self.upper) / self.column_scale
+        round_cones = list[float]()
+        if self.cone_sizes:
+            blocks = np.split(self.cones @ x, np.cumsum(self.cone_sizes)[:-1])
+            round_cones = [float(np.linalg.norm(b[1:]) - b[0]) for b in blocks]
         cone = max([float(faces.max(initial=0.0)), *round_cones])
         bounds = float(outside.max(initial=0.0))
         missed = float(np.abs(self.row_scale[:6] * wrench).max())
@@ -273,10 +280,15 @@ class ForceProblem:
 
 def contact_names(contacts: ContactSet) -> tuple[str, ...]:
     """A name for each contact: its finger if no other contact has it, else with its number."""
-    count = Counter(contacts.fingers)
+    return names_of_contacts(contacts.fingers)
+
+
+def names_of_contacts(fingers: Sequence[str]) -> tuple[str, ...]:
+    """The same from the names of the fingers."""
+    count = Counter(fingers)
     return tuple(
         finger
         if finger and count[finger] == 1
         else f"contact {i}" + (f" ({finger})" if finger else "")
-        for i, finger in enumerate(contacts.fingers)
+        for i, finger in enumerate(fingers)
     )

@@ -21,8 +21,10 @@ from planner.forces.infeasible import FEASIBLE, explain_infeasibility
 from planner.forces.least_violation import Relaxation
 from planner.forces.problem import RESIDUAL_TOL, ForceProblem, ForceResiduals
 from planner.forces.screen import force_table, torque_table, wrench_text
+from planner.forces.torque_limits import TorqueLimits
 from planner.numerics.qp_workspace import CONE_SOLVER, DEFAULT_SOLVER, qp_workspace
 from planner.spatial import FloatArray
+from planner.system.threads import built
 
 __all__ = [
     "ForceSolution",
@@ -45,11 +47,9 @@ class ForceSolution:
         forces: (n, 4), on the object, in the contact frames: f_n, f_t1, f_t2 (N), tau_n (N m); NaN
             if not found.
         contacts: The problem's contacts with these forces.
+        unknowns: (nx,), forces and the problem's other unknowns; NaN if not found.
         joint_torques: (nv,), what the joints need for them and for gravity, N m; (0,) without
             Jacobians, NaN if not found.
-        actuator_forces: (nu,), N m; of actuators outside the problem what holds gravity; (0,)
-            without an actuation, NaN if not found.
-        stop_forces: (ns,), multipliers of the stops, N m; likewise.
         residuals: Recomputed residuals; infinite if the solver gave nothing.
         unresisted_wrench: (6,), part of the wrench that cannot be resisted, N and N m; 0 if found.
         fraction: Share of the wrench that can be resisted at best (-); 1 if found.
@@ -65,9 +65,8 @@ class ForceSolution:
     cost: float
     forces: FloatArray
     contacts: ContactSet
+    unknowns: FloatArray
     joint_torques: FloatArray
-    actuator_forces: FloatArray
-    stop_forces: FloatArray
     residuals: ForceResiduals
     unresisted_wrench: FloatArray
     fraction: float
@@ -75,6 +74,24 @@ class ForceSolution:
     solver: str
     status: str
     solve_time_s: float
+
+    @property
+    def actuator_forces(self) -> FloatArray:
+        """Forces of the actuators (nu,), N m; of those outside the problem what holds gravity.
+
+        (0,) without an actuation, NaN if not found.
+        """
+        return self._hand_forces[0]
+
+    @property
+    def stop_forces(self) -> FloatArray:
+        """Multipliers of the stops (ns,), N m; likewise."""
+        return self._hand_forces[1]
+
+    @built
+    def _hand_forces(self) -> tuple[FloatArray, FloatArray]:
+        """Both, computed when they are first asked for: the verdict needs the rows alone."""
+        return _hand_forces(self.problem, self.unknowns, self.joint_torques)
 
     def raise_if_infeasible(self) -> ForceSolution:
         """This solution, if it was found.
@@ -234,7 +251,8 @@ def _solver_for(problem: ForceProblem, solver: str | None) -> str:
 
 def _unscaled(problem: ForceProblem, x: FloatArray) -> FloatArray:
     """Unknowns in N and N m; bounds hold exactly: a component without friction is 0, not 1e-15."""
-    return np.clip(problem.force_scale * problem.column_scale * x, problem.lower, problem.upper)
+    forces = problem.force_scale * problem.column_scale * x
+    return np.minimum(np.maximum(forces, problem.lower), problem.upper)
 
 
 def _judged(
@@ -253,7 +271,6 @@ def _judged(
         x = np.full(len(x), np.nan)
     forces = problem.contact_forces(x) if found else np.full((len(problem.contacts), 4), np.nan)
     torques = problem.joint_torques(x)
-    actuator_forces, stop_forces = _hand_forces(problem, x, torques)
     return ForceSolution(
         problem=problem,
         found=found,
@@ -261,9 +278,8 @@ def _judged(
         cost=problem.value(x),
         forces=forces,
         contacts=problem.contacts.with_forces(forces),
+        unknowns=x,
         joint_torques=torques,
-        actuator_forces=actuator_forces,
-        stop_forces=stop_forces,
         residuals=residuals,
         unresisted_wrench=verdict.wrench,
         fraction=verdict.fraction,
@@ -278,10 +294,13 @@ def _hand_forces(
     problem: ForceProblem, x: FloatArray, torques: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Actuator forces (nu,) and stop forces (ns,), joints outside the problem holding gravity."""
-    limits, q = problem.torque_limits, problem.q
-    if limits is None or q is None:
+    if problem.torque_limits is None or problem.q is None:
         return np.zeros(0), np.zeros(0)
-    actuation = limits.actuation
+    actuation, q = problem.torque_limits.actuation, problem.q
+    # of our own: whoever has the problem may have taken its limits to another q
+    limits = TorqueLimits(actuation, 1.0)
+    limits.gravity[:] = problem.gravity_torque
+    limits.at(q, np.zeros((2, len(q))))
     nu, ns = len(actuation.names), len(actuation.stop_names)
     if not np.isfinite(torques).all():
         return np.full(nu, np.nan), np.full(ns, np.nan)

@@ -27,7 +27,7 @@ from scipy.sparse.csgraph import connected_components
 
 from planner.actuation import STOP_TOL, Actuation
 from planner.spatial import FloatArray
-from planner.system.threads import made_once
+from planner.system.threads import built, made_once
 
 __all__ = ["TorqueCase", "TorqueLimits", "loaded_rows"]
 
@@ -67,8 +67,15 @@ class TorqueCase:
     most: FloatArray = field(repr=False)
     """(2, nv + ne), what both limits are kept within."""
 
+    @built
+    def inverse(self) -> FloatArray:
+        """Inverse of ``rows`` (nv, nv): the joint torques of an error in each row."""
+        return np.asarray(np.linalg.inv(self.rows), dtype=np.float64)
+
     def over(self, length: float) -> TorqueCase:
         """The same with everything divided by a length, m."""
+        if length == 1.0:
+            return self
         linear = self.linear / length
         gaps = len(linear) - len(self.ends.T) - len(self.rows)
         linear[:gaps] = self.linear[:gaps]

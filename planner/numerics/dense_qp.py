@@ -41,8 +41,10 @@ class DenseQp:
         """A programme of n unknowns and m rows with P = 1, A = 0 and no limits."""
         self.p, self.q, self.table = np.eye(n), np.zeros(n), np.eye(n + m, n)
         self.a = self.table[n:]
-        self.limits = np.tile([[-np.inf], [np.inf]], n + m)
+        self.limits = np.empty((2, n + m))
         self.least, self.most = self.limits
+        self.least.fill(-np.inf)
+        self.most.fill(np.inf)
         self.lower, self.low = self.least[:n], self.least[n:]
         self.upper, self.high = self.most[:n], self.most[n:]
         self.equalities = equalities

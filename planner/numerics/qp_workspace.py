@@ -10,7 +10,6 @@ programs with quadratic objectives", 2024).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, Protocol
@@ -99,6 +98,8 @@ def qp_workspace(name: str, qp: DenseQp) -> QpWorkspace:
     Raises:
         NotFoundError: No such solver is installed, or it cannot do the programme's cones.
     """
+    if name == DEFAULT_SOLVER and not qp.cone_sizes:
+        return _Daqp(qp)
     known = solver_names()
     if qp.cone_sizes:
         known = (CONE_SOLVER,) if find_spec(CONE_SOLVER) else ()
@@ -107,8 +108,7 @@ def qp_workspace(name: str, qp: DenseQp) -> QpWorkspace:
         raise NotFoundError("installed QP solver", name, known, hint)
     if qp.cone_sizes:
         return _ClarabelCones(qp)
-    kinds: dict[str, Callable[[DenseQp], QpWorkspace]] = {"daqp": _Daqp, "proxqp": _Proxqp}
-    return kinds[name](qp) if name in kinds else _Qpsolvers(name, qp)
+    return _Proxqp(qp) if name == "proxqp" else _Qpsolvers(name, qp)
 
 
 class _Workspace:

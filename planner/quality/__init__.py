@@ -16,6 +16,7 @@ from planner.quality.closure import (
     min_weight,
 )
 from planner.quality.cones import RoundCones, primitive_wrenches
+from planner.quality.internal_forces import plainly_closed
 from planner.quality.interval import Interval, ball_interval, epsilon_linf, epsilon_round
 from planner.quality.isotropy import isotropy, singular_values, smallest_singular_value
 from planner.quality.report import QualityReport, analyse, closure_and_epsilon
@@ -38,6 +39,7 @@ __all__ = [
     "isotropy",
     "measure_hull",
     "min_weight",
+    "plainly_closed",
     "primitive_wrenches",
     "singular_values",
     "smallest_singular_value",

@@ -13,9 +13,10 @@ import numpy as np
 
 from planner.arrays import float_array
 from planner.contacts import ContactSet
-from planner.contacts.friction import Pyramid, cone_edges, cone_support
+from planner.contacts.friction import Pyramid, check_edges, cone_edges, cone_support
 from planner.errors import ContactError
-from planner.spatial import FloatArray
+from planner.spatial import FloatArray, skew
+from planner.system.threads import made_once
 
 __all__ = ["RoundCones", "check_length", "contact_wrenches", "primitive_wrenches"]
 
@@ -35,16 +36,27 @@ def contact_wrenches(
     unit: EdgeUnit = "normal",
 ) -> list[FloatArray]:
     """Primitive wrenches contact by contact: n arrays (6, m_i), see ``primitive_wrenches``."""
+    check_edges(edges, cone)
     if unit not in ("normal", "length"):
         raise ContactError(f"unit is {unit!r}; use 'normal' or 'length'")
     cones = RoundCones.of(contacts, length)
     groups = []
     for wrench_map, (mu, _, mu_torsion) in zip(cones.maps, cones.semi_axes, strict=True):
-        edge = cone_edges(mu, mu_torsion, edges, cone=cone, phase=phase)
-        if unit == "length":
-            edge = edge / np.linalg.norm(edge[:3], axis=0)
+        edge = _edges(float(mu), float(mu_torsion), edges, cone, phase, unit)
         groups.append(wrench_map @ edge)
     return groups
+
+
+@made_once(256)
+def _edges(
+    mu: float, mu_torsion: float, edges: int, cone: Pyramid, phase: float, unit: EdgeUnit
+) -> FloatArray:
+    """Edges of a cone (4, m), the same for most contacts of a grasp and most grasps of a task."""
+    edge = cone_edges(mu, mu_torsion, edges, cone=cone, phase=phase)
+    if unit == "length":
+        edge = edge / np.linalg.norm(edge[:3], axis=0)
+    edge.flags.writeable = False
+    return edge
 
 
 def primitive_wrenches(
@@ -102,7 +114,7 @@ class RoundCones:
         # (n, 3, 3) forces; torques are arm x column; tau_n acts along the normal.
         arms = contacts.positions - contacts.center
         maps[:, :3, :3] = contacts.frames
-        maps[:, 3:, :3] = np.cross(arms[:, :, None], contacts.frames, axis=1) / length
+        maps[:, 3:, :3] = skew(arms / length) @ contacts.frames
         maps[:, 3:, 3] = contacts.normals / length
         maps *= (np.arange(4) < dims[:, None])[:, None, :]
         return cls(maps=maps, semi_axes=contacts.friction[:, [0, 0, 1]])

@@ -23,7 +23,7 @@ from planner.forces import (
     gravity_wrench,
 )
 from planner.plan import GraspPlan, SolveRecord
-from planner.quality import ClosureResult, force_closure
+from planner.quality import ClosureResult, force_closure, plainly_closed
 from planner.spatial import SE3, FloatArray
 from planner.system.stage_times import stage
 from planner.task import GraspTask
@@ -67,8 +67,9 @@ def verify_grasp(
         return verification.failure
     contacts = contacts_of(task, touches)
     with stage("closure"):
-        closure = force_closure(contacts, edges=CLOSURE_EDGES)
-    if not closure.closed:
+        proven = plainly_closed(contacts, edges=CLOSURE_EDGES)
+        closure = None if proven else force_closure(contacts, edges=CLOSURE_EDGES)
+    if closure is not None and not closure.closed:
         return no_closure(closure)
     with stage("forces"):
         forces = plan_forces(task, contacts, T_world_base, q)
