@@ -9,7 +9,6 @@ are proven come from ``planner.quality.interval``.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from planner.contacts import cone_edges
 from planner.spatial import FloatArray
@@ -46,6 +45,8 @@ def wrench_faces(points: FloatArray, inward: FloatArray, mu: float, length: floa
 
     None where the wrenches span no volume. Arguments are those of ``weakest_directions``.
     """
+    from scipy.spatial import ConvexHull, QhullError  # here, since SciPy loads slowly
+
     least = np.argmin(np.abs(inward), axis=1)
     first = np.cross(inward, np.eye(3)[least])
     first /= np.linalg.norm(first, axis=1, keepdims=True)

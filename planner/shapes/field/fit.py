@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, spline_filter
 
 from planner.shapes.field.distance_field import DistanceField, Level
 from planner.spatial import FloatArray, IntArray
@@ -111,6 +110,8 @@ def fit_field(
         smoothing: Standard deviation of the Gaussian, m, if that is more than ``SMOOTHING`` cells.
         wall: Thickness of the walls, m.
     """
+    from scipy.ndimage import gaussian_filter  # here, since SciPy loads slowly
+
     margin = MARGIN
     for _ in range(SETTLING):
         extent = upper - lower + 2 * margin
@@ -168,6 +169,8 @@ def error_bound(level: Level, lower: FloatArray, upper: FloatArray, bracket: Bra
 
 def _corrected(coarse: Level, ratio: int, first: IntArray, samples: FloatArray) -> Level:
     """The next finer level: the coarse one plus what it misses, which is zero at the rim."""
+    from scipy.ndimage import spline_filter  # here, since SciPy loads slowly
+
     shape = samples.shape
     refined, taper = _refined(coarse, ratio, first, shape), _taper(shape)
     correction = spline_filter((samples - _at_nodes(refined)) * taper, order=3)
@@ -180,6 +183,8 @@ def _corrected(coarse: Level, ratio: int, first: IntArray, samples: FloatArray) 
 
 def _far_level(distance: Distance, h: float, far_radius: float, reach: float) -> Level:
     """The coarsest level, of a half width: its samples become |p| - r towards the rim."""
+    from scipy.ndimage import spline_filter  # here, since SciPy loads slowly
+
     box = np.full(3, reach)
     first, shape = _grid(-box, box, h)
     # a spline filter assumes a mirror at its ends: let it die out in nodes that are dropped again

@@ -9,8 +9,6 @@ spacing from the surface are on the same side of it.
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, label, map_coordinates, maximum_position
-from scipy.spatial import cKDTree
 
 from planner.shapes.base import Shape
 from planner.shapes.field.distance_field import DistanceField
@@ -73,6 +71,8 @@ class _MeshDistance:
     """Distances on the finest grid, and from there outwards."""
 
     def __init__(self, surface: NearestTriangles) -> None:
+        from scipy.spatial import cKDTree  # here, since SciPy loads slowly
+
         self.surface = surface
         step = float(np.sqrt(surface.areas.sum() / FAR_POINTS))
         points, owner = cover(surface.corners, step)
@@ -85,6 +85,9 @@ class _MeshDistance:
 
         Where many triangles are near a node, it may be up to a spacing too large in size.
         """
+        from scipy.ndimage import distance_transform_edt  # here, since SciPy loads slowly
+        from scipy.spatial import cKDTree  # here, since SciPy loads slowly
+
         corners = self.surface.corners
         points, owner = cover(corners, STEP * h)
         cells = np.floor(points / h).astype(np.int64) - first
@@ -112,6 +115,8 @@ class _MeshDistance:
 
     def _with_signs(self, distance: FloatArray, nodes: FloatArray, apart: float) -> FloatArray:
         """Give every node away from the surface the sign of its region."""
+        from scipy.ndimage import label, maximum_position  # here, since SciPy loads slowly
+
         region, count = label(np.abs(distance) > apart)
         farthest = maximum_position(np.abs(distance), region, np.arange(1, count + 1))
         places = nodes[tuple(np.array(farthest).T)]
@@ -136,6 +141,8 @@ class _MeshDistance:
 
     def far_away(self, points: FloatArray) -> FloatArray:
         """Signed distance (n,), m; interpolated linearly where the finest grid is."""
+        from scipy.ndimage import map_coordinates  # here, since SciPy loads slowly
+
         inside = map_coordinates(
             self.samples, (points / self.h - self.first).T, order=1, mode="constant", cval=np.nan
         )

@@ -16,9 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from planner.shapes.base import LARGEST
 from planner.shapes.meshes.nearest_triangle import edge_table
@@ -167,6 +164,9 @@ def body_volumes(vertices: FloatArray, faces: IntArray, body: IntArray) -> Float
 
 def bodies_of(faces: IntArray) -> IntArray:
     """Number (m,) of the body that each face is of: faces that share an edge are of one body."""
+    from scipy.sparse import coo_array  # here, since SciPy loads slowly
+    from scipy.sparse.csgraph import connected_components  # here, since SciPy loads slowly
+
     tail, head = directed_edges(faces)
     n = int(faces.max()) + 1
     edge = np.minimum(tail, head) * n + np.maximum(tail, head)
@@ -181,6 +181,8 @@ def bodies_of(faces: IntArray) -> IntArray:
 
 def _crossing_fault(vertices: FloatArray, faces: IntArray) -> Fault | None:
     """Triangles that pass through each other."""
+    from scipy.spatial import cKDTree  # here, since SciPy loads slowly
+
     corners = vertices[faces]
     area = np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
