@@ -22,8 +22,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
-from scipy.sparse.csgraph import connected_components
 
 from planner.errors import HandError, ModelError
 from planner.spatial import FloatArray
@@ -286,6 +284,8 @@ class Actuation:
 
         Columns enter by unit torque, so that of equal stops the best aligned one is taken.
         """
+        from scipy.optimize import nnls  # here, since SciPy loads slowly
+
         lam = np.zeros(len(self.stop_names))
         if active.any():
             size = np.linalg.norm(self.stop_rows[active], axis=1)
@@ -386,6 +386,8 @@ def _disjoint_basis(projector: FloatArray) -> FloatArray:
 
     Joints that it does not mix do not share a row, so that a tendon over two joints has its own.
     """
+    from scipy.sparse.csgraph import connected_components  # here, since SciPy loads slowly
+
     count, label = connected_components(np.abs(projector) > _ALIGNED_TOL, directed=False)
     rows = [np.zeros((0, len(projector)))]
     for part in (np.flatnonzero(label == i) for i in range(count)):

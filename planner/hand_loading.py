@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from planner.bridge import load_spec, spec_from_model
-from planner.describe import propose, proposed_description
 from planner.description import HandDescription
 from planner.hands.arm import read_mount
 from planner.hands.build import build_from_spec, build_hand, hand_on_arm
@@ -46,6 +45,9 @@ def load_hand(name_or_path: str | Path, *, download: bool = True) -> Hand:
             return hand_on_arm(load_hand(mount.hand_path), mount, reference)
         described = read_description(path)
     else:
+        # here, since it loads slowly, and hands that are described do not need it
+        from planner.describe import proposed_description
+
         described = DescribedHand(
             description=proposed_description(name_or_path),
             model_path=path,
@@ -77,7 +79,11 @@ def hand_from_spec(spec: Any, description: HandDescription | None = None) -> Han
         ModelError: The model is not usable.
         HandError: Description and model do not fit.
     """
-    return build_from_spec(spec, description or propose(spec).description)
+    if description is None:
+        from planner.describe import propose  # here, since it loads slowly
+
+        description = propose(spec).description
+    return build_from_spec(spec, description)
 
 
 def hand_from_model(model: Any, description: HandDescription | None = None) -> Hand:

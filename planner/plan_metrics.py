@@ -27,7 +27,6 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import ConvexHull
 
 from planner.arrays import float_array
 from planner.contacts import ContactSet
@@ -192,6 +191,8 @@ def robust_epsilon(
 
 def _faces(contacts: ContactSet, length: float) -> FloatArray:
     """Faces (k, 7) of the hull of primitive wrenches: unit normal, minus its distance."""
+    from scipy.spatial import ConvexHull  # here, since SciPy loads slowly
+
     wrenches = primitive_wrenches(contacts, EDGES, length=length).T
     if len(wrenches) <= 6:  # a hull in six dimensions has seven corners or more: this one is flat
         flat = flat_direction(wrenches)

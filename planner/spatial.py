@@ -58,6 +58,9 @@ def _pinocchio() -> Any:
     return import_module("pinocchio")
 
 
+_AXES = np.eye(3)
+
+
 def fixed_array(values: ArrayLike) -> FloatArray:
     """A read-only copy of numbers, of any shape."""
     array: FloatArray = np.array(values, dtype=np.float64)
@@ -114,15 +117,16 @@ def contact_frames(normals: FloatArray) -> FloatArray:
         raise ContactError(f"normals have shape {n.shape}; give an array of shape (n, 3)")
     if not np.isfinite(n).all():
         raise ContactError("normals hold NaN or infinity; give finite directions")
-    length = np.linalg.norm(n, axis=1, keepdims=True)
-    if (length < 1e-9).any():
-        bad = int(np.argmin(length))
+    length = np.sqrt((n * n).sum(axis=1))
+    if length.min(initial=np.inf) < 1e-9:
+        bad = int(length.argmin())
         raise ContactError(f"normal {bad} has no direction: {n[bad].tolist()}; give a unit vector")
-    n = n / length
-    axis = np.eye(3)[np.argmin(np.abs(n), axis=1)]
-    t1 = cross(n, axis)
-    t1 /= np.linalg.norm(t1, axis=1, keepdims=True)
-    return np.stack([n, t1, cross(n, t1)], axis=2)
+    frames = np.empty((len(n), 3, 3))
+    normal = frames[:, :, 0] = n / length[:, None]
+    tangent = cross(normal, _AXES[np.abs(normal).argmin(axis=1)])
+    tangent /= np.sqrt((tangent * tangent).sum(axis=1))[:, None]
+    frames[:, :, 1], frames[:, :, 2] = tangent, cross(normal, tangent)
+    return frames
 
 
 def pose_from_wxyz(position: FloatArray, quat_wxyz: FloatArray) -> SE3:

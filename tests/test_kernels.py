@@ -43,6 +43,15 @@ def test_numba_is_not_imported_before_a_kernel_is_called() -> None:
     assert done.stdout.strip() == "False"
 
 
+def test_planning_is_imported_without_what_few_plans_need() -> None:
+    """SciPy alone takes longer to load than all else together."""
+    code = "import sys; from planner import plan_grasp, GraspTask; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = {name.partition(".")[0] for name in done.stdout.split()}
+    assert {"casadi", "pinocchio", "coal"} <= loaded
+    assert not loaded & {"scipy", "trimesh", "qpsolvers", "numba"}
+
+
 @pytest.mark.parametrize("asked", ["0", ""])
 def test_the_variable_switches_kernels_off(asked: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OPPOSABLE_COMPILE", asked)

@@ -223,8 +223,8 @@ class PregraspIk:
         found = constrained_ik_step(
             Task(rows[:, free], -misses),
             [Barrier(rates[:n, free], least[:n]), Barrier(rates[n:, free], least[n:])],
-            np.clip(self._lower - q, -reach, 0.0)[free],
-            np.clip(self._upper - q, 0.0, reach)[free],
+            np.minimum(np.maximum(self._lower - q, -reach), 0.0)[free],
+            np.maximum(np.minimum(self._upper - q, reach), 0.0)[free],
             equality=Task(self._held, off),
             posture=(self._grasp - q)[free],
             posture_weight=POSTURE_WEIGHT,

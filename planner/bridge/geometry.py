@@ -9,7 +9,6 @@ from typing import Any
 import coal
 import mujoco
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from planner.bridge.pinocchio_model import body_name
 from planner.errors import ModelError
@@ -115,6 +114,8 @@ def _convex_hull(vertices: FloatArray, name: str) -> Any:
     Raises:
         ModelError: The points lie in a plane.
     """
+    from scipy.spatial import ConvexHull, QhullError  # here, since SciPy loads slowly
+
     try:
         hull = ConvexHull(vertices)  # coal crashes where this raises
     except QhullError as error:

@@ -7,7 +7,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-import trimesh
 
 from planner.bridge.pinocchio_model import body_name
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
@@ -105,6 +104,8 @@ def _colour(model: Any, g: int) -> tuple[float, float, float, float]:
 
 def _triangles(model: Any, g: int) -> tuple[FloatArray, IntArray] | None:
     """Vertices and triangles of geom g in its own frame; None for planes and fields."""
+    import trimesh  # here, since trimesh loads slowly
+
     kind = int(model.geom_type[g])
     a, b, c = (float(v) for v in model.geom_size[g])
     if kind == _MESH:

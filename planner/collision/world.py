@@ -228,7 +228,8 @@ class CollisionWorld:
         self._place(T_world_base, q)
         table = self._table
         if self._bounds.pays:
-            wanted = np.where(table.hand_environment_pairs, environment, fingers)[self._apart]
+            around = table.hand_environment_pairs[self._apart]
+            wanted = np.where(around, environment, fingers)
             near = self._least(self._apart, max(environment, fingers)) < wanted
             return not near.any() or self._keeps(self._apart[near], wanted[near], environment)
         around = self._nearest(table.hand_environment_pairs, environment)
@@ -386,7 +387,7 @@ class CollisionWorld:
             if bound >= max(least, 0.0):  # of a depth there is no bound
                 break
             distance = float(self._geometries.measure(np.array([number]))[0])
-            if distance < least:
+            if distance < least or (distance == least and number < k):
                 k, least = int(number), distance
         on_mesh = numbers[self._table.on_mesh[numbers]]
         if self._mesh is not None and len(on_mesh) > 0:

@@ -7,7 +7,6 @@ d, the radius of the largest ball about c inside K.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from planner.bridge import LinkGeometry
 from planner.spatial import FloatArray
@@ -35,6 +34,8 @@ class ConvexLink:
 
     def __init__(self, geometry: LinkGeometry) -> None:
         """Take what is needed from a geometry; a mesh is its convex hull."""
+        from scipy.spatial import ConvexHull  # here, since SciPy loads slowly
+
         self.name, self.kind, self.body = geometry.name, geometry.kind, geometry.body
         self.center = np.array(geometry.T_joint_geometry.translation)
         self.rotation = np.array(geometry.T_joint_geometry.rotation)

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
 
 from planner.describe.convex_links import ConvexLink, cone_directions
 from planner.describe.fingertips import Fingertip
@@ -264,6 +263,7 @@ def _best_center(
     tip: Fingertip, solid: ConvexLink, directions: FloatArray, reach: FloatArray
 ) -> FloatArray:
     """Centre of the inscribed sphere with the least mean difference over the directions."""
+    from scipy.optimize import minimize  # here, since SciPy loads slowly
 
     def difference(center: FloatArray) -> float:
         radius = solid.depth(center)

@@ -16,8 +16,6 @@ from itertools import combinations
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from scipy.linalg import qr
-from scipy.optimize import least_squares
 
 from planner.couplings import nearest_on_couplings
 from planner.describe.overlaps import TOUCHING, HandGaps
@@ -251,6 +249,8 @@ class PostureSolver:
         self, free: FloatArray, point: FloatArray | None, radius: float, *, collisions: bool
     ) -> tuple[float, FloatArray, FloatArray]:
         """Cost, free joints and the ball's centre where least squares end."""
+        from scipy.optimize import least_squares  # here, since SciPy loads slowly
+
         low, high = self.hand.q_lower[self._free], self.hand.q_upper[self._free]
         free = np.clip(free, low + 1e-6 * (high - low), high - 1e-6 * (high - low))
         if point is None:
@@ -356,6 +356,8 @@ class PostureSolver:
 
 def _eliminate(matrix: FloatArray, value: FloatArray) -> tuple[list[int], FloatArray, FloatArray]:
     """Joints that C q = d determines, and q[dependent] = M q + b with M zero on them."""
+    from scipy.linalg import qr  # here, since SciPy loads slowly
+
     if not len(matrix):
         return [], np.zeros((0, 0)), np.zeros(0)
     n = matrix.shape[1]

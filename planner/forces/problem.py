@@ -25,15 +25,18 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-import qpsolvers
 
 from planner.contacts import ContactSet
 from planner.forces.screen import at_most, wrench_text
 from planner.forces.torque_limits import TorqueLimits
 from planner.numerics.dense_qp import DenseQp
 from planner.spatial import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    import qpsolvers
 
 __all__ = ["RESIDUAL_TOL", "ForceProblem", "ForceResiduals", "contact_names", "names_of_contacts"]
 

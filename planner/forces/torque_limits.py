@@ -23,7 +23,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from planner.actuation import STOP_TOL, Actuation
 from planner.spatial import FloatArray
@@ -168,6 +167,8 @@ class TorqueLimits:
 @made_once(CASES)
 def _case_of(a: Actuation, key: bytes) -> TorqueCase:
     """The rows in N m for a set of active stops."""
+    from scipy.sparse.csgraph import connected_components  # here, since SciPy loads slowly
+
     active = np.frombuffer(key, dtype=np.bool_)
     (nu, nv), ns = a.moment.shape, len(active)
     columns = np.vstack([a.moment, a.stop_rows])

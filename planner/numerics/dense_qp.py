@@ -8,12 +8,14 @@ time.
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
-import qpsolvers
-from scipy.sparse import csc_matrix
 
 from planner.spatial import FloatArray
+
+if TYPE_CHECKING:
+    import qpsolvers
 
 __all__ = ["DenseQp"]
 
@@ -95,6 +97,9 @@ class DenseQp:
             sparse: Whether matrices are scipy.sparse.csc_matrix.
             unit: Of the unknowns: its answer times this is the minimiser.
         """
+        import qpsolvers  # here, since qpsolvers loads slowly
+        from scipy.sparse import csc_matrix  # here, since SciPy loads slowly
+
         matrix = csc_matrix if sparse else np.asarray
         k = self.equalities
         low, high = self.low[k:], self.high[k:]

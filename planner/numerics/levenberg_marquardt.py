@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.linalg.lapack import dposv
 
 from planner.spatial import FloatArray, IntArray
 
@@ -192,6 +191,8 @@ def _step(
     Unknowns that would leave their bounds are put on them and the others solved for again. The
     matrix is positive definite, so Cholesky cannot fail.
     """
+    from scipy.linalg.lapack import dposv  # here, since SciPy loads slowly
+
     damped = normal.copy()
     damped.ravel()[:: len(damped) + 1] += damping
     step = np.zeros(len(slope))

@@ -22,7 +22,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linprog
 
 from planner.errors import PlannerError
 from planner.numerics.qp import run_daqp, violation
@@ -193,6 +192,8 @@ def _by_highs(
     cost: FloatArray, rows: FloatArray, row_limits: FloatArray, bounds: FloatArray
 ) -> LpSolution | None:
     """The solution by HiGHS; None if infeasible."""
+    from scipy.optimize import linprog  # here, since SciPy loads slowly
+
     low, high = row_limits.T
     equal = low == high
     up, down = ~equal & np.isfinite(high), ~equal & np.isfinite(low)

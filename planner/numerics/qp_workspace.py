@@ -16,8 +16,6 @@ from typing import Any, Protocol
 
 import daqp
 import numpy as np
-import qpsolvers
-from scipy.sparse import csc_matrix, triu
 
 from planner.errors import NotFoundError
 from planner.numerics.dense_qp import DenseQp
@@ -85,6 +83,8 @@ class QpWorkspace(Protocol):
 
 def solver_names() -> tuple[str, ...]:
     """Solvers that can be named, the default one first."""
+    import qpsolvers  # here, since qpsolvers loads slowly
+
     return (DEFAULT_SOLVER, *sorted(set(qpsolvers.available_solvers) - {DEFAULT_SOLVER}))
 
 
@@ -226,6 +226,8 @@ class _Qpsolvers(_Workspace):
 
     def solve(self) -> bool:
         """Solve in units of the largest limit; see ``QpWorkspace``."""
+        import qpsolvers  # here, since qpsolvers loads slowly
+
         qp, k, m = self.qp, self.qp.equalities, len(self.qp.a)
         unit = max(1.0, float(np.abs(qp.limits).max(where=np.isfinite(qp.limits), initial=0.0)))
         task = qp.to_qpsolvers(sparse=self._name not in qpsolvers.dense_solvers, unit=unit)
@@ -263,6 +265,8 @@ class _ClarabelCones(_Workspace):
 
     def solve(self) -> bool:
         """Solve; see ``QpWorkspace``. It gives no multipliers."""
+        from scipy.sparse import csc_matrix, triu  # here, since SciPy loads slowly
+
         clarabel, qp = import_module("clarabel"), self.qp
         equal = qp.least == qp.most
         low, high = (np.isfinite(limit) & ~equal for limit in (qp.least, qp.most))

@@ -24,7 +24,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
 
 from planner.spatial import FloatArray
 
@@ -218,6 +217,8 @@ LEAST_PUSH = 0.02
 
 def _least_across(normals: FloatArray, rooms: FloatArray) -> FloatArray | None:
     """The shortest v (3,) with normals (k, 3) @ v >= rooms (k,), by Lawson and Hanson's LDP."""
+    from scipy.optimize import nnls  # here, since SciPy loads slowly
+
     unit = float(np.abs(rooms).max())
     rows = np.vstack([normals.T, rooms / unit])
     weights, _ = nnls(rows, LDP_GOAL)

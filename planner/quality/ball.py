@@ -12,15 +12,18 @@ Time grows fast with the number of edges: about 3, 8 and 40 ms for four contacts
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from planner.arrays import checked_count, float_array
 from planner.contacts import MIN_EDGES, ContactSet, Pyramid
 from planner.errors import ContactError
 from planner.quality.cones import check_length, primitive_wrenches
 from planner.spatial import FloatArray
+
+if TYPE_CHECKING:
+    from scipy.spatial import ConvexHull
 
 __all__ = [
     "HullMeasure",
@@ -173,6 +176,8 @@ def measure_hull(wrenches: FloatArray) -> HullMeasure:
     Raises:
         ContactError: The array is not of two dimensions, or a number is not finite.
     """
+    from scipy.spatial import ConvexHull, QhullError  # here, since SciPy loads slowly
+
     w = float_array("wrenches", wrenches)
     if w.ndim != 2 or len(w) < 2 or not np.isfinite(w).all():
         raise ContactError(f"wrenches have shape {w.shape}; give finite numbers of shape (d, m)")

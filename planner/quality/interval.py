@@ -28,7 +28,6 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from planner.contacts import ContactSet
 from planner.errors import ContactError
@@ -183,6 +182,8 @@ def ball_interval(
     Returns:
         Bounds of the radius; [0, 0] where the origin is not inside the body.
     """
+    from scipy.spatial import ConvexHull  # here, since SciPy loads slowly
+
     points, upper = _full_hull_points(support, seeds)
     if points is None or upper <= 0.0:
         return Interval(lower=0.0, upper=max(upper, 0.0) if points is not None else 0.0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from planner.contacts import ContactSet
 from planner.errors import ContactError
@@ -33,6 +32,8 @@ def wrench_reach(
     Raises:
         ContactError: The contacts have no force closure, so that the hull does not hold 0.
     """
+    from scipy.spatial import ConvexHull, QhullError  # here, since SciPy loads slowly
+
     check_hull(len(contacts), edges)
     wrenches = primitive_wrenches(contacts, edges, length=length)
     try:

@@ -15,7 +15,6 @@ compiled walk a sixth of that. Where it is not compiled, or goes astray, Qhull a
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from planner.numerics.kernels import kernel
 from planner.spatial import FloatArray
@@ -70,6 +69,8 @@ def _qhull_faces(wrenches: FloatArray) -> FloatArray:
     values = np.linalg.eigvalsh(scatter.T @ scatter)
     if not values[0] > FLAT * values.sum():
         return _NONE
+    from scipy.spatial import ConvexHull, QhullError  # here, since SciPy loads slowly
+
     try:
         return np.asarray(ConvexHull(wrenches).equations)
     except QhullError:

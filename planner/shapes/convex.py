@@ -13,7 +13,6 @@ from typing import Any
 
 import coal
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from planner.errors import ModelError
 from planner.spatial import FloatArray, IntArray
@@ -78,6 +77,8 @@ def _blunted(corners: FloatArray) -> FloatArray:
 
 def _edges(corners: FloatArray) -> IntArray:
     """Both ways of every edge of a hull with these corners, (k, 2) numbers of corners."""
+    from scipy.spatial import ConvexHull  # here, since SciPy loads slowly
+
     simplices = ConvexHull(corners, qhull_options="QJ").simplices
     ways = [simplices[:, [a, b]] for a in range(3) for b in range(3) if a != b]
     return np.unique(np.concatenate(ways), axis=0).astype(np.int64)

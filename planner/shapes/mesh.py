@@ -10,10 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from planner.errors import ObjectError
 from planner.shapes.base import Shape, checked_points
@@ -29,6 +28,9 @@ from planner.shapes.meshes.triangles import winding_number
 from planner.shapes.stable import StablePose, stable_poses
 from planner.spatial import FloatArray, IntArray
 from planner.system.disk_cache import read_arrays, write_arrays
+
+if TYPE_CHECKING:
+    from scipy.spatial import ConvexHull
 
 __all__ = ["Mesh", "MeshSource"]
 
@@ -246,6 +248,8 @@ class Mesh(Shape):
 
     @cached_property
     def _hull(self) -> ConvexHull:
+        from scipy.spatial import ConvexHull  # here, since SciPy loads slowly
+
         return ConvexHull(self.vertices)
 
     @property

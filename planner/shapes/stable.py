@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from planner.shapes.meshes.triangles import solid_angles
 from planner.spatial import FloatArray, IntArray
@@ -56,6 +55,8 @@ def stable_poses(points: FloatArray) -> tuple[StablePose, ...]:
     Args:
         points: Points (n, 3) whose hull is that of the solid, m; its centre of mass is the origin.
     """
+    from scipy.spatial import ConvexHull  # here, since SciPy loads slowly
+
     hull = ConvexHull(points)
     normals, offsets = hull.equations[:, :3], -hull.equations[:, 3]
     corners = points[hull.simplices]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-import trimesh
 
 from planner.errors import ObjectError
 from planner.shapes.base import Shape
@@ -32,6 +31,8 @@ def surface_triangles(shape: Shape) -> tuple[FloatArray, IntArray]:
     Raises:
         ObjectError: It is smaller than rounding.
     """
+    import trimesh  # here, since trimesh loads slowly
+
     if isinstance(shape, Mesh):
         return shape.vertices, shape.faces
     directions = np.asarray(trimesh.creation.icosphere(subdivisions=FINENESS).vertices)

@@ -15,7 +15,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from planner.bridge import LinkGeometry
 from planner.collision.pad_contact import ROUND, pad_geometry
@@ -96,6 +95,8 @@ def link_spheres(hand: Hand) -> tuple[LinkSphere, ...]:
 
 def hull_spheres(hand: Hand) -> tuple[LinkSphere, ...]:
     """Spheres whose convex hull, joint by joint, holds every link: for clearance from a plane."""
+    from scipy.spatial import ConvexHull  # here, since SciPy loads slowly
+
     spheres = _spheres(hand, corners=True)
     inner: set[int] = set()
     for joint in {b.joint_id for b in spheres}:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from planner.spatial import FloatArray, IntArray
 
@@ -64,6 +63,8 @@ class Hull:
 
 def hull_of(points: FloatArray) -> Hull | None:
     """The convex hull of points (n, 3), m; None if they span no solid."""
+    from scipy.spatial import ConvexHull, QhullError  # here, since SciPy loads slowly
+
     if len(points) < 4:
         return None
     try:

@@ -18,7 +18,6 @@ from functools import lru_cache
 from heapq import heappop, heappush
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from planner.shapes.base import Shape
 from planner.shapes.decomposition.cutting import Guards, cut
@@ -163,6 +162,8 @@ def deviation(mesh: Mesh, hulls: list[Hull]) -> float:
     No point is farther from the surface than from the nearest of some points on it, so points are
     measured in that order until this bound is below what was found: the same as measuring all.
     """
+    from scipy.spatial import cKDTree  # here, since SciPy loads slowly
+
     points = np.concatenate([cover(hull.triangles, MEASURED)[0] for hull in hulls])
     field = mesh.field()
     points = points[field.value(points) > -field.error]  # the others are inside

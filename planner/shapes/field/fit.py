@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, spline_filter
 
 from planner.shapes.field.distance_field import DistanceField, Level
 from planner.shapes.field.pyramid import grid_nodes
@@ -117,6 +116,8 @@ def fit_field(
         smoothing: Standard deviation of the Gaussian, m, if that is more than ``SMOOTHING`` cells.
         wall: Thickness of the walls, m.
     """
+    from scipy.ndimage import gaussian_filter  # here, since SciPy loads slowly
+
     spacing, margin = finest_spacing(lower, upper, wall)
     far_radius = float(np.mean(np.abs([lower, upper])))
     first, shape = _grid(lower - margin, upper + margin, spacing)
@@ -182,6 +183,8 @@ def error_bound(level: Level, lower: FloatArray, upper: FloatArray, bracket: Bra
 
 def _corrected(coarse: Level, ratio: int, first: IntArray, samples: FloatArray) -> Level:
     """The next finer level: the coarse one plus what it misses, which is zero at the rim."""
+    from scipy.ndimage import spline_filter  # here, since SciPy loads slowly
+
     shape = samples.shape
     refined, taper = _refined(coarse, ratio, first, shape), _taper(shape)
     correction = spline_filter((samples - _at_nodes(refined)) * taper, order=3)
@@ -194,6 +197,8 @@ def _corrected(coarse: Level, ratio: int, first: IntArray, samples: FloatArray) 
 
 def _far_level(on_grid: GridDistance, h: float, far_radius: float, reach: float) -> Level:
     """The coarsest level, of a half width: its samples become |p| - r towards the rim."""
+    from scipy.ndimage import spline_filter  # here, since SciPy loads slowly
+
     box = np.full(3, reach)
     first, shape = _grid(-box, box, h)
     # a spline filter assumes a mirror at its ends: let it die out in nodes that are dropped again

@@ -7,7 +7,6 @@ interpolated from coarser grids (``planner.shapes.field.pyramid``).
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from planner.shapes.base import Shape
 from planner.shapes.field.distance_field import DistanceField
@@ -79,6 +78,8 @@ class _MeshDistance:
         point of those on the surface bounds it from below. Any other node is bounded by the cells
         that hold such points: every point of the surface is within ``gap`` of one of them.
         """
+        from scipy.ndimage import distance_transform_edt  # here, since SciPy loads slowly
+
         last = self.pyramid.last
         box = tuple(slice(a, a + s) for a, s in zip(first - last.first, shape, strict=True))
         sample, measured = last.values[box], self.pyramid.measured[box]

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["bodies_of", "body_volumes", "directed_edges", "paired_edges", "undirected_edges"]
@@ -41,6 +38,9 @@ def paired_edges(faces: IntArray) -> tuple[IntArray, IntArray] | None:
 
 def bodies_of(faces: IntArray) -> IntArray:
     """Number (m,) of the body that each face is of: faces that share an edge are of one body."""
+    from scipy.sparse import coo_array  # here, since SciPy loads slowly
+    from scipy.sparse.csgraph import connected_components
+
     keys = undirected_edges(faces)
     order = np.argsort(keys)
     same = np.flatnonzero(np.diff(keys[order]) == 0)

@@ -16,7 +16,6 @@ from typing import Any
 
 import coal
 import numpy as np
-from scipy.spatial import cKDTree
 
 from planner.shapes.meshes.triangles import COVERED, FACE, cover, nearest_on_triangles
 from planner.spatial import FloatArray, IntArray
@@ -45,6 +44,8 @@ class NearestTriangles:
 
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
         """Build coal's tree and the normals of faces, edges and vertices."""
+        from scipy.spatial import cKDTree  # here, since SciPy loads slowly
+
         self.faces = faces
         self.corners = vertices[faces]
         cross = np.cross(

@@ -9,12 +9,16 @@ a verdict may ask.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from scipy.spatial import cKDTree
 
 from planner.shapes.meshes.nearest_triangle import NearestTriangles
 from planner.shapes.meshes.triangles import COVERED, FACE, cover
 from planner.spatial import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 __all__ = ["SurfaceWalk"]
 
@@ -142,6 +146,8 @@ LEAF = 32
 
 
 def _tree(points: FloatArray) -> cKDTree:
+    from scipy.spatial import cKDTree  # here, since SciPy loads slowly
+
     return cKDTree(points, leafsize=LEAF, balanced_tree=False, compact_nodes=False)
 
 

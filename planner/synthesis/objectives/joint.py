@@ -18,7 +18,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import null_space
 
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
@@ -61,6 +60,8 @@ def driving(hand: Hand, fingers: tuple[Finger, ...]) -> IntArray:
 
 def free_velocities(hand: Hand, finger: Finger) -> FloatArray:
     """Basis (n, k) of the velocities of a finger's joints that its two-sided couplings allow."""
+    from scipy.linalg import null_space  # here, since SciPy loads slowly
+
     rows = [
         c.row[finger.q_index]
         for c in hand.couplings
