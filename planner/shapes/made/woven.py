@@ -118,9 +118,7 @@ class Channel(Made):
 
     def _triangles(self) -> tuple[FloatArray, IntArray]:
         a, h, t = self.length, self.height, self.thickness
-        outline = np.array(
-            [[0, 0], [0, h], [t, h], [t, t], [a - t, t], [a - t, h], [a, h], [a, 0]]
-        )
+        outline = np.array([[0, 0], [0, h], [t, h], [t, t], [a - t, t], [a - t, h], [a, h], [a, 0]])
         fan = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 7], [3, 4, 7], [4, 5, 6], [4, 6, 7]])
         return _extruded(outline, fan, self.width)
 

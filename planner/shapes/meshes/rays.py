@@ -68,7 +68,11 @@ def _near(
     """Pairs of ray and triangle (k,) that a thin capsule along the ray touches."""
     request, result = coal.CollisionRequest(), coal.CollisionResult()
     request.num_max_contacts = MOST
-    needle, here, pose = coal.Capsule(NEEDLE, length), coal.Transform3s.Identity(), coal.Transform3s()
+    needle, here, pose = (
+        coal.Capsule(NEEDLE, length),
+        coal.Transform3s.Identity(),
+        coal.Transform3s(),
+    )
     rotations = _along_z(directions)
     rays, triangles = [], []
     for i, middle in enumerate(starts + length / 2 * directions):
