@@ -17,6 +17,7 @@ def register(app: typer.Typer, panel: str) -> None:
         synthesis.synthesis,
         synthesis.objectives,
         best.best,
+        grasps.walls,
         grasps.metrics,
         synthesis.scaling,
         control.forces,
