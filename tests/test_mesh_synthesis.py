@@ -36,7 +36,8 @@ from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Start, build_problem
 from planner.synthesis.resistance import least_resisted
 from planner.synthesis.seeds.draw import Seeder
-from planner.synthesis.seeds.mesh import FACING, MeshSeeder, opposed_pairs, seeder_for
+from planner.synthesis.seeds.mesh import MeshSeeder, seeder_for
+from planner.synthesis.seeds.opposed_pairs import FACING, opposed_pairs
 from planner.synthesis.seeds.opposition import measure_postures, opposition
 from planner.synthesis.terms.contact import EDGE
 from planner.synthesis.terms.registry import TERMS

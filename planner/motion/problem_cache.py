@@ -54,7 +54,6 @@ def turned_surface_of(shape: Shape) -> Surface:
         steep=STEEP,
         steep_on_walls=STEEP_ON_WALLS,
         edge_worth=EDGE_WORTH,
-        skin=0.0,  # rolling is written for the surface itself
     )
 
 

@@ -87,7 +87,9 @@ class Surface(ABC):
         """Parameters (3,) of the problem for a shape's size, m."""
 
     def skin(self, size: Any) -> Any:
-        """How far in front of the true surface contact points are looked for, m; pads are shorter by it.
+        """How far in front of the true surface contact points are looked for, m.
+
+        Pads are shorter by as much.
 
         Args:
             size: Of the shape, see ``size``: numbers or symbols.

@@ -7,6 +7,18 @@ from planner.shapes.made.walled import Bowl, Cup, Plate, Tube
 from planner.shapes.made.woven import Channel, Knot, LBracket, Superquadric, Torus
 
 __all__ = [
-    *("Bowl", "Channel", "Cup", "Hammer", "Knot", "LBracket", "Made", "Mug", "Pan", "Plate"),
-    *("Superquadric", "Teacup", "Torus", "Tube"),
+    "Bowl",
+    "Channel",
+    "Cup",
+    "Hammer",
+    "Knot",
+    "LBracket",
+    "Made",
+    "Mug",
+    "Pan",
+    "Plate",
+    "Superquadric",
+    "Teacup",
+    "Torus",
+    "Tube",
 ]

@@ -13,7 +13,7 @@ import numpy as np
 
 from planner.errors import ObjectError
 from planner.shapes.made.walled import AROUND, Walled, closed_shell, revolved, spaced
-from planner.shapes.made.woven import circle, stacked
+from planner.shapes.made.woven import stacked
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["Pan", "Teacup"]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -39,7 +40,7 @@ THICKEST = 0.25
 def spaced(corners: FloatArray) -> FloatArray:
     """An outline (n, 2) through corners (k, 2), with points at most ``ROW`` apart, m."""
     parts = [corners[:1]]
-    for a, b in zip(corners[:-1], corners[1:], strict=True):
+    for a, b in pairwise(corners):
         count = max(1, int(np.ceil(np.linalg.norm(b - a) / ROW - 1e-9)))
         parts.append(a + (b - a) * (np.arange(1, count + 1) / count)[:, None])
     return np.concatenate(parts)
@@ -175,7 +176,7 @@ class Bowl(Walled):
 
 
 def _fitted(outline: FloatArray, radius: float, height: float) -> FloatArray:
-    """An outline (n, 2) scaled to its sizes, which its rim misses by some tenths of a millimetre."""
+    """An outline (n, 2) scaled to its sizes, which its rim misses by tenths of a millimetre."""
     out: FloatArray = outline * (np.array([radius, height]) / outline.max(axis=0))
     return out
 

@@ -71,6 +71,7 @@ class Seeder:
         """
         self.task = task
         self.surface: Surface = surface_of(task.object.shape)
+        self.skin = float(self.surface.skin(self.surface.size(task.object.shape)))
         self.open = self._with_wrist(task.hand.posture(OPEN))
         pinch = self._with_wrist(task.hand.posture(PINCH))
         self.posture = np.where(self._resting(), self.open, pinch)
@@ -110,9 +111,8 @@ class Seeder:
         state = HandState(task.hand, q)
         pads = np.array([T_object_base.act(state.pad_center(f)) for f in task.fingers])
         points, normals = task.object.shape.closest_point(pads)
-        skin = self.surface.skin(self.surface.size(task.object.shape))
-        if skin > 0.0:
-            points = points + skin * normals
+        if self.skin > 0.0:
+            points = points + self.skin * normals
         if task.object.shape.flat_sides is not None:
             # the nearest faces are often neighbours; those that the pads face are opposed
             normals = -np.array([T_object_base.rotation @ state.pad_axis(f) for f in task.fingers])

@@ -1,9 +1,5 @@
 """Starts on a mesh: the hand's opposition axis through a pair of opposed surface points.
 
-Pairs are found along rays through the body, from points spread over the surface: at the first exit,
-of a wall, a handle or a rim, and at the last one, across a hollow. Where the other side faces back,
-within the friction cone or nearly, the two points can be pressed against each other.
-
 A start draws pairs, near the centre of mass by preference, and postures whose pads leave a slightly
 wider gap. Of a few turns of the hand about each axis those are kept at which pads are near the
 surface and the rest of the hand is clear of it and of the table. Of these the start is the one
@@ -12,8 +8,7 @@ whose nearest surface points have the greatest resistance in their weakest direc
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 
 import numpy as np
 
@@ -23,14 +18,13 @@ from planner.spatial import SE3, FloatArray
 from planner.synthesis.link_spheres import link_spheres
 from planner.synthesis.resistance import least_resisted
 from planner.synthesis.seeds.draw import STEEPEST, Seeder
+from planner.synthesis.seeds.opposed_pairs import opposed_pairs
 from planner.synthesis.seeds.opposition import Postures, measure_postures, opposition
 from planner.task import GraspTask
 
 __all__ = [
     "MeshSeeder",
-    "OpposedPairs",
     "TurningSeeder",
-    "opposed_pairs",
     "seeder_for",
     "turning_seeder_for",
 ]
@@ -66,45 +60,6 @@ ROOM = 0.004
 
 ABOVE_TABLE = 0.004
 """Height (m) over the table, on top of a pad's radius, that a pair's middle needs."""
-
-SAMPLES = 600
-"""Surface points from which rays go through the body."""
-
-FACING = float(np.cos(np.deg2rad(35.0)))
-"""Smallest cosine between the line through both points and each normal: a little more than a
-friction cone of 0.5 (27 degrees), since the solver moves contacts."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class OpposedPairs:
-    """Pairs of opposed surface points, in the object's frame.
-
-    Attributes:
-        centers: (n, 3), half-way between, m.
-        directions: (n, 3), unit, from one point to the other.
-        widths: (n,), distance of the two, m.
-    """
-
-    centers: FloatArray
-    directions: FloatArray
-    widths: FloatArray
-
-
-@lru_cache(maxsize=16)
-def opposed_pairs(mesh: Mesh) -> OpposedPairs:
-    """Opposed pairs of a mesh; always the same ones."""
-    points, normals = mesh.surface_samples(SAMPLES, np.random.default_rng(0))
-    ray, depth, across = mesh.pierced(points, -normals)
-    slant = -np.einsum("ij,ij->i", across, normals[ray])  # cosine of ray and normal
-    ray, depth, slant = ray[slant > 0.0], depth[slant > 0.0], slant[slant > 0.0]
-    first = np.flatnonzero(np.diff(ray, prepend=-1))
-    last = np.flatnonzero(np.diff(ray, append=-1))
-    exits = np.concatenate([first, last[last > first]])
-    exits = exits[slant[exits] >= FACING]
-    points, directions, width = points[ray[exits]], -normals[ray[exits]], depth[exits]
-    return OpposedPairs(
-        centers=points + width[:, None] / 2 * directions, directions=directions, widths=width
-    )
 
 
 class MeshSeeder(Seeder):
@@ -250,6 +205,10 @@ class TurningSeeder(MeshSeeder):
     near_center = 0.45
     turn_noise = 0.6
     steepest = 0.3
+
+    def _prepare(self) -> None:
+        super()._prepare()
+        self.skin = 0.0  # motions are planned on the surface itself
 
 
 TINY = 1e-9

@@ -16,6 +16,7 @@ def register(app: typer.Typer, panel: str) -> None:
         grasps.grasps,
         synthesis.synthesis,
         synthesis.objectives,
+        grasps.walls,
         grasps.metrics,
         synthesis.scaling,
         control.forces,

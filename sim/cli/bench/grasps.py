@@ -1,4 +1,4 @@
-"""Commands that measure grasps in trials: ``bench grasps`` and ``metrics``."""
+"""Commands that measure grasps in trials: ``bench grasps``, ``walls`` and ``metrics``."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from typing import Annotated
 import typer
 
 from sim.cli.bench.common import (
+    BOTH_HANDS,
     PRIMITIVES,
+    BothHandsArgument,
     HandsArgument,
+    NumberOption,
     ObjectsOption,
     ResultOptions,
     SamplesOption,
@@ -54,6 +57,34 @@ def grasps(
             runner=runner,
         )
     result.give(measured, grasps_table)
+
+
+@errors_for_people()
+@with_options
+def walls(
+    hands: BothHandsArgument = None,
+    objects: Annotated[
+        str | None,
+        typer.Option(help="Objects, comma separated; eight cups, mugs and bowls if not given."),
+    ] = None,
+    n: NumberOption = 10,
+    trials: Annotated[
+        int, typer.Option(min=0, help="How many of them are executed in simulation.")
+    ] = 2,
+    seed: SeedOption = 0,
+    *,
+    result: ResultOptions,
+) -> None:
+    """Grasp cups, mugs and bowls of thin walls: found within 1 s, rate, held."""
+    from sim.bench.objects import bench_objects
+    from sim.bench.walls import WALLED, run_walls, walls_tables
+
+    chosen = WALLED if objects is None else names(objects)
+    with result.measuring() as runner:
+        measured = run_walls(
+            hands or BOTH_HANDS, bench_objects(chosen), n, trials, seed=seed, runner=runner
+        )
+    result.give(measured, walls_tables)
 
 
 @errors_for_people()
