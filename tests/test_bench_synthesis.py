@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -15,14 +16,16 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from planner.batch.jobs import grasp_seed
-from planner.errors import HandError, NotFoundError, ObjectError
+from planner.errors import HandError, NotFoundError, ObjectError, TaskError
 from planner.failure import Failure
 from planner.hands.hand import Hand
 from planner.quality.ball import epsilon_frogger
 from planner.search import plan_grasp
 from planner.shapes import Box, shape_key
+from planner.system.disk_cache import CACHE_VARIABLE
 from planner.task import GraspTask
 from sim.bench.baseline import BASELINE_EPSILON, BASELINE_RATE, against_baseline
+from sim.bench.first_grasp import first_grasp_s
 from sim.bench.objects import BenchObject, bench_objects
 from sim.bench.requests import Request, RequestOutcome, Setting, half_longest_side, outcome_of
 from sim.bench.statistics import power_law
@@ -241,6 +244,35 @@ def test_the_command_prints_tables_or_json(tmp_path: Path) -> None:
     assert sum(cell["stages_cpu_s"].values()) == pytest.approx(cell["cpu_s"])
     assert cell["diversity"]["n"] == cell["diversity_of_random_starts"]["n"] == 4
     assert stored["setting"]["mu"] == 0.5
+    # more than the attempts: hand, task and problem are made anew
+    first = [r["first_s"] for r in cell["requests"]]
+    assert first[1:] == [None] * 3 and first[0] > cell["requests"][0]["cpu_s"]
+    assert stored["total"]["first_grasp_cpu_s_worst"] == cell["first_grasp_cpu_s"] == first[0]
+
+
+def test_the_first_grasp_is_timed_with_an_empty_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[str] = []
+    real = subprocess.run
+
+    def run_and_look(words: list[str], **options: Any) -> Any:
+        given.append(options["env"][CACHE_VARIABLE])
+        assert not any(Path(given[-1]).iterdir())
+        done = real(words, **options)
+        assert (Path(given[-1]) / "field").is_dir()  # a mesh was prepared there
+        return done
+
+    monkeypatch.setattr(subprocess, "run", run_and_look)
+    request = Request(hand="allegro_hand", spec="torus", k=0, setting=Setting())
+    taken = first_grasp_s(request)
+    assert taken is not None and 0.05 < taken < 20
+    assert len(given) == 1 and not Path(given[0]).exists()
+
+
+def test_a_first_grasp_that_is_not_found_has_no_time_and_one_that_fails_says_why() -> None:
+    never = Setting(clearance=10.0, max_attempts=1)
+    assert first_grasp_s(Request(hand="allegro_hand", spec="box", k=0, setting=never)) is None
+    with pytest.raises(TaskError, match=r"first grasp could not be measured: .*nobody"):
+        first_grasp_s(Request(hand="nobody", spec="box", k=0, setting=never))
 
 
 def test_two_workers_make_the_same_requests() -> None:

@@ -107,6 +107,8 @@ class RequestOutcome:
         attempts: Attempts made.
         cpu_s: CPU time of all of them, s.
         prepare_s: CPU time of what this request had to prepare for itself and later ones, s.
+        first_s: CPU time to the first grasp in a process of its own with an empty cache, s: see
+            ``sim.bench.first_grasp``. None where it was not measured, or none was found.
         stages: CPU time of the attempts by stage, s.
         without_approach: Attempts that passed every check but the way in, or that one too; None
             where a clearance is asked for, which only whole plans tell.
@@ -124,6 +126,7 @@ class RequestOutcome:
     attempts: int = 0
     cpu_s: float = 0.0
     prepare_s: float = 0.0
+    first_s: float | None = None
     stages: dict[str, float] = field(default_factory=dict)
     without_approach: int | None = None
     reasons: dict[str, int] = field(default_factory=dict)

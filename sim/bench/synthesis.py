@@ -12,6 +12,7 @@ from planner.batch import GraspFeatures, diversity
 from planner.errors import ObjectError, TaskError
 from planner.task import GraspTask
 from sim.bench.baseline import against_baseline
+from sim.bench.first_grasp import first_grasp_s
 from sim.bench.objects import BenchObject
 from sim.bench.requests import (
     APPROACH,
@@ -38,12 +39,13 @@ OTHER = "other"
 
 @dataclass(frozen=True, kw_only=True)
 class _RequestJob(Job):
-    """A request, and the number of its hand and object."""
+    """A request, the number of its hand and object, and whether to time it from nothing too."""
 
     SHOWN: ClassVar = ("cell",)
 
     cell: int
     request: Request
+    first: bool
 
     def lost(self, reason: str) -> Row:
         """The row of a request that killed its processes."""
@@ -51,7 +53,10 @@ class _RequestJob(Job):
 
 
 def _made(job: _RequestJob, check: Check) -> Row:
-    return job.row(outcome=outcome_of(job.request, check))
+    outcome = outcome_of(job.request, check)
+    if job.first and not outcome.error:
+        outcome = replace(outcome, first_s=first_grasp_s(job.request))
+    return job.row(outcome=outcome)
 
 
 def run_synthesis(
@@ -62,8 +67,19 @@ def run_synthesis(
     *,
     runner: Runner,
     baseline: bool,
+    first: bool = False,
 ) -> Row:
-    """Make n requests of every hand and object, and sum them up (``sim.bench``)."""
+    """Make n requests of every hand and object, and sum them up (``sim.bench``).
+
+    Args:
+        hands: Names or paths.
+        objects: Objects.
+        n: Requests of each hand and object.
+        setting: What they share.
+        runner: What runs them.
+        baseline: Whether to compare with FRoGGeR.
+        first: Whether to time the first request of each from nothing too, in a process of its own.
+    """
     for hand in hands:
         loaded_hand(hand).choose_fingers(setting.fingers)  # bad input ends here
     pairs = [(hand, item) for hand in hands for item in objects]
@@ -80,7 +96,10 @@ def run_synthesis(
     result = measure(
         runner,
         _made,
-        [_RequestJob(index=i, cell=number, request=r) for i, (number, r) in enumerate(every)],
+        [
+            _RequestJob(index=i, cell=number, request=r, first=first and r.k == 0)
+            for i, (number, r) in enumerate(every)
+        ],
         kind="opposable-bench-synthesis",
         title="plan",
         lost=_RequestJob.lost,
@@ -121,6 +140,7 @@ def summary_of(outcomes: Sequence[RequestOutcome], task: GraspTask | str) -> Row
             [o.cpu_s for o in found], len(outcomes), tried, cpu, stages=stages, passed=passed
         ),
         "prepare_cpu_s": sum(o.prepare_s for o in outcomes),
+        "first_grasp_cpu_s": median_of([o.first_s for o in outcomes if o.first_s is not None]),
         "epsilon": _low(o.epsilon for o in found),
         "epsilon_frogger": _low(o.epsilon_frogger for o in found),
         "clearance_mm": _low(o.clearance_mm for o in found),
@@ -212,6 +232,7 @@ def total_of(cells: Sequence[Row]) -> Row:
     tried = [c for c in cells if c["requested"]]
     taken = [r["cpu_s"] for c in tried for r in c["requests"] if r["found"]]
     counts = [c["without_approach"] for c in tried]
+    firsts = [c["first_grasp_cpu_s"] for c in tried if c["first_grasp_cpu_s"] is not None]
     all_known = None not in counts and all(APPROACH in c["stages_cpu_s"] for c in tried)
 
     def added(name: str) -> Any:
@@ -227,5 +248,7 @@ def total_of(cells: Sequence[Row]) -> Row:
             passed=sum(counts) if all_known else None,
         ),
         "prepare_cpu_s": added("prepare_cpu_s"),
+        "first_grasp_cpu_s": median_of(firsts),
+        "first_grasp_cpu_s_worst": max(firsts, default=None),
         "within_1s_least": min((c["within_1s"] for c in tried), default=None),
     }

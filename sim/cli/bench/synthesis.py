@@ -65,7 +65,13 @@ def synthesis(
     )
     with result.measuring() as runner:
         measured = run_synthesis(
-            hands, bench_objects(names(objects)), n, setting, runner=runner, baseline=baseline
+            hands,
+            bench_objects(names(objects)),
+            n,
+            setting,
+            runner=runner,
+            baseline=baseline,
+            first=True,
         )
     result.give(measured, synthesis_tables)
 
