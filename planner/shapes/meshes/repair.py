@@ -1,9 +1,10 @@
 """Repair of the edges of triangles, so that each is of two that run through it oppositely.
 
-In this order: triangles without extent go, and so do repeated ones; nearly equal vertices on open edges
-become one, surfaces that touch along an edge are cut apart there, flaps that hang on such an edge
-go, neighbours are wound alike, holes are closed, and bodies are turned right side out. These are
-the defects that scanners, exporters and decimation leave. Crossings are ``mending``'s.
+In this order: triangles without extent go, and so do repeated ones; nearly equal vertices on open
+edges become one; flaps that hang on an edge of three triangles go; neighbours are wound alike;
+surfaces that touch along an edge are cut apart there; holes are closed. ``right_side_out`` turns
+whole bodies. These are the defects that scanners, exporters and decimation leave; crossings are
+the matter of ``patches``.
 
 By hand: ``trimesh.repair`` closes holes and turns faces only with networkx, which nothing else here
 needs, and does not say what it changed; it does not cut surfaces apart.
