@@ -50,8 +50,9 @@ def _stored(mending: Mending) -> dict[str, FloatArray | IntArray]:
 
 
 def _restored(known: dict[str, FloatArray]) -> Mending:
-    vertices, faces = known["vertices"].reshape(-1, 3), known["faces"].reshape(-1, 3)
-    if faces.dtype != np.int64 or faces.min() < 0 or faces.max() >= len(vertices):
+    vertices = known["vertices"].reshape(-1, 3)
+    faces = known["faces"].reshape(-1, 3).astype(np.int64)
+    if faces.min() < 0 or faces.max() >= len(vertices):
         raise ValueError("faces of vertices that are not there")
     done = known["done"].astype(np.uint8).tobytes().decode()
     figures = dict(zip(FIGURES, known["figures"].astype(float).tolist(), strict=True))

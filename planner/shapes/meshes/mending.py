@@ -46,9 +46,9 @@ NOTHING = 1e-6
 TOLD_VOLUME = 1e-4
 """Share by which the volume changes, from which on it is told."""
 
-WRAP_CELLS = 128
-"""Cells along the longest extent when a surface is wrapped: 0.8 mm on an object of 10 cm.
-Edges stay sharp, and a curve of radius R is missed by 0.1 mm^2 / R."""
+WRAP_CELLS = 96
+"""Cells along the longest extent when a surface is wrapped: 1 mm on an object of 10 cm.
+Edges stay sharp, and a curve of radius R is missed by 0.13 mm2 / R."""
 
 WRAP_ROUNDS = 6
 """Rounds of cutting and filling, at most, after wrapping: a second each."""
