@@ -20,8 +20,9 @@ from planner.shapes.closest_point import ON_SURFACE, unit
 from planner.shapes.convex import convex_geometry
 from planner.shapes.field.distance_field import DistanceField
 from planner.shapes.field.grid_distance import FIELD_VERSION, field_fits, fit_mesh_field
-from planner.shapes.meshes.io import check_solid, read_mesh
-from planner.shapes.meshes.nearest_triangle import NearestTriangles
+from planner.shapes.meshes.checking import check_solid, checked_once
+from planner.shapes.meshes.io import read_mesh
+from planner.shapes.meshes.nearest_triangle import NearestTriangles, coal_tree
 from planner.shapes.meshes.polyhedron import Polyhedron, checked_triangles, digest_of
 from planner.shapes.meshes.rays import pierced
 from planner.shapes.meshes.triangles import winding_number
@@ -162,12 +163,11 @@ class Mesh(Shape):
         file = Path(path)
         vertices, faces = read_mesh(file, scale)
         source = MeshSource(path=file.resolve(), scale=scale, repair=repair)
-        key = f"v2-{digest_of(vertices, faces)}"
-        if not (repair and strict) and read_arrays("sound", key) is not None:
-            return Mesh(vertices, faces, source=source)
-        mending = check_solid(file.name, vertices, faces, repair=repair, strict=strict)
+        if repair or strict:
+            mending = check_solid(file.name, vertices, faces, repair=repair, strict=strict)
+        else:
+            mending = checked_once(file.name, vertices, faces)
         if mending is None:
-            write_arrays("sound", key, {"sound": np.ones(1)})
             return Mesh(vertices, faces, source=source)
         return Mesh(mending.vertices, mending.faces, source=source, mended=mending.sentence)
 

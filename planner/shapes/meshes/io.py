@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from planner.errors import ObjectError
-from planner.shapes.meshes.mending import Mending, mended
-from planner.shapes.meshes.soundness import MOST_TRIANGLES, faults_of, size_fault
+from planner.shapes.meshes.soundness import MOST_TRIANGLES
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["CONVERTIBLE", "MESH_SUFFIXES", "check_solid", "read_mesh"]
+__all__ = ["CONVERTIBLE", "MESH_SUFFIXES", "read_mesh"]
 
 MESH_SUFFIXES = (".glb", ".obj", ".ply", ".stl")
 """File formats that are read, by their suffix in lower case."""
@@ -140,53 +139,3 @@ def _loaded(path: Path) -> Any:
         mesh = mesh.to_mesh()
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     return mesh
-
-
-def check_solid(
-    name: str, vertices: FloatArray, faces: IntArray, *, repair: bool = False, strict: bool = False
-) -> Mending | None:
-    """How the surface of a solid was mended; None if it is sound as it is.
-
-    Args:
-        name: What to call it in messages.
-        vertices: (n, 3), m.
-        faces: (m, 3).
-        repair: Whether to accept what mending changes, however much that is.
-        strict: Whether to refuse what would have to be mended.
-
-    Raises:
-        ObjectError: It bounds no solid; says what is wrong, where, and what can be done.
-    """
-    if repair and strict:
-        raise ObjectError(
-            f"{name}: repair and strict are both asked for; give one of them: --repair accepts "
-            "what mending changes, --strict refuses what would have to be mended"
-        )
-    wrong_size = size_fault(vertices)
-    if wrong_size:
-        file = name if Path(name).suffix else "FILE"
-        remedy = wrong_size.remedy.replace("FILE", file)
-        raise ObjectError(f"{name} {wrong_size.what}; sizes are in metres: {remedy}")
-    faults = faults_of(vertices, faces)
-    if not faults:
-        return None
-    what = f"{name} is not the surface of a solid: {'; '.join(fault.what for fault in faults)}"
-    if strict:
-        raise ObjectError(
-            f"{what}; it is not mended, since --strict (strict=True) is given: leave that out, or "
-            "mend it in the program that made it"
-        )
-    mending = mended(vertices, faces)
-    if mending.faults:
-        tried = "; ".join(mending.done) if mending.done else "nothing could be mended"
-        left = "; ".join(fault.what for fault in mending.faults)
-        raise ObjectError(
-            f"{what}. Mending was tried ({tried}), and then {left}; close it, or unite its parts, "
-            "in the program that made it"
-        )
-    if mending.too_much and not repair:
-        raise ObjectError(
-            f"{what}; {mending.too_much}: accept that with --repair (repair=True), or mend it in "
-            "the program that made it"
-        )
-    return mending

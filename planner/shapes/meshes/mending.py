@@ -46,8 +46,12 @@ NOTHING = 1e-6
 TOLD_VOLUME = 1e-4
 """Share by which the volume changes, from which on it is told."""
 
-WRAP_CELLS = 160
-"""Cells along the longest extent when a surface is wrapped: 0.6 mm on an object of 10 cm."""
+WRAP_CELLS = 96
+"""Cells along the longest extent when a surface is wrapped: 1 mm on an object of 10 cm.
+Edges stay sharp, and a curve of radius R is missed by 0.13 mm2 / R."""
+
+WRAP_ROUNDS = 6
+"""Rounds of cutting and filling, at most, after wrapping: a second each."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,18 +148,17 @@ def _uncrossed(
 ) -> tuple[FloatArray, IntArray, float]:
     """Without triangles that cross others of their own body, and the share of volume that went.
 
-    Cut out and filled or, where that moves the surface farther than a grid would, wrapped.
+    Cut out and filled or, where that moves the surface too far and a grid does not, wrapped.
     """
     crossed = crossed_in_bodies(vertices, faces)
     if len(crossed) == 0:
         return vertices, faces, 0.0
     given, how = (vertices, faces), "cut out and filled"
     best = without_crossings(vertices, faces)
-    if best is None or faults_of(*best) or deviation(given, best) > MOVED:
+    sound = best is not None and not faults_of(*best)
+    if best is None or not sound or deviation(given, best) > MOVED:
         other = _wrapped(vertices, faces)
-        if not faults_of(*other) and (
-            best is None or faults_of(*best) or deviation(given, other) < deviation(given, best)
-        ):
+        if not faults_of(*other) and (not sound or deviation(given, other) <= MOVED):
             best, how = other, "wrapped on a grid"
     if best is None:
         return vertices, faces, 0.0
@@ -181,4 +184,4 @@ def _one_solid(
 def _wrapped(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
     """Wrapped, with edges of two triangles each and without crossings, as far as can be had."""
     v, f = with_paired_edges(*wrapped(vertices, faces, WRAP_CELLS), 0.0, [])
-    return without_crossings(v, f) or (v, f)
+    return without_crossings(v, f, rounds=WRAP_ROUNDS) or (v, f)

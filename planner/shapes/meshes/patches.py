@@ -17,7 +17,7 @@ from planner.spatial import FloatArray, IntArray
 __all__ = ["crossed_in_bodies", "without_crossings"]
 
 ROUNDS = 40
-"""Rounds of cutting or smoothing, at most: a scan of 16,384 triangles with 94 crossings takes 12."""
+"""Rounds of cutting or smoothing, at most; 94 crossings of a scan of 16,384 triangles need 12."""
 
 PATIENCE = 4
 """Rounds of smoothing, after which the ring of vertices that move grows by one."""
@@ -46,15 +46,18 @@ def crossed_in_bodies(vertices: FloatArray, faces: IntArray) -> IntArray:
     return np.unique(np.concatenate([one[own], other[own], *folded]))
 
 
-def without_crossings(vertices: FloatArray, faces: IntArray) -> Triangles | None:
+def without_crossings(
+    vertices: FloatArray, faces: IntArray, *, rounds: int = ROUNDS
+) -> Triangles | None:
     """A surface whose bodies do not cross themselves; None if cutting and filling does not end.
 
     Args:
         vertices: (n, 3), m.
         faces: (m, 3), consistently wound, nearly all edges of two triangles each.
+        rounds: Of cutting or smoothing, at most.
     """
     fewest, stuck = len(faces) + 1, 0
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         faulty = crossed_in_bodies(vertices, faces)
         if len(faulty) == 0:
             return (vertices, faces) if paired_edges(faces) is not None else None

@@ -1,9 +1,10 @@
 """Repair of the edges of triangles, so that each is of two that run through it oppositely.
 
-In this order: triangles without extent go, and so do repeated ones; nearly equal vertices on open edges
-become one, surfaces that touch along an edge are cut apart there, flaps that hang on such an edge
-go, neighbours are wound alike, holes are closed, and bodies are turned right side out. These are
-the defects that scanners, exporters and decimation leave. Crossings are ``mending``'s.
+In this order: triangles without extent go, and so do repeated ones; nearly equal vertices on open
+edges become one; flaps that hang on an edge of three triangles go; neighbours are wound alike;
+surfaces that touch along an edge are cut apart there; holes are closed. ``right_side_out`` turns
+whole bodies. These are the defects that scanners, exporters and decimation leave; crossings are
+the matter of ``patches``.
 
 By hand: ``trimesh.repair`` closes holes and turns faces only with networkx, which nothing else here
 needs, and does not say what it changed; it does not cut surfaces apart.
@@ -68,7 +69,7 @@ def _once(faces: IntArray, done: list[str]) -> IntArray:
     Where two solids share a face, what goes is the wall between them.
     """
     extended = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-    left = faces[extended]
+    left: IntArray = faces[extended]
     if len(left) == 0:
         return left
     after = (np.argmin(left, axis=1)[:, None] + np.array([1, 2])) % 3
@@ -77,7 +78,7 @@ def _once(faces: IntArray, done: list[str]) -> IntArray:
         np.sort(left, axis=1), axis=0, return_index=True, return_inverse=True
     )
     sense = np.bincount(of_face.ravel(), np.where(second < third, 1.0, -1.0))
-    left = left[np.sort(first[sense != 0])]
+    left = np.take(left, np.sort(first[sense != 0]), axis=0)
     if len(left) < len(faces):
         done.append(f"{len(faces) - len(left)} repeated or empty triangle(s) removed")
     return left
@@ -123,7 +124,8 @@ def _without_flaps(faces: IntArray, done: list[str]) -> IntArray:
     if flap.all() or not flap.any():
         return faces
     done.append(f"{int(flap.sum())} triangle(s) of flaps removed")
-    return faces[~flap]
+    rest: IntArray = faces[~flap]
+    return rest
 
 
 def _alike(faces: IntArray, done: list[str]) -> IntArray:
@@ -155,7 +157,7 @@ def _alike(faces: IntArray, done: list[str]) -> IntArray:
     turned ^= (share > 0.5)[body] & (label[:size] != label[size:])
     if turned.any():
         done.append(f"{int(turned.sum())} triangle(s) turned to agree with their neighbours")
-    out = faces.copy()
+    out: IntArray = faces.copy()
     out[turned] = out[turned][:, ::-1]
     return out
 

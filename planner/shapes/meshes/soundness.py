@@ -98,7 +98,7 @@ def faults_of(vertices: FloatArray, faces: IntArray) -> tuple[Fault, ...]:
     if float(np.abs(volumes).max()) <= FLAT * box:
         return (Fault(what="it is flat: it encloses no volume"),)
     corners, near = vertices[faces], near_pairs(vertices, faces)
-    one, other = crossing_pairs(corners, near)
+    one, _ = crossing_pairs(corners, near)
     folded, _ = folded_pairs(corners, across)
     if len(one) + len(folded):
         at = _place(corners[(one if len(one) else folded)[0]])

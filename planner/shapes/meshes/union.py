@@ -41,10 +41,13 @@ def united(vertices: FloatArray, faces: IntArray) -> Triangles:
     turned = np.where((volumes < 0)[body][:, None], faces[:, ::-1], faces)
     cavities: dict[int, list[int]] = {}
     matter = set(range(len(volumes)))
-    for inner, outer, _ in nested(vertices[turned], body, len(volumes)):
-        if volumes[inner] < 0:
-            matter.discard(inner)
-            cavities.setdefault(outer, []).append(inner)
+    pairs = [(inner, outer) for inner, outer, _ in nested(vertices[turned], body, len(volumes))]
+    for cavity in sorted({inner for inner, _ in pairs if volumes[inner] < 0}):
+        # of the body closest around it; matter of another body fills it
+        around = [outer for inner, outer in pairs if inner == cavity]
+        owner = min(around, key=lambda outer: abs(float(volumes[outer])))
+        matter.discard(cavity)
+        cavities.setdefault(owner, []).append(cavity)
 
     def solid(number: int) -> Any:
         used, own = np.unique(turned[body == number], return_inverse=True)

@@ -19,7 +19,8 @@ from planner.spatial import FloatArray, IntArray
 __all__ = ["wrapped"]
 
 PINCH = 0.02
-"""Weight of the middle of a vertex's points beside their planes: holds it where planes are alike."""
+"""Weight of the middle of a vertex's points beside that of their planes, which alone leave a vertex
+on a flat face loose."""
 
 OFFSET = np.array([0.3819, 0.5257, 0.6180])
 """Where the grid begins, in cells: off the round numbers on which designers put faces."""
@@ -112,10 +113,10 @@ def _accumulated(
         node[:, axis] = np.floor(depth)
         ahead = node + np.eye(3, dtype=np.int64)[axis]
         boundary = inside[tuple(node.T)] != inside[tuple(ahead.T)]
-        node, normal = node[boundary], normal[boundary]
+        node, plane = node[boundary], normal[boundary]
         point = node.astype(np.float64)
         point[:, axis] = depth[boundary]
-        plane = np.einsum("nd,nd->n", normal, point)
+        height = np.einsum("nd,nd->n", plane, point)
         for du in (0, 1):
             for dv in (0, 1):
                 cell = node.copy()
@@ -124,8 +125,8 @@ def _accumulated(
                 index = np.ravel_multi_index(tuple(cell.T), tuple(shape))
                 np.add.at(weight, index, 1.0)
                 np.add.at(total, index, point)
-                np.add.at(matrix, index, normal[:, :, None] * normal[:, None])
-                np.add.at(vector, index, normal * plane[:, None])
+                np.add.at(matrix, index, plane[:, :, None] * plane[:, None])
+                np.add.at(vector, index, plane * height[:, None])
     return weight, total, matrix, vector
 
 
