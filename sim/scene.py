@@ -120,20 +120,17 @@ class Scene:
         body: IntArray = self.model.geom_bodyid
         return frozenset(np.flatnonzero(body == self.object_body).tolist())
 
-    def place_of_geom(self, fingers: tuple[str, ...]) -> IntArray:
-        """Place (ngeom,) of each geom's finger among some fingers, -1 for other geoms."""
-        if fingers not in self._places:
-            place = np.full(self.model.ngeom, -1, dtype=np.int64)
-            for geom, finger in self.finger_of_geom.items():
-                if finger in fingers:
-                    place[geom] = fingers.index(finger)
-            self._places[fingers] = place
-        return self._places[fingers]
+    @cached_property
+    def body_of_geom(self) -> list[int]:
+        """Body id of every geom, as plain numbers."""
+        bodies: list[int] = self.model.geom_bodyid.tolist()
+        return bodies
 
     @cached_property
-    def _places(self) -> dict[tuple[str, ...], IntArray]:
-        """What ``place_of_geom`` has given."""
-        return {}
+    def root_of_body(self) -> list[int]:
+        """Root of the tree of every body, as plain numbers."""
+        roots: list[int] = self.model.body_rootid.tolist()
+        return roots
 
     def posed(self, q: FloatArray, T_world_base: SE3, T_world_object: SE3) -> FloatArray:
         """State (qpos) with the hand at q (nq,) and a base pose, and the object at a pose."""
