@@ -17,6 +17,7 @@ def register(app: typer.Typer, panel: str) -> None:
         synthesis.synthesis,
         synthesis.objectives,
         grasps.metrics,
+        grasps.trials,
         synthesis.scaling,
         control.forces,
         control.control,
