@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from sim.contacts import NO_FORCE, contact_loads, object_contacts
@@ -17,34 +16,37 @@ from sim.scene import Scene
 
 __all__ = ["read_pads"]
 
+MIN_LENGTH = 1e-12
+"""Least length (-) of a mean of normals that is divided by: a finger that pinches the object by
+itself can have none."""
+
 
 def read_pads(scene: Scene, data: Any, fingers: tuple[str, ...]) -> PadReading:
     """What the pads of some fingers feel after a step."""
     index = {name: k for k, name in enumerate(fingers)}
     n = len(fingers)
     # per finger: normal force; force; and, times normal force, place, normal, sliding and spin
-    total = [0.0] * n
-    sums = [[0.0] * 13 for _ in range(n)]
-    loads = contact_loads(data)
-    places, frames = data.contact.pos.tolist(), data.contact.frame.tolist()
-    bodies = scene.model.geom_bodyid
-    twists: dict[int, list[float]] = {}
-    for i, geom, sign in object_contacts(scene, data):
-        k = index.get(scene.finger_of_geom[geom])
-        if k is None or loads[i][0] <= NO_FORCE:
-            continue
-        body = int(bodies[geom])
-        for b in (body, scene.object_body):
-            if b not in twists:
-                twists[b] = _twist(scene, data, b)
-        twist = [p - q for p, q in zip(twists[scene.object_body], twists[body], strict=True)]
-        _add(sums[k], loads[i], places[i], frames[i], sign, twist)
-        total[k] += loads[i][0]
-    table = np.array(sums).reshape(n, 13)
-    each = zip(sums, total, strict=True)
-    normal_force = np.array(total)
-    weight = np.where(normal_force > 0, normal_force, np.nan)[:, None]
-    force, position, normal, sliding = table[:, :12].reshape(n, 4, 3).transpose(1, 0, 2)
+    sums = [[0.0] * 14 for _ in range(n)]
+    touching = object_contacts(scene, data)
+    if touching:
+        loads, of_object = contact_loads(data), _twist(scene, data, scene.object_body)
+        places, frames = data.contact.pos.tolist(), data.contact.frame.tolist()
+        twists: dict[int, list[float]] = {}
+        for i, geom, sign in touching:
+            k = index.get(scene.finger_of_geom[geom])
+            if k is None or loads[i][0] <= NO_FORCE:
+                continue
+            body = scene.body_of_geom[geom]
+            if body not in twists:
+                twists[body] = [
+                    p - q for p, q in zip(of_object, _twist(scene, data, body), strict=True)
+                ]
+            _add(sums[k], loads[i], places[i], frames[i], sign, twists[body])
+    table = np.array(sums).reshape(n, 14)
+    normal_force = table[:, 0].copy()
+    pressing = normal_force > 0
+    weight = np.where(pressing, normal_force, np.nan)[:, None]
+    force, position, normal, sliding = table[:, 1:13].reshape(n, 4, 3).transpose(1, 0, 2)
     normal = normal / weight
     length = np.sqrt((normal * normal).sum(axis=1, keepdims=True))
     return PadReading(
@@ -53,7 +55,7 @@ def read_pads(scene: Scene, data: Any, fingers: tuple[str, ...]) -> PadReading:
         position=position / weight,
         normal=normal / np.maximum(length, MIN_LENGTH),
         sliding=sliding / weight,
-        spin=np.array([s[12] / press if press > 0 else 0.0 for s, press in each]),
+        spin=np.where(pressing, table[:, 13] / np.where(pressing, normal_force, 1.0), 0.0),
     )
 
 
@@ -68,41 +70,48 @@ def _add(
     """Add a contact to the sums of its finger; plain numbers are cheaper than arrays of three.
 
     Args:
-        sums: Force, then place, normal, sliding and spin times the normal force: written.
+        sums: Normal force, force; then place, normal, sliding and spin times the normal force:
+            written.
         load: Force in the contact's frame, N.
         at: Its place, m.
         frame: Its axes, one after the other.
         sign: 1 where the first axis points into the object, else -1.
-        twist: Of the object relative to the finger's body.
+        twist: Of the object relative to the finger's body: angular velocity, and velocity of the
+            point at the world's origin.
     """
     press, t1, t2 = load
-    slip = _velocity(twist, at)
-    across = slip[0] * frame[0] + slip[1] * frame[1] + slip[2] * frame[2]
-    for j in range(3):
-        sums[j] += sign * (press * frame[j] + t1 * frame[3 + j] + t2 * frame[6 + j])
-        sums[3 + j] += press * at[j]
-        sums[6 + j] += press * sign * frame[j]
-        sums[9 + j] += press * (slip[j] - across * frame[j])
-        sums[12] += press * sign * twist[j] * frame[j]
-
-
-MIN_LENGTH = 1e-12
-"""Least length (-) of a mean of normals that is divided by: a finger that pinches the object by
-itself can have none."""
+    x, y, z = at
+    a, b, c, u, v, w = twist
+    n0, n1, n2, p0, p1, p2, q0, q1, q2 = frame
+    s0, s1, s2 = u + b * z - c * y, v + c * x - a * z, w + a * y - b * x
+    across = s0 * n0 + s1 * n1 + s2 * n2
+    inward = press * sign
+    sums[0] += press
+    sums[1] += sign * (press * n0 + t1 * p0 + t2 * q0)
+    sums[2] += sign * (press * n1 + t1 * p1 + t2 * q1)
+    sums[3] += sign * (press * n2 + t1 * p2 + t2 * q2)
+    sums[4] += press * x
+    sums[5] += press * y
+    sums[6] += press * z
+    sums[7] += inward * n0
+    sums[8] += inward * n1
+    sums[9] += inward * n2
+    sums[10] += press * (s0 - across * n0)
+    sums[11] += press * (s1 - across * n1)
+    sums[12] += press * (s2 - across * n2)
+    sums[13] += inward * a * n0
+    sums[13] += inward * b * n1
+    sums[13] += inward * c * n2
 
 
 def _twist(scene: Scene, data: Any, body: int) -> list[float]:
-    """Angular velocity, and velocity of the body's point at the world's origin; world axes."""
-    twist = np.zeros(6)
-    kind = int(mujoco.mjtObj.mjOBJ_XBODY)
-    mujoco.mj_objectVelocity(scene.model, data, kind, body, twist, 0)
+    """Angular velocity, and velocity of the body's point at the world's origin; world axes.
+
+    MuJoCo keeps velocities about the centre of mass of the whole tree.
+    """
+    a, b, c, u, v, w = data.cvel[body].tolist()
     x, y, z = data.xpos[body].tolist()
-    a, b, c, u, v, w = twist.tolist()  # plain numbers: cheaper than arrays of three
+    cx, cy, cz = data.subtree_com[scene.root_of_body[body]].tolist()
+    x0, y0, z0 = x - cx, y - cy, z - cz
+    u, v, w = u - (y0 * c - z0 * b), v - (z0 * a - x0 * c), w - (x0 * b - y0 * a)
     return [a, b, c, u - b * z + c * y, v - c * x + a * z, w - a * y + b * x]
-
-
-def _velocity(twist: list[float], point: list[float]) -> list[float]:
-    """Velocity at a point of a body that moves by a twist."""
-    a, b, c, u, v, w = twist
-    x, y, z = point
-    return [u + b * z - c * y, v + c * x - a * z, w + a * y - b * x]

@@ -120,6 +120,18 @@ class Scene:
         body: IntArray = self.model.geom_bodyid
         return frozenset(np.flatnonzero(body == self.object_body).tolist())
 
+    @cached_property
+    def body_of_geom(self) -> list[int]:
+        """Body id of every geom, as plain numbers."""
+        bodies: list[int] = self.model.geom_bodyid.tolist()
+        return bodies
+
+    @cached_property
+    def root_of_body(self) -> list[int]:
+        """Root of the tree of every body, as plain numbers."""
+        roots: list[int] = self.model.body_rootid.tolist()
+        return roots
+
     def posed(self, q: FloatArray, T_world_base: SE3, T_world_object: SE3) -> FloatArray:
         """State (qpos) with the hand at q (nq,) and a base pose, and the object at a pose."""
         qpos = np.array(self.model.qpos0)

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
+from pinocchio import SE3
 
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
@@ -32,6 +33,7 @@ class HandLoads:
     def __init__(self, hand: Hand, fingers: Sequence[Finger]) -> None:
         """Prepare memory; call ``move`` next."""
         self._model, self._data = hand.pin_model, hand.pin_model.createData()
+        self._palm = hand.palm_frame_id
         self.jacobian: FloatArray = np.zeros((6, hand.nq))
         self.moved_by = np.array(hand.moved_by[[finger.pad.joint_id for finger in fingers]])
 
@@ -45,6 +47,16 @@ class HandLoads:
         of_mass_centre = pin.jacobianCenterOfMass(self._model, self._data, q)
         self.jacobian[:] = self._data.J
         return np.array(-float(self._data.mass[0]) * of_mass_centre.T @ gravity)
+
+    @property
+    def T_base_palm(self) -> SE3:
+        """Pose of the palm's body in the base."""
+        return SE3(pin.updateFramePlacement(self._model, self._data, self._palm))
+
+    def at(self, joint_id: int, point: FloatArray) -> FloatArray:
+        """A point (3,) of a joint's frame in the base, m."""
+        placed: FloatArray = self._data.oMi[joint_id].act(point)
+        return placed
 
     def torque(self, forces: FloatArray, moments: FloatArray) -> FloatArray:
         """Joint torques (nq,), N m, that exert forces at the pads.

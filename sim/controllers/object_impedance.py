@@ -267,9 +267,9 @@ class ObjectImpedance:
         normals = np.where(felt, pads.normal @ turn.T, self._frames[:, :, 0])
         self._frames = turned_frames(self._frames, normals)
         lost, found = self.schedule.step(elapsed, pads.normal_force)
-        for i in np.flatnonzero(lost).tolist():
+        for i in np.flatnonzero(lost).tolist() if lost.any() else ():
             self._note("contact lost", i, "forces over the others; it searches")
-        for i in np.flatnonzero(found).tolist():
+        for i in np.flatnonzero(found).tolist() if found.any() else ():
             self._torques.latch(i)
             self._note("contact found", i, f"felt {pads.normal_force[i]:.2f} N")
 

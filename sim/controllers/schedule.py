@@ -42,6 +42,9 @@ class ContactSchedule:
         self.wanted = np.ones(len(touching), dtype=bool)
         self.share = self.touching.astype(np.float64)
         self._lasting = np.zeros(len(touching))
+        self._none: NDArray[np.bool_] = np.zeros(len(touching), dtype=bool)
+        self._none.flags.writeable = False
+        self._settled = False  # all touch, with their whole share, and none is about to be lost
 
     @property
     def holding(self) -> NDArray[np.bool_]:
@@ -65,6 +68,8 @@ class ContactSchedule:
         Returns:
             Which wanted fingers have just lost the object, and which have just found it, (n,) each.
         """
+        if self._settled and normal_force.min() >= LOST_FORCE and self.wanted.all():
+            return self._none, self._none
         changes = np.where(self.touching, normal_force < LOST_FORCE, normal_force > TOUCH_FORCE)
         self._lasting = np.where(changes, self._lasting + elapsed, 0.0)
         due = self._lasting >= np.where(self.touching, LOST_TIME, TOUCH_TIME) - elapsed / 2
@@ -75,4 +80,7 @@ class ContactSchedule:
         toward = self.wanted & self.touching
         self.share = np.clip(self.share + np.where(toward, rate, -rate), 0.0, 1.0)
         self.share[~self.touching] = 0.0
+        self._settled = bool(
+            self.touching.all() and (self.share == 1.0).all() and not self._lasting.any()
+        )
         return lost & self.wanted, found & self.wanted

@@ -65,10 +65,11 @@ class Senses:
 
     def pose(self, time: float, exact: SE3) -> SE3:
         """T_palm_object as it is known now, from how it is; at first the oldest there is."""
-        s = self._sensing
-        noise = self._pose_rng.standard_normal(6)
-        turn = pin.exp3(s.turn_noise * noise[3:])
-        measured = SE3(turn @ exact.rotation, exact.translation + s.pose_noise * noise[:3])
+        s, measured = self._sensing, exact
+        if s.turn_noise > 0 or s.pose_noise > 0:
+            noise = self._pose_rng.standard_normal(6)
+            turn = pin.exp3(s.turn_noise * noise[3:])
+            measured = SE3(turn @ exact.rotation, exact.translation + s.pose_noise * noise[:3])
         self._poses.append((time, measured))
         due = time - s.pose_delay + TIME_TOL
         while len(self._poses) > 1 and self._poses[1][0] <= due:
@@ -78,9 +79,9 @@ class Senses:
     def pads(self, observation: Observation) -> PadReading:
         """What the pads say; a pad without contact says so without noise."""
         s, exact = self._sensing, observation.pads
-        noise = self._pad_rng.standard_normal((2, len(exact.normal_force), 3))
         if s.force_noise == 0.0 and s.sliding_noise == 0.0:
             return exact
+        noise = self._pad_rng.standard_normal((2, len(exact.normal_force), 3))
         touching = exact.normal_force > 0
         error = s.force_noise * noise[0] * touching[:, None]
         normal = np.nan_to_num(exact.normal)

@@ -16,13 +16,12 @@ All of it is in the axes of the hand's base.
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
-from planner.kinematics.state import MovingHand
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, skew
 from sim.controllers.grasp import saturated
+from sim.controllers.loads import HandLoads
 from sim.controllers.motors import FULL_FRICTION_RATE, joint_drag, motor_servo
 
 __all__ = ["HoldingTorques", "grasp_matrix"]
@@ -63,7 +62,8 @@ class HoldingTorques:
     def __init__(self, plan: GraspPlan) -> None:
         """Prepare memory."""
         self._hand, self._fingers = plan.task.hand, plan.task.fingers
-        self._state = MovingHand(self._hand, plan.q)
+        self._loads = HandLoads(self._hand, self._fingers)
+        self._pads = [(f.pad.joint_id, f.pad.center) for f in self._fingers]
         n, nq = len(self._fingers), self._hand.nq
         self.T_base_palm = SE3.Identity()
         self.centers = np.zeros((n, 3))
@@ -88,24 +88,20 @@ class HoldingTorques:
         self._apart = np.zeros((n, 3))  # from the fingertips to where they were when latched
         self._tip_forces = np.zeros((n, 3))
         self._tip_velocity = np.zeros((n, 3))
+        self._arms, self._moved = np.zeros((n, 3, 3)), np.zeros((3 * n, 2))
+        self._grasp = grasp_matrix(np.zeros((n, 3))).reshape(6, n, 3)
         self._law_q, self._torque = plan.q.copy(), np.zeros(nq)
 
     def move(self, q: FloatArray, v: FloatArray, gravity: FloatArray) -> None:
         """Go to joints (nq,) and rates (nq,), with gravity (3,) in the base's axes, m/s2."""
         self._q, self._v = q, v
-        state = self._state.move(q)
-        self.T_base_palm = state.T_base_palm
-        self.own_torque = state.gravity_torque(gravity)
+        self.own_torque = self._loads.move(q, gravity)
+        self.T_base_palm = self._loads.T_base_palm
         self._v_ref = np.zeros(self._hand.nq)
-        for i, finger in enumerate(self._fingers):
-            self.centers[i] = state.pad_center(finger)
-            # WORLD: linear rows are the velocity of the point that passes the origin
-            self._full[i] = pin.getJointJacobian(
-                self._hand.pin_model,
-                state.pin_data,
-                finger.pad.joint_id,
-                pin.ReferenceFrame.WORLD,
-            )
+        for i, (joint, center) in enumerate(self._pads):
+            self.centers[i] = self._loads.at(joint, center)
+        # linear rows are the velocity of the point that passes the origin
+        np.multiply(self._loads.moved_by[:, None], self._loads.jacobian, out=self._full)
 
     def latch(self, finger: int | None = None) -> None:
         """Keep the posture and the fingertips as they are now; of one finger, or of all."""
@@ -142,15 +138,20 @@ class HoldingTorques:
             Twist (6,) of the body that the holding fingertips move like, relative to the palm,
             about ``center``.
         """
-        np.subtract(self._full[:, :3], skew(points) @ self._full[:, 3:], out=self.jacobians)
+        np.subtract(
+            self._full[:, :3], _skewed(points, self._arms) @ self._full[:, 3:], out=self.jacobians
+        )
         self._tip_velocity = self.jacobians @ np.where(self._moving, self._v, 0.0)
         mask = holding[:, None]
-        grasp = grasp_matrix(points - center) * np.repeat(holding, 3)
+        self._grasp[3:] = _skewed(points - center, self._arms).transpose(1, 0, 2)
+        grasp = self._grasp.reshape(6, -1)
+        if not holding.all():
+            grasp = grasp * np.repeat(holding, 3)
         gram = grasp @ grasp.T + _RANK
         self._apart = self._latched() - self.centers
         apart = np.where(mask, self._apart, 0.0)
-        moved = np.column_stack([self._tip_velocity.ravel(), apart.ravel()])
-        rigid = np.linalg.solve(gram, grasp @ moved)
+        self._moved[:, 0], self._moved[:, 1] = self._tip_velocity.ravel(), apart.ravel()
+        rigid = np.linalg.solve(gram, grasp @ self._moved)
         rest = apart - (rigid[:, 1] @ grasp).reshape(-1, 3)
         self._tip_forces = np.where(mask, TIP_STIFFNESS * rest, 0.0)
         return np.asarray(rigid[:, 0])
@@ -209,6 +210,14 @@ class HoldingTorques:
         gram = jac @ jac.transpose(0, 2, 1) + _FLAT
         force = np.linalg.solve(gram, jac @ own[..., None])
         return np.asarray((own - (jac.transpose(0, 2, 1) @ force)[..., 0]).sum(axis=0))
+
+
+def _skewed(vectors: FloatArray, out: FloatArray) -> FloatArray:
+    """``skew`` of vectors (n, 3) written into (n, 3, 3), whose diagonals are zero."""
+    x, y, z = vectors.T
+    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -z, y, -x
+    out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = z, -y, x
+    return out
 
 
 def grasp_matrix(arms: FloatArray) -> FloatArray:

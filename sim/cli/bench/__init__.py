@@ -19,6 +19,7 @@ def register(app: typer.Typer, panel: str) -> None:
         best.best,
         grasps.walls,
         grasps.metrics,
+        grasps.trials,
         synthesis.scaling,
         control.forces,
         control.control,

@@ -1,4 +1,4 @@
-"""Commands that measure grasps in trials: ``bench grasps``, ``walls`` and ``metrics``."""
+"""Commands that measure grasps in trials: ``bench grasps``, ``walls``, ``metrics``, ``trials``."""
 
 from __future__ import annotations
 
@@ -107,3 +107,32 @@ def metrics(
             hands, bench_objects(names(objects)), n, seed=seed, file=samples, runner=runner
         )
     result.give(measured, metrics_table)
+
+
+@errors_for_people()
+@with_options
+def trials(
+    hands: BothHandsArgument = None,
+    objects: ObjectsOption = "sphere,box,cylinder",
+    controllers: Annotated[
+        str, typer.Option(help="Controllers, comma separated.")
+    ] = "feedforward,impedance",
+    repeats: Annotated[int, typer.Option(min=1, help="Timings per cell; medians count.")] = 3,
+    seed: SeedOption = 0,
+    *,
+    result: ResultOptions,
+) -> None:
+    """Time trials: CPU beside MuJoCo's steps alone with the same commands."""
+    from sim.bench.objects import bench_objects
+    from sim.bench.trial_cost import run_trial_cost, trial_cost_table
+
+    with result.measuring() as runner:
+        measured = run_trial_cost(
+            hands or BOTH_HANDS,
+            bench_objects(names(objects)),
+            names(controllers),
+            seed=seed,
+            repeats=repeats,
+            runner=runner,
+        )
+    result.give(measured, trial_cost_table)
