@@ -35,7 +35,7 @@ FIRST_STEPS = 4
 """Most steps while there is nothing to beat: what comes first should come soon, and starts beside
 it go on."""
 
-STEP_ITERATIONS, RETURN_ITERATIONS = 8, 8
+STEP_ITERATIONS, RETURN_ITERATIONS = 5, 8
 """Evaluations of a step with the objectives, and of the return to the terms."""
 
 LIGHT = 0.05
