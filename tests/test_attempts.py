@@ -77,8 +77,39 @@ def test_a_search_ends_with_the_first_plan_or_the_best_of_several() -> None:
     found, tried = search(made, max_attempts=30)
     k = next(i for i, v in enumerate(values) if v)
     assert found is made[k].plan and len(tried) == k + 1
-    best, tried = search(made, max_attempts=30, best_of=8, merit=lambda plan: plan.value)
-    assert len(tried) == 8 and best is not None and best.value == max(values[:8])
+    places = [i for i, v in enumerate(values) if v]
+    assert places[3] > 3  # some fail before, and do not count
+    best, tried = search(made, max_attempts=30, best_of=4, merit=lambda plan: plan.value)
+    assert len(tried) == places[3] + 1
+    assert best is not None and best.value == max(values[: places[3] + 1])
+
+
+def test_a_search_for_the_best_of_too_many_gives_the_best_that_the_budget_has() -> None:
+    made = first(30)
+    for best_of in (1000, None):
+        best, tried = search(made, max_attempts=12, best_of=best_of, merit=lambda p: p.value)
+        assert len(tried) == 12
+        assert best is not None
+        assert best.value == max(a.plan.value for a in made[:12] if a.plan is not None)
+
+
+def test_progress_tells_the_best_so_far_and_may_end_the_search() -> None:
+    seen: list[float | None] = []
+
+    def enough(attempt: Attempt[Number]) -> bool:
+        seen.append(attempt.best)
+        return len(seen) == 9
+
+    made = first(30)
+    best, tried = search(
+        made, max_attempts=30, best_of=None, merit=lambda plan: plan.value, progress=enough
+    )
+    assert len(tried) == 9 and [a.best for a in tried] == seen
+    values = [a.plan.value if a.plan is not None else None for a in made[:9]]
+    for k, told in enumerate(seen):
+        known = [v for v in values[: k + 1] if v is not None]
+        assert told == (max(known) if known else None)
+    assert best is not None and best.value == seen[-1]
 
 
 def test_budgets_end_a_search_between_attempts() -> None:

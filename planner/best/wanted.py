@@ -75,6 +75,8 @@ class Wanted:
                 "many grasps, keep='best' with max_attempts or max_cpu_s"
             )
         compares = keep == BEST or best_of is not None
+        if metric is not None:
+            Measure.of(metric)  # an error of it speaks of a metric, not of an objective
         if metric is not None and not compares:
             raise TaskError(
                 f"metric is {metric!r}, but the first grasp is taken, whatever it is worth; give "

@@ -265,6 +265,14 @@ class RecordData(StrictData):
     objective: str = "epsilon"
     best: BestData | None = None
 
+    @model_serializer(mode="wrap")
+    def _without_absent_best(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """All fields; files of the first plan found stay as they were in version 1."""
+        data: dict[str, Any] = handler(self)
+        if self.best is None:
+            del data["best"]
+        return data
+
     @classmethod
     def of(cls, record: SolveRecord) -> RecordData:
         """From a plan's record."""
@@ -275,7 +283,7 @@ class RecordData(StrictData):
     def record(self) -> SolveRecord:
         """The plan's record."""
         best = None if self.best is None else BestOf(**self.best.model_dump())
-        return SolveRecord(**self.model_dump(exclude={"best"}), best=best)
+        return SolveRecord(**(self.model_dump() | {"best": best}))
 
 
 class PlanFile(StrictData):

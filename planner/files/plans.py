@@ -54,9 +54,8 @@ recomputed from the stored joints: what rounding leaves after a quadratic progra
 def plan_to_dict(plan: GraspPlan) -> dict[str, Any]:
     """A plan as plain data that follows ``PlanFile``."""
     hand = plan.task.hand
-    is_best = plan.record.best is not None
     data = PlanFile(
-        version=2 if is_best else 1,
+        version=1 if plan.record.best is None else 2,
         written_by=written_by(),
         task=task_data(plan.task),
         grasp=GraspData(
@@ -78,7 +77,7 @@ def plan_to_dict(plan: GraspPlan) -> dict[str, Any]:
         },
         record=RecordData.of(plan.record),
     )
-    return data.model_dump(mode="json", exclude=None if is_best else {"record": {"best"}})
+    return data.model_dump(mode="json")
 
 
 def contact_data(contacts: ContactSet) -> list[ContactData]:

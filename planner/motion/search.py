@@ -54,7 +54,7 @@ raise the least margin by up to a quarter, but not always, and cost as much as t
 there are both, and the better one is taken."""
 
 BEST_OF = 6
-"""Attempts of which the longest path is taken where as much as there is is asked for."""
+"""Motions of which the longest path is taken where as much as there is is asked for."""
 
 MAX_ATTEMPTS = 30
 """Attempts before giving up."""
@@ -158,9 +158,9 @@ def plan_motion(
         path_tolerance: How far the object may leave the path, m.
         seed: Same seed, same plan.
         max_attempts: Budget in attempts.
-        best_of: Attempts that are made in any case, of which the best is taken: the longest path
-            where ``angle`` is None, else the one with the largest margin of closure. None for one
-            where an angle is given and for ``BEST_OF`` where it is not.
+        best_of: Motions to find, of which the best is taken: the longest path where ``angle`` is
+            None, else the one with the largest margin of closure; fewer where the budget ends
+            before. None for one where an angle is given and for ``BEST_OF`` where it is not.
         options: Margins and weights at each knot.
 
     Returns:

@@ -31,7 +31,11 @@ __all__ = ["climb", "nearby_start", "with_light_costs"]
 STEPS = 12
 """Most steps: after some ten the gain of one is below a hundredth."""
 
-STEP_ITERATIONS, RETURN_ITERATIONS = 8, 8
+FIRST_STEPS = 4
+"""Most steps while there is nothing to beat: what comes first should come soon, and starts beside
+it go on."""
+
+STEP_ITERATIONS, RETURN_ITERATIONS = 5, 8
 """Evaluations of a step with the objectives, and of the return to the terms."""
 
 LIGHT = 0.05
@@ -94,7 +98,7 @@ def climb(
     """
     _return(run, options, world, MEND_ITERATIONS)
     now, kept, gain, damping = value(run), run.x, GAIN, DAMPING
-    for step in range(1, STEPS + 1):
+    for step in range(1, (STEPS if best > -np.inf else FIRST_STEPS) + 1):
         run.update_objectives(options, gain)
         if step % MEASURED_EVERY == 0:
             run.refresh_link_distances(world, options)

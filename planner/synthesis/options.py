@@ -125,13 +125,13 @@ OPTION_NAMES = tuple(
 
 
 def _checked_weights(objective: str | Mapping[str, float]) -> dict[str, float]:
-    """Weights by name in the registry's order; none for "none".
+    """Weights by name in the registry's order; none for "none" and for an empty mapping.
 
     Raises:
         NotFoundError: An objective that does not exist.
         TaskError: A name twice, or a weight that is not a number > 0.
     """
-    if objective == NO_OBJECTIVE:
+    if objective == NO_OBJECTIVE or (isinstance(objective, Mapping) and not objective):
         return {}
     hint = f"{NO_OBJECTIVE!r} alone stands for no objective."
     return named_weights(objective, OBJECTIVES, what="objective", hint=hint)

@@ -8,6 +8,7 @@ The CPU time of attempts counts; what comparing independent plans costs does not
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar
 

@@ -73,7 +73,7 @@ def plan_motion(
         int | None,
         typer.Option(
             min=1,
-            help="Attempts of which the best is taken.",
+            help="Motions to find, of which the best is taken.",
             metavar="N",
             rich_help_panel=SEARCH_PANEL,
         ),
