@@ -83,10 +83,10 @@ def loop_problem(residuals: Residuals) -> LoopProblem | None:
             both=residuals.both,
             n_required=residuals.n_required,
         ),
-        joints=_joints(hand, twists.reshape(-1, 6), rotation, joints.reshape(-1, 12)),
+        joints=_joints(hand, twists.reshape(-1, 6), rotation.reshape(3, 3), joints.reshape(-1, 12)),
         contacts=Contacts(
             normals_at=normals.reshape(n, 3),
-            slopes_at=slopes.reshape(n, 3, 3),
+            slopes_at=slopes.reshape(n, 9),
             first=residuals.formulation.unknowns.point_columns.start,
             taylor=tape.arguments[2] if on_mesh else -1,
         ),

@@ -49,11 +49,13 @@ def clearance_rows(
     """Append the violated clearances: how many rows there are, and entries."""
     joints, twists = np.empty(p.joints_at.shape), np.empty(p.twists_at.shape)
     frames, rates, origins = np.empty((2, 3, 3)), np.empty((3, 3)), np.empty((2, 3))
-    gather(work, p.joints_at.ravel(), joints.ravel())
-    gather(work, p.twists_at.ravel(), twists.ravel())
-    gather(work, p.rotation_at, frames[1].ravel())
-    frames[0] = around.root
-    origins[0], origins[1] = around.root_origin, x[3:6]
+    gather(work, p.joints_at, joints)
+    gather(work, p.twists_at, twists)
+    gather(work, p.rotation_at, frames[1])
+    for i in range(3):
+        origins[0, i], origins[1, i] = around.root_origin[i], x[3 + i]
+        for j in range(3):
+            frames[0, i, j] = around.root[i, j]
     turn_rates(x, rates)
     local, placed = np.empty(spheres.at.shape), np.empty(spheres.at.shape)
     slopes, gaps = np.empty(spheres.at.shape), np.empty(len(spheres.at))
@@ -77,7 +79,8 @@ def clearance_rows(
     place(joints, p.carried, frames, origins, hull, over, above)
     for k in range(len(below)):
         below[k] = dot(around.normal, above[k]) - around.height[k]
-        up[k] = around.normal
+        for i in range(3):
+            up[k, i] = around.normal[i]
     n, at = point_rows(
         p, rows, twists, frames, rates, hull.joint, over, below, up, TABLE_WEIGHT, 1, n, at
     )
@@ -185,7 +188,8 @@ def finger_rows(
         if room >= 0.0:
             continue
         rows.least[3] = min(rows.least[3], room)
-        dense[:] = 0.0
+        for j in range(len(dense)):
+            dense[j] = 0.0
         for side in range(2):
             cross(foot[side], twice, moment)
             joint = joint_of[pairs[k, side]]
@@ -293,9 +297,10 @@ def share(value: float) -> float:
 
 @loops_of_kernels
 def gather(work: FloatArray, places: IntArray, out: FloatArray) -> None:
-    """Entries of the work array at places (k,)."""
+    """Entries of the work array at places (k, m)."""
     for k in range(len(out)):
-        out[k] = work[places[k]]
+        for i in range(out.shape[1]):
+            out[k, i] = work[places[k, i]]
 
 
 @loops_of_kernels

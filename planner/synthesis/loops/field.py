@@ -113,7 +113,8 @@ def taylor_at(tables: SplineTables, p: FloatArray, order: int, out: FloatArray) 
         w[i, 2, 1] = 3.0 * t - 2.0
         w[i, 2, 2] = 1.0 - 3.0 * t
         w[i, 2, 3] = t
-    out[:] = 0.0
+    for i in range(10):
+        out[i] = 0.0
     stride_x, stride_y = tables.strides[level, 0], tables.strides[level, 1]
     for a in range(4):
         # along y of: value, slope and curvature along z; slopes along y

@@ -52,9 +52,10 @@ def minimise(
     Returns:
         Largest residual of a term, number in ``STATUS``, evaluations, damping of the next step.
     """
-    places = np.full(len(x), -1)
+    places = np.empty(len(x), dtype=np.int64)
     n = 0
     for k in range(len(x)):
+        places[k] = -1
         if upper[k] > lower[k]:
             places[k] = n
             n += 1
@@ -64,7 +65,8 @@ def minimise(
             unit[places[k]] = scale[k]
     normal, slope, step = np.empty((n, n)), np.empty(n), np.empty(n)
     damped, held = np.empty((n, n)), np.empty(n, dtype=np.bool_)
-    to = x.copy()
+    to = np.empty(len(x))
+    copy_into(to, x)
     total, worst, gain, expected = 0.0, 0.0, 0.0, 0.0
     growth, idle, iterations, status = 2.0, 0, 0, 0
     back = False  # the last step was refused, and the run ends
@@ -74,12 +76,12 @@ def minimise(
             break
         iterations += 1
         total_to = 0.0
-        for value in run.rows.values[:rows]:
-            total_to += value * value
+        for k in range(rows):
+            total_to += run.rows.values[k] ** 2
         if iterations > 1:
             gain = (total - total_to) / expected if expected > 0 else -1.0
         if iterations == 1 or gain > LEAST_GAIN:
-            x[:] = to
+            copy_into(x, to)
             if iterations > 1:
                 gained = (total - total_to) / total
                 damping *= max(1 / 3, 1 - (2 * min(gain, 1.0) - 1) ** 3)
@@ -107,7 +109,7 @@ def minimise(
             damping, growth = damping * growth, growth * 2.0
             if iterations >= max_iterations or growth > MOST_GROWTH:
                 status, back = 2, True
-                to[:] = x
+                copy_into(to, x)
                 continue
         bounded_step(normal, slope, damping, least, most, damped, held, step)
         expected = expected_decrease(normal, slope, step)
@@ -116,6 +118,13 @@ def minimise(
                 reached = x[k] + step[places[k]] * scale[k]
                 to[k] = min(max(reached, lower[k]), upper[k])
     return worst, status, iterations, damping
+
+
+@loops_of_kernels
+def copy_into(out: FloatArray, values: FloatArray) -> None:
+    """Copy a column; numba compiles an assignment of slices ten times as long."""
+    for k in range(len(out)):
+        out[k] = values[k]
 
 
 @loops_of_kernels
@@ -133,8 +142,10 @@ def normal_equations(
     order of the unknowns.
     """
     n = len(slope)
-    normal[:] = 0.0
-    slope[:] = 0.0
+    for i in range(n):
+        slope[i] = 0.0
+        for j in range(n):
+            normal[i, j] = 0.0
     at, value = np.empty(len(places), dtype=np.int64), np.empty(len(places))
     begin = 0
     for row in range(n_rows):
@@ -180,8 +191,8 @@ def bounded_step(
 ) -> None:
     """Solve (J'J + damping I) step = -J'r with least <= step <= most, as ``_step`` does."""
     n = len(slope)
-    step[:] = 0.0
     for i in range(n):
+        step[i] = 0.0
         held[i] = (least[i] >= 0 and slope[i] > 0) or (most[i] <= 0 and slope[i] < 0)
     free, target = np.empty(n, dtype=np.int64), np.empty(n)
     for _ in range(ROUNDS):

@@ -46,12 +46,13 @@ def evaluate(
     for k in range(len(x)):
         same = same and x[k] == kept.x[k]
     if not same:
-        kept.x[:] = x
-        work[: len(x)] = x
+        for k in range(len(x)):
+            kept.x[k] = work[k] = x[k]
         if p.contacts.taylor >= 0:
             look_up(p.contacts, run.object.field, work, x)
         run_tape(p.program, work)
-        rows.least[:] = 0.0
+        for k in range(len(rows.least)):
+            rows.least[k] = 0.0
         n, at = clearance_rows(
             p.joints, p.spheres, p.hull, p.capsules, p.object, p.obstacle, run.object, run.around,
             rows, work, x, p.contacts.taylor >= 0,
@@ -85,7 +86,8 @@ def look_up(contacts: Contacts, field: SplineTables, work: FloatArray, x: FloatA
     for i in range(len(contacts.normals_at)):
         point = x[contacts.first + 3 * i : contacts.first + 3 * i + 3]
         begin = contacts.taylor + 13 * i
-        work[begin : begin + 3] = point
+        for k in range(3):
+            work[begin + k] = point[k]
         taylor_at(field, point, 2, work[begin + 3 : begin + 13])
 
 
@@ -147,15 +149,14 @@ def resistance_rows(
     """Append the directions of wrench in which resistance falls short of its target."""
     g, t, z, w, slope = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     normals, slopes = np.empty(contacts.normals_at.shape), np.empty(contacts.slopes_at.shape)
-    resisted = np.empty(len(normals))
-    gather(work, contacts.normals_at.ravel(), normals.ravel())
-    gather(work, contacts.slopes_at.ravel(), slopes.ravel())
-    points = x[contacts.first : contacts.first + 3 * len(normals)].reshape(-1, 3)
+    resisted, first = np.empty(len(normals)), contacts.first
+    gather(work, contacts.normals_at, normals)
+    gather(work, contacts.slopes_at, slopes)
     for k in range(len(directions)):
         u = directions[k]
         highest = -math.inf
         for i in range(len(normals)):
-            pressed, across = part(u, points[i], normals[i], length, g, t)
+            pressed, across = part(u, x[first + 3 * i :], normals[i], length, g, t)
             resisted[i] = pressed + mu * across
             highest = max(highest, resisted[i])
         best, size = 0, 0.0
@@ -166,7 +167,7 @@ def resistance_rows(
         value = resisted[best] - target * math.sqrt(size)
         if value < 0.0:
             normal = normals[best]
-            pressed, across = part(u, points[best], normal, length, g, t)
+            pressed, across = part(u, x[first + 3 * best :], normal, length, g, t)
             c = 1.0 + mu / across * dot(t, normal)
             for i in range(3):
                 along = mu / across * t[i]
@@ -175,8 +176,8 @@ def resistance_rows(
             for j in range(3):
                 slope[j] /= length
                 for i in range(3):
-                    slope[j] += z[i] * slopes[best, i, j]
-                rows.columns[at] = contacts.first + 3 * best + j
+                    slope[j] += z[i] * slopes[best, 3 * i + j]
+                rows.columns[at] = first + 3 * best + j
                 rows.entries[at] = RESISTANCE_WEIGHT * slope[j]
                 at += 1
             rows.values[n], rows.ends[n] = RESISTANCE_WEIGHT * value, at
@@ -193,7 +194,10 @@ def part(
     g: FloatArray,
     t: FloatArray,
 ) -> tuple[float, float]:
-    """The force g (3,) of a wrench at a contact, its part t across the normal; sizes of both."""
+    """The force g (3,) of a wrench at a contact, its part t across the normal; sizes of both.
+
+    The contact point is the first three of ``point``.
+    """
     g[0] = u[0] + (u[4] * point[2] - u[5] * point[1]) / length
     g[1] = u[1] + (u[5] * point[0] - u[3] * point[2]) / length
     g[2] = u[2] + (u[3] * point[1] - u[4] * point[0]) / length

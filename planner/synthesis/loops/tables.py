@@ -58,7 +58,7 @@ class Joints(NamedTuple):
 
     Attributes:
         twists_at: Of each joint linear and angular rate (nq, 6), in the frame of its placement.
-        rotation_at: R0 M(s) by rows (9,).
+        rotation_at: R0 M(s) (3, 3).
         joints_at: Of each joint its rotation by rows, then its origin (nq + 1, 12).
         chains: Joints (places in q) that move what is fixed to each joint, all in one array.
         chain_ends: Those of joint j are from ``chain_ends[j]`` to ``chain_ends[j + 1]`` (nq + 2,).
@@ -78,7 +78,7 @@ class Contacts(NamedTuple):
 
     Attributes:
         normals_at: Outward normals (n, 3).
-        slopes_at: Their Jacobians by the contacts (n, 3, 3).
+        slopes_at: Their Jacobians by the contacts, by rows (n, 9).
         first: First unknown of the contact points.
         taylor: Where the Taylor rows of a mesh begin in the work array; -1 without a mesh.
     """
