@@ -8,13 +8,14 @@ are proven come from ``planner.quality.interval``.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from planner.contacts import cone_edges
 from planner.numerics.kernels import kernel
 from planner.quality.wrench_hull import hull_faces
 from planner.spatial import FloatArray
-from planner.system.threads import made_once
 
 __all__ = ["first_apart", "pyramid_wrenches", "sides_of", "weakest_directions", "wrench_faces"]
 
@@ -51,7 +52,7 @@ def wrench_faces(points: FloatArray, inward: FloatArray, mu: float, length: floa
     return hull_faces(pyramid_wrenches(points, inward, float(mu), float(length), sides_of(EDGES)))
 
 
-@made_once(4)
+@lru_cache(4)
 def sides_of(edges: int) -> FloatArray:
     """Tangential force (k, 2) of each edge of a pyramid at a friction of 1."""
     sides = np.ascontiguousarray(cone_edges(1.0, 0.0, edges)[1:3].T)
