@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 
 from planner.contacts import ContactSet
 from planner.quality import primitive_wrenches, wrench_hull
-from planner.quality.weakest import _SIDES, EDGES, pyramid_wrenches, wrench_faces
+from planner.quality.weakest import EDGES, pyramid_wrenches, sides_of, wrench_faces
 from planner.quality.wrench_hull import _SHIFTS, distinct_faces, hull_faces, walked_faces
 from planner.spatial import FloatArray
 
 LENGTH = 0.05
+SIDES = sides_of(EDGES)
 
 
 def contacts(seed: int) -> tuple[FloatArray, FloatArray, float]:
@@ -36,7 +37,7 @@ def contacts(seed: int) -> tuple[FloatArray, FloatArray, float]:
 
 def wrenches_of(seed: int) -> FloatArray:
     points, inward, mu = contacts(seed)
-    return pyramid_wrenches(points, inward, mu, LENGTH, _SIDES)
+    return pyramid_wrenches(points, inward, mu, LENGTH, SIDES)
 
 
 def by_qhull(wrenches: FloatArray) -> FloatArray:
@@ -112,7 +113,7 @@ def test_symmetrical_faces_come_in_one_order_whatever_finds_them() -> None:
     pytest.importorskip("numba")
     points = 0.04 * np.array([[1, 0.5, 0.2], [1, -0.5, 0.2], [-1, 0.5, 0.2], [-1, -0.5, 0.2]])
     inward = np.array([[-1.0, 0, 0], [-1, 0, 0], [1, 0, 0], [1, 0, 0]])
-    wrenches = pyramid_wrenches(points, inward, 0.5, LENGTH, _SIDES)
+    wrenches = pyramid_wrenches(points, inward, 0.5, LENGTH, SIDES)
     faces = hull_faces(wrenches)
     assert (np.abs(np.diff(faces[:, 6])) < 1e-9).sum() > 4  # there are ties
     np.testing.assert_allclose(faces, by_qhull(wrenches), atol=1e-9)
@@ -122,8 +123,8 @@ def test_symmetrical_faces_come_in_one_order_whatever_finds_them() -> None:
 @given(st.integers(0, 100_000))
 def test_wrenches_are_those_of_the_contacts_edges(seed: int) -> None:
     points, inward, mu = contacts(seed)
-    found = pyramid_wrenches(points, inward, mu, LENGTH, _SIDES)
-    plain = pyramid_wrenches.plain(points, inward, mu, LENGTH, _SIDES)  # type: ignore[attr-defined]
+    found = pyramid_wrenches(points, inward, mu, LENGTH, SIDES)
+    plain = pyramid_wrenches.plain(points, inward, mu, LENGTH, SIDES)  # type: ignore[attr-defined]
     np.testing.assert_allclose(found, plain, atol=1e-14)
     known = ContactSet.from_arrays(points, inward, mu=mu)
     if mu:

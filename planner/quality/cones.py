@@ -7,6 +7,7 @@ copies of an edge would carry is carried by the one edge: only the number of col
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -16,7 +17,6 @@ from planner.contacts import ContactSet
 from planner.contacts.friction import Pyramid, check_edges, cone_edges, cone_support
 from planner.errors import ContactError
 from planner.spatial import FloatArray, skew
-from planner.system.threads import made_once
 
 __all__ = ["RoundCones", "check_length", "contact_wrenches", "primitive_wrenches"]
 
@@ -47,7 +47,7 @@ def contact_wrenches(
     return groups
 
 
-@made_once(256)
+@lru_cache(256)
 def _edges(
     mu: float, mu_torsion: float, edges: int, cone: Pyramid, phase: float, unit: EdgeUnit
 ) -> FloatArray:

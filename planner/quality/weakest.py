@@ -8,6 +8,8 @@ are proven come from ``planner.quality.interval``.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from planner.contacts import cone_edges
@@ -15,7 +17,7 @@ from planner.numerics.kernels import kernel
 from planner.quality.wrench_hull import hull_faces
 from planner.spatial import FloatArray
 
-__all__ = ["first_apart", "pyramid_wrenches", "weakest_directions", "wrench_faces"]
+__all__ = ["first_apart", "pyramid_wrenches", "sides_of", "weakest_directions", "wrench_faces"]
 
 EDGES = 4
 """Sides of the pyramids: Qhull takes 1 ms with four, 4 ms with eight."""
@@ -47,11 +49,15 @@ def wrench_faces(points: FloatArray, inward: FloatArray, mu: float, length: floa
 
     None where the wrenches span no volume. Arguments are those of ``weakest_directions``.
     """
-    return hull_faces(pyramid_wrenches(points, inward, float(mu), float(length), _SIDES))
+    return hull_faces(pyramid_wrenches(points, inward, float(mu), float(length), sides_of(EDGES)))
 
 
-_SIDES = np.ascontiguousarray(cone_edges(1.0, 0.0, EDGES)[1:3].T)
-"""Tangential force (k, 2) of each edge at a friction of 1."""
+@lru_cache(4)
+def sides_of(edges: int) -> FloatArray:
+    """Tangential force (k, 2) of each edge of a pyramid at a friction of 1."""
+    sides = np.ascontiguousarray(cone_edges(1.0, 0.0, edges)[1:3].T)
+    sides.flags.writeable = False
+    return sides
 
 
 def _wrenches_by_numpy(
