@@ -86,7 +86,9 @@ class CollisionWorld:
         if isinstance(task.object.shape, Mesh):
             self._mesh = MeshPairs([g.geometry for g in hand.geometries], task.object.shape)
             hull = hull_pairs(hand, task.object.shape)
-        self._bounds = LinkBounds(hand.pin_model, table.model, table.pairs, table.n_hand)
+        shape = task.object.shape
+        points = shape.hull_vertices if isinstance(shape, Mesh) else None
+        self._bounds = LinkBounds(hand.pin_model, table.model, table.pairs, table.n_hand, points)
         self._sweep = Sweep(self._geometries, table, self._bounds, self._mesh, hull)
         self._around = np.flatnonzero(table.hand_environment_pairs)
         self._apart = np.flatnonzero(table.hand_environment_pairs | table.finger_pairs)

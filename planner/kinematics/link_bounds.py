@@ -23,8 +23,8 @@ from planner.spatial import SE3, FloatArray, IntArray
 
 __all__ = ["LinkBounds"]
 
-CAPSULE, BOX, CYLINDER, ELLIPSOID = range(4)
-"""Forms of bodies: half extents in ``sizes``, symmetry axes along z."""
+CAPSULE, BOX, CYLINDER, ELLIPSOID, HULL = range(5)
+"""Forms of bodies: half extents in ``sizes``, symmetry axes along z; or planes about a solid."""
 
 HALVINGS = 8
 """Halvings of a capsule's axis in search of its point nearest to a body: a bound is less than the
@@ -130,6 +130,7 @@ def _bound_plain(
     sizes: FloatArray,
     capsules: FloatArray,
     along: IntArray,
+    planes: FloatArray,
     pairs: IntArray,
     limits: FloatArray,
 ) -> FloatArray:
@@ -175,6 +176,10 @@ def _bound_plain(
         least = np.where(
             ends[0][1] >= 0.0, ends[0][0], np.where(ends[1][1] <= 0.0, ends[1][0], inner)
         )
+        sides = (
+            middle @ planes[:, :3].T + planes[:, 3] - np.abs(axis @ planes[:, :3].T) * half[:, None]
+        )
+        least = np.where(kind == HULL, sides.max(axis=2, initial=-np.inf), least)
         near = np.where(kind != CAPSULE, np.maximum(near, least - radii[other]), near)
     return np.asarray(np.where(far - ROUNDING >= limits[:, None], far, near) - ROUNDING)
 
@@ -204,6 +209,7 @@ def _bound(
     sizes: FloatArray,
     capsules: FloatArray,
     along: IntArray,
+    planes: FloatArray,
     pairs: IntArray,
     limits: FloatArray,
 ) -> FloatArray:
@@ -215,6 +221,7 @@ def _bound(
         sizes: (n, 3), their half extents, m.
         capsules: (n, 2), half length of the axis and radius of the capsule around each, m.
         along: (n,), which axis of its body the capsule's is.
+        planes: (m, 4), normal and offset of planes about the solid of form ``HULL``, m.
         pairs: (k, 2).
         limits: (b,), m.
     """
@@ -265,6 +272,16 @@ def _bound(
                     for m in range(3):
                         x[a] += poses[b, body, m, a] * flip * r[m]
                         u[a] += poses[b, body, m, a] * poses[b, other, m, along[other]]
+                if kind == HULL:
+                    for m in range(len(planes)):
+                        height = planes[m, 3]
+                        slope = 0.0
+                        for a in range(3):
+                            height += planes[m, a] * x[a]
+                            slope += planes[m, a] * u[a]
+                        height -= abs(slope) * capsules[other, 0] + capsules[other, 1]
+                        near = max(near, height)
+                    continue
                 low, high, apart = -capsules[other, 0], capsules[other, 0], 0.0
                 for step in range(HALVINGS + 3):
                     if step == 0:
@@ -309,12 +326,30 @@ class LinkBounds:
     """Lower bounds of the distances of pairs among a hand's geometries and what stands around."""
 
     def __init__(
-        self, pin_model: Any, geometries: Any, pairs: Sequence[tuple[int, int]], n_moving: int
+        self,
+        pin_model: Any,
+        geometries: Any,
+        pairs: Sequence[tuple[int, int]],
+        n_moving: int,
+        points: FloatArray | None = None,
     ) -> None:
-        """Find the forms; arguments as of ``planner.proximity.convex_pairs.GeometryPairs``."""
+        """Find the forms; arguments as of ``planner.proximity.convex_pairs.GeometryPairs``.
+
+        Args:
+            pin_model: Pinocchio's model of the hand.
+            geometries: ``pinocchio.GeometryModel``; those that stand still are the last.
+            pairs: Numbers of two geometries each.
+            n_moving: How many geometries move with the hand.
+            points: Points (k, 3), m, whose hull holds the first of those that stand still.
+        """
         objects = list(geometries.geometryObjects)
         forms = [_Form.of(g.geometry) for g in objects]
         self._kinds = np.array([f.kind for f in forms], dtype=np.int64)
+        self._planes = np.zeros((0, 4))
+        if points is not None:
+            self._kinds[n_moving] = HULL
+            offsets = (DIRECTIONS @ (points - forms[n_moving].middle).T).max(axis=1)
+            self._planes = np.column_stack([DIRECTIONS, -offsets])
         self._sizes = np.array([f.size for f in forms])
         self._capsules = np.array([f.capsule for f in forms])
         self._along = np.array([f.along for f in forms], dtype=np.int64)
@@ -366,6 +401,7 @@ class LinkBounds:
             self._sizes,
             self._capsules,
             self._along,
+            self._planes,
             self.pairs[pairs],
             limits,
         )
@@ -396,6 +432,18 @@ class LinkBounds:
         between = (found[1:] + found[:-1] - gaps[:, None]) / 2.0
         return np.asarray(between.min(axis=0) >= clearance)
 
+
+def _directions(count: int) -> FloatArray:
+    """The axes, and directions spread evenly over the sphere by the golden angle, (count, 3)."""
+    k = np.arange(count - 6) + 0.5
+    height, turn = 1.0 - 2.0 * k / (count - 6), np.pi * (1.0 + 5.0**0.5) * k
+    wide = np.sqrt(1.0 - height**2)
+    spread = np.column_stack([wide * np.cos(turn), wide * np.sin(turn), height])
+    return np.vstack([np.eye(3), -np.eye(3), spread])
+
+
+DIRECTIONS = _directions(134)
+"""Normals of the planes about a hull (134, 3): 16 degrees apart."""
 
 FIRST_PLACE, GROWTH, N_PLACES = 0.0005, 1.35, 24
 PLACES = np.append(0.0, FIRST_PLACE * (GROWTH ** np.arange(N_PLACES) - 1.0) / (GROWTH - 1.0))
