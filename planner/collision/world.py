@@ -49,6 +49,9 @@ __all__ = [
 MESH_LIMIT = 0.006
 """``CollisionWorld.near`` looks no further than this (m) from a mesh: what is near takes time."""
 
+ONE_BY_ONE = 8
+"""Pairs with a mesh up to which asking for each takes less time than one look at all: 0.2 ms."""
+
 FAR = 0.03
 """``CollisionWorld.distances`` measures what is nearer to a mesh than this (m)."""
 
@@ -155,7 +158,7 @@ class CollisionWorld:
             near = asked[self._least(asked, clearance) < clearance]
             if len(near) == 0:
                 return None
-            if not self._table.on_mesh[near].any():
+            if np.count_nonzero(self._table.on_mesh[near]) <= ONE_BY_ONE:
                 found = self._nearest_by_bounds(near, clearance)
                 return found if found.distance < clearance else None
         if not self._is_any_below(which, clearance):
