@@ -12,7 +12,7 @@ import pytest
 from planner.approach.pregrasp import CLOSING_SHARES
 from planner.collision.world import FAR, CollisionWorld
 from planner.hands.hand import Hand
-from planner.kinematics import link_bounds
+from planner.kinematics import form_kernels
 from planner.kinematics.link_bounds import LinkBounds
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
@@ -78,8 +78,8 @@ def test_both_forms_of_the_kernels_agree(right_hand: Hand, item: str) -> None:
     task = GraspTask.create(right_hand, item)
     world = CollisionWorld(task)
     bounds = bounds_of(world)
-    place: Any = link_bounds._place
-    bound: Any = link_bounds._bound
+    place: Any = form_kernels.place_forms
+    bound: Any = form_kernels.bound_pairs
     for base, q in places(task, 4):
         path = q + CLOSING_SHARES * 0.3
         chain = (path, bounds._parents, bounds._joints, bounds._axes)

@@ -233,8 +233,8 @@ class CollisionWorld:
         self._place(T_world_base, q)
         table = self._table
         if self._bounds.pays:
-            around = table.hand_environment_pairs[self._apart]
-            wanted = np.where(around, environment, fingers)
+            outer = table.hand_environment_pairs[self._apart]
+            wanted = np.where(outer, environment, fingers)
             near = self._least(self._apart, max(environment, fingers)) < wanted
             return not near.any() or self._keeps(self._apart[near], wanted[near], environment)
         around = self._nearest(table.hand_environment_pairs, environment)
