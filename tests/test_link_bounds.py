@@ -10,9 +10,9 @@ import pinocchio as pin
 import pytest
 
 from planner.approach.pregrasp import CLOSING_SHARES
-from planner.collision.world import CollisionWorld
+from planner.collision.world import FAR, CollisionWorld
 from planner.hands.hand import Hand
-from planner.kinematics import link_bounds
+from planner.kinematics import form_kernels
 from planner.kinematics.link_bounds import LinkBounds
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
@@ -56,14 +56,30 @@ def test_no_bound_is_above_the_distance(right_hand: Hand, item: str) -> None:
     assert close > 0.8 * apart  # most are good to half a millimetre, or they would prove nothing
 
 
+def test_no_bound_is_above_the_distance_from_a_mesh(right_hand: Hand) -> None:
+    task = GraspTask.create(right_hand, "mug")
+    world = CollisionWorld(task)
+    bounds = bounds_of(world)
+    on_mesh = np.flatnonzero(world._table.on_mesh)
+    told = 0
+    for base, q in places(task, 80):
+        truth = np.array([c.distance for c in world.distances(base, q)])[on_mesh]
+        poses = bounds.place(q[None], [base.inverse() * pose for pose in world._table.fixed])
+        found = bounds.at(poses, on_mesh, np.array([np.inf]))[0]
+        near = truth < FAR  # beyond, it is only said to be that far
+        assert (found[near] <= np.maximum(truth[near], 0.0)).all()
+        told += int((found[near] > 0.0).sum())
+    assert told > 10  # of those that may have a bound above 0
+
+
 @pytest.mark.parametrize("item", ["box", "cylinder", "ellipsoid", "mug"])
 def test_both_forms_of_the_kernels_agree(right_hand: Hand, item: str) -> None:
     pytest.importorskip("numba")
     task = GraspTask.create(right_hand, item)
     world = CollisionWorld(task)
     bounds = bounds_of(world)
-    place: Any = link_bounds._place
-    bound: Any = link_bounds._bound
+    place: Any = form_kernels.place_forms
+    bound: Any = form_kernels.bound_pairs
     for base, q in places(task, 4):
         path = q + CLOSING_SHARES * 0.3
         chain = (path, bounds._parents, bounds._joints, bounds._axes)
@@ -71,7 +87,7 @@ def test_both_forms_of_the_kernels_agree(right_hand: Hand, item: str) -> None:
         np.testing.assert_allclose(place(*chain, *bodies), place.plain(*chain, *bodies), atol=1e-12)
         poses = bounds.place(path, [base.inverse() * pose for pose in world._table.fixed])
         forms = bounds._kinds, bounds._sizes, bounds._capsules, bounds._along
-        given = poses, *forms, bounds.pairs, np.linspace(0.0, 0.1, len(path))
+        given = poses, *forms, bounds._planes, bounds.pairs, np.linspace(0.0, 0.1, len(path))
         np.testing.assert_allclose(bound(*given), bound.plain(*given), atol=1e-12)
 
 

@@ -17,304 +17,50 @@ import coal
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.kinematics.form_kernels import (
+    BOX,
+    CAPSULE,
+    CYLINDER,
+    ELLIPSOID,
+    HULL,
+    bound_pairs,
+    place_forms,
+)
 from planner.kinematics.state import joint_axes
-from planner.numerics.kernels import kernel, kernels_are_compiled
+from planner.numerics.kernels import kernels_are_compiled
 from planner.spatial import SE3, FloatArray, IntArray
 
 __all__ = ["LinkBounds"]
-
-CAPSULE, BOX, CYLINDER, ELLIPSOID = range(4)
-"""Forms of bodies: half extents in ``sizes``, symmetry axes along z."""
-
-HALVINGS = 8
-"""Halvings of a capsule's axis in search of its point nearest to a body: a bound is less than the
-distance by a 500th of the axis's length at most."""
-
-ROUNDING = 1e-5
-"""By how much (m) bounds are lowered: coal's accuracy, and more than rounding."""
-
-PARALLEL = 1e-12
-"""Squared sine (-) of the angle between two axes up to which they count as parallel."""
-
-
-def _place_plain(
-    q: FloatArray,
-    parents: IntArray,
-    joints: FloatArray,
-    axes: FloatArray,
-    carriers: IntArray,
-    bodies: FloatArray,
-) -> FloatArray:
-    """``_place`` in NumPy, for all configurations at once."""
-    n = len(q)
-    turns, shifts = np.empty((len(parents), n, 3, 3)), np.empty((len(parents), n, 3))
-    turns[0], shifts[0] = np.eye(3), 0.0
-    for j in range(1, len(parents)):
-        p, value = parents[j], q[:, j - 1]
-        here = turns[p] @ joints[j, :, :3]
-        x, y, z = axes[j, 3:]
-        across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        sine, versine = np.sin(value)[:, None, None], (1.0 - np.cos(value))[:, None, None]
-        turns[j] = here @ (np.eye(3) + sine * across + versine * (across @ across))
-        shifts[j] = shifts[p] + turns[p] @ joints[j, :, 3]
-        shifts[j] += value[:, None] * (here @ axes[j, :3])
-    out = np.empty((n, len(carriers), 3, 4))
-    for i, carrier in enumerate(carriers):
-        out[:, i, :, :3] = turns[carrier] @ bodies[i, :, :3]
-        out[:, i, :, 3] = shifts[carrier] + turns[carrier] @ bodies[i, :, 3]
-    return out
-
-
-@kernel(_place_plain)
-def _place(
-    q: FloatArray,
-    parents: IntArray,
-    joints: FloatArray,
-    axes: FloatArray,
-    carriers: IntArray,
-    bodies: FloatArray,
-) -> FloatArray:
-    """Poses (b, n, 3, 4) of bodies, [rotation, position], in the base.
-
-    Args:
-        q: Configurations (b, nq).
-        parents: Parent (nj,) of each joint; 0 is the base.
-        joints: Poses (nj, 3, 4) of joints in their parents at 0.
-        axes: (nj, 6), see ``joint_axes``.
-        carriers: Joint (n,) that each body moves with.
-        bodies: Poses (n, 3, 4) in its frame.
-    """
-    nj, n = len(parents), len(carriers)
-    pose, spin = np.zeros((nj, 3, 4)), np.empty((3, 3))
-    for a in range(3):
-        pose[0, a, a] = 1.0
-    out = np.empty((len(q), n, 3, 4))
-    for b in range(len(q)):
-        for j in range(1, nj):
-            p, value = parents[j], q[b, j - 1]
-            x, y, z = axes[j, 3], axes[j, 4], axes[j, 5]
-            sine, versine = np.sin(value), 1.0 - np.cos(value)
-            spin[0, 0] = 1.0 - versine * (y * y + z * z)
-            spin[1, 1] = 1.0 - versine * (x * x + z * z)
-            spin[2, 2] = 1.0 - versine * (x * x + y * y)
-            spin[0, 1], spin[1, 0] = versine * x * y - sine * z, versine * x * y + sine * z
-            spin[0, 2], spin[2, 0] = versine * x * z + sine * y, versine * x * z - sine * y
-            spin[1, 2], spin[2, 1] = versine * y * z - sine * x, versine * y * z + sine * x
-            for r in range(3):
-                pose[j, r, 3] = pose[p, r, 3]
-                for c in range(3):
-                    pose[j, r, 3] += pose[p, r, c] * joints[j, c, 3]
-                h0 = h1 = h2 = 0.0
-                for c in range(3):
-                    h0 += pose[p, r, c] * joints[j, c, 0]
-                    h1 += pose[p, r, c] * joints[j, c, 1]
-                    h2 += pose[p, r, c] * joints[j, c, 2]
-                along = h0 * axes[j, 0] + h1 * axes[j, 1] + h2 * axes[j, 2]
-                pose[j, r, 3] += value * along
-                for c in range(3):
-                    pose[j, r, c] = h0 * spin[0, c] + h1 * spin[1, c] + h2 * spin[2, c]
-        for i in range(n):
-            k = carriers[i]
-            for r in range(3):
-                for c in range(4):
-                    total = pose[k, r, 3] if c == 3 else 0.0
-                    for m in range(3):
-                        total += pose[k, r, m] * bodies[i, m, c]
-                    out[b, i, r, c] = total
-    return out
-
-
-def _bound_plain(
-    poses: FloatArray,
-    kinds: IntArray,
-    sizes: FloatArray,
-    capsules: FloatArray,
-    along: IntArray,
-    pairs: IntArray,
-    limits: FloatArray,
-) -> FloatArray:
-    """``_bound`` in NumPy, for all pairs at once."""
-    first, second = pairs[:, 0], pairs[:, 1]
-    axes = np.take_along_axis(poses[..., :3], along[None, :, None, None], axis=3)[..., 0]
-    centers, halves, radii = poses[..., 3], capsules[:, 0], capsules[:, 1]
-    c1, c2 = centers[:, first], centers[:, second]
-    reach = halves + radii
-    far = np.linalg.norm(c1 - c2, axis=2) - reach[first] - reach[second]
-    near = np.full(far.shape, -np.inf)
-    both = (kinds[first] == CAPSULE) & (kinds[second] == CAPSULE)
-    u1, u2, h1, h2 = axes[:, first], axes[:, second], halves[first], halves[second]
-    r = c1 - c2
-    b, d, e = ((x * y).sum(axis=2) for x, y in ((u1, u2), (u1, r), (u2, r)))
-    sine = 1.0 - b * b
-    s = np.where(sine > PARALLEL, (b * e - d) / np.where(sine > PARALLEL, sine, 1.0), 0.0)
-    s = np.clip(s, -h1, h1)
-    t = np.clip(b * s + e, -h2, h2)
-    s = np.clip(b * t - d, -h1, h1)
-    t = np.clip(b * s + e, -h2, h2)
-    apart = np.linalg.norm(r + s[..., None] * u1 - t[..., None] * u2, axis=2)
-    near = np.where(both, apart - radii[first] - radii[second], near)
-    for body, other in ((first, second), (second, first)):
-        turn = poses[:, body, :, :3]
-        middle = np.einsum("bkij,bki->bkj", turn, centers[:, other] - centers[:, body])
-        axis = np.einsum("bkij,bki->bkj", turn, axes[:, other])
-        half, size, kind = halves[other], sizes[body], kinds[body]
-        low, high = (
-            np.broadcast_to(-half, far.shape).copy(),
-            np.broadcast_to(half, far.shape).copy(),
-        )
-        ends = [
-            _distance_and_slope(middle + x[..., None] * axis, axis, kind, size) for x in (low, high)
-        ]
-        for _ in range(HALVINGS):
-            mean = 0.5 * (low + high)
-            falls = _distance_and_slope(middle + mean[..., None] * axis, axis, kind, size)[1] < 0.0
-            low, high = np.where(falls, mean, low), np.where(falls, high, mean)
-        mean = 0.5 * (low + high)
-        inner = _distance_and_slope(middle + mean[..., None] * axis, axis, kind, size)[0]
-        inner = inner - 0.5 * (high - low)
-        least = np.where(
-            ends[0][1] >= 0.0, ends[0][0], np.where(ends[1][1] <= 0.0, ends[1][0], inner)
-        )
-        near = np.where(kind != CAPSULE, np.maximum(near, least - radii[other]), near)
-    return np.asarray(np.where(far - ROUNDING >= limits[:, None], far, near) - ROUNDING)
-
-
-def _distance_and_slope(
-    x: FloatArray, axis: FloatArray, kind: IntArray, size: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Of points (b, k, 3) in frames of bodies: the bound, and the sign of its slope on an axis."""
-    box = x - np.clip(x, -size, size)
-    radial = np.hypot(x[..., 0], x[..., 1])
-    share = np.maximum(radial - size[:, 0], 0.0) / np.where(radial > 0.0, radial, 1.0)
-    round_off = np.concatenate([x[..., :2] * share[..., None], box[..., 2:]], axis=-1)
-    off = np.where((kind == CYLINDER)[:, None], round_off, box)
-    squares = np.where(size > 0.0, size, 1.0) ** 2
-    level = np.sqrt((x * x / squares).sum(axis=-1))
-    apart = np.where(
-        kind == ELLIPSOID, (level - 1.0) * size.min(axis=1), np.linalg.norm(off, axis=-1)
-    )
-    uphill = np.where((kind == ELLIPSOID)[:, None], x / squares, off)
-    return apart, (uphill * axis).sum(axis=-1)
-
-
-@kernel(_bound_plain)
-def _bound(
-    poses: FloatArray,
-    kinds: IntArray,
-    sizes: FloatArray,
-    capsules: FloatArray,
-    along: IntArray,
-    pairs: IntArray,
-    limits: FloatArray,
-) -> FloatArray:
-    """Lower bounds (b, k) of the distances of pairs, m; rough ones from a limit on.
-
-    Args:
-        poses: Of bodies (b, n, 3, 4).
-        kinds: (n,), forms of the bodies.
-        sizes: (n, 3), their half extents, m.
-        capsules: (n, 2), half length of the axis and radius of the capsule around each, m.
-        along: (n,), which axis of its body the capsule's is.
-        pairs: (k, 2).
-        limits: (b,), m.
-    """
-    n_pairs = len(pairs)
-    out, x, u = np.empty((len(poses), n_pairs)), np.empty(3), np.empty(3)
-    r, u1, u2 = np.empty(3), np.empty(3), np.empty(3)
-    for b in range(len(poses)):
-        for k in range(n_pairs):
-            i, j = pairs[k, 0], pairs[k, 1]
-            square = 0.0
-            for a in range(3):
-                r[a] = poses[b, i, a, 3] - poses[b, j, a, 3]
-                square += r[a] * r[a]
-            h1, h2 = capsules[i, 0], capsules[j, 0]
-            far = np.sqrt(square) - h1 - capsules[i, 1] - h2 - capsules[j, 1] - ROUNDING
-            if far >= limits[b]:
-                out[b, k] = far
-                continue
-            near = -np.inf
-            if kinds[i] == CAPSULE and kinds[j] == CAPSULE:
-                cosine = d = e = 0.0
-                for a in range(3):
-                    u1[a], u2[a] = poses[b, i, a, along[i]], poses[b, j, a, along[j]]
-                    cosine += u1[a] * u2[a]
-                    d += u1[a] * r[a]
-                    e += u2[a] * r[a]
-                sine = 1.0 - cosine * cosine
-                s = (cosine * e - d) / sine if sine > PARALLEL else 0.0
-                s = min(max(s, -h1), h1)
-                t = min(max(cosine * s + e, -h2), h2)
-                s = min(max(cosine * t - d, -h1), h1)
-                t = min(max(cosine * s + e, -h2), h2)
-                square = 0.0
-                for a in range(3):
-                    apart = r[a] + s * u1[a] - t * u2[a]
-                    square += apart * apart
-                near = np.sqrt(square) - capsules[i, 1] - capsules[j, 1]
-            for turn in range(2):
-                body, other = (i, j) if turn == 0 else (j, i)
-                kind = kinds[body]
-                if kind == CAPSULE:
-                    continue
-                flip = -1.0 if turn == 0 else 1.0
-                sx, sy, sz = sizes[body, 0], sizes[body, 1], sizes[body, 2]
-                shortest = min(sx, sy, sz)
-                for a in range(3):
-                    x[a] = u[a] = 0.0
-                    for m in range(3):
-                        x[a] += poses[b, body, m, a] * flip * r[m]
-                        u[a] += poses[b, body, m, a] * poses[b, other, m, along[other]]
-                low, high, apart = -capsules[other, 0], capsules[other, 0], 0.0
-                for step in range(HALVINGS + 3):
-                    if step == 0:
-                        at = low
-                    elif step == 1:
-                        at = high
-                    else:
-                        at = 0.5 * (low + high)
-                    px, py, pz = x[0] + at * u[0], x[1] + at * u[1], x[2] + at * u[2]
-                    if kind == ELLIPSOID:
-                        gx, gy, gz = px / (sx * sx), py / (sy * sy), pz / (sz * sz)
-                        apart = (np.sqrt(px * gx + py * gy + pz * gz) - 1.0) * shortest
-                    else:
-                        gz = pz - min(max(pz, -sz), sz)
-                        if kind == CYLINDER:
-                            radial = np.sqrt(px * px + py * py)
-                            share = max(radial - sx, 0.0) / radial if radial > 0.0 else 0.0
-                            gx, gy = px * share, py * share
-                        else:
-                            gx = px - min(max(px, -sx), sx)
-                            gy = py - min(max(py, -sy), sy)
-                        apart = np.sqrt(gx * gx + gy * gy + gz * gz)
-                    slope = gx * u[0] + gy * u[1] + gz * u[2]
-                    if step == 0:
-                        if slope >= 0.0:
-                            break
-                    elif step == 1:
-                        if slope <= 0.0:
-                            break
-                    elif step == HALVINGS + 2:
-                        apart -= 0.5 * (high - low)
-                    elif slope < 0.0:
-                        low = at
-                    else:
-                        high = at
-                near = max(near, apart - capsules[other, 1])
-            out[b, k] = near - ROUNDING
-    return out
 
 
 class LinkBounds:
     """Lower bounds of the distances of pairs among a hand's geometries and what stands around."""
 
     def __init__(
-        self, pin_model: Any, geometries: Any, pairs: Sequence[tuple[int, int]], n_moving: int
+        self,
+        pin_model: Any,
+        geometries: Any,
+        pairs: Sequence[tuple[int, int]],
+        n_moving: int,
+        points: FloatArray | None = None,
     ) -> None:
-        """Find the forms; arguments as of ``planner.proximity.convex_pairs.GeometryPairs``."""
+        """Find the forms; arguments as of ``planner.proximity.convex_pairs.GeometryPairs``.
+
+        Args:
+            pin_model: Pinocchio's model of the hand.
+            geometries: ``pinocchio.GeometryModel``; those that stand still are the last.
+            pairs: Numbers of two geometries each.
+            n_moving: How many geometries move with the hand.
+            points: Points (k, 3), m, whose hull holds the first of those that stand still.
+        """
         objects = list(geometries.geometryObjects)
         forms = [_Form.of(g.geometry) for g in objects]
         self._kinds = np.array([f.kind for f in forms], dtype=np.int64)
+        self._planes = np.zeros((0, 4))
+        if points is not None:
+            self._kinds[n_moving] = HULL
+            offsets = (DIRECTIONS @ (points - forms[n_moving].middle).T).max(axis=1)
+            self._planes = np.column_stack([DIRECTIONS, -offsets])
         self._sizes = np.array([f.size for f in forms])
         self._capsules = np.array([f.capsule for f in forms])
         self._along = np.array([f.along for f in forms], dtype=np.int64)
@@ -343,7 +89,7 @@ class LinkBounds:
         """
         n = len(self._carriers)
         out = np.empty((len(q), n + len(fixed), 3, 4))
-        out[:, :n] = _place(
+        out[:, :n] = place_forms(
             q, self._parents, self._joints, self._axes, self._carriers, self._bodies
         )
         for i, (pose, middle) in enumerate(zip(fixed, self._fixed_middles, strict=True), n):
@@ -360,12 +106,13 @@ class LinkBounds:
             pairs: Numbers of pairs (k,).
             limits: (b,), m.
         """
-        return _bound(
+        return bound_pairs(
             poses,
             self._kinds,
             self._sizes,
             self._capsules,
             self._along,
+            self._planes,
             self.pairs[pairs],
             limits,
         )
@@ -396,6 +143,18 @@ class LinkBounds:
         between = (found[1:] + found[:-1] - gaps[:, None]) / 2.0
         return np.asarray(between.min(axis=0) >= clearance)
 
+
+def _directions(count: int) -> FloatArray:
+    """The axes, and directions spread evenly over the sphere by the golden angle, (count, 3)."""
+    k = np.arange(count - 6) + 0.5
+    height, turn = 1.0 - 2.0 * k / (count - 6), np.pi * (1.0 + 5.0**0.5) * k
+    wide = np.sqrt(1.0 - height**2)
+    spread = np.column_stack([wide * np.cos(turn), wide * np.sin(turn), height])
+    return np.vstack([np.eye(3), -np.eye(3), spread])
+
+
+DIRECTIONS = _directions(134)
+"""Normals of the planes about a hull (134, 3): 16 degrees apart."""
 
 FIRST_PLACE, GROWTH, N_PLACES = 0.0005, 1.35, 24
 PLACES = np.append(0.0, FIRST_PLACE * (GROWTH ** np.arange(N_PLACES) - 1.0) / (GROWTH - 1.0))
