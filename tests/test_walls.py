@@ -171,8 +171,10 @@ def test_the_far_side_of_a_wall_makes_no_edge_and_its_rim_does(allegro: Hand, wa
     sides = np.array([[0.035, 0.0, 0.0], [0.035 - wall, 0.0, 0.0], [0.0, 0.035, 0.0]])
     facing = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     assert edge_failures(task, touching(sides, facing)) == []
-    rim = np.array([[0.035 - wall / 2, 0.0, top], [0.035, 0.0, top - wall / 2], sides[2]])
-    up = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], facing[2]])
+    slant = np.array([0.5**0.5, 0.0, 0.5**0.5])
+    middle = np.array([0.035 - wall / 2, 0.0, top - wall / 2])  # of the half circle
+    up = np.array([[0.0, 0.0, 1.0], slant, facing[2]])
+    rim = np.array([middle + wall / 2 * up[0], middle + wall / 2 * slant, sides[2]])
     assert [f.text.split()[0] for f in edge_failures(task, touching(rim, up))] == ["thumb", "index"]
 
 
