@@ -66,6 +66,11 @@ class GraspObject:
             )
         object.__setattr__(self, "mass", mass)
 
+    @property
+    def mended(self) -> str:
+        """What was mended of its mesh and how far that moved the surface; "" if nothing was."""
+        return self.shape.mended if isinstance(self.shape, Mesh) else ""
+
     def resting_pose(self, table_height: float = 0.0, index: int = 0) -> SE3:
         """``T_world_object`` where it stands on a table, above the world's origin.
 
@@ -90,6 +95,7 @@ def parse_object(
     mass: float | None = None,
     density: float | None = None,
     repair: bool = False,
+    strict: bool = False,
     touch: TouchRegion | None = None,
 ) -> GraspObject:
     """An object from a specification such as "box", "torus:0.04x0.012" or "mug.stl*0.001".
@@ -99,7 +105,9 @@ def parse_object(
         mass: kg; if neither it nor a density is given, that of the model for a body of a model,
             else ``DEFAULT_MASS``.
         density: kg/m3; give this or ``mass``, not both.
-        repair: Whether to mend a mesh that does not bound a solid.
+        repair: Whether to mend a mesh that bounds no solid however much that changes; what changes
+            nothing that matters is mended anyway, and ``shape.mended`` says so.
+        strict: Whether to refuse a mesh that would have to be mended.
         touch: Where it may and must be touched.
 
     Raises:
@@ -112,7 +120,7 @@ def parse_object(
         raise ObjectError(
             f"{spec!r}: mass {mass} kg and density {density} kg/m3 are both given; give one of them"
         )
-    name, shape, own_mass = _parse_shape(spec.strip(), repair)
+    name, shape, own_mass = _parse_shape(spec.strip(), repair, strict)
     if density is not None:
         mass = _positive(f"{name}: density", density, "kg/m3") * shape.volume
     elif mass is None:
@@ -120,15 +128,17 @@ def parse_object(
     return GraspObject(name=name, shape=shape, mass=mass, touch=touch)
 
 
-def _parse_shape(spec: str, repair: bool) -> tuple[str, Shape, float]:
+def _parse_shape(spec: str, repair: bool, strict: bool) -> tuple[str, Shape, float]:
     """Name, shape, and mass (kg) if nothing else is said."""
     mesh = _MESH_FILE.fullmatch(spec)
     if mesh:
         path = Path(mesh[1])
-        return path.stem, Mesh.load(path, scale=_scale(spec, mesh[2]), repair=repair), DEFAULT_MASS
+        scale = _scale(spec, mesh[2])
+        loaded = Mesh.load(path, scale=scale, repair=repair, strict=strict)
+        return path.stem, loaded, DEFAULT_MASS
     model = _MODEL_BODY.fullmatch(spec)
     if model:
-        body = object_body(Path(model[1]), model[2], repair=repair)
+        body = object_body(Path(model[1]), model[2], repair=repair, strict=strict)
         return model[2], body.shape, body.mass if body.mass > 0 else DEFAULT_MASS
     kind, colon, numbers = spec.lower().partition(":")
     kind = kind.strip()

@@ -150,6 +150,7 @@ class GraspPlan(Shown):
                 f"({1e3 * task.object.mass:.0f} g), seed {record.seed}: found at attempt "
                 f"{record.attempt + 1} in {record.cpu_s:.2f} s of CPU "
                 f"(building {record.build_s:.2f} s)",
+                *([f"object mended: {task.object.mended}"] if task.object.mended else []),
                 "finger       contact in object (mm)  force (N)  friction used  pad gap (um)",
                 *rows,
                 f"force closure {'yes' if closure.closed else 'no'}, "

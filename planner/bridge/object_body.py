@@ -1,7 +1,7 @@
 """A body of an MJCF or URDF file as an object to grasp.
 
 One primitive becomes that primitive. Several geoms, or meshes, become one mesh: side by side if
-they are apart, united by manifold3d if they overlap. A mesh keeps its true triangles, though
+they are apart, united if they overlap. A mesh keeps its true triangles, though
 MuJoCo itself would let its convex hull collide.
 """
 
@@ -18,6 +18,7 @@ import numpy as np
 from planner.bridge.load import compile_spec, load_spec
 from planner.errors import NotFoundError, ObjectError
 from planner.shapes import Box, Capsule, Cylinder, Ellipsoid, Mesh, Shape, Sphere
+from planner.shapes.meshes.union import manifold_is_installed
 from planner.spatial import SE3, FloatArray, IntArray, pose_from_wxyz
 
 __all__ = ["ObjectBody", "object_body"]
@@ -41,13 +42,15 @@ class ObjectBody:
     T_body_object: SE3
 
 
-def object_body(path: Path, name: str, *, repair: bool = False) -> ObjectBody:
+def object_body(path: Path, name: str, *, repair: bool = False, strict: bool = False) -> ObjectBody:
     """The object that a body of a model file is; bodies below it are not part of it.
 
     Args:
         path: MJCF or URDF file.
         name: Of the body.
-        repair: Whether to mend meshes that do not bound a solid.
+        repair: Whether to mend meshes that bound no solid however much that changes.
+        strict: Whether to refuse meshes that would have to be mended, one by one; overlapping geoms
+            are no fault of a model.
 
     Raises:
         ModelError: The file cannot be read.
@@ -72,7 +75,7 @@ def object_body(path: Path, name: str, *, repair: bool = False) -> ObjectBody:
         shape = _PRIMITIVES[int(model.geom_type[g])](*(float(v) for v in model.geom_size[g]))
         return ObjectBody(shape=shape, mass=mass, T_body_object=pose)
     parts = [_triangles(model, g, what) for g in geoms]
-    mesh = _united(what, parts, repair)
+    mesh = _united(what, parts, repair, strict)
     return ObjectBody(shape=mesh, mass=mass, T_body_object=SE3(np.eye(3), mesh.offset))
 
 
@@ -118,44 +121,21 @@ def _triangles(model: Any, g: int, what: str) -> tuple[FloatArray, IntArray]:
     return vertices @ pose.rotation.T + pose.translation, faces
 
 
-def _united(what: str, parts: list[tuple[FloatArray, IntArray]], repair: bool) -> Mesh:
+def _united(
+    what: str, parts: list[tuple[FloatArray, IntArray]], repair: bool, strict: bool
+) -> Mesh:
     """One mesh of parts that are closed each."""
-    starts = np.cumsum([0, *(len(v) for v, _ in parts)])
-    together = (
-        np.concatenate([v for v, _ in parts]),
-        np.concatenate([f + s for (_, f), s in zip(parts, starts, strict=False)]),
-    )
     if len(parts) == 1:
-        return Mesh.from_triangles(*together, name=what, repair=repair)
-    solids = [Mesh.from_triangles(v, f, name=f"a geom of {what}", repair=repair) for v, f in parts]
-    boxes = [(s.offset + s.bounds[0], s.offset + s.bounds[1]) for s in solids]
-    apart = all(
-        (boxes[i][0] > boxes[j][1]).any() or (boxes[j][0] > boxes[i][1]).any()
-        for i in range(len(boxes))
-        for j in range(i)
-    )
-    if apart:
-        return Mesh.from_triangles(*together, name=what, repair=repair)
-    try:
-        import manifold3d
-    except ImportError:
-        raise ObjectError(
-            f"{what} has {len(parts)} geoms that overlap or touch; uniting them needs manifold3d: "
-            'pip install "opposable[meshes]"'
-        ) from None
-    united = manifold3d.Manifold.batch_boolean(
-        [
-            manifold3d.Manifold(
-                manifold3d.Mesh64(
-                    np.ascontiguousarray(s.vertices + s.offset),
-                    np.ascontiguousarray(s.faces, dtype=np.uint64),
-                )
-            )
-            for s in solids
-        ],
-        manifold3d.OpType.Add,
-    ).to_mesh64()
-    vertices = np.array(united.vert_properties, dtype=np.float64)[:, :3]
-    return Mesh.from_triangles(
-        vertices, np.array(united.tri_verts, dtype=np.int64), name=what, repair=repair
-    )
+        return Mesh.from_triangles(*parts[0], name=what, repair=repair, strict=strict)
+    solids = [
+        Mesh.from_triangles(v, f, name=f"a geom of {what}", repair=repair, strict=strict)
+        for v, f in parts
+    ]
+    starts = np.cumsum([0, *(len(s.vertices) for s in solids)])
+    vertices = np.concatenate([s.vertices + s.offset for s in solids])
+    faces = np.concatenate([s.faces + k for s, k in zip(solids, starts, strict=False)])
+    mesh = Mesh.from_triangles(vertices, faces, name=what, repair=repair)
+    told = [s.mended for s in solids]
+    if not manifold_is_installed():  # an exact union of a model's geoms is no mending
+        told.append(mesh.mended)
+    return Mesh(mesh.vertices + mesh.offset, mesh.faces, mended="; ".join(filter(None, told)))

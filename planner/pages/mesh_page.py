@@ -127,8 +127,8 @@ def _summary(item: GraspObject, notes: Sequence[str]) -> list[Block]:
             ("smooth field: largest value at a vertex", f"{1e3 * off:.2f} mm"),
             ("smooth field: proven bound", f"{1e3 * field.error:.2f} mm within the bounding box"),
         ]
-        if shape.source is not None and shape.source.done:
-            blocks.append(Sentence(text=f"Mended: {'; '.join(shape.source.done)}.", kind="warning"))
+        if shape.mended:
+            blocks.append(Sentence(text=f"Mended: {shape.mended}.", kind="warning"))
     blocks.insert(0, Facts(rows=tuple(rows)))
     blocks += [Sentence(text=note, kind="warning") for note in notes]
     if item.touch is not None:

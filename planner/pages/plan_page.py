@@ -169,6 +169,7 @@ def task_facts(task: GraspTask) -> tuple[tuple[str, str], ...]:
     rows = [
         ("hand", f"{task.hand.name}, fingers {', '.join(task.finger_names)}"),
         ("object", f"{task.object.shape.spec}, {1e3 * task.object.mass:.0f} g"),
+        *([("mended", task.object.mended)] if task.object.mended else []),
         ("table", table),
         (
             "friction",

@@ -21,7 +21,8 @@ from planner.shapes.closest_point import ON_SURFACE, unit
 from planner.shapes.convex import convex_geometry
 from planner.shapes.field.distance_field import DistanceField
 from planner.shapes.field.grid_distance import FIELD_VERSION, field_fits, fit_mesh_field
-from planner.shapes.meshes.io import check_solid, read_mesh
+from planner.shapes.meshes.checking import check_solid, checked_once
+from planner.shapes.meshes.io import read_mesh
 from planner.shapes.meshes.nearest_triangle import NearestTriangles
 from planner.shapes.meshes.polyhedron import Polyhedron, checked_triangles, digest_of
 from planner.shapes.meshes.rays import pierced
@@ -40,14 +41,12 @@ class MeshSource:
     Attributes:
         path: File.
         scale: Metres per unit of the file.
-        repair: Whether it was mended.
-        done: What was mended, in words.
+        repair: Whether mending was asked for, however much it changes.
     """
 
     path: Path
     scale: float = 1.0
     repair: bool = False
-    done: tuple[str, ...] = ()
 
 
 THIN = 0.006
@@ -67,15 +66,22 @@ class Mesh(Shape):
 
     Attributes:
         source: The file; None for a mesh that was made.
+        mended: What was mended and how far that moved the surface; "" if it is as it was given.
     """
 
     kind: ClassVar[str] = "mesh"
     convex: ClassVar[bool] = False
     size_names: ClassVar[tuple[str, ...]] = ()
     source: MeshSource | None
+    mended: str
 
     def __init__(
-        self, vertices: FloatArray, faces: IntArray, *, source: MeshSource | None = None
+        self,
+        vertices: FloatArray,
+        faces: IntArray,
+        *,
+        source: MeshSource | None = None,
+        mended: str = "",
     ) -> None:
         """A mesh of triangles that are known to bound a solid; see ``from_triangles``.
 
@@ -83,9 +89,11 @@ class Mesh(Shape):
             vertices: (n, 3), m.
             faces: (m, 3).
             source: The file it is from.
+            mended: What was mended, in words.
         """
         self._solid = Polyhedron.centred(vertices, faces)
         self.source = source
+        self.mended = mended
 
     @property
     def vertices(self) -> FloatArray:
@@ -104,32 +112,47 @@ class Mesh(Shape):
 
     @classmethod
     def from_triangles(
-        cls, vertices: FloatArray, faces: IntArray, *, name: str = "mesh", repair: bool = False
+        cls,
+        vertices: FloatArray,
+        faces: IntArray,
+        *,
+        name: str = "mesh",
+        repair: bool = False,
+        strict: bool = False,
     ) -> Mesh:
-        """A mesh of triangles in m, checked.
+        """A mesh of triangles in m, checked, and mended where that changes nothing that matters.
 
         Args:
             vertices: (n, 3), m.
             faces: (m, 3), counter-clockwise seen from outside.
             name: What to call it in messages.
-            repair: Whether to mend what can be mended.
+            repair: Whether to mend it however much that changes.
+            strict: Whether to refuse what would have to be mended.
 
         Raises:
             ObjectError: The triangles do not bound a solid; says what is wrong, where, what to do.
         """
         v, f = checked_triangles(name, vertices, faces)
-        v, f, _ = check_solid(name, v, f, repair=repair)
-        return Mesh(v, f)
+        mending = check_solid(name, v, f, repair=repair, strict=strict)
+        if mending is None:
+            return Mesh(v, f)
+        return Mesh(mending.vertices, mending.faces, mended=mending.sentence)
 
     @classmethod
-    def load(cls, path: Path | str, *, scale: float = 1.0, repair: bool = False) -> Mesh:
+    def load(
+        cls, path: Path | str, *, scale: float = 1.0, repair: bool = False, strict: bool = False
+    ) -> Mesh:
         """A mesh from a GLB, OBJ, PLY or STL file.
+
+        One that does not quite bound a solid is mended where that changes nothing that matters
+        (``planner.shapes.meshes.mending``); ``mended`` says what was done and how far the surface
+        moved. What is planned and verified is the mended surface.
 
         Args:
             path: The file.
             scale: Metres per unit of the file: 0.001 for millimetres.
-            repair: Whether to merge vertices, close small holes and turn triangles where needed;
-                ``source.done`` says what was done.
+            repair: Whether to mend it however much that changes.
+            strict: Whether to refuse what would have to be mended.
 
         Raises:
             ObjectError: The file cannot be read, or bounds no solid; says what is wrong and what
@@ -137,15 +160,14 @@ class Mesh(Shape):
         """
         file = Path(path)
         vertices, faces = read_mesh(file, scale)
-        key = f"v1-{digest_of(vertices, faces)}"
-        known = None if repair else read_arrays("sound", key)
-        done: tuple[str, ...] = ()
-        if known is None:
-            vertices, faces, done = check_solid(file.name, vertices, faces, repair=repair)
-            if not done:
-                write_arrays("sound", key, {"sound": np.ones(1)})
-        source = MeshSource(path=file.resolve(), scale=scale, repair=bool(done), done=done)
-        return Mesh(vertices, faces, source=source)
+        source = MeshSource(path=file.resolve(), scale=scale, repair=repair)
+        if repair or strict:
+            mending = check_solid(file.name, vertices, faces, repair=repair, strict=strict)
+        else:
+            mending = checked_once(file.name, vertices, faces)
+        if mending is None:
+            return Mesh(vertices, faces, source=source)
+        return Mesh(mending.vertices, mending.faces, source=source, mended=mending.sentence)
 
     @classmethod
     def from_sizes(cls, sizes: Sequence[float]) -> Self:

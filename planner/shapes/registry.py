@@ -96,6 +96,7 @@ for _shape in _OWN:
     register_shape(_shape)
 
 _FILE_KEYS = {"path", "scale", "repair", "sha256"}
+_MENDED = "mended"
 _TRIANGLE_KEYS = {"vertices_m", "faces"}
 
 
@@ -153,12 +154,13 @@ def _mesh_to_dict(mesh: Mesh) -> dict[str, Any]:
             "vertices_m": mesh.vertices.ravel().tolist(),
             "faces": [float(i) for i in mesh.faces.ravel()],
         }
-    return {
+    data: dict[str, Any] = {
         "path": str(mesh.source.path),
         "scale": mesh.source.scale,
         "repair": "yes" if mesh.source.repair else "no",
         "sha256": mesh.digest,
     }
+    return data | ({_MENDED: mesh.mended} if mesh.mended else {})
 
 
 def _mesh_from_dict(data: Mapping[Any, Any], given: set[str]) -> Mesh:
@@ -171,7 +173,7 @@ def _mesh_from_dict(data: Mapping[Any, Any], given: set[str]) -> Mesh:
                 'a mesh has "vertices_m" and "faces" that are not lists of numbers, three for each'
             ) from None
         return Mesh.from_triangles(vertices, faces)
-    if given != _FILE_KEYS:
+    if given - {_MENDED} != _FILE_KEYS:
         raise ObjectError(
             f"a mesh has {sorted(given)}; it needs {sorted(_FILE_KEYS)} or "
             f"{sorted(_TRIANGLE_KEYS)} and no others"
@@ -183,6 +185,13 @@ def _mesh_from_dict(data: Mapping[Any, Any], given: set[str]) -> Mesh:
         raise ObjectError(f'a mesh has repair {repair!r}; give "yes" or "no"')
     mesh = Mesh.load(path, scale=float(scale), repair=repair == "yes")
     if mesh.digest != digest:
+        told = data.get(_MENDED, "")
+        if told != mesh.mended:
+            raise ObjectError(
+                f"the mesh file {path!r} was mended as {told!r} when it was stored, and now as "
+                f"{mesh.mended!r}: it was changed since, or manifold3d is installed on one side "
+                'only; plan again, or pip install "opposable[meshes]"'
+            )
         raise ObjectError(
             f"the mesh file {path!r} is not the one that was stored: it was changed since; plan "
             "again, or bring the old file back"

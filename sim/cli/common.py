@@ -79,7 +79,16 @@ RepairOption = Annotated[
     bool,
     typer.Option(
         "--repair",
-        help="Mend a mesh that does not bound a solid.",
+        help="Mend its mesh however much that changes.",
+        metavar="",
+        rich_help_panel=SCENE_PANEL,
+    ),
+]
+StrictOption = Annotated[
+    bool,
+    typer.Option(
+        "--strict",
+        help="Refuse a mesh that would be mended.",
         metavar="",
         rich_help_panel=SCENE_PANEL,
     ),

@@ -42,6 +42,7 @@ from sim.cli.common import (
 )
 from sim.cli.movement import NO_SHIFT, RotateOption, ShiftOption, movement
 from sim.cli.options import with_options
+from sim.cli.places import object_of
 
 if TYPE_CHECKING:
     from planner.motion.manipulation import ManipulationPlan
@@ -126,7 +127,6 @@ class TurnOptions:
         """
         from planner.errors import NoGraspFoundError
         from planner.motion.manipulation import manipulation_task, on_stand, plan_manipulation
-        from planner.objects import parse_object
         from planner.synthesis.options import SynthesisOptions
         from sim.cli.low_objects import advice_for_low, said_of_low
         from sim.manipulation import rests, settled
@@ -134,7 +134,7 @@ class TurnOptions:
         axis, degrees, shift = movement(self.rotate, self.shift)
         task = manipulation_task(
             hand,
-            parse_object(object, mass=self.mass),
+            object_of(object, mass=self.mass),
             mu=self.mu,
             fingers=None if self.fingers is None else names(self.fingers),
         )

@@ -33,6 +33,7 @@ from sim.cli.common import (
 )
 from sim.cli.movement import NO_SHIFT, ShiftOption
 from sim.cli.options import AttemptsOption
+from sim.cli.places import object_of
 
 AxisOption = Annotated[
     str,
@@ -86,14 +87,13 @@ def plan_motion(
     from planner.files import write_motion
     from planner.files.motions import motion_to_dict
     from planner.motion import plan_motion as plan
-    from planner.objects import parse_object
     from planner.task import GraspTask
     from sim.manipulation.drawing import draw_motion
 
     check_films(output, picture, video)
     task = GraspTask.create(
         hand,
-        parse_object(object, mass=mass),
+        object_of(object, mass=mass),
         mu=mu,
         fingers=None if fingers is None else names(fingers),
     )
@@ -148,14 +148,13 @@ def plan_gait(
     from planner.files import write_gait
     from planner.files.gaits import gait_to_dict
     from planner.motion.gait import plan_gait as plan
-    from planner.objects import parse_object
     from planner.task import GraspTask
     from sim.manipulation.drawing import draw_motion
 
     check_films(output, picture, video)
     task = GraspTask.create(
         hand,
-        parse_object(object, mass=mass),
+        object_of(object, mass=mass),
         mu=mu,
         fingers=None if fingers is None else names(fingers),
     )

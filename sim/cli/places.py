@@ -1,17 +1,20 @@
-"""Poses, obstacles and heights as the command line writes them: metres, and degrees for angles."""
+"""Objects, poses, obstacles and heights as the command line writes them: metres, and degrees."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from sim.cli.common import numbers
+from rich.markup import escape
+
+from sim.cli.common import err, numbers, say
 
 if TYPE_CHECKING:
+    from planner.objects import GraspObject
     from planner.spatial import SE3
     from planner.task import Obstacle
 
-__all__ = ["OBSTACLE_FORM", "POSE_FORM", "obstacle_of", "pose_of", "table_of"]
+__all__ = ["OBSTACLE_FORM", "POSE_FORM", "object_of", "obstacle_of", "pose_of", "table_of"]
 
 POSE_FORM = "x,y,z or x,y,z,roll,pitch,yaw"
 """How a pose is written: m in the world, and degrees about the world's fixed axes x, y, z."""
@@ -94,3 +97,18 @@ def table_of(text: str) -> float | None:
         return numbers("--table", text, 1)[0]
     except TaskError as error:
         raise TaskError(f"{error}, the height of its top in m, or none for no table") from error
+
+
+def object_of(spec: str, **options: Any) -> GraspObject:
+    """As ``parse_object``; a line on stderr says what of a mesh was mended.
+
+    Raises:
+        PlannerError: An unknown name, or something that cannot be.
+    """
+    from planner.objects import parse_object
+
+    item = parse_object(spec, **options)
+    if item.mended:
+        file = escape(spec.rpartition("/")[2])
+        say(err, f"[yellow]{file}: {escape(item.mended)}; --strict refuses instead[/]")
+    return item

@@ -17,11 +17,12 @@ from sim.cli.common import (
     MuOption,
     RepairOption,
     StandOption,
+    StrictOption,
     TouchOption,
     names,
     numbers,
 )
-from sim.cli.places import obstacle_of, pose_of, table_of
+from sim.cli.places import object_of, obstacle_of, pose_of, table_of
 
 if TYPE_CHECKING:
     from planner.forces import ExpectedLoad
@@ -69,6 +70,7 @@ class TaskOptions:
         ),
     ] = None
     repair: RepairOption = False
+    strict: StrictOption = False
     touch: TouchOption = None
     avoid: AvoidOption = None
     table: Annotated[
@@ -140,16 +142,16 @@ class TaskOptions:
         """
         from planner.hand_loading import load_hand
         from planner.motion.manipulation import on_stand
-        from planner.objects import parse_object
         from planner.task import GraspTask
         from sim.manipulation import settled
 
         loaded = load_hand(hand) if isinstance(hand, str) else hand
-        item = parse_object(
+        item = object_of(
             object,
             mass=self.mass,
             density=self.density,
             repair=self.repair,
+            strict=self.strict,
             touch=self._touch_region(),
         )
         height = table_of(self.table)

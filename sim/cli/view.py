@@ -48,7 +48,10 @@ def view(
     ] = None,
     repair: Annotated[
         bool,
-        typer.Option("--repair", help="Mend a mesh that does not bound a solid.", metavar=""),
+        typer.Option("--repair", help="Mend a mesh however much that changes.", metavar=""),
+    ] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Refuse a mesh that would be mended.", metavar="")
     ] = False,
 ) -> None:
     """Show a hand, object, plan, run or dataset in the browser.
@@ -62,7 +65,10 @@ def view(
     check_folder(output)
     target = Target(what)
     kind = recognise(target)
-    given = {"alternatives": alternatives, "touch": touch, "avoid": avoid, "repair": repair}
+    given = {
+        **{"alternatives": alternatives, "touch": touch, "avoid": avoid},
+        **{"repair": repair, "strict": strict},
+    }
     idle = [f"--{name}" for name, value in given.items() if value and name not in kind.takes]
     if idle:
         raise TaskError(f"{', '.join(idle)} means nothing for {kind.name}; leave it out")
@@ -71,6 +77,7 @@ def view(
         touch=tuple(touch or ()),
         avoid=tuple(avoid or ()),
         repair=repair,
+        strict=strict,
     )
     with err.status(escape(f"preparing {what} ...")):
         shown = kind.shown(target, options)

@@ -47,13 +47,15 @@ class ViewOptions:
         alternatives: How many further grasps of a plan's task to plan and show beside it.
         touch: Where fingers may touch an object, each as ``planner.regions.parse_region`` reads it.
         avoid: Where they must not.
-        repair: Whether to mend a mesh that does not bound a solid.
+        repair: Whether to mend a mesh however much that changes.
+        strict: Whether to refuse a mesh that would have to be mended.
     """
 
     alternatives: int = 0
     touch: tuple[str, ...] = ()
     avoid: tuple[str, ...] = ()
     repair: bool = False
+    strict: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

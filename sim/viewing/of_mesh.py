@@ -70,7 +70,7 @@ def _shown(target: Target, options: ViewOptions) -> Page:
             allowed=tuple(parse_region(text) for text in options.touch),
             forbidden=tuple(parse_region(text) for text in options.avoid),
         )
-    item = parse_object(target.text, repair=options.repair, touch=touch)
+    item = parse_object(target.text, repair=options.repair, strict=options.strict, touch=touch)
     return mesh_page(item, spec=target.text, touch=options.touch, avoid=options.avoid)
 
 
@@ -78,6 +78,6 @@ KIND = Kind(
     name="an object or mesh (mug, box:0.05x0.05x0.08, part.stl*0.001, scene.xml#body)",
     recognises=_recognises,
     shown=_shown,
-    takes=frozenset({"touch", "avoid", "repair"}),
+    takes=frozenset({"touch", "avoid", "repair", "strict"}),
 )
 """See ``sim.viewing.kinds``."""

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from planner.errors import ObjectError
-from planner.shapes.meshes.repair import repaired
-from planner.shapes.meshes.soundness import MOST_TRIANGLES, Fault, faults_of, size_fault
+from planner.shapes.meshes.soundness import MOST_TRIANGLES
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["CONVERTIBLE", "MESH_SUFFIXES", "check_solid", "read_mesh"]
+__all__ = ["CONVERTIBLE", "MESH_SUFFIXES", "read_mesh"]
 
 MESH_SUFFIXES = (".glb", ".obj", ".ply", ".stl")
 """File formats that are read, by their suffix in lower case."""
@@ -141,46 +139,3 @@ def _loaded(path: Path) -> Any:
         mesh = mesh.to_mesh()
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     return mesh
-
-
-def check_solid(
-    name: str, vertices: FloatArray, faces: IntArray, *, repair: bool
-) -> tuple[FloatArray, IntArray, tuple[str, ...]]:
-    """The surface of a solid, mended if asked for.
-
-    Args:
-        name: What to call it in messages.
-        vertices: (n, 3), m.
-        faces: (m, 3).
-        repair: Whether to mend what can be mended.
-
-    Returns:
-        Vertices, faces, and what was mended.
-
-    Raises:
-        ObjectError: It bounds no solid; says what is wrong, where, and what can be done.
-    """
-    wrong_size = size_fault(vertices)
-    if wrong_size:
-        file = name if Path(name).suffix else "FILE"
-        remedy = wrong_size.remedy.replace("FILE", file)
-        raise ObjectError(f"{name} {wrong_size.what}; sizes are in metres: {remedy}")
-    done: tuple[str, ...] = ()
-    faults = faults_of(vertices, faces)
-    if faults and repair:
-        vertices, faces, done = repaired(vertices, faces)
-        faults = faults_of(vertices, faces)
-        if faults:
-            tried = "; ".join(done) if done else "nothing could be mended"
-            raise ObjectError(f"{_message(name, faults)} Repair was tried: {tried}.")
-    if faults:
-        raise ObjectError(_message(name, faults))
-    return vertices, faces, done
-
-
-def _message(name: str, faults: Sequence[Fault]) -> str:
-    what = "; ".join(fault.what for fault in faults)
-    remedies = dict.fromkeys(fault.remedy for fault in faults if fault.remedy)
-    if all(fault.repairable for fault in faults):
-        remedies["try repair=True (--repair), or mend it in the program that made it"] = None
-    return f"{name} is not the surface of a solid: {what}; {'; '.join(remedies)}."

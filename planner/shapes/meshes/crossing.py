@@ -1,0 +1,177 @@
+"""Triangles of a closed surface that pass through each other, or lie on each other.
+
+Pairs whose boxes overlap are tested exactly, but for those that cannot cross: two that share an
+edge (unless one is folded onto the other), and two that share a corner around which all triangles,
+seen along the mean normal, lie side by side and turn once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.shapes.meshes.near_pairs import overlapping_boxes
+from planner.shapes.meshes.triangles import TOUCHING, crossings
+from planner.spatial import FloatArray, IntArray
+
+__all__ = ["crossing_pairs", "flush_pairs", "folded_pairs", "near_pairs"]
+
+Pairs = tuple[IntArray, IntArray]
+
+FLUSH = 1e-8
+"""Distance (m) below which two triangles lie in one plane: rounding of a file in single precision.
+
+Two surfaces so near to each other are no wall."""
+
+UPRIGHT = 0.05
+"""Cosine between the normal of each triangle at a corner and their mean, at least, in a fan that is
+taken to be flat enough not to cross itself: far from the rounding of a triangle seen edge-on."""
+
+PAIRS_AT_ONCE = 500_000
+"""Pairs of triangles that are tested at once: some 200 MB."""
+
+
+def near_pairs(vertices: FloatArray, faces: IntArray) -> Pairs:
+    """Pairs (k,) and (k,) of triangles that may cross: at most one corner is shared.
+
+    Args:
+        vertices: (n, 3), m.
+        faces: (m, 3), of a closed surface, consistently wound.
+    """
+    corners = [vertices[faces[:, k]] for k in range(3)]
+    low = np.minimum(np.minimum(corners[0], corners[1]), corners[2])
+    high = np.maximum(np.maximum(corners[0], corners[1]), corners[2])
+    one, other = overlapping_boxes(low, high)
+    shared = np.zeros(len(one), dtype=np.int8)
+    at = np.zeros(len(one), dtype=np.int64)
+    theirs = [faces[:, k].take(other) for k in range(3)]
+    for k in range(3):
+        mine = faces[:, k].take(one)
+        for vertex in theirs:
+            same = mine == vertex
+            shared += same
+            np.copyto(at, mine, where=same)
+    maybe = (shared == 0) | ((shared == 1) & ~_flat_fans(vertices, faces)[at])
+    return one[maybe], other[maybe]
+
+
+def _flat_fans(vertices: FloatArray, faces: IntArray) -> NDArray[np.bool_]:
+    """Vertices (n,) whose triangles cannot cross: all face one way, and together turn once."""
+    n = len(vertices)
+    corners = [vertices[faces[:, k]] for k in range(3)]
+    normals = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    length = np.sqrt(np.einsum("nd,nd->n", normals, normals))
+    unit = normals / np.where(length > 0, length, 1.0)[:, None]
+    mean = np.empty((n, 3))
+    for d in range(3):
+        weights = np.concatenate([unit[:, d]] * 3)
+        mean[:, d] = np.bincount(faces.T.ravel(), weights, n)
+    size = np.sqrt(np.einsum("nd,nd->n", mean, mean))
+    mean /= np.where(size > 0, size, 1.0)[:, None]
+    turn, upright = np.zeros(n), np.ones(n, dtype=bool)
+    for k in range(3):
+        at = faces[:, k]
+        axis = mean[at]
+        u, v = corners[(k + 1) % 3] - corners[k], corners[(k + 2) % 3] - corners[k]
+        facing = np.einsum("nd,nd->n", unit, axis)
+        along = np.einsum("nd,nd->n", u, v)
+        along -= np.einsum("nd,nd->n", u, axis) * np.einsum("nd,nd->n", v, axis)
+        turn += np.bincount(at, np.arctan2(facing * length, along), n)
+        upright[at[facing < UPRIGHT]] = False
+    # a closed fan turns a whole number of times
+    return upright & (turn < 3 * np.pi)
+
+
+def crossing_pairs(corners: FloatArray, pairs: Pairs) -> Pairs:
+    """Those of the pairs that pass through each other; touching is not crossing.
+
+    Args:
+        corners: (m, 3 corners, 3), m.
+        pairs: Two numbers (k,) of triangles.
+    """
+    one, other = pairs
+    hit = np.zeros(len(one), dtype=bool)
+    for start in range(0, len(one), PAIRS_AT_ONCE):
+        part = slice(start, start + PAIRS_AT_ONCE)
+        hit[part] = _cross(corners[one[part]], corners[other[part]])
+    return one[hit], other[hit]
+
+
+def _both_sides(one: FloatArray, other: FloatArray) -> NDArray[np.bool_]:
+    """Whether triangles ``other`` reach to both sides of the planes of triangles ``one``, (n,)."""
+    heights = _heights(one, other)
+    out: NDArray[np.bool_] = (heights.min(axis=1) < -TOUCHING) & (heights.max(axis=1) > TOUCHING)
+    return out
+
+
+def _heights(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Heights (n, 3), m, of the corners of ``other`` above the planes of ``one``."""
+    normal = _unit_normals(one)
+    heights: FloatArray = np.einsum("nkd,nd->nk", other - one[:, :1], normal)
+    return heights
+
+
+def _unit_normals(corners: FloatArray) -> FloatArray:
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    unit: FloatArray = normal / np.where(length > 0, length, 1.0)
+    return unit
+
+
+def _cross(a: FloatArray, b: FloatArray) -> NDArray[np.bool_]:
+    """Whether triangles a and b (n, 3 corners, 3) pass through each other, (n,) bool."""
+    out = np.ones(len(a), dtype=bool)
+    for one, other in ((a, b), (b, a)):
+        some = np.flatnonzero(out)
+        out[some[~_both_sides(one[some], other[some])]] = False
+    some = np.flatnonzero(out)
+    hit = np.zeros(len(some), dtype=bool)
+    for one, other in ((a[some], b[some]), (b[some], a[some])):
+        for k in range(3):
+            hit |= crossings(one[:, k], one[:, (k + 1) % 3], other)
+    out[some] = hit
+    return out
+
+
+def flush_pairs(corners: FloatArray, pairs: Pairs) -> Pairs:
+    """Those of the pairs that lie in one plane and overlap there; arguments as above."""
+    one, other = pairs
+    a, b = corners[one], corners[other]
+    flat = (np.abs(_heights(a, b)).max(axis=1) < FLUSH) & _wide(a) & _wide(b)
+    one, other, a, b = one[flat], other[flat], a[flat], b[flat]
+    apart = np.zeros(len(one), dtype=bool)
+    for mine, theirs in ((a, b), (b, a)):
+        normal = _unit_normals(mine)
+        for k in range(3):
+            edge = mine[:, (k + 1) % 3] - mine[:, k]
+            inward = np.cross(normal, edge)
+            inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+            reach = np.einsum("nkd,nd->nk", theirs - mine[:, k, None], inward).max(axis=1)
+            apart |= reach < FLUSH
+    return one[~apart], other[~apart]
+
+
+def _wide(corners: FloatArray) -> NDArray[np.bool_]:
+    """Whether triangles (n, 3, 3) are more than lines, (n,)."""
+    edges = np.roll(corners, -1, axis=1) - corners
+    longest = np.linalg.norm(edges, axis=2).max(axis=1)
+    twice = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    out: NDArray[np.bool_] = twice > FLUSH * longest
+    return out
+
+
+def folded_pairs(corners: FloatArray, across: tuple[IntArray, IntArray]) -> Pairs:
+    """Triangles (k,) and (k,) that share an edge and lie on each other: folded by 180 degrees.
+
+    Args:
+        corners: (m, 3 corners, 3), m.
+        across: ``paired_edges`` of the triangles.
+    """
+    unit = _unit_normals(corners)
+    one, other = across[0] // 3, across[1] // 3
+    opposite = np.flatnonzero(np.einsum("nd,nd->n", unit[one], unit[other]) < -1 + 1e-12)
+    one, other, corner = one[opposite], other[opposite], across[0][opposite] % 3
+    start = corners[one, corner]
+    inward = np.cross(unit[one], corners[one, (corner + 1) % 3] - start)
+    theirs = np.einsum("nd,nd->n", inward, corners[other].mean(axis=1) - start)
+    return one[theirs > 0], other[theirs > 0]

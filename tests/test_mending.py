@@ -1,0 +1,278 @@
+"""Damaged copies of good meshes: mended to the solid that they were, and by how much they moved."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import cKDTree
+
+from planner import GraspTask, plan_grasp
+from planner.errors import ObjectError
+from planner.files import read_plan, write_plan
+from planner.objects import parse_object
+from planner.shapes import Mesh, shape_from_dict, shape_to_dict
+from planner.shapes.meshes import mending, union
+from planner.shapes.meshes.edges import bodies_of, body_volumes
+from planner.shapes.meshes.mending import MOVED
+from planner.shapes.meshes.soundness import faults_of
+from planner.shapes.meshes.wrapping import wrapped
+from planner.system.disk_cache import CACHE_VARIABLE
+
+RADIUS, SIDE = 0.03, 0.05
+Damage = Callable[[], trimesh.Trimesh]
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(CACHE_VARIABLE, str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+def ball() -> trimesh.Trimesh:
+    """5,120 triangles with edges of 2.2 mm."""
+    return trimesh.creation.icosphere(4, RADIUS)
+
+
+def box(at: tuple[float, float, float] = (0, 0, 0), side: float = SIDE) -> trimesh.Trimesh:
+    made = trimesh.creation.box((side, side, side))
+    made.apply_translation(at)
+    return made
+
+
+def of(vertices: object, faces: object) -> trimesh.Trimesh:
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def together(*parts: trimesh.Trimesh) -> trimesh.Trimesh:
+    return trimesh.util.concatenate(list(parts))
+
+
+def inverted(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    mesh.invert()
+    return mesh
+
+
+def punctured() -> trimesh.Trimesh:
+    """Without every 500th triangle."""
+    whole = ball()
+    return of(whole.vertices, np.delete(np.array(whole.faces), slice(0, None, 500), axis=0))
+
+
+def half_turned() -> trimesh.Trimesh:
+    faces = np.array(ball().faces)
+    faces[::7] = faces[::7, ::-1]
+    return of(ball().vertices, faces)
+
+
+def torn() -> trimesh.Trimesh:
+    """No two triangles share a vertex, and each is off by a tenth of a micrometre."""
+    corners = np.array(ball().triangles).reshape(-1, 3)
+    noise = np.random.default_rng(0).uniform(-1e-7, 1e-7, corners.shape)
+    return of(corners + noise, np.arange(len(corners)).reshape(-1, 3))
+
+
+def repeated() -> trimesh.Trimesh:
+    return of(ball().vertices, np.concatenate([ball().faces, np.array(ball().faces)[::50]]))
+
+
+def folded() -> trimesh.Trimesh:
+    """One vertex is drawn 3 mm along the surface, over its neighbours' triangles."""
+    vertices = np.array(ball().vertices)
+    aside = np.cross(vertices[100], [0.3, 0.5, 0.8])
+    moved = vertices[100] + 3e-3 * aside / np.linalg.norm(aside)
+    vertices[100] = RADIUS * moved / np.linalg.norm(moved)
+    return of(vertices, ball().faces)
+
+
+def pushed_through() -> trimesh.Trimesh:
+    """One vertex has gone through the other side, and 5 mm out of it."""
+    vertices = np.array(ball().vertices)
+    vertices[100] *= -(RADIUS + 5e-3) / RADIUS
+    return of(vertices, ball().faces)
+
+
+def flapping() -> trimesh.Trimesh:
+    """A box with a triangle that sticks out of an edge by 0.1 mm."""
+    made = box()
+    edge = made.faces[0][:2]
+    tip = made.vertices[edge].mean(axis=0) * (1 + 1e-4 / np.linalg.norm(made.vertices[edge[0]]))
+    return of([*made.vertices, tip], [*made.faces, [*edge, len(made.vertices)]])
+
+
+def off_centre(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    mesh.apply_translation((0.3, -0.2, 0.1))
+    return mesh
+
+
+OVERLAP = (0.02, 0.013, 0.011)
+TWO_BOXES = 2 * SIDE**3 - float(np.prod(SIDE - np.array(OVERLAP)))
+
+DAMAGED: dict[str, tuple[Damage, float, float, str]] = {
+    "small holes": (punctured, ball().volume, 0.7e-3, r"11 hole\(s\) closed, up to 2\.\d mm wide"),
+    "turned triangles": (half_turned, ball().volume, 0, r"\d+ triangle\(s\) turned to agree"),
+    "seams": (torn, ball().volume, 1e-6, "repeated vertices merged"),
+    "repeated triangles": (repeated, ball().volume, 0, "repeated or empty"),
+    "a fold": (folded, ball().volume, MOVED, r"\d+ triangles crossed, cut out and filled"),
+    "a flap": (flapping, SIDE**3, MOVED, "flap"),
+    "inside out": (lambda: inverted(ball()), ball().volume, 0, "pointed inwards turned"),
+    "two parts that cross": (lambda: together(box(), box(OVERLAP)), TWO_BOXES, 1e-6, "2 parts"),
+    "crossing parts, one reversed": (
+        lambda: together(box(), inverted(box(OVERLAP))),
+        TWO_BOXES,
+        1e-6,
+        "2 parts",
+    ),
+    "a part in a part": (lambda: together(box(), box(side=0.02)), SIDE**3, 1e-6, "2 parts"),
+    "far from the origin": (lambda: off_centre(folded()), ball().volume, MOVED, "crossed"),
+}
+"""What was done to a mesh, its volume before (m3), how far its surface may move, what is told."""
+
+
+def farthest(mesh: Mesh, given: trimesh.Trimesh) -> float:
+    """Largest distance (m) of vertices that are new, some of many, from given triangles."""
+    points = mesh.vertices + mesh.offset
+    fresh = points[cKDTree(given.vertices).query(points)[0] > 1e-9]
+    if len(fresh) == 0:
+        return 0.0
+    fresh = fresh[:: max(1, len(fresh) // 300)]
+    return float(trimesh.proximity.closest_point_naive(given, fresh)[1].max())
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_a_damaged_copy_is_mended_to_what_it_was(name: str) -> None:
+    damage, volume, moved, told = DAMAGED[name]
+    given = damage()
+    mesh = Mesh.from_triangles(np.array(given.vertices), np.array(given.faces))
+    assert faults_of(mesh.vertices, mesh.faces) == ()
+    assert mesh.volume == pytest.approx(volume, rel=2e-3)
+
+    assert re.search(told, mesh.mended), mesh.mended
+    # the independent measure: no vertex is farther from what was given than is told
+    assert farthest(mesh, given) <= moved + 2e-6
+
+
+@pytest.mark.parametrize("name", ["small holes", "turned triangles", "a fold", "seams"])
+def test_the_inertia_of_a_mended_ball_is_that_of_the_ball(name: str) -> None:
+    given = DAMAGED[name][0]()
+    mesh = Mesh.from_triangles(np.array(given.vertices), np.array(given.faces))
+    whole = Mesh.from_triangles(np.array(ball().vertices), np.array(ball().faces))
+    np.testing.assert_allclose(mesh.inertia(0.2), whole.inertia(0.2), rtol=0, atol=4e-8)
+    np.testing.assert_allclose(mesh.offset, 0, atol=2e-5)
+    assert whole.inertia(0.2)[0, 0] == pytest.approx(0.4 * 0.2 * RADIUS**2, rel=1e-2)
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_strict_refuses_what_would_be_mended(name: str) -> None:
+    given = DAMAGED[name][0]()
+    with pytest.raises(ObjectError, match=r"not mended, since --strict \(strict=True\) is given"):
+        Mesh.from_triangles(np.array(given.vertices), np.array(given.faces), strict=True)
+
+
+def test_a_reversed_part_inside_another_is_a_cavity_and_stays_one() -> None:
+    given = together(box(), inverted(box(side=0.02)))
+    mesh = Mesh.from_triangles(np.array(given.vertices), np.array(given.faces), strict=True)
+    assert mesh.mended == "" and mesh.volume == pytest.approx(SIDE**3 - 0.02**3)
+
+
+@pytest.mark.parametrize(
+    ("at", "volume"),
+    [
+        ((-0.015, 0, 0), TWO_BOXES - 0.008**3),  # beside the overlap: the cavity stays
+        ((0.01, 0, 0), TWO_BOXES),  # within it: matter of the other part fills it
+        ((-0.005, 0, 0), TWO_BOXES - 0.004 * 0.008**2),  # half of it
+    ],
+)
+def test_a_cavity_stays_where_no_other_part_fills_it(
+    at: tuple[float, float, float], volume: float
+) -> None:
+    given = together(box(), inverted(box(at, side=0.008)), box(OVERLAP))
+    mesh = Mesh.from_triangles(np.array(given.vertices), np.array(given.faces))
+    assert mesh.volume == pytest.approx(volume)
+
+
+def test_a_vertex_on_the_far_side_is_too_much_to_mend_unasked() -> None:
+    given = pushed_through()
+    with pytest.raises(
+        ObjectError, match=r"moves the surface by up to \d.* accept that with --rep"
+    ):
+        Mesh.from_triangles(np.array(given.vertices), np.array(given.faces))
+    mesh = Mesh.from_triangles(np.array(given.vertices), np.array(given.faces), repair=True)
+    assert mesh.volume == pytest.approx(ball().volume, rel=5e-3)
+    assert float(np.abs(np.linalg.norm(mesh.vertices, axis=1) - RADIUS).max()) < 1e-3
+
+
+@pytest.mark.parametrize(("cut", "mended"), [(0.0298, False), (0.029, False), (0.01, None)])
+def test_a_wide_hole_is_closed_on_request_and_an_open_shell_never(
+    cut: float, mended: bool | None
+) -> None:
+    whole = ball()
+    kept = np.array(whole.triangles)[:, :, 2].max(axis=1) < cut
+    given = of(whole.vertices, np.array(whole.faces)[kept])
+    triangles = np.array(given.vertices), np.array(given.faces)
+    with pytest.raises(ObjectError, match=r"closing a hole|not closed"):
+        Mesh.from_triangles(*triangles)
+    if mended is None:
+        with pytest.raises(ObjectError, match=r"Mending was tried .* not closed: .* close it"):
+            Mesh.from_triangles(*triangles, repair=True)
+    else:
+        assert Mesh.from_triangles(*triangles, repair=True).volume > 0.9 * whole.volume
+
+
+def test_without_manifold3d_parts_are_wrapped_as_near(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mending, "manifold_is_installed", lambda: False)
+    given = together(box(), box(OVERLAP))
+    mesh = Mesh.from_triangles(np.array(given.vertices), np.array(given.faces))
+    assert "wrapped on a grid, since manifold3d is not installed" in mesh.mended
+    assert mesh.volume == pytest.approx(TWO_BOXES, rel=1e-3)
+    assert farthest(mesh, given) < MOVED
+
+
+@pytest.mark.parametrize("cells", [20, 40])
+def test_a_wrapped_ball_nears_the_ball_with_the_square_of_the_cell(cells: int) -> None:
+    made = ball()
+    vertices, faces = wrapped(np.array(made.vertices), np.array(made.faces), cells)
+    volume = float(body_volumes(vertices, faces, bodies_of(faces)).sum())
+    off = np.abs(np.linalg.norm(vertices, axis=1) - RADIUS).max()
+    assert volume == pytest.approx(made.volume, rel=1.5 / cells**2)
+    assert off < 0.5 * (2 * RADIUS / cells) ** 2 / RADIUS + 5e-5
+
+
+def test_repair_and_strict_together_are_refused() -> None:
+    made = box()
+    with pytest.raises(ObjectError, match="repair and strict are both asked for; give one"):
+        Mesh.from_triangles(made.vertices, np.array(made.faces), repair=True, strict=True)
+
+
+def test_a_mended_file_is_kept_and_its_plan_says_so(tmp_path: Path) -> None:
+    file = tmp_path / "folded.ply"
+    folded().export(file)
+    item = parse_object(str(file))
+    assert "triangles crossed" in item.mended
+    again = Mesh.load(file)  # out of the disk cache
+    assert again == item.shape and again.mended == item.mended
+    plan = plan_grasp(GraspTask.create("allegro_hand", item), seed=0)
+    assert f"object mended: {item.mended}" in str(plan)
+    write_plan(plan, tmp_path / "plan.json")
+    read = read_plan(tmp_path / "plan.json")
+    assert read.task.object.mended == item.mended and read.task.object.shape == item.shape
+
+
+def test_plain_data_tells_that_another_mending_was_stored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "two.ply"
+    together(box(), box(OVERLAP)).export(file)
+    data = json.loads(json.dumps(shape_to_dict(Mesh.load(file))))
+    assert shape_from_dict(data).volume == pytest.approx(TWO_BOXES, rel=1e-4)
+    for module in (mending, union):
+        monkeypatch.setattr(module, "manifold_is_installed", lambda: False)
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "other"))
+    with pytest.raises(ObjectError, match=r"was mended as '2 parts .* united.* on one side only"):
+        shape_from_dict(data)
