@@ -94,8 +94,8 @@ def test_a_batch_takes_what_a_plan_takes(tmp_path: Path) -> None:
     faces[0] = faces[0][::-1]  # a triangle that is seen from the wrong side
     trimesh.Trimesh(box.vertices, faces, process=False).export(tmp_path / "turned.stl")
     words: tuple[str | Path, ...] = ("allegro_hand", tmp_path / "turned.stl")
-    code, _, err = opposable("batch", *words, "-n", "1", "--out", tmp_path / "unmended")
-    assert code == 3
+    code, _, err = opposable("batch", *words, "--strict", "-n", "1", "--out", tmp_path / "unmended")
+    assert code == 3 and "not mended, since --strict" in err
     assert not (tmp_path / "unmended").exists()
     asked = ("--repair", "--pose", "1", "--mass", "0.2", "--avoid", "z<-0.03", "--touch", "z>-0.03")
     folder = tmp_path / "not" / "yet" / "there"  # parents are made

@@ -22,7 +22,7 @@ from planner.shapes.field.distance_field import DistanceField
 from planner.shapes.field.grid_distance import FIELD_VERSION, field_fits, fit_mesh_field
 from planner.shapes.meshes.checking import check_solid, checked_once
 from planner.shapes.meshes.io import read_mesh
-from planner.shapes.meshes.nearest_triangle import NearestTriangles, coal_tree
+from planner.shapes.meshes.nearest_triangle import NearestTriangles
 from planner.shapes.meshes.polyhedron import Polyhedron, checked_triangles, digest_of
 from planner.shapes.meshes.rays import pierced
 from planner.shapes.meshes.triangles import winding_number

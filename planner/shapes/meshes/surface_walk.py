@@ -138,7 +138,7 @@ THINNED = 0.5
 """Side of the cubes of which one point each is kept, in steps."""
 
 
-FAR_THINNED = 4.0
+FAR_THINNED = 2.0
 """Side of the cubes of which one point each is kept for points that are far away, in steps."""
 
 LEAF = 32
