@@ -270,18 +270,6 @@ def test_ctrl_c_keeps_what_was_planned(reference: GraspSet, tmp_path: Path) -> N
     wait_for(lambda: not members(process.pid), "the workers to end")
 
 
-@pytest.mark.filterwarnings("ignore")
-def test_a_cluster_gives_the_same_rows(reference: GraspSet) -> None:
-    distributed = pytest.importorskip("distributed")
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=None
-        ) as cluster,
-        distributed.Client(cluster),
-    ):
-        assert rows_of(batch(workers=-1, backend="dask")) == rows_of(reference)
-
-
 def test_bad_requests_are_refused(allegro: Hand) -> None:
     task = GraspTask.create("shadow_hand", "sphere")
     for arguments, message in (

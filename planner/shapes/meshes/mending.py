@@ -46,9 +46,9 @@ NOTHING = 1e-6
 TOLD_VOLUME = 1e-4
 """Share by which the volume changes, from which on it is told."""
 
-WRAP_CELLS = 96
-"""Cells along the longest extent when a surface is wrapped: 1 mm on an object of 10 cm.
-Edges stay sharp, and a curve of radius R is missed by 0.13 mm2 / R."""
+WRAP_CELLS = (96, 192)
+"""Cells along the longest extent when a surface is wrapped, coarse first: 1 mm on an object of 10
+cm, and half of that where the surface moves too far."""
 
 WRAP_ROUNDS = 6
 """Rounds of cutting and filling, at most, after wrapping: a second each."""
@@ -183,5 +183,10 @@ def _one_solid(
 
 def _wrapped(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
     """Wrapped, with edges of two triangles each and without crossings, as far as can be had."""
-    v, f = with_paired_edges(*wrapped(vertices, faces, WRAP_CELLS), 0.0, [])
-    return without_crossings(v, f, rounds=WRAP_ROUNDS) or (v, f)
+    v, f = vertices, faces
+    for cells in WRAP_CELLS:
+        v, f = with_paired_edges(*wrapped(vertices, faces, cells), 0.0, [])
+        v, f = without_crossings(v, f, rounds=WRAP_ROUNDS) or (v, f)
+        if not faults_of(v, f) and deviation((vertices, faces), (v, f)) <= MOVED:
+            break
+    return v, f
