@@ -124,6 +124,9 @@ class Simulation:
         self.on_step: Callable[[Simulation], None] | None = None
         self.tape: Tape | None = None
         self._viewer: Viewer | None = None
+        self._warnings = self.data.warning.number  # MuJoCo's own counters
+        self._asked: object = None
+        self._knows_limits: ReportsLimits | None = None
         self._ctrl: FloatArray = self.data.ctrl[self.scene.hand_ctrl].copy()
         actuation = plan.task.hand.actuation
         ranges = np.concatenate([actuation.force_range.T, actuation.ctrl_range.T])
@@ -247,7 +250,7 @@ class Simulation:
     @property
     def diverged(self) -> str:
         """What MuJoCo warns of, "" if nothing: numbers that are not finite or huge."""
-        if not self.data.warning.number.any():
+        if not any(self._warnings.tolist()):
             return ""
         for what, index in _BAD_NUMBERS.items():
             if self.data.warning[index].number:
@@ -345,8 +348,12 @@ class Simulation:
         if at_limit.any():
             all_names = self.plan.task.hand.actuation.names
             names = {all_names[i] for i in np.flatnonzero(at_limit)}
-        if isinstance(self.controller, ReportsLimits):
-            names.update(self.controller.saturated_actuators())
+        asked: object = self.controller
+        if asked is not self._asked:  # whether it keeps the protocol takes long to find out
+            self._asked = asked
+            self._knows_limits = asked if isinstance(asked, ReportsLimits) else None
+        if self._knows_limits is not None:
+            names.update(self._knows_limits.saturated_actuators())
         return tuple(sorted(names))
 
     @property

@@ -27,7 +27,7 @@ from sim.simulation import Simulation
 from sim.tables import Row, grouped, table_of
 from sim.trial import Trial
 
-__all__ = ["TrialCostJob", "run_trial_cost", "time_trial", "trial_cost_table"]
+__all__ = ["Replay", "TrialCostJob", "run_trial_cost", "time_trial", "trial_cost_table"]
 
 FORMAT = "opposable-bench-trials"
 
@@ -49,10 +49,11 @@ class TrialCostJob(ObjectJob):
     repeats: int
 
 
-class _Replay:
+class Replay:
     """The commands of a trial, and the steps with them alone.
 
     Attributes:
+        inputs: Commands and active equalities of every step.
         same: Whether the steps alone have always ended in the state in which the trial ended.
     """
 
@@ -60,21 +61,21 @@ class _Replay:
         """Begin at the state that a simulation is in; be called after each of its steps."""
         self._model = simulation.scene.model
         self._start = self._copy(simulation.data)
-        self._inputs: list[tuple[Any, ...]] = []
+        self.inputs: list[tuple[Any, ...]] = []
         self._end = np.zeros(0)
         self.same = True
 
     def __call__(self, simulation: Simulation) -> None:
         """Keep what the step was given."""
         data = simulation.data
-        self._inputs.append((data.ctrl.copy(), data.eq_active.copy()))
+        self.inputs.append((data.ctrl.copy(), data.eq_active.copy()))
         self._end = data.qpos.copy()
 
     def cpu_s(self) -> float:
         """CPU time of the steps alone, s."""
         model, data = self._model, self._copy(self._start)
         begin = time.process_time()
-        for ctrl, active in self._inputs:
+        for ctrl, active in self.inputs:
             data.ctrl[:] = ctrl
             data.eq_active[:] = active
             mujoco.mj_step(model, data)
@@ -84,7 +85,7 @@ class _Replay:
 
     def __len__(self) -> int:
         """Number of steps."""
-        return len(self._inputs)
+        return len(self.inputs)
 
     def _copy(self, data: Any) -> Any:
         made = mujoco.MjData(self._model)
@@ -99,7 +100,7 @@ def time_trial(plan: GraspPlan, controller: str, repeats: int = 3) -> Row:
     those of its file: closure, epsilon and min-weight of every sample are computed for it.
     """
     first = Trial(plan, controller=controller)
-    replay = _Replay(first.simulation)
+    replay = Replay(first.simulation)
     report = first.run(on_step=replay)
     spent: dict[str, list[float]] = {"build_s": [], "trial_s": [], "steps_s": [], "report_s": []}
     for _ in range(repeats):

@@ -83,8 +83,7 @@ CONDITIONS = {
 """All but the first make part of the grasps fail, each for another reason."""
 
 TIMELINE = Timeline.quick(settle=0.1, hold=1.2)
-"""Shorter than the default timeline: 0.7 s of CPU per trial instead of 2 s
-(``bench metrics HAND``)."""
+"""Shorter than the default timeline: 2.8 s of simulated time instead of 5.3 s."""
 
 RECORD_EVERY = 0.05
 """Time between samples, s: four samples for each direction of the push."""

@@ -71,6 +71,7 @@ class GraspController:
         soft = np.array([m == "soft" for m in planned.models])
         torsion = np.where(soft, np.nan_to_num(planned.forces[:, 3]), 0.0)
         self._moments = torsion[:, None] * planned.normals
+        self._twists = bool(torsion.any())
         self._search = self._search_directions()
         self._share = np.zeros(len(self._fingers))
         self._reach = np.zeros(len(self._fingers))
@@ -132,7 +133,10 @@ class GraspController:
         points = self._points @ turn + T_base_object.translation
         forces = self._forces @ turn
         # wrenches on the object about the base's origin
-        return self._loads.torque(forces, crossed(points, forces) + self._moments @ turn)
+        moments = crossed(points, forces)
+        if self._twists:
+            moments += self._moments @ turn
+        return self._loads.torque(forces, moments)
 
     def _search_directions(self) -> FloatArray:
         """Joint motion (n_fingers, nq), rad/m, that moves each pad along its normal."""

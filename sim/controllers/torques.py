@@ -176,10 +176,9 @@ class HoldingTorques:
         alone = np.where(searching[:, None], seek, away) - SEARCH_DAMPING * self._tip_velocity
         total = np.where(holding[:, None], forces + self._tip_forces, alone)
         torque = total.ravel() @ self.jacobians.reshape(-1, self._hand.nq) + self.own_torque
-        torque += self._idle_part(np.where(self._moving, self._q_ref - self._q, 0.0))
-        torque += self._stiffness * (self._q_ref - self._q) - self._damping * (
-            self._v - self._v_ref
-        )
+        bent = self._q_ref - self._q
+        torque += self._idle_part(np.where(self._moving, bent, 0.0))
+        torque += self._stiffness * bent - self._damping * (self._v - self._v_ref)
         self._torque = torque
         self._law_q = np.where(self._moving, self._q, self._q_ref)
         return self._hand.actuation.commands(

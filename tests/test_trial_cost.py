@@ -1,0 +1,97 @@
+"""What a trial costs beside MuJoCo's steps, and what is left until it is asked for."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+from planner.contacts import ContactSet
+from planner.plan import GraspPlan
+from planner.quality import closure_and_epsilon
+from planner.search import plan_grasp
+from planner.task import GraspTask
+from sim import recorder as recording
+from sim.bench.trial_cost import Replay, time_trial, trial_cost_table
+from sim.contacts import hand_contacts, merge_per_finger
+from sim.simulation import Simulation
+from sim.trial import Timeline, Trial
+
+
+@pytest.fixture(scope="module")
+def plan() -> GraspPlan:
+    return plan_grasp(GraspTask.create("allegro_hand", "box"), seed=1)
+
+
+def test_the_steps_alone_repeat_the_trial(plan: GraspPlan) -> None:
+    row = time_trial(plan, "feedforward", repeats=1)
+    assert row["same_state"]
+    assert row["steps"] > 2000
+    assert row["ratio"] == pytest.approx(row["trial_s"] / row["steps_s"])
+    # far above what it is (4 to 5), so that a busy machine does not matter
+    assert 1.0 < row["ratio"] < 8.0
+    assert row["report_s"] > 0
+
+
+def test_a_replay_of_other_commands_is_noticed(plan: GraspPlan) -> None:
+    trial = Trial(plan, timeline=Timeline.quick(hold=0.1))
+    replay = Replay(trial.simulation)
+    trial.run(on_step=replay)
+    replay.cpu_s()
+    assert replay.same
+    replay.inputs[100][0][:] += 0.01
+    replay.cpu_s()
+    assert not replay.same
+
+
+def test_the_table_has_a_line_per_cell_and_the_median_of_each_controller() -> None:
+    cell = {"steps": 10, "steps_s": 0.1, "trial_s": 0.3, "ratio": 3.0, "build_s": 0.0}
+    cell |= {"report_s": 0.1, "end": "held", "same_state": True}
+    rows = [
+        {"controller": "feedforward", "hand": "a", "object": "box", **cell},
+        {"controller": "feedforward", "hand": "a", "object": "ball", **cell, "ratio": 5.0},
+        {"controller": "feedforward", "hand": "b", "object": "box", "error": "no grasp"},
+        {"controller": "impedance", "hand": "a", "object": "box", **cell, "same_state": False},
+    ]
+    table = trial_cost_table({"rows": rows})
+    lines = list(zip(*(column.cells for column in table.columns), strict=True))
+    assert len(lines) == len(rows) + 2
+    assert lines[3][:3] == ("feedforward", "all", "median")
+    assert lines[3][6] == "4.00"
+    assert "no grasp" in lines[2]
+    assert "another state" in lines[4][-1]
+
+
+def test_closure_is_computed_when_asked_for_and_is_that_of_the_contacts_then(
+    plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[ContactSet] = []
+
+    def look(simulation: Simulation) -> None:
+        if simulation.due(0.05):
+            seen.append(merge_per_finger(hand_contacts(simulation.scene, simulation.data)))
+
+    calls: list[int] = []
+
+    def counted(contacts: ContactSet, *, length: float) -> tuple[bool, float]:
+        calls.append(len(contacts))
+        return closure_and_epsilon(contacts, length=length)
+
+    monkeypatch.setattr(recording, "closure_and_epsilon", counted)
+    trial = Trial(plan, timeline=Timeline.quick(hold=0.2), record_every=0.05)
+    report = trial.run(on_step=look)
+    assert report.success
+    assert not calls
+    sent = pickle.loads(pickle.dumps(report.samples))
+    assert len(calls) == len(seen) == len(report.samples) > 20
+    length = plan.task.object.shape.bounding_radius
+    said = [closure_and_epsilon(contacts, length=length) for contacts in seen]
+    for samples in (report.samples, sent):
+        np.testing.assert_array_equal(samples.closed, [closed for closed, _ in said])
+        np.testing.assert_allclose(samples.epsilon, [e for _, e in said], atol=1e-12)
+    assert len(calls) == len(seen)
+    assert report.samples.closed.any()
+    assert not report.samples.closed.all()
+    with pytest.raises(AttributeError, match="no attribute 'torque'"):
+        _ = report.samples.torque
