@@ -32,6 +32,7 @@ from planner.synthesis.objectives.registry import EPSILON, GraspPoint, objective
 from planner.synthesis.objectives.task_wrenches import resisted_wrenches
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start
+from planner.synthesis.residuals import Residuals
 from planner.synthesis.terms.link_distance import find_link_distances
 from planner.synthesis.terms.resistance import N_DIRECTIONS
 from planner.system.stage_times import stage
@@ -119,9 +120,8 @@ class GraspRun:
         self, problem: GraspProblem, task: GraspTask, start: Start, parameters: FloatArray
     ) -> None:
         """Begin at a start; arguments are those of ``optimize_grasp``."""
-        self.residuals = problem.residuals.clone()
-        self.residuals.set_parameters(parameters, problem.surface.field_of(task.object.shape))
         self._problem, self._task, self.start = problem, task, start
+        self.residuals = self._residuals(parameters)
         self._unknowns = problem.formulation.unknowns
         self._lower, self._upper = problem.bounds(start)
         n = len(problem.fingers)
@@ -172,10 +172,17 @@ class GraspRun:
         self.residuals.keep_apart(near)
         return near is not None and near.urgent
 
+    def _residuals(self, parameters: FloatArray) -> Residuals:
+        """Residuals of this run's own, with parameters."""
+        residuals = self._problem.residuals.clone()
+        residuals.set_parameters(
+            parameters, self._problem.surface.field_of(self._task.object.shape)
+        )
+        return residuals
+
     def set_parameters(self, parameters: FloatArray) -> None:
-        """Other parameters from now on; directions, objectives and distances are dropped."""
-        shape = self._task.object.shape
-        self.residuals.set_parameters(parameters, self._problem.surface.field_of(shape))
+        """Other parameters from the next ``solve`` on; what was added to the terms is dropped."""
+        self.residuals = self._residuals(parameters)
 
     def drop_objectives(self) -> None:
         """Work on the terms alone from now on."""
