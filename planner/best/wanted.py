@@ -16,8 +16,11 @@ from planner.synthesis.options import NO_OBJECTIVE, SynthesisOptions
 
 __all__ = ["BEST", "DEFAULT_MAX_ATTEMPTS", "FIRST", "Wanted"]
 
-FIRST, BEST = KEEP = ("first", "best")
-"""What a search keeps: the first grasp found, or the best that its budget gives."""
+FIRST = "first"
+"""Name for keeping the first grasp found, or the best of the first few."""
+
+BEST = "best"
+"""Name for keeping the best grasp that a budget gives."""
 
 DEFAULT_MAX_ATTEMPTS = 100
 """Attempts before giving up. On the shipped shapes one or two are usual; one that fails costs some
@@ -67,8 +70,8 @@ class Wanted:
                 raise TaskError(f"{name} is {value!r}; give an integer, at least 1")
         if max_cpu_s is not None and not max_cpu_s > 0:
             raise TaskError(f"max_cpu_s is {max_cpu_s}; give seconds > 0")
-        if keep not in KEEP:
-            raise NotFoundError("way to keep a grasp", str(keep), KEEP)
+        if keep not in (FIRST, BEST):
+            raise NotFoundError("way to keep a grasp", str(keep), (FIRST, BEST))
         if keep == BEST and best_of is not None:
             raise TaskError(
                 f"keep is 'best' and best_of is {best_of}; leave one out: best_of ends with so "

@@ -31,6 +31,7 @@ from planner.synthesis.objectives.registry import EPSILON, GraspPoint, objective
 from planner.synthesis.objectives.task_wrenches import resisted_wrenches
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem, Start
+from planner.synthesis.residuals import Residuals
 from planner.synthesis.terms.link_distance import find_link_distances
 from planner.synthesis.terms.resistance import N_DIRECTIONS
 from planner.system.stage_times import stage
@@ -118,9 +119,8 @@ class GraspRun:
         self, problem: GraspProblem, task: GraspTask, start: Start, parameters: FloatArray
     ) -> None:
         """Begin at a start; arguments are those of ``optimize_grasp``."""
-        field = problem.surface.field_of(task.object.shape)
-        self.residuals = problem.least_squares(parameters, field)
         self._problem, self._task, self.start = problem, task, start
+        self.residuals = self._residuals(parameters)
         self._unknowns = problem.formulation.unknowns
         self._lower, self._upper = problem.bounds(start)
         n = len(problem.fingers)
@@ -170,10 +170,14 @@ class GraspRun:
         self.residuals.keep_apart(near)
         return near is not None and near.urgent
 
+    def _residuals(self, parameters: FloatArray) -> Residuals | LoopResiduals:
+        """Residuals of this run's own, with parameters."""
+        field = self._problem.surface.field_of(self._task.object.shape)
+        return self._problem.least_squares(parameters, field)
+
     def set_parameters(self, parameters: FloatArray) -> None:
-        """Other parameters from now on; directions, objectives and distances are dropped."""
-        shape = self._task.object.shape
-        self.residuals.set_parameters(parameters, self._problem.surface.field_of(shape))
+        """Other parameters from the next ``solve`` on; what was added to the terms is dropped."""
+        self.residuals = self._residuals(parameters)
 
     def drop_objectives(self) -> None:
         """Work on the terms alone from now on."""

@@ -40,7 +40,7 @@ def advice_for_low(
     options: SynthesisOptions,
     seed: int = 0,
     max_attempts: int = ATTEMPTS,
-    progress: Callable[[Attempt[GraspPlan]], None] | None = None,
+    progress: Callable[[Attempt[GraspPlan]], object] | None = None,
 ) -> str | None:
     """What would do for a task that failed: a sentence, or None if height is not what is missing.
 

@@ -213,7 +213,7 @@ class BestOptions(PlanOptions):
                 with what it has.
         """
         from planner.errors import NoGraspFoundError
-        from planner.search import plan_grasp
+        from planner.search import DEFAULT_MAX_ATTEMPTS, plan_grasp
         from sim.cli.low_objects import advice_for_low, said_of_low
 
         _refuse_our_file(object)
@@ -253,7 +253,7 @@ class BestOptions(PlanOptions):
                     pose=standing,
                     options=options,
                     seed=self.seed,
-                    max_attempts=self.max_attempts,
+                    max_attempts=self.max_attempts or DEFAULT_MAX_ATTEMPTS,
                     progress=show,
                 )
                 if advice is None:
