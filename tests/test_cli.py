@@ -534,7 +534,6 @@ def test_ctrl_c_ends_a_trial_with_a_whole_report(planned: Path, tmp_path: Path) 
 def test_defaults_are_those_of_the_library() -> None:
     import inspect
 
-    from planner.search import DEFAULT_MAX_ATTEMPTS
     from planner.task import DEFAULT_MU
     from sim.cli import grasp as cli
     from sim.physics import PhysicsOptions, named_physics

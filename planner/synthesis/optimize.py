@@ -27,6 +27,7 @@ from planner.numerics.levenberg_marquardt import (
 from planner.quality.weakest import wrench_faces
 from planner.shapes import Mesh, Shape
 from planner.spatial import FloatArray
+from planner.synthesis.loops.solver import LoopResiduals
 from planner.synthesis.objectives.registry import EPSILON, GraspPoint, objective_parameters
 from planner.synthesis.objectives.task_wrenches import resisted_wrenches
 from planner.synthesis.options import SynthesisOptions

@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["bodies_of", "body_volumes", "directed_edges", "paired_edges", "undirected_edges"]
+__all__ = [
+    "bodies_of",
+    "body_volumes",
+    "directed_edges",
+    "joined",
+    "paired_edges",
+    "undirected_edges",
+]
 
 
 def directed_edges(faces: IntArray) -> tuple[IntArray, IntArray]:
@@ -36,19 +44,28 @@ def paired_edges(faces: IntArray) -> tuple[IntArray, IntArray] | None:
     return (one, other) if (tail[one] == head[other]).all() else None
 
 
-def bodies_of(faces: IntArray) -> IntArray:
-    """Number (m,) of the body that each face is of: faces that share an edge are of one body."""
+def joined(one: IntArray, other: IntArray, size: int) -> IntArray:
+    """Label (size,) of each of ``size`` things, the same for those that a chain of pairs joins.
+
+    Args:
+        one: Number (k,) of the first of each pair.
+        other: Number (k,) of its second.
+        size: How many things there are.
+    """
     from scipy.sparse import coo_array  # here, since SciPy loads slowly
     from scipy.sparse.csgraph import connected_components
 
-    keys = undirected_edges(faces)
-    order = np.argsort(keys)
-    same = np.flatnonzero(np.diff(keys[order]) == 0)
-    one, other = order[same] // 3, order[same + 1] // 3
-    size = len(faces)
     links = coo_array((np.ones(len(one), dtype=np.int8), (one, other)), shape=(size, size))
     labels: IntArray = connected_components(links, directed=False)[1].astype(np.int64)
     return labels
+
+
+def bodies_of(faces: IntArray) -> IntArray:
+    """Number (m,) of the body that each face is of: faces that share an edge are of one body."""
+    keys = undirected_edges(faces)
+    order = np.argsort(keys)
+    same = np.flatnonzero(np.diff(keys[order]) == 0)
+    return joined(order[same] // 3, order[same + 1] // 3, len(faces))
 
 
 def body_volumes(vertices: FloatArray, faces: IntArray, body: IntArray) -> FloatArray:

@@ -14,14 +14,12 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from planner.shapes.meshes.edges import (
     bodies_of,
     body_volumes,
     directed_edges,
+    joined,
     paired_edges,
     undirected_edges,
 )
@@ -86,6 +84,8 @@ def _once(faces: IntArray, done: list[str]) -> IntArray:
 
 def _merged(vertices: FloatArray, faces: IntArray, done: list[str]) -> Triangles:
     """One vertex for all on open edges that are nearly equal."""
+    from scipy.spatial import cKDTree  # here, since SciPy loads slowly
+
     keys = undirected_edges(faces)
     _, of_edge, counts = np.unique(keys, return_inverse=True, return_counts=True)
     tail, head = directed_edges(faces)
@@ -98,8 +98,7 @@ def _merged(vertices: FloatArray, faces: IntArray, done: list[str]) -> Triangles
     if len(near) == 0:
         return vertices, faces
     size = len(rim)
-    links = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(size, size))
-    _, group = connected_components(links, directed=False)
+    group = joined(near[:, 0], near[:, 1], size)
     _, first = np.unique(group, return_index=True)
     target = np.arange(len(vertices))
     target[rim] = rim[first[group]]
@@ -116,8 +115,7 @@ def _without_flaps(faces: IntArray, done: list[str]) -> IntArray:
         return faces
     pairs = np.argsort(of_edge, kind="stable")[np.repeat(counts == 2, counts)].reshape(-1, 2) // 3
     size = len(faces)
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(size, size))
-    _, sheet = connected_components(links, directed=False)
+    sheet = joined(pairs[:, 0], pairs[:, 1], size)
     ends = np.bincount(sheet, (shared == 1).any(axis=1)) > 0
     hangs = np.bincount(sheet, (shared > 2).any(axis=1)) > 0
     flap = (ends & hangs)[sheet]
@@ -146,8 +144,7 @@ def _alike(faces: IntArray, done: list[str]) -> IntArray:
     size = len(faces)
     row = np.r_[one, one + size]
     column = np.r_[np.where(unlike, other + size, other), np.where(unlike, other, other + size)]
-    links = coo_array((np.ones(len(row)), (row, column)), shape=(2 * size, 2 * size))
-    _, label = connected_components(links, directed=False)
+    label = joined(row, column, 2 * size)
     body = bodies_of(faces)
     _, first = np.unique(body, return_index=True)
     kept = label[first][np.unique(body, return_inverse=True)[1]]
@@ -179,16 +176,15 @@ def _cut_apart(vertices: FloatArray, faces: IntArray, done: list[str]) -> Triang
     for edge in crowded.tolist():
         group = order[starts[edge] : starts[edge] + counts[edge]]
         pairs.append(_wedges(vertices, faces, group))
-    joined = np.concatenate(pairs)
+    along = np.concatenate(pairs)
     # corners are one vertex where their triangles are joined along an edge
-    a, b = joined[:, 0], joined[:, 1]
+    a, b = along[:, 0], along[:, 1]
     tail, _ = directed_edges(faces)
     after = 3 * (np.arange(len(tail)) // 3) + (np.arange(len(tail)) + 1) % 3
     same = tail[a] == tail[b]
     row = np.r_[a, after[a]]
     column = np.r_[np.where(same, b, after[b]), np.where(same, after[b], b)]
-    links = coo_array((np.ones(len(row)), (row, column)), shape=(len(tail), len(tail)))
-    _, corner = connected_components(links, directed=False)
+    corner = joined(row, column, len(tail))
     _, first, corner = np.unique(corner, return_index=True, return_inverse=True)
     return vertices[tail[first]], corner.reshape(-1, 3)
 
