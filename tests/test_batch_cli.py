@@ -120,10 +120,11 @@ def test_a_batch_takes_what_a_plan_takes(tmp_path: Path) -> None:
 
 
 def test_the_options_of_run_are_those_of_batch() -> None:
-    # but for how a plan is executed, which a batch does not do
+    # but for how a plan is executed and chosen among several, which a batch does not do
     run, batch = (set(signature(command).parameters) for command in (grasp.run, commands.batch))
     executed = {"sim_mu", "physics", "controller", "view", "video", "arrows"}
-    assert run - batch == {"object", "out_dir", "context"} | executed
+    chosen = {"best_of", "keep", "metric"}
+    assert run - batch == {"object", "out_dir", "context"} | executed | chosen
 
 
 def test_grasps_that_spare_fingers_go_the_same_ways(tmp_path: Path) -> None:

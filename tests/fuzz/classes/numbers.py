@@ -18,7 +18,7 @@ GAIT = ["plan-gait", "allegro_hand", "cylinder", "--max-attempts", "1", "--angle
 OPTIONS: tuple[tuple[list[str], tuple[str, ...]], ...] = (
     (PLAN, ("--mu", "--mass", "--density", "--stand", "--seed", "--pose", "--rounds")),
     (PLAN, ("--max-attempts", "--max-cpu-s", "--objective", "--task-wrench", "--touch")),
-    (PLAN, ("--avoid", "--fingers", "--out")),
+    (PLAN, ("--avoid", "--fingers", "--out", "--best-of", "--keep", "--metric", "-n")),
     (BATCH, ("--mu", "--mass", "--seed", "--workers", "-n", "--max-attempts")),
     (BATCH, ("--out", "--backend")),
     (["forces", "plan.json"], ("--edges", "--tolerance", "--rate", "--solvers", "--steps")),
