@@ -41,6 +41,7 @@ GROUPS: dict[str, list[str]] = {
     "Tasks and planning": [
         "planner.task",
         "planner.search",
+        "planner.best",
         "planner.attempt",
         "planner.plan",
         "planner.synthesis",
