@@ -236,6 +236,12 @@ def outside_of(geometry: Any, points: FloatArray) -> FloatArray:
         return np.asarray(
             np.linalg.norm(np.maximum(beyond, 0), axis=1) + np.minimum(beyond.max(axis=1), 0)
         )
+    if isinstance(geometry, coal.Cylinder):
+        round_about = np.linalg.norm(points[:, :2], axis=1) - geometry.radius
+        sides = np.column_stack([round_about, np.abs(points[:, 2]) - geometry.halfLength])
+        return np.asarray(
+            np.linalg.norm(np.maximum(sides, 0), axis=1) + np.minimum(sides.max(axis=1), 0)
+        )
     pytest.fail(f"no formula for {type(geometry).__name__}")
 
 
