@@ -56,6 +56,12 @@ def test_a_vessel_is_one_solid_of_its_sizes(kind: Any, wall: float) -> None:
     assert upper[1] - lower[1] == pytest.approx(2 * mesh.radius, rel=1e-9)
 
 
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.kind)
+def test_a_wall_thicker_than_the_rows_of_its_triangles_is_sound(kind: Any) -> None:
+    mesh = kind(0.06, 0.08, 0.009)
+    assert faults_of(np.array(mesh.vertices), np.array(mesh.faces)) == ()
+
+
 @pytest.mark.parametrize("kind", [Cup, Bowl, Plate, Tube], ids=lambda kind: kind.kind)
 def test_walls_are_as_thick_as_asked_everywhere(kind: Any) -> None:
     mesh = kind(wall=0.001)
