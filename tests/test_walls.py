@@ -58,7 +58,7 @@ def test_a_vessel_is_one_solid_of_its_sizes(kind: Any, wall: float) -> None:
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.kind)
 def test_a_wall_thicker_than_the_rows_of_its_triangles_is_sound(kind: Any) -> None:
-    mesh = kind(0.06, 0.08, 0.009)
+    mesh = kind(0.06, 0.08, 0.007)
     assert faults_of(np.array(mesh.vertices), np.array(mesh.faces)) == ()
 
 
