@@ -56,6 +56,12 @@ def test_a_vessel_is_one_solid_of_its_sizes(kind: Any, wall: float) -> None:
     assert upper[1] - lower[1] == pytest.approx(2 * mesh.radius, rel=1e-9)
 
 
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.kind)
+def test_a_wall_thicker_than_the_rows_of_its_triangles_is_sound(kind: Any) -> None:
+    mesh = kind(0.06, 0.08, 0.007)
+    assert faults_of(np.array(mesh.vertices), np.array(mesh.faces)) == ()
+
+
 @pytest.mark.parametrize("kind", [Cup, Bowl, Plate, Tube], ids=lambda kind: kind.kind)
 def test_walls_are_as_thick_as_asked_everywhere(kind: Any) -> None:
     mesh = kind(wall=0.001)
@@ -235,6 +241,12 @@ def outside_of(geometry: Any, points: FloatArray) -> FloatArray:
         beyond = np.abs(points) - geometry.halfSide
         return np.asarray(
             np.linalg.norm(np.maximum(beyond, 0), axis=1) + np.minimum(beyond.max(axis=1), 0)
+        )
+    if isinstance(geometry, coal.Cylinder):
+        round_about = np.linalg.norm(points[:, :2], axis=1) - geometry.radius
+        sides = np.column_stack([round_about, np.abs(points[:, 2]) - geometry.halfLength])
+        return np.asarray(
+            np.linalg.norm(np.maximum(sides, 0), axis=1) + np.minimum(sides.max(axis=1), 0)
         )
     pytest.fail(f"no formula for {type(geometry).__name__}")
 

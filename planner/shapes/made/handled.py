@@ -38,10 +38,10 @@ class _Handled(Walled):
     def _outline(self) -> tuple[FloatArray, int, int]:
         """The outline, and the numbers of its rings at the lower and upper end of the wall."""
         r, top = self.radius, self.height - self.wall / 2
-        base = spaced(np.array([[0, 0], [r, 0]]))
-        side = spaced(np.array([[r, 0], [r, top]]))
-        outline = closed_shell(np.vstack([base, side[1:]]), self.wall)
-        return outline, len(base) - 2, len(base) + len(side) - 3  # the pole is no ring
+        corners = np.array([[0, 0], [r, 0], [r, top]])
+        outline = spaced(closed_shell(corners, self.wall))
+        bottom = len(spaced(corners[:2])) - 2  # the pole is no ring
+        return outline, bottom, len(spaced(corners)) - 2
 
     def _patch(self, row: int, half_rows: int) -> IntArray:
         """Vertices (k,) around a patch, from the middle of its +y side on, upwards."""

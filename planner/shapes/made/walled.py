@@ -132,7 +132,7 @@ class Cup(Walled):
 
     def _triangles(self) -> tuple[FloatArray, IntArray]:
         r, top = self.radius, self.height - self.wall / 2
-        return revolved(closed_shell(spaced(np.array([[0, 0], [r, 0], [r, top]])), self.wall))
+        return revolved(spaced(closed_shell(np.array([[0, 0], [r, 0], [r, top]]), self.wall)))
 
 
 FOOT, ARC_PARTS = 0.4, 24
@@ -170,9 +170,9 @@ class Bowl(Walled):
         foot, top = FOOT * self.radius, self.height - self.wall / 2
         turn = np.pi / 2 * np.arange(1, ARC_PARTS + 1) / ARC_PARTS
         side = [foot + (self.radius - foot) * np.sin(turn), top * (1 - np.cos(turn))]
-        base = spaced(np.array([[0, 0], [foot, 0]]))
+        base = np.array([[0, 0], [foot, 0]])
         outline = closed_shell(np.vstack([base, np.column_stack(side)]), self.wall)
-        return revolved(_fitted(outline, self.radius, self.height))
+        return revolved(spaced(_fitted(outline, self.radius, self.height)))
 
 
 def _fitted(outline: FloatArray, radius: float, height: float) -> FloatArray:
@@ -208,8 +208,8 @@ class Plate(Walled):
         x, z = rise / np.linalg.norm(rise)
         # the rim's half circle reaches beyond the end of the outer side, up and outwards
         end = [self.radius - half * (1 - z), self.height - half * (1 + x)]
-        outline = closed_shell(spaced(np.array([[0, 0], [well, 0], end])), self.wall)
-        return revolved(_fitted(outline, self.radius, self.height))
+        outline = closed_shell(np.array([[0, 0], [well, 0], end]), self.wall)
+        return revolved(spaced(_fitted(outline, self.radius, self.height)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,6 +231,6 @@ class Tube(Walled):
 
     def _triangles(self) -> tuple[FloatArray, IntArray]:
         r, half = self.radius, self.height / 2 - self.wall / 2
-        upper = closed_shell(spaced(np.array([[r, 0], [r, half]])), self.wall)
+        upper = spaced(closed_shell(np.array([[r, 0], [r, half]]), self.wall))
         lower = (upper * [1, -1])[::-1]
         return revolved(np.vstack([upper[:-1], lower[:-1]]), closed=True)
