@@ -7,9 +7,8 @@ import signal
 from pathlib import Path
 
 import pytest
-from click.testing import Result
 from rich.console import Console
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from planner.best import Wanted
 from planner.errors import TaskError
