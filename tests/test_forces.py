@@ -68,6 +68,16 @@ def random_case(seed: int) -> tuple[ContactSet, FloatArray]:
     return contacts, rng.normal(size=6) * [1, 1, 1, 0.01, 0.01, 0.01]
 
 
+def cone_combination(contacts: ContactSet, rng: np.random.Generator) -> FloatArray:
+    """Random forces (n, 4) strictly inside the inscribed pyramids, some newtons each."""
+    forces = []
+    for i in range(len(contacts)):
+        contact = contacts[i]
+        edges = cone_edges(contact.mu, contact.mu_torsion)
+        forces.append(edges @ rng.uniform(0.05, 0.5, edges.shape[1]))
+    return np.array(forces)
+
+
 def least_normal_sum(contacts: ContactSet, wrench: FloatArray, cone: Pyramid) -> float | None:
     """Least sum of normal forces by a programme on the cones' EDGES; None if there is none."""
     edges = primitive_wrenches(contacts, 8, cone=cone, length=RADIUS)
@@ -266,9 +276,9 @@ def test_found_if_and_only_if_the_edges_can_balance_the_wrench(seed: int, cone: 
 @settings(max_examples=15, deadline=None)
 @given(seed=SEEDS)
 def test_what_the_inscribed_pyramid_holds_the_circumscribed_holds_with_less(seed: int) -> None:
-    contacts, wrench = random_case(seed)
-    least = least_normal_sum(contacts, wrench, "inscribed")
-    assume(least is not None and least < BARELY)
+    contacts, _ = random_case(seed)
+    within = cone_combination(contacts, np.random.default_rng(seed + 1))
+    wrench = -contacts.with_forces(within).wrench()
     inner, outer = (distribute_forces(contacts, wrench=wrench, cone=c) for c in CONES)
     assert inner.found
     assert outer.found

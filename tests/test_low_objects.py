@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
 from sim.cli import app
-from sim.cli.low_objects import LOW, advice_for_low
+from sim.cli.low_objects import ATTEMPTS, LOW, advice_for_low
 from sim.cli.options import PlanOptions
 
 RUN = CliRunner()
@@ -21,7 +21,7 @@ RUN = CliRunner()
 def plan(line: str, folder: Path) -> tuple[int, str]:
     """Exit code of ``plan`` with the Allegro-type hand, and what it says."""
     arguments = ["plan", "allegro_hand", *shlex.split(line), "-o", str(folder / "plan.json")]
-    done = RUN.invoke(app, [*arguments, "--max-attempts", "12"])
+    done = RUN.invoke(app, [*arguments, "--max-attempts", str(ATTEMPTS)])
     return done.exit_code, " ".join(done.stderr.split())
 
 
@@ -92,7 +92,7 @@ def test_what_nothing_helps_is_told_as_before(tmp_path: Path) -> None:
     assert code == 4
     assert "--pose" not in said
     assert "--stand" not in said
-    assert "in 12 attempts: 12 x" in said
+    assert f"in {ATTEMPTS} attempts: {ATTEMPTS} x" in said
 
 
 def test_an_object_whose_pose_was_given_is_not_stood_otherwise(tmp_path: Path) -> None:

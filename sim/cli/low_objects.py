@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from planner.errors import NoGraspFoundError
@@ -27,7 +27,7 @@ HIGHER = 1.2
 """Height of another pose over the present one (-) from which it is worth trying."""
 
 MOST_POSES, ATTEMPTS = 6, 30
-"""Poses that are tried, and attempts at each: some tens of ms of CPU per attempt."""
+"""Poses that are tried, and most attempts at each: some tens of ms of CPU per attempt."""
 
 STANDS = (0.03, 0.05)
 """Heights (m) of stands that are tried: about one and two fingertips."""
@@ -38,6 +38,8 @@ def advice_for_low(
     *,
     pose: int | None,
     options: SynthesisOptions,
+    seed: int = 0,
+    max_attempts: int = ATTEMPTS,
     progress: Callable[[Attempt[GraspPlan]], None] | None = None,
 ) -> str | None:
     """What would do for a task that failed: a sentence, or None if height is not what is missing.
@@ -47,6 +49,9 @@ def advice_for_low(
         pose: Which of the stable poses that is; None where the command takes no other, and it is
             the first.
         options: What synthesis was asked for.
+        seed: Of the search that failed: with the same one the advice, followed, finds its grasp.
+        max_attempts: Budget of that search; no more are spent on any one remedy, nor more than
+            ``ATTEMPTS``.
         progress: Called after every attempt.
     """
     thick = 2 * max(finger.pad.radius for finger in task.fingers)
@@ -58,9 +63,21 @@ def advice_for_low(
         f"it lies {1e3 * height:.0f} mm high on the table, and a fingertip of {task.hand.name} is "
         f"{1e3 * thick:.0f} mm thick"
     )
+
+    def is_found(other: GraspTask) -> bool:
+        from planner.errors import NoGraspFoundError, TaskError
+        from planner.search import plan_grasp
+
+        budget = min(ATTEMPTS, max_attempts)
+        try:
+            plan_grasp(other, seed=seed, max_attempts=budget, options=options, progress=progress)
+        except (NoGraspFoundError, TaskError):  # TaskError: too wide so, or an obstacle in the way
+            return False
+        return True
+
     others = () if pose is None else _poses(task, poses, HIGHER * height)
     for remedy, other in (*others, *_stands(task)):
-        if _is_found(other, options, progress):
+        if is_found(other):
             return f"{lies}; {remedy}"
     return None
 
@@ -107,17 +124,6 @@ def _stands(task: GraspTask) -> Iterator[tuple[str, GraspTask]]:
             f"on a stand of {1e3 * height:.0f} mm a grasp was found: --stand {height:g}",
             raised,
         )
-
-
-def _is_found(task: GraspTask, options: SynthesisOptions, progress: Any) -> bool:
-    from planner.errors import NoGraspFoundError, TaskError
-    from planner.search import plan_grasp
-
-    try:
-        plan_grasp(task, max_attempts=ATTEMPTS, options=options, progress=progress)
-    except (NoGraspFoundError, TaskError):  # TaskError: too wide so, or an obstacle is in the way
-        return False
-    return True
 
 
 def _height(task: GraspTask, pose: StablePose) -> float:

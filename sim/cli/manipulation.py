@@ -153,7 +153,12 @@ class TurnOptions:
                     rests=rests,
                 )
             except NoGraspFoundError as error:
-                advice = advice_for_low(task, pose=None, options=SynthesisOptions())
+                advice = advice_for_low(
+                    task,
+                    pose=None,
+                    options=SynthesisOptions(),
+                    seed=self.seed,
+                )
                 if advice is None:
                     raise
                 raise said_of_low(error, task, advice) from error

@@ -190,7 +190,14 @@ class PlanOptions(TaskOptions):
                 if self.stand or standing is None:
                     raise
                 status.update("planning: whether it would be found if the object stood higher ...")
-                advice = advice_for_low(task, pose=standing, options=options, progress=show)
+                advice = advice_for_low(
+                    task,
+                    pose=standing,
+                    options=options,
+                    seed=self.seed,
+                    max_attempts=self.max_attempts,
+                    progress=show,
+                )
                 if advice is None:
                     raise
                 raise said_of_low(error, task, advice) from error
