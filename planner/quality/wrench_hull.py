@@ -15,8 +15,6 @@ compiled walk a sixth of that. Where it is not compiled, or goes astray, Qhull a
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
-
 from planner.numerics.kernels import kernel
 from planner.spatial import FloatArray
 
@@ -66,6 +64,8 @@ _NONE = np.zeros((0, 7))
 
 def _qhull_faces(wrenches: FloatArray) -> FloatArray:
     """Faces (k, 7), some of them many times; none where the wrenches span no volume."""
+    from scipy.spatial import ConvexHull, QhullError  # here, since SciPy loads slowly
+
     scatter = wrenches - wrenches.sum(axis=0) / len(wrenches)
     values = np.linalg.eigvalsh(scatter.T @ scatter)
     if not values[0] > FLAT * values.sum():
