@@ -15,6 +15,7 @@ compiled walk a sixth of that. Where it is not compiled, or goes astray, Qhull a
 from __future__ import annotations
 
 import numpy as np
+
 from planner.numerics.kernels import kernel
 from planner.spatial import FloatArray
 
