@@ -6,6 +6,7 @@ become one error of ours, which names what was given and what is allowed.
 
 from __future__ import annotations
 
+from math import isfinite
 from numbers import Integral
 from typing import Any
 
@@ -32,6 +33,8 @@ def float_array(
     Raises:
         ContactError: Something else than numbers, or rows of different lengths; ``error`` if given.
     """
+    if type(value) is np.ndarray and value.dtype == np.float64:
+        return value.copy() if copy else value
     try:
         array = np.asarray(value)
         if array.dtype.kind not in "fiub":
@@ -77,6 +80,8 @@ def per_item(
     Raises:
         ContactError: Another shape, or NaN; ``error`` if given.
     """
+    if type(value) is float and value == value:
+        return np.full(n, value)
     array = float_array(what, value, error=error)
     if array.shape not in ((), (n,)):
         raise error(f"{what} has shape {array.shape}; give a number or ({n},)")
@@ -100,6 +105,8 @@ def checked_number(
     Raises:
         ContactError: Something else; ``error`` if given.
     """
+    if type(value) is float and least <= value <= most and isfinite(value) and above is None:
+        return value
     array = float_array(what, value, error=error)
     within = array.shape == () and np.isfinite(array) and least <= array <= most
     if not within or (above is not None and not array > above):

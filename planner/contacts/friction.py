@@ -57,6 +57,8 @@ Pyramid: TypeAlias = Literal["inscribed", "circumscribed"]
 Cone: TypeAlias = Literal["inscribed", "circumscribed", "round"]
 """A friction pyramid of either kind, or the round cone itself."""
 
+_PYRAMIDS = get_args(Pyramid)
+
 MIN_EDGES = 3
 """Fewest edges of a polyhedral friction cone (-): two span no area."""
 
@@ -239,5 +241,5 @@ def check_edges(edges: int, cone: str = "inscribed") -> None:
     """
     what = "the number of edges per friction cone"
     checked_count(what, edges, least=MIN_EDGES, most=MOST_EDGES)
-    if cone not in get_args(Pyramid):
+    if cone not in _PYRAMIDS:
         raise ContactError(f"cone is {cone!r}; use 'inscribed' or 'circumscribed'")

@@ -37,6 +37,9 @@ EDGE_MARGIN = 0.2
 """Share of the friction (-) that forces keep from the cone's edge where that has a cost: friction
 coefficients are seldom known better."""
 
+CONES = get_args(Cone)
+"""Names of pyramids and cones."""
+
 _WRENCH_ROWS = ("force x", "force y", "force z", "torque x", "torque y", "torque z")
 
 
@@ -129,7 +132,7 @@ def build_force_problem(
         )
     if not 0 < checked_number("friction_scale", friction_scale) <= 1:
         raise ContactError(f"friction_scale is {friction_scale}; give a factor in (0, 1]")
-    if cone not in get_args(Cone):
+    if cone not in CONES:
         raise ContactError(f"cone is {cone!r}; use 'inscribed', 'circumscribed' or 'round'")
     if cone != "round":
         check_edges(edges, cone)
