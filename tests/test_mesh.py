@@ -342,12 +342,12 @@ def test_the_field_of_a_mesh_is_its_distance(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_field_is_as_steep_on_thin_walls() -> None:
+def test_the_fine_field_is_as_steep_on_thin_walls() -> None:
     mug = example("mug")
     points, normals = mug.surface_samples(2000, np.random.default_rng(5))
     height = np.abs(points[:, 2] - points[:, 2].mean())
     on_side = (np.abs(normals[:, 2]) < 0.1) & (height < 0.02)
-    slopes = mug.field().taylor(points[on_side], 1)[:, 1:4]
+    slopes = mug.field(fine=True).taylor(points[on_side], 1)[:, 1:4]
     steep = np.linalg.norm(slopes, axis=1)
     assert on_side.sum() > 500 and np.quantile(steep, 0.1) > 0.9
     off = np.arccos(np.einsum("nd,nd->n", slopes, normals[on_side]) / steep)

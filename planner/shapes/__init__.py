@@ -5,7 +5,21 @@ from planner.shapes.box import Box
 from planner.shapes.capsule import Capsule
 from planner.shapes.cylinder import Cylinder
 from planner.shapes.ellipsoid import Ellipsoid
-from planner.shapes.made import Hammer, Knot, LBracket, Mug, Superquadric, Torus
+from planner.shapes.made import (
+    Bowl,
+    Channel,
+    Cup,
+    Hammer,
+    Knot,
+    LBracket,
+    Mug,
+    Pan,
+    Plate,
+    Superquadric,
+    Teacup,
+    Torus,
+    Tube,
+)
 from planner.shapes.mesh import Mesh
 from planner.shapes.registry import (
     SHAPES,
@@ -21,8 +35,11 @@ from planner.shapes.stable import StablePose
 __all__ = [
     "SHAPES",
     "SIZED_SHAPES",
+    "Bowl",
     "Box",
     "Capsule",
+    "Channel",
+    "Cup",
     "Cylinder",
     "Ellipsoid",
     "Hammer",
@@ -30,11 +47,15 @@ __all__ = [
     "LBracket",
     "Mesh",
     "Mug",
+    "Pan",
+    "Plate",
     "Shape",
     "Sphere",
     "StablePose",
     "Superquadric",
+    "Teacup",
     "Torus",
+    "Tube",
     "register_shape",
     "shape_from_dict",
     "shape_key",

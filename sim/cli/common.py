@@ -41,8 +41,7 @@ ObjectArgument = Annotated[
     str,
     typer.Argument(
         help="box, box:0.05x0.05x0.08 (m), part.stl*0.001, scene.xml#body; sphere, cylinder, "
-        "capsule, ellipsoid, mug, lbracket, torus, hammer, superquadric, knot, "
-        "cup, teacup, bowl, pan, plate, channel, tube.",
+        "capsule, ellipsoid, mug, lbracket, torus, hammer, superquadric, knot, cup, bowl, tube...",
         metavar="OBJECT",
     ),
 ]
