@@ -110,15 +110,15 @@ class Hand:
         """Number of joints."""
         return int(self.pin_model.nq)
 
-    @cached_property
+    @property
     def q_lower(self) -> FloatArray:
-        """Lower joint limits (nq,), rad or m; read-only."""
-        return fixed_array(self.pin_model.lowerPositionLimit)
+        """Lower joint limits (nq,), rad or m."""
+        return np.array(self.pin_model.lowerPositionLimit)
 
-    @cached_property
+    @property
     def q_upper(self) -> FloatArray:
-        """Upper joint limits (nq,), rad or m; read-only."""
-        return fixed_array(self.pin_model.upperPositionLimit)
+        """Upper joint limits (nq,), rad or m."""
+        return np.array(self.pin_model.upperPositionLimit)
 
     @property
     def neutral(self) -> FloatArray:
@@ -156,10 +156,10 @@ class Hand:
         """Number of the palm's body frame in ``pin_model.frames``."""
         return int(self.pin_model.getBodyId(self.description.palm_body))
 
-    @cached_property
+    @property
     def palm_normal(self) -> FloatArray:
-        """Direction the palm faces (3,), unit, in the palm's frame; read-only."""
-        return fixed_array(self.description.palm_normal)
+        """Direction the palm faces (3,), unit, in the palm's frame."""
+        return np.array(self.description.palm_normal)
 
     @cached_property
     def coupling_matrix(self) -> tuple[FloatArray, FloatArray]:
