@@ -127,6 +127,7 @@ def levenberg_marquardt(
     r, jacobian, worst = evaluate(last)
     total = float(r @ r)
     growth, idle, iterations, status = 2.0, 0, 1, "out of iterations"
+    accepted = True  # whether the last call was at ``last``
     while iterations < max_iterations:
         if total <= NOTHING:
             status = "solved"
@@ -161,7 +162,8 @@ def levenberg_marquardt(
         if idle >= patience:
             status = "stalled"
             break
-    evaluate(last)
+    if not accepted:
+        evaluate(last)
     return LMResult(x=x, worst=worst, status=status, iterations=iterations, damping=damping)
 
 
