@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import time
@@ -24,8 +25,8 @@ pytestmark = [
 
 pytest.importorskip("pyarrow")
 
-N = 12
-"""Grasps of the batch: several waves of two workers."""
+N = 6
+"""Grasps of the batch. After a death, each that was in flight has a new pool to itself: 10 s."""
 
 TIMES = ("cpu_s", "build_s")
 """Columns that differ from run to run."""
@@ -53,11 +54,10 @@ def dask_cluster() -> Iterator[Workers]:
 @contextmanager
 def ray_cluster() -> Iterator[Workers]:
     ray = pytest.importorskip("ray")
-    from ray.util.joblib import register_ray
-
+    register: Any = importlib.import_module("ray.util.joblib")
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="ERROR")
     try:
-        register_ray()
+        register.register_ray()
         yield ray_workers
     finally:
         ray.shutdown()

@@ -9,6 +9,7 @@ its worker is found out.
 from __future__ import annotations
 
 import signal
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, TypeVar
@@ -29,6 +30,14 @@ Result = TypeVar("Result")
 DEATHS_ALONE = 2
 """Deaths of a worker with this job alone before the job is given up: the system may have caused
 one, since it ends processes when memory is short."""
+
+DEATHS = (
+    ("distributed.scheduler", "KilledWorker"),
+    ("ray.exceptions", "RayActorError"),
+    ("ray.exceptions", "WorkerCrashedError"),
+)
+"""Modules and exceptions of clusters for a worker that has died; Dask tries a job four times
+before."""
 
 MOST_WORKERS = 1024
 """Most processes of a pool: each loads all libraries and models."""
@@ -106,10 +115,16 @@ def finished(
                 del in_flight[number]
                 yield result
             return
-        except BrokenProcessPool:
+        except _deaths():
             for job in list(in_flight.values()):
                 yield _alone(work, job, backend, given_up)
             in_flight.clear()
+
+
+def _deaths() -> tuple[type[BaseException], ...]:
+    """Exceptions with which backends say that a worker has died, of those that are loaded."""
+    modules = ((sys.modules.get(module), name) for module, name in DEATHS)
+    return BrokenProcessPool, *(getattr(module, name) for module, name in modules if module)
 
 
 def _numbered(work: Callable[[Item], Result], number: int, job: Item) -> tuple[int, Result]:
@@ -139,8 +154,9 @@ def _stream(
             yield from results
             return
         at_once = AT_ONCE * active.effective_n_jobs(n_workers)
-        while wave := [job for _, job in zip(range(at_once), jobs, strict=False)]:
-            yield from joblib.Parallel(batch_size=1)(call(work, *job) for job in wave)
+        with joblib.Parallel(batch_size=1) as parallel:  # the same workers for all waves
+            while wave := [job for _, job in zip(range(at_once), jobs, strict=False)]:
+                yield from parallel(call(work, *job) for job in wave)
 
 
 def _alone(
@@ -153,7 +169,7 @@ def _alone(
     for _ in range(DEATHS_ALONE):
         try:
             return next(_stream(work, iter([(0, job)]), 2, backend))[1]
-        except BrokenProcessPool:
+        except _deaths():
             continue
     return given_up(
         job, f"its process died {1 + DEATHS_ALONE} times, killed or by a fault in a library"

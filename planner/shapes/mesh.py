@@ -75,7 +75,7 @@ class Mesh(Shape):
     convex: ClassVar[bool] = False
     size_names: ClassVar[tuple[str, ...]] = ()
     source: MeshSource | None
-    mended: str
+    mended: str = ""
 
     def __init__(
         self,
