@@ -71,7 +71,6 @@ def _qhull_faces(wrenches: FloatArray) -> FloatArray:
     values = np.linalg.eigvalsh(scatter.T @ scatter)
     if not values[0] > FLAT * values.sum():
         return _NONE
-    from scipy.spatial import ConvexHull, QhullError  # here, since SciPy loads slowly
 
     try:
         return np.asarray(ConvexHull(wrenches).equations)
