@@ -93,7 +93,7 @@ def test_an_object_that_is_not_known_is_refused_with_all_that_are(tmp_path: Path
     with pytest.raises(NotFoundError, match="block") as caught:
         run_manipulate(
             ["allegro_hand"],
-            ["brick"],
+            ["xyzzy"],
             1,
             height=0.08,
             fingers=None,

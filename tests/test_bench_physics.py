@@ -9,6 +9,11 @@ import pytest
 from rich.console import Console
 
 from planner.errors import NotFoundError
+from planner.plan import GraspPlan
+from planner.search import plan_grasp
+from planner.synthesis.options import SynthesisOptions
+from planner.task import GraspTask
+from planner.verification.grasp import with_grip
 from sim.bench import manipulate
 from sim.bench.objects import bench_objects
 from sim.bench.physics import (
@@ -24,11 +29,28 @@ from sim.physics import PRESETS, PhysicsOptions
 from sim.runner import Runner
 
 BOX = bench_objects(["box"])
+HEIGHT_M = 0.08
 
 
 def row_of(part: str, case: str, hand: str = "allegro_hand", spec: str = "box") -> dict[str, Any]:
     job = PhysicsJob(index=0, part=part, hand=hand, spec=spec, label=spec, case=case)
     return physics_row(job, lambda: None)
+
+
+@pytest.fixture(scope="module")
+def amid() -> GraspPlan:
+    """A box held so far below its upper rim that it is held while creep is measured.
+
+    Under MuJoCo's defaults pads climb by 5.5 mm/s, for 1.7 s until creep is measured. A pad near
+    the rim (rounds on epsilon spread them, to 4 mm from it) is past it before: the box is lost.
+    """
+    task, options = GraspTask.create("allegro_hand", "box"), SynthesisOptions(rounds=0)
+    plans = (plan_grasp(task, seed=seed, options=options) for seed in range(10))
+    return next(p for p in plans if HEIGHT_M - p.contacts.positions[:, 2].max() > 5.5e-3 * 1.7)
+
+
+def creep_of(plan: GraspPlan, case: str) -> dict[str, Any]:
+    return {"error": "", **PARTS["creep"][0](plan, case)}
 
 
 def test_jobs_have_numbers_that_do_not_depend_on_the_parts_asked_for() -> None:
@@ -52,24 +74,37 @@ def test_variants_change_what_they_say() -> None:
 
 
 @pytest.mark.parametrize("case", ["mujoco-default", "elliptic", "solref 0.005"])
-def test_creep_of_a_held_box_is_that_of_the_formula(case: str) -> None:
-    row = row_of("creep", case)
+def test_creep_of_a_held_box_is_that_of_the_formula(amid: GraspPlan, case: str) -> None:
+    row = creep_of(amid, case)
     assert row["error"] == ""
     assert row["predicted_mm_s"] >= row["least_mm_s"] > 1.0
     assert row["creep_mm_s"] == pytest.approx(row["predicted_mm_s"], rel=0.15)
 
 
-def test_noslip_ends_creep_and_more_grip_does_not() -> None:
-    soft = row_of("creep", "mujoco-default")["creep_mm_s"]
-    assert row_of("creep", "noslip 10")["creep_mm_s"] < 0.01 * soft
-    assert row_of("creep", "elliptic, impratio 10")["creep_mm_s"] < 0.15 * soft
-    firm = row_of("creep", "grip x 1.5")
-    assert firm["error"] == "lost" or firm["creep_mm_s"] > 0.8 * soft
+def test_noslip_ends_creep_and_more_grip_does_not(amid: GraspPlan) -> None:
+    soft = creep_of(amid, "mujoco-default")["creep_mm_s"]
+    assert creep_of(amid, "noslip 10")["creep_mm_s"] < 0.01 * soft
+    assert creep_of(amid, "elliptic, impratio 10")["creep_mm_s"] < 0.15 * soft
+    assert creep_of(amid, "grip x 1.5")["creep_mm_s"] > 0.8 * soft
 
 
-def test_a_grip_beyond_the_motors_is_told() -> None:
-    row = row_of("creep", "grip x 2")
-    assert row["error"] == "the hand cannot press so hard"
+def test_a_grip_beyond_the_motors_is_told(amid: GraspPlan) -> None:
+    """Of a plan that presses as hard as its motors can, by halving."""
+    least, most = amid.task.grip_force, 1e3
+    while most > 1.01 * least:
+        middle = (least + most) / 2
+        least, most = (middle, most) if with_grip(amid, middle).forces.found else (least, middle)
+    firmest = with_grip(amid, least)
+    assert firmest.forces.found
+    assert creep_of(firmest, "grip x 1.5")["error"] == "the hand cannot press so hard"
+    assert creep_of(with_grip(amid, least / 2), "grip x 1.5")["error"] == ""
+
+
+def test_creep_is_a_part_of_what_rows_say() -> None:
+    """Noslip holds whatever grasp the seed gives."""
+    row = row_of("creep", "noslip 10")
+    assert row["error"] == ""
+    assert row["creep_mm_s"] < 0.01 * row["predicted_mm_s"]
 
 
 def test_a_grasp_is_lost_by_the_defaults_and_held_by_a_remedy() -> None:

@@ -83,8 +83,8 @@ def test_contacts_and_triangles_are_measured(monkeypatch: pytest.MonkeyPatch) ->
     assert [(p["x"], p["fitted"]) for p in contacts["points"]] == [(2, False), (3, True)]
     assert triangles["points"][0]["x"] == 80
     assert all(p["found"] == 1 for p in contacts["points"] + triangles["points"])
-    # nothing was prepared before: reading, checking and sampling a mesh takes its time
-    assert triangles["points"][0]["prepare_cpu_s"] > 0.2
+    # nothing was prepared before: fitting the field of a mesh takes longer than its grasps
+    assert triangles["points"][0]["prepare_cpu_s"] > 0.1
     assert [t.row_count for t in scaling_tables(result)] == [4, 3]
 
 

@@ -87,12 +87,23 @@ def test_weights_sum_metrics(task: GraspTask) -> None:
     assert measure(plan) == pytest.approx(2 * values["epsilon"] + 0.5 * values["limits"])
 
 
+@pytest.mark.slow
 def test_attempts_that_build_on_each_other_find_better_grasps_than_as_many_independent_ones(
-    improving: tuple[GraspPlan, list[Attempt[GraspPlan]]], task: GraspTask
+    task: GraspTask,
+) -> None:
+    """In the mean over seeds: a single search of either kind may be lucky."""
+    gain = []
+    for seed in range(1, 7):
+        building = plan_grasp(task, seed=seed, keep="best", max_attempts=12)
+        independent = plan_grasp(task, seed=seed, best_of=12, max_attempts=12)
+        gain.append(epsilon_of(building) / epsilon_of(independent))
+    assert np.mean(gain) > 1.05
+
+
+def test_a_search_for_the_best_says_of_how_many_it_is_the_best(
+    improving: tuple[GraspPlan, list[Attempt[GraspPlan]]],
 ) -> None:
     plan, made = improving
-    independent = plan_grasp(task, seed=1, best_of=12, max_attempts=12)
-    assert epsilon_of(plan) > epsilon_of(independent)
     assert plan.verification.ok and plan.forces.found
     told = plan.record.best
     assert told is not None and told.improving

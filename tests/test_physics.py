@@ -18,6 +18,7 @@ from planner.errors import FileFormatError, NotFoundError, TaskError
 from planner.files import write_plan
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
+from planner.synthesis.options import SynthesisOptions
 from planner.task import GraspTask
 from sim.cli import main
 from sim.creep import contact_drag, impedance, least_creep, predicted_creep, remedies
@@ -30,11 +31,19 @@ from sim.trial import simulate
 
 SOFT = PRESETS["mujoco-default"]
 WEIGHT = 9.81
+HEIGHT_M = 0.08
 
 
 @pytest.fixture(scope="module")
 def grasped() -> GraspPlan:
-    return plan_grasp(GraspTask.create("allegro_hand", "box"), seed=0)
+    """A box held so far below its upper rim that it is held while creep is measured.
+
+    Under MuJoCo's defaults pads climb by 5.5 mm/s, for 1.7 s until creep is measured. A pad near
+    the rim (rounds on epsilon spread them, to 4 mm from it) is past it before: the box is lost.
+    """
+    task, options = GraspTask.create("allegro_hand", "box"), SynthesisOptions(rounds=0)
+    plans = (plan_grasp(task, seed=seed, options=options) for seed in range(10))
+    return next(p for p in plans if HEIGHT_M - p.contacts.positions[:, 2].max() > 5.5e-3 * 1.7)
 
 
 def scene_of(plan: GraspPlan, physics: PhysicsOptions) -> Any:
@@ -421,14 +430,18 @@ def test_creep_of_a_plan_is_measured_and_a_lost_object_told(grasped: GraspPlan) 
 
 
 def test_changes_are_made_large_enough_for_what_is_measured(grasped: GraspPlan) -> None:
-    """Menagerie's scene: the formula says 0.24 mm/s, fingers on each other make it 0.5 mm/s."""
+    """Fingers that press on each other add to the formula; the budget is between the two speeds."""
     scene = PRESETS["menagerie"]
     seen = measure_creep(grasped, scene)
-    assert seen.least < 3e-4 < seen.measured
-    tried = sized_remedies(grasped, scene, seen, 3e-4)
+    assert seen.measured > 1.1 * seen.least
+    budget = (seen.least * seen.measured) ** 0.5  # by the formula alone there is nothing to change
+    tried = sized_remedies(grasped, scene, seen, budget)
     assert [t.remedy.kind for t in tried] == ["noslip", "impratio", "contacts"]
-    assert all(t.enough and t.creep.measured <= 3e-4 for t in tried)
-    assert sized_remedies(grasped, scene, seen, 1e-3) == ()
+    assert all(t.enough and t.creep.measured <= budget for t in tried)
+    assert sized_remedies(grasped, scene, seen, 1.01 * seen.measured) == ()
+    # of a lost object the formula alone tells the size, and the changes must grow
+    gone = replace(seen, measured=np.inf)
+    assert all(t.enough for t in sized_remedies(grasped, scene, gone, seen.least / 2))
 
 
 @pytest.mark.slow

@@ -345,7 +345,7 @@ def test_plain_data_is_named_with_units() -> None:
     ("data", "message"),
     [
         ([1, 2], r"a shape is \[1, 2\]; give an object such as"),
-        ({}, r"a shape has kind None; give \"kind\" as one of \['box', "),
+        ({}, r"a shape has kind None; give \"kind\" as one of \['bowl', 'box', "),
         ({"kind": 3}, "a shape has kind 3; give"),
         ({"kind": "box"}, r"a box has \[\]; it needs \['size_m'\] and no others"),
         ({"kind": "sphere", "radius_m": 1, "x": 2}, r"it needs \['radius_m'\] and no others"),

@@ -211,7 +211,7 @@ def test_objects_of_impossible_size_are_found_out_before_solving(
     ("options", "message"),
     [
         ({"seed": -1}, "seed is -1; give an integer >= 0"),
-        ({"max_attempts": 0}, "max_attempts is 0; give at least 1"),
+        ({"max_attempts": 0}, "max_attempts is 0; give an integer, at least 1"),
         ({"max_cpu_s": 0.0}, "max_cpu_s is 0.0; give seconds > 0"),
         ({"max_cpu_s": NAN}, "max_cpu_s is nan; give seconds > 0"),
     ],

@@ -22,6 +22,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from machinery.commands import shown
+from sim.bench.best import best_tables
 from sim.bench.control.tables import control_tables
 from sim.bench.dexgraspbench.evaluate import dexgraspbench_table
 from sim.bench.forces import force_tables
@@ -32,7 +33,9 @@ from sim.bench.objectives import objective_tables
 from sim.bench.physics import physics_tables
 from sim.bench.scaling import scaling_tables
 from sim.bench.synthesis_tables import synthesis_tables
+from sim.bench.trial_cost import trial_cost_table
 from sim.bench.turn_table import manipulate_table
+from sim.bench.walls import walls_tables
 
 DATA = Path(__file__).parent.parent / "results" / "data"
 LARGEST_KB = 200
@@ -40,6 +43,7 @@ LARGEST_KB = 200
 
 Tables = Callable[[dict[str, Any]], Table | str | Iterable[Table | str]]
 TABLES: dict[str, Tables] = {
+    "opposable-bench-best": best_tables,
     "opposable-bench-control": control_tables,
     "opposable-bench-forces": force_tables,
     "opposable-bench-grasps": grasps_table,
@@ -50,6 +54,8 @@ TABLES: dict[str, Tables] = {
     "opposable-bench-physics": physics_tables,
     "opposable-bench-scaling": scaling_tables,
     "opposable-bench-synthesis": synthesis_tables,
+    "opposable-bench-trials": trial_cost_table,
+    "opposable-bench-walls": walls_tables,
     "opposable-dexgraspbench": dexgraspbench_table,
 }
 """Format of a result -> what makes tables of it, as the command does."""

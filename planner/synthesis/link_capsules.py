@@ -49,6 +49,7 @@ class LinkCapsule:
     radius: float
 
 
+@lru_cache(maxsize=8)
 def finger_capsules(hand: Hand) -> tuple[LinkCapsule, ...]:
     """A capsule for every geometry on the last three joints of every finger."""
     finger_of = hand.finger_of_body

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -22,11 +23,12 @@ from planner.collision.world import OBJECT
 from planner.errors import PlannerError, TaskError
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
+from planner.numerics.kernels import kernels_are_compiled
 from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.quality.ball import epsilon_frogger, epsilon_l1
 from planner.search import DEFAULT_MAX_ATTEMPTS, Attempt, attempts
-from planner.shapes import Shape, shape_key
+from planner.shapes import Mesh, Shape, shape_key
 from planner.synthesis.options import SynthesisOptions
 from planner.system.stage_times import timed
 from planner.task import DEFAULT_MU, GraspTask
@@ -154,6 +156,22 @@ def outcome_of(request: Request, check: Callable[[], None] = lambda: None) -> Re
     return replace(outcome, prepare_s=outcome.prepare_s + made)
 
 
+_loaded: set[tuple[bool, bool]] = set()
+"""Kinds of problems for which this process has loaded what is compiled."""
+
+
+def _load_kernels(task: GraspTask, setting: Setting) -> None:
+    """One attempt, once per process and kind of problem, that loads compiled kernels.
+
+    Loading takes about a second and belongs to no grasp: it counts as preparation.
+    """
+    kind = (isinstance(task.object.shape, Mesh), setting.options.rounds > 0)
+    if kernels_are_compiled() and kind not in _loaded:
+        _loaded.add(kind)
+        with suppress(PlannerError):  # a task that cannot work is told by the request itself
+            next(attempts(task, seed=setting.seed, options=setting.options))
+
+
 def outcome_of_task(
     task: GraspTask, k: int, setting: Setting, check: Callable[[], None] = lambda: None
 ) -> RequestOutcome:
@@ -168,6 +186,7 @@ def outcome_of_task(
     shape = task.object.shape
     seed = grasp_seed(setting.seed, shape_key(shape), k)
     begin = time.process_time()
+    _load_kernels(task, setting)
     made: list[Attempt[GraspPlan]] = []
     reasons: list[str] = []
     plan = None
