@@ -53,7 +53,7 @@ def dask_cluster() -> Iterator[Workers]:
 
 @contextmanager
 def ray_cluster() -> Iterator[Workers]:
-    ray = pytest.importorskip("ray")
+    ray = pytest.importorskip("ray", reason="Ray is large and not in the extra ci: run it by hand")
     register: Any = importlib.import_module("ray.util.joblib")
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, logging_level="ERROR")
     try:

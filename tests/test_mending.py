@@ -21,6 +21,7 @@ from planner.shapes.meshes import mending, union
 from planner.shapes.meshes.edges import bodies_of, body_volumes
 from planner.shapes.meshes.mending import MOVED
 from planner.shapes.meshes.soundness import faults_of
+from planner.shapes.meshes.union import manifold_is_installed
 from planner.shapes.meshes.wrapping import wrapped
 from planner.system.disk_cache import CACHE_VARIABLE
 
@@ -155,7 +156,9 @@ def test_a_damaged_copy_is_mended_to_what_it_was(name: str) -> None:
 
     assert re.search(told, mesh.mended), mesh.mended
     # the independent measure: no vertex is farther from what was given than is told
-    assert farthest(mesh, given) <= moved + 2e-6
+    on_grid = re.search(r"wrapped .* moved by at most ([\d.]+) mm", mesh.mended)
+    assert on_grid is None or not manifold_is_installed()
+    assert farthest(mesh, given) <= (1e-3 * float(on_grid[1]) if on_grid else moved) + 2e-6
 
 
 @pytest.mark.parametrize("name", ["small holes", "turned triangles", "a fold", "seams"])
@@ -194,7 +197,8 @@ def test_a_cavity_stays_where_no_other_part_fills_it(
 ) -> None:
     given = together(box(), inverted(box(at, side=0.008)), box(OVERLAP))
     mesh = Mesh.from_triangles(np.array(given.vertices), np.array(given.faces))
-    assert mesh.volume == pytest.approx(volume)
+    # exact by manifold3d, on a grid without it
+    assert mesh.volume == pytest.approx(volume, rel=1e-6 if manifold_is_installed() else 1e-4)
 
 
 def test_a_vertex_on_the_far_side_is_too_much_to_mend_unasked() -> None:
@@ -267,6 +271,7 @@ def test_a_mended_file_is_kept_and_its_plan_says_so(tmp_path: Path) -> None:
 def test_plain_data_tells_that_another_mending_was_stored(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    pytest.importorskip("manifold3d")  # whose mending is stored
     file = tmp_path / "two.ply"
     together(box(), box(OVERLAP)).export(file)
     data = json.loads(json.dumps(shape_to_dict(Mesh.load(file))))

@@ -123,6 +123,7 @@ def test_parts_that_overlap_are_united(scene: Scene) -> None:
 def test_without_the_library_that_unites_geoms_are_wrapped_as_one(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    pytest.importorskip("manifold3d")  # for the exact union
     exact = object_body(scene(OVERLAP), "thing").shape
     monkeypatch.setitem(__import__("sys").modules, "manifold3d", None)
     wrapped = object_body(scene(OVERLAP), "thing").shape
