@@ -13,6 +13,7 @@ import numpy as np
 
 from planner.quality import closure_and_epsilon, force_closure
 from planner.spatial import SE3, FloatArray, pose_change
+from planner.system.interrupts import interrupts_wait
 from planner.tolerances import CLOSURE_EDGES
 from sim.contacts import ContactHistory, ContactRows
 from sim.recording import PALM, Recording
@@ -57,7 +58,11 @@ class Recorder:
         self._reference = self._simulation.T_palm_object
 
     def record(self) -> None:
-        """Take a sample of now."""
+        """Take a sample of now: all of it, also where Ctrl-C comes meanwhile."""
+        with interrupts_wait():
+            self._take()
+
+    def _take(self) -> None:
         simulation = self._simulation
         T_world_object, first = simulation.T_world_object, simulation.plan.task.T_world_object
         moved, turned = pose_change(first, T_world_object)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import pickle
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,8 +22,9 @@ from planner.plan import GraspPlan
 from planner.quality import force_closure
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray, pose_from_wxyz
+from planner.system.interrupts import interrupts_wait
 from planner.task import GraspTask
-from sim.contacts import hand_contacts, merge_per_finger
+from sim.contacts import ContactHistory, hand_contacts, merge_per_finger
 from sim.physics import PhysicsOptions
 from sim.recording import PALM, Recording, RecordingData
 from sim.report import TrialReport
@@ -29,7 +32,7 @@ from sim.report_file import ReportFile, read_report, write_report
 from sim.simulation import Simulation
 from sim.states import StateRecorder
 from sim.timeline import Timeline
-from sim.trial import simulate
+from sim.trial import Trial, simulate
 
 QUICK = Timeline(approach=0.2, close=0.3, close_wait=0.2, squeeze=0.2, lift=0.3, hold=0.2)
 
@@ -327,3 +330,39 @@ def test_a_lost_object_is_recorded_to_the_end(plan: GraspPlan) -> None:
     report = simulate(plan, timeline=QUICK, physics=PhysicsOptions(mu=0.02))
     assert not report.success
     assert report.recording.time[-1] >= report.verdict.time
+
+
+@pytest.mark.skipif(os.name == "nt", reason="SIGINT to one process is a matter of POSIX")
+@pytest.mark.parametrize("before", [StateRecorder.take, ContactHistory.note])
+def test_ctrl_c_within_a_sample_waits_for_its_end(
+    monkeypatch: pytest.MonkeyPatch, plan: GraspPlan, before: Callable[..., None]
+) -> None:
+    trial, calls = Trial(plan, timeline=QUICK), 0
+
+    def interrupted(*args: Any) -> None:
+        nonlocal calls
+        calls += 1
+        if calls == 5:
+            os.kill(os.getpid(), signal.SIGINT)
+        before(*args)
+
+    owner = StateRecorder if before is StateRecorder.take else ContactHistory
+    monkeypatch.setattr(owner, before.__name__, interrupted)
+    report = trial.run()
+    assert report.reason == "interrupted"
+    recording = trial.recorder.recording()
+    assert len(recording) == len(trial.recorder.samples()) == 5
+
+
+def test_an_interrupt_is_heard_after_the_lines_and_others_get_it_again() -> None:
+    order: list[str] = []
+    first = signal.signal(signal.SIGTERM, lambda *_: order.append("heard"))
+    try:
+        with interrupts_wait():
+            signal.raise_signal(signal.SIGTERM)
+            order.append("inside")
+        order.append("after")
+        signal.raise_signal(signal.SIGTERM)
+    finally:
+        signal.signal(signal.SIGTERM, first)
+    assert order == ["inside", "heard", "after", "heard"]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planner.quality import closure_and_epsilon
 from planner.spatial import SE3, FloatArray, IntArray, signed_twist
+from planner.system.interrupts import interrupts_wait
 from sim.contacts import ContactHistory
 from sim.manipulation.timeline import ManipulationPhase
 from sim.pads import read_pads
@@ -175,7 +176,7 @@ class ManipulationRecorder:
         wanted: SE3 | None,
         away: NDArray[np.bool_],
     ) -> None:
-        """Take a sample.
+        """Take a sample: all of it, also where Ctrl-C comes meanwhile.
 
         Args:
             phase: Phase.
@@ -183,6 +184,16 @@ class ManipulationRecorder:
             wanted: T_palm_object that is wanted, None before it is held.
             away: (n,), which fingers are told to be off the object.
         """
+        with interrupts_wait():
+            self._take(phase, path_parameter, wanted, away)
+
+    def _take(
+        self,
+        phase: ManipulationPhase,
+        path_parameter: float,
+        wanted: SE3 | None,
+        away: NDArray[np.bool_],
+    ) -> None:
         simulation = self._simulation
         scene, data = simulation.scene, simulation.data
         self._states.take(phase)
