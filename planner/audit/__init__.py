@@ -1,0 +1,1 @@
+"""What our verdict says of grasps that somebody else made."""

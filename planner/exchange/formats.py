@@ -1,0 +1,124 @@
+"""All file formats of other tools by name; a format is one module or folder, and one registration.
+
+A format reads grasps, writes plans, or both. ``opposable audit`` and ``opposable refine`` read
+whatever is registered here, ``opposable export`` writes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+from planner.errors import FileFormatError, NotFoundError, TaskError
+from planner.exchange.given import GivenGrasps
+from planner.hands.hand import Hand
+from planner.plan import GraspPlan
+
+__all__ = ["FORMATS", "GraspFormat", "Reading", "format_named", "format_of", "register_format"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """What a file does not say of itself and its reader may be told.
+
+    Attributes:
+        by_number: Whether joints without names are taken in the order of our hand; else a file
+            without names is refused.
+        joint_names: Names of the joints in the order of the file; None where the file says them.
+        quaternion: "wxyz" or "xyzw"; None for what the format fixes, or what the numbers tell.
+        unit: Lengths of the file in metres: 1, or 0.001 for millimetres; None for what the format
+            fixes.
+        base_body: Body of the hand whose pose the file gives; "" for the hand's base.
+    """
+
+    by_number: bool = False
+    joint_names: tuple[str, ...] | None = None
+    quaternion: str | None = None
+    unit: float | None = None
+    base_body: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspFormat:
+    """A file format of another tool.
+
+    Attributes:
+        name: Lower case with hyphens, for example "isaac-grasp".
+        title: What it is, in a few words, with the version and whose it is.
+        suffix: How its files end, ".yaml"; "" for a folder.
+        loses: What of a plan does not come back from it, a sentence; "" for nothing.
+        recognises: Whether a file looks like it, without reading more than is needed; never raises
+            but for a file that cannot be opened.
+        read: Reads grasps for one of our hands; None where there is no reader. Raises
+            ``FileFormatError`` that names the place.
+        write: Writes plans to a path and returns the files; None where there is no writer. Writes
+            everything or nothing.
+    """
+
+    name: str
+    title: str
+    suffix: str
+    loses: str
+    recognises: Callable[[Path], bool]
+    read: Callable[[Path, Hand, Reading], GivenGrasps] | None = None
+    write: Callable[[Sequence[GraspPlan], Path], tuple[Path, ...]] | None = None
+
+
+FORMATS: dict[str, GraspFormat] = {}
+"""All formats by name; filled by ``load_formats``."""
+
+_MODULES: tuple[str, ...] = ()
+"""Modules below ``planner.exchange`` that register a format when they are imported."""
+
+
+def register_format(grasp_format: GraspFormat) -> GraspFormat:
+    """Register a format under its name.
+
+    Raises:
+        TaskError: The name is taken, or the format neither reads nor writes.
+    """
+    if grasp_format.name in FORMATS:
+        raise TaskError(f"the format {grasp_format.name!r} exists; give yours another name")
+    if grasp_format.read is None and grasp_format.write is None:
+        raise TaskError(f"format {grasp_format.name!r} neither reads nor writes; give one of both")
+    FORMATS[grasp_format.name] = grasp_format
+    return grasp_format
+
+
+def load_formats() -> None:
+    """Import the formats that this package has; others were registered by their authors."""
+    for name in _MODULES:
+        import_module(f"planner.exchange.{name}")
+
+
+def format_named(name: str) -> GraspFormat:
+    """The format of a name.
+
+    Raises:
+        NotFoundError: There is none.
+    """
+    load_formats()
+    if name not in FORMATS:
+        raise NotFoundError("format", name, FORMATS)
+    return FORMATS[name]
+
+
+def format_of(path: Path) -> GraspFormat:
+    """The readable format that a file looks like.
+
+    Raises:
+        FileFormatError: It looks like none, or like several.
+        NotFoundError: There is no such file.
+    """
+    load_formats()
+    if not path.exists():
+        raise NotFoundError("file", str(path), (), "give the path of a file", is_path=True)
+    readable = [f for f in FORMATS.values() if f.read is not None]
+    like = [f for f in readable if f.recognises(path)]
+    if len(like) == 1:
+        return like[0]
+    names = ", ".join(f.name for f in like or readable)
+    said = f"looks like {names}" if like else f"looks like none of {names}"
+    raise FileFormatError(f"{path} {said}; say which with --format")

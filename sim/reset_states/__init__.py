@@ -1,0 +1,1 @@
+"""Stable hand-object states from which reinforcement learning begins its episodes."""

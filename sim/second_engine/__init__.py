@@ -1,0 +1,1 @@
+"""An exported scene executed by another physics engine: a second witness of a grasp."""
