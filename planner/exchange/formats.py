@@ -28,6 +28,10 @@ __all__ = [
 ]
 
 
+BY = ("joints", "actuators")
+"""What numbers in a file may belong to."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Reading:
     """What a file does not say of itself and its reader may be told.
@@ -40,10 +44,12 @@ class Reading:
         unit: Lengths of the file in metres: 1, or 0.001 for millimetres; None for what the format
             fixes.
         base_body: Body of the hand whose pose the file gives; "" for the hand's base.
+        rename: Name of a joint in the file -> name of our joint, where they differ.
     """
 
     by_number: bool = False
     joint_names: tuple[str, ...] | None = None
+    rename: Mapping[str, str] = field(default_factory=dict)
     quaternion: str | None = None
     unit: float | None = None
     base_body: str = ""
@@ -71,6 +77,11 @@ class Writing:
     hand_frame: str = ""
     base_body: str = ""
     world_frame: str = ""
+
+    def __post_init__(self) -> None:
+        """Check what has a few values only."""
+        if self.by not in BY:
+            raise TaskError(f"by is {self.by!r}; give {' or '.join(BY)}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +118,7 @@ class GraspFormat:
 FORMATS: dict[str, GraspFormat] = {}
 """All formats by name; filled by ``load_formats``."""
 
-_MODULES: tuple[str, ...] = ()
+_MODULES: tuple[str, ...] = ("isaac_grasp",)
 """Modules below ``planner.exchange`` that register a format when they are imported."""
 
 
