@@ -118,7 +118,7 @@ class GraspFormat:
 FORMATS: dict[str, GraspFormat] = {}
 """All formats by name; filled by ``load_formats``."""
 
-_MODULES: tuple[str, ...] = ("isaac_grasp",)
+_MODULES: tuple[str, ...] = ("isaac_grasp", "ros.grasp", "ros.trajectory")
 """Modules below ``planner.exchange`` that register a format when they are imported."""
 
 
