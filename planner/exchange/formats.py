@@ -6,17 +6,26 @@ whatever is registered here, ``opposable export`` writes it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from planner.errors import FileFormatError, NotFoundError, TaskError
 from planner.exchange.given import GivenGrasps
 from planner.hands.hand import Hand
-from planner.plan import GraspPlan
 
-__all__ = ["FORMATS", "GraspFormat", "Reading", "format_named", "format_of", "register_format"]
+__all__ = [
+    "FORMATS",
+    "GraspFormat",
+    "Reading",
+    "Writing",
+    "format_named",
+    "format_of",
+    "load_formats",
+    "register_format",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +50,30 @@ class Reading:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Writing:
+    """What a file says that a plan does not, or says by other names.
+
+    Attributes:
+        rename: Name of our joint, or of our actuator where ``by`` says so -> its name in the file;
+            names that are not in it stay.
+        by: "joints" for positions of joints, "actuators" for lengths of actuators, which is what
+            a driver is told that has one motor for several joints.
+        object_frame: Name of the object's frame; "" for the object's name.
+        hand_frame: Name of the frame of ``base_body``; "" for that body's name.
+        base_body: Body of the hand whose pose is written; "" for the hand's base.
+        world_frame: Name of the world's frame, and then poses are written in it; "" for poses in
+            the object's frame.
+    """
+
+    rename: Mapping[str, str] = field(default_factory=dict)
+    by: str = "joints"
+    object_frame: str = ""
+    hand_frame: str = ""
+    base_body: str = ""
+    world_frame: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
 class GraspFormat:
     """A file format of another tool.
 
@@ -54,7 +87,10 @@ class GraspFormat:
         read: Reads grasps for one of our hands; None where there is no reader. Raises
             ``FileFormatError`` that names the place.
         write: Writes plans to a path and returns the files; None where there is no writer. Writes
-            everything or nothing.
+            everything or nothing. Raises ``TaskError`` for what the format cannot carry.
+        heeds: Names of the fields of ``Writing`` that ``write`` heeds; ``export_plans`` refuses the
+            others.
+        movements: Whether ``write`` takes motions, gaits and manipulation plans as well.
     """
 
     name: str
@@ -63,7 +99,9 @@ class GraspFormat:
     loses: str
     recognises: Callable[[Path], bool]
     read: Callable[[Path, Hand, Reading], GivenGrasps] | None = None
-    write: Callable[[Sequence[GraspPlan], Path], tuple[Path, ...]] | None = None
+    write: Callable[[Sequence[Any], Path, Writing], tuple[Path, ...]] | None = None
+    heeds: frozenset[str] = frozenset()
+    movements: bool = False
 
 
 FORMATS: dict[str, GraspFormat] = {}
