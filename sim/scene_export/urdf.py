@@ -82,7 +82,9 @@ def ellipsoid_files(model: Any) -> tuple[MeshFile, ...]:
         MeshFile(file=_ellipsoid_name(g), vertices=vertices, faces=faces)
         for g in range(model.ngeom)
         if int(model.geom_type[g]) == _ELLIPSOID
-        for vertices, faces in [surface_triangles(Ellipsoid(*model.geom_size[g].tolist()))]
+        for vertices, faces in [
+            surface_triangles(Ellipsoid(tuple((2.0 * model.geom_size[g]).tolist())))
+        ]
     )
 
 
