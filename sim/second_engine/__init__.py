@@ -7,7 +7,22 @@ Drake's own; ``drake_scene`` says what differs from our trials. The package is o
 
 from __future__ import annotations
 
-from sim.second_engine.drake_scene import INSTALL, DrakeScene, drake_missing, load_drake_scene
-from sim.second_engine.hold import Held, hold_in_drake
+from sim.second_engine.drake_scene import (
+    INSTALL,
+    TIME_STEP,
+    DrakeScene,
+    drake_missing,
+    load_drake_scene,
+)
+from sim.second_engine.hold import Held, Touches, hold_in_drake
 
-__all__ = ["INSTALL", "DrakeScene", "Held", "drake_missing", "hold_in_drake", "load_drake_scene"]
+__all__ = [
+    "INSTALL",
+    "TIME_STEP",
+    "DrakeScene",
+    "Held",
+    "Touches",
+    "drake_missing",
+    "hold_in_drake",
+    "load_drake_scene",
+]

@@ -145,14 +145,14 @@ def load_drake_scene(folder: Path, *, time_step: float = TIME_STEP) -> DrakeScen
 
     try:
         told = json.loads((folder / "physics.json").read_text(encoding="utf-8"))
-        mjcf = ET.parse(folder / "scene.xml")
+        mjcf = ET.parse(folder / "scene.xml").getroot()
     except (OSError, ValueError, ET.ParseError) as error:
         raise FileFormatError(f"{folder} is no exported scene: {error}; export it again") from error
     builder = DiagramBuilder()
     plant, graph = AddMultibodyPlant(MultibodyPlantConfig(time_step=time_step), builder)
     with _quiet():
         try:
-            Parser(plant).AddModels(str(folder / "scene.xml"))
+            Parser(plant).AddModels(folder / "scene.xml")
         except RuntimeError as error:
             raise FileFormatError(f"Drake cannot read {folder / 'scene.xml'}: {error}") from error
     names = [joint["name"] for joint in told["joints"]]
@@ -283,7 +283,7 @@ def _coupled(plant: Any, coupling: Mapping[str, Any]) -> bool:
     return True
 
 
-def _may_touch(plant: Any, graph: Any, mjcf: ET.ElementTree) -> None:
+def _may_touch(plant: Any, graph: Any, mjcf: ET.Element) -> None:
     """Let only those geoms touch that touch in MuJoCo: contype against conaffinity."""
     from pydrake.geometry import CollisionFilterDeclaration, GeometrySet
 
@@ -297,7 +297,7 @@ def _may_touch(plant: Any, graph: Any, mjcf: ET.ElementTree) -> None:
     inspector = graph.model_inspector()
     geoms = [
         (geometry, *bits[inspector.GetName(geometry).split("::", 1)[-1]])
-        for body in plant.GetBodyIndices(plant.GetModelInstanceByName(_model_of(mjcf)))
+        for body in plant.GetBodyIndices(plant.GetModelInstanceByName(mjcf.attrib["model"]))
         for geometry in plant.GetCollisionGeometriesForBody(plant.get_body(body))
     ]
     apart = CollisionFilterDeclaration()
@@ -310,8 +310,3 @@ def _may_touch(plant: Any, graph: Any, mjcf: ET.ElementTree) -> None:
         if kept:
             apart.ExcludeBetween(GeometrySet(first), GeometrySet(kept))
     graph.collision_filter_manager().Apply(apart)
-
-
-def _model_of(mjcf: ET.ElementTree) -> str:
-    root = mjcf.getroot()
-    return "" if root is None else root.attrib["model"]

@@ -2,19 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from planner.spatial import SE3, FloatArray, pose_change
+from planner.spatial import SE3, FloatArray, IntArray, pose_change
 from sim.second_engine.drake_scene import TIME_STEP, DrakeScene, load_drake_scene
 
-__all__ = ["Held", "hold_in_drake"]
+__all__ = ["Held", "Touches", "hold_in_drake"]
 
-SAMPLE_EVERY = 0.02
+SAMPLE_EVERY = 0.1
 """Time between samples, s."""
+
+LOOK_EVERY = 0.01
+"""Time between looks at whether the object is lost, s."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Touches:
+    """Contacts of the object at all samples, K in all.
+
+    Attributes:
+        moment: (K,), the sample's number, ascending.
+        bodies: K names of the bodies of the hand.
+        positions: (K, 3), m, world axes.
+        normals: (K, 3), into the object.
+        forces: (K, 3), on the object, N.
+    """
+
+    moment: IntArray
+    bodies: tuple[str, ...]
+    positions: FloatArray
+    normals: FloatArray
+    forces: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,7 +49,10 @@ class Held:
         detail: What was seen, a sentence.
         time: (m,), s.
         moved_mm, turned_deg: (m,), of the object since the start.
-        contacts: (m,), contacts of the object with the hand.
+        rise_mm: (m,), how far it rose.
+        centers: (m, 3), its centre of mass, m, world axes.
+        touches: Its contacts.
+        pushed_from: When a push begins, s.
         deepest_mm: Deepest penetration of the object at the start.
     """
 
@@ -35,7 +61,10 @@ class Held:
     time: FloatArray
     moved_mm: FloatArray
     turned_deg: FloatArray
-    contacts: FloatArray
+    rise_mm: FloatArray
+    centers: FloatArray
+    touches: Touches
+    pushed_from: float
     deepest_mm: float
 
 
@@ -95,35 +124,49 @@ class _Trial:
         """Simulate."""
         scene, check = self._scene, self._scene.check
         step = float(scene.plant.time_step())
-        steps, every = round(seconds / step), max(1, round(SAMPLE_EVERY / step))
-        begin, deepest = self._object_pose(), 0.0
-        rows = []
-        for k in range(steps + 1):
-            now = k * step
-            self._push(wrench if wrench is not None and now >= seconds / 2 else None)
-            if k % every == 0 or k == steps:
-                moved = pose_change(begin, self._object_pose())
-                contacts, depth = self._contacts()
-                deepest = max(deepest, depth) if k == 0 else deepest
-                rows.append((now, *moved, contacts))
-                if not np.isfinite(moved).all():
-                    break
-                if moved[0] > check["most_mm"] or moved[1] > check["most_deg"]:
-                    break
-            if k < steps:
-                self._simulator.AdvanceTo(now + step)
-        time, mm, deg, contacts = np.array(rows).T
-        held = bool(mm[-1] <= check["most_mm"] and deg[-1] <= check["most_deg"])
+        steps, look, sample = (round(t / step) for t in (seconds, LOOK_EVERY, SAMPLE_EVERY))
+        begin, deepest = self._object_pose(), self._depth()
+        samples: list[tuple[float, float, float, SE3]] = []
+        touches: list[tuple[int, str, FloatArray, FloatArray, FloatArray]] = []
+        lost = False
+        for k in range(1, steps + 1):
+            late = k * step > seconds / 2
+            self._push(wrench if wrench is not None and late else None)
+            self._simulator.AdvanceTo(k * step)
+            if not (lost := k % look == 0 and self._lost(begin, check)) and k % sample:
+                continue
+            pose = self._object_pose()
+            touches += [(len(samples), *touch) for touch in self._touches()]
+            samples.append((k * step, *pose_change(begin, pose), pose))
+            if lost:
+                break
+        time, mm, deg, poses = zip(*samples, strict=True)
+        moment, bodies, *arrays = zip(*touches, strict=True) if touches else [()] * 5
+        positions, normals, forces = (np.array(a, dtype=float).reshape(-1, 3) for a in arrays)
         return Held(
-            held=held,
+            held=not lost,
             detail=f"after {time[-1]:.2f} s the object had moved {mm[-1]:.1f} mm and turned "
-            f"{deg[-1]:.1f} degrees, with {int(contacts[-1])} contacts",
-            time=time,
-            moved_mm=mm,
-            turned_deg=deg,
-            contacts=contacts,
+            f"{deg[-1]:.1f} degrees, with {moment.count(len(samples) - 1)} contacts",
+            time=np.array(time),
+            moved_mm=np.array(mm),
+            turned_deg=np.array(deg),
+            rise_mm=1e3 * np.array([(p.translation - begin.translation)[2] for p in poses]),
+            centers=np.array([pose.translation for pose in poses]),
+            touches=Touches(
+                moment=np.array(moment, dtype=np.int64),
+                bodies=tuple(bodies),
+                positions=positions,
+                normals=normals,
+                forces=forces,
+            ),
+            pushed_from=seconds / 2,
             deepest_mm=deepest,
         )
+
+    def _lost(self, begin: SE3, check: Mapping[str, Any]) -> bool:
+        """Whether the object has left its place, or is nowhere."""
+        mm, deg = pose_change(begin, self._object_pose())
+        return not (mm <= check["most_mm"] and deg <= check["most_deg"])
 
     def _push(self, wrench: FloatArray | None) -> None:
         """Torques of this step that Drake does not make itself, and a push on the object."""
@@ -143,10 +186,28 @@ class _Trial:
         pose = self._scene.plant.EvalBodyPoseInWorld(self._context, self._scene.object_body)
         return SE3(pose.rotation().matrix(), pose.translation())
 
-    def _contacts(self) -> tuple[int, float]:
-        """How many points of the object touch, and the deepest of them, mm."""
-        port: Any = self._scene.plant.get_geometry_query_input_port()
-        query = port.Eval(self._context)
-        mine = set(self._scene.plant.GetCollisionGeometriesForBody(self._scene.object_body))
-        pairs = [p for p in query.ComputePointPairPenetration() if p.id_A in mine or p.id_B in mine]
-        return len(pairs), 1e3 * max((p.depth for p in pairs), default=0.0)
+    def _depth(self) -> float:
+        """Deepest penetration of the object, mm."""
+        plant = self._scene.plant
+        query = plant.get_geometry_query_input_port().Eval(self._context)
+        mine = set(plant.GetCollisionGeometriesForBody(self._scene.object_body))
+        pairs = query.ComputePointPairPenetration()
+        return 1e3 * max((p.depth for p in pairs if mine & {p.id_A, p.id_B}), default=0.0)
+
+    def _touches(self) -> list[tuple[str, FloatArray, FloatArray, FloatArray]]:
+        """Body, position, normal into the object and force on it of each contact."""
+        plant, mine = self._scene.plant, self._scene.object_body.index()
+        results = plant.get_contact_results_output_port().Eval(self._context)
+        out = []
+        for k in range(results.num_point_pair_contacts()):
+            contact = results.point_pair_contact_info(k)
+            first, second = contact.bodyA_index(), contact.bodyB_index()
+            if mine not in (first, second):
+                continue
+            # Drake's normal points from B to A, and its force acts on B
+            sign = -1.0 if mine == second else 1.0
+            other = plant.get_body(first if mine == second else second).name()
+            normal = sign * np.array(contact.point_pair().nhat_BA_W)
+            force = -sign * np.array(contact.contact_force())
+            out.append((other, np.array(contact.contact_point()), normal, force))
+        return out
