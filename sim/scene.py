@@ -50,6 +50,7 @@ __all__ = [
     "dress_hand",
     "drop_options",
     "index_scene",
+    "scene_spec",
 ]
 
 HAND_PREFIX = "hand/"
@@ -194,13 +195,8 @@ def build_scene(
         ModelError: MuJoCo refuses the scene.
     """
     physics = physics or PhysicsOptions()
-    spec = mujoco.MjSpec()
-    spec.modelname = f"{task.hand.name}, {task.object.name}"
-    physics.apply(spec, task.gravity)
-    _add_hand(spec, task, T_world_base, physics)
-    _add_object(spec, task, physics)
-    _add_surroundings(spec, task, physics)
     hand = task.hand
+    spec = scene_spec(task, T_world_base, physics)
     add_looks(spec, task, T_world_base, hand.neutral if q is None else q)
     model = compile_spec(spec, f"the scene of {spec.modelname}")
     gantry = None
@@ -209,7 +205,34 @@ def build_scene(
     return index_scene(task, physics, T_world_base, model, gantry)
 
 
-def _add_hand(spec: Any, task: GraspTask, T_world_base: SE3, physics: PhysicsOptions) -> None:
+def scene_spec(
+    task: GraspTask,
+    T_world_base: SE3,
+    physics: PhysicsOptions,
+    *,
+    with_gantry: bool = True,
+) -> Any:
+    """The ``mujoco.MjSpec`` of a task's scene, not compiled and without what is only looked at.
+
+    Args:
+        task: Hand, object and its pose, table, obstacles, gravity.
+        T_world_base: Base pose of the grasp.
+        physics: How MuJoCo computes.
+        with_gantry: Whether a gantry carries the hand; else its base stands fixed in the world, as
+            the root of an arm does.
+    """
+    spec = mujoco.MjSpec()
+    spec.modelname = f"{task.hand.name}, {task.object.name}"
+    physics.apply(spec, task.gravity)
+    _add_hand(spec, task, T_world_base, physics, with_gantry)
+    _add_object(spec, task, physics)
+    _add_surroundings(spec, task, physics)
+    return spec
+
+
+def _add_hand(
+    spec: Any, task: GraspTask, T_world_base: SE3, physics: PhysicsOptions, with_gantry: bool
+) -> None:
     position, quaternion = pose_to_wxyz(T_world_base)
     gantry = spec.worldbody.add_body(name=GANTRY, pos=position)
     child = task.hand.new_spec()
@@ -225,7 +248,7 @@ def _add_hand(spec: Any, task: GraspTask, T_world_base: SE3, physics: PhysicsOpt
             geom.conaffinity |= WORLD_BIT
     dress_hand(child, task.hand.mj_model)
     spec.attach(child, prefix=HAND_PREFIX, frame=gantry.add_frame(quat=quaternion))
-    if task.hand.arm is None:
+    if with_gantry and task.hand.arm is None:
         add_gantry(spec, gantry, task.hand.mj_model)
 
 

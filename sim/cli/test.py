@@ -44,7 +44,7 @@ def test(
     plans: Annotated[list[Path], typer.Argument(help="Plan files.", metavar="PLAN...")],
     protocol: Annotated[
         str,
-        typer.Option(help="dexgraspbench, forces, shake, robust, or all.", metavar="NAME"),
+        typer.Option(help="dexgraspbench, forces, shake, robust, drake, or all.", metavar="NAME"),
     ] = "all",
     controller: ControllerOption = "feedforward",
     physics: PhysicsOption = "ours",
@@ -72,7 +72,8 @@ def test(
 
     Exit code 0 if every grasp held in every trial without a growing load and bore the first load at
     rest in every direction. Of all protocols, those that a hand cannot take are skipped. The
-    protocol dexgraspbench has the physics of its original, whatever --physics says.
+    protocol dexgraspbench has the physics of its original, whatever --physics says. The protocol
+    drake holds the grasp in another engine and is none of "all": pip install "opposable[drake]".
     """
     from planner.errors import NotFoundError, TaskError
     from planner.files import read_plan, write_json
@@ -80,7 +81,7 @@ def test(
     from sim.looking.backend import why_not
     from sim.looking.film import check_video
     from sim.protocols import (
-        PROTOCOLS,
+        IN_ALL,
         Settings,
         protocol_table,
         run_protocol,
@@ -95,7 +96,7 @@ def test(
     computed = physics_of(physics)
     ending = "" if video is None else f".{video}"
     check_video(f"film{ending}" if ending else None)
-    asked = PROTOCOLS if protocol == "all" else [protocol]
+    asked = IN_ALL if protocol == "all" else [protocol]
     trials = trials_of(asked, only or (), Settings(), seed)
     loaded = [(path, read_plan(path)) for path in plans]
     make_folder(folder)

@@ -4,6 +4,7 @@
 ``forces``         gravity from six sides, then forces and torques that grow until it is lost
 ``shake``          the gantry shaken in six degrees of freedom
 ``robust``         another mass, friction and object pose than planned
+``drake``          the exported scene held and pushed in another engine, if that is installed
 
 ``run_protocol(plan, "forces")`` runs one; ``opposable test PLAN`` does on the command line.
 """
@@ -12,10 +13,11 @@ from __future__ import annotations
 
 from sim.protocols.outcome import Outcome
 from sim.protocols.report import ProtocolReport, protocol_table, write_csv
-from sim.protocols.run import PROTOCOLS, run_protocol, trials_of, unsuitable
+from sim.protocols.run import IN_ALL, PROTOCOLS, run_protocol, trials_of, unsuitable
 from sim.protocols.settings import Settings
 
 __all__ = [
+    "IN_ALL",
     "PROTOCOLS",
     "Outcome",
     "ProtocolReport",

@@ -170,11 +170,17 @@ class ProtocolReport(OnScreen):
             f"[bold]{self.protocol}[/]: {held}: {escape(self.hand)}, {escape(self.object)}, "
             f"control {self.controller}"
         )
-        yield Text(
-            f"physics: {p['name']} ({p['timestep_s']:g} s, {p['integrator']}, {p['solver']}, "
-            f"{p['cone']} cones, impratio {p['impratio']:g}, noslip {p['noslip_iterations']}, "
-            f"friction {p['friction']:g} and {p['torsional_friction_m']:g} m)"
-        )
+        if "engine" in p:
+            yield Text(
+                f"physics: {p['engine']} ({p['timestep_s']:g} s, {p['contacts']}, servos "
+                f"{p['servos']}, friction {p['friction']:g})"
+            )
+        else:
+            yield Text(
+                f"physics: {p['name']} ({p['timestep_s']:g} s, {p['integrator']}, {p['solver']}, "
+                f"{p['cone']} cones, impratio {p['impratio']:g}, noslip {p['noslip_iterations']}, "
+                f"friction {p['friction']:g} and {p['torsional_friction_m']:g} m)"
+            )
         if s["of"]:
             yield Text(f"held in {s['held']} of {s['of']}")
         for o in self.failed[:MOST_FAILED]:

@@ -28,6 +28,7 @@ from sim.physics import PhysicsOptions
 from sim.protocols.cases import Case, Conditions
 from sim.protocols.dexgraspbench import dexgraspbench_cases, unsuitable_for_dexgraspbench
 from sim.protocols.dexgraspbench_scene import benchmark_contacts, benchmark_physics
+from sim.protocols.drake import drake_cases, drake_physics, unsuitable_for_drake
 from sim.protocols.forces import forces_cases
 from sim.protocols.outcome import Outcome
 from sim.protocols.report import ProtocolReport
@@ -36,9 +37,10 @@ from sim.protocols.settings import Settings
 from sim.protocols.shake import on_an_arm, shake_cases
 from sim.runner import Runner, made_with
 from sim.scene import build_scene
+from sim.second_engine import drake_missing
 from sim.simulation import filmed
 
-__all__ = ["PROTOCOLS", "cases_of", "run_protocol", "trials_of", "unsuitable"]
+__all__ = ["IN_ALL", "PROTOCOLS", "cases_of", "run_protocol", "trials_of", "unsuitable"]
 
 MakeCases: TypeAlias = Callable[[Settings, int], Sequence[Case]]
 
@@ -48,12 +50,20 @@ PROTOCOLS: Mapping[str, MakeCases] = MappingProxyType(
         "forces": forces_cases,
         "shake": lambda settings, seed: shake_cases(settings),
         "robust": robust_cases,
+        "drake": lambda settings, seed: drake_cases(),
     }
 )
 """Name -> what makes the trials out of settings and the seed of random directions and errors."""
 
+IN_ALL = tuple(name for name in PROTOCOLS if name != "drake")
+"""Protocols that "all" stands for: "drake" needs another package, and is run by its name."""
+
+REPLAYED = ("dexgraspbench", "drake")
+"""Protocols with commands and numbers of their own, whatever controller and settings are."""
+
 _UNSUITABLE: Mapping[str, Callable[[GraspTask], str]] = {
     "dexgraspbench": lambda task: unsuitable_for_dexgraspbench(task.hand),
+    "drake": lambda task: unsuitable_for_drake(task.hand),
     "shake": lambda task: on_an_arm(task.hand),
 }
 """Name -> why the protocol cannot take a task, of those that cannot take every one."""
@@ -133,8 +143,9 @@ def run_protocol(
         protocol: One of ``PROTOCOLS``.
         controller: A name ("feedforward", "impedance"), a controller, of which every trial gets a
             copy, or a class or function that makes one from the plan; "feedforward" if None.
-            ``dexgraspbench`` is always run by replayed postures.
-        physics: How MuJoCo computes; defaults if None. ``dexgraspbench`` has its own.
+            ``dexgraspbench`` and ``drake`` are always run by replayed postures.
+        physics: How MuJoCo computes; defaults if None. ``dexgraspbench`` has its own, and ``drake``
+            takes the friction alone.
         settings: Numbers of the protocols; defaults if None.
         seed: Of random directions and pose errors.
         workers: Processes; 1 for this one, -1 for one per core. With more than one, the hand
@@ -152,7 +163,8 @@ def run_protocol(
 
     Raises:
         NotFoundError: There is no such protocol, controller or trial.
-        TaskError: The protocol is not for this hand, the controller is none, or ``workers`` is 0.
+        TaskError: The protocol is not for this hand, the controller is none, ``workers`` is 0, or
+            the protocol needs a package that is not installed.
         FileFormatError: ``file`` cannot be written.
     """
     begin = time.perf_counter()
@@ -165,7 +177,9 @@ def run_protocol(
     make = controller_maker(controller)
     if reason := unsuitable(protocol, plan.task):
         raise TaskError(reason)
-    label = "replay" if protocol == "dexgraspbench" else controller_name(controller)
+    if protocol == "drake" and (reason := drake_missing()):
+        raise TaskError(reason)
+    label = "replay" if protocol in REPLAYED else controller_name(controller)
     text = json.dumps(plan_to_dict(plan))
     conditions = Conditions(physics=physics, controller=make)
     jobs = [
@@ -187,10 +201,10 @@ def run_protocol(
             workers=(os.cpu_count() or 1) if workers < 0 else workers,
         ).run(_run, jobs, title=f"{protocol} {name}".strip(), keep=keep, given_up=_given_up)
     task = plan.task
-    own = {} if protocol == "dexgraspbench" else asdict(settings)
-    stated = physics_of(plan, physics) | (
-        benchmark_contacts() if protocol == "dexgraspbench" else {}
-    )
+    own = {} if protocol in REPLAYED else asdict(settings)
+    stated = drake_physics(physics.mu) if protocol == "drake" else physics_of(plan, physics)
+    if protocol == "dexgraspbench":
+        stated |= benchmark_contacts()
     return ProtocolReport(
         protocol=protocol,
         plan=name,

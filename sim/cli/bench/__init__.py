@@ -13,6 +13,7 @@ from sim.cli.bench import (
     pages,
     synthesis,
     turns,
+    witness,
     zoo,
 )
 
@@ -38,6 +39,7 @@ def register(app: typer.Typer, panel: str) -> None:
         control.physics,
         dexgraspbench.dexgraspbench,
         exports.exports,
+        witness.witness,
         pages.pages,
         zoo.zoo,
         zoo.gallery,

@@ -1,0 +1,213 @@
+"""``hold_in_drake``: whether an exported grasp holds its object in Drake by its commands alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner.spatial import SE3, FloatArray, IntArray, pose_change
+from sim.second_engine.drake_scene import TIME_STEP, DrakeScene, load_drake_scene
+
+__all__ = ["Held", "Touches", "hold_in_drake"]
+
+SAMPLE_EVERY = 0.1
+"""Time between samples, s."""
+
+LOOK_EVERY = 0.01
+"""Time between looks at whether the object is lost, s."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Touches:
+    """Contacts of the object at all samples, K in all.
+
+    Attributes:
+        moment: (K,), the sample's number, ascending.
+        bodies: K names of the bodies of the hand.
+        positions: (K, 3), m, world axes.
+        normals: (K, 3), into the object.
+        forces: (K, 3), on the object, N.
+    """
+
+    moment: IntArray
+    bodies: tuple[str, ...]
+    positions: FloatArray
+    normals: FloatArray
+    forces: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Held:
+    """What became of a hold in another engine; m samples.
+
+    Attributes:
+        held: Whether the object stayed within the limits to the end.
+        detail: What was seen, a sentence.
+        time: (m,), s.
+        moved_mm, turned_deg: (m,), of the object since the start.
+        rise_mm: (m,), how far it rose.
+        centers: (m, 3), its centre of mass, m, world axes.
+        touches: Its contacts.
+        pushed_from: When a push begins, s.
+        deepest_mm: Deepest penetration of the object at the start.
+    """
+
+    held: bool
+    detail: str
+    time: FloatArray
+    moved_mm: FloatArray
+    turned_deg: FloatArray
+    rise_mm: FloatArray
+    centers: FloatArray
+    touches: Touches
+    pushed_from: float
+    deepest_mm: float
+
+
+def hold_in_drake(
+    folder: Path,
+    *,
+    seconds: float | None = None,
+    wrench: FloatArray | None = None,
+    time_step: float = TIME_STEP,
+) -> Held:
+    """Begin at the key frame "grasp", command "squeeze", and look for some time.
+
+    Args:
+        folder: An exported scene.
+        seconds: How long; what the export's own check says if None.
+        wrench: Force (N) and torque (N m) (6,) on the object's centre of mass, world axes, from the
+            beginning of the second half; none if None.
+        time_step: Of Drake's solver, s.
+
+    Raises:
+        TaskError: Drake is not installed.
+        FileFormatError: The folder is no export, or Drake cannot read it.
+    """
+    scene = load_drake_scene(folder, time_step=time_step)
+    return _Trial(scene).run(scene.check["seconds"] if seconds is None else seconds, wrench)
+
+
+class _Trial:
+    """A simulator at the start of a hold."""
+
+    def __init__(self, scene: DrakeScene) -> None:
+        """Put hand and object where they are at the grasp, and command the squeeze."""
+        from pydrake.math import RigidTransform
+        from pydrake.systems.analysis import Simulator
+
+        self._scene, plant = scene, scene.plant
+        self._simulator = Simulator(scene.diagram)
+        root = self._simulator.get_mutable_context()
+        self._context = plant.GetMyMutableContextFromRoot(root)
+        q = plant.GetPositions(self._context)
+        grasp, squeeze = scene.key_frames["grasp"], scene.key_frames["squeeze"]
+        q[scene.q_index] = [grasp["joints"][name] for name in scene.joints]
+        plant.SetPositions(self._context, q)
+        plant.SetFreeBodyPose(
+            self._context, scene.object_body, RigidTransform(scene.T_world_object.homogeneous)
+        )
+        count = plant.num_actuators()
+        desired = np.zeros(2 * count)
+        for name, (place, factor, offset) in scene.wanted.items():
+            desired[place] = factor * squeeze["commands"][name] + offset
+        instance = scene.object_body.model_instance()
+        plant.get_desired_state_input_port(instance).FixValue(self._context, desired)
+        self._commands = np.array([squeeze["commands"][n] for n in scene.explicit.names])
+        self._torque = plant.get_applied_generalized_force_input_port()
+
+    def run(self, seconds: float, wrench: FloatArray | None) -> Held:
+        """Simulate."""
+        scene, check = self._scene, self._scene.check
+        step = float(scene.plant.time_step())
+        steps, look, sample = (round(t / step) for t in (seconds, LOOK_EVERY, SAMPLE_EVERY))
+        begin, deepest = self._object_pose(), self._depth()
+        samples: list[tuple[float, float, float, SE3]] = []
+        touches: list[tuple[int, str, FloatArray, FloatArray, FloatArray]] = []
+        lost = False
+        for k in range(1, steps + 1):
+            late = k * step > seconds / 2
+            self._push(wrench if wrench is not None and late else None)
+            self._simulator.AdvanceTo(k * step)
+            if not (lost := k % look == 0 and self._lost(begin, check)) and k % sample:
+                continue
+            pose = self._object_pose()
+            touches += [(len(samples), *touch) for touch in self._touches()]
+            samples.append((k * step, *pose_change(begin, pose), pose))
+            if lost:
+                break
+        time, mm, deg, poses = zip(*samples, strict=True)
+        moment, bodies, *arrays = zip(*touches, strict=True) if touches else [()] * 5
+        positions, normals, forces = (np.array(a, dtype=float).reshape(-1, 3) for a in arrays)
+        return Held(
+            held=not lost,
+            detail=f"after {time[-1]:.2f} s the object had moved {mm[-1]:.1f} mm and turned "
+            f"{deg[-1]:.1f} degrees, with {moment.count(len(samples) - 1)} contacts",
+            time=np.array(time),
+            moved_mm=np.array(mm),
+            turned_deg=np.array(deg),
+            rise_mm=1e3 * np.array([(p.translation - begin.translation)[2] for p in poses]),
+            centers=np.array([pose.translation for pose in poses]),
+            touches=Touches(
+                moment=np.array(moment, dtype=np.int64),
+                bodies=tuple(bodies),
+                positions=positions,
+                normals=normals,
+                forces=forces,
+            ),
+            pushed_from=seconds / 2,
+            deepest_mm=deepest,
+        )
+
+    def _lost(self, begin: SE3, check: Mapping[str, Any]) -> bool:
+        """Whether the object has left its place, or is nowhere."""
+        mm, deg = pose_change(begin, self._object_pose())
+        return not (mm <= check["most_mm"] and deg <= check["most_deg"])
+
+    def _push(self, wrench: FloatArray | None) -> None:
+        """Torques of this step that Drake does not make itself, and a push on the object."""
+        scene, plant = self._scene, self._scene.plant
+        q, v = plant.GetPositions(self._context), plant.GetVelocities(self._context)
+        forces = np.zeros(plant.num_velocities())
+        forces[scene.v_index] = scene.explicit.torque(
+            q[scene.q_index], v[scene.v_index], self._commands
+        )
+        if wrench is not None:
+            first = scene.object_body.floating_velocities_start_in_v()
+            # a free body's velocity is angular first, both in world axes
+            forces[first : first + 6] = np.concatenate([wrench[3:], wrench[:3]])
+        self._torque.FixValue(self._context, forces)
+
+    def _object_pose(self) -> SE3:
+        pose = self._scene.plant.EvalBodyPoseInWorld(self._context, self._scene.object_body)
+        return SE3(pose.rotation().matrix(), pose.translation())
+
+    def _depth(self) -> float:
+        """Deepest penetration of the object, mm."""
+        plant = self._scene.plant
+        query = plant.get_geometry_query_input_port().Eval(self._context)
+        mine = set(plant.GetCollisionGeometriesForBody(self._scene.object_body))
+        pairs = query.ComputePointPairPenetration()
+        return 1e3 * max((p.depth for p in pairs if mine & {p.id_A, p.id_B}), default=0.0)
+
+    def _touches(self) -> list[tuple[str, FloatArray, FloatArray, FloatArray]]:
+        """Body, position, normal into the object and force on it of each contact."""
+        plant, mine = self._scene.plant, self._scene.object_body.index()
+        results = plant.get_contact_results_output_port().Eval(self._context)
+        out = []
+        for k in range(results.num_point_pair_contacts()):
+            contact = results.point_pair_contact_info(k)
+            first, second = contact.bodyA_index(), contact.bodyB_index()
+            if mine not in (first, second):
+                continue
+            # Drake's normal points from B to A, and its force acts on B
+            sign = -1.0 if mine == second else 1.0
+            other = plant.get_body(first if mine == second else second).name()
+            normal = sign * np.array(contact.point_pair().nhat_BA_W)
+            force = -sign * np.array(contact.contact_force())
+            out.append((other, np.array(contact.contact_point()), normal, force))
+        return out
