@@ -15,6 +15,7 @@ from sim.cli.batch import batch, extract
 from sim.cli.certify import certify
 from sim.cli.creep import creep
 from sim.cli.crosscheck import crosscheck
+from sim.cli.episodes import episodes
 from sim.cli.forces import forces
 from sim.cli.grasp import plan, run, simulate
 from sim.cli.hands import check_hand, describe, hands
@@ -79,6 +80,7 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
     "Data": (
         Listed(call=batch, example="opposable batch allegro_hand box mug -n 20"),
         Listed(call=extract, example="opposable extract grasps 0 -o first.json"),
+        Listed(call=episodes, example="opposable episodes plan.json -o episodes --video"),
         Listed(call=schema, example="opposable schema plan"),
     ),
     "Models": (

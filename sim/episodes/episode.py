@@ -16,6 +16,7 @@ import numpy as np
 from planner.errors import FileFormatError
 from planner.files.data import PlanFile
 from planner.files.json_csv import checked_file
+from planner.files.manipulations import ManipulationFile
 from planner.pages.page import without_folder
 from planner.task import GraspTask
 from sim.episodes.robot import Robot
@@ -171,9 +172,7 @@ def _of_trial(report: TrialReport | ReportFile, source: str) -> Episode:
     )
 
 
-def _of_runs(
-    report: ManipulationReport | ManipulationReportFile, source: str
-) -> Iterator[Episode]:
+def _of_runs(report: ManipulationReport | ManipulationReportFile, source: str) -> Iterator[Episode]:
     if report.earlier is not None:
         yield from _of_runs(report.earlier, source)
     if isinstance(report, ManipulationReport):

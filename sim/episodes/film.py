@@ -6,6 +6,7 @@ state of row k, and the camera has one pose per episode, as on a real robot.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
@@ -21,7 +22,7 @@ from sim.looking.painter import Painter, Pixels, Quality, open_painter
 from sim.looking.view import FIELD_OF_VIEW_DEG, View, choose_views
 from sim.scene import Scene, build_scene
 
-__all__ = ["ENCODING", "check_films", "draw_episode", "sampled_frames"]
+__all__ = ["ENCODING", "check_films", "draw_episode", "sampled_frames", "size_of"]
 
 ENCODING = ("-crf", "23", "-preset", "veryfast", "-g", "2", "-bf", "0", "-movflags", "+faststart")
 """Options of ffmpeg: every second frame stands by itself, so that one is decoded without those
@@ -59,6 +60,18 @@ def check_films(size: tuple[int, int]) -> None:
             "films are MP4 files, which need a package that is not installed: "
             'pip install "opposable[video]"'
         )
+
+
+def size_of(text: str) -> tuple[int, int]:
+    """Width and height (pixels) out of a text like "320x240".
+
+    Raises:
+        TaskError: It is another.
+    """
+    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    if found is None:
+        raise TaskError(f"{text!r} is no size of a film; give WIDTHxHEIGHT, such as 320x240")
+    return int(found[1]), int(found[2])
 
 
 def draw_episode(
@@ -105,19 +118,37 @@ def draw_episode(
     film = FilmFormat(quality=quality, rate=float(fps), most=len(poses), encoding=ENCODING)
     with painter:
         write_film(path, frames(), film)
+    _check_length(path, len(poses))
     return view, kept
+
+
+def _check_length(path: Path, frames: int) -> None:
+    """Check that a film has all its frames: ffmpeg may end early without a word, on a full disk.
+
+    Raises:
+        OSError: It has others.
+    """
+    import imageio_ffmpeg
+
+    try:
+        found, _ = imageio_ffmpeg.count_frames_and_secs(str(path))
+    except RuntimeError as error:  # no film at all
+        raise OSError(f"the film of {frames} frames could not be written") from error
+    if found != frames:
+        raise OSError(f"only {found} of {frames} frames of the film could be written")
 
 
 def sampled_frames(count: int) -> list[int]:
     """Numbers of the frames of which statistics are made: as many as LeRobot takes."""
     wanted = max(min(100, count), min(int(count**0.75), 10_000))
-    return np.linspace(0, count - 1, wanted).round().astype(int).tolist()
+    return [round(i) for i in np.linspace(0, count - 1, wanted).tolist()]
 
 
 def _qpos(scene: Scene, episode: Episode, i: int) -> FloatArray:
     states = episode.recording
     base, item = (
-        pose_from_wxyz(row[:3], row[3:]) for row in (states.T_world_base[i], states.T_world_object[i])
+        pose_from_wxyz(row[:3], row[3:])
+        for row in (states.T_world_base[i], states.T_world_object[i])
     )
     return scene.posed(states.q[i], base, item)
 

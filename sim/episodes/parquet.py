@@ -310,8 +310,9 @@ def _metadata() -> dict[str, str]:
 
 
 def _robot(schema: Any) -> Robot:
-    told = json.loads(schema.metadata[b"robot"])
-    return Robot(**{k: v if isinstance(v, str) else tuple(v) for k, v in told.items()})
+    told: dict[str, Any] = json.loads(schema.metadata[b"robot"])
+    named: dict[str, Any] = {k: v if isinstance(v, str) else tuple(v) for k, v in told.items()}
+    return Robot(**named)
 
 
 def _check_format(path: Path, metadata: dict[bytes, bytes]) -> None:

@@ -1,4 +1,4 @@
-"""``Robot``: names and units of a hand's joints, actuators and contacts in a data set of episodes."""
+"""``Robot``: names and units of a hand's joints, actuators and contacts in a data set."""
 
 from __future__ import annotations
 

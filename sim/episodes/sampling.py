@@ -54,8 +54,7 @@ def frames_at(time: FloatArray, fps: int | None, source: str) -> tuple[int, IntA
         wanted = "no whole number of frames a second" if fps is None else f"{fps} frames a second"
         raise TaskError(
             f"{source}: {wanted} cannot be had of samples every {1e3 * period:g} ms without "
-            f"inventing states; rates that fit: {allowed}; give one with --fps, or record at "
-            "another rate"
+            f"inventing states; rates that fit: {allowed}; give one with --fps"
         )
     rate = fitting[0] if fps is None else fps
     count = int((time[-1] - time[0] + TIME_TOL) * rate) + 1

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from planner.errors import FileFormatError, TaskError
 from planner.system.interrupts import interrupts_wait
@@ -42,6 +43,21 @@ class Written:
     frames: int
     left_out: Mapping[str, int]
     complete: bool
+
+    def __str__(self) -> str:
+        """One line."""
+        left = sum(self.left_out.values())
+        told = f"; {left} failed trials left out (--failed keeps them)" if left else ""
+        failed = self.episodes - self.succeeded
+        good = "all successful" if not failed else f"{self.succeeded} successful, {failed} failed"
+        return (
+            f"written to {self.folder}: episodes: {self.episodes} ({good}), rows: {self.frames}, "
+            f"format {self.format}{told}"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        return {**asdict(self), "folder": str(self.folder), "left_out": dict(self.left_out)}
 
 
 def write_episodes(

@@ -4,7 +4,17 @@ from __future__ import annotations
 
 import typer
 
-from sim.cli.bench import best, control, dexgraspbench, grasps, pages, synthesis, turns, zoo
+from sim.cli.bench import (
+    best,
+    control,
+    dexgraspbench,
+    episodes,
+    grasps,
+    pages,
+    synthesis,
+    turns,
+    zoo,
+)
 
 __all__ = ["register"]
 
@@ -27,6 +37,7 @@ def register(app: typer.Typer, panel: str) -> None:
         turns.manipulate,
         control.physics,
         dexgraspbench.dexgraspbench,
+        episodes.episodes,
         pages.pages,
         zoo.zoo,
         zoo.gallery,

@@ -85,14 +85,13 @@ class LeRobotWriter:
         columns, number = frames_of(framed), len(self._episodes)
         count = len(columns["action"])
         task = self._tasks.get(episode.sentence, len(self._tasks))
-        index = {
-            "timestamp": (np.arange(count) / fps).astype(np.float32),
+        columns |= {
+            "timestamp": np.asarray(np.arange(count) / fps, dtype=np.float32),
             "frame_index": np.arange(count),
             "episode_index": np.full(count, number),
             "index": np.arange(self._frames, self._frames + count),
             "task_index": np.full(count, task),
         }
-        columns |= index
         statistics = of_columns(columns)
         place: dict[str, Any] = {}
         if self._asked.video:
@@ -178,9 +177,7 @@ class LeRobotWriter:
         The state after the last frame is no frame and is not in it.
         """
         chunk, file = divmod(number, CHUNK)
-        path = self._folder / VIDEO.format(
-            video_key=VIDEO_KEY, chunk_index=chunk, file_index=file
-        )
+        path = self._folder / VIDEO.format(video_key=VIDEO_KEY, chunk_index=chunk, file_index=file)
         path.parent.mkdir(parents=True, exist_ok=True)
         shown = episode.taken(range(len(episode) - 1))
         view, pictures = draw_episode(shown, path, fps=fps, size=self._asked.size)
