@@ -16,6 +16,7 @@ from sim.cli.certify import certify
 from sim.cli.creep import creep
 from sim.cli.crosscheck import crosscheck
 from sim.cli.export import export
+from sim.cli.episodes import episodes
 from sim.cli.forces import forces
 from sim.cli.grasp import plan, run, simulate
 from sim.cli.hands import check_hand, describe, hands
@@ -81,6 +82,7 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
         Listed(call=batch, example="opposable batch allegro_hand box mug -n 20"),
         Listed(call=extract, example="opposable extract grasps 0 -o first.json"),
         Listed(call=export, example="opposable export plan.json --to ros2-grasp -o grasp.yaml"),
+        Listed(call=episodes, example="opposable episodes plan.json -o episodes --video"),
         Listed(call=schema, example="opposable schema plan"),
     ),
     "Models": (

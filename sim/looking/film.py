@@ -28,18 +28,23 @@ class FilmFormat:
         quality: How its frames are drawn.
         rate: Frames per second.
         most: Frames that a film may have; longer ones are shown faster. Pillow keeps them all.
+        encoding: Options of ffmpeg, for MP4.
     """
 
     quality: Quality
     rate: float
     most: int
+    encoding: tuple[str, ...] = ()
 
 
 LARGE = Quality(size=(640, 480), larger=1.5, shadows=2048, slices=20)
 SMALL = replace(LARGE, size=(480, 360), larger=2.0)
 
+X264 = ("-crf", "23", "-preset", "veryfast", "-movflags", "+faststart", "-tune", "animation")
+"""Options of ffmpeg: constant quality, and a file that plays while it loads."""
+
 FORMATS = {
-    ".mp4": FilmFormat(quality=LARGE, rate=25.0, most=1500),
+    ".mp4": FilmFormat(quality=LARGE, rate=25.0, most=1500, encoding=X264),
     ".webp": FilmFormat(quality=LARGE, rate=20.0, most=600),
     ".gif": FilmFormat(quality=SMALL, rate=12.5, most=500),
 }
@@ -47,9 +52,6 @@ FORMATS = {
 
 WEBP_QUALITY, WEBP_EFFORT = 62, 2
 """As ``cwebp -q`` and ``-m``: beyond effort 2 files become 5 % smaller and take twice as long."""
-
-X264 = ("-crf", "23", "-preset", "veryfast", "-movflags", "+faststart", "-tune", "animation")
-"""Options of ffmpeg: constant quality, and a file that plays while it loads."""
 
 COLORS = 160
 """Colours of a GIF."""
@@ -116,7 +118,7 @@ def _write_mp4(path: Path, frames: Iterable[Pixels], film: FilmFormat) -> None:
         fps=film.rate,
         codec="libx264",
         quality=None,
-        output_params=list(X264),
+        output_params=list(film.encoding),
         ffmpeg_log_level="error",
     )
     writer.send(None)

@@ -1,0 +1,129 @@
+"""The command ``episodes``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.markup import escape
+
+from sim.cli.common import (
+    EXIT_INTERRUPTED,
+    TRIAL_PANEL,
+    JsonOption,
+    PhysicsOption,
+    SimMuOption,
+    err,
+    errors_for_people,
+    heeding_ctrl_c,
+    out,
+    physics_of,
+    print_json,
+    say,
+)
+
+if TYPE_CHECKING:
+    from sim.episodes import AnyReport, Episode
+
+
+@errors_for_people()
+def episodes(
+    inputs: Annotated[
+        list[Path],
+        typer.Argument(help="Plan files, report files, or folders of batches.", metavar="INPUT..."),
+    ],
+    folder: Annotated[
+        Path, typer.Option("--out", "-o", help="The data set, a new folder.", metavar="DIR")
+    ] = Path("episodes"),
+    to: Annotated[str, typer.Option(help="lerobot or parquet.", metavar="FORMAT")] = "lerobot",
+    fps: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Frames per second; of lerobot 50 if not given, of parquet all samples.",
+            metavar="N",
+        ),
+    ] = None,
+    video: Annotated[
+        bool, typer.Option("--video", help="Film every episode (lerobot).", metavar="")
+    ] = False,
+    size: Annotated[
+        str, typer.Option(help="Width and height of the films, pixels.", metavar="WxH")
+    ] = "320x240",
+    failed: Annotated[
+        bool, typer.Option("--failed", help="Keep trials that failed, marked so.", metavar="")
+    ] = False,
+    most: Annotated[
+        int | None,
+        typer.Option("-n", "--number", min=1, help="Trials of every batch; all if not given."),
+    ] = None,
+    controller: Annotated[
+        str,
+        typer.Option(
+            help="feedforward or impedance; if not given, feedforward for grasps and impedance "
+            "for turns.",
+            metavar="NAME",
+            rich_help_panel=TRIAL_PANEL,
+        ),
+    ] = "",
+    sim_mu: SimMuOption = None,
+    physics: PhysicsOption = "ours",
+    as_json: JsonOption = False,
+) -> None:
+    """Execute plans, or take reports, and write a data set of episodes.
+
+    Plans of grasps and manipulations and the rows of batches are executed in MuJoCo; reports with
+    states are taken as they are. All are of one hand. Ctrl-C keeps the episodes that are whole; an
+    error leaves nothing behind.
+    """
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    from sim.controllers import named_controller
+    from sim.episodes import write_episodes
+    from sim.episodes.film import check_films, size_of
+    from sim.episodes.folder import refuse_full
+    from sim.episodes.formats import format_named
+    from sim.episodes.sources import Trials, sources_of
+
+    format_named(to)  # bad input ends here
+    if controller:
+        named_controller(controller)
+    pixels = size_of(size)
+    if video:
+        check_films(pixels)
+    refuse_full(folder)
+    trials = Trials(controller=controller, physics=physics_of(physics, sim_mu), fps=fps)
+    sources = sources_of(inputs, trials, most=most)
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        console=err,
+        transient=True,
+        disable=not err.is_terminal,
+    )
+    with heeding_ctrl_c() as check, bar as progress:
+        shown = progress.add_task("episodes", total=len(sources))
+
+        def reports() -> Iterator[tuple[str, AnyReport]]:
+            for source in sources:
+                check()
+                yield source.name, source.report()
+                progress.advance(shown)
+
+        def tell(episode: Episode, why: str) -> None:
+            if why:
+                say(err, escape(f"left out: {episode.source}: {why}"))
+
+        written = write_episodes(
+            reports(), folder, to, fps=fps, video=video, size=pixels, failed=failed, told=tell
+        )
+    if as_json:
+        print_json(written.to_dict())
+    else:
+        say(out, escape(str(written)))
+    if not written.complete:
+        say(err, "interrupted; the episodes that were whole are kept")
+        raise typer.Exit(EXIT_INTERRUPTED)

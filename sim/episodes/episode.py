@@ -1,0 +1,253 @@
+"""``Episode``: one executed trial as a row of samples with its task in words and its outcome.
+
+A report becomes an episode, whether it was just made or read from a file: states, commands and
+contacts come from its ``Recording``, success and reason from its verdict. A manipulation that was
+put down half-way and begun again is an episode for each run, since the hand stands elsewhere then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from planner.errors import FileFormatError
+from planner.files.data import PlanFile
+from planner.files.json_csv import checked_file
+from planner.files.manipulations import ManipulationFile
+from planner.pages.page import without_folder
+from planner.task import GraspTask
+from sim.episodes.robot import Robot
+from sim.manipulation.page_parts import motion_of, obstacles_of
+from sim.manipulation.report import ManipulationReport
+from sim.manipulation.report_file import ManipulationReportFile
+from sim.pages.tasks import task_of_plan
+from sim.recording import Recording
+from sim.report import TrialReport
+from sim.report_file import ReportFile
+
+__all__ = ["AnyReport", "Episode", "episodes_of"]
+
+AnyReport: TypeAlias = TrialReport | ReportFile | ManipulationReport | ManipulationReportFile
+"""Reports of which episodes are made."""
+
+INTERRUPTED = "interrupted"
+"""Reason of a trial that Ctrl-C ended: half an episode."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Episode:
+    """One executed trial.
+
+    Attributes:
+        robot: Names and units.
+        kind: "grasp", or "manipulation" for an object that is turned in the hand.
+        sentence: The task in words, such as "grasp the box with allegro_hand and hold it".
+        object: Specification of the object's shape, without folders.
+        mass_kg: Its mass.
+        success: The report's verdict.
+        reason: Why not, "" for success.
+        seed: Seed of the plan.
+        controller: Name of the class that drove the hand.
+        fingers: Fingers that take part.
+        source: Where it is from, such as a file's name; for messages.
+        recording: States, commands and contacts; its columns of contacts are those of the robot.
+        task: Hand, object and surroundings to be drawn; None where they were not kept.
+    """
+
+    robot: Robot
+    kind: Literal["grasp", "manipulation"]
+    sentence: str
+    object: str
+    mass_kg: float
+    success: bool
+    reason: str
+    seed: int
+    controller: str
+    fingers: tuple[str, ...]
+    source: str
+    recording: Recording
+    task: GraspTask | None = None
+
+    def __len__(self) -> int:
+        """Number of samples."""
+        return len(self.recording)
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether Ctrl-C ended it."""
+        return self.reason == INTERRUPTED
+
+    @property
+    def fault(self) -> str:
+        """Why it cannot be a part of a data set, "" if it can.
+
+        No samples, times that do not increase, or numbers that are not finite. A contact is NaN
+        where there is none.
+        """
+        states = self.recording
+        if not len(states):
+            return "no sample was recorded"
+        touching = np.isfinite(states.points[..., 0])
+        quantities = {
+            "time": states.time,
+            "a joint": states.q,
+            "the base's pose": states.T_world_base,
+            "the object's pose": states.T_world_object,
+            "a command": states.commands,
+            "a contact's place": np.where(touching[..., None], states.points, 0.0),
+            "a contact's normal": np.where(touching[..., None], states.normals, 0.0),
+            "a contact's force": np.where(touching[..., None], states.forces, 0.0),
+        }
+        for what, values in quantities.items():
+            bad = ~np.isfinite(values.reshape(len(states), -1)).all(axis=1)
+            if bad.any():
+                return f"{what} is not finite in sample {int(np.argmax(bad))}"
+        late = np.diff(states.time) <= 0
+        if late.any():
+            return f"time does not increase after sample {int(np.argmax(late))}"
+        return ""
+
+    def taken(self, samples: Sequence[int] | Any) -> Episode:
+        """The same with some of its samples, by number."""
+        states = self.recording
+        few = replace(
+            states,
+            **{name: getattr(states, name)[samples] for name in _ROWS},
+            phase=tuple(states.phase[i] for i in samples),
+        )
+        if "min_weight" in states.__dict__:
+            few.__dict__["min_weight"] = states.min_weight[samples]
+        return replace(self, recording=few)
+
+
+_ROWS = (
+    "time",
+    "q",
+    "T_world_base",
+    "T_world_object",
+    "points",
+    "normals",
+    "forces",
+    "friction",
+    "commands",
+)
+"""Arrays of a recording with a row per sample."""
+
+
+def episodes_of(report: AnyReport, source: str = "the report") -> tuple[Episode, ...]:
+    """The episodes of a report: one, or one per run of a manipulation that was begun again.
+
+    Args:
+        report: Of a trial or a manipulation, as it was made or as a file holds it.
+        source: What messages call it, such as the file's name.
+
+    Raises:
+        FileFormatError: It holds no states or no plan, or the hand's files have changed since.
+        PlannerError: Its hand or object cannot be loaded.
+    """
+    if isinstance(report, TrialReport | ReportFile):
+        return (_of_trial(report, source),)
+    return tuple(_of_runs(report, source))
+
+
+def _of_trial(report: TrialReport | ReportFile, source: str) -> Episode:
+    if isinstance(report, TrialReport):
+        task, recording = report.plan.task, report.recording
+    else:
+        recording = _states(report, source)
+        plan = _plan(report, source)
+        task = task_of_plan(checked_file(PlanFile, plan, f"{source}'s plan"), f"{source}'s plan")
+    name = task.object.name
+    return _episode(
+        report,
+        task,
+        recording,
+        source,
+        kind="grasp",
+        sentence=f"grasp the {name} with {report.hand} and hold it",
+        reason=report.reason,
+    )
+
+
+def _of_runs(report: ManipulationReport | ManipulationReportFile, source: str) -> Iterator[Episode]:
+    if report.earlier is not None:
+        yield from _of_runs(report.earlier, source)
+    if isinstance(report, ManipulationReport):
+        task, recording = report.plan.task, report.recording
+        task = replace(task, obstacles=(*task.obstacles, *report.plan.under_target))
+        angle, shift = np.rad2deg(report.asked), 1e3 * report.asked_shift
+    else:
+        recording = _states(report, source)
+        plan = checked_file(ManipulationFile, _plan(report, source), f"{source}'s plan")
+        task = task_of_plan(motion_of(plan).grasp, f"{source}'s plan")
+        task = replace(task, obstacles=obstacles_of(plan, task))
+        angle, shift = report.asked_deg, np.array(report.asked_shift_mm)
+    told = [f"turn it by {angle:g} degrees"] if angle else []
+    if shift.any():
+        told.append(f"move it by ({', '.join(f'{v:g}' for v in shift + 0.0)}) mm")
+    reason = "" if report.success else report.reason or report.faults or "not turned as asked"
+    yield _episode(
+        report,
+        task,
+        recording,
+        source,
+        kind="manipulation",
+        sentence=f"pick up the {task.object.name} with {report.hand}, "
+        f"{' and '.join(told)} in the hand and put it down",
+        reason=reason,
+    )
+
+
+def _episode(
+    report: AnyReport,
+    task: GraspTask,
+    recording: Recording,
+    source: str,
+    *,
+    kind: Literal["grasp", "manipulation"],
+    sentence: str,
+    reason: str,
+) -> Episode:
+    robot = Robot.of(task.hand)
+    states = (recording.joint_names, recording.actuator_names)
+    if states != (robot.joint_names, robot.actuator_names):
+        raise FileFormatError(
+            f"{source}: the recorded joints and actuators are not those of {robot.name}; the "
+            "report is damaged"
+        )
+    return Episode(
+        robot=robot,
+        kind=kind,
+        sentence=sentence,
+        object=without_folder(report.object),
+        mass_kg=report.mass_kg,
+        success=report.success,
+        reason=reason,
+        seed=report.seed,
+        controller=report.controller,
+        fingers=tuple(report.fingers),
+        source=source,
+        recording=recording.with_columns(robot.contact_names),
+        task=task,
+    )
+
+
+def _states(report: ReportFile | ManipulationReportFile, source: str) -> Recording:
+    if report.recording is None:
+        raise FileFormatError(
+            f"{source} has no recorded states: it was written without them or by an older "
+            "version; simulate its plan again"
+        )
+    return Recording.from_data(report.recording)
+
+
+def _plan(report: ReportFile | ManipulationReportFile, source: str) -> dict[str, Any]:
+    if report.plan is None:
+        raise FileFormatError(
+            f"{source} holds no plan, so that its hand is unknown: no file can name a hand that "
+            "was made in Python; write the episode from Python, where the report has its plan"
+        )
+    return report.plan
