@@ -1,13 +1,14 @@
 """The folder of a cache: what it was asked for, and what earlier runs left in it.
 
-manifest.json       what was asked for; another request is refused
-check_states.py     holds a sample of states with NumPy and MuJoCo alone
-summary.json        rates, reasons, coverage
-NAME/               one object in one size
-    scene.xml       hand and object, with mesh files if there are any
-    states.npz ...  the states in every format
-    work/           sources and shards, for a run that goes on
-hora/               caches of HORA
+Its files, where ``NAME`` is one object in one size::
+
+    manifest.json         what was asked for; another request is refused
+    check_states.py       holds a sample of states with NumPy and MuJoCo alone
+    summary.json          rates, reasons, coverage
+    NAME/scene.xml        hand and object, with mesh files if there are any
+    NAME/states.npz ...   the states in every format
+    NAME/work/            sources and shards, for a run that goes on
+    hora/                 caches of HORA
 """
 
 from __future__ import annotations

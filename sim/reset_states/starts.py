@@ -167,7 +167,9 @@ def load_starts(folder: Path) -> Starts:
     data = json.loads((folder / WORK / CELL_FILE).read_text(encoding="utf-8"))
     with np.load(folder / WORK / SOURCES_FILE) as file:
         sources = {name: file[name] for name in file.files}
-    draws = {k: tuple(v) if isinstance(v, list) else v for k, v in data["draws"].items()}
+    draws: dict[str, Any] = {
+        k: tuple(v) if isinstance(v, list) else v for k, v in data["draws"].items()
+    }
     arrays = ("lower", "upper", "ctrl_range", "moment", "still")
     scene = load_scene(
         folder / SCENE_FILE,

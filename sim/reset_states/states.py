@@ -162,12 +162,10 @@ class StateSet:
         wanted = {*_TEXTS, *_NAMES, "scale", *_KEYS.values()}
         if missing := sorted(wanted - set(content)):
             raise FileFormatError(f"{path} lacks {', '.join(missing)}; write it again")
+        texts: dict[str, Any] = {name: str(content[name]) for name in _TEXTS}
+        names: dict[str, Any] = {name: tuple(content[name].tolist()) for name in _NAMES}
+        columns: dict[str, Any] = {name: content[key] for name, key in _KEYS.items()}
         try:
-            return cls(
-                scale=float(content["scale"]),
-                **{name: str(content[name]) for name in _TEXTS},
-                **{name: tuple(content[name].tolist()) for name in _NAMES},
-                **{name: content[key] for name, key in _KEYS.items()},
-            )
+            return cls(scale=float(content["scale"]), **texts, **names, **columns)
         except TaskError as error:
             raise FileFormatError(f"{path}: {error}") from error

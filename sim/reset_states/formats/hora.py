@@ -9,7 +9,8 @@ Joints are in the order in which Isaac Gym walks ``assets/allegro/allegro.urdf``
 middle, ring, as ``_obs_allegro2hora`` of ``hora/algo/deploy/deploy.py`` has it. That URDF and our
 allegro_hand have the same joints, limits and base frame. Poses are in the world of HORA, where the
 hand stands 0.5 m high, turned by -90 degrees about y after 90 degrees about x: palm up. Its gravity
-is -z there, which is -x of the base. Only states that were held within 10 degrees of it are written.
+is -z there, which is -x of the base. Only states that were held within 10 degrees of that are
+written.
 """
 
 from __future__ import annotations

@@ -41,12 +41,9 @@ def _write(states: StateSet, name: str, folder: Path) -> Path:
         "mass": states.mass,
         "friction": states.friction,
     }
+    content: dict[str, Any] = {key: value.astype(np.float32) for key, value in arrays.items()}
     with whole_file(path) as stream:
-        np.savez(
-            stream,
-            joint_names=np.array(states.joint_names),
-            **{key: value.astype(np.float32) for key, value in arrays.items()},
-        )
+        np.savez(stream, joint_names=np.array(states.joint_names), **content)
     return path
 
 

@@ -58,7 +58,7 @@ def _write(states: StateSet, name: str, folder: Path) -> Path:
 
 def _read(path: Path) -> Mapping[str, Any]:
     table = arrow().parquet.read_table(path)
-    about = json.loads((table.schema.metadata or {}).get(FORMAT.encode(), b"{}"))
+    about: dict[str, Any] = json.loads((table.schema.metadata or {}).get(FORMAT.encode(), b"{}"))
     return about | {
         key: np.stack(table[key].to_numpy()) if key in _LISTS else table[key].to_numpy()
         for key in table.column_names
