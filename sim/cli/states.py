@@ -173,9 +173,9 @@ def states(
                 say(out, escape(f"no {name} of {cell['name']}: {reason}"))
         files = [file for cell in summary["cells"][:1] for file in cell["files"].values()]
         say(out, escape(f"written to {folder}: {', '.join((*files, 'summary.json'))}"))
-        say(
-            out, escape(f"to check a sample: python {folder}/check_states.py {folder}/*/states.npz")
-        )
+        first = summary["cells"][0]["name"]
+        check = f"python {folder / 'check_states.py'} {folder / first / 'states.npz'}"
+        say(out, escape(f"to hold a sample without Opposable: {check}"))
     if any(cell["states"] < n for cell in summary["cells"]):
         raise typer.Exit(EXIT_NOT_FOUND)
 
