@@ -28,6 +28,7 @@ from planner.bridge import compile_spec
 from planner.collision.world import TABLE_SIZE
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
+from planner.objects import GraspObject
 from planner.shapes import Shape
 from planner.shapes.decomposition.pieces import solid_deviation, solid_geoms
 from planner.shapes.triangulation import surface_triangles
@@ -46,9 +47,11 @@ __all__ = [
     "PhysicsOptions",
     "Scene",
     "add_looks",
+    "add_solid_object",
     "build_scene",
     "dress_hand",
     "drop_options",
+    "hand_spec",
     "index_scene",
     "scene_spec",
 ]
@@ -235,10 +238,25 @@ def _add_hand(
 ) -> None:
     position, quaternion = pose_to_wxyz(T_world_base)
     gantry = spec.worldbody.add_body(name=GANTRY, pos=position)
-    child = task.hand.new_spec()
-    drop_options(child)
-    physics.apply(child, task.gravity)
-    for geom in child.geoms:
+    child = hand_spec(task.hand, physics, task.gravity)
+    dress_hand(child, task.hand.mj_model)
+    spec.attach(child, prefix=HAND_PREFIX, frame=gantry.add_frame(quat=quaternion))
+    if with_gantry and task.hand.arm is None:
+        add_gantry(spec, gantry, task.hand.mj_model)
+
+
+def hand_spec(hand: Hand, physics: PhysicsOptions, gravity: FloatArray) -> Any:
+    """The hand's ``mujoco.MjSpec`` with the physics of a scene, its contacts those of an object.
+
+    Args:
+        hand: The hand.
+        physics: How MuJoCo computes.
+        gravity: (3,), m/s2, world.
+    """
+    spec = hand.new_spec()
+    drop_options(spec)
+    physics.apply(spec, gravity)
+    for geom in spec.geoms:
         geom.friction = physics.friction
         geom.priority = 0
         # forces at a distance are not what contacts are judged by
@@ -246,10 +264,7 @@ def _add_hand(
         if geom.contype or geom.conaffinity:
             geom.contype &= ~WORLD_BIT
             geom.conaffinity |= WORLD_BIT
-    dress_hand(child, task.hand.mj_model)
-    spec.attach(child, prefix=HAND_PREFIX, frame=gantry.add_frame(quat=quaternion))
-    if with_gantry and task.hand.arm is None:
-        add_gantry(spec, gantry, task.hand.mj_model)
+    return spec
 
 
 def add_looks(spec: Any, task: GraspTask, T_world_base: SE3, q: FloatArray) -> None:
@@ -286,9 +301,18 @@ def drop_options(spec: Any) -> None:
             setattr(spec, name, getattr(fresh, name))
 
 
-def _add_object(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
-    item = task.object
-    position, quaternion = pose_to_wxyz(task.T_world_object)
+def add_solid_object(
+    spec: Any, item: GraspObject, T_world_object: SE3, physics: PhysicsOptions
+) -> Any:
+    """Add the free body of an object with its mass and colliding geoms; the body.
+
+    Args:
+        spec: ``mujoco.MjSpec`` to add to.
+        item: The object.
+        T_world_object: Its pose.
+        physics: How MuJoCo computes.
+    """
+    position, quaternion = pose_to_wxyz(T_world_object)
     body = spec.worldbody.add_body(name=OBJECT, pos=position, quat=quaternion)
     body.add_freejoint(name=OBJECT)
     inertia = item.shape.inertia(item.mass)
@@ -305,6 +329,12 @@ def _add_object(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
             geom.meshname = name
             geom.group = HIDDEN_GROUP  # the true mesh is shown instead
         _solid(geom, part.kind, part.size, physics)
+    return body
+
+
+def _add_object(spec: Any, task: GraspTask, physics: PhysicsOptions) -> None:
+    item, position = task.object, task.T_world_object.translation
+    body = add_solid_object(spec, item, task.T_world_object, physics)
     if body.geoms[0].group == HIDDEN_GROUP:
         _add_picture(spec, body, item.shape)
     if task.table_height is None:

@@ -23,6 +23,7 @@ from sim.cli.hands import check_hand, describe, hands
 from sim.cli.look import analyse, inspect, schema
 from sim.cli.manipulation import demo, manipulate
 from sim.cli.motion import plan_gait, plan_motion
+from sim.cli.states import states
 from sim.cli.test import test
 from sim.cli.view import view
 
@@ -80,6 +81,7 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
     ),
     "Data": (
         Listed(call=batch, example="opposable batch allegro_hand box mug -n 20"),
+        Listed(call=states, example="opposable states allegro_hand cylinder:0.03x0.08 -n 500"),
         Listed(call=extract, example="opposable extract grasps 0 -o first.json"),
         Listed(call=export, example="opposable export plan.json --to ros2-grasp -o grasp.yaml"),
         Listed(call=episodes, example="opposable episodes plan.json -o episodes --video"),

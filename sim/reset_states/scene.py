@@ -1,0 +1,161 @@
+"""The scene in which states are held, as files that MuJoCo loads alone: hand, object, nothing else.
+
+The hand's base stands fixed at the world's origin, so that the world is the frame of the base. The
+object is a free body. There is no gantry, table or picture: what does not touch only costs time.
+Contacts are those of ``sim.scene``. MuJoCo writes 6 digits into its XML, so the states are held in
+the model that is read back from the file: what is checked is what others load.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from io import BytesIO
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from planner.bridge import compile_spec
+from planner.errors import FileFormatError, ModelError
+from planner.spatial import SE3, FloatArray, IntArray
+from planner.task import GraspTask
+from sim.physics import PhysicsOptions
+from sim.scene import OBJECT, add_solid_object, hand_spec
+
+__all__ = ["SCENE_FILE", "HoldScene", "load_scene", "write_scene"]
+
+SCENE_FILE = "scene.xml"
+"""Name of the model in its folder."""
+
+
+def write_scene(task: GraspTask, physics: PhysicsOptions, folder: Path) -> Path:
+    """Write the scene of a task with its mesh files into a folder; the XML file.
+
+    Raises:
+        ModelError: MuJoCo refuses the scene; the hand has a body called "object".
+    """
+    hand, item = task.hand, task.object
+    what = f"the scene of {hand.name} and {item.name}"
+    spec = hand_spec(hand, physics, np.zeros(3))
+    spec.modelname = f"{hand.name}, {item.name}".replace("/", "-")
+    if spec.body(OBJECT) is not None:
+        raise ModelError(f"{hand.name} has a body called {OBJECT!r}; give it another name")
+    for key in list(spec.keys):
+        spec.delete(key)
+    for body in spec.bodies:
+        if body.explicitinertial:
+            for geom in list(body.geoms):
+                if not (geom.contype or geom.conaffinity):
+                    spec.delete(geom)
+    base = spec.body(hand.description.base_body)
+    base.pos, base.quat = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+    spec.worldbody.add_light(pos=(0.0, 0.0, 1.5))
+    add_solid_object(spec, item, SE3.Identity(), physics)
+    compile_spec(spec, what)
+    folder.mkdir(parents=True, exist_ok=True)
+    packed = BytesIO()
+    spec.to_zip(packed)
+    with zipfile.ZipFile(packed) as archive:
+        for name in archive.namelist():
+            inside = PurePosixPath(name)
+            target = folder / (SCENE_FILE if inside.suffix == ".xml" else str(inside))
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(archive.read(name))
+    return folder / SCENE_FILE
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HoldScene:
+    """A loaded scene with its index maps; for one thread at a time.
+
+    Attributes:
+        model: ``mujoco.MjModel``; mass, friction and gravity are set for every state.
+        data: ``mujoco.MjData`` of it.
+        qpos: (nq,), where the hand's joints stand in ``data.qpos``.
+        qvel: (nq,), where they stand in ``data.qvel``.
+        ctrl: (nu,), where the hand's actuators stand in ``data.ctrl``.
+        object_qpos: (7,), the object's pose.
+        object_qvel: (6,), its velocity.
+        body: Body id of the object.
+        geoms: Ids of its geoms.
+        finger_of_geom: Name of the finger of every geom of the hand; "" for the palm.
+        mass: Mass that the file has, kg.
+        inertia: Principal inertia (3,) that the file has, kg m2.
+    """
+
+    model: Any
+    data: Any
+    qpos: IntArray
+    qvel: IntArray
+    ctrl: IntArray
+    object_qpos: IntArray
+    object_qvel: IntArray
+    body: int
+    geoms: frozenset[int]
+    finger_of_geom: Mapping[int, str]
+    mass: float
+    inertia: FloatArray
+
+    def draw(self, mass: float, friction: float, gravity: FloatArray) -> None:
+        """Set mass (kg), sliding friction (-) and gravity (3,), m/s2."""
+        model = self.model
+        model.body_mass[self.body] = mass
+        model.body_inertia[self.body] = self.inertia * (mass / self.mass)
+        model.geom_friction[sorted(self.geoms), 0] = friction
+        model.opt.gravity[:] = gravity
+
+    def put(
+        self, q: FloatArray, position: FloatArray, quaternion: FloatArray, commands: FloatArray
+    ) -> None:
+        """Put hand (nq,) and object (3,), (4,) at rest, with commands (nu,)."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[self.qpos] = q
+        self.data.qpos[self.object_qpos] = np.concatenate([position, quaternion])
+        self.data.ctrl[self.ctrl] = commands
+
+
+@lru_cache(maxsize=4)
+def load_scene(
+    path: Path,
+    joint_names: tuple[str, ...],
+    actuator_names: tuple[str, ...],
+    fingers: tuple[tuple[str, str], ...],
+) -> HoldScene:
+    """Load a scene file.
+
+    Args:
+        path: The XML file.
+        joint_names: Of the hand (nq).
+        actuator_names: Of the hand (nu).
+        fingers: Pairs of body and finger name; other bodies are the palm's.
+
+    Raises:
+        FileFormatError: MuJoCo cannot read it.
+    """
+    try:
+        model = mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        raise FileFormatError(f"MuJoCo cannot read {path}: {error}") from error
+    joints = [model.joint(name) for name in joint_names]
+    free, body = model.joint(OBJECT), int(model.body(OBJECT).id)
+    finger_of_body = dict(fingers)
+    names = [finger_of_body.get(model.body(b).name, "") for b in model.geom_bodyid.tolist()]
+    geoms = frozenset(np.flatnonzero(model.geom_bodyid == body).tolist())
+    return HoldScene(
+        model=model,
+        data=mujoco.MjData(model),
+        qpos=np.array([int(j.qposadr[0]) for j in joints]),
+        qvel=np.array([int(j.dofadr[0]) for j in joints]),
+        ctrl=np.array([model.actuator(name).id for name in actuator_names]),
+        object_qpos=int(free.qposadr[0]) + np.arange(7),
+        object_qvel=int(free.dofadr[0]) + np.arange(6),
+        body=body,
+        geoms=geoms,
+        finger_of_geom={g: name for g, name in enumerate(names) if g not in geoms},
+        mass=float(model.body_mass[body]),
+        inertia=np.array(model.body_inertia[body]),
+    )
