@@ -15,6 +15,7 @@ from sim.cli.batch import batch, extract
 from sim.cli.certify import certify
 from sim.cli.creep import creep
 from sim.cli.crosscheck import crosscheck
+from sim.cli.drive import drive
 from sim.cli.forces import forces
 from sim.cli.grasp import plan, run, simulate
 from sim.cli.hands import check_hand, describe, hands
@@ -54,6 +55,7 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
         Listed(call=plan, example="opposable plan shadow_hand box -o plan.json"),
         Listed(call=simulate, example="opposable simulate plan.json -o report.json"),
         Listed(call=test, example="opposable test plan.json --protocol shake"),
+        Listed(call=drive, example="opposable drive plan.json --rate 100 --log run.npz"),
     ),
     "In-hand": (
         Listed(call=demo, example="opposable demo --out runs/demo"),

@@ -14,6 +14,7 @@ from sim.real_hand.interface import (
     HandReading,
     HandWrapper,
 )
+from sim.real_hand.joints import JointCheck, check_joints, checks_table
 from sim.real_hand.limits import CommandLimiter, CommandLimits
 from sim.real_hand.log import HandLog, LogWriter, read_log
 from sim.real_hand.loop import Carry, ControlLoop, run_controller
@@ -39,6 +40,7 @@ __all__ = [
     "HandObservation",
     "HandReading",
     "HandWrapper",
+    "JointCheck",
     "LogWriter",
     "LoopReport",
     "Observer",
@@ -51,6 +53,8 @@ __all__ = [
     "StopCause",
     "Stopped",
     "Times",
+    "check_joints",
+    "checks_table",
     "read_log",
     "run_controller",
 ]

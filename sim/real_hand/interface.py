@@ -1,4 +1,4 @@
-"""``HandInterface``: a hand that is read and written, whatever stands behind it; and ``HandReading``.
+"""``HandInterface``: a hand that is read and written, whatever stands behind it.
 
 A driver of a real hand, a simulation (``SimulatedHand``), a log (``ReplayedHand``) and a wrapper
 that makes readings worse (``HandWrapper``) all look like this. A loop needs nothing else of a hand.

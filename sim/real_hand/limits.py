@@ -97,7 +97,7 @@ class CommandLimiter:
     """
 
     def __init__(
-        self, limits: CommandLimits, actuation: Actuation, period: float, q: FloatArray, now: float
+        self, limits: CommandLimits, actuation: Actuation, period: float, q: FloatArray
     ) -> None:
         """Begin where the hand is.
 
@@ -106,7 +106,6 @@ class CommandLimiter:
             actuation: The hand's actuators.
             period: Of the loop, s.
             q: Joints (nq,) as they were read, rad or m.
-            now: Time, s.
         """
         self._low, self._high = limits.limits(actuation)
         rates = limits.rates(actuation)
@@ -115,15 +114,18 @@ class CommandLimiter:
         self._period = period
         still = np.zeros(len(q))
         self.last: FloatArray = np.clip(actuation.commands(q, still, still), self._low, self._high)
-        self._time = now
+        self._time: float | None = None
         n = len(actuation.names)
         self.clamped: IntArray = np.zeros(n, dtype=np.int64)
         self.limited: IntArray = np.zeros(n, dtype=np.int64)
 
     def step(self, wanted: FloatArray, now: float) -> FloatArray:
-        """The command (nu,) nearest to a wanted one, at a time (s) that does not go back."""
+        """The command (nu,) nearest to a wanted one, at a time (s) that does not go back.
+
+        The first one is ``last``, unless the rate is not limited.
+        """
         within = np.minimum(np.maximum(wanted, self._low), self._high)
-        elapsed = min(self._period, now - self._time)
+        elapsed = 0.0 if self._time is None else min(self._period, now - self._time)
         reach = np.where(self._unlimited, np.inf, self._finite * elapsed)
         command = np.minimum(np.maximum(within, self.last - reach), self.last + reach)
         self.clamped += within != wanted

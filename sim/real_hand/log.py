@@ -193,7 +193,7 @@ class LogWriter:
             phase=tuple(row["phase"] for row in self._rows),
             **dict.fromkeys(UNITS, zero) | {"time_s": np.zeros(len(self._rows))},
         )
-        arrays: dict[str, FloatArray] = {}
+        arrays: dict[str, Any] = {}
         for name, shape in empty.shapes().items():
             array = np.full(shape, np.nan)
             for i, row in enumerate(self._rows):
@@ -217,19 +217,20 @@ def read_log(path: Path | str) -> HandLog:
         meta = json.loads(str(arrays.pop("meta")))
         if not isinstance(meta, dict) or meta.get("format") != FORMAT:
             raise FileFormatError(
-                f"{path} is no log of a hand; give a file of `opposable drive --log`"
+                f"{path} is no log of a hand; give a file of opposable drive --log"
             )
         if meta.get("version") != VERSION:
             raise FileFormatError(
                 f"{path} is a log of version {meta.get('version')}; this reads version {VERSION}"
             )
+        numbers: Any = {name: arrays[name].astype(np.float64) for name in UNITS}
         log = HandLog(
             joint_names=tuple(map(str, meta["joint_names"])),
             actuator_names=tuple(map(str, meta["actuator_names"])),
             finger_names=tuple(map(str, meta["finger_names"])),
             rate_hz=float(meta["rate_hz"]),
             phase=tuple(map(str, arrays.pop("phase"))),
-            **{name: arrays[name].astype(np.float64) for name in UNITS},
+            **numbers,
         )
     except FileNotFoundError as error:
         raise FileFormatError(f"{path} does not exist; give a log of a hand (.npz)") from error

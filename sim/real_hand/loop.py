@@ -223,7 +223,6 @@ class ControlLoop:
                 self._hand.actuation,
                 self.pace.period,
                 observation.q,
-                self._clock.now(),
             )
         cpu.append(time.thread_time())
         wanted = self._wanted(observation)

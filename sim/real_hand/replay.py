@@ -1,4 +1,4 @@
-"""``ReplayedHand``: a log behind the interface of a hand: its readings again, its commands to compare.
+"""``ReplayedHand``: a log as a hand: its readings again, its commands to compare.
 
 Run by ``hand.clock`` the loop sees the times of the log, misses included, so that the same
 controller with the same limits gives the same commands; another one shows where it differs. The

@@ -90,10 +90,10 @@ class Safety:
         if self.on_stop not in get_args(OnStop):
             raise NotFoundError("way to stop", str(self.on_stop), get_args(OnStop))
         given = self.max_effort
-        for value in (
-            given.values() if isinstance(given, Mapping) else () if given is None else (given,)
-        ):
-            checked_number("max_effort", value, above=0.0, unit="N m", error=TaskError)
+        values = tuple(given.values()) if isinstance(given, Mapping) else (given,)
+        for value in values:
+            if value is not None:
+                checked_number("max_effort", value, above=0.0, unit="N m", error=TaskError)
 
     def efforts(self, hand: Hand) -> FloatArray:
         """Greatest effort of each actuator of a hand (nu,), N m or N.

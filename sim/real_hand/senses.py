@@ -159,9 +159,8 @@ class Observer:
         """The rows of the fingers that take part, in their order."""
         if self._fingers is None or self._fingers == list(range(len(pads.normal_force))):
             return pads
-        rows = {
-            f.name: getattr(pads, f.name)[self._fingers] for f in fields(pads) if f.name != "spin"
-        }
+        names = [field.name for field in fields(pads) if field.name != "spin"]
+        rows = {name: getattr(pads, name)[self._fingers] for name in names}
         spin = pads.spin if len(pads.spin) == 1 else pads.spin[self._fingers]
         return PadReading(**rows, spin=spin)
 
@@ -195,9 +194,7 @@ def places(what: str, wanted: tuple[str, ...], given: tuple[str, ...]) -> list[i
     """
     if len(set(given)) != len(given):
         twice = sorted({name for name in given if given.count(name) > 1})
-        raise HandError(
-            f"the interface names {what} {', '.join(twice)} more than once; name each once"
-        )
+        raise HandError(f"the interface names {what} {twice[0]} more than once; name each once")
     missing = [name for name in wanted if name not in given]
     unknown = [name for name in given if name not in wanted]
     if missing or unknown:
