@@ -149,20 +149,11 @@ class Trial:
             interrupted = True
         finally:
             simulation.close()
-        verdict = judge(
-            self.recorder.samples(),
-            fingers=self.plan.task.finger_names,
-            needed=self.plan.task.fingers_needed,
-            lift_mm=1e3 * self.timeline.lift_height,
-            thresholds=self.thresholds,
-            interrupted=interrupted,
-            stopped=simulation.stopped,
-            diverged=simulation.diverged,
-        )
-        report = self._report(verdict, begin)
+        report = self.judged(begin, interrupted=interrupted)
         if tape is None:
             return report
-        failed_at = None if verdict.fault is None else verdict.fault.time
+        fault = report.verdict.fault
+        failed_at = None if fault is None else fault.time
         drawn = draw_tape(
             tape,
             pictures=moments_of(picture, failed_at),
@@ -176,6 +167,26 @@ class Trial:
             picture_reason="" if made else drawn.reason or report.picture_reason,
             drawn=str(drawn),
         )
+
+    def judged(self, begin: float, *, interrupted: bool = False) -> TrialReport:
+        """The verdict on what was recorded so far, and its report.
+
+        Args:
+            begin: When the run began, ``time.perf_counter()``, s.
+            interrupted: Whether Ctrl-C ended it.
+        """
+        simulation = self.simulation
+        verdict = judge(
+            self.recorder.samples(),
+            fingers=self.plan.task.finger_names,
+            needed=self.plan.task.fingers_needed,
+            lift_mm=1e3 * self.timeline.lift_height,
+            thresholds=self.thresholds,
+            interrupted=interrupted,
+            stopped=simulation.stopped,
+            diverged=simulation.diverged,
+        )
+        return self._report(verdict, begin)
 
     def _report(self, verdict: Verdict, begin: float) -> TrialReport:
         plan, task, simulation = self.plan, self.plan.task, self.simulation

@@ -95,6 +95,7 @@ GROUPS: dict[str, list[str]] = {
     "Controllers": [
         "sim.controllers",
         "sim.pads",
+        "sim.real_hand",
     ],
     "Physics and protocols": [
         "sim.physics",

@@ -17,6 +17,7 @@ from sim.cli.creep import creep
 from sim.cli.crosscheck import crosscheck
 from sim.cli.export import export
 from sim.cli.episodes import episodes
+from sim.cli.drive import drive
 from sim.cli.forces import forces
 from sim.cli.grasp import plan, run, simulate
 from sim.cli.hands import check_hand, describe, hands
@@ -57,6 +58,7 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
         Listed(call=plan, example="opposable plan shadow_hand box -o plan.json"),
         Listed(call=simulate, example="opposable simulate plan.json -o report.json"),
         Listed(call=test, example="opposable test plan.json --protocol shake"),
+        Listed(call=drive, example="opposable drive plan.json --rate 100 --log run.npz"),
     ),
     "In-hand": (
         Listed(call=demo, example="opposable demo --out runs/demo"),

@@ -5,10 +5,12 @@ from __future__ import annotations
 from sim.controllers.base import (
     PHASES,
     Controller,
+    NeedsSenses,
     Observation,
     Phase,
     ReportsEvents,
     ReportsLimits,
+    Sense,
 )
 from sim.controllers.events import Event, EventKind
 from sim.controllers.follow import MotionReference
@@ -40,6 +42,7 @@ __all__ = [
     "ImpedanceGains",
     "MakeController",
     "MotionReference",
+    "NeedsSenses",
     "ObjectImpedance",
     "Observation",
     "PadReading",
@@ -47,6 +50,7 @@ __all__ = [
     "Reference",
     "ReportsEvents",
     "ReportsLimits",
+    "Sense",
     "Sensing",
     "SlipDetector",
     "Target",

@@ -22,7 +22,16 @@ from sim.controllers.events import Event
 from sim.controllers.pads import PadReading
 from sim.controllers.schedule import TOUCH_FORCE
 
-__all__ = ["PHASES", "Controller", "Observation", "Phase", "ReportsEvents", "ReportsLimits"]
+__all__ = [
+    "PHASES",
+    "Controller",
+    "NeedsSenses",
+    "Observation",
+    "Phase",
+    "ReportsEvents",
+    "ReportsLimits",
+    "Sense",
+]
 
 Phase: TypeAlias = Literal[
     "approach",
@@ -43,6 +52,11 @@ Phase: TypeAlias = Literal[
 PHASES: tuple[Phase, ...] = ("approach", "close", "squeeze", "settle", "lift", "hold")
 """Phases of a trial in order. A manipulation (``sim.manipulation``) turns the object in the hand,
 carries it elsewhere, lowers it, opens the fingers and retreats."""
+
+
+Sense: TypeAlias = Literal["touch", "object_pose", "object_twist", "pads", "contacts"]
+"""What a controller may read beside joints: ``normal_forces``, ``T_world_object``,
+``object_twist``, ``pads``, ``contacts`` of an ``Observation``. A simulation has all of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,4 +145,17 @@ class ReportsEvents(Protocol):
     @property
     def events(self) -> tuple[Event, ...]:
         """What it has noticed and done so far, in order."""
+        ...
+
+
+@runtime_checkable
+class NeedsSenses(Protocol):
+    """A controller that says what it reads beside joints.
+
+    A hand that lacks one of these senses is refused before it moves (``sim.real_hand``).
+    """
+
+    @property
+    def needs(self) -> tuple[Sense, ...]:
+        """Senses without which it cannot work."""
         ...

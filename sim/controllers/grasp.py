@@ -23,7 +23,7 @@ from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
-from sim.controllers.base import Observation
+from sim.controllers.base import Observation, Sense
 from sim.controllers.loads import HandLoads, crossed
 from sim.controllers.motors import MotorServo
 from sim.controllers.schedule import TOUCH_FORCE
@@ -54,9 +54,12 @@ class GraspController:
     """Executes the fingers' part of a plan.
 
     Attributes:
+        needs: Senses without which it cannot work.
         plan: What is executed.
         q_ref: Posture (nq,) around which the hand is held at present.
     """
+
+    needs: tuple[Sense, ...] = ("touch", "object_pose")
 
     def __init__(self, plan: GraspPlan) -> None:
         """Prepare forces in the object's frame, search directions and gains."""

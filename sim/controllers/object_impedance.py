@@ -33,7 +33,7 @@ from planner.errors import NotFoundError, TaskError
 from planner.forces import ForceLoop, turned_frames
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
-from sim.controllers.base import Observation, Phase
+from sim.controllers.base import Observation, Phase, Sense
 from sim.controllers.events import Event, EventKind
 from sim.controllers.grasp import FIRST_SHARE, GraspController
 from sim.controllers.impedance import ImpedanceGains, ImpedanceLaw, felt_inertia
@@ -88,6 +88,7 @@ class ObjectImpedance:
     """Closed-loop execution of a plan.
 
     Attributes:
+        needs: Senses without which it cannot work.
         plan: What is executed.
         law: The impedance, with its gains and the learned load.
         schedule: Which fingers hold, from the squeeze on.
@@ -98,6 +99,8 @@ class ObjectImpedance:
             any slip; the task's at first. May be set.
         forces: (n, 4), contact forces of the last step in the contact frames, N and N m.
     """
+
+    needs: tuple[Sense, ...] = ("touch", "object_pose", "pads")
 
     def __init__(
         self,

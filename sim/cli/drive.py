@@ -1,0 +1,253 @@
+"""The command ``drive``: a plan on a hand, through the interface of a real one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.markup import escape
+
+from sim.cli.common import (
+    EXIT_INTERRUPTED,
+    EXIT_NO,
+    ControllerOption,
+    JsonOption,
+    PlanArgument,
+    err,
+    errors_for_people,
+    heeding_ctrl_c,
+    names,
+    out,
+    print_json,
+    say,
+)
+
+if TYPE_CHECKING:
+    from planner.plan import GraspPlan
+    from sim.real_hand import Carry, Clock, HandInterface, LoopReport
+    from sim.report import TrialReport
+
+
+@errors_for_people()
+def drive(
+    plan_file: PlanArgument,
+    interface: Annotated[
+        str | None,
+        typer.Option(
+            "--hand-interface",
+            help="module:factory or file.py:factory; a simulated hand if not given.",
+            metavar="NAME",
+        ),
+    ] = None,
+    controller: ControllerOption = "feedforward",
+    rate: Annotated[float, typer.Option(help="Rate of the loop, Hz.", metavar="HZ")] = 100.0,
+    log: Annotated[
+        Path | None, typer.Option(help="Readings and commands (.npz).", metavar="FILE")
+    ] = None,
+    replay: Annotated[
+        Path | None, typer.Option(help="A log in place of a hand.", metavar="FILE")
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Read, compute, write nothing.", metavar="")
+    ] = False,
+    assume: Annotated[
+        str | None,
+        typer.Option(help="Planned, not read: object_pose,touch.", metavar="NAMES"),
+    ] = None,
+    max_rate: Annotated[
+        float | None, typer.Option(help="Fastest change of a command, rad/s.", metavar="RAD/S")
+    ] = None,
+    on_stop: Annotated[
+        str, typer.Option(help="At an emergency: torque-off, or hold.", metavar="NAME")
+    ] = "torque-off",
+    check: Annotated[
+        bool,
+        typer.Option("--check-joints", help="Move every joint a little instead.", metavar=""),
+    ] = False,
+    fast: Annotated[
+        bool, typer.Option("--fast", help="Simulate as fast as can be.", metavar="")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Execute a plan on a hand in real time, or on a simulated one.
+
+    Ctrl-C is an emergency stop. Exit code 0 if all phases were run, and a simulated object held.
+    """
+    from contextlib import closing
+
+    from planner.errors import TaskError
+    from planner.files import read_plan
+    from sim.cli.common import check_folder
+    from sim.controllers import controller_for
+    from sim.real_hand import (
+        CommandLimits,
+        DryRun,
+        RealClock,
+        Safety,
+        SimulatedHand,
+        check_joints,
+        checks_table,
+        run_controller,
+    )
+
+    given = [n for n, v in (("--hand-interface", interface), ("--replay", replay)) if v]
+    if len(given) > 1 or (fast and given):
+        given += ["--fast"] * fast
+        raise TaskError(f"{' and '.join(given)} exclude each other; give one")
+    if check and replay:
+        raise TaskError("--check-joints moves a hand, and a log has none; leave --replay out")
+    check_folder(log)
+    plan = read_plan(plan_file)
+    bounds = Safety(on_stop=_on_stop(on_stop))
+    limits = CommandLimits(rate=max_rate)
+    driver = controller_for(plan, controller)
+    used = _open(plan, interface, replay, fast, controller)
+    with closing(used.hand), heeding_ctrl_c():
+        hand = DryRun(used.hand) if dry_run else used.hand
+        if check:
+            checks, ran = check_joints(
+                hand, plan.task.hand, rate_hz=rate, clock=used.clock, limits=limits, safety=bounds
+            )
+            faults = [c.fault for c in checks if c.fault]
+            if as_json:
+                rows = [vars(c) | {"fault": c.fault} for c in checks]
+                print_json({"loop": ran.to_dict(), "joints": rows})
+            else:
+                out.print(checks_table(checks))
+                say(out, escape(str(ran)))
+            _leave(ran, good=not faults)
+            return
+        if isinstance(used.hand, SimulatedHand):
+            driver = used.hand.controller
+        real = isinstance(used.clock, RealClock)
+        with err.status(f"driving: {plan.task.hand.name} ... (Ctrl-C stops it)" if real else ""):
+            ran = run_controller(
+                hand,
+                driver,
+                plan,
+                rate_hz=rate,
+                clock=used.clock,
+                limits=limits,
+                safety=bounds,
+                carry=used.carry,
+                assume=names(assume) if assume else (),
+                log=log,
+            )
+        judged: TrialReport | None = None
+        if isinstance(used.hand, SimulatedHand) and not dry_run:
+            judged = used.hand.report(interrupted=ran.reason == "interrupted")
+    _tell(ran, judged, used, as_json)
+    _leave(ran, good=judged is None or judged.success)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Used:
+    """A hand, its clock, and what moves it as a whole."""
+
+    hand: Any
+    clock: Clock
+    carry: Carry | None
+
+
+def _open(
+    plan: GraspPlan, interface: str | None, replay: Path | None, fast: bool, controller: str
+) -> _Used:
+    """The hand that was asked for.
+
+    Raises:
+        PlannerError: There is none.
+    """
+    from sim.real_hand import RealClock, ReplayedHand, SimulatedHand
+    from sim.trial import Trial
+
+    if replay is not None:
+        logged = ReplayedHand(replay, plan.task.hand)
+        return _Used(hand=logged, clock=logged.clock, carry=None)
+    if interface is not None:
+        hand = _made_by(interface, plan)
+        return _Used(hand=hand, clock=RealClock(), carry=getattr(hand, "carry", None))
+    trial = Trial(plan, controller=controller)
+    simulated = SimulatedHand(trial, clock=None if fast else RealClock())
+    return _Used(hand=simulated, clock=simulated.clock, carry=simulated.carry)
+
+
+def _made_by(text: str, plan: GraspPlan) -> HandInterface:
+    """What a factory makes of the plan."""
+    import importlib
+    import importlib.util
+
+    from planner.errors import HandError, NotFoundError
+
+    home, _, name = text.rpartition(":")
+    if not home or not name:
+        raise HandError(
+            f"--hand-interface is {text!r}; give module:factory or file.py:factory, where "
+            "factory(plan) makes a sim.real_hand.HandInterface"
+        )
+    if home.endswith(".py"):
+        if not Path(home).is_file():
+            raise NotFoundError("file", home, (), "give the file of the driver", is_path=True)
+        spec = importlib.util.spec_from_file_location(Path(home).stem, home)
+        if spec is None or spec.loader is None:
+            raise HandError(f"{home} cannot be read as Python; give a .py file")
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+    else:
+        try:
+            module = importlib.import_module(home)
+        except ModuleNotFoundError as error:
+            raise HandError(
+                f"--hand-interface {text}: {error}; install it, or give its file: path.py:{name}"
+            ) from error
+    if not hasattr(module, name):
+        raise NotFoundError(f"factory in {home}", name, [n for n in dir(module) if n[0] != "_"])
+    hand = getattr(module, name)(plan)
+    missing = [part for part in PARTS if not hasattr(hand, part)]
+    if missing:
+        raise HandError(
+            f"{text} made a {type(hand).__name__} without {', '.join(missing)}; see "
+            "sim.real_hand.HandInterface"
+        )
+    made: HandInterface = hand
+    return made
+
+
+PARTS = (
+    *("joint_names", "actuator_names", "finger_names", "rate_hz"),
+    *("read", "write", "stop", "close"),
+)
+"""What a hand interface has."""
+
+
+def _on_stop(text: str) -> Any:
+    """A way to stop, by its name on the command line."""
+    return text.replace("-", " ")
+
+
+def _tell(ran: LoopReport, judged: TrialReport | None, used: _Used, as_json: bool) -> None:
+    from sim.real_hand import ReplayedHand
+
+    compared = used.hand.comparison() if isinstance(used.hand, ReplayedHand) else None
+    if as_json:
+        data: dict[str, Any] = {"loop": ran.to_dict()}
+        if judged is not None:
+            data["trial"] = judged.to_dict()
+        if compared is not None:
+            data["comparison"] = vars(compared)
+        print_json(data)
+        return
+    out.print(ran)
+    if judged is not None:
+        said = f"{judged.reason}: {judged.verdict.detail}" if judged.reason else "held"
+        say(out, escape(f"simulated object: {said}"))
+    if compared is not None:
+        say(out, escape(f"replayed: {compared}"))
+
+
+def _leave(ran: LoopReport, *, good: bool) -> None:
+    if ran.reason == "interrupted":
+        raise typer.Exit(EXIT_INTERRUPTED)
+    if not ran.done or not good:
+        raise typer.Exit(EXIT_NO)

@@ -1,0 +1,203 @@
+"""``check_joints``: moves every actuator a little, one after the other, and says what moved.
+
+To be run before the first closing, with nothing within the fingers' reach: it finds a sign that is
+wrong, two cables that are swapped, a gear ratio, a joint that does not move. Position servos only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from rich.table import Table
+
+from planner.arrays import checked_number
+from planner.errors import HandError, TaskError
+from planner.hands.hand import Hand
+from planner.spatial import FloatArray
+from sim.controllers.base import Observation, Sense
+from sim.real_hand.clock import Clock
+from sim.real_hand.interface import HandInterface
+from sim.real_hand.limits import CommandLimits
+from sim.real_hand.loop import ControlLoop
+from sim.real_hand.report import LoopReport
+from sim.real_hand.safety import Safety
+from sim.real_hand.senses import Observer
+from sim.tables import table_of
+
+__all__ = ["JointCheck", "check_joints", "checks_table"]
+
+AMPLITUDE = 0.1
+"""How far each actuator is moved, rad: 10 mm at the tip of a finger of 10 cm."""
+
+SETTLE, EACH = 0.5, 1.0
+"""Time (s) at rest before the first, and for each."""
+
+UP, DOWN = 0.35, 0.65
+"""Shares of that time at which the amplitude is reached, and left again."""
+
+LEAST, MOST = 0.5, 1.5
+"""Movement over command (-) of an actuator that follows: weight and dry friction take the rest."""
+
+STILL = 0.2
+"""Share of the amplitude (-) up to which an actuator or a joint of another one stands still."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointCheck:
+    """What one actuator did.
+
+    Attributes:
+        actuator: Its name.
+        joints: Joints that it drives, by the hand's model.
+        asked: Change of its command, rad.
+        moved: Change of its length as the joints were read, rad.
+        other: Joint of another actuator that moved the most.
+        other_moved: How far, rad.
+    """
+
+    actuator: str
+    joints: tuple[str, ...]
+    asked: float
+    moved: float
+    other: str
+    other_moved: float
+
+    @property
+    def fault(self) -> str:
+        """What is wrong, "" if nothing."""
+        ratio = self.moved / self.asked
+        swapped = abs(self.other_moved) > STILL * abs(self.asked)
+        if ratio < -STILL:
+            return "moves the wrong way: turn its sign"
+        if swapped:
+            return f"moves {self.other}: is it another motor?"
+        if ratio < STILL:
+            return "does not move: power, cable, or something in the way?"
+        if not LEAST <= ratio <= MOST:
+            return f"moves by {ratio:.2f} of what was asked: gear, unit, or something in the way?"
+        return ""
+
+
+class _Probe:
+    """A controller that moves one actuator after the other and notes where the joints went."""
+
+    needs: tuple[Sense, ...] = ()
+
+    def __init__(self, hand: Hand, amplitude: float) -> None:
+        self._actuation = hand.actuation
+        self._amplitude = amplitude
+        self._begin: FloatArray | None = None
+        of_arm = np.abs(hand.actuation.moment[:, hand.arm_index]).sum(axis=1) > 0
+        self.actuators = np.flatnonzero(~of_arm)
+        self.steps: FloatArray = np.zeros(len(of_arm))
+        self.at_rest: dict[int, FloatArray] = {}
+        self.moved: dict[int, FloatArray] = {}
+
+    @property
+    def duration(self) -> float:
+        """How long it takes, s."""
+        return SETTLE + EACH * len(self.actuators)
+
+    def step(self, observation: Observation) -> FloatArray:
+        """Commands (nu,) of this moment."""
+        if self._begin is None:
+            still = np.zeros(len(observation.q))
+            self._begin = self._actuation.commands(observation.q, still, still)
+            # towards the middle of the range: there is room
+            above = self._begin > self._actuation.ctrl_range.mean(axis=1)
+            self.steps = np.where(above, -self._amplitude, self._amplitude)
+        commands = self._begin.copy()
+        since = observation.time - SETTLE
+        number = int(since // EACH)
+        if 0 <= number < len(self.actuators):
+            i = int(self.actuators[number])
+            share = since / EACH - number
+            self.at_rest.setdefault(i, observation.q)
+            if share <= DOWN:
+                self.moved[i] = observation.q
+            shape = np.interp(share, (0.0, UP, DOWN, 1.0), (0.0, 1.0, 1.0, 0.0))
+            commands[i] += self.steps[i] * float(shape)
+        return commands
+
+
+def check_joints(
+    interface: HandInterface,
+    hand: Hand,
+    *,
+    amplitude: float = AMPLITUDE,
+    rate_hz: float = 50.0,
+    clock: Clock | None = None,
+    limits: CommandLimits | None = None,
+    safety: Safety | None = None,
+) -> tuple[list[JointCheck], LoopReport]:
+    """Move every actuator of the hand but those of an arm, one after the other, and back.
+
+    Args:
+        interface: The hand.
+        hand: Its model.
+        amplitude: How far, rad.
+        rate_hz: Rate, Hz.
+        clock: Tells the time and waits; the system's monotonic clock if None.
+        limits: How far and how fast commands may move; defaults if None.
+        safety: What ends the run at once; defaults if None.
+
+    Returns:
+        What each actuator did, as far as it came, and how the loop went.
+
+    Raises:
+        HandError: Names that do not match, or actuators that are no position servos.
+        TaskError: An amplitude or a rate out of range.
+    """
+    checked_number("the amplitude", amplitude, above=0.0, error=TaskError)
+    actuation = hand.actuation
+    probe = _Probe(hand, amplitude)
+    motors = [i for i in probe.actuators if actuation.bias[i, 1] >= 0.0]
+    if motors:
+        raise HandError(
+            f"actuator {actuation.names[motors[0]]} is no position servo; only those can be moved "
+            "by a little"
+        )
+    loop = ControlLoop(
+        interface,
+        probe,
+        hand,
+        Observer(interface, hand),
+        rate_hz=rate_hz,
+        clock=clock,
+        limits=limits,
+        safety=safety,
+    )
+    report = loop.run(partial(_probe_all, duration=probe.duration))
+    return [_judged(hand, probe, int(i)) for i in probe.actuators if int(i) in probe.moved], report
+
+
+def checks_table(checks: Sequence[JointCheck]) -> Table:
+    """A line per actuator."""
+    table = table_of("what moved", ("actuator", "joints", "fault"), ("asked (rad)", "moved (rad)"))
+    for check in checks:
+        numbers = f"{check.asked:+.3f}", f"{check.moved:+.3f}"
+        table.add_row(check.actuator, ", ".join(check.joints), check.fault or "-", *numbers)
+    return table
+
+
+def _probe_all(loop: ControlLoop, duration: float) -> None:
+    loop.phase("approach", duration)
+
+
+def _judged(hand: Hand, probe: _Probe, i: int) -> JointCheck:
+    actuation = hand.actuation
+    change = probe.moved[i] - probe.at_rest[i]
+    row = actuation.moment[i]
+    others = np.where(row != 0, 0.0, change)
+    k = int(np.argmax(np.abs(others)))
+    return JointCheck(
+        actuator=actuation.names[i],
+        joints=tuple(hand.joint_names[j] for j in np.flatnonzero(row)),
+        asked=float(probe.steps[i]),
+        moved=float(row @ change),
+        other=hand.joint_names[k],
+        other_moved=float(others[k]),
+    )

@@ -1,0 +1,429 @@
+"""``ControlLoop``: reads a hand, asks a controller, writes its commands, at a fixed rate.
+
+A tick, in this order: read; refuse readings that are broken, old or beyond a limit; ask the
+controller; ask whether to stop; keep the command within its limits; write. Whatever goes wrong, a
+run ends with a report, and after an emergency stop nothing is written (``sim.real_hand.safety``).
+
+``run_controller`` runs the phases of a trial with a plan::
+
+    with closing(hand):
+        report = run_controller(hand, GraspController(plan), plan, rate_hz=100, log="run.npz")
+    print(report)
+
+After the last phase the hand holds its last command.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+import numpy as np
+
+from planner.arrays import checked_number
+from planner.errors import FileFormatError, HandError, PlannerError, TaskError
+from planner.hands.hand import Hand
+from planner.plan import GraspPlan
+from planner.spatial import FloatArray
+from planner.system.interrupts import interrupts_wait
+from sim.controllers.base import PHASES, Controller, Phase
+from sim.controllers.schedule import TOUCH_FORCE
+from sim.real_hand.clock import Clock, Pace, RealClock
+from sim.real_hand.interface import EndOfReadings, HandInterface, HandReading
+from sim.real_hand.limits import CommandLimiter, CommandLimits
+from sim.real_hand.log import LogWriter
+from sim.real_hand.report import LoopReport, Times
+from sim.real_hand.safety import Guard, Safety, Stopped
+from sim.real_hand.senses import HandObservation, Observer
+from sim.timeline import Timeline
+
+__all__ = ["Carry", "ControlLoop", "run_controller"]
+
+Carry = Callable[[Phase, float, float], None]
+"""Moves the hand as a whole, or tells who does: phase, share of it that has passed in [0, 1], and
+how fast that share grows, per second. Called in every tick, before the controller."""
+
+TOO_FEW = "too few fingers touch"
+"""Why a run ends before the lift without an emergency."""
+
+RATE_TOL = 1e-9
+"""Relative excess of a rate that is rounding."""
+
+
+class _Left(Exception):
+    """A phase is not run; no emergency."""
+
+
+class ControlLoop:
+    """One run of one controller on one hand.
+
+    Attributes:
+        interface: The hand.
+        controller: What drives it.
+        pace: Slots and misses.
+        log: Every tick so far.
+    """
+
+    def __init__(
+        self,
+        interface: HandInterface,
+        controller: Controller,
+        hand: Hand,
+        observer: Observer,
+        *,
+        rate_hz: float,
+        clock: Clock | None = None,
+        limits: CommandLimits | None = None,
+        safety: Safety | None = None,
+        carry: Carry | None = None,
+    ) -> None:
+        """Prepare; nothing is read or written yet.
+
+        Args:
+            interface: The hand.
+            controller: What drives it.
+            hand: Its model.
+            observer: What turns its readings into observations.
+            rate_hz: Rate, Hz.
+            clock: Tells the time and waits; the system's monotonic clock if None.
+            limits: How far and how fast commands may move; defaults if None.
+            safety: What ends the run at once; defaults if None.
+            carry: Moves the hand as a whole; nobody if None.
+
+        Raises:
+            TaskError: A rate above that of the interface, or limits that fit no actuator.
+            NotFoundError: Limits for an actuator that there is not.
+        """
+        checked_number("the rate", rate_hz, above=0.0, error=TaskError)
+        if rate_hz > interface.rate_hz * (1.0 + RATE_TOL):
+            raise TaskError(
+                f"a rate of {rate_hz:g} Hz is asked for; this hand can be read and written at "
+                f"{interface.rate_hz:g} Hz at most"
+            )
+        self.interface, self.controller = interface, controller
+        self._hand, self._observer = hand, observer
+        self._rate_hz = rate_hz
+        self._clock = clock or RealClock()
+        self._limits, self._safety = limits or CommandLimits(), safety or Safety()
+        self._limits.rates(hand.actuation)  # bad limits end here
+        self._carry = carry
+        self.pace = Pace(self._clock, 1.0 / rate_hz)
+        names = interface.joint_names, interface.actuator_names
+        self.log = LogWriter(*names, interface.finger_names, rate_hz)
+        self._guard = Guard(self._safety, hand, *names, len(interface.finger_names))
+        self._limiter: CommandLimiter | None = None
+        self._to_interface = np.argsort(observer.actuators)
+        self._phases: list[str] = []
+        self._spans: list[tuple[float, float, float]] = []
+        self._ticks = self._written = self._repeated = 0
+        self._oldest = 0.0
+        self._last_time = np.nan
+        self._efforts = False
+        self._reason = self._detail = self._did = ""
+
+    def run(self, phases: Callable[[ControlLoop], None]) -> LoopReport:
+        """Run some phases to their end, or to what ends them before.
+
+        Args:
+            phases: Calls ``phase`` for one phase after the other.
+
+        Returns:
+            What happened.
+
+        Raises:
+            HandError: The hand lacks a sense that the controller needs. Nothing was written.
+        """
+        if self._ticks:
+            raise TaskError("this loop has run; make a new one to run again")
+        ended = False
+        try:
+            phases(self)
+            self.pace.rest()
+            ended = True
+        except _Left as left:
+            self._reason, self._detail = TOO_FEW, str(left)
+            ended = True
+        except HandError:  # refused: a hand that was not written is left as it is
+            ended = self._written == 0
+            raise
+        except Stopped as stopped:
+            self._reason, self._detail = stopped.cause, stopped.detail
+        except KeyboardInterrupt:
+            self._reason, self._detail = "interrupted", "Ctrl-C"
+        finally:  # an error that nobody foresaw stops the hand too
+            if not ended:
+                self._stop()
+        return self.report()
+
+    def phase(
+        self,
+        phase: Phase,
+        duration: float,
+        *,
+        wait: float = 0.0,
+        until: Callable[[HandObservation], bool] | None = None,
+        refuse: Callable[[HandObservation], str] | None = None,
+    ) -> HandObservation:
+        """Run one phase.
+
+        Args:
+            phase: What the controller is told.
+            duration: Nominal duration, s; at least one tick is made.
+            wait: Longest further time, s.
+            until: Whether the phase may end once ``duration`` is over; at once if None.
+            refuse: Asked with the first observation, before anything is written: why the phase is
+                not to be run, "" if it may be.
+
+        Returns:
+            The last observation.
+
+        Raises:
+            Stopped: The run ends here.
+        """
+        self._phases.append(phase)
+        period = self.pace.period
+        steps = max(1, round(duration / period))
+        most = max(steps, round((duration + wait) / period))
+        first = self.pace.slot
+        while True:
+            k = self.pace.slot - first
+            progress = min(1.0, k / steps)
+            observation = self._tick(phase, progress, 1.0 / (steps * period), refuse)
+            refuse = None
+            done = self.pace.slot - first
+            if done >= most or (done >= steps and (until is None or until(observation))):
+                return observation
+
+    def _tick(
+        self,
+        phase: Phase,
+        progress: float,
+        per_second: float,
+        refuse: Callable[[HandObservation], str] | None,
+    ) -> HandObservation:
+        begin = self.pace.begin()
+        cpu = [time.thread_time()]
+        reading = self._read()
+        cpu.append(time.thread_time())
+        self._guard.check(reading, self._clock.now())
+        self._oldest = max(self._oldest, self._clock.now() - reading.time)
+        self._repeated += reading.time == self._last_time
+        self._last_time = reading.time
+        observation = self._observer.observe(reading, phase, progress)
+        if refuse is not None and (why := refuse(observation)):
+            raise _Left(why)
+        if self._carry is not None:
+            self._carry(phase, progress, per_second)
+        if self._limiter is None:
+            self._observer.check_senses(self.controller, reading)
+            self._efforts = reading.efforts is not None
+            self._limiter = CommandLimiter(
+                self._limits,
+                self._hand.actuation,
+                self.pace.period,
+                observation.q,
+            )
+        cpu.append(time.thread_time())
+        wanted = self._wanted(observation)
+        cpu.append(time.thread_time())
+        if self._safety.stop is not None and self._safety.stop():
+            raise Stopped("asked", "the caller asked for it")
+        with interrupts_wait():  # what was written and what is noted of it stay one
+            now = self._clock.now()
+            commands = self._limiter.step(wanted, now)[self._to_interface]
+            cpu.append(time.thread_time())
+            written = False
+            try:
+                self._write(commands)
+                written = True
+            finally:
+                self._ticks += 1
+                self._written += written
+                self.log.add(
+                    reading,
+                    phase=phase,
+                    progress=progress,
+                    begin_s=begin,
+                    write_s=now,
+                    end_s=self._clock.now(),
+                    wanted=wanted[self._to_interface],
+                    commands=commands if written else None,
+                )
+                self._note_cpu(cpu)
+        self.pace.end()
+        if self.pace.in_a_row >= self._safety.misses_in_a_row:
+            raise Stopped(
+                "deadline misses",
+                f"{self.pace.in_a_row} in a row at {self._rate_hz:g} Hz; give a lower rate, or "
+                "free the machine",
+            )
+        return observation
+
+    def _note_cpu(self, cpu: list[float]) -> None:
+        """Note the CPU time of interface, controller and the rest, s."""
+        begin, read, ready, found, limited = cpu
+        end = time.thread_time()
+        interface = (read - begin) + (end - limited)
+        self._spans.append((interface, found - ready, (ready - read) + (limited - found)))
+
+    def _read(self) -> HandReading:
+        try:
+            return self.interface.read()
+        except EndOfReadings as error:
+            raise Stopped("no more readings", str(error)) from error
+        except (PlannerError, OSError) as error:
+            raise Stopped("interface failed", f"reading: {error}") from error
+
+    def _write(self, commands: FloatArray) -> None:
+        try:
+            self.interface.write(commands)
+        except (PlannerError, OSError) as error:
+            raise Stopped("interface failed", f"writing: {error}") from error
+
+    def _wanted(self, observation: HandObservation) -> FloatArray:
+        """What the controller wants (nu,), order of the hand."""
+        try:
+            wanted = np.asarray(self.controller.step(observation), dtype=np.float64)
+        except PlannerError as error:
+            raise Stopped("bad command", f"the controller failed: {error}") from error
+        shape = (len(self._hand.actuation.names),)
+        if wanted.shape != shape:
+            raise Stopped(
+                "bad command",
+                f"the controller returned commands of shape {wanted.shape}; the hand needs {shape}",
+            )
+        if not np.isfinite(wanted).all():
+            name = self._hand.actuation.names[int(np.argmin(np.isfinite(wanted)))]
+            raise Stopped("bad command", f"the controller's command for {name} is not finite")
+        return wanted
+
+    def _stop(self) -> None:
+        """Do what is to be done at an emergency stop; nothing is written from now on."""
+        with interrupts_wait():
+            self._did = self._safety.on_stop
+            if self._safety.on_stop == "torque off":
+                try:
+                    self.interface.stop()
+                except (PlannerError, OSError) as error:
+                    self._did = "torque off FAILED"
+                    self._detail += f"; the torque could not be taken off ({error}): cut the power"
+
+    def report(self) -> LoopReport:
+        """What happened so far."""
+        log = self.log.log()
+        spans = np.array(self._spans).reshape(-1, 3).T
+        names = self._hand.actuation.names
+        limiter, zero = self._limiter, np.zeros(len(names), dtype=np.int64)
+        clamped, limited = (zero, zero) if limiter is None else (limiter.clamped, limiter.limited)
+        return LoopReport(
+            reason=self._reason,
+            detail=self._detail,
+            on_stop=self._did,
+            controller=type(self.controller).__name__,
+            assumed=self._observer.assume,
+            phases=tuple(self._phases),
+            rate_hz=self._rate_hz,
+            duration_s=float(log.end_s[-1] - log.begin_s[0]) if len(log) else 0.0,
+            ticks=self._ticks,
+            written=self._written,
+            misses=self.pace.misses,
+            most_misses_in_a_row=self.pace.most_in_a_row,
+            skipped=self.pace.skipped,
+            latency_us=Times.of(self.pace.latencies),
+            interface_cpu_us=Times.of(spans[0]),
+            controller_cpu_us=Times.of(spans[1]),
+            loop_cpu_us=Times.of(spans[2]),
+            oldest_reading_ms=1e3 * self._oldest,
+            repeated_readings=self._repeated,
+            clamped={n: int(c) for n, c in zip(names, clamped, strict=True) if c},
+            rate_limited={n: int(c) for n, c in zip(names, limited, strict=True) if c},
+            efforts_checked=self._efforts,
+        )
+
+
+def run_controller(
+    interface: HandInterface,
+    controller: Controller,
+    plan: GraspPlan,
+    *,
+    rate_hz: float = 100.0,
+    timeline: Timeline | None = None,
+    clock: Clock | None = None,
+    limits: CommandLimits | None = None,
+    safety: Safety | None = None,
+    carry: Carry | None = None,
+    assume: Collection[str] = (),
+    least_touch: float = TOUCH_FORCE,
+    log: Path | str | None = None,
+) -> LoopReport:
+    """Run the phases of a trial on a hand: approach, close, squeeze, settle, lift, hold.
+
+    The hand is not lifted where fewer fingers touch than the task needs. At the end it holds its
+    last command.
+
+    Args:
+        interface: The hand.
+        controller: What drives it, made for the plan.
+        plan: What is executed.
+        rate_hz: Rate, Hz.
+        timeline: Durations; defaults if None.
+        clock: Tells the time and waits; the system's monotonic clock if None.
+        limits: How far and how fast commands may move; defaults if None.
+        safety: What ends the run at once; defaults if None.
+        carry: Moves the hand as a whole; nobody if None.
+        assume: Senses for which planned values stand in: "object_pose", "touch".
+        least_touch: Normal force (N) from which on a finger counts as touching before the lift.
+        log: Write readings and commands here (``.npz``), whatever happens.
+
+    Raises:
+        HandError: Names do not match, or the hand lacks a sense that the controller needs. Nothing
+            was written.
+        NotFoundError: Something is named that there is not.
+        TaskError: A rate or a limit out of range.
+        FileFormatError: The log cannot be written.
+    """
+    timeline = timeline or Timeline()
+    task = plan.task
+    if log is not None and not Path(log).parent.is_dir():
+        raise FileFormatError(f"cannot write {log}: there is no folder {Path(log).parent}; make it")
+    loop = ControlLoop(
+        interface,
+        controller,
+        task.hand,
+        Observer(interface, task.hand, plan, assume),
+        rate_hz=rate_hz,
+        clock=clock,
+        limits=limits,
+        safety=safety,
+        carry=carry,
+    )
+
+    def too_few(observation: HandObservation) -> str:
+        touching = int((observation.normal_forces > least_touch).sum()) if observation.feels else -1
+        if touching < 0 or touching >= task.fingers_needed:
+            return ""
+        return f"before the lift {touching} touch; {task.fingers_needed} are needed"
+
+    def phases(loop: ControlLoop) -> None:
+        for phase in PHASES:
+            closes = phase == "close"
+            loop.phase(
+                phase,
+                getattr(timeline, phase),
+                wait=timeline.close_wait if closes else 0.0,
+                until=_all_touch if closes else None,
+                refuse=too_few if phase == "lift" else None,
+            )
+
+    try:
+        return loop.run(phases)
+    finally:
+        if log is not None:
+            with interrupts_wait():
+                loop.log.log().write(log)
+
+
+def _all_touch(observation: HandObservation) -> bool:
+    """Whether every finger touches, or none is felt at all: then waiting is of no use."""
+    return not observation.feels or observation.all_touch
