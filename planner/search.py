@@ -18,21 +18,17 @@ from planner.best.wanted import BEST, DEFAULT_MAX_ATTEMPTS, FIRST, Wanted
 from planner.collision.world import CollisionWorld
 from planner.errors import TaskError
 from planner.failure import Failure
-from planner.plan import GraspPlan, SolveRecord
-from planner.synthesis.link_capsules import capsules_are_true
-from planner.synthesis.optimize import NEARLY, optimize_grasp
+from planner.finishing import finished, true_geometry, true_links
+from planner.plan import GraspPlan
+from planner.synthesis.optimize import optimize_grasp
 from planner.synthesis.options import ProblemForm, SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem
 from planner.synthesis.problem_cache import Problems, problems_for
 from planner.synthesis.seeds.draw import Seeder
 from planner.synthesis.seeds.mesh import seeder_for
-from planner.synthesis.symbols import GraspPoint
-from planner.synthesis.terms.term import first_failure
 from planner.system.stage_times import stage
-from planner.system.threads import kept_by_thread, made_once
+from planner.system.threads import made_once
 from planner.task import GraspTask
-from planner.verification.grasp import verify_grasp
-from planner.verification.projection import project_onto_surface
 
 __all__ = [
     "DEFAULT_MAX_ATTEMPTS",
@@ -78,7 +74,7 @@ def _contexts(task: GraspTask, options: SynthesisOptions) -> Callable[[int, bool
         past = index - SPARE_AFTER
         spares = task.may_spare_fingers and past >= 0 and past % 2 == 0 and not is_found
         problem = (_spared_problem if spares else _problem)(task, options.form)
-        _world(problem.task)  # this thread's own is made before the attempt's time begins
+        true_geometry(problem.task)  # this thread's own is made before the attempt's time begins
         return _GraspContext(problem, options)
 
     return context
@@ -255,7 +251,7 @@ class _GraspContext:
     @property
     def links(self) -> CollisionWorld | None:
         """The true links, where the capsules of the terms are not exactly those."""
-        return None if capsules_are_true(self.task.hand) else _world(self.task)
+        return true_links(self.task)
 
     def attempt(self, rng: np.random.Generator) -> GraspPlan | Failure:
         """Draw a start, solve, project onto the true surface, verify."""
@@ -271,43 +267,14 @@ class _GraspContext:
 
     def verified(self, candidate: Candidate) -> GraspPlan | Failure:
         """Project a candidate onto the true surface and verify it."""
-        task, problem = self.task, self.grasp_problem
-        worst, weighted = problem.worst_violation(candidate.violation)
-        if not weighted <= NEARLY:
-            violation = candidate.violation[worst.name]
-            return Failure(
-                kind=f"unsolved_{worst.name}",
-                text=f"not solved, term {worst.name}: violated by {violation:.1e}",
-                numbers={"violation": violation},
-            )
-        record = SolveRecord(
-            iterations=candidate.iterations,
-            status=candidate.status,
-            objective=str(self.options.objective),
-        )
-        q = np.clip(candidate.q, task.hand.q_lower, task.hand.q_upper)
-        T_world_base = task.T_world_object * candidate.T_object_base
-        with stage("project"):
-            q = project_onto_surface(task, T_world_base, q)
-        plan = verify_grasp(task, T_world_base, q, record=record, world=_world(task))
-        if isinstance(plan, Failure) or not problem.own_terms:
-            return plan
-        at = plan.contacts_in_object
-        point = GraspPoint(task=task, q=plan.q, points=at.positions, inward=at.normals)
-        return first_failure(problem.own_terms, point) or plan
-
-
-@kept_by_thread(8)
-def _world(task: GraspTask) -> CollisionWorld:
-    """The true geometry of a task, of which every thread keeps its last few."""
-    return CollisionWorld(task)
+        return finished(self.grasp_problem, self.task, candidate, self.options)
 
 
 @made_once(8)
 def _problem(task: GraspTask, form: ProblemForm) -> _Problem:
     """Seeder and problems of a task, made once for all who ask with the same one."""
     seeder = seeder_for(task)
-    _world(task)  # refuses what stands in something else, before the problems are built
+    true_geometry(task)  # refuses what stands in something else, before the problems are built
     return _Problem(task, problems_for(task, form), seeder)
 
 
