@@ -100,6 +100,8 @@ def refine_grasp(
             spent, begin = spent + now - begin, now
             if one.plan is not None and one.movement.contact <= NEAR_ENOUGH:
                 return ladder.result(tries, spent, built)
+        if any(one.plan is not None for one in tries):
+            break
     return ladder.result(tries, spent, built)
 
 
@@ -150,8 +152,10 @@ def _tries(
             task, pose.T_world_base, pose.q, record=record, terms=problem.own_terms
         )
         yield _tried(task, pose, under, outcome, pose.T_world_base, pose.q)
-    start = start_at(task, problem.surface, pose, under)
     for rung in RUNGS:
+        if rung.faced and task.object.shape.flat_sides is None:
+            continue
+        start = start_at(task, problem.surface, pose, under, rung)
         outcome, candidate = climb_rung(problem, task, start, pose, under, options, rung)
         base = task.T_world_object * candidate.T_object_base
         yield _tried(task, pose, under, outcome, base, candidate.q)

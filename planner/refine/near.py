@@ -79,7 +79,7 @@ def near_numbers(
     span = np.maximum(hand.q_upper - hand.q_lower, SMALLEST_RANGE)
     return {
         "near_points": points.ravel(),
-        "near_contact": weight / LENGTH_UNIT / np.sqrt(len(points)),
+        "near_contact": weight / LENGTH_UNIT,
         "near_at": at,
         "near_place": place,
         "near_shift": weight / LENGTH_UNIT,

@@ -43,13 +43,13 @@ class UnderPads:
         points: (n, 3), m.
         outward: Unit normals there (n, 3).
         gaps: Signed distance of each pad's sphere from its nearest point of the surface (n,), m.
-        facing: Cosine between where each pad faces and the inward normal (n,).
+        axes: Directions in which the pads face (n, 3).
     """
 
     points: FloatArray
     outward: FloatArray
     gaps: FloatArray
-    facing: FloatArray
+    axes: FloatArray
 
 
 def under_pads(
@@ -81,7 +81,7 @@ def under_pads(
         points=points[each, first],
         outward=outward[each, first],
         gaps=gaps,
-        facing=facing[each, first],
+        axes=axes,
     )
 
 

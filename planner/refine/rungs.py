@@ -40,17 +40,35 @@ class Rung:
         weight: Of the term ``near`` (-).
         costs: Share of their weights (-) that the costs of synthesis keep: they centre contacts
             and level forces, and so lead away from where the pads were.
+        reach: How far (m) along each axis a contact may be from the point under its pad.
+        rounds: Rounds that raise epsilon, for grasps that cannot bear the object's weight.
+        faced: Whether flat sides are assigned by where pads face alone, not by what is nearest.
     """
 
     weight: float
     costs: float
+    reach: float = np.inf
+    rounds: int = 0
+    faced: bool = False
 
 
-RUNGS = (Rung(weight=0.3, costs=0.05), Rung(weight=0.1, costs=0.3), Rung(weight=0.03, costs=1.0))
+RUNGS = (
+    Rung(weight=0.3, costs=0.05, reach=0.008),
+    Rung(weight=0.1, costs=0.3, reach=0.008, rounds=2),
+    Rung(weight=0.1, costs=0.3, reach=0.016, faced=True),
+    Rung(weight=0.3, costs=0.05),
+    Rung(weight=0.03, costs=1.0, rounds=3),
+)
 """From the nearest to the freest."""
 
 LET_GO = 0.01
 """Share of the weight that is left in the second run."""
+
+STRONGER = SynthesisOptions()
+"""Options of the rounds, whose objective is epsilon."""
+
+ROUND_GAIN, ROUND_ITERATIONS = 0.1, 4
+"""Target of epsilon over that of the first run (-), and evaluations of a round."""
 
 FIRST_ITERATIONS = 30
 """Evaluations of the first run."""
@@ -101,6 +119,11 @@ def climb_rung(
     with stage("solve"):
         run = GraspRun(problem, task, start, parameters(rung.weight))
         run.solve(FIRST_ITERATIONS)
+        damping = None
+        for _ in range(rung.rounds if run.end.worst <= NEARLY else 0):
+            run.update_objectives(STRONGER, ROUND_GAIN)
+            run.solve(ROUND_ITERATIONS, damping)
+            damping = run.end.damping
         run.set_parameters(parameters(LET_GO * rung.weight))
         run.refresh_link_distances(true_links(task), light)
         run.solve(MEND_ITERATIONS, slow=np.inf)
@@ -110,7 +133,9 @@ def climb_rung(
     return finished(problem, task, candidate, options), candidate
 
 
-def start_at(task: GraspTask, surface: Surface, pose: GivenPose, under: UnderPads) -> Start:
+def start_at(
+    task: GraspTask, surface: Surface, pose: GivenPose, under: UnderPads, rung: Rung
+) -> Start:
     """The start that is the given pose itself.
 
     Args:
@@ -118,15 +143,16 @@ def start_at(task: GraspTask, surface: Surface, pose: GivenPose, under: UnderPad
         surface: Form of the object in the problem.
         pose: The given pose.
         under: Where its pads belong.
+        rung: Bounds the contacts.
     """
     skin = float(surface.skin(surface.size(task.object.shape)))
     points = under.points + skin * under.outward
+    normals = -under.axes if rung.faced else under.outward
     patches = tuple(
-        _patch(task, surface, finger, point, normal)
-        for finger, point, normal in zip(task.finger_names, points, under.outward, strict=True)
+        _near_patch(_patch(task, surface, finger, point, normal), point, rung.reach)
+        for finger, point, normal in zip(task.finger_names, points, normals, strict=True)
     )
     lower, upper = np.array([p.lower for p in patches]), np.array([p.upper for p in patches])
-    normals = under.outward
     opposer = int(np.argmin(np.einsum("ik,k->i", normals, normals.sum(axis=0))))
     return Start(
         T_object_base=task.T_world_object.inverse() * pose.T_world_base,
@@ -136,6 +162,16 @@ def start_at(task: GraspTask, surface: Surface, pose: GivenPose, under: UnderPad
         patches=patches,
         frozen=frozen_joints(task),
         base_fixed=task.T_world_base is not None,
+    )
+
+
+def _near_patch(patch: Patch, point: FloatArray, reach: float) -> Patch:
+    """The part of a patch within reach of where a point lies on it."""
+    inside = np.clip(point, patch.lower, patch.upper)
+    return replace(
+        patch,
+        lower=np.maximum(patch.lower, inside - reach),
+        upper=np.minimum(patch.upper, inside + reach),
     )
 
 
