@@ -16,10 +16,12 @@ from planner.attempt import Attempt, check_seed, nothing_found, run_attempts, se
 from planner.best.attempts import improving_attempts
 from planner.best.wanted import BEST, DEFAULT_MAX_ATTEMPTS, FIRST, Wanted
 from planner.collision.world import CollisionWorld
-from planner.errors import TaskError
+from planner.errors import NoGraspFoundError, TaskError
 from planner.failure import Failure
 from planner.finishing import finished, true_geometry, true_links
 from planner.plan import GraspPlan
+from planner.refine import refine_grasp
+from planner.spatial import SE3, FloatArray
 from planner.synthesis.optimize import optimize_grasp
 from planner.synthesis.options import ProblemForm, SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem
@@ -91,8 +93,12 @@ def plan_grasp(
     metric: str | Mapping[str, float] | None = None,
     options: SynthesisOptions | None = None,
     progress: Callable[[Attempt[GraspPlan]], object] | None = None,
+    start: tuple[SE3, FloatArray] | None = None,
 ) -> GraspPlan:
     """A grasp that holds on the true geometry: the first one, or the best of several.
+
+    ``start`` is a hand pose of one's own: the plan is then the nearest grasp to it
+    (``planner.refine.refine_grasp``, which also tells how far it is), and nothing is drawn.
 
     ``best_of=8`` takes the best of the first eight found, which are those that eight independent
     attempts give. ``keep="best"`` spends a budget on one good grasp: attempts build on each other,
@@ -123,13 +129,27 @@ def plan_grasp(
         options: Margins, weights and objectives of the problem; None for the metric as objective.
         progress: Called after every attempt, which tells the value of the best so far; where it
             returns True the search ends with what it has.
+        start: Base pose (world) and joints (nq,) to stay near to; goes without a seed, without
+            budgets, ``best_of``, ``keep`` and ``metric``.
 
     Raises:
-        NoGraspFoundError: The budget ended; carries every attempt and its failure.
+        NoGraspFoundError: The budget ended, or there is none near the start; carries every attempt
+            and its failure.
         NotFoundError: A metric, or something to keep, that does not exist.
-        TaskError: The task cannot work, a budget is not positive, or ``best_of`` and ``metric`` do
-            not go with ``keep``.
+        TaskError: The task cannot work, a budget is not positive, ``best_of`` and ``metric`` do
+            not go with ``keep``, or the start is no pose or goes with what it goes without.
+        HandError: The start has not as many joints as the hand.
     """
+    if start is not None:
+        unused = {
+            "seed": seed or None,
+            "max_attempts": max_attempts,
+            "max_cpu_s": max_cpu_s,
+            "best_of": best_of,
+            "keep": None if keep == FIRST else keep,
+            "metric": metric,
+        }
+        return _near_start(task, start, options, progress, unused)
     wanted = Wanted.of(
         max_attempts=max_attempts,
         max_cpu_s=max_cpu_s,
@@ -154,6 +174,35 @@ def plan_grasp(
             "or less grip",
         )
     return wanted.recorded(plan, made)
+
+
+def _near_start(
+    task: GraspTask,
+    start: tuple[SE3, FloatArray],
+    options: SynthesisOptions | None,
+    progress: Callable[[Attempt[GraspPlan]], object] | None,
+    unused: Mapping[str, object],
+) -> GraspPlan:
+    """The nearest grasp to a start; ``unused`` are arguments that have no meaning here."""
+    given = [f"{name}={value!r}" for name, value in unused.items() if value is not None]
+    if given:
+        raise TaskError(
+            f"a start is given, and {', '.join(given)}; the plan is the nearest grasp to the start "
+            "and nothing is searched for: leave these out, or the start"
+        )
+    if not (isinstance(start, tuple) and len(start) == 2):
+        raise TaskError(f"start is {start!r}; give a pair of base pose and joints")
+    found = refine_grasp(task, *start, options=options)
+    if progress is not None:
+        for attempt in found.attempts:
+            progress(attempt)
+    if found.plan is None:
+        raise NoGraspFoundError(
+            f"no grasp of {task.object.name} with {task.hand.name} near the start: {found.failure}."
+            " Try another start, other fingers, or a search without a start",
+            found.attempts,
+        )
+    return found.plan
 
 
 def plans(

@@ -32,7 +32,7 @@ from planner.synthesis.problem_cache import Problems, problems_for
 from planner.system.threads import made_once
 from planner.task import GraspTask
 
-__all__ = ["refine_grasp"]
+__all__ = ["refine_grasp", "with_fingers"]
 
 AS_GIVEN = 0.002
 """Largest gap (m) of a pad, either sign, with which the given pose itself is tried."""
@@ -85,11 +85,13 @@ def refine_grasp(
     )
     ladder = _Ladder(task, pose, T_world_base, np.asarray(q, dtype=np.float64))
     if isinstance(sets, Failure):
-        return ladder.without_tries(sets, time.process_time() - begin)
+        spent = time.process_time() - begin
+        untried = RefinedGrasp.untried(task, T_world_base, ladder.q, sets)
+        return replace(untried, notes=pose.notes, cpu_s=spent)
     tries: list[_Try] = []
     spent, built = time.process_time() - begin, 0.0
     for number, names in enumerate(sets):
-        mine = task if set(names) == set(task.finger_names) else _with_fingers(task, names)
+        mine = with_fingers(task, names)
         problems = problems_for(mine, asked.form)
         true_geometry(mine)  # this thread's own is made before the time begins
         built = max(built, problems.build_s)
@@ -105,9 +107,13 @@ def refine_grasp(
     return ladder.result(tries, spent, built)
 
 
+def with_fingers(task: GraspTask, names: tuple[str, ...]) -> GraspTask:
+    """A task with these fingers: itself if it has them; made once, as what is prepared for it."""
+    return task if set(names) == set(task.finger_names) else _with_fingers(task, names)
+
+
 @made_once(64)
 def _with_fingers(task: GraspTask, names: tuple[str, ...]) -> GraspTask:
-    """One task per task and fingers, so that what is prepared for it is found again."""
     return task.with_fingers(names)
 
 
@@ -190,23 +196,6 @@ class _Ladder:
     pose: GivenPose
     T_world_base: SE3
     q: FloatArray
-
-    def without_tries(self, failure: Failure, cpu_s: float) -> RefinedGrasp:
-        """The result where there is nothing to try."""
-        return RefinedGrasp(
-            task=self.task,
-            T_world_base=self.T_world_base,
-            q=self.q,
-            plan=None,
-            failure=failure,
-            movement=None,
-            T_world_base_reached=self.pose.T_world_base,
-            q_reached=self.pose.q,
-            attempts=(),
-            notes=self.pose.notes,
-            cpu_s=cpu_s,
-            build_s=0.0,
-        )
 
     def result(self, tries: list[_Try], cpu_s: float, build_s: float) -> RefinedGrasp:
         """The best of the tries."""

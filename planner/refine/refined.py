@@ -52,6 +52,33 @@ class RefinedGrasp:
         """Keep read-only copies."""
         freeze(self, poses=("T_world_base", "T_world_base_reached"), arrays=("q", "q_reached"))
 
+    @classmethod
+    def untried(
+        cls, task: GraspTask, T_world_base: SE3, q: FloatArray, failure: Failure
+    ) -> RefinedGrasp:
+        """The result of a pose from which nothing was tried.
+
+        Args:
+            task: The task.
+            T_world_base: Base pose as given.
+            q: Joints as given.
+            failure: Why not.
+        """
+        return cls(
+            task=task,
+            T_world_base=T_world_base,
+            q=q,
+            plan=None,
+            failure=failure,
+            movement=None,
+            T_world_base_reached=T_world_base,
+            q_reached=q,
+            attempts=(),
+            notes=(),
+            cpu_s=0.0,
+            build_s=0.0,
+        )
+
     @property
     def found(self) -> bool:
         """Whether there is a plan."""

@@ -112,7 +112,7 @@ def climb_rung(
 
     def parameters(weight: float) -> FloatArray:
         own = near_numbers(
-            task.hand, weight, points=under.points, q=pose.q_given, **_palm(task, pose, start)
+            task.hand, weight, points=under.points, q=pose.q, **_palm(task, pose, start)
         )
         return problem.parameters(task, start, pose.q, light, own)
 

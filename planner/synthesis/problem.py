@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.collision.moving_hand import moving_hand
 from planner.hands.fingers import Finger
@@ -69,7 +70,7 @@ class Start:
     points: FloatArray
     forces: FloatArray
     patches: tuple[Patch, ...]
-    frozen: FloatArray
+    frozen: NDArray[np.bool_]
     base_fixed: bool = False
 
 
