@@ -17,7 +17,7 @@ from planner.system.lazy_names import lazy_names
 from planner.version import __version__
 
 if TYPE_CHECKING:
-    from planner.batch import GraspSet, plan_grasps, plan_several
+    from planner.batch import GraspSet, plan_grasps, plan_several, refine_grasps
     from planner.contacts import Contact, ContactSet
     from planner.errors import NoGraspFoundError, PlannerError
     from planner.files import read_plan, write_plan
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from planner.objects import GraspObject, parse_object
     from planner.plan import GraspPlan
     from planner.quality import analyse, force_closure
+    from planner.refine import refine_grasp
     from planner.search import attempts, plan_grasp, plans
     from planner.spatial import SE3
     from planner.task import GraspTask, Obstacle
@@ -75,6 +76,8 @@ __all__ = [
     "plan_several",
     "plans",
     "read_plan",
+    "refine_grasp",
+    "refine_grasps",
     "write_plan",
 ]
 
@@ -112,6 +115,8 @@ _HOMES = {
     "plan_several": "planner.batch",
     "plans": "planner.search",
     "read_plan": "planner.files",
+    "refine_grasp": "planner.refine",
+    "refine_grasps": "planner.batch",
     "write_plan": "planner.files",
 }
 """Public name -> the module that defines it."""

@@ -16,23 +16,21 @@ from planner.attempt import Attempt, check_seed, nothing_found, run_attempts, se
 from planner.best.attempts import improving_attempts
 from planner.best.wanted import BEST, DEFAULT_MAX_ATTEMPTS, FIRST, Wanted
 from planner.collision.world import CollisionWorld
-from planner.errors import TaskError
+from planner.errors import NoGraspFoundError, TaskError
 from planner.failure import Failure
-from planner.plan import GraspPlan, SolveRecord
-from planner.synthesis.link_capsules import capsules_are_true
-from planner.synthesis.optimize import NEARLY, optimize_grasp
+from planner.finishing import finished, true_geometry, true_links
+from planner.plan import GraspPlan
+from planner.refine import refine_grasp
+from planner.spatial import SE3, FloatArray
+from planner.synthesis.optimize import optimize_grasp
 from planner.synthesis.options import ProblemForm, SynthesisOptions
 from planner.synthesis.problem import Candidate, GraspProblem
 from planner.synthesis.problem_cache import Problems, problems_for
 from planner.synthesis.seeds.draw import Seeder
 from planner.synthesis.seeds.mesh import seeder_for
-from planner.synthesis.symbols import GraspPoint
-from planner.synthesis.terms.term import first_failure
 from planner.system.stage_times import stage
-from planner.system.threads import kept_by_thread, made_once
+from planner.system.threads import made_once
 from planner.task import GraspTask
-from planner.verification.grasp import verify_grasp
-from planner.verification.projection import project_onto_surface
 
 __all__ = [
     "DEFAULT_MAX_ATTEMPTS",
@@ -78,7 +76,7 @@ def _contexts(task: GraspTask, options: SynthesisOptions) -> Callable[[int, bool
         past = index - SPARE_AFTER
         spares = task.may_spare_fingers and past >= 0 and past % 2 == 0 and not is_found
         problem = (_spared_problem if spares else _problem)(task, options.form)
-        _world(problem.task)  # this thread's own is made before the attempt's time begins
+        true_geometry(problem.task)  # this thread's own is made before the attempt's time begins
         return _GraspContext(problem, options)
 
     return context
@@ -95,8 +93,12 @@ def plan_grasp(
     metric: str | Mapping[str, float] | None = None,
     options: SynthesisOptions | None = None,
     progress: Callable[[Attempt[GraspPlan]], object] | None = None,
+    start: tuple[SE3, FloatArray] | None = None,
 ) -> GraspPlan:
     """A grasp that holds on the true geometry: the first one, or the best of several.
+
+    ``start`` is a hand pose of one's own: the plan is then the nearest grasp to it
+    (``planner.refine.refine_grasp``, which also tells how far it is), and nothing is drawn.
 
     ``best_of=8`` takes the best of the first eight found, which are those that eight independent
     attempts give. ``keep="best"`` spends a budget on one good grasp: attempts build on each other,
@@ -127,13 +129,27 @@ def plan_grasp(
         options: Margins, weights and objectives of the problem; None for the metric as objective.
         progress: Called after every attempt, which tells the value of the best so far; where it
             returns True the search ends with what it has.
+        start: Base pose (world) and joints (nq,) to stay near to; goes without a seed, without
+            budgets, ``best_of``, ``keep`` and ``metric``.
 
     Raises:
-        NoGraspFoundError: The budget ended; carries every attempt and its failure.
+        NoGraspFoundError: The budget ended, or there is none near the start; carries every attempt
+            and its failure.
         NotFoundError: A metric, or something to keep, that does not exist.
-        TaskError: The task cannot work, a budget is not positive, or ``best_of`` and ``metric`` do
-            not go with ``keep``.
+        TaskError: The task cannot work, a budget is not positive, ``best_of`` and ``metric`` do
+            not go with ``keep``, or the start is no pose or goes with what it goes without.
+        HandError: The start has not as many joints as the hand.
     """
+    if start is not None:
+        unused = {
+            "seed": seed or None,
+            "max_attempts": max_attempts,
+            "max_cpu_s": max_cpu_s,
+            "best_of": best_of,
+            "keep": None if keep == FIRST else keep,
+            "metric": metric,
+        }
+        return _near_start(task, start, options, progress, unused)
     wanted = Wanted.of(
         max_attempts=max_attempts,
         max_cpu_s=max_cpu_s,
@@ -158,6 +174,35 @@ def plan_grasp(
             "or less grip",
         )
     return wanted.recorded(plan, made)
+
+
+def _near_start(
+    task: GraspTask,
+    start: tuple[SE3, FloatArray],
+    options: SynthesisOptions | None,
+    progress: Callable[[Attempt[GraspPlan]], object] | None,
+    unused: Mapping[str, object],
+) -> GraspPlan:
+    """The nearest grasp to a start; ``unused`` are arguments that have no meaning here."""
+    given = [f"{name}={value!r}" for name, value in unused.items() if value is not None]
+    if given:
+        raise TaskError(
+            f"a start is given, and {', '.join(given)}; the plan is the nearest grasp to the start "
+            "and nothing is searched for: leave these out, or the start"
+        )
+    if not (isinstance(start, tuple) and len(start) == 2):
+        raise TaskError(f"start is {start!r}; give a pair of base pose and joints")
+    found = refine_grasp(task, *start, options=options)
+    if progress is not None:
+        for attempt in found.attempts:
+            progress(attempt)
+    if found.plan is None:
+        raise NoGraspFoundError(
+            f"no grasp of {task.object.name} with {task.hand.name} near the start: {found.failure}."
+            " Try another start, other fingers, or a search without a start",
+            found.attempts,
+        )
+    return found.plan
 
 
 def plans(
@@ -255,7 +300,7 @@ class _GraspContext:
     @property
     def links(self) -> CollisionWorld | None:
         """The true links, where the capsules of the terms are not exactly those."""
-        return None if capsules_are_true(self.task.hand) else _world(self.task)
+        return true_links(self.task)
 
     def attempt(self, rng: np.random.Generator) -> GraspPlan | Failure:
         """Draw a start, solve, project onto the true surface, verify."""
@@ -271,43 +316,14 @@ class _GraspContext:
 
     def verified(self, candidate: Candidate) -> GraspPlan | Failure:
         """Project a candidate onto the true surface and verify it."""
-        task, problem = self.task, self.grasp_problem
-        worst, weighted = problem.worst_violation(candidate.violation)
-        if not weighted <= NEARLY:
-            violation = candidate.violation[worst.name]
-            return Failure(
-                kind=f"unsolved_{worst.name}",
-                text=f"not solved, term {worst.name}: violated by {violation:.1e}",
-                numbers={"violation": violation},
-            )
-        record = SolveRecord(
-            iterations=candidate.iterations,
-            status=candidate.status,
-            objective=str(self.options.objective),
-        )
-        q = np.clip(candidate.q, task.hand.q_lower, task.hand.q_upper)
-        T_world_base = task.T_world_object * candidate.T_object_base
-        with stage("project"):
-            q = project_onto_surface(task, T_world_base, q)
-        plan = verify_grasp(task, T_world_base, q, record=record, world=_world(task))
-        if isinstance(plan, Failure) or not problem.own_terms:
-            return plan
-        at = plan.contacts_in_object
-        point = GraspPoint(task=task, q=plan.q, points=at.positions, inward=at.normals)
-        return first_failure(problem.own_terms, point) or plan
-
-
-@kept_by_thread(8)
-def _world(task: GraspTask) -> CollisionWorld:
-    """The true geometry of a task, of which every thread keeps its last few."""
-    return CollisionWorld(task)
+        return finished(self.grasp_problem, self.task, candidate, self.options)
 
 
 @made_once(8)
 def _problem(task: GraspTask, form: ProblemForm) -> _Problem:
     """Seeder and problems of a task, made once for all who ask with the same one."""
     seeder = seeder_for(task)
-    _world(task)  # refuses what stands in something else, before the problems are built
+    true_geometry(task)  # refuses what stands in something else, before the problems are built
     return _Problem(task, problems_for(task, form), seeder)
 
 

@@ -3,6 +3,7 @@
 from planner.batch.dataset import GraspSet
 from planner.batch.diversity import Diversity, diversity
 from planner.batch.features import GraspFeatures
+from planner.batch.refined import refine_grasps
 from planner.batch.run import BatchProgress, plan_grasps
 from planner.batch.several import plan_several, separations
 from planner.batch.thinning import thin
@@ -15,6 +16,7 @@ __all__ = [
     "diversity",
     "plan_grasps",
     "plan_several",
+    "refine_grasps",
     "separations",
     "thin",
 ]

@@ -23,8 +23,10 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.collision.moving_hand import moving_hand
 from planner.hands.fingers import Finger
@@ -68,7 +70,7 @@ class Start:
     points: FloatArray
     forces: FloatArray
     patches: tuple[Patch, ...]
-    frozen: FloatArray
+    frozen: NDArray[np.bool_]
     base_fixed: bool = False
 
 
@@ -237,7 +239,12 @@ class GraspProblem:
         return start.T_object_base * state.joint_pose(self.hand.arm.flange)
 
     def parameters(
-        self, task: GraspTask, start: Start, posture: FloatArray, options: SynthesisOptions
+        self,
+        task: GraspTask,
+        start: Start,
+        posture: FloatArray,
+        options: SynthesisOptions,
+        own: Mapping[str, FloatArray | float] = MappingProxyType({}),
     ) -> FloatArray:
         """Pack the parameters.
 
@@ -246,6 +253,8 @@ class GraspProblem:
             start: Gives the reference orientation and the patches.
             posture: Preferred q (nq,); that of an arm's joints is where the start has them.
             options: Margins and weights.
+            own: Numbers of terms beside the standard ones, by the names that they gave to
+                ``GraspSymbols.parameter``; zero where nothing is said.
         """
         root: list[FloatArray] = []
         posture = posture.copy()
@@ -267,6 +276,8 @@ class GraspProblem:
                 "posture": posture,
                 **options.values(),
                 "objectives": 0.0,
+                **dict.fromkeys(self.formulation.symbols.own, 0.0),
+                **own,
             }
         )
 

@@ -45,6 +45,7 @@ class GraspSymbols:
         length: Characteristic length, m.
         posture: Preferred joints (nq,).
         option: Margins and weights by name, see ``SynthesisOptions.values``.
+        own: Parameters of single terms, see ``parameter``.
         rotation: Orientation (3, 3) of the base, or of the arm's last link.
         shift: Its origin (3,), m.
         symbolic: Kinematics at q, from the arm's last link if there is an arm.
@@ -87,12 +88,24 @@ class GraspSymbols:
         self.mu, self.length = ca.SX.sym("mu"), ca.SX.sym("length")
         self.posture = ca.SX.sym("posture", hand.nq)
         self.option = {name: ca.SX.sym(name) for name in options}
+        self.own: dict[str, Any] = {}
         self.rotation = self.reference @ mrp_matrix(s)
         self.symbolic = SymbolicHand(hand, self.q, from_flange=True)
         self.outward = [
             surface.outward_normal(self.size, code, p)
             for code, p in zip(self.codes, self.points, strict=True)
         ]
+
+    def parameter(self, name: str, size: int) -> Any:
+        """A column of numbers (size,) that a term needs beside the parameters of every problem.
+
+        It is zero unless ``GraspProblem.parameters`` is given another value by its name.
+
+        Args:
+            name: Begins with the term's name, so that no two terms mean the same.
+            size: How many numbers.
+        """
+        return self.own.setdefault(name, ca.SX.sym(name, size))
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -109,6 +122,7 @@ class GraspSymbols:
             "length": self.length,
             "posture": self.posture,
             **self.option,
+            **self.own,
         }
 
     @cached_property

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from planner.collision.moving_hand import moving_hand
 from planner.errors import TaskError
@@ -25,7 +26,7 @@ from planner.synthesis.problem import Start
 from planner.synthesis.seeds.opposition import frame_of, opposition
 from planner.task import GraspTask
 
-__all__ = ["Seeder"]
+__all__ = ["Seeder", "frozen_joints", "opposed_forces"]
 
 PINCH, OPEN = "pinch", "open"
 """Postures that every description gives: pads opposed, and wide open."""
@@ -79,7 +80,7 @@ class Seeder:
         self.stretches = np.linspace(0.0, MOST_STRETCHED, STRETCHES)
         self.gaps = np.array([opposition(task, self._stretched(s)).gap for s in self.stretches])
         self.widest = float(self.gaps.max())
-        self.frozen = self._frozen()
+        self.frozen = frozen_joints(task)
         self._check_within_reach()
         self._prepare()
 
@@ -126,7 +127,7 @@ class Seeder:
             points=np.array(
                 [np.clip(p, c.lower, c.upper) for p, c in zip(points, patches, strict=True)]
             ),
-            forces=_opposed_forces(normals, self.pinch.opposer),
+            forces=opposed_forces(normals, self.pinch.opposer),
             patches=patches,
             frozen=self.frozen,
             base_fixed=task.T_world_base is not None,
@@ -239,17 +240,6 @@ class Seeder:
             q[self.task.hand.arm.index] = self.task.hand.arm.ready
         return q
 
-    def _frozen(self) -> FloatArray:
-        """Joints that stay: the wrist's, unless it is free, and those of an arm's side branches.
-
-        Fingers that do not take part may move out of the way.
-        """
-        frozen = np.zeros(self.task.hand.nq, dtype=bool)
-        frozen[self.task.hand.wrist_index] = not self.task.wrist_free
-        if self.task.hand.arm is not None:
-            frozen[np.setdiff1d(self.task.hand.arm.index, self.task.hand.arm.chain)] = True
-        return frozen
-
     def _resting(self) -> FloatArray:
         """Joints of fingers that do not take part."""
         resting = np.ones(self.task.hand.nq, dtype=bool)
@@ -316,8 +306,20 @@ def _half_width(shape: object, direction: FloatArray) -> float:
     return float(shape.support(direction))  # type: ignore[attr-defined]
 
 
-def _opposed_forces(normals: FloatArray, opposer: int) -> FloatArray:
-    """Forces (n, 3) along the inward normals; the opposer bears as much as all others together."""
+def frozen_joints(task: GraspTask) -> NDArray[np.bool_]:
+    """Joints (nq,) that stay: the wrist's, unless it is free; those of an arm's side branches.
+
+    Fingers that do not take part may move out of the way.
+    """
+    frozen = np.zeros(task.hand.nq, dtype=bool)
+    frozen[task.hand.wrist_index] = not task.wrist_free
+    if task.hand.arm is not None:
+        frozen[np.setdiff1d(task.hand.arm.index, task.hand.arm.chain)] = True
+    return frozen
+
+
+def opposed_forces(normals: FloatArray, opposer: int) -> FloatArray:
+    """Forces (n, 3) against outward normals; the opposer bears as much as all others together."""
     n = len(normals)
     share = np.full(n, n / (2.0 * (n - 1)))
     share[opposer] = n / 2.0
