@@ -88,7 +88,7 @@ class MeshPairs:
         Those that are neither negative nor of the ``count`` smallest of all, with the distances
         ``known`` among them, are told to be infinite.
         """
-        least, bounds = np.sort(known)[:count], self._lower_bounds(which)
+        least, bounds = np.sort(known)[:count], self._field_bounds(which)
         out = np.full(len(which), np.inf)
         order = np.argsort(bounds)
         for place, (_, below) in zip(order, self._queries(which[order]), strict=True):
@@ -185,6 +185,19 @@ class MeshPairs:
         outside = np.maximum(np.maximum(self._lower - points, points - self._upper), 0.0)
         apart = np.sqrt(np.einsum("nki,nki->nk", outside, outside)).min(axis=1)
         return np.asarray(apart - self._radii[which])
+
+    def _field_bounds(self, which: IntArray) -> FloatArray:
+        """Lower bounds (k,) of the distances, m, by the mesh's field: nearer, and slower to get."""
+        bounds = self._lower_bounds(which)
+        covers = self._covers
+        assert covers is not None
+        points = self._seen_by_mesh(covers[which])
+        inside = ((points >= self._lower) & (points <= self._upper)).all(axis=2)
+        outside = np.maximum(np.maximum(self._lower - points, points - self._upper), 0.0)
+        apart = np.sqrt(np.einsum("nki,nki->nk", outside, outside))
+        field = self._mesh.field()
+        apart[inside] = field.value(points[inside]) - field.error
+        return np.maximum(bounds, apart.min(axis=1) - self._radii[which])
 
     def _seen_by_mesh(self, points: FloatArray) -> FloatArray:
         """Points (..., 3) in the mesh's frame."""

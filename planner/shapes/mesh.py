@@ -252,10 +252,11 @@ class Mesh(Shape):
 
         return ConvexHull(self.vertices)
 
-    @property
+    @cached_property
     def hull_vertices(self) -> FloatArray:
-        """Vertices (k, 3) of the convex hull, m."""
+        """Vertices (k, 3) of the convex hull, m, read-only."""
         points: FloatArray = self.vertices[self._hull.vertices]
+        points.flags.writeable = False
         return points
 
     @cached_property
