@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 
 from planner.proximity.convex import Proximity
 from planner.proximity.mesh_depth import TOLERANCE, Exit, Moved, Start, shortest_exit
-from planner.spatial import SE3, FloatArray
+from planner.proximity.mesh_gaps import MeshGaps
+from planner.shapes.meshes.ball_tree import BallTree
+from planner.spatial import SE3, FloatArray, IntArray
 
-__all__ = ["ClosedMesh", "MeshPair", "maybe_within"]
+__all__ = ["CROSSING", "ClosedMesh", "MeshPair", "maybe_within"]
 
 
 class ClosedMesh(Protocol):
@@ -33,6 +35,11 @@ class ClosedMesh(Protocol):
     @property
     def hull_planes(self) -> FloatArray:
         """Planes (k, 4) of the convex hull."""
+        ...
+
+    @property
+    def ball_tree(self) -> BallTree:
+        """Balls around ever fewer triangles."""
         ...
 
     def coal_geometry(self) -> Any:
@@ -60,6 +67,9 @@ CROSSING = 1e-6
 """Distance (m) up to which coal's word that two surfaces are apart is not believed: its accuracy.
 It gives 0 for some that cross."""
 
+ONE: IntArray = np.zeros(1, dtype=np.int64)
+"""The number of the only geometry."""
+
 UNIT = 1e-3
 """How far (-) the length of coal's normals may be from 1."""
 
@@ -84,6 +94,7 @@ class MeshPair:
         self._request, self._result = coal.DistanceRequest(), coal.DistanceResult()
         self._exit: Exit | None = None
         self.inner = np.array(geometry.computeCOM())
+        self._gaps = MeshGaps.of([geometry], mesh)
 
     def distance(self, pose: SE3, pose_mesh: SE3) -> float:
         """Signed distance, m; negative where they share a point.
@@ -92,6 +103,32 @@ class MeshPair:
             pose: ``T_world_geometry``.
             pose_mesh: ``T_world_mesh``.
         """
+        if self._gaps is not None:
+            apart = self._quick_distance(self._gaps, pose_mesh.actInv(pose))
+            if apart is not None:
+                return apart
+        return self._distance(pose, pose_mesh)
+
+    def _quick_distance(self, gaps: MeshGaps, pose: SE3) -> float | None:
+        """Signed distance, m, at a pose in the mesh's frame; None if it takes more to tell."""
+        inner = pose.act(self.inner)[None]
+        if maybe_within(self.mesh, inner)[0]:
+            return None
+        turn = pose.rotation[None]
+        row = gaps.at(ONE, turn, pose.translation[None])[0]
+        distance = float(row[0])
+        if distance > CROSSING:
+            return distance
+        if self._radius is None or distance <= -self._radius:
+            return None
+        # a ball: so far outwards, it is out of all triangles if it was in no second surface
+        outward = (row[1:4] - row[4:7]) / (distance + self._radius)
+        left = pose.translation + (TOLERANCE / 2 - distance) * outward
+        if gaps.at(ONE, turn, left[None])[0, 0] <= 0.0 or maybe_within(self.mesh, left[None])[0]:
+            return None
+        return distance
+
+    def _distance(self, pose: SE3, pose_mesh: SE3) -> float:
         inner = pose_mesh.actInv(pose.act(self.inner))[None]
         maybe_inside = bool(maybe_within(self.mesh, inner)[0])
         at = coal.Transform3s(pose), coal.Transform3s(pose_mesh)
@@ -206,7 +243,7 @@ class MeshPair:
             pose: ``T_world_geometry``.
             pose_mesh: ``T_world_mesh``.
         """
-        distance = self.distance(pose, pose_mesh)
+        distance = self._distance(pose, pose_mesh)
         if self._radius is not None and self._exit is None:
             return self._from_sphere(distance, pose, pose_mesh, self._radius)
         row = self.last_points(distance, pose_mesh)

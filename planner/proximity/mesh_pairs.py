@@ -1,8 +1,9 @@
 """Many convex geometries and one closed mesh, at one placement after the other.
 
-A distance from a mesh takes coal 60 to 500 us, but only 4 us to see that it is above a limit. So
-each geometry is asked for no more than what can still matter: less than the smallest so far, than
-the smallest few, or than a limit.
+Each geometry is asked for no more than what can still matter: less than the smallest so far, than
+the smallest few, or than a limit. Where kernels are compiled, one call of ``MeshGaps`` tells how
+far all are from the triangles; what meets them, or may be inside, is left to ``MeshPair``. Where
+they are not, coal is asked for each: 60 to 500 us, but only 4 us to see that it is above a limit.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from typing import Any
 import coal
 import numpy as np
 
-from planner.proximity.mesh import ClosedMesh, MeshPair, maybe_within
+from planner.proximity.mesh import CROSSING, ClosedMesh, MeshPair, maybe_within
+from planner.proximity.mesh_gaps import MeshGaps
 from planner.spatial import SE3, FloatArray, IntArray
 
 __all__ = ["FEW", "LEAST_LIMIT", "MeshPairs"]
@@ -36,24 +38,21 @@ class MeshPairs:
         self._mesh = mesh
         self._lower, self._upper = mesh.bounds
         self._pairs = [MeshPair(g, mesh) for g in geometries]
+        self._gaps = MeshGaps.of(geometries, mesh)
         self._inner = np.array([p.inner for p in self._pairs])
-        self._off_centre = np.flatnonzero(self._inner.any(axis=1))
         covers = [_cover(g) for g in geometries]
         self._local_covers = np.array([centers for centers, _ in covers])  # (n, BALLS, 3)
         self._radii = np.array([radius for _, radius in covers])
 
-    def place(self, poses: Any, T_mesh: SE3, *, moved: bool = True) -> None:
+    def place(self, poses: Any, T_mesh: SE3) -> None:
         """Put everything somewhere.
 
         Args:
             poses: Poses of the geometries, indexable; further ones behind them are not looked at.
             T_mesh: Pose of the mesh in the same frame.
-            moved: Whether the geometries are elsewhere than before.
         """
-        if moved:
-            self._poses = [poses[i] for i in range(len(self._pairs))]
-            self._centers: FloatArray | None = None
-            self._covers: FloatArray | None = None
+        self._poses = [poses[i] for i in range(len(self._pairs))]
+        self._frames: tuple[FloatArray, FloatArray] | None = None
         self._T_mesh, self._pose_mesh = T_mesh, coal.Transform3s(T_mesh)
 
     def any_maybe_inside(self, which: IntArray) -> bool:
@@ -62,6 +61,12 @@ class MeshPairs:
 
     def nearest(self, which: IntArray, limit: float) -> tuple[int, float] | None:
         """The geometry of least signed distance (m) among ``which``, if that is below a limit."""
+        if self._gaps is not None:
+            known = np.array([max(limit, LEAST_LIMIT)])
+            values = self._measured(self._gaps, which, floor=LEAST_LIMIT, known=known)
+            k = int(np.argmin(values)) if len(values) > 0 else 0
+            below = len(values) > 0 and values[k] < limit
+            return (int(which[k]), float(values[k])) if below else None
         best = None
         if len(which) > FEW:
             bounds = self._lower_bounds(which)
@@ -76,6 +81,8 @@ class MeshPairs:
     def distances(self, which: IntArray, limit: float) -> FloatArray:
         """Signed distances (m) of geometries ``which`` (k,), at least the limit where not below."""
         least = max(limit, LEAST_LIMIT)
+        if self._gaps is not None:
+            return np.minimum(self._measured(self._gaps, which, limit=least), least)
         out = np.full(len(which), least)
         near = np.flatnonzero(self._lower_bounds(which) < limit)
         for place, (_, below) in zip(near, self._queries(which[near]), strict=True):
@@ -88,7 +95,11 @@ class MeshPairs:
         Those that are neither negative nor of the ``count`` smallest of all, with the distances
         ``known`` among them, are told to be infinite.
         """
-        least, bounds = np.sort(known)[:count], self._lower_bounds(which)
+        least = np.sort(known)[:count]
+        if self._gaps is not None:
+            least = np.append(least, np.full(count - len(least), np.inf))
+            return self._measured(self._gaps, which, floor=LEAST_LIMIT, known=least)
+        bounds = self._field_bounds(which)
         out = np.full(len(which), np.inf)
         order = np.argsort(bounds)
         for place, (_, below) in zip(order, self._queries(which[order]), strict=True):
@@ -151,6 +162,37 @@ class MeshPairs:
                 rows.append(self._pairs[i].last_points(distance, self._T_mesh))
         return np.array(places, dtype=int), np.array(distances), np.array(rows).reshape(-1, 9)
 
+    def _measured(
+        self,
+        gaps: MeshGaps,
+        which: IntArray,
+        *,
+        limit: float = np.inf,
+        floor: float = 0.0,
+        known: FloatArray | None = None,
+    ) -> FloatArray:
+        """Signed distances (k,), m, of geometries as far as they are of interest, else infinite.
+
+        Arguments as of ``MeshGaps.at``.
+        """
+        turns, shifts = self._placed(which)
+        turns, shifts = self._T_mesh.rotation.T @ turns, self._seen_by_mesh(shifts)
+        out = gaps.at(which, turns, shifts, limit=limit, floor=floor, known=known)[:, 0].copy()
+        inner = self._inner_points(which)
+        maybe = maybe_within(self._mesh, inner)
+        if maybe.any():
+            maybe[maybe] = self._mesh.signed_distance(inner[maybe]) < 0.0
+        for place in np.flatnonzero(maybe | (out <= CROSSING)):
+            i = int(which[place])
+            out[place] = self._pairs[i].distance_below(
+                coal.Transform3s(self._poses[i]),
+                self._pose_mesh,
+                np.inf,
+                inner[place : place + 1],
+                maybe_inside=bool(maybe[place]),
+            )
+        return out
+
     def _queries(self, which: IntArray) -> Iterator[tuple[int, Callable[[float], float]]]:
         """Each geometry told, and its distance (m) as a function of a limit."""
         inner = self._inner_points(which)
@@ -169,22 +211,41 @@ class MeshPairs:
 
     def _inner_points(self, which: IntArray) -> FloatArray:
         """A point of each geometry told (k, 3), m, in the mesh's frame."""
-        if self._centers is None:
-            self._centers = np.array([pose.translation for pose in self._poses])
-            for i in self._off_centre:
-                self._centers[i] = self._poses[i].act(self._inner[i])
-        return self._seen_by_mesh(self._centers[which])
+        turns, shifts = self._placed(which)
+        return self._seen_by_mesh(shifts + np.einsum("nij,nj->ni", turns, self._inner[which]))
 
     def _lower_bounds(self, which: IntArray) -> FloatArray:
         """Lower bounds (k,) of the distances, m: of balls that cover them from the mesh's box."""
-        if self._covers is None:
-            turns = np.array([pose.rotation for pose in self._poses])
-            shifts = np.array([pose.translation for pose in self._poses])
-            self._covers = np.einsum("nij,nkj->nki", turns, self._local_covers) + shifts[:, None]
-        points = self._seen_by_mesh(self._covers[which])
-        outside = np.maximum(np.maximum(self._lower - points, points - self._upper), 0.0)
-        apart = np.sqrt(np.einsum("nki,nki->nk", outside, outside)).min(axis=1)
+        apart = self._apart_from_box(self._covers(which)).min(axis=1)
         return np.asarray(apart - self._radii[which])
+
+    def _field_bounds(self, which: IntArray) -> FloatArray:
+        """Lower bounds (k,) of the distances, m, by the mesh's field: nearer, and slower to get."""
+        points = self._covers(which)
+        apart = self._apart_from_box(points)
+        bounds = apart.min(axis=1)
+        inside = apart == 0.0
+        field = self._mesh.field()
+        apart[inside] = field.value(points[inside]) - field.error
+        return np.maximum(bounds, apart.min(axis=1)) - self._radii[which]
+
+    def _covers(self, which: IntArray) -> FloatArray:
+        """Centres of the balls that cover geometries, in the mesh's frame, (k, BALLS, 3), m."""
+        turns, shifts = self._placed(which)
+        covers = np.einsum("nij,nkj->nki", turns, self._local_covers[which]) + shifts[:, None]
+        return self._seen_by_mesh(covers)
+
+    def _apart_from_box(self, points: FloatArray) -> FloatArray:
+        """Distances (...), m, of points (..., 3) from the box around the mesh; 0 inside."""
+        outside = np.maximum(np.maximum(self._lower - points, points - self._upper), 0.0)
+        return np.asarray(np.sqrt(np.einsum("...i,...i->...", outside, outside)))
+
+    def _placed(self, which: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Rotations (k, 3, 3) and positions (k, 3), m, of geometries, as they were placed."""
+        if self._frames is None:
+            turns = np.array([pose.rotation for pose in self._poses])
+            self._frames = turns, np.array([pose.translation for pose in self._poses])
+        return self._frames[0][which], self._frames[1][which]
 
     def _seen_by_mesh(self, points: FloatArray) -> FloatArray:
         """Points (..., 3) in the mesh's frame."""

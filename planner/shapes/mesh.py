@@ -20,6 +20,7 @@ from planner.shapes.closest_point import ON_SURFACE, unit
 from planner.shapes.convex import convex_geometry
 from planner.shapes.field.distance_field import DistanceField
 from planner.shapes.field.grid_distance import FIELD_VERSION, field_fits, fit_mesh_field
+from planner.shapes.meshes.ball_tree import BallTree
 from planner.shapes.meshes.checking import check_solid, checked_once
 from planner.shapes.meshes.io import read_mesh
 from planner.shapes.meshes.nearest_triangle import NearestTriangles
@@ -247,15 +248,21 @@ class Mesh(Shape):
         return NearestTriangles(self.vertices, self.faces)
 
     @cached_property
+    def ball_tree(self) -> BallTree:
+        """Balls around ever fewer triangles."""
+        return BallTree.of(self.vertices[self.faces])
+
+    @cached_property
     def _hull(self) -> ConvexHull:
         from scipy.spatial import ConvexHull  # here, since SciPy loads slowly
 
         return ConvexHull(self.vertices)
 
-    @property
+    @cached_property
     def hull_vertices(self) -> FloatArray:
-        """Vertices (k, 3) of the convex hull, m."""
+        """Vertices (k, 3) of the convex hull, m, read-only."""
         points: FloatArray = self.vertices[self._hull.vertices]
+        points.flags.writeable = False
         return points
 
     @cached_property
