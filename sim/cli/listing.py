@@ -11,6 +11,7 @@ from typing import Any
 
 import typer
 
+from sim.cli.audit import audit
 from sim.cli.batch import batch, extract
 from sim.cli.certify import certify
 from sim.cli.creep import creep
@@ -79,6 +80,10 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
     "Data": (
         Listed(call=batch, example="opposable batch allegro_hand box mug -n 20"),
         Listed(call=extract, example="opposable extract grasps 0 -o first.json"),
+        Listed(
+            call=audit,
+            example="opposable audit grasps.csv --hand allegro_hand --object box",
+        ),
         Listed(call=schema, example="opposable schema plan"),
     ),
     "Models": (
