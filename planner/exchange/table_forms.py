@@ -97,7 +97,7 @@ def _to_npz(table: TableFile) -> bytes:
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as packed:
         for name, array in arrays.items():
             member = io.BytesIO()
-            np.lib.format.write_array(member, np.ascontiguousarray(array), allow_pickle=False)
+            np.lib.format.write_array(member, array, allow_pickle=False)
             shaped = zipfile.ZipInfo(f"{name}.npy")  # without the time of day
             packed.writestr(shaped, member.getvalue(), zipfile.ZIP_DEFLATED)
     return stream.getvalue()

@@ -1,4 +1,6 @@
-"""Known faults put into good grasps, each of which one stage of an audit must find.
+"""Known faults put into good grasps, each of which a stage of an audit must find.
+
+What each is:
 
     gap           all fingers 30 % of the way back to the pre-grasp
     penetration   all fingers 10 % of that way further, as far as joint limits let them
@@ -6,6 +8,8 @@
     torque limit  the same grasp pressed with 1000 N per finger, which no actuator has
     wrong hand    base and joints of a right hand for the left one, or the other way round
     wrong scale   the object 20 % larger than the grasp was made for, without its table
+
+A grasp of which no finger opposes all others alone has none without closure by the third.
 """
 
 from __future__ import annotations
