@@ -13,7 +13,7 @@ from planner.shapes import SIZED_SHAPES, Mesh
 __all__ = ["scaled_object"]
 
 SAME = 1e-3
-"""How far (-) lengths of the result may be from what is asked for: of a shape of which not all
+"""How far (-) lengths and volume of the result may be from what is asked for: of a shape of which not all
 sizes are lengths they are far off."""
 
 
@@ -39,7 +39,9 @@ def scaled_object(item: GraspObject, scale: float) -> GraspObject:
     if name in SIZED_SHAPES and sizes:
         scaled = "x".join(repr(scale * float(size)) for size in sizes.split("x"))
         made_shape = parse_object(f"{name}:{scaled}").shape
-        if np.allclose(made_shape.half_extents, scale * shape.half_extents, rtol=SAME):
+        if np.isclose(made_shape.volume, scale**3 * shape.volume, rtol=SAME) and np.allclose(
+            made_shape.half_extents, scale * shape.half_extents, rtol=SAME
+        ):
             return replace(item, shape=made_shape)
     raise TaskError(
         f"the file scales its object by {scale:g}, and {shape.spec} cannot be scaled; give "
