@@ -13,8 +13,8 @@ from planner.shapes import SIZED_SHAPES, Mesh
 __all__ = ["scaled_object"]
 
 SAME = 1e-3
-"""How far (-) lengths and volume of the result may be from what is asked for: of a shape of which not all
-sizes are lengths they are far off."""
+"""How far (-) lengths and volume of the result may be from what is asked for: they are far off for
+a shape of which not all sizes are lengths."""
 
 
 def scaled_object(item: GraspObject, scale: float) -> GraspObject:

@@ -5,8 +5,10 @@ its pose, a free object without gravity, servos led from the pre-grasp to the gr
 squeeze in 10 stages of 10 steps each. Then the object's weight pulls at its centre of mass for 2 s,
 along the gravity of the task. It is held if it stays within 50 mm and 15 degrees of where it was.
 
-A file without a pre-grasp begins at the grasp. One without a squeeze has the closing motion go on
-as far again, as BODex does; without both, the grasp itself is commanded, which hardly presses.
+A file without a pre-grasp begins at the grasp. One without a squeeze gets that of our own exports
+(``planner.exchange.dexgraspbench.plan_squeeze``) where the nearest surface points of the pads can
+press; else the closing motion goes on as far again, as BODex has it, and without a pre-grasp the
+grasp itself is commanded, which hardly presses.
 """
 
 from __future__ import annotations
@@ -16,9 +18,11 @@ import numpy as np
 
 from planner.audit import StageResult
 from planner.audit.judge import T_world_base
+from planner.exchange.dexgraspbench import plan_squeeze
 from planner.exchange.given import GivenGrasp
 from planner.spatial import SE3, FloatArray, pose_change, pose_from_wxyz
 from planner.task import GraspTask
+from planner.verification.geometry import contacts_at
 from sim.protocols.dexgraspbench import FAR, STAGES, unsuitable_for_dexgraspbench
 from sim.protocols.dexgraspbench_scene import benchmark_scene
 from sim.verdict import lost
@@ -47,8 +51,10 @@ def hold_given_grasp(task: GraspTask, grasp: GivenGrasp) -> StageResult:
     base = T_world_base(task, grasp)
     scene, _ = benchmark_scene(task, base)
     actuation = task.hand.actuation
-    opened, closed, pressed = (actuation.moment @ q + actuation.length0 for q in _postures(grasp))
-    data = scene.start(np.array(grasp.q if grasp.q_pregrasp is None else grasp.q_pregrasp), base)
+    before = grasp.q if grasp.q_pregrasp is None else grasp.q_pregrasp
+    opened, closed = (actuation.moment @ q + actuation.length0 for q in (before, grasp.q))
+    pressed = _squeeze(task, grasp, base)
+    data = scene.start(np.array(before), base)
     begin = _object_pose(data.qpos[scene.object_qpos])
     for first, last in ((opened, closed), (closed, pressed)):
         for stage in range(1, STAGES + 1):
@@ -72,11 +78,17 @@ def hold_given_grasp(task: GraspTask, grasp: GivenGrasp) -> StageResult:
     return StageResult(passed=held, number=worst[0], reason=reason)
 
 
-def _postures(grasp: GivenGrasp) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Joints (nq,) before, at, and beyond the grasp."""
-    opened = grasp.q if grasp.q_pregrasp is None else grasp.q_pregrasp
-    pressed = 2.0 * grasp.q - opened if grasp.q_squeeze is None else grasp.q_squeeze
-    return opened, grasp.q, pressed
+def _squeeze(task: GraspTask, grasp: GivenGrasp, base: SE3) -> FloatArray:
+    """Commands (nu,) that press."""
+    actuation = task.hand.actuation
+    if grasp.q_squeeze is not None:
+        return np.asarray(actuation.moment @ grasp.q_squeeze + actuation.length0)
+    q = np.array(grasp.q)
+    planned = plan_squeeze(task, contacts_at(task, base, q), base, q)
+    if not planned.reason:
+        return planned.ctrl
+    before = q if grasp.q_pregrasp is None else grasp.q_pregrasp
+    return np.asarray(actuation.moment @ (2.0 * q - before) + actuation.length0)
 
 
 def _object_pose(qpos: FloatArray) -> SE3:
