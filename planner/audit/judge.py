@@ -36,6 +36,9 @@ __all__ = ["Judge", "T_world_base"]
 MOST_TASKS = 24
 """Tasks that are kept: one per set of fingers, scale and place of the object."""
 
+MOST_REASONS = 3
+"""Reasons of a stage that are told; the number is that of the worst."""
+
 _STAGE_OF = {
     "pad_gap": "gap",
     "pad_geometry_gap": "gap",
@@ -88,7 +91,7 @@ class Judge:
         results = _geometry_stages(task, kept, verify_geometry(world, base, q, kept))
         contacts = contacts_of(task, kept)
         weighed = self._weighed(task, grasp)
-        touching = bool(results["gap"].passed and results["pad"].passed)
+        touching = results["gap"].passed is True
         results |= _contact_stages(weighed, contacts, base, q, judged=touching)
         if self.approach:
             results["approach"] = _approach(world, base, q, contacts, results)
@@ -219,7 +222,7 @@ def _geometry_stages(
 ) -> dict[str, StageResult]:
     """The stages that ``verify_geometry`` decides; a pad that is too deep penetrates."""
     reasons: dict[str, list[str]] = {name: [] for name in ("joints", "gap", "pad", "penetration")}
-    said = {f.numbers["gap"] for f in found.failures if f.kind == "pad_gap"}
+    said = {touch.gap for touch in touches if abs(touch.pad_gap) > TOUCH_TOL}  # of the pad itself
     for failure in found.failures:
         gap = failure.numbers.get("gap", 0.0)
         if failure.kind == "pad_geometry_gap" and gap in said:
@@ -236,9 +239,15 @@ def _geometry_stages(
         "penetration": 1e3 * max(0.0, -depth, -deep),
     }
     return {
-        name: StageResult(passed=not texts, number=numbers[name], reason="; ".join(texts))
+        name: StageResult(passed=not texts, number=numbers[name], reason=_first(texts))
         for name, texts in reasons.items()
     }
+
+
+def _first(texts: Sequence[str]) -> str:
+    """The first few of many reasons."""
+    more = len(texts) - MOST_REASONS
+    return "; ".join(texts[:MOST_REASONS]) + (f"; and {more} more" if more > 0 else "")
 
 
 def _contact_stages(

@@ -333,6 +333,10 @@ def _show(report: AuditReport, output: Path | None) -> None:
     if len(faults) > SHOWN:
         more = f"; all are in {output}" if output is not None else "; --out FILE.csv keeps all"
         say(out, escape(f"... and {len(faults) - SHOWN} more{more}"))
+    half, most = report.tolerance_mm(0.5), report.tolerance_mm(0.9)
+    if half is not None and most is not None and report.stages["gap"]["failed"]:
+        text = f"half of the grasps would touch at a tolerance of {half:.2g} mm, 90 % at {most:.2g}"
+        say(out, f"{text} mm; 0.5 mm is asked for")
     for sentence in report.assumed:
         say(out, escape(f"taken for granted: {sentence}"))
     say(out, escape(f"{report.source}: {report.summary}"))
