@@ -218,7 +218,7 @@ def test_texts_that_are_no_such_file_are_refused(good: Json, read: Callable[...,
             "!!python/object/apply:os.system ['true']\n",
             "is damaged or not YAML: could not determin",
         ),
-        ("{" * 3000, "is damaged or not YAML"),
+        ("[" * 100_000, "it is nested more than 50 times"),  # libyaml alone ends the process
     ):
         with pytest.raises(FileFormatError, match=said):
             read(text)
