@@ -17,6 +17,7 @@ from planner.exchange import Reading, Writing, export_plans
 from planner.exchange.formats import format_of
 from planner.exchange.frames import T_object_body
 from planner.exchange.isaac_grasp import read_isaac_grasp, write_isaac_grasp
+from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.objects import parse_object
@@ -158,6 +159,29 @@ def test_a_joint_that_follows_is_left_out_and_computed(tmp_path: Path) -> None:
     (tmp_path / "g.yaml").write_text(text.replace("left", "right"), encoding="utf-8")
     with pytest.raises(FileFormatError, match="cspace_position lacks, of the joints of claw, left"):
         read_isaac_grasp(tmp_path / "g.yaml", claw, Reading())
+
+
+def test_grasps_of_a_coupled_hand_come_back_without_its_followers(
+    edit_hand: Callable[..., Path], tmp_path: Path
+) -> None:
+    tie = (
+        '[[couplings]]\nname = "tie"\nkind = "equality"\njoints = { index_3 = 1, index_2 = -0.8 }\n'
+    )
+    motor = '<position name="A_index_3" joint="index_3" ctrlrange="-0.4604 1.8514"/>'
+    finger = '[[fingers]]\nname = "thumb"'
+    hand = load_hand(edit_hand({finger: f"{tie}\n{finger}"}, {motor: ""}))
+    plans = [plan_grasp(GraspTask.create(hand, "box"), seed=seed) for seed in (0, 1)]
+    done = export_plans(plans, tmp_path / "g.yaml", "isaac-grasp")
+    assert done.notes == ("left out, since they follow other joints by couplings: index_3",)
+    data = yaml.safe_load((tmp_path / "g.yaml").read_text(encoding="utf-8"))
+    told = data["grasps"]["grasp_0"]["cspace_position"]
+    assert set(told) == set(hand.joint_names) - {"index_3"}
+    for grasp, plan in zip(
+        read_isaac_grasp(tmp_path / "g.yaml", hand, Reading()).grasps, plans, strict=True
+    ):
+        np.testing.assert_allclose(grasp.q, plan.q, rtol=0, atol=1e-6)
+        assert grasp.q_pregrasp is not None
+        np.testing.assert_allclose(grasp.q_pregrasp, plan.q_pregrasp, rtol=0, atol=1e-6)
 
 
 DAMAGE: list[tuple[str, Json, str]] = [
