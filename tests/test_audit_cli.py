@@ -54,7 +54,12 @@ def test_good_grasps_exit_with_0_and_bad_ones_with_1(folder: Path, tmp_path: Pat
     rows = tmp_path / "rows.csv"
     done = RUN.invoke(app, ["audit", str(folder / "bad.json"), *FOR, "--out", str(rows)])
     assert done.exit_code == 1, done.output
-    for words in ("3 of 4 grasps pass, 1 fail first at gap", "mm from the surface", "75.0 %", "0.5 mm is asked"):
+    for words in (
+        "3 of 4 grasps pass, 1 fail first at gap",
+        "mm from the surface",
+        "75.0 %",
+        "0.5 mm is asked",
+    ):
         assert words in done.output
     assert len(rows.read_text().splitlines()) == 5
 

@@ -124,6 +124,8 @@ _MODULES: tuple[str, ...] = (
     "dexgraspnet",
     "frogger",
     "isaac_grasp",
+    "ros.grasp",
+    "ros.trajectory",
     "table",
 )
 """Modules below ``planner.exchange`` that register a format when they are imported."""

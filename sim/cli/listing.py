@@ -16,6 +16,7 @@ from sim.cli.batch import batch, extract
 from sim.cli.certify import certify
 from sim.cli.creep import creep
 from sim.cli.crosscheck import crosscheck
+from sim.cli.export import export
 from sim.cli.forces import forces
 from sim.cli.grasp import plan, run, simulate
 from sim.cli.hands import check_hand, describe, hands
@@ -84,6 +85,7 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
             call=audit,
             example="opposable audit grasps.csv --hand allegro_hand --object box",
         ),
+        Listed(call=export, example="opposable export plan.json --to ros2-grasp -o grasp.json"),
         Listed(call=schema, example="opposable schema plan"),
     ),
     "Models": (

@@ -5,6 +5,17 @@ from __future__ import annotations
 import typer
 
 from sim.cli.bench import audit, best, control, dexgraspbench, grasps, pages, synthesis, turns, zoo
+from sim.cli.bench import (
+    best,
+    control,
+    dexgraspbench,
+    exports,
+    grasps,
+    pages,
+    synthesis,
+    turns,
+    zoo,
+)
 
 __all__ = ["register"]
 
@@ -28,6 +39,7 @@ def register(app: typer.Typer, panel: str) -> None:
         turns.manipulate,
         control.physics,
         dexgraspbench.dexgraspbench,
+        exports.exports,
         pages.pages,
         zoo.zoo,
         zoo.gallery,
