@@ -89,6 +89,10 @@ def channels_of(hand: Hand, writing: Writing) -> Channels:
     if len(left_out):
         tied = ", ".join(hand.joint_names[i] for i in left_out)
         said += (f"left out, since they follow other joints by couplings: {tied}",)
+    loose = np.setdiff1d(np.flatnonzero(~hand.actuation.moment.any(axis=0)), left_out)
+    if len(loose):
+        idle = ", ".join(hand.joint_names[i] for i in loose)
+        said += (f"moved by no actuator and tied by no coupling that always holds: {idle}",)
     return Channels(
         names=renaming(names, writing.rename, f"{what} of {hand.name}"),
         matrix=matrix,

@@ -11,6 +11,7 @@ from typing import Any
 
 import typer
 
+from sim.cli.audit import audit
 from sim.cli.batch import batch, extract
 from sim.cli.certify import certify
 from sim.cli.creep import creep
@@ -87,6 +88,11 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
         Listed(call=extract, example="opposable extract grasps 0 -o first.json"),
         Listed(call=export, example="opposable export plan.json --to ros2-grasp -o grasp.yaml"),
         Listed(call=episodes, example="opposable episodes plan.json -o episodes --video"),
+        Listed(
+            call=audit,
+            example="opposable audit grasps.csv --hand allegro_hand --object box",
+        ),
+        Listed(call=export, example="opposable export plan.json --to ros2-grasp -o grasp.json"),
         Listed(call=schema, example="opposable schema plan"),
     ),
     "Models": (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import typer
 
+from sim.cli.bench import audit, best, control, dexgraspbench, grasps, pages, synthesis, turns, zoo
 from sim.cli.bench import (
     best,
     control,
@@ -32,6 +33,7 @@ def register(app: typer.Typer, panel: str) -> None:
         grasps.walls,
         grasps.metrics,
         grasps.trials,
+        audit.audit,
         synthesis.scaling,
         control.forces,
         control.control,
