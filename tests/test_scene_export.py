@@ -1,4 +1,4 @@
-"""Exported scenes: the numbers of the trial's scene, loaded and held by what knows nothing of us."""
+"""Exported scenes: the numbers of the trial's scene, held by a process that knows nothing of us."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from sim.scene_export import MJCF_SCENE, check, export_scene
 SCENES = (("allegro_hand", "ellipsoid"), ("shadow_hand", "box"), ("allegro_hand", "lbracket"))
 
 
-@pytest.fixture(scope="module", params=SCENES, ids=lambda pair: "-".join(pair))
+@pytest.fixture(scope="module", params=SCENES, ids="-".join)
 def plan(request: pytest.FixtureRequest) -> GraspPlan:
     hand, item = request.param
     return plan_grasp(GraspTask.create(hand, item))
