@@ -21,6 +21,7 @@ from planner.search import plan_grasp
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, task_for
 from sim.bench.run import ObjectJob, measure
+from sim.physics import PhysicsOptions
 from sim.runner import Check, Runner
 from sim.scene_export import export_scene
 from sim.scene_export.check import hold
@@ -34,7 +35,12 @@ FORMAT = "opposable-bench-witness"
 
 @dataclass(frozen=True, kw_only=True)
 class WitnessJob(ObjectJob):
-    """One seed of a hand and an object."""
+    """One seed of a hand and an object.
+
+    Attributes:
+        seed: Seed of planning.
+        physics: How MuJoCo computes; Drake takes the friction alone.
+    """
 
     SHOWN: ClassVar = ("hand", "label", "seed")
     NOTHING: ClassVar[Row] = {"found": False, "reason": "", "plan_cpu_s": None} | {
@@ -44,6 +50,7 @@ class WitnessJob(ObjectJob):
     }
 
     seed: int
+    physics: PhysicsOptions
 
     def row(self, **values: object) -> Row:
         """The row: what is not given stands for a grasp that was not found."""
@@ -65,7 +72,7 @@ def plan_and_witness(job: WitnessJob, check: Check) -> Row:
         planned = time.process_time()
         with tempfile.TemporaryDirectory() as made:
             folder = Path(made) / "scene"
-            export_scene(plan, folder)
+            export_scene(plan, folder, physics=job.physics)
             exported = time.process_time()
             held, mm, deg = hold(folder / "scene.xml")
             stepped = time.process_time()
@@ -88,7 +95,13 @@ def plan_and_witness(job: WitnessJob, check: Check) -> Row:
 
 
 def run_witness(
-    hands: Sequence[str], objects: Sequence[BenchObject], n: int, *, seed: int, runner: Runner
+    hands: Sequence[str],
+    objects: Sequence[BenchObject],
+    n: int,
+    *,
+    seed: int,
+    physics: PhysicsOptions,
+    runner: Runner,
 ) -> Row:
     """Plan and hold n seeds of each hand and object (``sim.bench``).
 
@@ -100,11 +113,19 @@ def run_witness(
     check_tasks(hands, objects)
     cells = [(hand, item, seed + k) for hand in hands for item in objects for k in range(n)]
     jobs = [
-        WitnessJob(index=k, hand=hand, spec=item.spec, label=item.label, seed=number)
+        WitnessJob(
+            index=k, hand=hand, spec=item.spec, label=item.label, seed=number, physics=physics
+        )
         for k, (hand, item, number) in enumerate(cells)
     ]
     return measure(
-        runner, plan_and_witness, jobs, kind=FORMAT, title="witness", lost=WitnessJob.lost
+        runner,
+        plan_and_witness,
+        jobs,
+        kind=FORMAT,
+        title="witness",
+        lost=WitnessJob.lost,
+        physics=physics.to_dict(),
     )
 
 

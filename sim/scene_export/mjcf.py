@@ -93,10 +93,32 @@ def plain_scene(plan: GraspPlan, physics: PhysicsOptions) -> tuple[Scene, Any]:
     plain = spec_from_model(compiled)
     plain.body(GANTRY).name = MOUNT
     physics.apply(plain, task.gravity)
+    if task.hand.arm is None:
+        _keep_neighbours_apart(plain, compiled)
     for pair in range(compiled.npair):
         _add_pair(plain, compiled, pair)
     model = compile_spec(plain, what)
     return index_scene(task, physics, plan.T_world_base, model, None), plain
+
+
+def _keep_neighbours_apart(spec: Any, model: Any) -> None:
+    """Exclude contacts of the fixed base with the links on it.
+
+    MuJoCo lets no body touch the one that it hangs on, unless that one stands fixed in the world,
+    as the base does here and does not on its gantry.
+    """
+    welded = model.body_weldid
+    fixed = [b for b in range(1, model.nbody) if welded[b] == 0]
+    known = {int(signature) for signature in model.exclude_signature[: model.nexclude]}
+    for body in range(1, model.nbody):
+        root = int(welded[body])
+        if root == 0 or int(model.body_parentid[root]) not in fixed:
+            continue
+        for base in fixed:
+            if (base << 16) + body not in known and (body << 16) + base not in known:
+                names = (model.body(b).name for b in (base, body))
+                first, second = (MOUNT if name == GANTRY else name for name in names)
+                spec.add_exclude(bodyname1=first, bodyname2=second)
 
 
 def _add_pair(spec: Any, model: Any, k: int) -> None:
@@ -104,8 +126,8 @@ def _add_pair(spec: Any, model: Any, k: int) -> None:
     pair = spec.add_pair(name=model.pair(k).name)
     pair.geomname1 = model.geom(int(model.pair_geom1[k])).name
     pair.geomname2 = model.geom(int(model.pair_geom2[k])).name
-    for name in ("condim", "margin", "gap"):
-        setattr(pair, name, getattr(model, f"pair_{name}")[k].item())
+    pair.condim = int(model.pair_dim[k])
+    pair.margin, pair.gap = float(model.pair_margin[k]), float(model.pair_gap[k])
     for name in ("friction", "solref", "solreffriction", "solimp"):
         setattr(pair, name, getattr(model, f"pair_{name}")[k])
 

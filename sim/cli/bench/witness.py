@@ -10,7 +10,14 @@ from sim.cli.bench.common import (
     ObjectsOption,
     ResultOptions,
 )
-from sim.cli.common import SeedOption, errors_for_people, names
+from sim.cli.common import (
+    PhysicsOption,
+    SeedOption,
+    SimMuOption,
+    errors_for_people,
+    names,
+    physics_of,
+)
 from sim.cli.options import with_options
 
 
@@ -21,15 +28,26 @@ def witness(
     objects: ObjectsOption = PRIMITIVES,
     n: NumberOption = 10,
     seed: SeedOption = 0,
+    sim_mu: SimMuOption = None,
+    physics: PhysicsOption = "ours",
     *,
     result: ResultOptions,
 ) -> None:
-    """Hold exported grasps in MuJoCo and in Drake: held there, here, in both."""
+    """Hold exported grasps in MuJoCo and in Drake: held here, there, in both.
+
+    Of --physics Drake takes the friction alone.
+    """
     from sim.bench.objects import bench_objects
     from sim.bench.witness import run_witness, witness_tables
 
+    computed = physics_of(physics, sim_mu)
     with result.measuring() as runner:
         measured = run_witness(
-            hands or BOTH_HANDS, bench_objects(names(objects)), n, seed=seed, runner=runner
+            hands or BOTH_HANDS,
+            bench_objects(names(objects)),
+            n,
+            seed=seed,
+            physics=computed,
+            runner=runner,
         )
     result.give(measured, witness_tables)

@@ -1,0 +1,270 @@
+"""The second engine: Drake has the same hand, obeys the same commands, and can say no."""
+
+from __future__ import annotations
+
+import builtins
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from planner.errors import FileFormatError, TaskError
+from planner.files import write_plan
+from planner.plan import GraspPlan
+from planner.search import plan_grasp
+from planner.task import GraspTask
+from sim.cli import main
+from sim.physics import PhysicsOptions
+from sim.protocols import IN_ALL, PROTOCOLS, run_protocol, unsuitable
+from sim.scene_export import export_scene
+from sim.second_engine import drake_missing, hold_in_drake, load_drake_scene
+
+WEIGHT = 0.1 * 9.81
+
+
+def need_drake() -> None:
+    if drake_missing():
+        pytest.skip("drake is not installed")
+
+
+@pytest.fixture(scope="module", params=["allegro_hand", "shadow_hand"])
+def plan(request: pytest.FixtureRequest) -> GraspPlan:
+    return plan_grasp(GraspTask.create(request.param, "box"))
+
+
+@pytest.fixture(scope="module")
+def folder(plan: GraspPlan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("export") / "scene"
+    export_scene(plan, out)
+    return out
+
+
+@pytest.fixture
+def edited(folder: Path, tmp_path: Path) -> Callable[..., Path]:
+    """A copy of the export with another physics.json."""
+
+    def edit(change: Callable[[dict[str, Any]], None]) -> Path:
+        copy = tmp_path / "edited"
+        shutil.copytree(folder, copy)
+        told = json.loads((copy / "physics.json").read_text())
+        change(told)
+        (copy / "physics.json").write_text(json.dumps(told))
+        return copy
+
+    return edit
+
+
+# --- the same hand --------------------------------------------------------------------------------
+
+
+def test_drake_has_the_mass_matrix_of_mujoco(plan: GraspPlan, folder: Path) -> None:
+    """Frames, masses, inertia and armature of every joint at once, at 1e-9."""
+    need_drake()
+    scene = load_drake_scene(folder)
+    context = scene.plant.CreateDefaultContext()
+    q = scene.plant.GetPositions(context)
+    q[scene.q_index] = plan.q
+    scene.plant.SetPositions(context, q)
+    theirs = scene.plant.CalcMassMatrix(context)[np.ix_(scene.v_index, scene.v_index)]
+    model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("grasp").id)
+    mujoco.mj_forward(model, data)
+    whole = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, whole)
+    dofs = [int(model.joint(name).dofadr[0]) for name in scene.joints]
+    np.testing.assert_allclose(theirs, whole[np.ix_(dofs, dofs)], rtol=0, atol=1e-9)
+
+
+def test_drake_makes_the_torques_of_the_servos(plan: GraspPlan, folder: Path) -> None:
+    """PD laws and explicit torques together are MuJoCo's actuator and spring forces."""
+    need_drake()
+    scene = load_drake_scene(folder)
+    model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("squeeze").id)
+    dofs = [int(model.joint(name).dofadr[0]) for name in scene.joints]
+    adr = [int(model.joint(name).qposadr[0]) for name in scene.joints]
+    rng = np.random.default_rng(1)
+    # bent a little further, so that no stop touches; slow, so that no force range is reached
+    q = plan.q + 0.02 * rng.uniform(size=len(adr))
+    v = 0.1 * rng.normal(size=len(adr))
+    data.qpos[adr], data.qvel[dofs] = q, v
+    mujoco.mj_forward(model, data)
+    ctrl = {model.actuator(i).name: float(data.ctrl[i]) for i in range(model.nu)}
+    commands = np.array([ctrl[name] for name in scene.explicit.names])
+    explicit = scene.explicit
+    without_stops = type(explicit)(
+        **{**vars(explicit), "stops": explicit.stops[:0], "at_least": explicit.at_least[:0]}
+    )
+    torque = without_stops.torque(q, v, commands)
+    for name, (_, factor, offset) in scene.wanted.items():
+        actuator = scene.plant.GetJointActuatorByName(name)
+        gains = actuator.get_controller_gains()
+        k = scene.joints.index(actuator.joint().name())
+        wanted = gains.p * (factor * ctrl[name] + offset - q[k]) - gains.d * v[k]
+        torque[k] += np.clip(wanted, -actuator.effort_limit(), actuator.effort_limit())
+    springs = data.qfrc_spring[dofs]
+    np.testing.assert_allclose(torque, data.qfrc_actuator[dofs] + springs, rtol=0, atol=1e-9)
+
+
+def test_the_same_geoms_may_touch(folder: Path) -> None:
+    """Pairs that MuJoCo filters by its bits or as neighbours are not even candidates in Drake."""
+    need_drake()
+    scene = load_drake_scene(folder)
+    graph = scene.diagram.GetSubsystemByName("scene_graph")
+    view = graph.model_inspector()
+    theirs = {
+        frozenset(view.GetName(g).split("::", 1)[-1] for g in pair)
+        for pair in view.GetCollisionCandidates()
+    }
+    model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
+    ours = set()
+    excluded = {int(s) for s in model.exclude_signature}
+    for a in range(model.ngeom):
+        for b in range(a + 1, model.ngeom):
+            first, second = sorted((int(model.geom_bodyid[a]), int(model.geom_bodyid[b])))
+            roots = model.body_weldid[[first, second]]
+            above = model.body_weldid[model.body_parentid[roots]]
+            bits = (
+                model.geom_contype[a] & model.geom_conaffinity[b]
+                or model.geom_contype[b] & model.geom_conaffinity[a]
+            )
+            neighbours = roots[0] == above[1] or roots[1] == above[0]
+            apart = roots[0] == roots[1] or (first << 16) + second in excluded
+            if bits and not apart and (not neighbours or 0 in roots):
+                ours.add(frozenset((model.geom(a).name, model.geom(b).name)))
+    assert theirs == ours
+
+
+# --- a verdict that can be no ---------------------------------------------------------------------
+
+
+def test_the_grasp_holds_and_its_contacts_carry_the_weight(folder: Path) -> None:
+    need_drake()
+    seen = hold_in_drake(folder)
+    assert seen.held and seen.moved_mm[-1] < 1.0 and seen.turned_deg[-1] < 2.0
+    last = seen.touches.moment == len(seen.time) - 1
+    np.testing.assert_allclose(
+        seen.touches.forces[last].sum(axis=0), [0.0, 0.0, WEIGHT], atol=0.02 * WEIGHT
+    )
+    pressing = np.einsum("ij,ij->i", seen.touches.forces, seen.touches.normals)
+    assert (pressing[last] > 0.1).all()
+
+
+def test_without_the_squeeze_the_object_falls(edited: Callable[..., Path]) -> None:
+    need_drake()
+
+    def loosen(told: dict[str, Any]) -> None:
+        keys = told["key_frames"]
+        keys["squeeze"]["commands"] = keys["pregrasp"]["commands"]
+
+    seen = hold_in_drake(edited(loosen))
+    assert not seen.held
+    assert seen.time[-1] < 1.0 and seen.rise_mm[-1] < 0.0
+
+
+def test_a_push_beyond_the_grip_takes_the_object(folder: Path) -> None:
+    need_drake()
+    little, much = (
+        hold_in_drake(folder, wrench=np.array([0.0, 0.0, -force, 0.0, 0.0, 0.0]))
+        for force in (0.1, 20.0)
+    )
+    assert little.held and not much.held
+    assert much.pushed_from == 1.0 < much.time[-1] < 2.0
+
+
+def test_slippery_fingers_lose_it(plan: GraspPlan, tmp_path: Path) -> None:
+    """Friction of the scene reaches Drake's contacts."""
+    need_drake()
+    export_scene(plan, tmp_path / "scene", physics=PhysicsOptions(mu=0.05))
+    assert not hold_in_drake(tmp_path / "scene").held
+
+
+def test_a_folder_that_is_no_export_is_refused(tmp_path: Path) -> None:
+    need_drake()
+    with pytest.raises(FileFormatError, match="is no exported scene"):
+        hold_in_drake(tmp_path)
+    (tmp_path / "physics.json").write_text("{}")
+    (tmp_path / "scene.xml").write_text("<mujoco>")
+    with pytest.raises(FileFormatError, match="is no exported scene"):
+        hold_in_drake(tmp_path)
+
+
+# --- the protocol ---------------------------------------------------------------------------------
+
+
+def test_the_protocol_judges_the_contacts_of_drake(plan: GraspPlan) -> None:
+    need_drake()
+    report = run_protocol(plan, "drake", only=["hold", "push +x"])
+    assert report.success and [o.name for o in report.outcomes] == ["hold", "push +x"]
+    for outcome in report.outcomes:
+        assert outcome.share_closed == 1.0
+        assert 0.05 < outcome.largest_utilisation <= 1.0
+        assert (outcome.samples.normal_force[-1] > 0.1).all()
+    push = report.outcomes[1]
+    assert push.load[0] == 0.0 and push.load[-1] == pytest.approx(WEIGHT / 2)
+    assert "physics: Drake (0.001 s" in " ".join(str(report).split())
+    json.dumps(report.to_dict(), allow_nan=False)
+
+
+def test_without_the_package_it_says_what_to_install(
+    plan: GraspPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    there = builtins.__import__
+
+    def missing(name: str, *args: Any, **kwargs: Any) -> Any:
+        if name.startswith("pydrake"):
+            raise ImportError(name)
+        return there(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", missing)
+    with pytest.raises(TaskError, match=r'not installed: pip install "opposable\[drake\]"'):
+        run_protocol(plan, "drake")
+    write_plan(plan, tmp_path / "plan.json")
+    with pytest.raises(SystemExit) as ended:
+        main(["test", str(tmp_path / "plan.json"), "--protocol", "drake", "--out", str(tmp_path)])
+    assert ended.value.code not in (0, 1)
+    assert 'pip install "opposable[drake]"' in " ".join(capsys.readouterr().err.split())
+
+
+def test_it_is_run_by_its_name_alone() -> None:
+    assert set(PROTOCOLS) - set(IN_ALL) == {"drake"}
+    of_motors = GraspTask.create("shadow_hand_torque", "sphere")
+    assert "are no position servos; use the protocol forces" in unsuitable("drake", of_motors)
+
+
+def test_the_witness_counts_both_engines() -> None:
+    need_drake()
+    from rich.console import Console
+
+    from sim.bench.objects import bench_objects
+    from sim.bench.witness import run_witness, witness_tables
+    from sim.runner import Runner
+
+    runner = Runner(console=Console(quiet=True), check=lambda: None, workers=1)
+    result = run_witness(
+        ["allegro_hand"],
+        bench_objects(["sphere"]),
+        1,
+        seed=0,
+        physics=PhysicsOptions(),
+        runner=runner,
+    )
+    (row,) = result["rows"]
+    assert row["mujoco_held"] and row["drake_held"] and row["reason"] == ""
+    lost = {**row, "index": 1, "drake_held": False, "reason": "after 0.1 s it had moved"}
+    table, told = witness_tables({**result, "rows": [row, lost]})
+    assert told == "allegro_hand sphere seed 0: after 0.1 s it had moved"
+    assert not isinstance(table, str)
+    assert [list(column.cells)[-1] for column in table.columns][2:6] == [
+        "2 of 2",
+        "2/2",
+        "1/2",
+        "1/2",
+    ]
