@@ -72,7 +72,7 @@ def episodes(
     physics: PhysicsOption = "ours",
     as_json: JsonOption = False,
 ) -> None:
-    """Execute plans, or take reports, and write a data set of episodes.
+    """Trials as a data set of episodes: LeRobot or Parquet.
 
     Plans of grasps and manipulations and the rows of batches are executed in MuJoCo; reports with
     states are taken as they are. All are of one hand. Ctrl-C keeps the episodes that are whole; an

@@ -160,11 +160,10 @@ def _standing_view(scene: Scene, poses: Sequence[FloatArray], aspect: float) -> 
     views = choose_views(scene.model, chosen, scene.subject, aspect, follow=None)
     points = np.array([view.lookat for view in views])
     middle = (points.max(axis=0) + points.min(axis=0)) / 2
-    reach = [
-        view.distance + float(np.linalg.norm(view.lookat - middle)) / np.tan(HALF_VIEW)
-        for view in views
-    ]
-    return replace(views[0], lookat=middle, distance=max(reach))
+    right, up, forwards = ((points - middle) @ views[0].axes).T
+    aside = np.maximum(np.abs(right) / aspect, np.abs(up)) / np.tan(HALF_VIEW)
+    reach = np.array([view.distance for view in views]) + aside - forwards
+    return replace(views[0], lookat=middle, distance=float(reach.max()))
 
 
 def _drawn(painter: Painter, poses: Sequence[FloatArray], view: View) -> Iterator[Pixels]:

@@ -24,12 +24,12 @@ def rates_of(time: FloatArray) -> tuple[int, ...]:
         time: Times of the samples (m,), s, at least two.
     """
     period = float(np.median(np.diff(time)))
-    highest = int(1.0 / period + 0.5)
-    return tuple(
-        rate
-        for rate in range(highest, 0, -1)
-        if abs(round(1.0 / (rate * period)) * period - 1.0 / rate) <= TIME_TOL
-    )
+    rates = []
+    for rate in range(int(1.0 / period + 0.5), 0, -1):
+        steps = round(1.0 / (rate * period))
+        if abs(steps * period - 1.0 / rate) <= steps * TIME_TOL:
+            rates.append(rate)
+    return tuple(rates)
 
 
 def frames_at(time: FloatArray, fps: int | None, source: str) -> tuple[int, IntArray]:

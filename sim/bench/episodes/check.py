@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -144,7 +145,7 @@ def _work(job: _HandJob, check: Check) -> Row:
             succeeded=written.succeeded,
             largest_difference=_columns_off(episodes, found),
             indexes_right=_indexes_right(episodes, found, told["fps"]),
-            film_levels_off=_film_off(home, episodes, found),
+            film_levels_off=_film_off(home, found),
             statistics_off=_statistics_off(found),
             quantile_bins_off=_quantiles_off(found),
             write_cpu_s=cpu / written.episodes,
@@ -213,7 +214,7 @@ def _indexes_right(episodes: Sequence[Episode], found: dict[str, Any], fps: int)
     return all(same) and told == found["item/task"].tolist()
 
 
-def _film_off(home: Path, episodes: Sequence[Episode], found: dict[str, Any]) -> float:
+def _film_off(home: Path, found: dict[str, Any]) -> float:
     """Largest mean difference (levels of 255) of a frame from what ffmpeg decodes at its place."""
     import imageio_ffmpeg
 
@@ -225,11 +226,16 @@ def _film_off(home: Path, episodes: Sequence[Episode], found: dict[str, Any]) ->
         strict=True,
     ):
         path = home / "videos" / VIDEO_KEY / "chunk-000" / f"file-{k:03d}.mp4"
-        reader = imageio_ffmpeg.read_frames(str(path), output_params=["-vf", f"select=eq(n\\,{i})"])
-        width, height = next(reader)["size"]
-        pixels = np.frombuffer(next(reader), dtype=np.uint8).reshape(height, width, 3)
-        reader.close()
-        largest = max(largest, float(np.abs(255.0 * picture.transpose(1, 2, 0) - pixels).mean()))
+        chosen = ["-i", str(path), "-vf", f"select=eq(n\\,{i})", "-frames:v", "1"]
+        raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+        done = subprocess.run(
+            [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", *chosen, *raw],
+            capture_output=True,
+            check=True,
+        )
+        seen = 255.0 * picture.transpose(1, 2, 0)
+        pixels = np.frombuffer(done.stdout, dtype=np.uint8).reshape(seen.shape)
+        largest = max(largest, float(np.abs(seen - pixels).mean()))
     return largest
 
 
