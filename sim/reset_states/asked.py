@@ -104,8 +104,8 @@ class StatesAsked:
     n: int
     seed: int = 0
     scales: tuple[float, ...] = (1.0,)
-    grasps: int = 200
-    motions: int = 30
+    grasps: int = 500
+    motions: int = 50
     gaits: int = 1
     turn: float = float(np.pi / 6)
     fingers: tuple[str, ...] = ()
@@ -214,7 +214,7 @@ def scaled(item: GraspObject, scale: float) -> GraspObject:
 
 
 def _scaled_shape(shape: Shape, scale: float) -> Shape:
-    if isinstance(shape, Mesh):
+    if type(shape) is Mesh:  # not a shape that is made of triangles by its sizes
         if shape.source is None:
             return Mesh.from_triangles(shape.vertices * scale, shape.faces)
         source = shape.source

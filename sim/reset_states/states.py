@@ -149,7 +149,8 @@ class StateSet:
             FileFormatError: It cannot be read, is something else, or of another version.
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
+            # numpy.load leaves a damaged file open that it opened itself
+            with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
                 content = {name: file[name] for name in file.files}
         except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
             raise FileFormatError(f"cannot read the states {path}: {error}") from error
