@@ -104,8 +104,8 @@ class StatesAsked:
     n: int
     seed: int = 0
     scales: tuple[float, ...] = (1.0,)
-    grasps: int = 500
-    motions: int = 50
+    grasps: int = 200
+    motions: int = 30
     gaits: int = 1
     turn: float = float(np.pi / 6)
     fingers: tuple[str, ...] = ()

@@ -169,4 +169,4 @@ class StateSet:
         try:
             return cls(scale=float(content["scale"]), **texts, **names, **columns)
         except TaskError as error:
-            raise FileFormatError(f"{path}: {error}") from error
+            raise FileFormatError(f"the states {path} are damaged: {error}") from error
