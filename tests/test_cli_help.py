@@ -20,11 +20,12 @@ WIDTH, HEIGHT = 80, 40
 """A terminal, characters."""
 
 LONG = ("run", "plan", "batch", "manipulate", "plan-motion", "plan-gait")
+LONG = ("run", "plan", "batch", "manipulate", "plan-motion", "states")
 """Commands with so many options that no help of one line each fits a screen."""
 
 SLOW = (
     *("run", "test", "demo", "manipulate", "plan-gait", "certify", "batch", "crosscheck"),
-    *("creep", "view"),
+    *("creep", "view", "states"),
 )
 """Commands whose example takes more than a few seconds."""
 

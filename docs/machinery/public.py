@@ -85,6 +85,7 @@ GROUPS: dict[str, list[str]] = {
         "sim.recording",
         "sim.states",
         "sim.report_file",
+        "sim.reset_states",
     ],
     "Pages, pictures and films": [
         "sim.pages",

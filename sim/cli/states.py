@@ -50,31 +50,40 @@ def states(
         Path, typer.Option("--out", help="Folder; a cache that is there goes on.", metavar="DIR")
     ] = Path("cache"),
     scales: Annotated[
-        str, typer.Option(help="Sizes relative to the object's: 0.9,1,1.1", metavar="S,...")
+        str, typer.Option(help="Sizes relative to the object's.", metavar="S,...")
     ] = "1",
     formats: Annotated[
         list[str] | None,
         typer.Option(
             "--format",
-            help="npz, parquet, hora, playground, isaac_lab, or all that fit; repeatable.",
+            help="npz, parquet, hora, playground, isaac_lab, all.",
             metavar="NAME",
         ),
     ] = None,
     workers: Annotated[int, typer.Option(help="Processes; -1 for one per core.", metavar="N")] = -1,
     seed: SeedOption = 0,
     grasps: Annotated[
-        int, typer.Option(min=0, help="Grasps per object and size.", rich_help_panel=SEARCH_PANEL)
+        int,
+        typer.Option(
+            min=0, metavar="N", help="Grasps per object and size.", rich_help_panel=SEARCH_PANEL
+        ),
     ] = 200,
     motions: Annotated[
-        int, typer.Option(min=0, help="Planned turns, likewise.", rich_help_panel=SEARCH_PANEL)
+        int,
+        typer.Option(
+            min=0, metavar="N", help="Planned turns, likewise.", rich_help_panel=SEARCH_PANEL
+        ),
     ] = 30,
     gaits: Annotated[
-        int, typer.Option(min=0, help="Planned gaits, likewise.", rich_help_panel=SEARCH_PANEL)
+        int,
+        typer.Option(
+            min=0, metavar="N", help="Planned gaits, likewise.", rich_help_panel=SEARCH_PANEL
+        ),
     ] = 1,
     turn: Annotated[
         float,
         typer.Option(
-            help="Turn of a motion, degrees; of a gait twice that.",
+            help="Of a motion, degrees; twice that of a gait.",
             metavar="DEG",
             rich_help_panel=SEARCH_PANEL,
         ),
@@ -88,7 +97,7 @@ def states(
     mass: Annotated[
         str | None,
         typer.Option(
-            help="Range, kg; 0.5 to 1.5 times the object's if not given.",
+            help="Range, kg; 0.5 to 1.5 times the object's.",
             metavar="LOW,HIGH",
             rich_help_panel=DRAWS_PANEL,
         ),
@@ -96,7 +105,7 @@ def states(
     squeeze: Annotated[
         str,
         typer.Option(
-            help="Range of the factor of the planned squeeze (-).",
+            help="Range of the planned squeeze's factor.",
             metavar="LOW,HIGH",
             rich_help_panel=DRAWS_PANEL,
         ),
@@ -104,7 +113,7 @@ def states(
     gravity: Annotated[
         str,
         typer.Option(
-            help="random, or its direction in the frame of the hand's base: -1,0,0",
+            help="Direction in the hand's base.",
             metavar="random|X,Y,Z",
             rich_help_panel=DRAWS_PANEL,
         ),
@@ -113,7 +122,7 @@ def states(
         float,
         typer.Option(
             min=0.0,
-            help="Factor of the drawn errors of pose and joints (2 mm, 4.6 and 2.3 degrees).",
+            help="Factor of errors (2 mm, 4.6 degrees).",
             metavar="F",
             rich_help_panel=DRAWS_PANEL,
         ),
@@ -121,10 +130,10 @@ def states(
     physics: PhysicsOption = "ours",
     as_json: JsonOption = False,
 ) -> None:
-    """Make thousands of stable states of an object in the hand, each held in MuJoCo for 2 s.
+    """Make stable states of an object in the hand to learn from.
 
-    They are drawn around planned grasps, turns and gaits and held by position commands alone. Exit
-    code 0 if every object and size got as many states as were asked for.
+    They are drawn around planned grasps, turns and gaits, and each is held in MuJoCo for 2 s by
+    position commands alone. Exit code 0 if every object and size got as many as were asked for.
 
     An interrupted run goes on when the same command is given again, also with another -n.
     """

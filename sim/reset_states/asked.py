@@ -214,7 +214,7 @@ def scaled(item: GraspObject, scale: float) -> GraspObject:
 
 
 def _scaled_shape(shape: Shape, scale: float) -> Shape:
-    if isinstance(shape, Mesh):
+    if type(shape) is Mesh:  # not a shape that is made of triangles by its sizes
         if shape.source is None:
             return Mesh.from_triangles(shape.vertices * scale, shape.faces)
         source = shape.source

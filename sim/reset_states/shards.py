@@ -129,7 +129,8 @@ def read_shard(folder: Path, number: int) -> Shard | None:
     """A shard from its file; None where that is missing or damaged."""
     path = shard_path(folder, number)
     try:
-        with np.load(path) as file:
+        # numpy.load leaves a damaged file open that it opened itself
+        with path.open("rb") as stream, np.load(stream) as file:
             content = {name: file[name] for name in file.files}
         return Shard(**content | {"cpu_s": float(content["cpu_s"])})
     except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile):

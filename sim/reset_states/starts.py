@@ -180,7 +180,7 @@ def load_starts(folder: Path) -> Starts:
     return Starts(
         seed=data["seed"],
         number=data["number"],
-        draws=Draws(**drawn),
+        draws=Draws(**draws),
         mass=(data["mass"][0], data["mass"][1]),
         sources=sources,
         scene=scene,

@@ -149,7 +149,8 @@ class StateSet:
             FileFormatError: It cannot be read, is something else, or of another version.
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
+            # numpy.load leaves a damaged file open that it opened itself
+            with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
                 content = {name: file[name] for name in file.files}
         except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
             raise FileFormatError(f"cannot read the states {path}: {error}") from error
@@ -168,4 +169,4 @@ class StateSet:
         try:
             return cls(scale=float(content["scale"]), **texts, **names, **columns)
         except TaskError as error:
-            raise FileFormatError(f"{path}: {error}") from error
+            raise FileFormatError(f"the states {path} are damaged: {error}") from error

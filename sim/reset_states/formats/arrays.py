@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.reset_states.formats import StateFormat, register_state_format
+from sim.reset_states.formats.registry import StateFormat, register_state_format
 from sim.reset_states.states import StateSet
 
 __all__ = ["STATES_FILE"]

@@ -24,7 +24,7 @@ import numpy as np
 from planner.errors import FileFormatError
 from planner.files.whole import whole_file
 from planner.spatial import SE3, FloatArray, pose_from_wxyz, pose_to_wxyz
-from sim.reset_states.formats import StateFormat, register_state_format
+from sim.reset_states.formats.registry import StateFormat, register_state_format
 from sim.reset_states.states import StateSet
 
 __all__ = ["CACHE_NAME", "HORA_JOINTS", "THRESHOLD", "T_WORLD_BASE", "above_threshold"]

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from planner.files.whole import whole_file
-from sim.reset_states.formats import StateFormat, register_state_format
+from sim.reset_states.formats.registry import StateFormat, register_state_format
 from sim.reset_states.states import StateSet
 
 __all__ = ["ISAAC_FILE"]

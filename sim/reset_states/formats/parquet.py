@@ -12,7 +12,7 @@ import numpy as np
 from planner.batch.rows import arrow
 from planner.errors import TaskError
 from planner.files.whole import whole_file
-from sim.reset_states.formats import StateFormat, register_state_format
+from sim.reset_states.formats.registry import StateFormat, register_state_format
 from sim.reset_states.states import FORMAT, VERSION, StateSet
 
 __all__ = ["PARQUET_FILE"]

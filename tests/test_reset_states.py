@@ -1,0 +1,266 @@
+"""``sim.reset_states``: what is kept is stable, distinct and repeatable; what is lost says why."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from shutil import copytree
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from planner.errors import FileFormatError, ObjectError, TaskError
+from planner.objects import parse_object
+from sim.reset_states import Draws, StatesAsked, StateSet, StatesProgress, make_states
+from sim.reset_states.asked import cells_of, scaled
+from sim.reset_states.check_states import main as share_held
+from sim.reset_states.coverage import BANDS, SECTORS, TURNS, coverage, orientation_cells
+from sim.reset_states.distinct import NEAR_JOINT, NEAR_POSITION, Distinct
+from sim.reset_states.hold import DROPPED, LIMITS, LOOSE, PENETRATES, REASONS, hold
+from sim.reset_states.shards import SHARD, read_shard, shard_path
+from sim.reset_states.starts import Starts, load_starts
+
+ASKED = StatesAsked(
+    hand="allegro_hand", objects=("cylinder:0.03x0.08",), n=20, grasps=6, motions=2, gaits=0
+)
+CELL = "cylinder-0.03x0.08-s1"
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache of 20 states."""
+    folder = tmp_path_factory.mktemp("states") / "cache"
+    summary = make_states(ASKED, folder, workers=1)
+    assert summary == json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    return folder
+
+
+@pytest.fixture
+def starts(cache: Path) -> Starts:
+    return load_starts(cache / CELL)
+
+
+def test_what_is_kept_is_counted_and_lies_within_what_was_asked_for(cache: Path) -> None:
+    (cell,) = json.loads((cache / "summary.json").read_text(encoding="utf-8"))["cells"]
+    assert cell["states"] == 20
+    assert cell["tried"] == 20 + sum(cell["lost"].values())
+    assert cell["plans"]["motion"]["poses"] > 2 * cell["plans"]["motion"]["found"]
+    states = StateSet.read(cache / CELL / "states.npz")
+    assert len(states) == 20
+    assert np.allclose(np.linalg.norm(states.gravity, axis=1), 9.81)
+    assert ((states.mass >= 0.05) & (states.mass <= 0.15)).all()
+    assert ((states.friction >= 0.6) & (states.friction <= 1.2)).all()
+    assert np.allclose(np.linalg.norm(states.quaternion, axis=1), 1.0)
+    # the hand's servos press: targets lie inside of the object, on average by over a degree
+    assert np.abs(states.targets - states.q).mean() > np.deg2rad(1.0)
+
+
+def test_states_are_still_held_by_a_script_that_knows_nothing_of_us(cache: Path) -> None:
+    script = cache / "check_states.py"
+    done = subprocess.run(
+        [sys.executable, str(script), str(cache / CELL / "states.npz")],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "20 of 20 states held" in done.stdout
+    text = script.read_text(encoding="utf-8")
+    assert len(text.splitlines()) < 60
+    imported = {
+        name.name.split(".")[0] if isinstance(node, ast.Import) else str(node.module)
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for name in node.names
+    }
+    assert imported == {"mujoco", "numpy", "pathlib", "sys"}
+
+
+@pytest.mark.parametrize(
+    "fault", ["no squeeze", "joints in another order", "quaternion x, y, z, w", "position in mm"]
+)
+def test_a_cache_with_a_fault_is_noticed_by_the_script(
+    cache: Path, tmp_path: Path, fault: str
+) -> None:
+    broken = tmp_path / CELL
+    copytree(cache / CELL, broken)
+    states = StateSet.read(broken / "states.npz")
+    if fault == "no squeeze":
+        sources = load_starts(cache / CELL).sources
+        states = replace(states, commands=np.tile(sources["rest"][0], (20, 1)))
+    elif fault == "joints in another order":
+        states = replace(states, joint_names=states.joint_names[4:] + states.joint_names[:4])
+    elif fault == "quaternion x, y, z, w":
+        states = replace(states, quaternion=np.roll(states.quaternion, -1, axis=1))
+    else:
+        states = replace(states, position=1000.0 * states.position)
+    states[:6].write(broken / "states.npz")
+    assert share_held(broken / "states.npz") < 0.5
+
+
+def test_a_hold_without_squeeze_is_lost(starts: Starts) -> None:
+    lost = 0
+    for index in range(6):
+        start = starts.draw(index)
+        rest = starts.sources["rest"][start.source]
+        starts.put(replace(start, commands=rest, gravity=np.array([0.0, 0.0, -9.81]), mass=0.3))
+        lost += bool(hold(starts.scene).reason)
+    assert lost >= 5
+
+
+def test_a_lost_hold_says_why_and_ends_early(starts: Starts) -> None:
+    start = starts.draw(0)
+    far = replace(start, position=start.position + np.array([0.5, 0.0, 0.0]))
+    starts.put(far)
+    end = hold(starts.scene)
+    assert end.reason == DROPPED
+    assert end.steps < 0.1 * 1000
+    starts.put(replace(far, gravity=np.zeros(3)))
+    assert hold(starts.scene).reason == LOOSE
+    # a joint that is driven beyond its end by a servo that never arrives
+    joints = starts.scene.model.jnt_range
+    joints[0] = start.q[0] + 0.2, start.q[0] + 0.3
+    starts.put(replace(far, gravity=np.zeros(3), q=start.q))
+    pressed = hold(starts.scene)
+    load_starts.cache_clear()  # the model was changed
+    assert pressed.reason in (LIMITS, LOOSE, PENETRATES)
+    assert len(set(REASONS)) == len(REASONS)
+
+
+def test_candidate_i_is_the_same_whatever_was_drawn_before(cache: Path, starts: Starts) -> None:
+    later = starts.draw(70)
+    load_starts.cache_clear()
+    again = load_starts(cache / CELL).draw(70)
+    assert later.source == again.source
+    for name in ("q", "commands", "position", "quaternion", "gravity", "mass", "friction"):
+        assert np.array_equal(getattr(later, name), getattr(again, name)), name
+    assert not np.array_equal(starts.draw(71).gravity, later.gravity)
+
+
+def test_processes_give_the_same_states_as_one(cache: Path, tmp_path: Path) -> None:
+    make_states(ASKED, tmp_path / "two", workers=2, formats=("npz",))
+    one, two = (np.load(f / CELL / "states.npz") for f in (cache, tmp_path / "two"))
+    assert one.files == two.files
+    for name in one.files:
+        assert np.array_equal(one[name], two[name]), name
+
+
+def test_more_states_begin_with_the_same_ones(cache: Path, tmp_path: Path) -> None:
+    copytree(cache, tmp_path / "cache")
+    seen: list[StatesProgress] = []
+    asked = replace(ASKED, n=80)
+    make_states(asked, tmp_path / "cache", workers=1, formats=("npz",), progress=seen.append)
+    more = StateSet.read(tmp_path / "cache" / CELL / "states.npz")
+    assert len(more) == 80
+    assert np.array_equal(more.q[:20], StateSet.read(cache / CELL / "states.npz").q)
+    assert seen[-1].before > 0  # the first shard was there
+    assert (seen[-1].done, seen[-1].total, seen[-1].phase) == (80, 80, "holding")
+
+
+def test_a_killed_run_goes_on(cache: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "cache"
+    words = [sys.executable, "-c", "from sim.cli import main; main()", "states", ASKED.hand]
+    words += [*ASKED.objects, "-n", "100000", "--grasps", "6", "--motions", "2", "--gaits", "0"]
+    words += ["--workers", "1"]
+    killed = subprocess.Popen([*words, "--out", str(folder)], env={**os.environ})
+    first = shard_path(folder / CELL, 0)
+    deadline = time.monotonic() + 240.0
+    while not first.exists() and killed.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.05)
+    killed.send_signal(signal.SIGKILL)
+    killed.wait()
+    written = first.stat().st_mtime_ns
+    make_states(ASKED, folder, workers=1, formats=("npz",))
+    assert first.stat().st_mtime_ns == written  # it was not held again
+    again = StateSet.read(folder / CELL / "states.npz")
+    assert np.array_equal(again.q, StateSet.read(cache / CELL / "states.npz").q)
+
+
+def test_a_damaged_shard_is_held_again(cache: Path, tmp_path: Path) -> None:
+    copytree(cache, tmp_path / "cache")
+    folder = tmp_path / "cache" / CELL
+    whole = read_shard(folder, 0)
+    assert whole is not None
+    assert len(whole.reason) == SHARD
+    assert (whole.reason == 0).sum() == len(whole.q)
+    path = shard_path(folder, 0)
+    path.write_bytes(path.read_bytes()[:1000])
+    assert read_shard(folder, 0) is None
+    make_states(ASKED, tmp_path / "cache", workers=1, formats=("npz",))
+    mended = read_shard(folder, 0)
+    assert mended is not None
+    assert np.array_equal(mended.q, whole.q)
+
+
+def test_a_folder_with_something_else_is_refused(cache: Path, tmp_path: Path) -> None:
+    with pytest.raises(FileFormatError, match=r"seed differ \(seed is 0 there and 1 here\)"):
+        make_states(replace(ASKED, seed=1), cache, workers=1)
+    (tmp_path / "note.txt").write_text("mine", encoding="utf-8")
+    with pytest.raises(FileFormatError, match="not empty"):
+        make_states(ASKED, tmp_path, workers=1)
+
+
+def test_bad_requests_are_refused() -> None:
+    for fault, words in (
+        ({"objects": ()}, "no objects"),
+        ({"scales": (0.0,)}, "scales are"),
+        ({"grasps": 0, "motions": 0}, "to be planned"),
+        ({"turn": 4.0}, "turn is"),
+        ({"n": 0}, "n is 0"),
+    ):
+        with pytest.raises(TaskError, match=words):
+            replace(ASKED, **fault)
+    for draws, words in (
+        ({"friction": (1.0, 0.5)}, "the smaller one first"),
+        ({"gravity": (0.0, 0.0, 0.0)}, "no direction"),
+        ({"angle": float("nan")}, "angle of the draws"),
+    ):
+        with pytest.raises(TaskError, match=words):
+            Draws(**draws)
+    with pytest.raises(TaskError, match="no position servos"):
+        cells_of(replace(ASKED, hand="shadow_hand_torque"))
+    with pytest.raises(TaskError, match="hangs on an arm"):
+        cells_of(replace(ASKED, hand="allegro_on_arm7"))
+    with pytest.raises(ObjectError, match="two objects are called"):
+        cells_of(replace(ASKED, objects=("box", "box")))
+
+
+def test_a_size_multiplies_lengths_and_no_pure_numbers() -> None:
+    item = parse_object("superquadric:0.06x0.06x0.08x0.5x0.4")
+    grown = scaled(item, 1.25)
+    assert grown.shape.spec == "superquadric:0.075x0.075x0.1x0.5x0.4"
+    assert grown.mass == item.mass
+    mug = parse_object("mug")
+    assert np.isclose(scaled(mug, 0.8).shape.volume, 0.8**3 * mug.shape.volume)
+
+
+def test_near_duplicates_are_left_out_across_the_border_of_a_cube() -> None:
+    distinct = Distinct()
+    q, place, turned = np.zeros(4), np.array([0.0009, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
+    assert distinct.take(q, place, turned)
+    step = np.array([0.9 * NEAR_POSITION, 0.0, 0.0])
+    assert not distinct.take(q, place + step, turned)
+    assert not distinct.take(q, place, -turned)  # the same orientation
+    assert distinct.take(q, place + 1.2 * step, turned)
+    assert distinct.take(q + 1.1 * NEAR_JOINT, place, turned)
+    more = np.array([np.cos(0.01), np.sin(0.01), 0.0, 0.0])  # 1.15 degrees
+    assert distinct.take(q, place, more)
+
+
+def test_orientation_cells_have_equal_volume() -> None:
+    rotations = Rotation.random(200_000, random_state=0).as_matrix()
+    counts = np.bincount(orientation_cells(rotations), minlength=BANDS * SECTORS * TURNS)
+    assert len(counts) == BANDS * SECTORS * TURNS
+    # Poisson: 231 on average, standard deviation 15
+    assert counts.min() > 150
+    assert counts.max() < 320
+    found = coverage(rotations[:1], np.array([[0.0, 0.0, -9.81]]))
+    assert found["orientations_of_object_in_palm"]["reached"] == 1
+    assert found["directions_of_gravity_in_palm"]["cells"] == 72

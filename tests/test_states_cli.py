@@ -1,0 +1,139 @@
+"""``opposable states``."""
+
+from __future__ import annotations
+
+import io
+import json
+import signal
+import subprocess
+import sys
+import time
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from sim.cli import main
+from sim.cli.states_report import StatesBar, states_table
+from sim.reset_states import StatesProgress
+from sim.reset_states.shards import shard_path
+
+FEW = ("--grasps", "4", "--motions", "0", "--gaits", "0", "--workers", "1")
+
+
+def opposable(*arguments: str | Path) -> tuple[int, str, str]:
+    """Exit code, output and messages of the command, called in this process."""
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as ended:
+        main([str(a) for a in arguments])
+    code = ended.value.code
+    assert isinstance(code, int)
+    return code, out.getvalue(), " ".join(err.getvalue().split())
+
+
+def test_states_are_made_in_two_sizes_and_shown_again(tmp_path: Path) -> None:
+    words = ["states", "allegro_hand", "sphere:0.035", "-n", "5", "--scales", "1,1.1", *FEW]
+    words += ["--gravity=-1,0,0", "--out", str(tmp_path / "cache")]
+    code, out, err = opposable(*words)
+    assert code == 0, err
+    assert "5/5" in out
+    assert "check_states.py" in out
+    hora = tmp_path / "cache" / "hora" / "sphere-0.035"
+    assert sorted(f.name for f in hora.iterdir()) == [
+        "public_allegro_grasp_50k_s10.npy",
+        "public_allegro_grasp_50k_s11.npy",
+    ]
+    code, out, _ = opposable(*words, "--json", "--format", "npz")
+    assert code == 0
+    assert [cell["scale"] for cell in json.loads(out)["cells"]] == [1.0, 1.1]
+    code, _, err = opposable(*words, "--mass", "0.1,0.2")
+    assert code == 3
+    assert "draws differ" in err
+
+
+def test_an_object_that_cannot_be_held_is_said(tmp_path: Path) -> None:
+    code, out, _ = opposable(
+        *("states", "allegro_hand", "sphere:0.2", "-n", "5", *FEW, "--out", tmp_path / "cache")
+    )
+    assert code == 4
+    assert "0/5" in out
+    assert "too large" in " ".join(out.split())
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (("--scales", "1,x"), "--scales"),
+        (("--friction", "1"), "--friction '1' has 1 numbers"),
+        (("--friction", "2,1"), "the smaller one first"),
+        (("--gravity", "down"), "--gravity"),
+        (("--format", "isaac"), "isaac_lab"),
+        (("--turn", "0"), "turn is 0 degrees"),
+        (("--workers", "0"), "workers"),
+        (("--grasps", "0"), "no grasps, motions or gaits"),
+    ],
+)
+def test_bad_options_end_before_anything_is_made(
+    words: tuple[str, ...], complaint: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "cache"
+    asked = ("states", "allegro_hand", "box", "-n", "5", *FEW, *words)
+    code, _, err = opposable(*asked, "--out", folder)
+    assert code == 3, err
+    assert complaint in err
+    assert not folder.exists()
+
+
+def test_a_format_that_cannot_hold_them_is_an_error_only_if_it_was_named(tmp_path: Path) -> None:
+    asked = ("states", "allegro_hand", "sphere:0.035", "-n", "2", *FEW, "--out", tmp_path / "cache")
+    code, out, _ = opposable(*asked)
+    assert code == 0
+    assert "no hora of sphere-0.035-s1" in " ".join(out.split())
+    code, _, err = opposable(*asked, "--format", "hora")
+    assert code == 3
+    assert "--gravity=-1,0,0" in err
+
+
+def test_ctrl_c_keeps_what_there_is(tmp_path: Path) -> None:
+    words = ["states", "allegro_hand", "sphere:0.035", "-n", "100000", *FEW]
+    running = subprocess.Popen(
+        [sys.executable, "-c", "from sim.cli import main; main()", *words, "--out", "cache"],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    first = shard_path(tmp_path / "cache" / "sphere-0.035-s1", 0)
+    deadline = time.monotonic() + 240.0
+    while not first.exists() and running.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.05)
+    running.send_signal(signal.SIGINT)
+    _, err = running.communicate(timeout=60.0)
+    assert running.returncode == 130, err
+    assert "states are kept; the same command goes on" in " ".join(err.split())
+    assert first.exists()
+
+
+def test_the_bar_counts_and_the_table_names_what_was_lost() -> None:
+    screen = Console(file=io.StringIO(), force_terminal=True, width=150)
+    now = StatesProgress(
+        cell="box-s1", phase="holding", done=60, total=100, before=20, tried=80, elapsed_s=2.0
+    )
+    with StatesBar(screen) as bar:
+        assert bar.kept() == "what was planned is kept"
+        bar.show(now)
+        assert bar.kept() == "60 states are kept"
+    assert "20.0/s, kept 75 %" in screen.file.getvalue()  # type: ignore[attr-defined]
+    cell = {
+        "name": "box-s1",
+        "states": 60,
+        "asked": 100,
+        "tried": 80,
+        "rate_kept": 0.75,
+        "lost": {"dropped: far": 15, "near": 5},
+        "hold_cpu_s_per_state": 0.02,
+    }
+    text = io.StringIO()
+    Console(file=text, width=150).print(states_table({"hand": "h", "cells": [cell]}))
+    assert "15 dropped" in text.getvalue()
+    assert "75.0 %" in text.getvalue()
