@@ -69,11 +69,11 @@ class JointCheck:
     def fault(self) -> str:
         """What is wrong, "" if nothing."""
         ratio = self.moved / self.asked
-        swapped = abs(self.other_moved) > STILL * abs(self.asked)
+        swapped = ratio < LEAST and abs(self.other_moved) > STILL * abs(self.asked)
         if ratio < -STILL:
             return "moves the wrong way: turn its sign"
         if swapped:
-            return f"moves {self.other}: is it another motor?"
+            return f"moves {self.other} instead: is it another motor?"
         if ratio < STILL:
             return "does not move: power, cable, or something in the way?"
         if not LEAST <= ratio <= MOST:
