@@ -94,7 +94,7 @@ class Steady:
     def step(self, observation: Observation) -> FloatArray:
         k, self.ticks = self.ticks, self.ticks + 1
         self.seen.append(observation)
-        return self.wanted(k) if callable(self.wanted) else self.wanted  # type: ignore[no-any-return]
+        return self.wanted(k) if callable(self.wanted) else self.wanted
 
 
 def looped(

@@ -16,7 +16,7 @@ from planner.errors import FileFormatError, HandError, NotFoundError, TaskError
 from planner.hand_loading import load_hand
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
-from planner.spatial import SE3, FloatArray
+from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 from sim.controllers import (
     Controller,
@@ -136,7 +136,7 @@ def test_a_hand_whose_torque_is_taken_off_drops_the_object(plan: GraspPlan) -> N
     with pytest.raises(HandError, match="torque of this hand was taken off"):
         hand.write(written)
     hand.sleep_until(3.0)
-    assert hand.read().touch == pytest.approx(np.zeros(4), abs=1e-6)  # type: ignore[comparison-overlap]
+    assert hand.read().touch == pytest.approx(np.zeros(4), abs=1e-6)
 
 
 def test_a_hand_that_holds_keeps_the_object(plan: GraspPlan) -> None:
@@ -501,13 +501,14 @@ def test_a_damaged_log_is_refused_and_nothing_is_executed(
     for words, path in cases.items():
         with pytest.raises(FileFormatError, match=words):
             read_log(path)
-    for words, changes in {
+    changed: dict[str, dict[str, Any]] = {
         "joints has shape": {"joints": log.joints[:-1]},
         "cannot be read as a log": {"efforts": None},
         "version 2; this reads version 1": {"meta": np.array(json.dumps(later))},
         "is no log of a hand": {"meta": np.array("{}")},
         "phases for": {"phase": np.array(["hold"])},
-    }.items():
+    }
+    for words, changes in changed.items():
         with pytest.raises(FileFormatError, match=words):
             read_log(damaged(logged, **changes))
     assert not Path("hostile").exists()
@@ -533,7 +534,7 @@ def test_an_empty_log_is_refused(plan: GraspPlan, tmp_path: Path) -> None:
 class Rewired(HandWrapper):
     """A hand with faults: gears (nu,), and which command goes to which motor."""
 
-    def __init__(self, inner: Any, gears: FloatArray, cables: FloatArray) -> None:
+    def __init__(self, inner: Any, gears: FloatArray, cables: IntArray) -> None:
         """Keep them, and where the hand began."""
         super().__init__(inner)
         self.gears, self.cables = gears, cables
@@ -582,3 +583,12 @@ def test_what_controllers_need_is_what_they_read() -> None:
     assert ObjectImpedance.needs == ("touch", "object_pose", "pads")
     plain: Controller = Steady(np.zeros(3))
     assert not hasattr(plain, "needs")
+
+
+def test_joints_that_were_not_reached_do_not_pass(plan: GraspPlan) -> None:
+    hand = simulated(plan)
+    bounds = Safety(stop=lambda: hand.now() > 3.0)
+    checks, report = check_joints(hand, plan.task.hand, clock=hand.clock, safety=bounds)
+    assert report.reason == "asked"
+    assert [c.fault for c in checks[:2]] == ["", ""]
+    assert all(c.fault == "was not moved: the run ended before" for c in checks[4:])

@@ -124,7 +124,7 @@ def test_no_command_moves_faster_than_its_rate(
         commands = MIDDLE.copy()
         actuator, value = wanted[k % len(wanted)]
         commands[actuator] = value
-        return commands
+        return np.asarray(commands)
 
     hand = fake(costs=costs)
     looped(hand, Steady(want), 40, limits=CommandLimits(rate=rate))
@@ -290,7 +290,7 @@ def test_a_write_that_fails_ends_the_run() -> None:
 
 def test_a_fault_of_the_program_stops_the_hand_and_is_seen() -> None:
     def broken(k: int) -> FloatArray:
-        return MIDDLE if k < 5 else MIDDLE[[99]]
+        return np.asarray(MIDDLE if k < 5 else MIDDLE[[99]])
 
     hand = fake()
     with pytest.raises(IndexError):
