@@ -44,6 +44,7 @@ def obey(hand: SimulatedHand, packet: Packet) -> None:
 
 def serve(pipe: Connection) -> None:
     """The other process: the hand, and the network with its faults."""
+    pipe.recv()  # the plan is written
     hand = SimulatedHand(Trial(read_plan(PLAN), timeline=TIMELINE), clock=RealClock())
     sizes = len(hand.actuator_names), len(hand.finger_names)
     there, back = LossyLink(**FAULTS, seed=0), LossyLink(**FAULTS, seed=1)
@@ -74,12 +75,14 @@ def serve(pipe: Connection) -> None:
 
 
 def main() -> None:
-    """Plan, start the other process, drive its hand."""
-    plan = plan_grasp(GraspTask.create("allegro_hand", "sphere"), seed=0)
-    write_plan(plan, PLAN)
+    """Start the other process, plan, drive its hand."""
     processes = multiprocessing.get_context("spawn")
     ours, theirs = processes.Pipe()
-    processes.Process(target=serve, args=(theirs,), daemon=True).start()
+    other = processes.Process(target=serve, args=(theirs,), daemon=True)
+    other.start()  # it loads what it needs while we plan
+    plan = plan_grasp(GraspTask.create("allegro_hand", "sphere"), seed=0)
+    write_plan(plan, PLAN)
+    ours.send(PLAN)
     with closing(UdpHand(plan.task.hand, plan.task.finger_names, ours.recv())) as hand:
         report = run_controller(
             hand,
@@ -90,7 +93,7 @@ def main() -> None:
             carry=hand.carry,
             safety=Safety(max_age=1.0, misses_in_a_row=100),  # generous: this machine may be busy
         )
-        while not ours.poll(0.01):  # until it has ended
+        while other.is_alive() and not ours.poll(0.01):  # some may be lost
             hand.send(b"E")
     print(report)
     print(f"latency p50 / p99 / worst {report.latency_us}; slots skipped {report.skipped}")
