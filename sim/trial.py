@@ -152,8 +152,8 @@ class Trial:
         report = self.judged(begin, interrupted=interrupted)
         if tape is None:
             return report
-        fault = report.verdict.fault
-        failed_at = None if fault is None else fault.time
+        failed = report.verdict.fault
+        failed_at = None if failed is None else failed.time
         drawn = draw_tape(
             tape,
             pictures=moments_of(picture, failed_at),

@@ -26,7 +26,7 @@ from sim.cli.common import (
 
 if TYPE_CHECKING:
     from planner.plan import GraspPlan
-    from sim.real_hand import Carry, Clock, HandInterface, LoopReport
+    from sim.real_hand import Carry, Clock, HandInterface, LoopReport, OnStop
     from sim.report import TrialReport
 
 
@@ -77,7 +77,7 @@ def drive(
     """
     from contextlib import closing
 
-    from planner.errors import TaskError
+    from planner.errors import NotFoundError, TaskError
     from planner.files import read_plan
     from sim.cli.common import check_folder
     from sim.controllers import controller_for
@@ -100,7 +100,9 @@ def drive(
         raise TaskError("--check-joints moves a hand, and a log has none; leave --replay out")
     check_folder(log)
     plan = read_plan(plan_file)
-    bounds = Safety(on_stop=_on_stop(on_stop))
+    if on_stop not in STOPS:
+        raise NotFoundError("way to stop", on_stop, STOPS)
+    bounds = Safety(on_stop=STOPS[on_stop])
     limits = CommandLimits(rate=max_rate)
     driver = controller_for(plan, controller)
     used = _open(plan, interface, replay, fast, controller)
@@ -199,7 +201,7 @@ def _made_by(text: str, plan: GraspPlan) -> HandInterface:
             module = importlib.import_module(home)
         except ModuleNotFoundError as error:
             raise HandError(
-                f"--hand-interface {text}: {error}; install it, or give its file: path.py:{name}"
+                f"--hand-interface: {error}; install it, or give the file of the driver"
             ) from error
     if not hasattr(module, name):
         raise NotFoundError(f"factory in {home}", name, [n for n in dir(module) if n[0] != "_"])
@@ -221,9 +223,8 @@ PARTS = (
 """What a hand interface has."""
 
 
-def _on_stop(text: str) -> Any:
-    """A way to stop, by its name on the command line."""
-    return text.replace("-", " ")
+STOPS: dict[str, OnStop] = {"torque-off": "torque off", "hold": "hold"}
+"""Ways to stop, by their names on the command line."""
 
 
 def _tell(ran: LoopReport, judged: TrialReport | None, used: _Used, as_json: bool) -> None:

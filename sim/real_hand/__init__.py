@@ -18,11 +18,13 @@ from sim.real_hand.joints import JointCheck, check_joints, checks_table
 from sim.real_hand.limits import CommandLimiter, CommandLimits
 from sim.real_hand.log import HandLog, LogWriter, read_log
 from sim.real_hand.loop import Carry, ControlLoop, run_controller
+from sim.real_hand.packets import Inbox, LossyLink, Packet, reading_of, reading_values
 from sim.real_hand.replay import Comparison, ReplayedHand
 from sim.real_hand.report import LoopReport, Times
 from sim.real_hand.safety import Guard, OnStop, Safety, StopCause, Stopped
 from sim.real_hand.senses import ASSUMABLE, HandObservation, Observer
 from sim.real_hand.simulated import SimulatedHand
+from sim.real_hand.udp import UdpHand
 
 __all__ = [
     "ASSUMABLE",
@@ -40,12 +42,15 @@ __all__ = [
     "HandObservation",
     "HandReading",
     "HandWrapper",
+    "Inbox",
     "JointCheck",
     "LogWriter",
     "LoopReport",
+    "LossyLink",
     "Observer",
     "OnStop",
     "Pace",
+    "Packet",
     "RealClock",
     "ReplayedHand",
     "Safety",
@@ -53,8 +58,11 @@ __all__ = [
     "StopCause",
     "Stopped",
     "Times",
+    "UdpHand",
     "check_joints",
     "checks_table",
     "read_log",
+    "reading_of",
+    "reading_values",
     "run_controller",
 ]

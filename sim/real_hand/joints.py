@@ -53,7 +53,7 @@ class JointCheck:
         actuator: Its name.
         joints: Joints that it drives, by the hand's model.
         asked: Change of its command, rad.
-        moved: Change of its length as the joints were read, rad.
+        moved: Change of its length as the joints were read, rad; NaN if it was not moved.
         other: Joint of another actuator that moved the most.
         other_moved: How far, rad.
     """
@@ -68,12 +68,14 @@ class JointCheck:
     @property
     def fault(self) -> str:
         """What is wrong, "" if nothing."""
+        if not np.isfinite(self.moved):
+            return "was not moved: the run ended before"
         ratio = self.moved / self.asked
-        swapped = abs(self.other_moved) > STILL * abs(self.asked)
+        swapped = ratio < LEAST and abs(self.other_moved) > STILL * abs(self.asked)
         if ratio < -STILL:
             return "moves the wrong way: turn its sign"
         if swapped:
-            return f"moves {self.other}: is it another motor?"
+            return f"moves {self.other} instead: is it another motor?"
         if ratio < STILL:
             return "does not move: power, cable, or something in the way?"
         if not LEAST <= ratio <= MOST:
@@ -145,7 +147,8 @@ def check_joints(
         safety: What ends the run at once; defaults if None.
 
     Returns:
-        What each actuator did, as far as it came, and how the loop went.
+        What each actuator did, and how the loop went. One that the loop did not come to, since it
+        was ended before, has a fault too.
 
     Raises:
         HandError: Names that do not match, or actuators that are no position servos.
@@ -171,7 +174,7 @@ def check_joints(
         safety=safety,
     )
     report = loop.run(partial(_probe_all, duration=probe.duration))
-    return [_judged(hand, probe, int(i)) for i in probe.actuators if int(i) in probe.moved], report
+    return [_judged(hand, probe, int(i)) for i in probe.actuators], report
 
 
 def checks_table(checks: Sequence[JointCheck]) -> Table:
@@ -189,7 +192,8 @@ def _probe_all(loop: ControlLoop, duration: float) -> None:
 
 def _judged(hand: Hand, probe: _Probe, i: int) -> JointCheck:
     actuation = hand.actuation
-    change = probe.moved[i] - probe.at_rest[i]
+    unknown = np.full(hand.nq, np.nan)
+    change = probe.moved.get(i, unknown) - probe.at_rest.get(i, unknown)
     row = actuation.moment[i]
     others = np.where(row != 0, 0.0, change)
     k = int(np.argmax(np.abs(others)))
