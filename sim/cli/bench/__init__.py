@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from sim.cli.bench import best, control, dexgraspbench, grasps, pages, synthesis, turns, zoo
+from sim.cli.bench import best, control, dexgraspbench, grasps, pages, refine, synthesis, turns, zoo
 
 __all__ = ["register"]
 
@@ -17,6 +17,7 @@ def register(app: typer.Typer, panel: str) -> None:
         synthesis.synthesis,
         synthesis.objectives,
         best.best,
+        refine.refine,
         grasps.walls,
         grasps.metrics,
         grasps.trials,
