@@ -236,7 +236,8 @@ def _nearest_triangle(triangles: FloatArray, points: FloatArray) -> tuple[FloatA
             np.einsum("ij,ij->i", np.cross(v - u, foot - u), normal)
             for u, v in ((a, b), (b, c), (c, a))
         ]
-        candidates = [np.where((np.array(sides) >= 0).all(axis=0)[:, None], foot, np.inf)]
+        above = (np.array(sides) >= 0.0).all(axis=0)
+        candidates = [np.where(above.reshape(-1, 1), foot, np.inf)]
         for u, v in ((a, b), (b, c), (c, a)):
             along = v - u
             share = np.einsum("ij,ij->i", p - u, along)

@@ -7,9 +7,9 @@ within its limits. The wrist stays. Fingers are not named: those whose pads are 
 A grasp counts as brought back where there is a plan, and as near where all its contacts lie within
 ``NEAR`` of the points of the surface that the perturbed pads were nearest to, on the side that they
 face. Every plan is verified again from its base and joints alone (``verify_grasp``), and asked for
-``sim.bench.plain_check``'s second opinion. "Either side" is the same share by the nearest points whatever
-their side, by the second opinion's distances. CPU is that of ``refine_grasp`` without building the
-problem, which happens once per hand, fingers and kind of shape and is told apart.
+``sim.bench.plain_check``'s second opinion. "Either side" is the share that is near by the nearest
+points whatever their side, by the second opinion's distances. CPU is that of ``refine_grasp``
+without building the problem, which happens once per hand, fingers and kind of shape.
 """
 
 from __future__ import annotations
