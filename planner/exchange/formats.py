@@ -6,17 +6,30 @@ whatever is registered here, ``opposable export`` writes it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from planner.errors import FileFormatError, NotFoundError, TaskError
 from planner.exchange.given import GivenGrasps
 from planner.hands.hand import Hand
-from planner.plan import GraspPlan
 
-__all__ = ["FORMATS", "GraspFormat", "Reading", "format_named", "format_of", "register_format"]
+__all__ = [
+    "FORMATS",
+    "GraspFormat",
+    "Reading",
+    "Writing",
+    "format_named",
+    "format_of",
+    "load_formats",
+    "register_format",
+]
+
+
+BY = ("joints", "actuators")
+"""What numbers in a file may belong to."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,13 +44,44 @@ class Reading:
         unit: Lengths of the file in metres: 1, or 0.001 for millimetres; None for what the format
             fixes.
         base_body: Body of the hand whose pose the file gives; "" for the hand's base.
+        rename: Name of a joint in the file -> name of our joint, where they differ.
     """
 
     by_number: bool = False
     joint_names: tuple[str, ...] | None = None
+    rename: Mapping[str, str] = field(default_factory=dict)
     quaternion: str | None = None
     unit: float | None = None
     base_body: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Writing:
+    """What a file says that a plan does not, or says by other names.
+
+    Attributes:
+        rename: Name of our joint, or of our actuator where ``by`` says so -> its name in the file;
+            names that are not in it stay.
+        by: "joints" for positions of joints, "actuators" for lengths of actuators, which is what
+            a driver is told that has one motor for several joints.
+        object_frame: Name of the object's frame; "" for the object's name.
+        hand_frame: Name of the frame of ``base_body``; "" for that body's name.
+        base_body: Body of the hand whose pose is written; "" for the hand's base.
+        world_frame: Name of the world's frame, and then poses are written in it; "" for poses in
+            the object's frame.
+    """
+
+    rename: Mapping[str, str] = field(default_factory=dict)
+    by: str = "joints"
+    object_frame: str = ""
+    hand_frame: str = ""
+    base_body: str = ""
+    world_frame: str = ""
+
+    def __post_init__(self) -> None:
+        """Check what has a few values only."""
+        if self.by not in BY:
+            raise TaskError(f"by is {self.by!r}; give {' or '.join(BY)}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +98,10 @@ class GraspFormat:
         read: Reads grasps for one of our hands; None where there is no reader. Raises
             ``FileFormatError`` that names the place.
         write: Writes plans to a path and returns the files; None where there is no writer. Writes
-            everything or nothing.
+            everything or nothing. Raises ``TaskError`` for what the format cannot carry.
+        heeds: Names of the fields of ``Writing`` that ``write`` heeds; ``export_plans`` refuses the
+            others.
+        movements: Whether ``write`` takes motions, gaits and manipulation plans as well.
     """
 
     name: str
@@ -63,13 +110,21 @@ class GraspFormat:
     loses: str
     recognises: Callable[[Path], bool]
     read: Callable[[Path, Hand, Reading], GivenGrasps] | None = None
-    write: Callable[[Sequence[GraspPlan], Path], tuple[Path, ...]] | None = None
+    write: Callable[[Sequence[Any], Path, Writing], tuple[Path, ...]] | None = None
+    heeds: frozenset[str] = frozenset()
+    movements: bool = False
 
 
 FORMATS: dict[str, GraspFormat] = {}
 """All formats by name; filled by ``load_formats``."""
 
-_MODULES: tuple[str, ...] = ()
+_MODULES: tuple[str, ...] = (
+    "dexgraspbench.read",
+    "dexgraspnet",
+    "frogger",
+    "isaac_grasp",
+    "table",
+)
 """Modules below ``planner.exchange`` that register a format when they are imported."""
 
 

@@ -1,0 +1,157 @@
+"""``.npy``, ``.npz`` and pickle files, read without executing anything (``load_pickle``).
+
+The size that a file declares is compared with what it has before memory is asked for.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+import zlib
+from math import prod
+from pathlib import Path
+from tokenize import TokenError
+from typing import Any
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from planner.errors import FileFormatError, NotFoundError
+from planner.exchange.pickles import load_pickle
+
+__all__ = ["MOST_BYTES", "is_torch", "read_array_file", "read_npy", "read_npz", "read_pickle"]
+
+MOST_BYTES = 1 << 30
+"""Of a file, and of what is packed in it."""
+
+_NPY, _ZIP, _TORCH_MAGIC = b"\x93NUMPY", b"PK\x03\x04", b"\x8a\x0al\xfc\x9cF\xf9 j\xa8P\x19."
+
+
+def read_array_file(path: Path) -> Any:
+    """What a ``.npy``, ``.npz`` or pickle file holds, by its content.
+
+    Returns:
+        An array; the one value of an array without dimensions; a dictionary of arrays of an
+        ``.npz``; or the value of a pickle.
+
+    Raises:
+        FileFormatError: It is none of these, a PyTorch file, damaged, too large, or holds what
+            would have to be executed.
+        NotFoundError: There is no such file.
+    """
+    data = _bytes(path)
+    if data.startswith(_NPY):
+        array = _npy(data, str(path))
+        return array.item() if array.ndim == 0 else array
+    if data.startswith(_ZIP):
+        return _npz(data, path)
+    return load_pickle(data, str(path))
+
+
+def read_npy(path: Path) -> NDArray[Any]:
+    """The array of an ``.npy`` file, of numbers or of objects; raises as ``read_array_file``."""
+    return _npy(_bytes(path), str(path))
+
+
+def read_npz(path: Path) -> dict[str, NDArray[Any]]:
+    """The arrays of an ``.npz`` file by name; raises as ``read_array_file``."""
+    return _npz(_bytes(path), path)
+
+
+def read_pickle(path: Path) -> Any:
+    """The value of a pickle file; raises as ``read_array_file``."""
+    return load_pickle(_bytes(path), str(path))
+
+
+def is_torch(data: bytes) -> bool:
+    """Whether a file that begins with these bytes, or has them, is PyTorch's."""
+    if data.startswith(_ZIP):
+        return b"data.pkl" in data[:4096]
+    return _TORCH_MAGIC in data[:64]
+
+
+def _bytes(path: Path) -> bytes:
+    """All of a file, if it is not too large and not PyTorch's."""
+    if not path.is_file():
+        raise NotFoundError("file", str(path), (), "give the path of a file", is_path=True)
+    if (size := path.stat().st_size) > MOST_BYTES:
+        raise FileFormatError(
+            f"{path} has {size} bytes and {MOST_BYTES} are read; split it into several files"
+        )
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise FileFormatError(
+            f"{path} cannot be read: {error.strerror}; give a file that can be"
+        ) from error
+    if is_torch(data) or path.suffix in (".pt", ".pth"):
+        raise FileFormatError(
+            f"{path} is a PyTorch file, a pickle of PyTorch's classes; it was not opened. Where "
+            "PyTorch is installed, read it with torch.load(FILE, weights_only=True), turn its "
+            "tensors into arrays with .cpu().numpy() and save them with numpy.save"
+        )
+    return data
+
+
+def _npy(data: bytes, where: str) -> NDArray[Any]:
+    """The array of the bytes of an ``.npy`` file."""
+    stream = io.BytesIO(data)
+    try:
+        version = npy.read_magic(stream)
+        if version not in ((1, 0), (2, 0), (3, 0)):
+            raise ValueError(f"version {version}; 1.0, 2.0 and 3.0 are read")
+        read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+        shape, fortran, dtype = read(stream)
+        if any(n < 0 for n in shape):
+            raise ValueError(f"the shape {shape}")
+    except (ValueError, TypeError, SyntaxError, TokenError, RecursionError, MemoryError) as error:
+        first = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise FileFormatError(
+            f"{where} is no .npy file, or damaged in its header ({first}); copy the file again"
+        ) from None
+    rest = data[stream.tell() :]
+    if dtype.hasobject:
+        array = load_pickle(rest, where)
+        if not isinstance(array, np.ndarray) or array.shape != tuple(shape):
+            raise FileFormatError(
+                f"{where} is damaged: its header tells an array of the shape {tuple(shape)}, its "
+                f"content is {_said(array)}; copy the file again"
+            )
+        return array
+    if not dtype.itemsize or len(rest) != prod(shape) * dtype.itemsize:
+        raise FileFormatError(
+            f"{where} is truncated or damaged: its header tells {prod(shape)} x {dtype.itemsize} "
+            f"bytes and {len(rest)} follow; copy the file again"
+        )
+    return np.frombuffer(rest, dtype=dtype).reshape(shape, order="F" if fortran else "C")
+
+
+def _npz(data: bytes, path: Path) -> dict[str, NDArray[Any]]:
+    """The arrays of the bytes of an ``.npz`` file."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as packed:
+            members = packed.infolist()
+            if (size := sum(m.file_size for m in members)) > MOST_BYTES:
+                raise FileFormatError(
+                    f"{path} unpacks to {size} bytes and {MOST_BYTES} are read; split it"
+                )
+            if any(m.filename.endswith("data.pkl") for m in members):
+                raise FileFormatError(
+                    f"{path} is a PyTorch file; save its tensors as arrays with numpy.save"
+                )
+            return {
+                m.filename.removesuffix(".npy"): _npy(packed.read(m), f"{path}, {m.filename}")
+                for m in members
+            }
+    except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError) as error:
+        raise FileFormatError(
+            f"{path} is a damaged or encrypted .npz file ({error}); copy it again"
+        ) from None
+
+
+def _said(value: Any) -> str:
+    """What a value is, in a few words."""
+    if isinstance(value, np.ndarray):
+        return f"an array of the shape {value.shape}"
+    return f"a {type(value).__name__}"

@@ -1,0 +1,236 @@
+"""``table``: grasps as a plain table of poses and joints by names with units, read and written.
+
+``planner.exchange.table_file`` has the schema, ``table_forms`` its three forms.
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from planner.errors import FileFormatError, TaskError
+from planner.exchange.formats import GraspFormat, Reading, Writing, register_format
+from planner.exchange.frames import T_file_object, T_object_body
+from planner.exchange.given import GivenGrasp, GivenGrasps
+from planner.exchange.postures import FileJoints, pose_of_seven
+from planner.exchange.table_file import ANGLES, LENGTHS, TableFile, TableGrasp
+from planner.exchange.table_forms import TABLE_FORMS, read_table_file, table_bytes
+from planner.files import whole_file
+from planner.hands.hand import Hand
+from planner.plan import GraspPlan
+from planner.spatial import SE3, FloatArray, pose_to_wxyz
+
+__all__ = ["read_table", "table_of", "write_given", "write_table"]
+
+NAME = "table"
+
+HEAD = 4096
+"""Bytes of a file by which it is recognised."""
+
+
+def read_table(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
+    """Grasps of a table.
+
+    Raises:
+        FileFormatError: Damaged, of another version, for another hand, or with other joints.
+    """
+    table = read_table_file(path)
+    if table.hand and table.hand != hand.name:
+        raise FileFormatError(
+            f"{path} is for the hand {table.hand!r}, and {hand.name!r} is given; give that one "
+            "with --hand, or correct the table"
+        )
+    joints = FileJoints(
+        hand,
+        reading,
+        str(path),
+        names=table.joint_names,
+        count=len(table.joint_names),
+        base_body=table.base_body,
+    )
+    order, unit = reading.quaternion or "wxyz", reading.unit or LENGTHS[table.length]
+    units = _joint_units(hand, unit, ANGLES[table.angle])
+    grasps = []
+    for i, row in enumerate(table.grasps):
+        where = f"{path}, grasp {i}"
+        body = _pose(row.position, row.quaternion_wxyz, unit, order, where)
+        q = units * joints.of(np.array(row.joints), where)
+        opened, pressed = (
+            None if v is None else units * joints.of(np.array(v), where)
+            for v in (row.pregrasp_joints, row.squeeze_joints)
+        )
+        place = None
+        if row.object_position is not None and row.object_quaternion_wxyz is not None:
+            place = _pose(row.object_position, row.object_quaternion_wxyz, unit, order, where)
+        grasps.append(
+            GivenGrasp(
+                name=row.name or f"row {i}",
+                T_object_base=joints.base(body, q),
+                q=q,
+                q_pregrasp=opened,
+                q_squeeze=pressed,
+                object=row.object,
+                scale=row.scale,
+                T_world_object=place,
+                confidence=row.confidence,
+            )
+        )
+    return GivenGrasps(
+        source=path,
+        format=NAME,
+        hand=table.hand,
+        grasps=tuple(grasps),
+        assumed=tuple(joints.assumed),
+    )
+
+
+def table_of(plans: Sequence[GraspPlan], writing: Writing | None = None) -> TableFile:
+    """Plans of one hand as a table.
+
+    Raises:
+        TaskError: There is none, or they are of several hands.
+        NotFoundError: The hand has no such body.
+    """
+    writing = writing or Writing()
+    if len({plan.task.hand.digest for plan in plans}) != 1:
+        raise TaskError("a table is for one hand; give plans of one, a table for each hand")
+    hand = plans[0].task.hand
+    rows = []
+    for plan in plans:
+        position, turn = pose_to_wxyz(T_object_body(plan, writing.base_body))
+        place = plan.task.T_world_object * T_file_object(plan.task).inverse()
+        where, upright = pose_to_wxyz(place)
+        rows.append(
+            TableGrasp(
+                name=f"seed {plan.record.seed}",
+                position=_three(position),
+                quaternion_wxyz=_four(turn),
+                joints=tuple(plan.q.tolist()),
+                pregrasp_joints=tuple(plan.q_pregrasp.tolist()),
+                object=plan.task.object.shape.spec,
+                object_position=_three(where),
+                object_quaternion_wxyz=_four(upright),
+            )
+        )
+    names = tuple(writing.rename.get(n, n) for n in hand.joint_names)
+    return TableFile(
+        hand=hand.name, base_body=writing.base_body, joint_names=names, grasps=tuple(rows)
+    )
+
+
+def write_table(plans: Sequence[GraspPlan], path: Path, writing: Writing) -> tuple[Path, ...]:
+    """Write plans as a table, in the form of its suffix, whole or not at all.
+
+    Raises:
+        TaskError: There are no plans, they are of several hands, or another suffix.
+        FileFormatError: The folder does not exist or cannot be written.
+    """
+    return _write(table_of(plans, writing), path)
+
+
+def write_given(given: GivenGrasps, hand: Hand, path: Path) -> tuple[Path, ...]:
+    """Write grasps that were read from another format as a table.
+
+    Raises:
+        TaskError: Another suffix.
+        FileFormatError: The folder does not exist or cannot be written.
+    """
+    rows = []
+    for grasp in given.grasps:
+        position, turn = pose_to_wxyz(grasp.T_object_base)
+        place = None if grasp.T_world_object is None else pose_to_wxyz(grasp.T_world_object)
+        rows.append(
+            TableGrasp(
+                name=grasp.name,
+                position=_three(position),
+                quaternion_wxyz=_four(turn),
+                joints=tuple(grasp.q.tolist()),
+                pregrasp_joints=_all(grasp.q_pregrasp),
+                squeeze_joints=_all(grasp.q_squeeze),
+                object=grasp.object,
+                scale=grasp.scale,
+                object_position=None if place is None else _three(place[0]),
+                object_quaternion_wxyz=None if place is None else _four(place[1]),
+                confidence=grasp.confidence,
+            )
+        )
+    table = TableFile(hand=hand.name, joint_names=hand.joint_names, grasps=tuple(rows))
+    return _write(table, path)
+
+
+def _write(table: TableFile, path: Path) -> tuple[Path, ...]:
+    if path.suffix not in TABLE_FORMS:
+        raise TaskError(f"{path}: a table ends with {', '.join(TABLE_FORMS)}; name it so")
+    data = table_bytes(table, path.suffix)
+    with whole_file(path) as stream:
+        stream.write(data)
+    return (path,)
+
+
+def _pose(
+    position: tuple[float, ...], turn: tuple[float, ...], unit: float, order: str, where: str
+) -> SE3:
+    return pose_of_seven(np.array([*(unit * p for p in position), *turn]), order, where)
+
+
+def _joint_units(hand: Hand, length: float, angle: float) -> FloatArray:
+    """Factor (nq,) of each joint: rad for hinges, m for slides."""
+    kinds = [int(hand.mj_model.joint(name).type[0]) for name in hand.joint_names]
+    return np.array([length if kind == SLIDE else angle for kind in kinds])
+
+
+SLIDE = 2
+"""``mujoco.mjtJoint.mjJNT_SLIDE``."""
+
+
+def _three(values: FloatArray) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def _four(values: FloatArray) -> tuple[float, float, float, float]:
+    w, x, y, z = values.tolist()
+    return w, x, y, z
+
+
+def _all(values: FloatArray | None) -> tuple[float, ...] | None:
+    return None if values is None else tuple(values.tolist())
+
+
+def _recognises(path: Path) -> bool:
+    """Whether it says so, or has the first columns."""
+    if not path.is_file() or path.suffix not in TABLE_FORMS:
+        return False
+    if path.suffix == ".npz":
+        try:
+            with zipfile.ZipFile(path) as packed:
+                return {"joint_names.npy", "quaternion_wxyz.npy"} <= set(packed.namelist())
+        except (zipfile.BadZipFile, OSError):
+            return False
+    with path.open("rb") as stream:
+        head = stream.read(HEAD)
+    if path.suffix == ".json":
+        return json.dumps("opposable-grasp-table").encode() in head
+    first = head.splitlines()[0] if head else b""
+    return any(f"x_{unit}".encode() in first for unit in LENGTHS) and b"qw" in first
+
+
+register_format(
+    GraspFormat(
+        name=NAME,
+        title="a plain table of poses and joints by names with units: CSV, JSON or NPZ",
+        suffix=".csv",
+        loses=(
+            "the object's mass, contacts and forces, friction, table and obstacles, the way to the "
+            "pre-grasp"
+        ),
+        recognises=_recognises,
+        read=read_table,
+        write=write_table,
+        heeds=frozenset({"rename", "base_body"}),
+    )
+)
