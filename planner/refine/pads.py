@@ -127,7 +127,7 @@ def _too_few(task: GraspTask, names: list[str], gaps: FloatArray, near: int) -> 
     listed = ", ".join(f"{n} {1e3 * g:.0f} mm" for n, g in zip(names, gaps, strict=True))
     return Failure(
         kind="too_few_pads",
-        text=f"{said}: gaps are {listed} (allowed {1e3 * FARTHEST:.0f}); check the pose's frame and "
-        "units",
+        text=f"{said}: gaps are {listed} (allowed {1e3 * FARTHEST:.0f}); check the frame "
+        "and the units of the pose",
         numbers={"near": float(near), "nearest": float(gaps.min())},
     )
