@@ -10,7 +10,13 @@ from planner.files.manipulations import (
     write_manipulation,
 )
 from planner.files.motions import MotionFile, read_motion, write_motion
-from planner.files.plans import plan_from_dict, plan_to_dict, read_plan, write_plan
+from planner.files.plans import (
+    plan_from_dict,
+    plan_to_dict,
+    pose_of_plan,
+    read_plan,
+    write_plan,
+)
 from planner.files.tasks import task_data, task_from_data
 from planner.files.whole import plain_name, whole_file
 
@@ -25,6 +31,7 @@ __all__ = [
     "plain_name",
     "plan_from_dict",
     "plan_to_dict",
+    "pose_of_plan",
     "read_contacts",
     "read_gait",
     "read_json",

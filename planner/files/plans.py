@@ -32,7 +32,8 @@ from planner.files.tasks import task_data, task_from_data
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
-from planner.spatial import FloatArray
+from planner.spatial import SE3, FloatArray
+from planner.task import GraspTask
 from planner.verification.grasp import verify_grasp
 from planner.version import written_by
 
@@ -42,6 +43,7 @@ __all__ = [
     "numbers_of",
     "plan_from_dict",
     "plan_to_dict",
+    "pose_of_plan",
     "read_plan",
     "write_plan",
 ]
@@ -135,6 +137,26 @@ def plan_from_dict(data: dict[str, Any], source: str, *, hand: Hand | None = Non
         FileFormatError: Damaged, of another version, or for another hand.
         PlannerError: The hand or object cannot be loaded.
     """
+    file, hand = _with_hand(data, source, hand)
+    return _rebuild(file, hand, source)
+
+
+def pose_of_plan(path: Path | str) -> tuple[GraspTask, SE3, FloatArray]:
+    """Task, base pose (world) and joints (nq,) of a plan file, of which nothing is verified.
+
+    For ``planner.refine``: the pose may have been changed by hand, and need be no grasp.
+
+    Raises:
+        FileFormatError: Missing, damaged, of another version, or for another hand.
+        PlannerError: The hand or object cannot be loaded.
+    """
+    file, hand = _with_hand(read_json(path, "plan"), str(path), None)
+    q = np.array(file.grasp.q_rad, dtype=np.float64)
+    return task_from_data(file.task, hand), file.grasp.T_world_base.pose(), q
+
+
+def _with_hand(data: dict[str, Any], source: str, hand: Hand | None) -> tuple[PlanFile, Hand]:
+    """A plan's data after the checks of its form, and the hand that they are for."""
     file = checked_file(PlanFile, data, source)
     given = file.task.hand
     hand = hand or load_hand(given.description_path or given.name, download=False)
@@ -147,7 +169,7 @@ def plan_from_dict(data: dict[str, Any], source: str, *, hand: Hand | None = Non
         )
     if list(hand.joint_names) != file.grasp.joint_names:
         raise FileFormatError(f"{source} has other joints than {hand.name}; it is damaged")
-    return _rebuild(file, hand, source)
+    return file, hand
 
 
 def _rebuild(file: PlanFile, hand: Hand, source: str) -> GraspPlan:

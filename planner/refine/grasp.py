@@ -2,16 +2,19 @@
 
 The first try takes the pose as it is, with pads put onto the true surface by the fingers alone,
 where no pad is farther from it than ``AS_GIVEN``. Then come the rungs of ``planner.refine.rungs``,
-from strong to weak nearness, and the same with other fingers, where the task leaves them open. The
-ladder ends at the first plan whose contacts moved by at most ``NEAR_ENOUGH``; otherwise the nearest
-of all plans counts. Tries are bounded by iterations, never by the clock: the same pose gives the
-same plan on any machine.
+from strong to weak nearness. Where the task leaves the fingers open, other sets are tried after
+that: if there is no plan, one finger less and one more; if there is, but not near enough, all but
+the finger that moved farthest. The ladder ends at the first plan whose contacts moved by at most
+``NEAR_ENOUGH``; otherwise the nearest of all plans counts.
+
+Tries are bounded by iterations, never by the clock: the same pose gives the same plan on any
+machine.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +28,7 @@ from planner.refine.movement import Movement
 from planner.refine.pads import UnderPads, fingers_near, under_pads
 from planner.refine.pose import GivenPose, palm_pose
 from planner.refine.refined import RefinedGrasp
-from planner.refine.rungs import RUNGS, climb_rung, near_options, start_at
+from planner.refine.rungs import BOUNDED, RUNGS, Rung, climb_rung, near_options, start_at
 from planner.spatial import SE3, FloatArray
 from planner.synthesis.options import SynthesisOptions
 from planner.synthesis.problem_cache import Problems, problems_for
@@ -88,23 +91,67 @@ def refine_grasp(
         spent = time.process_time() - begin
         untried = RefinedGrasp.untried(task, T_world_base, ladder.q, sets)
         return replace(untried, notes=pose.notes, cpu_s=spent)
-    tries: list[_Try] = []
-    spent, built = time.process_time() - begin, 0.0
-    for number, names in enumerate(sets):
-        mine = with_fingers(task, names)
-        problems = problems_for(mine, asked.form)
-        true_geometry(mine)  # this thread's own is made before the time begins
-        built = max(built, problems.build_s)
-        begin = time.process_time()
-        for one in _tries(mine, problems, pose, asked, first=number == 0):
-            now = time.process_time()
-            tries.append(replace(one, cpu_s=now - begin))
-            spent, begin = spent + now - begin, now
-            if one.plan is not None and one.movement.contact <= NEAR_ENOUGH:
-                return ladder.result(tries, spent, built)
-        if any(one.plan is not None for one in tries):
+    run = _Run(pose, asked, spent=time.process_time() - begin)
+    for names in sets:
+        run.climb(with_fingers(task, names), RUNGS, as_given=names is sets[0])
+        if run.ended or run.found:
             break
-    return ladder.result(tries, spent, built)
+    spared = _without_the_farthest(run.best) if task.may_spare_fingers else None
+    if run.found and not run.ended and spared is not None:
+        run.climb(spared, RUNGS[:BOUNDED])
+    return ladder.result(run.tries, run.spent, run.build_s)
+
+
+class _Run:
+    """The tries so far, and what they cost.
+
+    Attributes:
+        tries: In the order in which they were made.
+        spent: CPU time, s, without building problems.
+        build_s: Time that building the problem took, s; the longest of several.
+    """
+
+    def __init__(self, pose: GivenPose, options: SynthesisOptions, spent: float) -> None:
+        self._pose, self._options = pose, options
+        self.tries: list[_Try] = []
+        self.spent, self.build_s = spent, 0.0
+
+    @property
+    def best(self) -> _Try:
+        """The nearest plan; else the failure that came farthest."""
+        return max(self.tries, key=lambda one: one.merit)
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a plan."""
+        return self.best.plan is not None
+
+    @property
+    def ended(self) -> bool:
+        """Whether a plan is as near as is asked."""
+        return self.found and self.best.movement.contact <= NEAR_ENOUGH
+
+    def climb(self, task: GraspTask, rungs: Sequence[Rung], as_given: bool = False) -> None:
+        """Try rungs with some fingers, until a plan is as near as is asked."""
+        problems = problems_for(task, self._options.form)
+        true_geometry(task)  # this thread's own is made before the time begins
+        self.build_s = max(self.build_s, problems.build_s)
+        begin = time.process_time()
+        for one in _tries(task, problems, self._pose, self._options, rungs, as_given=as_given):
+            now = time.process_time()
+            self.tries.append(replace(one, cpu_s=now - begin))
+            self.spent, begin = self.spent + now - begin, now
+            if one.plan is not None and one.movement.contact <= NEAR_ENOUGH:
+                return
+
+
+def _without_the_farthest(best: _Try) -> GraspTask | None:
+    """The task of a plan without the finger whose contact moved farthest; None if it is needed."""
+    task, touch = best.task, best.task.object.touch
+    far = task.finger_names[int(best.movement.contacts.argmax())]
+    if len(task.finger_names) <= task.fingers_needed or (touch and far in touch.required):
+        return None
+    return with_fingers(task, tuple(name for name in task.finger_names if name != far))
 
 
 def with_fingers(task: GraspTask, names: tuple[str, ...]) -> GraspTask:
@@ -146,19 +193,20 @@ def _tries(
     problems: Problems,
     pose: GivenPose,
     options: SynthesisOptions,
+    rungs: Sequence[Rung],
     *,
-    first: bool,
+    as_given: bool,
 ) -> Iterator[_Try]:
     """The tries with one set of fingers."""
     problem = problems.grasp
     under = under_pads(task, pose.T_world_base, pose.q, task.fingers)
-    if first and float(np.abs(under.gaps).max()) <= AS_GIVEN:
+    if as_given and float(np.abs(under.gaps).max()) <= AS_GIVEN:
         record = SolveRecord(iterations=0, status="as given", objective=str(options.objective))
         outcome = verified_on_surface(
             task, pose.T_world_base, pose.q, record=record, terms=problem.own_terms
         )
         yield _tried(task, pose, under, outcome, pose.T_world_base, pose.q)
-    for rung in RUNGS:
+    for rung in rungs:
         if rung.faced and task.object.shape.flat_sides is None:
             continue
         start = start_at(task, problem.surface, pose, under, rung)

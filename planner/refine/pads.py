@@ -1,8 +1,8 @@
 """Where the pads of a given hand pose belong on an object, and which fingers take part.
 
-A pad belongs to the nearest point of the surface that it faces. The nearest point alone may be on
-the wrong side: of a pad that has sunk half through a thin wall, or one beyond the edge of a box.
-So the point is looked for from a few places behind the pad too, against the direction it faces.
+A pad belongs to the nearest point of the surface, unless it faces away from that: a pad that has
+sunk half through a thin wall, or one beyond the edge of a box. Then the point is the first that it
+does not face away from, of those nearest to a few places behind the pad.
 """
 
 from __future__ import annotations
@@ -23,9 +23,10 @@ __all__ = ["UnderPads", "fingers_near", "under_pads"]
 BEHIND = np.array([0.0, 0.004, 0.008, 0.014, 0.02])
 """Distances (m) behind a pad's centre from which the surface is looked for, in this order."""
 
-FACED = 0.5
-"""Least cosine between where a pad faces and the inward normal under it. Half angles of pads are
-60 to 90 degrees; the hand may still turn by some."""
+FACED = 0.0
+"""Least cosine between where a pad faces and the inward normal at the point that it belongs to: the
+pad does not face away from it. With 0.5 contacts count as displaced by less, and the true nearest
+points of a tilted pad are missed more often."""
 
 NEAR = 0.025
 """Gap (m) up to which a finger takes part in a given grasp: twice what the hands of data sets are
@@ -127,7 +128,7 @@ def _too_few(task: GraspTask, names: list[str], gaps: FloatArray, near: int) -> 
     listed = ", ".join(f"{n} {1e3 * g:.0f} mm" for n, g in zip(names, gaps, strict=True))
     return Failure(
         kind="too_few_pads",
-        text=f"{said}: gaps are {listed} (allowed {1e3 * FARTHEST:.0f}); check the pose's frame and "
-        "units",
+        text=f"{said}: gaps are {listed} (allowed {1e3 * FARTHEST:.0f}); check the frame "
+        "and the units of the pose",
         numbers={"near": float(near), "nearest": float(gaps.min())},
     )

@@ -29,7 +29,7 @@ from planner.synthesis.seeds.draw import frozen_joints, opposed_forces
 from planner.system.stage_times import stage
 from planner.task import GraspTask
 
-__all__ = ["RUNGS", "Rung", "climb_rung", "near_options", "start_at"]
+__all__ = ["BOUNDED", "RUNGS", "Rung", "climb_rung", "near_options", "start_at"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +60,9 @@ RUNGS = (
     Rung(weight=0.03, costs=1.0, rounds=3),
 )
 """From the nearest to the freest."""
+
+BOUNDED = 2
+"""How many of them, the first, bound contacts to what counts as near."""
 
 LET_GO = 0.01
 """Share of the weight that is left in the second run."""

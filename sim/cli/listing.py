@@ -26,6 +26,7 @@ from sim.cli.look import analyse, inspect, schema
 from sim.cli.manipulation import demo, manipulate
 from sim.cli.motion import plan_gait, plan_motion
 from sim.cli.states import states
+from sim.cli.refine import refine
 from sim.cli.test import test
 from sim.cli.view import view
 
@@ -57,6 +58,7 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
     "Grasp": (
         Listed(call=run, example="opposable run shadow_hand box"),
         Listed(call=plan, example="opposable plan shadow_hand box -o plan.json"),
+        Listed(call=refine, example="opposable refine plan.json --out refined"),
         Listed(call=simulate, example="opposable simulate plan.json -o report.json"),
         Listed(call=test, example="opposable test plan.json --protocol shake"),
         Listed(call=drive, example="opposable drive plan.json --rate 100 --log run.npz"),

@@ -18,6 +18,7 @@ from sim.cli.bench import (
     witness,
     zoo,
 )
+from sim.cli.bench import best, control, dexgraspbench, grasps, pages, refine, synthesis, turns, zoo
 
 __all__ = ["register"]
 
@@ -30,6 +31,7 @@ def register(app: typer.Typer, panel: str) -> None:
         synthesis.synthesis,
         synthesis.objectives,
         best.best,
+        refine.refine,
         grasps.walls,
         grasps.metrics,
         grasps.trials,

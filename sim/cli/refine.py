@@ -1,0 +1,386 @@
+"""The command ``refine``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import Progress
+
+from sim.cli.common import (
+    EXIT_INTERRUPTED,
+    EXIT_NO,
+    EXIT_NOT_FOUND,
+    SCENE_PANEL,
+    JsonOption,
+    err,
+    errors_for_people,
+    heeding_ctrl_c,
+    make_folder,
+    names,
+    out,
+    print_json,
+    say,
+)
+from sim.cli.options import with_options
+from sim.cli.task_options import TaskOptions
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from planner.exchange.formats import Reading
+    from planner.exchange.given import GivenGrasp, GivenGrasps
+    from planner.refine import RefinedGrasp
+    from planner.spatial import SE3, FloatArray
+    from planner.task import GraspTask
+
+READING_PANEL = "What the file does not say"
+"""Group of options in the help."""
+
+UNITS = {"m": 1.0, "mm": 1e-3}
+
+TABLE_WIDTH = 120
+"""Width of the table, characters."""
+
+SHOWN = 50
+"""Rows that are shown; the file of rows has all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadingOptions:
+    """What a file of another tool does not say of itself."""
+
+    format: Annotated[
+        str | None, typer.Option(help="By its content if not given.", metavar="NAME")
+    ] = None
+    joint_names: Annotated[
+        str | None,
+        typer.Option(
+            help="In the order of the file, comma separated.",
+            metavar="NAMES",
+            rich_help_panel=READING_PANEL,
+        ),
+    ] = None
+    by_number: Annotated[
+        bool,
+        typer.Option(
+            "--by-number",
+            help="Joints are in the order of the hand.",
+            metavar="",
+            rich_help_panel=READING_PANEL,
+        ),
+    ] = False
+    quaternion: Annotated[
+        str | None,
+        typer.Option(help="Its order.", metavar="wxyz|xyzw", rich_help_panel=READING_PANEL),
+    ] = None
+    unit: Annotated[
+        str | None, typer.Option(help="Of lengths.", metavar="m|mm", rich_help_panel=READING_PANEL)
+    ] = None
+    base_body: Annotated[
+        str,
+        typer.Option(
+            help="Body of the hand whose pose the file gives.",
+            metavar="BODY",
+            rich_help_panel=READING_PANEL,
+        ),
+    ] = ""
+
+    def reading(self) -> Reading:
+        """As readers take it.
+
+        Raises:
+            TaskError: A unit or an order that there is not.
+        """
+        from planner.errors import TaskError
+        from planner.exchange.formats import Reading
+
+        for option, value, allowed in (
+            ("--quaternion", self.quaternion, ("wxyz", "xyzw")),
+            ("--unit", self.unit, tuple(UNITS)),
+        ):
+            if value is not None and value not in allowed:
+                raise TaskError(f"{option} {value!r} is none of {', '.join(allowed)}")
+        return Reading(
+            by_number=self.by_number,
+            joint_names=None if self.joint_names is None else tuple(names(self.joint_names)),
+            quaternion=self.quaternion,
+            unit=None if self.unit is None else UNITS[self.unit],
+            base_body=self.base_body,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class GivenTaskOptions(TaskOptions):
+    """The task of given grasps: most are made without a table."""
+
+    table: Annotated[
+        str,
+        typer.Option(
+            help="Height of the table's top, m, or none.",
+            metavar="Z|none",
+            rich_help_panel=SCENE_PANEL,
+        ),
+    ] = "none"
+
+
+@dataclass(frozen=True)
+class _Given:
+    """A hand pose of a file, with its task and name."""
+
+    name: str
+    task: GraspTask
+    T_world_base: SE3
+    q: FloatArray
+
+
+@errors_for_people()
+@with_options
+def refine(
+    file: Annotated[Path, typer.Argument(help="A file of grasps, or a plan file.", metavar="FILE")],
+    hand: Annotated[
+        str | None, typer.Option(help="Its name, hand.toml, MJCF or URDF file.", metavar="HAND")
+    ] = None,
+    object: Annotated[
+        str | None,
+        typer.Option(
+            help="The object in the size of scale 1, as `plan` takes it.", metavar="OBJECT"
+        ),
+    ] = None,
+    folder: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for plans and refined.json.", metavar="DIR")
+    ] = Path("refined"),
+    *,
+    reading: ReadingOptions,
+    request: GivenTaskOptions,
+    clamp: Annotated[
+        bool,
+        typer.Option("--clamp", help="Joints beyond limits count as given there.", metavar=""),
+    ] = False,
+    workers: Annotated[int, typer.Option(help="Processes; -1 for one per core.", metavar="N")] = 1,
+    as_json: JsonOption = False,
+) -> None:
+    """Bring given hand poses to the nearest grasps that pass the whole verdict.
+
+    A plan file brings hand, object and surroundings, and only its pose is taken; other files need
+    --hand and --object. Fingers are found from the poses if --fingers does not name them. What is
+    brought back is written as plan files. Exit code 0 if all are, 1 if some are not, 4 if none is.
+    """
+    from planner.batch import refine_grasps
+    from planner.files import write_json, write_plan
+
+    assumed, given = _poses(file, hand, object, reading, request)
+    make_folder(folder)
+    rows: dict[int, dict[str, Any]] = {}
+    complete = False
+    with (
+        heeding_ctrl_c() as check,
+        Progress(console=err, transient=True, disable=as_json or not err.is_terminal) as progress,
+    ):
+        bar = progress.add_task("refining", total=len(given))
+        results = refine_grasps(
+            [one.task for one in given],
+            [(one.T_world_base, one.q) for one in given],
+            clamp=clamp,
+            workers=workers,
+        )
+        try:
+            for index, result in results:
+                path = _plan_file(folder, index, given[index].name, len(given))
+                if result.plan is not None:
+                    write_plan(result.plan, path)
+                rows[index] = _row(given[index].name, result, path)
+                progress.advance(bar)
+                check()
+            complete = True
+        except KeyboardInterrupt:
+            say(err, f"interrupted; {len(rows)} of {len(given)} are kept")
+    report = _report(file, [rows[i] for i in sorted(rows)], len(given), assumed)
+    write_json(report, folder / "refined.json")
+    if as_json:
+        print_json(report)
+    else:
+        _show(report, folder)
+    if not complete:
+        raise typer.Exit(EXIT_INTERRUPTED)
+    if report["found"] < len(given):
+        raise typer.Exit(EXIT_NO if report["found"] else EXIT_NOT_FOUND)
+
+
+def _poses(
+    file: Path,
+    hand: str | None,
+    object: str | None,
+    reading: ReadingOptions,
+    request: GivenTaskOptions,
+) -> tuple[Sequence[str], list[_Given]]:
+    """What was taken for granted, and the poses of a plan or of a file of another tool.
+
+    Raises:
+        TaskError: Hand or object are missing, or the file holds no grasp.
+        FileFormatError: The file cannot be read.
+    """
+    from planner.errors import TaskError
+    from planner.exchange.formats import format_named, format_of
+    from planner.hand_loading import load_hand
+
+    if reading.format is None and _is_plan(file):
+        if hand is not None or object is not None:
+            raise TaskError(f"{file} is a plan, which brings hand and object; leave them out")
+        return (), [_of_plan(file)]
+    if hand is None or object is None:
+        missing = "--hand" if hand is None else "--object"
+        raise TaskError(f"{file} does not bring hand and object, as plans do; give {missing}")
+    found = format_of(file) if reading.format is None else format_named(reading.format)
+    if found.read is None:
+        raise TaskError(f"the format {found.name!r} is written, not read; give another file")
+    loaded = load_hand(hand)
+    given: GivenGrasps = found.read(file, loaded, reading.reading())
+    if not len(given):
+        raise TaskError(f"{file} holds no grasp")
+    task_for = _task_for(request.task(loaded, object), own_place=request.table == "none")
+    return given.assumed, [_placed(one, task_for(one)) for one in given.grasps]
+
+
+def _is_plan(file: Path) -> bool:
+    if file.suffix != ".json" or not file.is_file():
+        return False
+    with file.open("rb") as stream:
+        return b'"opposable-plan"' in stream.read(HEAD)
+
+
+HEAD = 4096
+"""Bytes of a file that say whose it is."""
+
+
+def _of_plan(file: Path) -> _Given:
+    """The pose of a plan file, of which nothing is verified."""
+    from planner.files import pose_of_plan
+
+    task, T_world_base, q = pose_of_plan(file)
+    return _Given(file.stem, task, T_world_base, q)
+
+
+def _task_for(first: GraspTask, *, own_place: bool) -> Callable[[GivenGrasp], GraspTask]:
+    """The task of each grasp: one per scale and, where the file says so, place of the object."""
+    from planner.audit.scaled import scaled_object
+    from planner.exchange.frames import T_file_object
+
+    made: dict[Any, GraspTask] = {}
+
+    def task_for(grasp: GivenGrasp) -> GraspTask:
+        where = grasp.T_world_object if own_place else None
+        key = (grasp.scale, None if where is None else where.homogeneous.tobytes())
+        if key not in made:
+            task = first
+            if grasp.scale != 1.0:
+                item = scaled_object(first.object, grasp.scale)
+                place = item.resting_pose(0.0 if task.table_height is None else task.table_height)
+                task = replace(task, object=item, T_world_object=place)
+            if where is not None:
+                task = replace(task, T_world_object=where * T_file_object(task))
+            made[key] = task
+        return made[key]
+
+    return task_for
+
+
+def _placed(grasp: GivenGrasp, task: GraspTask) -> _Given:
+    """A grasp in the world of its task; its file knows the object by the object's own file."""
+    from planner.exchange.frames import T_file_object
+
+    to_world = task.T_world_object * T_file_object(task).inverse()
+    return _Given(grasp.name, task, to_world * grasp.T_object_base, grasp.q)
+
+
+def _plan_file(folder: Path, index: int, name: str, n: int) -> Path:
+    from planner.files import plain_name
+
+    return folder / f"{index:0{len(str(max(n - 1, 0)))}}-{plain_name(name)}.json"
+
+
+def _row(name: str, result: RefinedGrasp, path: Path) -> dict[str, Any]:
+    """One result as plain data; m, rad, s."""
+    moved = result.movement
+    return {
+        "name": name,
+        "found": result.found,
+        "failure": "" if result.failure is None else result.failure.kind,
+        "reason": "" if result.failure is None else result.failure.text,
+        "fingers": list(result.task.finger_names),
+        "contact_m": None if moved is None else moved.contacts.tolist(),
+        "joint_rad": None if moved is None else moved.joint,
+        "palm_m": None if moved is None else moved.shift,
+        "palm_rad": None if moved is None else moved.turn,
+        "tries": len(result.attempts),
+        "cpu_s": result.cpu_s,
+        "notes": list(result.notes),
+        "plan": path.name if result.found else "",
+    }
+
+
+def _report(
+    file: Path, rows: list[dict[str, Any]], total: int, assumed: Sequence[str]
+) -> dict[str, Any]:
+    from planner.version import written_by
+
+    return {
+        "format": "opposable-refined",
+        "version": 1,
+        "written_by": written_by(),
+        "source": str(file),
+        "total": total,
+        "found": sum(row["found"] for row in rows),
+        "assumed": list(assumed),
+        "grasps": rows,
+    }
+
+
+def _show(report: dict[str, Any], folder: Path) -> None:
+    """A table for people, and what was noted."""
+    rows = report["grasps"]
+    Console(width=max(out.width, TABLE_WIDTH)).print(_table(rows[:SHOWN]))
+    if len(rows) > SHOWN:
+        say(out, escape(f"... and {len(rows) - SHOWN} more, all in {folder / 'refined.json'}"))
+    for row in rows[:SHOWN]:
+        for text in (row["reason"], *row["notes"]):
+            if text:
+                say(out, escape(f"{row['name']}: {text}"))
+    for sentence in report["assumed"]:
+        say(out, escape(f"taken for granted: {sentence}"))
+    say(
+        out,
+        escape(
+            f"{report['found']} of {report['total']} brought back; written to {folder}: "
+            "a plan file for each, refined.json"
+        ),
+    )
+
+
+def _table(rows: list[dict[str, Any]]) -> Table:
+    """How each grasp was moved: to the plan, or to the nearest that was reached."""
+    from sim.tables import number, table_of
+
+    table = table_of(
+        "how far the hand moved: contacts and joints at most, palm",
+        ("grasp", "brought back"),
+        ("fingers", "contact mm", "joint rad", "palm mm", "palm rad", "CPU ms"),
+    )
+    for row in rows:
+        contacts = row["contact_m"]
+        table.add_row(
+            escape(row["name"]),
+            "yes" if row["found"] else f"no: {row['failure']}",
+            str(len(row["fingers"])),
+            number(None if contacts is None else max(contacts), 1, 1e3),
+            number(row["joint_rad"], 3),
+            number(row["palm_m"], 1, 1e3),
+            number(row["palm_rad"], 3),
+            number(row["cpu_s"], 1, 1e3),
+        )
+    return table
