@@ -184,22 +184,33 @@ class MeshPair:
         middle = begin + rotation @ self.inner
         surface, outward = mesh.closest_point(middle[None])
         identity, at = coal.Transform3s.Identity(), coal.Transform3s(pose)
+        turn = np.array(rotation)[None]
 
         def moved(way: FloatArray, bound: float) -> Moved:
+            if self._gaps is not None:
+                row = self._gaps.at(ONE, turn, (begin + way)[None])[0]
+                if row[0] + reach > 0.0:
+                    normal = row[1:4] - row[4:7]
+                    normal /= np.linalg.norm(normal)
+                    return outside_or_in(way, float(row[0]), normal, row[4:7])
             at.setTranslation(begin + way)
             result.clear()
             if bound < np.inf:
                 result.min_distance = bound + reach
             distance = float(self._compute(at, identity, self._request, result))
             on_mesh, normal = np.array(result.getNearestPoint2()), -np.array(result.normal)
-            outside = distance > 0.0
-            distance -= reach
-            if outside:
-                inner = (middle + way)[None]
-                if maybe_within(mesh, inner)[0]:
-                    within = float(mesh.signed_distance(inner)[0])
-                    if within < 0.0:
-                        distance, normal = within - reach, -normal
+            if distance > 0.0:
+                return outside_or_in(way, distance - reach, normal, on_mesh)
+            return Moved(distance=distance - reach, normal=normal, on_mesh=on_mesh)
+
+        def outside_or_in(
+            way: FloatArray, distance: float, normal: FloatArray, on_mesh: FloatArray
+        ) -> Moved:
+            inner = (middle + way)[None]
+            if maybe_within(mesh, inner)[0]:
+                within = float(mesh.signed_distance(inner)[0])
+                if within < 0.0:
+                    distance, normal = within - reach, -normal
             return Moved(distance=distance, normal=normal, on_mesh=on_mesh)
 
         def start_of(along: FloatArray) -> Start:

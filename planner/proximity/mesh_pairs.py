@@ -14,6 +14,7 @@ from typing import Any
 
 import coal
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.proximity.mesh import CROSSING, ClosedMesh, MeshPair, maybe_within
 from planner.proximity.mesh_gaps import MeshGaps
@@ -152,6 +153,8 @@ class MeshPairs:
 
         And rows (k, 9): nearest points of geometry and mesh, and the normal from one to the other.
         """
+        if self._gaps is not None:
+            return self._near(self._gaps, which, limit)
         places, distances, rows = [], [], []
         near = np.flatnonzero(self._lower_bounds(which) < limit)
         for place, (i, below) in zip(near, self._queries(which[near]), strict=True):
@@ -161,6 +164,27 @@ class MeshPairs:
                 distances.append(distance)
                 rows.append(self._pairs[i].last_points(distance, self._T_mesh))
         return np.array(places, dtype=int), np.array(distances), np.array(rows).reshape(-1, 9)
+
+    def _near(
+        self, gaps: MeshGaps, which: IntArray, limit: float
+    ) -> tuple[IntArray, FloatArray, FloatArray]:
+        """``near`` by compiled loops."""
+        lying, inner, inside = self._lie(gaps, which, limit=max(limit, LEAST_LIMIT))
+        distances, rows = lying[:, 0].copy(), np.empty((len(which), 9))
+        normals = lying[:, 4:7] - lying[:, 1:4]
+        apart = np.isfinite(distances) & (distances > CROSSING) & ~inside
+        normals[apart] /= np.linalg.norm(normals[apart], axis=1, keepdims=True)
+        radii = gaps.bodies.sizes[which, 3]
+        on_body = lying[:, 1:4] + radii[:, None] * normals
+        turn, shift = self._T_mesh.rotation, self._T_mesh.translation
+        rows[:, :3], rows[:, 3:6] = on_body @ turn.T + shift, lying[:, 4:7] @ turn.T + shift
+        rows[:, 6:] = normals @ turn.T
+        for place in np.flatnonzero(inside | (distances <= CROSSING)):
+            i = int(which[place])
+            distances[place] = self._by_coal(i, limit, inner[place], inside[place])
+            rows[place] = self._pairs[i].last_points(distances[place], self._T_mesh)
+        places = np.flatnonzero(distances < limit)
+        return places, distances[places], rows[places]
 
     def _measured(
         self,
@@ -175,23 +199,37 @@ class MeshPairs:
 
         Arguments as of ``MeshGaps.at``.
         """
+        rows, inner, inside = self._lie(gaps, which, limit=limit, floor=floor, known=known)
+        out = rows[:, 0].copy()
+        for place in np.flatnonzero(inside | (out <= CROSSING)):
+            out[place] = self._by_coal(int(which[place]), np.inf, inner[place], inside[place])
+        return out
+
+    def _lie(
+        self, gaps: MeshGaps, which: IntArray, **wanted: Any
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+        """How geometries lie to the triangles (k, 7), see ``MeshGaps.at``; their inner points.
+
+        And which of those points are inside the mesh, (k,).
+        """
         turns, shifts = self._placed(which)
         turns, shifts = self._T_mesh.rotation.T @ turns, self._seen_by_mesh(shifts)
-        out = gaps.at(which, turns, shifts, limit=limit, floor=floor, known=known)[:, 0].copy()
-        inner = self._inner_points(which)
-        maybe = maybe_within(self._mesh, inner)
-        if maybe.any():
-            maybe[maybe] = self._mesh.signed_distance(inner[maybe]) < 0.0
-        for place in np.flatnonzero(maybe | (out <= CROSSING)):
-            i = int(which[place])
-            out[place] = self._pairs[i].distance_below(
-                coal.Transform3s(self._poses[i]),
-                self._pose_mesh,
-                np.inf,
-                inner[place : place + 1],
-                maybe_inside=bool(maybe[place]),
-            )
-        return out
+        rows = gaps.at(which, turns, shifts, **wanted)
+        inner = shifts + np.einsum("nij,nj->ni", turns, self._inner[which])
+        inside = maybe_within(self._mesh, inner)
+        if inside.any():
+            inside[inside] = self._mesh.signed_distance(inner[inside]) < 0.0
+        return rows, inner, inside
+
+    def _by_coal(self, i: int, limit: float, inner: FloatArray, inside: bool) -> float:
+        """Signed distance, m, of one geometry whose inner point (3,) is where it is."""
+        return self._pairs[i].distance_below(
+            coal.Transform3s(self._poses[i]),
+            self._pose_mesh,
+            limit,
+            inner[None],
+            maybe_inside=bool(inside),
+        )
 
     def _queries(self, which: IntArray) -> Iterator[tuple[int, Callable[[float], float]]]:
         """Each geometry told, and its distance (m) as a function of a limit."""

@@ -43,7 +43,8 @@ def _gaps_plain(
     known: FloatArray,
 ) -> FloatArray:
     """``gaps_to_triangles`` in NumPy: all triangles, in the order of their bounds."""
-    out = np.full((len(which), COLUMNS), np.inf)
+    out = np.zeros((len(which), COLUMNS))
+    out[:, 0] = np.inf
     work, gap = np.zeros((14, 4)), _loops(gap_to_triangle)
     for row, body, turn, shift in zip(out, which, turns, shifts, strict=True):
         core, radius = sizes[body, :3], sizes[body, 3]
@@ -112,7 +113,8 @@ def gaps_to_triangles(
         in the mesh's frame, m.
     """
     count, n = len(known), len(which)
-    out = np.full((n, COLUMNS), np.inf)
+    out = np.zeros((n, COLUMNS))
+    out[:, 0] = np.inf
     work, plane, local, stack, bounds = (
         np.zeros((14, 4)),
         np.zeros(4),

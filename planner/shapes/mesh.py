@@ -247,10 +247,10 @@ class Mesh(Shape):
     def _surface(self) -> NearestTriangles:
         return NearestTriangles(self.vertices, self.faces)
 
-    @cached_property
+    @property
     def ball_tree(self) -> BallTree:
         """Balls around ever fewer triangles."""
-        return BallTree.of(self.vertices[self.faces])
+        return self._surface.ball_tree
 
     @cached_property
     def _hull(self) -> ConvexHull:

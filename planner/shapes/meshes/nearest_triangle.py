@@ -1,8 +1,8 @@
 """Exact nearest points of a triangle mesh, with outward normals that give the sign.
 
-coal's bounding volume tree finds the triangle. It and all triangles that share a corner with it are
-then measured in closed form, because coal's tolerance of 1e-6 m could choose the wrong side of an
-edge.
+A tree of balls finds the triangle where kernels are compiled. Where they are not, coal's bounding
+volume tree does; its triangle and all that share a corner with it are then measured in closed form,
+because coal's tolerance of 1e-6 m could choose the wrong side of an edge.
 
 The sign comes from the normal of the feature that the nearest point is on: of the face, the sum of
 two faces' on an edge, the sum weighted by angles at a vertex (Baerentzen and Aanaes, "Signed
@@ -11,12 +11,16 @@ distance computation using the angle weighted pseudonormal", 2005), exact for cl
 
 from __future__ import annotations
 
+from functools import cached_property
 from itertools import chain
 from typing import Any
 
 import coal
 import numpy as np
 
+from planner.numerics.kernels import kernels_are_compiled
+from planner.shapes.meshes.ball_tree import BallTree
+from planner.shapes.meshes.nearest_kernels import nearest_triangles, triangles_within
 from planner.shapes.meshes.triangles import COVERED, FACE, cover, nearest_on_triangles
 from planner.spatial import FloatArray, IntArray
 
@@ -66,6 +70,16 @@ class NearestTriangles:
         points, self._cover_owner = cover(self.corners, self._step)
         self._cover_tree = cKDTree(points)
 
+    @cached_property
+    def ball_tree(self) -> BallTree:
+        """Balls around ever fewer triangles, made when first needed."""
+        return BallTree.of(self.corners)
+
+    @cached_property
+    def _tree(self) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, IntArray]:
+        tree = self.ball_tree
+        return tree.corners, tree.numbers, tree.balls, tree.nodes, tree.first
+
     def _all_feature_normals(self, n_vertices: int) -> FloatArray:
         """Normals (m, 7 features, 3), not of unit length."""
         out = np.empty((len(self.faces), FACE + 1, 3))
@@ -90,6 +104,11 @@ class NearestTriangles:
         Args:
             points: (n, 3), m, finite.
         """
+        if kernels_are_compiled():
+            surface, triangle, feature = nearest_triangles(
+                np.ascontiguousarray(points, dtype=np.float64), *self._tree
+            )
+            return surface, triangle, self.feature_normals[triangle, feature]
         return self.nearest_around(points, self._by_coal(points))
 
     def nearest_around(
@@ -127,6 +146,9 @@ class NearestTriangles:
 
         Sorted by point, then by triangle.
         """
+        if kernels_are_compiled():
+            points = np.ascontiguousarray(points, dtype=np.float64)
+            return triangles_within(points, float(radius), *self._tree)
         found = self._cover_tree.query_ball_point(points, radius + COVERED * self._step)
         counts = [len(row) for row in found]
         owner = np.repeat(np.arange(len(points)), counts)
