@@ -81,10 +81,7 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
     "Data": (
         Listed(call=batch, example="opposable batch allegro_hand box mug -n 20"),
         Listed(call=extract, example="opposable extract grasps 0 -o first.json"),
-        Listed(
-            call=audit,
-            example="opposable audit grasps.csv --hand allegro_hand --object box",
-        ),
+        Listed(call=audit, example="opposable audit plan.json"),
         Listed(call=export, example="opposable export plan.json --to ros2-grasp -o grasp.json"),
         Listed(call=schema, example="opposable schema plan"),
     ),
