@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 from conftest import RIGHT_HANDS
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.errors import FileFormatError, TaskError
@@ -76,6 +76,7 @@ def _need_same(a: GivenGrasp, b: GivenGrasp) -> None:
             np.testing.assert_array_equal(one, other)
 
 
+@settings(deadline=None)  # a hand is loaded at the first
 @given(st.lists(given_grasps(16), min_size=1, max_size=3), st.sampled_from(FORMS))
 def test_any_grasps_come_back(grasps: list[GivenGrasp], form: str) -> None:
     mine = load_hand("allegro_hand")

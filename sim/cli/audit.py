@@ -14,11 +14,8 @@ from sim.cli.common import (
     EXIT_INTERRUPTED,
     EXIT_NO,
     GRIP_PANEL,
-    SCENE_PANEL,
-    TRIAL_PANEL,
     FingersOption,
     JsonOption,
-    MassOption,
     MuOption,
     check_folder,
     err,
@@ -56,16 +53,14 @@ SHOWN = 10
 @errors_for_people()
 def audit(
     file: Annotated[
-        Path, typer.Argument(help="A file of grasps, a plan, or a batch's folder.", metavar="FILE")
+        Path, typer.Argument(help="A file of grasps, a plan or a batch.", metavar="FILE")
     ],
     hand: Annotated[
         str | None, typer.Option(help="Its name, hand.toml, MJCF or URDF file.", metavar="HAND")
     ] = None,
     object: Annotated[
         str | None,
-        typer.Option(
-            help="The object in the size of scale 1, as `plan` takes it.", metavar="OBJECT"
-        ),
+        typer.Option(help="As `plan` takes it, in the size of scale 1.", metavar="OBJECT"),
     ] = None,
     only: Annotated[
         str, typer.Option(help="Only grasps whose object's name has this in it.", metavar="TEXT")
@@ -114,17 +109,20 @@ def audit(
             help="Least normal force of a finger, N.", metavar="N", rich_help_panel=GRIP_PANEL
         ),
     ] = None,
-    mass: MassOption = None,
+    mass: Annotated[
+        float | None,
+        typer.Option(help="Mass, kg; 0.1 if not given.", metavar="KG", rich_help_panel=GRIP_PANEL),
+    ] = None,
     table: Annotated[
         str,
         typer.Option(
-            help="Height of the table's top, m, or none.",
+            help="Height of a table's top, m.",
             metavar="Z|none",
-            rich_help_panel=SCENE_PANEL,
+            rich_help_panel=GRIP_PANEL,
         ),
     ] = "none",
     gravity: Annotated[
-        str, typer.Option(help="In m/s2, world.", metavar="X,Y,Z", rich_help_panel=SCENE_PANEL)
+        str, typer.Option(help="In m/s2, world.", metavar="X,Y,Z", rich_help_panel=GRIP_PANEL)
     ] = "0,0,-9.81",
     approach: Annotated[
         bool, typer.Option("--approach", help="Ask for a straight way in, too.", metavar="")
@@ -135,7 +133,6 @@ def audit(
             "--simulate",
             help="Execute every grasp, too.",
             metavar="",
-            rich_help_panel=TRIAL_PANEL,
         ),
     ] = False,
     workers: Annotated[int, typer.Option(help="Processes; -1 for one per core.", metavar="N")] = -1,
@@ -147,8 +144,8 @@ def audit(
 ) -> None:
     """Judge grasps that somebody else made by the verdict on our own.
 
-    Plans and batches of ours bring hand, object and surroundings; other files need --hand and
-    --object. Nothing in a file is executed. Exit code 0 if every grasp passes, 1 if not.
+    Plans and batches of ours bring hand and object; other files need --hand and --object. Exit
+    code 0 if every grasp passes, 1 if not.
     """
     from planner.audit.report import check_form
     from planner.errors import TaskError

@@ -94,6 +94,7 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
             call=audit,
             example="opposable audit grasps.csv --hand allegro_hand --object box",
         ),
+        Listed(call=audit, example="opposable audit plan.json"),
         Listed(call=export, example="opposable export plan.json --to ros2-grasp -o grasp.json"),
         Listed(call=schema, example="opposable schema plan"),
     ),

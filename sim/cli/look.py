@@ -63,7 +63,7 @@ def schema(
         ),
     ] = "plan",
 ) -> None:
-    """The JSON Schema of plan files, reports, contact lists or tables of grasps."""
+    """The JSON Schema of plans, reports, contact lists and tables."""
     from pydantic import BaseModel
 
     from planner.errors import NotFoundError

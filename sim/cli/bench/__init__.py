@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import typer
 
-from sim.cli.bench import audit, best, control, dexgraspbench, grasps, pages, synthesis, turns, zoo
 from sim.cli.bench import (
+    audit,
     best,
     control,
     dexgraspbench,
