@@ -138,6 +138,7 @@ def test_a_round_trip_is_measured_and_an_error_is_seen(
     for row in result["formats"]:
         assert (row["asked"], row["back"], row["within"], row["refused"]) == (2, 2, 2, [])
         assert max(row[key] for key in exports.ERRORS) <= 1e-12
+
     def off(plan: object) -> object:
         pose = T_object_body(plan).copy()  # type: ignore[arg-type]
         pose.translation[0] += 2e-6
