@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,6 +23,9 @@ from sim.cli.common import (
 
 if TYPE_CHECKING:
     from planner.exchange.sources import AnyPlan
+
+FORMATS_OF_SIM: tuple[str, ...] = ()
+"""Modules of ``sim`` that register a format when they are imported: those that need a scene."""
 
 FRAMES_PANEL, CHOICE_PANEL = "Names in the file", "Out of a batch"
 """Groups of options in the help."""
@@ -116,6 +120,8 @@ def export(
     from planner.exchange import Writing, export_plans
     from planner.exchange.export import check_export
 
+    for module in FORMATS_OF_SIM:
+        import_module(module)
     if listed:
         _show_formats(as_json)
         return
