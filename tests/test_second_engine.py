@@ -147,7 +147,7 @@ def test_the_same_geoms_may_touch(folder: Path) -> None:
 
 def test_the_grasp_holds_and_its_contacts_carry_the_weight(folder: Path) -> None:
     need_drake()
-    seen = hold_in_drake(folder)
+    seen = hold_in_drake(folder, seconds=1.0)
     assert seen.held and seen.moved_mm[-1] < 1.0 and seen.turned_deg[-1] < 2.0
     last = seen.touches.moment == len(seen.time) - 1
     np.testing.assert_allclose(
@@ -155,6 +155,20 @@ def test_the_grasp_holds_and_its_contacts_carry_the_weight(folder: Path) -> None
     )
     pressing = np.einsum("ij,ij->i", seen.touches.forces, seen.touches.normals)
     assert (pressing[last] > 0.1).all()
+
+
+def test_normals_of_round_contacts_are_those_of_the_shapes(tmp_path: Path) -> None:
+    """Drake's point contacts are off by 10 to 40 degrees here, which lets a good grasp go."""
+    need_drake()
+    plan = plan_grasp(GraspTask.create("shadow_hand", "capsule"), seed=4)
+    export_scene(plan, tmp_path / "scene")
+    seen = hold_in_drake(tmp_path / "scene", seconds=0.2)
+    of_body = plan.task.hand.finger_of_body
+    planned = dict(zip(plan.contacts.fingers, plan.contacts.normals, strict=True))
+    assert len(seen.touches.bodies) >= 4
+    for body, normal in zip(seen.touches.bodies, seen.touches.normals, strict=True):
+        finger = of_body[body.removeprefix("hand/")]
+        assert normal @ planned[finger] > np.cos(np.deg2rad(6.0))
 
 
 def test_without_the_squeeze_the_object_falls(edited: Callable[..., Path]) -> None:
@@ -172,11 +186,11 @@ def test_without_the_squeeze_the_object_falls(edited: Callable[..., Path]) -> No
 def test_a_push_beyond_the_grip_takes_the_object(folder: Path) -> None:
     need_drake()
     little, much = (
-        hold_in_drake(folder, wrench=np.array([0.0, 0.0, -force, 0.0, 0.0, 0.0]))
+        hold_in_drake(folder, seconds=0.6, wrench=np.array([0.0, 0.0, -force, 0.0, 0.0, 0.0]))
         for force in (0.1, 20.0)
     )
     assert little.held and not much.held
-    assert much.pushed_from == 1.0 < much.time[-1] < 2.0
+    assert much.pushed_from == 0.3 < much.time[-1] < 0.6
 
 
 def test_slippery_fingers_lose_it(plan: GraspPlan, tmp_path: Path) -> None:
@@ -201,13 +215,12 @@ def test_a_folder_that_is_no_export_is_refused(tmp_path: Path) -> None:
 
 def test_the_protocol_judges_the_contacts_of_drake(plan: GraspPlan) -> None:
     need_drake()
-    report = run_protocol(plan, "drake", only=["hold", "push +x"])
-    assert report.success and [o.name for o in report.outcomes] == ["hold", "push +x"]
-    for outcome in report.outcomes:
-        assert outcome.share_closed == 1.0
-        assert 0.05 < outcome.largest_utilisation <= 1.0
-        assert (outcome.samples.normal_force[-1] > 0.1).all()
-    push = report.outcomes[1]
+    report = run_protocol(plan, "drake", only=["push +x"])
+    (push,) = report.outcomes
+    assert report.success and push.name == "push +x"
+    assert push.share_closed == 1.0
+    assert 0.05 < push.largest_utilisation <= 1.0
+    assert (push.samples.normal_force[-1] > 0.1).all()
     assert push.load[0] == 0.0 and push.load[-1] == pytest.approx(WEIGHT / 2)
     assert "physics: Drake (0.001 s" in " ".join(str(report).split())
     json.dumps(report.to_dict(), allow_nan=False)

@@ -103,6 +103,8 @@ GROUPS: dict[str, list[str]] = {
         "sim.physics",
         "sim.protocols",
         "sim.creep",
+        "sim.scene_export",
+        "sim.second_engine",
     ],
     "Cross-checking models": [
         "sim.crosscheck",

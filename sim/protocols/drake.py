@@ -3,7 +3,7 @@
 The plan is exported (``sim.scene_export``) and begins in Drake at the grasp with the squeeze
 commanded (``sim.second_engine``): for 2 s under the plan's gravity; then six times more, with a
 force of half of the object's weight from another side in the second half. Commands do not react to
-anything. Contact model, solver, contact stiffness and dissipation are Drake's defaults; friction is
+anything. Contact model, solver, modulus and dissipation are Drake's defaults; friction is
 that of ``--physics``. An object is lost that moves more than 10 mm or 15 degrees.
 
 What happens before the grasp is left out: it is a second opinion on the grasp, not on its way.
@@ -79,7 +79,6 @@ class DrakeCase:
             load=np.where(pushed, size, 0.0),
             unit="N" if self.index else "",
             wrench=wrench / size if self.index else np.zeros(6),
-            conditions={"start_penetration_mm": seen.deepest_mm},
         )
 
 
@@ -102,7 +101,7 @@ def drake_physics(mu: float) -> dict[str, Any]:
         "engine": "Drake",
         "timestep_s": TIME_STEP,
         "friction": mu,
-        "contacts": "points, compliant, no torsional friction",
+        "contacts": "compliant hydroelastic patches",
         "servos": "implicit",
         "install": INSTALL,
     }
@@ -155,7 +154,7 @@ def _samples(plan: GraspPlan, seen: Held, mu: float) -> Samples:
 
 
 def _rows(plan: GraspPlan, seen: Held, mu: float) -> ContactRows:
-    """Drake's contacts as ours: points without torsion."""
+    """Drake's patches as point contacts at their centroids."""
     hand, touches = plan.task.hand, seen.touches
     names = (*hand.fingers, "")
     finger_of: dict[str, str] = dict(hand.finger_of_body)

@@ -53,7 +53,6 @@ class Held:
         centers: (m, 3), its centre of mass, m, world axes.
         touches: Its contacts.
         pushed_from: When a push begins, s.
-        deepest_mm: Deepest penetration of the object at the start.
     """
 
     held: bool
@@ -65,7 +64,6 @@ class Held:
     centers: FloatArray
     touches: Touches
     pushed_from: float
-    deepest_mm: float
 
 
 def hold_in_drake(
@@ -125,7 +123,7 @@ class _Trial:
         scene, check = self._scene, self._scene.check
         step = float(scene.plant.time_step())
         steps, look, sample = (round(t / step) for t in (seconds, LOOK_EVERY, SAMPLE_EVERY))
-        begin, deepest = self._object_pose(), self._depth()
+        begin = self._object_pose()
         samples: list[tuple[float, float, float, SE3]] = []
         touches: list[tuple[int, str, FloatArray, FloatArray, FloatArray]] = []
         lost = False
@@ -160,7 +158,6 @@ class _Trial:
                 forces=forces,
             ),
             pushed_from=seconds / 2,
-            deepest_mm=deepest,
         )
 
     def _lost(self, begin: SE3, check: Mapping[str, Any]) -> bool:
@@ -186,28 +183,27 @@ class _Trial:
         pose = self._scene.plant.EvalBodyPoseInWorld(self._context, self._scene.object_body)
         return SE3(pose.rotation().matrix(), pose.translation())
 
-    def _depth(self) -> float:
-        """Deepest penetration of the object, mm."""
-        plant = self._scene.plant
-        query = plant.get_geometry_query_input_port().Eval(self._context)
-        mine = set(plant.GetCollisionGeometriesForBody(self._scene.object_body))
-        pairs = query.ComputePointPairPenetration()
-        return 1e3 * max((p.depth for p in pairs if mine & {p.id_A, p.id_B}), default=0.0)
-
     def _touches(self) -> list[tuple[str, FloatArray, FloatArray, FloatArray]]:
-        """Body, position, normal into the object and force on it of each contact."""
-        plant, mine = self._scene.plant, self._scene.object_body.index()
-        results = plant.get_contact_results_output_port().Eval(self._context)
+        """Body, position, mean normal into the object and force on it of each contact patch."""
+        scene = self._scene
+        results = scene.plant.get_contact_results_output_port().Eval(self._context)
         out = []
-        for k in range(results.num_point_pair_contacts()):
-            contact = results.point_pair_contact_info(k)
-            first, second = contact.bodyA_index(), contact.bodyB_index()
-            if mine not in (first, second):
+        for k in range(results.num_hydroelastic_contacts()):
+            contact = results.hydroelastic_contact_info(k)
+            patch = contact.contact_surface()
+            first, second = (self._body_of(g) for g in (patch.id_M(), patch.id_N()))
+            if scene.object_body not in (first, second):
                 continue
-            # Drake's normal points from B to A, and its force acts on B
-            sign = -1.0 if mine == second else 1.0
-            other = plant.get_body(first if mine == second else second).name()
-            normal = sign * np.array(contact.point_pair().nhat_BA_W)
-            force = -sign * np.array(contact.contact_force())
-            out.append((other, np.array(contact.contact_point()), normal, force))
+            # normals point out of N into M, and the force acts on M
+            mine, other = (1.0, second) if first is scene.object_body else (-1.0, first)
+            faces = range(patch.num_faces())
+            normal = sum(patch.area(i) * np.array(patch.face_normal(i)) for i in faces)
+            normal = mine * normal / np.linalg.norm(normal)
+            force = mine * np.array(contact.F_Ac_W().translational())
+            out.append((str(other.name()), np.array(patch.centroid()), normal, force))
         return out
+
+    def _body_of(self, geometry: Any) -> Any:
+        """The body that carries a geometry."""
+        frame = self._scene.inspector.GetFrameId(geometry)
+        return self._scene.plant.GetBodyFromFrameId(frame)
