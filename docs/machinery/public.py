@@ -84,6 +84,7 @@ GROUPS: dict[str, list[str]] = {
         "sim.recording",
         "sim.states",
         "sim.report_file",
+        "sim.episodes",
     ],
     "Pages, pictures and films": [
         "sim.pages",
