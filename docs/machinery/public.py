@@ -86,6 +86,7 @@ GROUPS: dict[str, list[str]] = {
         "sim.states",
         "sim.report_file",
         "sim.reset_states",
+        "sim.episodes",
     ],
     "Pages, pictures and films": [
         "sim.pages",

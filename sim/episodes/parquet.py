@@ -28,7 +28,7 @@ from sim.episodes.robot import Robot
 from sim.episodes.sampling import frames_at
 from sim.recording import Recording
 
-__all__ = ["PARQUET", "ParquetWriter", "read_episodes"]
+__all__ = ["ParquetWriter", "read_episodes"]
 
 FORMAT, VERSION = "opposable-episodes", "1"
 """Keys "format" and "version" of the metadata of both files."""
@@ -330,7 +330,7 @@ def _check_format(path: Path, metadata: dict[bytes, bytes]) -> None:
         )
 
 
-PARQUET = register_format(
+register_format(
     EpisodeFormat(
         name="parquet",
         title="plain Parquet, a table of samples and one of episodes",

@@ -10,9 +10,9 @@ from sim.episodes.formats import EpisodeFormat, register_format
 from sim.episodes.lerobot.features import VIDEO_KEY, features_of, frames_of
 from sim.episodes.lerobot.writer import CODEBASE_VERSION, LeRobotWriter
 
-__all__ = ["CODEBASE_VERSION", "LEROBOT", "VIDEO_KEY", "LeRobotWriter", "features_of", "frames_of"]
+__all__ = ["CODEBASE_VERSION", "VIDEO_KEY", "LeRobotWriter", "features_of", "frames_of"]
 
-LEROBOT = register_format(
+register_format(
     EpisodeFormat(
         name="lerobot",
         title="LeRobot data set, version 3.0",
