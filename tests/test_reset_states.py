@@ -26,6 +26,7 @@ from sim.reset_states.coverage import BANDS, SECTORS, TURNS, coverage, orientati
 from sim.reset_states.distinct import NEAR_JOINT, NEAR_POSITION, Distinct
 from sim.reset_states.hold import DROPPED, LIMITS, LOOSE, PENETRATES, REASONS, hold
 from sim.reset_states.shards import SHARD, read_shard, shard_path
+from sim.reset_states.sources import plan_jobs, planned_sources
 from sim.reset_states.starts import Starts, load_starts
 
 ASKED = StatesAsked(
@@ -142,6 +143,20 @@ def test_candidate_i_is_the_same_whatever_was_drawn_before(cache: Path, starts: 
     for name in ("q", "commands", "position", "quaternion", "gravity", "mass", "friction"):
         assert np.array_equal(getattr(later, name), getattr(again, name)), name
     assert not np.array_equal(starts.draw(71).gravity, later.gravity)
+
+
+def test_a_gait_gives_poses_that_fewer_fingers_hold() -> None:
+    asked = StatesAsked(
+        hand="shadow_hand", objects=("cylinder:0.03x0.10",), n=1, grasps=0, motions=0, gaits=3
+    )
+    _, cells = cells_of(asked)
+    plans = map(planned_sources, plan_jobs(asked, cells[0][0]))
+    found = next(plan["sources"] for plan in plans if plan["sources"])
+    fingers = [len(source["fingers"]) for source in found]
+    assert max(fingers) == 5
+    assert fingers.count(4) >= 2
+    assert {source["kind"] for source in found} == {"gait"}
+    assert len({source["pose"] for source in found}) == len(found)
 
 
 def test_processes_give_the_same_states_as_one(cache: Path, tmp_path: Path) -> None:

@@ -79,7 +79,7 @@ def states(
         typer.Option(
             min=0, metavar="N", help="Planned gaits, likewise.", rich_help_panel=SEARCH_PANEL
         ),
-    ] = 1,
+    ] = 4,
     turn: Annotated[
         float,
         typer.Option(

@@ -106,7 +106,7 @@ class StatesAsked:
     scales: tuple[float, ...] = (1.0,)
     grasps: int = 200
     motions: int = 30
-    gaits: int = 1
+    gaits: int = 4
     turn: float = float(np.pi / 6)
     fingers: tuple[str, ...] = ()
     mu: float = 0.5

@@ -33,8 +33,8 @@ KINDS = ("grasp", "motion", "gait")
 """What a source is from."""
 
 MOTION_ATTEMPTS = 6
-"""Attempts per motion or gait: another one with another seed follows anyway. A gait that is found
-took 1 to 3 in ``opposable plan-gait``."""
+"""Attempts per motion or gait: another plan with another seed follows anyway, and a gait that is
+not found costs up to 3 s."""
 
 
 @dataclass(frozen=True, kw_only=True)
