@@ -95,6 +95,7 @@ EXPECTED: dict[str, tuple[str, ...]] = {
         "torque +x",
         "contradictions: none",
     ),
+    "20_hand_over_udp": ("done: ", "ticks at 100 Hz", "malformed", "the object: held"),
     "12_many_grasps": ("24 of 24 planned", "24 rows", "distinct", "is a plan again: closed"),
     "step1_load_the_hand": (
         "shadow_hand: 24 joints, 20 actuators",
