@@ -24,7 +24,7 @@ from sim.cli.common import (
 if TYPE_CHECKING:
     from planner.exchange.sources import AnyPlan
 
-FORMATS_OF_SIM: tuple[str, ...] = ()
+FORMATS_OF_SIM = ("sim.scene_export",)
 """Modules of ``sim`` that register a format when they are imported: those that need a scene."""
 
 FRAMES_PANEL, CHOICE_PANEL = "Names in the file", "Out of a batch"
