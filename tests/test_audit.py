@@ -465,6 +465,11 @@ def test_rows_are_written_and_read_by_others(good: Good, tmp_path: Path) -> None
     assert [r["passed"] for r in rows] == [True] * len(plans) + [False]
     assert [r["first_fault"] for r in told] == [""] * len(plans) + ["gap"]
     assert rows[-1]["closure"] is None and rows[-1]["held"] is True
+    # the row of a grasp whose process died has no stage but the first
+    lost = AuditRow(index=0, name="x", stages={"joints": StageResult(passed=None, reason="died")})
+    replace(report, rows=(lost, *report.rows)).write(tmp_path / "b.csv")
+    told = list(csv.DictReader((tmp_path / "b.csv").read_text().splitlines()))
+    assert (told[0]["passed"], told[0]["gap"], told[1]["gap"]) == ("False", "", "True")
     with pytest.raises(TaskError, match=r"rows are written as \.csv or \.parquet"):
         report.write(tmp_path / "a.xlsx")
 
