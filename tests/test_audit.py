@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 from scipy.optimize import linprog
 
 from planner.audit import (
@@ -388,6 +389,23 @@ def test_several_objects_need_a_choice(good: Good, tmp_path: Path) -> None:
         run("cup")
 
 
+def test_poses_are_in_the_frame_of_the_objects_own_file(tmp_path: Path) -> None:
+    """The origin of this file is not the centre of mass."""
+    mesh = trimesh.creation.box((0.05, 0.05, 0.08))
+    away = np.array([0.02, 0.01, 0.03])
+    mesh.apply_translation(away)
+    mesh.export(tmp_path / "box.stl")
+    task = GraspTask.create("allegro_hand", str(tmp_path / "box.stl"))
+    plan = plan_grasp(task, seed=0)
+    (path,) = write_table([plan], tmp_path / "a.csv", Writing())
+    given = read_table(path, task.hand, Reading())
+    in_ours = task.T_world_object.inverse() * plan.T_world_base
+    moved = given.grasps[0].T_object_base.translation - in_ours.translation
+    np.testing.assert_allclose(moved, away, atol=1e-6)
+    assert audit_grasps(task, given).ok
+    assert audit_plans([plan], path).ok
+
+
 def test_scale_multiplies_the_object() -> None:
     box = scaled_object(parse_object(BOX), 2.0)
     np.testing.assert_allclose(box.shape.half_extents, [0.05, 0.05, 0.08])
@@ -412,8 +430,9 @@ def test_a_grasp_of_a_scaled_object_passes_at_that_scale(good: Good) -> None:
 # Workers, interruption and files.
 
 
-def test_workers_give_the_same_rows(good: Good) -> None:
+def test_workers_give_the_same_rows(good: Good, monkeypatch: pytest.MonkeyPatch) -> None:
     task, _, given = good
+    monkeypatch.setattr("planner.audit.run.FEW", 0)
     many = replace(given, grasps=given.grasps * 8)
     alone = audit_grasps(task, many)
     shared = audit_grasps(task, many, workers=2)
@@ -446,6 +465,11 @@ def test_rows_are_written_and_read_by_others(good: Good, tmp_path: Path) -> None
     assert [r["passed"] for r in rows] == [True] * len(plans) + [False]
     assert [r["first_fault"] for r in told] == [""] * len(plans) + ["gap"]
     assert rows[-1]["closure"] is None and rows[-1]["held"] is True
+    # the row of a grasp whose process died has no stage but the first
+    lost = AuditRow(index=0, name="x", stages={"joints": StageResult(passed=None, reason="died")})
+    replace(report, rows=(lost, *report.rows)).write(tmp_path / "b.csv")
+    told = list(csv.DictReader((tmp_path / "b.csv").read_text().splitlines()))
+    assert (told[0]["passed"], told[0]["gap"], told[1]["gap"]) == ("False", "", "True")
     with pytest.raises(TaskError, match=r"rows are written as \.csv or \.parquet"):
         report.write(tmp_path / "a.xlsx")
 

@@ -131,7 +131,7 @@ class AuditReport:
         rows = [row.to_dict() for row in self.rows]
         if path.suffix == ".csv":
             text = io.StringIO(newline="")
-            names = list(rows[0]) if rows else ["index"]
+            names = list(dict.fromkeys(name for row in rows for name in row)) or ["index"]
             writer = csv.DictWriter(text, names)
             writer.writeheader()
             writer.writerows(rows)
