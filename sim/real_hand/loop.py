@@ -77,6 +77,7 @@ class ControlLoop:
         limits: CommandLimits | None = None,
         safety: Safety | None = None,
         carry: Carry | None = None,
+        keep_log: bool = True,
     ) -> None:
         """Prepare; nothing is read or written yet.
 
@@ -90,6 +91,7 @@ class ControlLoop:
             limits: How far and how fast commands may move; defaults if None.
             safety: What ends the run at once; defaults if None.
             carry: Moves the hand as a whole; nobody if None.
+            keep_log: Whether every tick is kept in ``log``, about 3 kB each.
 
         Raises:
             TaskError: A rate above that of the interface, or limits that fit no actuator.
@@ -107,7 +109,7 @@ class ControlLoop:
         self._clock = clock or RealClock()
         self._limits, self._safety = limits or CommandLimits(), safety or Safety()
         self._limits.rates(hand.actuation)  # bad limits end here
-        self._carry = carry
+        self._carry, self._keep_log = carry, keep_log
         self.pace = Pace(self._clock, 1.0 / rate_hz)
         names = interface.joint_names, interface.actuator_names
         self.log = LogWriter(*names, interface.finger_names, rate_hz)
@@ -213,8 +215,7 @@ class ControlLoop:
         observation = self._observer.observe(reading, phase, progress)
         if refuse is not None and (why := refuse(observation)):
             raise _Left(why)
-        if self._carry is not None:
-            self._carry(phase, progress, per_second)
+        self._move(phase, progress, per_second)
         if self._limiter is None:
             self._observer.check_senses(self.controller, reading)
             self._efforts = reading.efforts is not None
@@ -240,16 +241,17 @@ class ControlLoop:
             finally:
                 self._ticks += 1
                 self._written += written
-                self.log.add(
-                    reading,
-                    phase=phase,
-                    progress=progress,
-                    begin_s=begin,
-                    write_s=now,
-                    end_s=self._clock.now(),
-                    wanted=wanted[self._to_interface],
-                    commands=commands if written else None,
-                )
+                if self._keep_log:
+                    self.log.add(
+                        reading,
+                        phase=phase,
+                        progress=progress,
+                        begin_s=begin,
+                        write_s=now,
+                        end_s=self._clock.now(),
+                        wanted=wanted[self._to_interface],
+                        commands=commands if written else None,
+                    )
                 self._note_cpu(cpu)
         self.pace.end()
         if self.pace.in_a_row >= self._safety.misses_in_a_row:
@@ -274,6 +276,14 @@ class ControlLoop:
             raise Stopped("no more readings", str(error)) from error
         except (PlannerError, OSError) as error:
             raise Stopped("interface failed", f"reading: {error}") from error
+
+    def _move(self, phase: Phase, progress: float, per_second: float) -> None:
+        if self._carry is None:
+            return
+        try:
+            self._carry(phase, progress, per_second)
+        except (PlannerError, OSError) as error:
+            raise Stopped("interface failed", f"moving the hand as a whole: {error}") from error
 
     def _write(self, commands: FloatArray) -> None:
         try:
@@ -311,7 +321,6 @@ class ControlLoop:
 
     def report(self) -> LoopReport:
         """What happened so far."""
-        log = self.log.log()
         spans = np.array(self._spans).reshape(-1, 3).T
         names = self._hand.actuation.names
         limiter, zero = self._limiter, np.zeros(len(names), dtype=np.int64)
@@ -324,7 +333,7 @@ class ControlLoop:
             assumed=self._observer.assume,
             phases=tuple(self._phases),
             rate_hz=self._rate_hz,
-            duration_s=float(log.end_s[-1] - log.begin_s[0]) if len(log) else 0.0,
+            duration_s=self.pace.duration,
             ticks=self._ticks,
             written=self._written,
             misses=self.pace.misses,
@@ -397,6 +406,7 @@ def run_controller(
         limits=limits,
         safety=safety,
         carry=carry,
+        keep_log=log is not None,
     )
 
     def too_few(observation: HandObservation) -> str:
