@@ -148,6 +148,21 @@ def test_a_hand_that_holds_keeps_the_object(plan: GraspPlan) -> None:
     assert touch is not None and (touch > 0.1).all()
 
 
+def test_what_moves_the_hand_as_a_whole_may_fail(plan: GraspPlan) -> None:
+    hand = bare(plan)
+
+    def fails(phase: str, progress: float, per_second: float) -> None:
+        if progress > 0.5:
+            raise OSError("the arm does not answer")
+
+    report = run_controller(
+        hand, Steady(hand.q), plan, clock=hand.clock, timeline=QUICK, carry=fails
+    )
+    assert report.reason == "interface failed"
+    assert "moving the hand as a whole: the arm does not answer" in report.detail
+    assert hand.stops == 1 and report.ticks == len(hand.writes) == 16  # none after that
+
+
 def test_a_trial_that_has_run_is_refused(plan: GraspPlan) -> None:
     trial = Trial(plan, timeline=QUICK)
     trial.simulation.step("approach", 0.0)

@@ -17,10 +17,11 @@ from sim.real_hand.interface import (
 from sim.real_hand.joints import JointCheck, check_joints, checks_table
 from sim.real_hand.limits import CommandLimiter, CommandLimits
 from sim.real_hand.log import HandLog, LogWriter, read_log
-from sim.real_hand.loop import Carry, ControlLoop, run_controller
+from sim.real_hand.loop import Carry, ControlLoop
 from sim.real_hand.packets import Inbox, LossyLink, Packet, reading_of, reading_values
 from sim.real_hand.replay import Comparison, ReplayedHand
 from sim.real_hand.report import LoopReport, Times
+from sim.real_hand.run import run_controller
 from sim.real_hand.safety import Guard, OnStop, Safety, StopCause, Stopped
 from sim.real_hand.senses import ASSUMABLE, HandObservation, Observer
 from sim.real_hand.simulated import SimulatedHand

@@ -57,6 +57,7 @@ class Pace:
         skipped: Slots in which no tick began.
         in_a_row: Misses since the last tick that ended in time.
         most_in_a_row: The most of these.
+        duration: From the first tick's beginning to the last one's end, s.
     """
 
     def __init__(self, clock: Clock, period: float) -> None:
@@ -69,6 +70,7 @@ class Pace:
         self.skipped = 0
         self.in_a_row = 0
         self.most_in_a_row = 0
+        self.duration = 0.0
         self._first: float | None = None
         self._latencies: list[float] = []
 
@@ -85,6 +87,7 @@ class Pace:
         """End the tick and choose the next slot; returns whether the deadline was missed."""
         first = 0.0 if self._first is None else self._first
         since = self._clock.now() - first
+        self.duration = since
         latency = since - self.slot * self.period
         self._latencies.append(latency)
         missed = latency > self.period + LATE_TOL

@@ -3,32 +3,22 @@
 A tick, in this order: read; refuse readings that are broken, old or beyond a limit; ask the
 controller; ask whether to stop; keep the command within its limits; write. Whatever goes wrong, a
 run ends with a report, and after an emergency stop nothing is written (``sim.real_hand.safety``).
-
-``run_controller`` runs the phases of a trial with a plan::
-
-    with closing(hand):
-        report = run_controller(hand, GraspController(plan), plan, rate_hz=100, log="run.npz")
-    print(report)
-
-After the last phase the hand holds its last command.
+After the last phase the hand holds its last command. Phases of a trial: ``sim.real_hand.run``.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 
 from planner.arrays import checked_number
-from planner.errors import FileFormatError, HandError, PlannerError, TaskError
+from planner.errors import HandError, PlannerError, TaskError
 from planner.hands.hand import Hand
-from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from planner.system.interrupts import interrupts_wait
-from sim.controllers.base import PHASES, Controller, Phase
-from sim.controllers.schedule import TOUCH_FORCE
+from sim.controllers.base import Controller, Phase
 from sim.real_hand.clock import Clock, Pace, RealClock
 from sim.real_hand.interface import EndOfReadings, HandInterface, HandReading
 from sim.real_hand.limits import CommandLimiter, CommandLimits
@@ -36,9 +26,8 @@ from sim.real_hand.log import LogWriter
 from sim.real_hand.report import LoopReport, Times
 from sim.real_hand.safety import Guard, Safety, Stopped
 from sim.real_hand.senses import HandObservation, Observer
-from sim.timeline import Timeline
 
-__all__ = ["Carry", "ControlLoop", "run_controller"]
+__all__ = ["Carry", "ControlLoop"]
 
 Carry = Callable[[Phase, float, float], None]
 """Moves the hand as a whole, or tells who does: phase, share of it that has passed in [0, 1], and
@@ -77,6 +66,7 @@ class ControlLoop:
         limits: CommandLimits | None = None,
         safety: Safety | None = None,
         carry: Carry | None = None,
+        keep_log: bool = True,
     ) -> None:
         """Prepare; nothing is read or written yet.
 
@@ -90,6 +80,7 @@ class ControlLoop:
             limits: How far and how fast commands may move; defaults if None.
             safety: What ends the run at once; defaults if None.
             carry: Moves the hand as a whole; nobody if None.
+            keep_log: Whether every tick is kept in ``log``, about 3 kB each.
 
         Raises:
             TaskError: A rate above that of the interface, or limits that fit no actuator.
@@ -107,7 +98,7 @@ class ControlLoop:
         self._clock = clock or RealClock()
         self._limits, self._safety = limits or CommandLimits(), safety or Safety()
         self._limits.rates(hand.actuation)  # bad limits end here
-        self._carry = carry
+        self._carry, self._keep_log = carry, keep_log
         self.pace = Pace(self._clock, 1.0 / rate_hz)
         names = interface.joint_names, interface.actuator_names
         self.log = LogWriter(*names, interface.finger_names, rate_hz)
@@ -213,8 +204,7 @@ class ControlLoop:
         observation = self._observer.observe(reading, phase, progress)
         if refuse is not None and (why := refuse(observation)):
             raise _Left(why)
-        if self._carry is not None:
-            self._carry(phase, progress, per_second)
+        self._move(phase, progress, per_second)
         if self._limiter is None:
             self._observer.check_senses(self.controller, reading)
             self._efforts = reading.efforts is not None
@@ -240,16 +230,17 @@ class ControlLoop:
             finally:
                 self._ticks += 1
                 self._written += written
-                self.log.add(
-                    reading,
-                    phase=phase,
-                    progress=progress,
-                    begin_s=begin,
-                    write_s=now,
-                    end_s=self._clock.now(),
-                    wanted=wanted[self._to_interface],
-                    commands=commands if written else None,
-                )
+                if self._keep_log:
+                    self.log.add(
+                        reading,
+                        phase=phase,
+                        progress=progress,
+                        begin_s=begin,
+                        write_s=now,
+                        end_s=self._clock.now(),
+                        wanted=wanted[self._to_interface],
+                        commands=commands if written else None,
+                    )
                 self._note_cpu(cpu)
         self.pace.end()
         if self.pace.in_a_row >= self._safety.misses_in_a_row:
@@ -274,6 +265,14 @@ class ControlLoop:
             raise Stopped("no more readings", str(error)) from error
         except (PlannerError, OSError) as error:
             raise Stopped("interface failed", f"reading: {error}") from error
+
+    def _move(self, phase: Phase, progress: float, per_second: float) -> None:
+        if self._carry is None:
+            return
+        try:
+            self._carry(phase, progress, per_second)
+        except (PlannerError, OSError) as error:
+            raise Stopped("interface failed", f"moving the hand as a whole: {error}") from error
 
     def _write(self, commands: FloatArray) -> None:
         try:
@@ -311,7 +310,6 @@ class ControlLoop:
 
     def report(self) -> LoopReport:
         """What happened so far."""
-        log = self.log.log()
         spans = np.array(self._spans).reshape(-1, 3).T
         names = self._hand.actuation.names
         limiter, zero = self._limiter, np.zeros(len(names), dtype=np.int64)
@@ -324,7 +322,7 @@ class ControlLoop:
             assumed=self._observer.assume,
             phases=tuple(self._phases),
             rate_hz=self._rate_hz,
-            duration_s=float(log.end_s[-1] - log.begin_s[0]) if len(log) else 0.0,
+            duration_s=self.pace.duration,
             ticks=self._ticks,
             written=self._written,
             misses=self.pace.misses,
@@ -340,90 +338,3 @@ class ControlLoop:
             rate_limited={n: int(c) for n, c in zip(names, limited, strict=True) if c},
             efforts_checked=self._efforts,
         )
-
-
-def run_controller(
-    interface: HandInterface,
-    controller: Controller,
-    plan: GraspPlan,
-    *,
-    rate_hz: float = 100.0,
-    timeline: Timeline | None = None,
-    clock: Clock | None = None,
-    limits: CommandLimits | None = None,
-    safety: Safety | None = None,
-    carry: Carry | None = None,
-    assume: Collection[str] = (),
-    least_touch: float = TOUCH_FORCE,
-    log: Path | str | None = None,
-) -> LoopReport:
-    """Run the phases of a trial on a hand: approach, close, squeeze, settle, lift, hold.
-
-    The hand is not lifted where fewer fingers touch than the task needs. At the end it holds its
-    last command.
-
-    Args:
-        interface: The hand.
-        controller: What drives it, made for the plan.
-        plan: What is executed.
-        rate_hz: Rate, Hz.
-        timeline: Durations; defaults if None.
-        clock: Tells the time and waits; the system's monotonic clock if None.
-        limits: How far and how fast commands may move; defaults if None.
-        safety: What ends the run at once; defaults if None.
-        carry: Moves the hand as a whole; nobody if None.
-        assume: Senses for which planned values stand in: "object_pose", "touch".
-        least_touch: Normal force (N) from which on a finger counts as touching before the lift.
-        log: Write readings and commands here (``.npz``), whatever happens.
-
-    Raises:
-        HandError: Names do not match, or the hand lacks a sense that the controller needs. Nothing
-            was written.
-        NotFoundError: Something is named that there is not.
-        TaskError: A rate or a limit out of range.
-        FileFormatError: The log cannot be written.
-    """
-    timeline = timeline or Timeline()
-    task = plan.task
-    if log is not None and not Path(log).parent.is_dir():
-        raise FileFormatError(f"cannot write {log}: there is no folder {Path(log).parent}; make it")
-    loop = ControlLoop(
-        interface,
-        controller,
-        task.hand,
-        Observer(interface, task.hand, plan, assume),
-        rate_hz=rate_hz,
-        clock=clock,
-        limits=limits,
-        safety=safety,
-        carry=carry,
-    )
-
-    def too_few(observation: HandObservation) -> str:
-        touching = int((observation.normal_forces > least_touch).sum()) if observation.feels else -1
-        if touching < 0 or touching >= task.fingers_needed:
-            return ""
-        return f"before the lift {touching} touch; {task.fingers_needed} are needed"
-
-    def phases(loop: ControlLoop) -> None:
-        for phase in PHASES:
-            closes = phase == "close"
-            loop.phase(
-                phase,
-                getattr(timeline, phase),
-                wait=timeline.close_wait if closes else 0.0,
-                until=_all_touch if closes else None,
-                refuse=too_few if phase == "lift" else None,
-            )
-
-    try:
-        return loop.run(phases)
-    finally:
-        if log is not None:
-            with interrupts_wait():
-                loop.log.log().write(log)
-
-
-def _all_touch(observation: HandObservation) -> bool:
-    """Whether every finger touches, or none is felt at all: then waiting is of no use."""
-    return not observation.feels or observation.all_touch

@@ -56,7 +56,7 @@ class LoopReport:
         assumed: Senses for which planned values stood in.
         phases: Phases that were begun.
         rate_hz: Rate of the loop, Hz.
-        duration_s: From the first tick to the last, s.
+        duration_s: From the beginning of the first tick to the end of the last, s.
         ticks: How often the hand was read and a command found.
         written: How many commands were written.
         misses: Ticks that ended after their deadline.
