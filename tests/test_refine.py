@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -367,7 +368,9 @@ def with_nan(q: FloatArray) -> FloatArray:
         (lambda T, q: (SE3(-T.rotation, T.translation), q), TaskError, "determinant -1.00"),
     ],
 )
-def test_a_pose_that_is_none_is_refused(pose, error, match) -> None:  # type: ignore[no-untyped-def]
+def test_a_pose_that_is_none_is_refused(
+    pose: Callable[[Any, FloatArray], tuple[Any, Any]], error: type[Exception], match: str
+) -> None:
     plan = plan_of("allegro_hand", "box", 0)
     with pytest.raises(error, match=match):
         refine_grasp(plan.task, *pose(plan.T_world_base, plan.q))
@@ -379,7 +382,8 @@ def test_a_pose_that_is_none_is_refused(pose, error, match) -> None:  # type: ig
 )
 def test_a_hand_that_is_elsewhere_is_told_how_far(away: float, said: str) -> None:
     task, plan = task_of("allegro_hand", "box"), plan_of("allegro_hand", "box", 0)
-    base = SE3(plan.T_world_base.rotation, plan.T_world_base.translation + [0.0, 0.0, away])
+    above = np.array([0.0, 0.0, away])
+    base = SE3(plan.T_world_base.rotation, plan.T_world_base.translation + above)
     result = refine_grasp(task, base, plan.q)
     assert result.failure is not None
     assert result.failure.kind == "too_few_pads"
