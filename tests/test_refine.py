@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -488,7 +488,7 @@ def test_as_many_tasks_as_poses() -> None:
 # --- the term -------------------------------------------------------------------------------------
 
 
-def near_rows(hand: Hand, values: dict[str, object], x: FloatArray) -> FloatArray:
+def near_rows(hand: Hand, values: Mapping[str, object], x: FloatArray) -> FloatArray:
     """Rows of the term at unknowns x, with parameters by name."""
     task = task_of(hand.name, "sphere")
     problem = problems_for(task, SynthesisOptions(objective="none", terms=(NEAR.name,)).form).grasp
@@ -510,7 +510,7 @@ def test_the_term_is_nothing_at_the_given_pose_and_one_per_unit_beside_it(allegr
     numbers = near_numbers(allegro, 1.0, points=points, q=q, at=at, place=place)
     values = {"reference": np.eye(3).ravel(order="F"), **numbers}
 
-    def rows(turn: Sequence[float], t: FloatArray, joints: FloatArray, p: FloatArray) -> FloatArray:
+    def rows(turn: FloatArray, t: FloatArray, joints: FloatArray, p: FloatArray) -> FloatArray:
         return near_rows(
             allegro, values, np.concatenate([turn, t, joints, p.ravel(), np.zeros(12)])
         )
@@ -524,7 +524,7 @@ def test_the_term_is_nothing_at_the_given_pose_and_one_per_unit_beside_it(allegr
     assert np.linalg.norm(shifted) == pytest.approx(1.0)
     joints = q + 0.2
     assert np.linalg.norm(rows(none, place - at, joints, points)) == pytest.approx(1.0)
-    turned = rows([0.2 / 4, 0.0, 0.0], place - at, q, points)
+    turned = rows(np.array([0.2 / 4, 0.0, 0.0]), place - at, q, points)
     assert abs(turned[3 * n + 3]) == pytest.approx(1.0)
 
 
