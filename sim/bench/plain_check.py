@@ -27,7 +27,7 @@ TOUCH, DEEP = 5.5e-4, 2e-4
 EDGES = 16
 """Edges of the friction pyramid in the force programme."""
 
-CLOSURE_EDGES = 8
+FEW_EDGES = 8
 """The same for closure."""
 
 
@@ -284,7 +284,7 @@ def _edges(points: FloatArray, inward: FloatArray, mu: float, k: int, length: fl
 
 def closes(points: FloatArray, inward: FloatArray, mu: float, length: float) -> bool:
     """Whether positive weights of all edges sum up to no wrench, and the edges span all."""
-    W = _edges(points, inward, mu, CLOSURE_EDGES, length)
+    W = _edges(points, inward, mu, FEW_EDGES, length)
     n = W.shape[1]
     # unknowns a, l: a_i - l >= 0, sum a = 1, W a = 0; largest l
     found = linprog(
