@@ -102,3 +102,23 @@ def test_commands_believe_and_spend_what_the_library_does(
     defaults = inspect.signature(command).parameters
     assert defaults["mu"].default == pytest.approx(mu)
     assert defaults["max_attempts"].default == attempts
+
+
+def test_a_motion_takes_the_whole_task(tmp_path: Path) -> None:
+    """On a stand, on a table that is not at z = 0, soft contacts: all of it stands in the file."""
+    path = tmp_path / "m.json"
+    asked = ["--table", "0.2", "--stand", "0.05", "--mu-torsion", "0.005", "--density", "500"]
+    done = RUN.invoke(app, [*THREE, "--angle", "10", *asked, "-o", str(path)])
+    assert done.exit_code == 0, done.output
+    task = read_motion(path).grasp.task
+    assert task.table_height == pytest.approx(0.2)
+    assert task.obstacles  # the stand
+    # the cylinder stands on its foot, 5 cm above the table
+    assert task.T_world_object.translation[2] == pytest.approx(0.2 + 0.05 + 0.05, abs=1e-3)
+    assert task.contact_model == "soft"
+    assert task.object.mass == pytest.approx(500 * 3.14159265 * 0.03**2 * 0.1, rel=1e-4)
+    refused = RUN.invoke(
+        app, ["plan-gait", *THREE[1:], "--angle", "20", "--pose", "7", "-o", str(path)]
+    )
+    assert refused.exit_code == 3
+    assert "pose" in refused.output

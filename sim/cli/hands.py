@@ -60,7 +60,8 @@ def describe(
     check_folder(output)
     if output is not None and output.exists() and not force:
         raise FileFormatError(f"{output} exists already; name another file, or give --force")
-    proposal = propose(model, name=name, base_body=base)
+    with err.status(f"reading {escape(model)}: kinematics, tips, collisions ..."):
+        proposal = propose(model, name=name, base_body=base)
     if output is None:
         text = description_text(
             proposal.description, Path.cwd(), proposal.reasons, proposal.open_questions
@@ -80,7 +81,8 @@ def check_hand(hand: HandArgument, as_json: JsonOption = False) -> None:
     from planner.hand_loading import load_hand
     from sim.cli.inspection import print_check
 
-    report = check(load_hand(hand))
+    with err.status(f"checking {escape(hand)} ..."):
+        report = check(load_hand(hand))
     if as_json:
         print_json(report.to_dict())
     else:

@@ -23,9 +23,11 @@ from sim.cli.common import (
     JsonOption,
     MassOption,
     PhysicsOption,
+    RepairOption,
     SeedOption,
     SimMuOption,
     StandOption,
+    StrictOption,
     VideoOption,
     ViewOption,
     check_films,
@@ -88,6 +90,8 @@ class TurnOptions:
         ),
     ] = MU
     mass: MassOption = None
+    repair: RepairOption = False
+    strict: StrictOption = False
     stand: StandOption = 0.0
     max_attempts: Annotated[
         int,
@@ -112,7 +116,8 @@ class TurnOptions:
     def tells_the_task(self) -> bool:
         """Whether anything is given that a plan file holds."""
         given = any(option is not None for option in (self.rotate, self.fingers, self.mass))
-        return given or self.shift != NO_SHIFT or self.stand > 0.0 or self.gait
+        mended = self.repair or self.strict
+        return given or mended or self.shift != NO_SHIFT or self.stand > 0.0 or self.gait
 
     def target(self) -> tuple[float, float]:
         """Where the object is put (2,), m."""
@@ -134,7 +139,7 @@ class TurnOptions:
         axis, degrees, shift = movement(self.rotate, self.shift)
         task = manipulation_task(
             hand,
-            object_of(object, mass=self.mass),
+            object_of(object, mass=self.mass, repair=self.repair, strict=self.strict),
             mu=self.mu,
             fingers=None if self.fingers is None else names(self.fingers),
         )

@@ -13,11 +13,8 @@ from sim.cli.common import (
     MOVEMENT_PANEL,
     SEARCH_PANEL,
     ArrowsOption,
-    FingersOption,
     HandArgument,
     JsonOption,
-    MassOption,
-    MuOption,
     ObjectArgument,
     PictureOption,
     SeedOption,
@@ -25,15 +22,14 @@ from sim.cli.common import (
     check_films,
     err,
     errors_for_people,
-    names,
     numbers,
     out,
     print_json,
     say,
 )
 from sim.cli.movement import NO_SHIFT, ShiftOption
-from sim.cli.options import AttemptsOption
-from sim.cli.places import object_of
+from sim.cli.options import AttemptsOption, with_options
+from sim.cli.task_options import TaskOptions
 
 AxisOption = Annotated[
     str,
@@ -42,6 +38,7 @@ AxisOption = Annotated[
 
 
 @errors_for_people()
+@with_options
 def plan_motion(
     hand: HandArgument,
     object: ObjectArgument,
@@ -64,10 +61,7 @@ def plan_motion(
             help="How far it may leave its path, m.", metavar="M", rich_help_panel=MOVEMENT_PANEL
         ),
     ] = 0.02,
-    fingers: FingersOption = None,
     seed: SeedOption = 0,
-    mu: MuOption = 0.5,
-    mass: MassOption = None,
     max_attempts: AttemptsOption = 30,
     best_of: Annotated[
         int | None,
@@ -82,21 +76,17 @@ def plan_motion(
     video: VideoOption = None,
     arrows: ArrowsOption = False,
     as_json: JsonOption = False,
+    *,
+    asked: TaskOptions,
 ) -> None:
     """Plan how an object is turned or moved on one grasp."""
     from planner.files import write_motion
     from planner.files.motions import motion_to_dict
     from planner.motion import plan_motion as plan
-    from planner.task import GraspTask
     from sim.manipulation.drawing import draw_motion
 
     check_films(output, picture, video)
-    task = GraspTask.create(
-        hand,
-        object_of(object, mass=mass),
-        mu=mu,
-        fingers=None if fingers is None else names(fingers),
-    )
+    task = asked.task(hand, object)
     with err.status(f"planning: {task.hand.name}, {task.object.name} ..."):
         found = plan(
             task,
@@ -122,6 +112,7 @@ def plan_motion(
 
 
 @errors_for_people()
+@with_options
 def plan_gait(
     hand: HandArgument,
     object: ObjectArgument,
@@ -134,30 +125,23 @@ def plan_gait(
     ] = 0.0,
     axis: AxisOption = "0,0,1",
     shift: ShiftOption = NO_SHIFT,
-    fingers: FingersOption = None,
     seed: SeedOption = 0,
-    mu: MuOption = 0.5,
-    mass: MassOption = None,
     max_attempts: AttemptsOption = 30,
     picture: PictureOption = None,
     video: VideoOption = None,
     arrows: ArrowsOption = False,
     as_json: JsonOption = False,
+    *,
+    asked: TaskOptions,
 ) -> None:
     """Plan a turn of any size by strokes, fingers moving on."""
     from planner.files import write_gait
     from planner.files.gaits import gait_to_dict
     from planner.motion.gait import plan_gait as plan
-    from planner.task import GraspTask
     from sim.manipulation.drawing import draw_motion
 
     check_films(output, picture, video)
-    task = GraspTask.create(
-        hand,
-        object_of(object, mass=mass),
-        mu=mu,
-        fingers=None if fingers is None else names(fingers),
-    )
+    task = asked.task(hand, object)
     with err.status(f"planning: {task.hand.name}, {task.object.name} ..."):
         found = plan(
             task,
