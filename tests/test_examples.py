@@ -95,6 +95,12 @@ EXPECTED: dict[str, tuple[str, ...]] = {
         "torque +x",
         "contradictions: none",
     ),
+    "19_send_to_ros": (
+        "nothing is sent: ROS 2 lacks rclpy",
+        "moveit_msgs/msg/Grasp: pose in world at",
+        "trajectory_msgs/msg/JointTrajectory: 126 points of 16 joints",
+        "joint_12",
+    ),
     "12_many_grasps": ("24 of 24 planned", "24 rows", "distinct", "is a plan again: closed"),
     "step1_load_the_hand": (
         "shadow_hand: 24 joints, 20 actuators",

@@ -17,6 +17,7 @@ from planner import (
     plan_grasp,
     plan_manipulation,
 )
+from planner.exchange.table import table_of
 from planner.files import plan_to_dict
 from planner.files.gaits import gait_to_dict
 from planner.files.manipulations import manipulation_to_dict
@@ -96,6 +97,11 @@ def _manipulation() -> ManipulationPlan:
 def plan() -> str:
     """A grasp plan."""
     return shortened(plan_to_dict(_grasp()))
+
+
+def grasp_table() -> str:
+    """A table of one grasp."""
+    return shortened(table_of([_grasp()]).model_dump(exclude_none=True))
 
 
 def report() -> str:

@@ -19,6 +19,7 @@ from machinery.docstrings import as_written
 from machinery.write import write_pages
 from planner.batch.rows import grasp_schema
 from planner.description import HandDescription
+from planner.exchange.table_file import TableFile
 from planner.files import ContactsFile, GaitFile, ManipulationFile, MotionFile, PlanFile
 from planner.hand_loading import load_hand
 from planner.hands.arm import MountDescription
@@ -98,6 +99,15 @@ FORMATS = (
         PhysicsOptions,
         "toml",
         lambda: examples.PHYSICS,
+    ),
+    Format(
+        "Table of grasps",
+        "grasp-table",
+        "Poses and joints of grasps by names with units, here as JSON; NPZ and CSV have the same. "
+        "``opposable audit`` reads it, and ``opposable export --to table`` writes it.",
+        TableFile,
+        "json",
+        examples.grasp_table,
     ),
     Format(
         "Contacts",

@@ -70,6 +70,7 @@ GROUPS: dict[str, list[str]] = {
         "planner.batch",
         "planner.files",
         "planner.exchange",
+        "planner.audit",
         "planner.schema",
         "planner.version",
     ],

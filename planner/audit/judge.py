@@ -2,8 +2,8 @@
 
 A file does not say which fingers hold. Those take part whose pads touch within ``TOUCH_TOL``, on
 the pad, off edges and where the object may be touched; where these are too few for a grasp, the
-nearest ones, and the stage "gap" or "pad" says what they lack. The other fingers must not
-penetrate, as in a plan.
+nearest ones, and the stages "gap", "pad" and "penetration" say what is wrong with them. The other
+fingers must not penetrate, as in a plan.
 """
 
 from __future__ import annotations
@@ -35,6 +35,9 @@ __all__ = ["Judge", "T_world_base"]
 
 MOST_TASKS = 24
 """Tasks that are kept: one per set of fingers, scale and place of the object."""
+
+MOST_REASONS = 3
+"""Reasons of a stage that are told; the number is that of the worst."""
 
 _STAGE_OF = {
     "pad_gap": "gap",
@@ -86,9 +89,9 @@ class Judge:
         world = self._world(task)
         kept = [touches[every.finger_names.index(name)] for name in task.finger_names]
         results = _geometry_stages(task, kept, verify_geometry(world, base, q, kept))
-        touching = results["gap"].passed is True and results["pad"].passed is True
         contacts = contacts_of(task, kept)
         weighed = self._weighed(task, grasp)
+        touching = results["gap"].passed is True
         results |= _contact_stages(weighed, contacts, base, q, judged=touching)
         if self.approach:
             results["approach"] = _approach(world, base, q, contacts, results)
@@ -115,6 +118,11 @@ class Judge:
     def task_of(self, grasp: GivenGrasp, fingers: Sequence[str]) -> GraspTask:
         """The task that a grasp solves with some fingers, with gravity as it pulls there."""
         return self._weighed(self._task(grasp, tuple(fingers)), grasp)
+
+    @property
+    def how(self) -> dict[str, bool]:
+        """How it was made, as arguments."""
+        return {"fingers_told": self.told, "approach": self.approach}
 
     @property
     def _all_fingers(self) -> tuple[str, ...]:
@@ -212,22 +220,34 @@ def _angle_tol(touch: PadContact) -> float:
 def _geometry_stages(
     task: GraspTask, touches: Sequence[PadContact], found: Verification
 ) -> dict[str, StageResult]:
-    """The stages that ``verify_geometry`` decides."""
+    """The stages that ``verify_geometry`` decides; a pad that is too deep penetrates."""
     reasons: dict[str, list[str]] = {name: [] for name in ("joints", "gap", "pad", "penetration")}
+    said = {touch.gap for touch in touches if abs(touch.pad_gap) > TOUCH_TOL}  # of the pad itself
     for failure in found.failures:
-        reasons[_STAGE_OF[failure.kind]].append(failure.text)
+        gap = failure.numbers.get("gap", 0.0)
+        if failure.kind == "pad_geometry_gap" and gap in said:
+            continue
+        reasons["penetration" if gap < 0.0 else _STAGE_OF[failure.kind]].append(failure.text)
+    gaps = [_gap(touch) for touch in touches]
     depth = min((c.distance for c in found.closest), default=0.0)
+    deep = min(g for g in gaps) if min(gaps) < -TOUCH_TOL else 0.0
     off = max(t.angle - f.pad.half_angle for f, t in zip(task.fingers, touches, strict=True))
     numbers = {
         "joints": max(found.coupling_error, found.limit_error),
-        "gap": 1e3 * max(abs(_gap(t)) for t in touches),
+        "gap": 1e3 * max(0.0, *gaps),
         "pad": float(np.rad2deg(max(0.0, off))),
-        "penetration": 1e3 * max(0.0, -depth),
+        "penetration": 1e3 * max(0.0, -depth, -deep),
     }
     return {
-        name: StageResult(passed=not texts, number=numbers[name], reason="; ".join(texts))
+        name: StageResult(passed=not texts, number=numbers[name], reason=_first(texts))
         for name, texts in reasons.items()
     }
+
+
+def _first(texts: Sequence[str]) -> str:
+    """The first few of many reasons."""
+    more = len(texts) - MOST_REASONS
+    return "; ".join(texts[:MOST_REASONS]) + (f"; and {more} more" if more > 0 else "")
 
 
 def _contact_stages(

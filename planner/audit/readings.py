@@ -1,8 +1,8 @@
 """Whether a file was read as it was meant: unit, order of quaternions, hand.
 
 Poses in millimetres, quaternions in the other order and the other hand give numbers that look as
-good as any. They show where the hand is: under the wrong reading no pad of any grasp is near the
-object, under the right one the pads of most are. Nothing is decided here: the error says what to
+good as any. They show where the hand is: under the wrong reading the pads of no grasp are near the
+object, under the right one those of most are. Nothing is decided here: the error says what to
 give.
 """
 
@@ -25,14 +25,15 @@ from planner.task import GraspTask
 
 __all__ = ["need_right_reading"]
 
-NEAR = 0.01
-"""Distance (m) of a pad from the surface that counts as near: planned ones touch within 0.5 mm."""
-
-FEWEST = 2
-"""Pads that must be near."""
+SIGNS = ((0.001, 3), (0.01, 2))
+"""Distance (m) of pads from the surface, either side, and how many of them must be so near: nearly
+touching, which the other hand's pads do not; and near at all."""
 
 LOOKED_AT = 40
 """Grasps of a file that are looked at."""
+
+FEW = 0.1
+"""Share of grasps (-) that may be near under a wrong reading: some are by chance."""
 
 ENOUGH = 0.5
 """Share of grasps (-) that another reading must bring near to be named."""
@@ -59,27 +60,30 @@ def need_right_reading(
     Raises:
         FileFormatError: So; it says what to give.
     """
-    if _share_near(judge, given) > 0.0 or read.read is None:
+    near = [_share_near(judge, given, *sign) for sign in SIGNS]
+    if read.read is None or min(near) > FEW:
         return
     for said, hand, other in _others(judge.task.hand, reading):
         try:
             again = read.read(path, hand, other)
-            mine = hand is judge.task.hand
-            share = _share_near(judge if mine else Judge(task_for(hand)), again)
+            mine = judge if hand is judge.task.hand else Judge(task_for(hand), **judge.how)
+            shares = [_share_near(mine, again, *sign) for sign in SIGNS]
         except PlannerError:  # this reading cannot be, and another one may
             continue
-        if share >= ENOUGH:
-            raise FileFormatError(
-                f"{path}: in none of its {len(given)} grasps are two pads within "
-                f"{1e3 * NEAR:.0f} mm of the object; {said[0]}, they are in "
-                f"{100 * share:.0f} % of them: {said[1]}"
-            )
+        for (within, count), before, share in zip(SIGNS, near, shares, strict=True):
+            if before <= FEW and share >= ENOUGH:
+                raise FileFormatError(
+                    f"{path}: of the grasps looked at, {min(len(given), LOOKED_AT)} of "
+                    f"{len(given)}, {100 * before:.0f} % have {count} pads within "
+                    f"{1e3 * within:.0f} mm of the object's surface; {said[0]}, "
+                    f"{100 * share:.0f} % do: {said[1]}"
+                )
 
 
-def _share_near(judge: Judge, given: GivenGrasps) -> float:
-    """Share of the grasps (-) with pads near the object."""
+def _share_near(judge: Judge, given: GivenGrasps, within: float, count: int) -> float:
+    """Share of the grasps (-) with so many pads so near (m) to the object."""
     step = max(1, len(given) // LOOKED_AT)
-    near = [judge.near_pads(g, NEAR) >= FEWEST for g in given.grasps[::step][:LOOKED_AT]]
+    near = [judge.near_pads(g, within) >= count for g in given.grasps[::step][:LOOKED_AT]]
     return float(np.mean(near)) if near else 1.0
 
 

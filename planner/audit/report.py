@@ -11,12 +11,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from planner.audit.rows import STAGES, AuditRow
 from planner.batch.rows import arrow
 from planner.errors import TaskError
 from planner.files import whole_file
 
 __all__ = ["AuditReport", "joined_reports"]
+
+SHARES = (0.5, 0.9)
+"""Shares of grasps (-) for which the tolerance is told."""
 
 FORMS = (".csv", ".parquet")
 """Suffixes of files with the rows."""
@@ -79,6 +84,15 @@ class AuditReport:
                 }
         return out
 
+    def tolerance_mm(self, share: float) -> float | None:
+        """Gap (mm) that pads would have to be allowed for a share (-) of the grasps to touch.
+
+        None without a row that says it. Nothing is judged by it.
+        """
+        gaps = [r.stages["gap"].number for r in self.rows if "gap" in r.stages]
+        known = [gap for gap in gaps if gap is not None]
+        return float(np.quantile(known, share)) if known else None
+
     @property
     def summary(self) -> str:
         """One sentence."""
@@ -101,6 +115,7 @@ class AuditReport:
             "judged": len(self.rows),
             "passed": self.passed,
             "assumed": list(self.assumed),
+            "tolerance_mm": {str(share): self.tolerance_mm(share) for share in SHARES},
             "stages": self.stages,
             "rows": [row.to_dict() for row in self.rows],
         }

@@ -25,6 +25,10 @@ from planner.task import GraspTask
 
 __all__ = ["audit_file", "audit_grasps", "audit_plans"]
 
+FEW, FEW_EXECUTED = 1000, 20
+"""Grasps, without and with execution, up to which several processes do not pay: each takes 4 s of
+CPU to load libraries and models, a verdict 3 to 10 ms, an execution 0.2 s."""
+
 AT_ONCE = 16
 """Grasps of a job: one takes some milliseconds, a message a part of one."""
 
@@ -78,7 +82,8 @@ def audit_grasps(
         fingers_told: Whether the fingers of the task hold and no others; else they are found.
         approach: Whether a straight way in is asked for too.
         execute: Executes a grasp and says whether it held; adds the stage "held".
-        workers: Processes; -1 for one per core. More than one need a hand that a file can name.
+        workers: Processes at most; -1 for one per core. Few grasps are judged here; several
+            processes need a hand that a file can name.
         progress: Called with every row as it is there.
 
     Raises:
@@ -220,7 +225,7 @@ def _chunks(
     workers: int,
 ) -> Iterator[list[AuditRow]]:
     """Rows, some at a time."""
-    if workers == 1:
+    if workers == 1 or len(given) <= (FEW if execute is None else FEW_EXECUTED):
         judge = Judge(task, fingers_told=told, approach=approach)
         for i, grasp in enumerate(given.grasps):
             yield [_judged(judge, grasp, i, str(given.source), execute)]

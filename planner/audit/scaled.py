@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from planner.errors import TaskError
 from planner.objects import GraspObject, parse_object
-from planner.shapes import Mesh
+from planner.shapes import SIZED_SHAPES, Mesh
 
 __all__ = ["scaled_object"]
 
-LENGTHS_ONLY = ("sphere", "box", "cylinder", "capsule", "ellipsoid")
-"""Shapes whose sizes are all lengths."""
+SAME = 1e-3
+"""How far (-) lengths and volume of the result may be from what is asked for: they are far off for
+a shape of which not all sizes are lengths."""
 
 
 def scaled_object(item: GraspObject, scale: float) -> GraspObject:
@@ -33,10 +36,14 @@ def scaled_object(item: GraspObject, scale: float) -> GraspObject:
         made = Mesh.load(source.path, scale=source.scale * scale, repair=source.repair)
         return replace(item, shape=made)
     name, _, sizes = shape.spec.partition(":")
-    if name not in LENGTHS_ONLY or not sizes:
-        raise TaskError(
-            f"the file scales its object by {scale:g}, and {shape.spec} cannot be scaled; give "
-            "the mesh file that the grasps were made for"
-        )
-    scaled = "x".join(repr(scale * float(size)) for size in sizes.split("x"))
-    return replace(item, shape=parse_object(f"{name}:{scaled}").shape)
+    if name in SIZED_SHAPES and sizes:
+        scaled = "x".join(repr(scale * float(size)) for size in sizes.split("x"))
+        made_shape = parse_object(f"{name}:{scaled}").shape
+        if np.isclose(made_shape.volume, scale**3 * shape.volume, rtol=SAME) and np.allclose(
+            made_shape.half_extents, scale * shape.half_extents, rtol=SAME
+        ):
+            return replace(item, shape=made_shape)
+    raise TaskError(
+        f"the file scales its object by {scale:g}, and {shape.spec} cannot be scaled; give "
+        "the mesh file that the grasps were made for"
+    )

@@ -20,7 +20,18 @@ from numpy.typing import NDArray
 from planner.errors import FileFormatError, NotFoundError
 from planner.exchange.pickles import load_pickle
 
-__all__ = ["MOST_BYTES", "is_torch", "read_array_file", "read_npy", "read_npz", "read_pickle"]
+__all__ = [
+    "ARRAY_SUFFIXES",
+    "MOST_BYTES",
+    "is_torch",
+    "read_array_file",
+    "read_npy",
+    "read_npz",
+    "read_pickle",
+]
+
+ARRAY_SUFFIXES = (".npy", ".npz", ".pkl", ".pickle", ".pt", ".pth")
+"""How files end that are read here, or refused by name."""
 
 MOST_BYTES = 1 << 30
 """Of a file, and of what is packed in it."""

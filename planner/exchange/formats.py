@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from planner.errors import FileFormatError, NotFoundError, TaskError
+from planner.exchange.array_files import ARRAY_SUFFIXES, read_array_file
 from planner.exchange.given import GivenGrasps
 from planner.hands.hand import Hand
 
@@ -123,6 +124,8 @@ _MODULES: tuple[str, ...] = (
     "dexgraspnet",
     "frogger",
     "isaac_grasp",
+    "ros.grasp",
+    "ros.trajectory",
     "table",
 )
 """Modules below ``planner.exchange`` that register a format when they are imported."""
@@ -174,6 +177,20 @@ def format_of(path: Path) -> GraspFormat:
     like = [f for f in readable if f.recognises(path)]
     if len(like) == 1:
         return like[0]
+    if not like:
+        _need_readable(path)
     names = ", ".join(f.name for f in like or readable)
     said = f"looks like {names}" if like else f"looks like none of {names}"
     raise FileFormatError(f"{path} {said}; say which with --format")
+
+
+def _need_readable(path: Path) -> None:
+    """Say of a file of arrays that it is damaged or hostile, rather than that it is of no form.
+
+    Raises:
+        FileFormatError: It is.
+    """
+    files = sorted(path.rglob("*.npy"))[:1] if path.is_dir() else [path]
+    for file in files:
+        if file.suffix in ARRAY_SUFFIXES:
+            read_array_file(file)

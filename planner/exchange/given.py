@@ -26,13 +26,14 @@ class GivenGrasp:
 
     Attributes:
         name: What the file calls it, or where in the file it is ("row 12").
-        T_object_base: Pose of the hand's base in the object's frame.
+        T_object_base: Pose of the hand's base in the frame of the object's own file, scaled; ours
+            has its origin at the centre of mass (``planner.exchange.frames.T_file_object``).
         q: Joints at the grasp (nq,), rad (m for slides), order of ``hand.joint_names``.
         q_pregrasp: Joints (nq,) before the grasp; None where the file has none.
         q_squeeze: Joints (nq,) that are commanded to press; None where the file has none.
         object: The object as the file names it, a path or a name; "" where it says nothing.
         scale: Factor on the object's mesh.
-        T_world_object: Where the object is; None where the file says nothing.
+        T_world_object: Where that frame is; None where the file says nothing.
         confidence: As the file gives it, without a unit; None where it gives none.
     """
 

@@ -8,18 +8,22 @@ tendon) has one number for them, its length R q + length0.
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from planner.errors import FileFormatError, NotFoundError, TaskError
 from planner.exchange.formats import Writing
 from planner.exchange.given import joints_by_name
+from planner.exchange.yaml_text import read_documents, table, text
 from planner.hands.hand import Hand
 from planner.spatial import FloatArray, IntArray
 
-__all__ = ["Channels", "channels_of", "completed_joints", "followers", "renaming"]
+__all__ = ["Channels", "channels_of", "completed_joints", "followers", "read_renaming", "renaming"]
 
 DETERMINED = 1e-9
 """A joint is tied by couplings if each direction that they leave free moves it by less (-)."""
@@ -85,6 +89,10 @@ def channels_of(hand: Hand, writing: Writing) -> Channels:
     if len(left_out):
         tied = ", ".join(hand.joint_names[i] for i in left_out)
         said += (f"left out, since they follow other joints by couplings: {tied}",)
+    loose = np.setdiff1d(np.flatnonzero(~hand.actuation.moment.any(axis=0)), left_out)
+    if len(loose):
+        idle = ", ".join(hand.joint_names[i] for i in loose)
+        said += (f"moved by no actuator and tied by no coupling that always holds: {idle}",)
     return Channels(
         names=renaming(names, writing.rename, f"{what} of {hand.name}"),
         matrix=matrix,
@@ -150,6 +158,26 @@ def renaming(names: Sequence[str], rename: Mapping[str, str], what: str) -> tupl
             "name of its own"
         )
     return new
+
+
+def read_renaming(path: Path) -> dict[str, str]:
+    """Names out of a TOML, YAML or JSON file of OLD = NEW.
+
+    Raises:
+        FileFormatError: It cannot be read, or holds something else.
+    """
+    what = "a file of names"
+    if path.suffix.lower() == ".toml":
+        try:
+            data: Any = tomllib.loads(path.read_text("utf-8"))
+        except OSError as error:
+            raise FileFormatError(f"cannot read {what} {path}: {error.strerror}") from error
+        except ValueError as error:  # not TOML, or not text
+            raise FileFormatError(f"{path} is damaged or not TOML: {error}") from error
+    else:
+        documents = read_documents(path, what)
+        data = documents[0] if len(documents) == 1 else documents
+    return {old: text(new, f"{path}: {old}") for old, new in table(data, str(path)).items()}
 
 
 def _equalities(hand: Hand) -> tuple[FloatArray, FloatArray]:

@@ -87,6 +87,11 @@ class FileJoints:
         self.assumed: list[str] = []
         told = reading.joint_names or names
         held = self._held()
+        if reading.joint_names is not None and len(reading.joint_names) != count:
+            raise FileFormatError(
+                f"{where} has {count} joints and --joint-names gives {len(reading.joint_names)}; "
+                "give a name for each, in the order of the file"
+            )
         if told is None and reading.by_number:
             wanted = [n for n in hand.joint_names if n not in held]
             whole = count == hand.nq

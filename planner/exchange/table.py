@@ -53,7 +53,15 @@ def read_table(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
         base_body=table.base_body,
     )
     order, unit = reading.quaternion or "wxyz", reading.unit or LENGTHS[table.length]
-    units = _joint_units(hand, unit, ANGLES[table.angle])
+    slide = np.array([_slides(hand, name) for name in hand.joint_names])
+    units = np.where(slide, unit, ANGLES[table.angle])
+    told = joints.of(np.array([n in table.slides for n in table.joint_names], dtype=float))
+    if ((told > 0) != slide).any():
+        wrong = ", ".join(np.array(hand.joint_names)[(told > 0) != slide])
+        raise FileFormatError(
+            f"{path} gives {wrong} as {'an angle' if slide.any() else 'a length'}, and in "
+            f"{hand.name} it is not; give lengths for joints that slide, angles for the others"
+        )
     grasps = []
     for i, row in enumerate(table.grasps):
         where = f"{path}, grasp {i}"
@@ -118,7 +126,13 @@ def table_of(plans: Sequence[GraspPlan], writing: Writing | None = None) -> Tabl
         )
     names = tuple(writing.rename.get(n, n) for n in hand.joint_names)
     return TableFile(
-        hand=hand.name, base_body=writing.base_body, joint_names=names, grasps=tuple(rows)
+        hand=hand.name,
+        base_body=writing.base_body,
+        joint_names=names,
+        slides=tuple(
+            told for told, n in zip(names, hand.joint_names, strict=True) if _slides(hand, n)
+        ),
+        grasps=tuple(rows),
     )
 
 
@@ -158,7 +172,10 @@ def write_given(given: GivenGrasps, hand: Hand, path: Path) -> tuple[Path, ...]:
                 confidence=grasp.confidence,
             )
         )
-    table = TableFile(hand=hand.name, joint_names=hand.joint_names, grasps=tuple(rows))
+    slides = tuple(n for n in hand.joint_names if _slides(hand, n))
+    table = TableFile(
+        hand=hand.name, joint_names=hand.joint_names, slides=slides, grasps=tuple(rows)
+    )
     return _write(table, path)
 
 
@@ -177,10 +194,9 @@ def _pose(
     return pose_of_seven(np.array([*(unit * p for p in position), *turn]), order, where)
 
 
-def _joint_units(hand: Hand, length: float, angle: float) -> FloatArray:
-    """Factor (nq,) of each joint: rad for hinges, m for slides."""
-    kinds = [int(hand.mj_model.joint(name).type[0]) for name in hand.joint_names]
-    return np.array([length if kind == SLIDE else angle for kind in kinds])
+def _slides(hand: Hand, joint: str) -> bool:
+    """Whether a joint of a hand slides."""
+    return int(hand.mj_model.joint(joint).type[0]) == SLIDE
 
 
 SLIDE = 2

@@ -74,6 +74,7 @@ class TableFile(StrictData):
         length: Unit of positions, and of joints that slide.
         angle: Unit of joints that turn.
         joint_names: Order of the joints.
+        slides: Those of them that slide, in the unit of lengths; the others turn.
         grasps: The grasps.
     """
 
@@ -84,6 +85,7 @@ class TableFile(StrictData):
     length: Literal["m", "mm"] = "m"
     angle: Literal["rad", "deg"] = "rad"
     joint_names: tuple[str, ...]
+    slides: tuple[str, ...] = ()
     grasps: tuple[TableGrasp, ...]
 
     @model_validator(mode="after")

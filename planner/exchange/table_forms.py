@@ -35,7 +35,7 @@ _TEXTS = ("name", "object")
 _VECTORS = {"position": 3, "quaternion_wxyz": 4, "object_position": 3, "object_quaternion_wxyz": 4}
 _AXES = ("x", "y", "z")
 _QUATERNION = ("qw", "qx", "qy", "qz")
-_HEADER = ("format", "version", "hand", "base_body", "length", "angle", "joint_names")
+_HEADER = ("format", "version", "hand", "base_body", "length", "angle", "joint_names", "slides")
 
 
 def read_table_file(path: Path) -> TableFile:
@@ -97,7 +97,7 @@ def _to_npz(table: TableFile) -> bytes:
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as packed:
         for name, array in arrays.items():
             member = io.BytesIO()
-            np.lib.format.write_array(member, np.ascontiguousarray(array), allow_pickle=False)
+            np.lib.format.write_array(member, array, allow_pickle=False)
             shaped = zipfile.ZipInfo(f"{name}.npy")  # without the time of day
             packed.writestr(shaped, member.getvalue(), zipfile.ZIP_DEFLATED)
     return stream.getvalue()
@@ -136,6 +136,7 @@ def _from_csv(path: Path) -> dict[str, Any]:
         "length": length,
         "angle": angle,
         "joint_names": [joint for joint, _ in joints],
+        "slides": [joint for joint, column in joints if column.endswith(f"_{length}")],
         "grasps": [],
     }
     for i, row in enumerate(rows):
@@ -201,6 +202,11 @@ def _units(header: Sequence[str], path: Path) -> tuple[str, str]:
     angles = {u for u in ANGLES for h in header if h.endswith(f"_{u}")}
     if len(angles) > 1:
         raise FileFormatError(f"{path} has joints in rad and in deg; give one of both")
+    other = [h for u in LENGTHS if u != lengths[0] for h in header if h.endswith(f"_{u}")]
+    if other:
+        raise FileFormatError(
+            f"{path} has positions in {lengths[0]} and {', '.join(other)}; give one unit"
+        )
     return lengths[0], angles.pop() if angles else "rad"
 
 
@@ -226,7 +232,10 @@ def _known(length: str, joints: Sequence[tuple[str, str]]) -> set[str]:
 
 
 def _to_csv(table: TableFile) -> bytes:
-    columns = [f"{joint}_{table.angle}" for joint in table.joint_names]
+    columns = [
+        f"{joint}_{table.length if joint in table.slides else table.angle}"
+        for joint in table.joint_names
+    ]
     parts = [p for p in PARTS if any(getattr(g, p) is not None for g in table.grasps)]
     header = [
         *("name", "hand", "base_body", "object", "scale", "confidence"),

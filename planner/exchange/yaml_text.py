@@ -31,6 +31,9 @@ __all__ = [
 UNIT_TOL = 1e-3
 """How far the length of a quaternion may be from 1 (-): files with four decimals pass."""
 
+DEEPEST = 50
+"""Most mappings and lists inside each other; what is read here has fewer than ten."""
+
 WIDTH = 100
 """Characters of a line of YAML, as near as numbers allow."""
 
@@ -77,12 +80,24 @@ def read_documents(path: Path, what: str) -> list[Any]:
     """
     yaml = _yaml()
     try:
-        return [d for d in yaml.load_all(path.read_text("utf-8"), _loader(yaml)) if d is not None]
+        written = path.read_text("utf-8")
+        _need_shallow(written, yaml)
+        return [d for d in yaml.load_all(written, _loader(yaml)) if d is not None]
     except OSError as error:
         raise FileFormatError(f"cannot read {what} {path}: {error.strerror}") from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         said = " ".join(str(error).split())
         raise FileFormatError(f"{path} is damaged or not YAML: {said}") from error
+
+
+def _need_shallow(written: str, yaml: Any) -> None:
+    """See that nothing is nested so deeply that libyaml would end the process."""
+    depth = 0
+    for event in yaml.parse(written, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if depth > DEEPEST:
+            raise ValueError(f"it is nested more than {DEEPEST} times{event.start_mark}")
 
 
 def _loader(yaml: Any) -> Any:

@@ -11,10 +11,12 @@ from typing import Any
 
 import typer
 
+from sim.cli.audit import audit
 from sim.cli.batch import batch, extract
 from sim.cli.certify import certify
 from sim.cli.creep import creep
 from sim.cli.crosscheck import crosscheck
+from sim.cli.export import export
 from sim.cli.forces import forces
 from sim.cli.grasp import plan, run, simulate
 from sim.cli.hands import check_hand, describe, hands
@@ -81,6 +83,8 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
     "Data": (
         Listed(call=batch, example="opposable batch allegro_hand box mug -n 20"),
         Listed(call=extract, example="opposable extract grasps 0 -o first.json"),
+        Listed(call=audit, example="opposable audit plan.json"),
+        Listed(call=export, example="opposable export plan.json --to ros2-grasp -o grasp.json"),
         Listed(call=schema, example="opposable schema plan"),
     ),
     "Models": (

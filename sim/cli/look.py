@@ -58,14 +58,16 @@ def schema(
     kind: Annotated[
         str,
         typer.Argument(
-            help="plan, motion, gait, manipulation, report, manipulation-report or contacts"
+            help="plan, motion, gait, manipulation, report, manipulation-report, contacts or "
+            "grasp-table"
         ),
     ] = "plan",
 ) -> None:
-    """The JSON Schema of plan files, reports or contact lists."""
+    """The JSON Schema of plans, reports, contact lists and tables."""
     from pydantic import BaseModel
 
     from planner.errors import NotFoundError
+    from planner.exchange.table_file import TableFile
     from planner.files import ContactsFile, GaitFile, ManipulationFile, MotionFile, PlanFile
     from sim.manipulation import ManipulationReportFile
     from sim.report_file import ReportFile
@@ -78,6 +80,7 @@ def schema(
         "report": ReportFile,
         "manipulation-report": ManipulationReportFile,
         "contacts": ContactsFile,
+        "grasp-table": TableFile,
     }
     if kind not in models:
         raise NotFoundError("schema", kind, models)

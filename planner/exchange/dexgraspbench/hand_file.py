@@ -91,7 +91,7 @@ def T_model_base(hand: Hand) -> SE3:
     return pose_from_wxyz(np.array(body.pos), np.array(body.quat))
 
 
-def write_hand(hand: Hand, folder: Path) -> str:
+def write_hand(hand: Hand, folder: Path, *, moved_to: Path | None = None) -> str:
     """Write ``NAME.yaml``, ``NAME/NAME.xml`` and ``NAME/assets/`` for a hand.
 
     The first is JSON, which YAML includes.
@@ -99,6 +99,7 @@ def write_hand(hand: Hand, folder: Path) -> str:
     Args:
         hand: The hand.
         folder: Where; made if it does not exist.
+        moved_to: What the folder will be called when it is read, if otherwise: paths are absolute.
 
     Returns:
         NAME, the benchmark's name of the hand.
@@ -125,7 +126,7 @@ def write_hand(hand: Hand, folder: Path) -> str:
     tips = [_body_of(hand, finger.pad.geom) for finger in fingers]
     bodies = [hand.description.palm_body, *(b for finger in fingers for b in sorted(finger.bodies))]
     data = {
-        "xml_path": str(model),
+        "xml_path": str((moved_to or folder) / name / model.name),
         "mocap": True,
         "exclude_table_contact": None,
         "color": [0.2, 0.55, 0.85, 1.0],

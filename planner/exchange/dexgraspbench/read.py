@@ -17,6 +17,7 @@ says where its object is: {"scene": {NAME: {"pose", "scale", "file_path"}}, "tas
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ import numpy as np
 from planner.errors import FileFormatError
 from planner.exchange.array_files import read_array_file
 from planner.exchange.dexgraspbench.hand_file import T_model_base
+from planner.exchange.dexgraspbench.plans import write_dexgraspbench
 from planner.exchange.formats import GraspFormat, Reading, register_format
 from planner.exchange.given import GivenGrasp, GivenGrasps
 from planner.exchange.postures import FileJoints, pose_of_seven
@@ -44,7 +46,7 @@ def read_dexgraspbench(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
         FileFormatError: A file of another form, damaged, with other joints, or without a scene file
             that it needs; or a folder without any.
     """
-    files = sorted(path.rglob("*.npy")) if path.is_dir() else [path]
+    files = sorted(path.rglob("*.npy"), key=_in_order) if path.is_dir() else [path]
     grasps: list[GivenGrasp] = []
     assumed: dict[str, None] = {}
     for file in files:
@@ -70,6 +72,11 @@ def read_dexgraspbench(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
     return GivenGrasps(
         source=path, format=NAME, hand="", grasps=tuple(grasps), assumed=tuple(assumed)
     )
+
+
+def _in_order(file: Path) -> list[tuple[int, str]]:
+    """Key that has 10.npy after 9.npy."""
+    return [(int(t), "") if t.isdecimal() else (-1, t) for t in re.split(r"(\d+)", str(file))]
 
 
 def _is_grasp(data: Any) -> bool:
@@ -220,9 +227,13 @@ register_format(
     GraspFormat(
         name=NAME,
         title="DexGraspBench, BODex and Dexonomy dictionaries",
-        suffix=".npy",
-        loses="",
+        suffix="",
+        loses=(
+            "contacts and forces, friction and gravity, table and obstacles, names of joints, the "
+            "way to the pre-grasp"
+        ),
         recognises=_recognises,
         read=read_dexgraspbench,
+        write=write_dexgraspbench,
     )
 )

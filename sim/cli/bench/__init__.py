@@ -5,6 +5,18 @@ from __future__ import annotations
 import typer
 
 from sim.cli.bench import best, control, dexgraspbench, grasps, pages, refine, synthesis, turns, zoo
+from sim.cli.bench import (
+    audit,
+    best,
+    control,
+    dexgraspbench,
+    exports,
+    grasps,
+    pages,
+    synthesis,
+    turns,
+    zoo,
+)
 
 __all__ = ["register"]
 
@@ -21,6 +33,7 @@ def register(app: typer.Typer, panel: str) -> None:
         grasps.walls,
         grasps.metrics,
         grasps.trials,
+        audit.audit,
         synthesis.scaling,
         control.forces,
         control.control,
@@ -28,6 +41,7 @@ def register(app: typer.Typer, panel: str) -> None:
         turns.manipulate,
         control.physics,
         dexgraspbench.dexgraspbench,
+        exports.exports,
         pages.pages,
         zoo.zoo,
         zoo.gallery,

@@ -1,0 +1,366 @@
+"""The command ``audit``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import Progress
+
+from sim.cli.common import (
+    EXIT_INTERRUPTED,
+    EXIT_NO,
+    GRIP_PANEL,
+    FingersOption,
+    JsonOption,
+    MuOption,
+    check_folder,
+    err,
+    errors_for_people,
+    names,
+    numbers,
+    out,
+    print_json,
+    say,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rich.table import Table
+
+    from planner.audit import AuditReport
+    from planner.exchange.formats import Reading
+    from planner.hands.hand import Hand
+    from planner.task import GraspTask
+
+READING_PANEL = "What the file does not say"
+"""Group of options in the help."""
+
+UNITS = {"m": 1.0, "mm": 1e-3}
+ORDERS = ("wxyz", "xyzw")
+
+TABLE_WIDTH = 110
+"""Width of the tables, characters."""
+
+SHOWN = 10
+"""Grasps that do not pass and are listed with their reasons."""
+
+
+@errors_for_people()
+def audit(
+    file: Annotated[
+        Path, typer.Argument(help="A file of grasps, a plan or a batch.", metavar="FILE")
+    ],
+    hand: Annotated[
+        str | None, typer.Option(help="Its name, hand.toml, MJCF or URDF file.", metavar="HAND")
+    ] = None,
+    object: Annotated[
+        str | None,
+        typer.Option(help="As `plan` takes it, in the size of scale 1.", metavar="OBJECT"),
+    ] = None,
+    only: Annotated[
+        str, typer.Option(help="Only grasps whose object's name has this in it.", metavar="TEXT")
+    ] = "",
+    format: Annotated[
+        str | None,
+        typer.Option(help="By its content if not given.", metavar="NAME"),
+    ] = None,
+    joint_names: Annotated[
+        str | None,
+        typer.Option(
+            help="In the order of the file, comma separated.",
+            metavar="NAMES",
+            rich_help_panel=READING_PANEL,
+        ),
+    ] = None,
+    by_number: Annotated[
+        bool,
+        typer.Option(
+            "--by-number",
+            help="Joints are in the order of the hand.",
+            metavar="",
+            rich_help_panel=READING_PANEL,
+        ),
+    ] = False,
+    quaternion: Annotated[
+        str | None,
+        typer.Option(help="Its order.", metavar="wxyz|xyzw", rich_help_panel=READING_PANEL),
+    ] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="Of lengths.", metavar="m|mm", rich_help_panel=READING_PANEL)
+    ] = None,
+    base_body: Annotated[
+        str,
+        typer.Option(
+            help="Body of the hand whose pose the file gives.",
+            metavar="BODY",
+            rich_help_panel=READING_PANEL,
+        ),
+    ] = "",
+    fingers: FingersOption = None,
+    mu: MuOption = 0.5,
+    grip_force: Annotated[
+        float | None,
+        typer.Option(
+            help="Least normal force of a finger, N.", metavar="N", rich_help_panel=GRIP_PANEL
+        ),
+    ] = None,
+    mass: Annotated[
+        float | None,
+        typer.Option(help="Mass, kg; 0.1 if not given.", metavar="KG", rich_help_panel=GRIP_PANEL),
+    ] = None,
+    table: Annotated[
+        str,
+        typer.Option(
+            help="Height of a table's top, m.",
+            metavar="Z|none",
+            rich_help_panel=GRIP_PANEL,
+        ),
+    ] = "none",
+    gravity: Annotated[
+        str, typer.Option(help="In m/s2, world.", metavar="X,Y,Z", rich_help_panel=GRIP_PANEL)
+    ] = "0,0,-9.81",
+    approach: Annotated[
+        bool, typer.Option("--approach", help="Ask for a straight way in, too.", metavar="")
+    ] = False,
+    simulate: Annotated[
+        bool,
+        typer.Option(
+            "--simulate",
+            help="Execute every grasp, too.",
+            metavar="",
+        ),
+    ] = False,
+    workers: Annotated[int, typer.Option(help="Processes; -1 for one per core.", metavar="N")] = -1,
+    output: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Write the rows here: .csv or .parquet.", metavar="FILE"),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Judge grasps that somebody else made by the verdict on our own.
+
+    Plans and batches of ours bring hand and object; other files need --hand and --object. Exit
+    code 0 if every grasp passes, 1 if not.
+    """
+    from planner.audit.report import check_form
+    from planner.errors import TaskError
+    from planner.exchange.formats import Reading
+    from sim.cli.places import object_of, table_of
+
+    check_folder(output)
+    if output is not None:
+        check_form(output)
+    reading = Reading(
+        by_number=by_number,
+        joint_names=None if joint_names is None else tuple(names(joint_names)),
+        quaternion=_chosen("--quaternion", quaternion, ORDERS),
+        unit=None if unit is None else UNITS[str(_chosen("--unit", unit, tuple(UNITS)))],
+        base_body=base_body,
+    )
+    ours = None if format is not None else _our_kind(file)
+    if ours is not None:
+        report = _audit_ours(file, ours, approach, workers, simulate, as_json)
+    else:
+        if hand is None or object is None:
+            missing = "--hand" if hand is None else "--object"
+            raise TaskError(
+                f"{file} does not bring hand and object, as plans and batches of ours do; give "
+                f"{missing}"
+            )
+        from planner.hand_loading import load_hand
+        from planner.task import GraspTask
+
+        item, height = object_of(object, mass=mass), table_of(table)
+        pull = numbers("--gravity", gravity, 3)
+        wanted = None if fingers is None else names(fingers)
+
+        def task_for(some: Hand) -> GraspTask:
+            return GraspTask.create(
+                some,
+                item,
+                table_height=height,
+                gravity=pull,
+                mu=mu,
+                fingers=wanted,
+                grip_force=grip_force,
+            )
+
+        loaded = load_hand(hand)
+        report = _audit_theirs(
+            file,
+            task_for,
+            loaded,
+            bar=not as_json,
+            format=format,
+            reading=reading,
+            only=only,
+            fingers_told=wanted is not None,
+            approach=approach,
+            execute=_executed(simulate),
+            workers=workers,
+        )
+    if output is not None:
+        report.write(output)
+    if as_json:
+        print_json(report.to_dict())
+    else:
+        _show(report, output)
+    if not report.complete:
+        say(err, "interrupted; what was judged is kept")
+        raise typer.Exit(EXIT_INTERRUPTED)
+    if not report.ok:
+        raise typer.Exit(EXIT_NO)
+
+
+def _chosen(option: str, value: str | None, allowed: tuple[str, ...]) -> str | None:
+    """A value out of a few.
+
+    Raises:
+        TaskError: Another one.
+    """
+    from planner.errors import TaskError
+
+    if value is not None and value not in allowed:
+        raise TaskError(f"{option} {value!r} is none of {', '.join(allowed)}; give one of them")
+    return value
+
+
+def _our_kind(file: Path) -> str | None:
+    """Whether a file is a "plan" of ours, or a folder a "batch"; None for another."""
+    from planner.batch.manifest import MANIFEST
+
+    if file.is_dir():
+        return "batch" if (file / MANIFEST).is_file() else None
+    if file.suffix != ".json" or not file.is_file():
+        return None
+    with file.open("rb") as stream:
+        return "plan" if b'"opposable-plan"' in stream.read(HEAD) else None
+
+
+HEAD = 4096
+"""Bytes of a file that say whose it is."""
+
+
+def _executed(simulate: bool) -> Any:
+    """What executes a grasp; None if nothing does."""
+    if not simulate:
+        return None
+    from sim.protocols.given_grasp import hold_given_grasp
+
+    return hold_given_grasp
+
+
+def _audit_ours(
+    file: Path, kind: str, approach: bool, workers: int, simulate: bool, quiet: bool
+) -> AuditReport:
+    """The verdict on a plan or a batch of ours, each grasp with the fingers of its task."""
+    from dataclasses import replace
+
+    from planner.audit import audit_grasps, given_of_batch, given_of_plans, joined_reports
+    from planner.batch import GraspSet
+    from planner.files import read_plan
+
+    sets = list(
+        given_of_plans([read_plan(file)], file)
+        if kind == "plan"
+        else given_of_batch(GraspSet(file), file)
+    )
+    reports = []
+    with Progress(console=err, transient=True, disable=quiet or not err.is_terminal) as progress:
+        bar = progress.add_task("judging", total=sum(len(given) for _, given in sets))
+        for task, given in sets:
+            reports.append(
+                audit_grasps(
+                    task,
+                    given,
+                    fingers_told=True,
+                    approach=approach,
+                    execute=_executed(simulate),
+                    workers=1 if kind == "plan" else workers,
+                    progress=lambda _: progress.advance(bar),
+                )
+            )
+            if not reports[-1].complete:
+                break
+    joined = joined_reports(reports)
+    rows = tuple(replace(row, index=i) for i, row in enumerate(joined.rows))
+    return replace(joined, rows=rows, total=sum(len(given) for _, given in sets))
+
+
+def _audit_theirs(
+    file: Path,
+    task_for: Callable[[Hand], GraspTask],
+    hand: Hand,
+    *,
+    bar: bool,
+    format: str | None,
+    reading: Reading,
+    **options: Any,
+) -> AuditReport:
+    """The verdict on a file of another tool."""
+    from planner.audit import audit_file
+
+    with Progress(console=err, transient=True, disable=not (bar and err.is_terminal)) as progress:
+        shown = progress.add_task("judging", total=None)
+        return audit_file(
+            file,
+            task_for,
+            hand,
+            format=format,
+            reading=reading,
+            started=lambda given: progress.update(shown, total=len(given)),
+            progress=lambda _: progress.advance(shown),
+            **options,
+        )
+
+
+def _show(report: AuditReport, output: Path | None) -> None:
+    """Tables for people."""
+    wide = Console(width=max(out.width, TABLE_WIDTH))
+    wide.print(_stage_table(report))
+    faults = [row for row in report.rows if not row.passed]
+    for row in faults[:SHOWN]:
+        text = row.reason or row.stages[row.first_fault].reason
+        say(out, escape(f"{row.name}: {text}"))
+    if len(faults) > SHOWN:
+        more = f"; all are in {output}" if output is not None else "; --out FILE.csv keeps all"
+        say(out, escape(f"... and {len(faults) - SHOWN} more{more}"))
+    half, most = report.tolerance_mm(0.5), report.tolerance_mm(0.9)
+    if half is not None and most is not None and report.stages["gap"]["failed"]:
+        text = f"half of the grasps would touch at a tolerance of {half:.2g} mm, 90 % at {most:.2g}"
+        say(out, f"{text} mm; 0.5 mm is asked for")
+    for sentence in report.assumed:
+        say(out, escape(f"taken for granted: {sentence}"))
+    say(out, escape(f"{report.source}: {report.summary}"))
+
+
+def _stage_table(report: AuditReport) -> Table:
+    """How many grasps pass each stage."""
+    from planner.audit import STAGES
+    from sim.tables import percent, table_of
+
+    table = table_of(
+        f"{report.hand} grasps {report.object}",
+        ["stage", "asks whether"],
+        ["pass", "fail", "not judged", "share of all"],
+    )
+    for stage in STAGES:
+        if stage.name in report.stages:
+            counts = report.stages[stage.name]
+            table.add_row(
+                stage.name,
+                stage.asks,
+                *(str(counts[n]) for n in ("passed", "failed", "not_judged")),
+                percent(counts["passed"], len(report)),
+            )
+    table.add_section()
+    failed = len(report) - report.passed
+    table.add_row(
+        "all", "", str(report.passed), str(failed), "", percent(report.passed, len(report))
+    )
+    return table

@@ -1,0 +1,144 @@
+"""``opposable audit``: files of others, plans and batches of ours, exit codes, and a hold trial."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from planner.audit import given_of_plans
+from planner.batch import GraspSet, plan_grasps
+from planner.exchange.dexgraspbench import export_dexgraspbench
+from planner.exchange.formats import Writing
+from planner.exchange.table import write_table
+from planner.files import write_plan
+from planner.plan import GraspPlan
+from planner.search import plan_grasp
+from planner.task import GraspTask
+from sim.cli import app
+from sim.protocols.given_grasp import hold_given_grasp
+
+RUN = CliRunner()
+BOX = "box:0.05x0.05x0.08"
+FOR = ["--hand", "allegro_hand", "--object", BOX, "--workers", "1"]
+
+
+@pytest.fixture(scope="module")
+def plans() -> list[GraspPlan]:
+    task = GraspTask.create("allegro_hand", BOX)
+    return [plan_grasp(task, seed=seed) for seed in range(3)]
+
+
+@pytest.fixture(scope="module")
+def folder(plans: list[GraspPlan], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A good table, one with a bad grasp, a plan, a batch and its export."""
+    made = tmp_path_factory.mktemp("audit")
+    write_table(plans, made / "good.csv", Writing())
+    worse = replace(plans[0], q=plans[0].q_pregrasp)
+    write_table([*plans, worse], made / "bad.json", Writing())
+    write_plan(plans[0], made / "plan.json")
+    plan_grasps("allegro_hand", [BOX], 2, seed=1, workers=1, out=made / "set")
+    export_dexgraspbench(GraspSet(made / "set"), made / "out")
+    return made
+
+
+def test_good_grasps_exit_with_0_and_bad_ones_with_1(folder: Path, tmp_path: Path) -> None:
+    done = RUN.invoke(app, ["audit", str(folder / "good.csv"), *FOR])
+    assert done.exit_code == 0, done.output
+    assert "3 of 3 grasps pass" in done.output
+    rows = tmp_path / "rows.csv"
+    done = RUN.invoke(app, ["audit", str(folder / "bad.json"), *FOR, "--out", str(rows)])
+    assert done.exit_code == 1, done.output
+    for words in (
+        "3 of 4 grasps pass, 1 fail first at gap",
+        "mm from the surface",
+        "75.0 %",
+        "0.5 mm is asked",
+    ):
+        assert words in done.output
+    assert len(rows.read_text().splitlines()) == 5
+
+
+def test_json_for_machines(folder: Path) -> None:
+    done = RUN.invoke(app, ["audit", str(folder / "bad.json"), *FOR, "--json"])
+    data = json.loads(done.stdout, parse_constant=pytest.fail)
+    assert (data["total"], data["passed"], data["format"]) == (4, 3, "table")
+    assert data["stages"]["gap"] == {"passed": 3, "failed": 1, "not_judged": 0, "first_fault": 1}
+    assert data["rows"][3]["gap_tolerance_mm"] > 1.0
+
+
+def test_plans_and_batches_bring_all_that_is_needed(folder: Path) -> None:
+    for name, count in (("plan.json", 1), ("set", 2)):
+        done = RUN.invoke(
+            app, ["audit", str(folder / name), "--approach", "--workers", "1", "--json"]
+        )
+        assert done.exit_code == 0, done.output
+        data = json.loads(done.stdout)
+        assert (data["passed"], data["stages"]["approach"]["passed"]) == (count, count)
+
+
+def test_an_export_for_dexgraspbench_is_held(folder: Path) -> None:
+    path = folder / "out" / "graspdata"
+    done = RUN.invoke(app, ["audit", str(path), *FOR, "--by-number", "--simulate", "--json"])
+    assert done.exit_code == 0, done.output
+    data = json.loads(done.stdout)
+    assert data["stages"]["held"]["passed"] == 2
+    assert "order of allegro_hand" in data["assumed"][0]
+    assert all(row["held_moved_mm"] < 50.0 for row in data["rows"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["good.csv"], "give --hand"),
+        (["good.csv", "--hand", "allegro_hand"], "give --object"),
+        (["none.csv", *FOR], "does not exist"),
+        (["good.csv", *FOR, "--unit", "inch"], "--unit 'inch' is none of m, mm"),
+        (["good.csv", *FOR, "--quaternion", "abcd"], "none of wxyz, xyzw"),
+        (["good.csv", *FOR, "--quaternion", "xyzw"], "give --quaternion wxyz"),
+        (["good.csv", *FOR, "--unit", "mm"], "give --unit m"),
+        (["good.csv", *FOR, "--format", "tables"], "Did you mean 'table'"),
+        (["good.csv", *FOR, "--base-body", "wrist"], "no body of allegro_hand"),
+        (["good.csv", *FOR, "--joint-names", "a,b"], "has 16 joints and --joint-names gives 2"),
+        (["good.csv", *FOR, "--out", "rows.xlsx"], "rows are written as"),
+        (["good.csv", "--hand", "shadow_hand", "--object", "box"], "is for the hand"),
+        (["out/graspdata", *FOR], "say --by-number"),
+    ],
+)
+def test_bad_input_is_told(folder: Path, arguments: list[str], said: str) -> None:
+    name, *rest = arguments
+    rest = [str(folder / r) if r == "rows.xlsx" else r for r in rest]
+    before = sorted(folder.iterdir())
+    done = RUN.invoke(app, ["audit", str(folder / name), *rest])
+    assert done.exit_code == 3, done.output
+    assert re.search(said, " ".join(done.output.split())), done.output
+    assert sorted(folder.iterdir()) == before
+
+
+def test_a_grasp_that_does_not_press_falls(plans: list[GraspPlan]) -> None:
+    """The trial tells grasps apart: one opened to its pre-grasp holds nothing."""
+    for task, given in given_of_plans(plans[:1], Path("x")):
+        (grasp,) = given.grasps
+        good = hold_given_grasp(task, grasp)
+        assert good.passed, good.reason
+        loose = replace(grasp, q=plans[0].q_pregrasp, q_squeeze=plans[0].q_pregrasp)
+        bad = hold_given_grasp(task, loose)
+        assert bad.passed is False and "the object moved" in bad.reason
+        still = hold_given_grasp(replace(task, gravity=np.zeros(3)), loose)
+        assert still.passed, "without weight it stays"
+
+
+def test_the_benchmark_of_the_audit(tmp_path: Path) -> None:
+    arguments = ["bench", "audit", "allegro_hand", "--objects", "box", "-n", "2"]
+    done = RUN.invoke(app, [*arguments, "--faulty", "2", "--timed", "20", "--json"])
+    assert done.exit_code == 0, done.output
+    (row,) = json.loads(done.stdout)["rows"]
+    assert row["passed"] == row["planned"] == 2
+    assert all(f["found"] == f["made"] == 2 for f in row["faults"].values())
+    assert len(row["faults"]) == 6
+    assert 0.0 < row["cpu_s"] < 20 * 0.12  # 1,000 in 120 CPU seconds
