@@ -24,7 +24,7 @@ from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
 from planner.objects import parse_object
-from planner.refine import Movement, RefinedGrasp
+from planner.refine import Movement, RefinedGrasp, with_fingers
 from planner.refine.near import NEAR, near_numbers
 from planner.refine.pads import under_pads
 from planner.refine.pose import palm_pose
@@ -477,6 +477,15 @@ def test_a_result_comes_back_whole_from_another_process() -> None:
     assert need_plan(again).task is result.task
     assert (need_plan(again).q == need_plan(result).q).all()
     assert str(need_plan(again)) == str(need_plan(result))
+
+
+def test_a_result_with_fewer_fingers_comes_back_for_those() -> None:
+    task, poses = some_poses(1)
+    fewer = with_fingers(task, ("thumb", "index", "middle"))
+    result = replace(refine_grasp(task, *poses[0]), task=fewer)
+    again = _Reader(io.BytesIO(_packed(result)), task).load()
+    assert again.task is fewer
+    assert need_plan(again).task is task
 
 
 def test_as_many_tasks_as_poses() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import typer
 
-from sim.cli.bench import best, control, dexgraspbench, grasps, pages, refine, synthesis, turns, zoo
 from sim.cli.bench import (
     audit,
     best,
@@ -13,6 +12,7 @@ from sim.cli.bench import (
     exports,
     grasps,
     pages,
+    refine,
     synthesis,
     turns,
     zoo,
