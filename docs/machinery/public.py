@@ -41,6 +41,8 @@ GROUPS: dict[str, list[str]] = {
     "Tasks and planning": [
         "planner.task",
         "planner.search",
+        "planner.refine",
+        "planner.finishing",
         "planner.best",
         "planner.attempt",
         "planner.plan",

@@ -19,7 +19,7 @@ from planner.shapes import Mesh, Shape
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 
-__all__ = ["doubts", "nearest_on", "signed_distance"]
+__all__ = ["bears", "closes", "doubts", "nearest_on", "signed_distance"]
 
 TOUCH, DEEP = 5.5e-4, 2e-4
 """Gap (m) of a pad that still touches, sampling included; depth (m) of a sample that penetrates."""
@@ -27,7 +27,7 @@ TOUCH, DEEP = 5.5e-4, 2e-4
 EDGES = 16
 """Edges of the friction pyramid in the force programme."""
 
-CLOSURE_EDGES = 8
+FEW_EDGES = 8
 """The same for closure."""
 
 
@@ -52,10 +52,10 @@ def doubts(plan: GraspPlan) -> list[str]:
     said += _penetrations(plan, turn, shift, data, pads)
     inward, where = np.array(normals), np.array(points)
     length = float(np.linalg.norm(where, axis=1).max())
-    if not _closes(where, inward, task.mu, length):
+    if not closes(where, inward, task.mu, length):
         said.append("the contacts do not close")
     pull = task.T_world_object.rotation.T @ (task.object.mass * task.gravity)
-    if not _bears(where, inward, task.mu, pull, task.grip_force, length):
+    if not bears(where, inward, task.mu, pull, task.grip_force, length):
         said.append("no forces within friction bear the weight")
     limits = np.maximum(task.hand.q_lower - plan.q, plan.q - task.hand.q_upper)
     if limits.max() > 1e-6:
@@ -282,9 +282,9 @@ def _edges(points: FloatArray, inward: FloatArray, mu: float, k: int, length: fl
     return np.array(columns).T
 
 
-def _closes(points: FloatArray, inward: FloatArray, mu: float, length: float) -> bool:
+def closes(points: FloatArray, inward: FloatArray, mu: float, length: float) -> bool:
     """Whether positive weights of all edges sum up to no wrench, and the edges span all."""
-    W = _edges(points, inward, mu, CLOSURE_EDGES, length)
+    W = _edges(points, inward, mu, FEW_EDGES, length)
     n = W.shape[1]
     # unknowns a, l: a_i - l >= 0, sum a = 1, W a = 0; largest l
     found = linprog(
@@ -298,7 +298,7 @@ def _closes(points: FloatArray, inward: FloatArray, mu: float, length: float) ->
     return bool(found.success and found.x[-1] > 0.0 and np.linalg.matrix_rank(W, 1e-6) == 6)
 
 
-def _bears(
+def bears(
     points: FloatArray,
     inward: FloatArray,
     mu: float,

@@ -13,6 +13,7 @@ from sim.cli.bench import (
     episodes,
     grasps,
     pages,
+    refine,
     synthesis,
     turns,
     witness,

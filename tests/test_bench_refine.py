@@ -1,0 +1,130 @@
+"""The measurement of refinement on few plans, and that its second opinion can tell errors."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner
+
+from planner import GraspTask, plan_grasp
+from planner.errors import TaskError
+from planner.objects import parse_object
+from planner.plan import GraspPlan
+from planner.spatial import SE3
+from sim.bench.objects import bench_objects
+from sim.bench.plain_check import bears, closes, doubts, nearest_on, signed_distance
+from sim.bench.refine import perturbed, refine_tables, run_refine
+from sim.cli import app
+from sim.runner import Runner
+
+HERE = Runner(console=Console(quiet=True), check=lambda: None)
+"""Works here, shows nothing, and never finds Ctrl-C."""
+
+
+@pytest.fixture(scope="module")
+def plan() -> GraspPlan:
+    return plan_grasp(GraspTask.create("allegro_hand", "sphere"), seed=0)
+
+
+def test_rows_tell_what_was_moved_and_that_it_is_true() -> None:
+    result = run_refine(
+        ["allegro_hand"],
+        bench_objects(["sphere"]),
+        2,
+        levels=[(0.01, 0.2)],
+        checks=1,
+        seed=0,
+        runner=HERE,
+    )
+    rows = result["rows"]
+    assert [row["found"] for row in rows] == [True, True]
+    assert [row["again"] for row in rows] == ["", ""]
+    assert [row["doubts"] for row in rows] == [[], None]
+    assert all(row["contact_mm"] < 20.0 and 0.0 < row["cpu_s"] < 10.0 for row in rows)
+    rows[0].update(again="a false plan", contact_mm=13.0)
+    table, *said = refine_tables(result)
+    assert "allegro_hand sphere 0: a false plan" in said
+    shown = Console(width=200, record=True)
+    shown.print(table)
+    assert "1/2 = 50.0 %" in shown.export_text()
+
+
+def test_the_command_measures() -> None:
+    words = ["bench", "refine", "allegro_hand", "--objects", "sphere", "-n", "1"]
+    done = CliRunner().invoke(app, [*words, "--shifts", "5", "--turns", "0.1", "--json"])
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["rows"][0]["shift_mm"] == pytest.approx(5.0)
+    wrong = CliRunner().invoke(app, [*words, "--shifts", "-5", "--turns", "0.1"])
+    assert wrong.exit_code == 3
+    fewer = CliRunner().invoke(app, [*words, "--shifts", "5,10", "--turns", "0.1"])
+    assert fewer.exit_code == 3
+
+
+def test_negative_amounts_are_refused() -> None:
+    with pytest.raises(TaskError, match="shifts and turns >= 0"):
+        run_refine(
+            ["allegro_hand"],
+            bench_objects(["sphere"]),
+            1,
+            levels=[(-0.01, 0.2)],
+            checks=0,
+            seed=0,
+            runner=HERE,
+        )
+
+
+def test_a_hand_is_perturbed_by_as_much_as_is_said(plan: GraspPlan) -> None:
+    base, q = perturbed(plan, 0.01, 0.2, np.random.default_rng(3))
+    middle = plan.contacts.positions.mean(axis=0)
+    motion = base * plan.T_world_base.inverse()
+    assert np.linalg.norm(motion.act(middle) - middle) == pytest.approx(0.01)
+    assert np.linalg.norm(pin.log3(motion.rotation)) == pytest.approx(0.2)
+    assert 0.05 < np.abs(q - plan.q).max() <= 0.1
+    assert (perturbed(plan, 0.0, 0.0, np.random.default_rng(3))[1] == plan.q).all()
+
+
+def test_the_second_opinion_sees_what_is_wrong(plan: GraspPlan) -> None:
+    assert doubts(plan) == []
+    T = plan.T_world_base
+    sideways = np.array([0.002, 0.0, 0.0])
+    beside = replace(plan, T_world_base=SE3(T.rotation, T.translation + sideways))
+    assert any("mm off" in text for text in doubts(beside))
+    sunk = replace(plan, T_world_base=SE3(T.rotation, T.translation - [0.0, 0.0, 0.1]))
+    assert any("below the table" in text for text in doubts(sunk))
+    assert any("in the object" in text for text in doubts(sunk))
+    bent = plan.q.copy()
+    bent[0] = plan.task.hand.q_upper[0] + 0.01
+    assert any("limit" in text for text in doubts(replace(plan, q=bent)))
+
+
+def test_the_second_opinion_on_closure_and_weight_is_that_of_known_cases() -> None:
+    turns = 2 * np.pi * np.arange(3) / 3
+    inward = -np.column_stack([np.cos(turns), np.sin(turns), 0 * turns])
+    around = -0.03 * inward
+    pull = np.array([0.0, 0.0, -1.0])
+    assert closes(around, inward, 0.5, 0.03)
+    assert bears(around, inward, 0.5, pull, 1.0, 0.03)
+    assert not closes(around, inward, 0.0, 0.03)
+    assert not bears(around, inward, 0.0, pull, 1.0, 0.03)
+    # all on one side: they push the object away
+    beside = np.array([[0.0, 0.0, 0.0], [0.0, 0.02, 0.0], [0.0, 0.0, 0.02]])
+    same = np.tile([1.0, 0.0, 0.0], (3, 1))
+    assert not closes(beside, same, 0.5, 0.03)
+    assert not bears(beside, same, 0.5, pull, 1.0, 0.03)
+
+
+@pytest.mark.parametrize("spec", ["sphere", "box", "cylinder", "capsule", "ellipsoid", "torus"])
+def test_distances_by_formula_are_those_of_the_shapes(spec: str) -> None:
+    shape = parse_object(spec).shape
+    points = np.random.default_rng(0).normal(0, 0.05, (60, 3))
+    near, outward = shape.closest_point(points)
+    signed = ((points - near) * outward).sum(axis=1)
+    assert nearest_on(shape, points)[0] == pytest.approx(np.abs(signed), abs=1e-7)
+    mine = signed_distance(shape, points)
+    assert mine[signed < 0] == pytest.approx(signed[signed < 0], abs=1e-7)
+    assert (mine[signed > 0] > 0).all()
