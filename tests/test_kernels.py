@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import importlib.util
+import marshal
 import subprocess
 import sys
+from types import FunctionType
 
 import numpy as np
 import pytest
 
+from planner.numerics import kernels
 from planner.numerics.kernels import compile_loops, kernel
 
 
@@ -50,6 +53,15 @@ def test_planning_is_imported_without_what_few_plans_need() -> None:
     loaded = {name.partition(".")[0] for name in done.stdout.split()}
     assert {"casadi", "pinocchio", "coal"} <= loaded
     assert not loaded & {"scipy", "trimesh", "qpsolvers", "numba"}
+
+
+def test_the_name_of_machine_code_does_not_depend_on_where_the_loops_were_read_from() -> None:
+    """Read from a ``.pyc`` file or compiled anew: the same machine code serves both."""
+    loops = norms.loops  # type: ignore[attr-defined]
+    again = FunctionType(marshal.loads(marshal.dumps(loops.__code__)), loops.__globals__)
+    assert kernels._digest(again) == kernels._digest(loops)
+    held = list(loops.__code__.co_consts), list(loops.__code__.co_names)  # more references
+    assert kernels._digest(again) == kernels._digest(loops) and held
 
 
 @pytest.mark.parametrize("asked", ["0", ""])

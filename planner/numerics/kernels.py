@@ -100,9 +100,13 @@ def _compile(loops: Any, *, called: bool) -> Any:
     return numba.njit(cache=not called, no_cpython_wrapper=called, **options)(copy)
 
 
+WITHOUT_REFERENCES = 2
+"""Version of ``marshal`` whose bytes do not tell whether the code was read from a ``.pyc`` file."""
+
+
 def _digest(loops: Any) -> str:
     """Digest of loops, of the numbers that they take from modules, and of the loops they call."""
-    parts = [marshal.dumps(_without_place(loops.__code__))]
+    parts = [marshal.dumps(_without_place(loops.__code__), WITHOUT_REFERENCES)]
     for value in _taken(loops).values():
         if hasattr(value, "loops"):
             parts.append(_digest(value.loops).encode())

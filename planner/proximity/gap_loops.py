@@ -206,7 +206,7 @@ def _parted(a: FloatArray, b: FloatArray, c: FloatArray, apex: FloatArray) -> bo
     nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
     of_apex = nx * (apex[0] - a[0]) + ny * (apex[1] - a[1]) + nz * (apex[2] - a[2])
     of_origin = -(nx * a[0] + ny * a[1] + nz * a[2])
-    return of_apex * of_origin <= 0.0
+    return bool(of_apex * of_origin <= 0.0)
 
 
 @loops_of_kernels

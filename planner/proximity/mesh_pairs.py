@@ -265,7 +265,7 @@ class MeshPairs:
         inside = apart == 0.0
         field = self._mesh.field()
         apart[inside] = field.value(points[inside]) - field.error
-        return np.maximum(bounds, apart.min(axis=1)) - self._radii[which]
+        return np.asarray(np.maximum(bounds, apart.min(axis=1)) - self._radii[which])
 
     def _covers(self, which: IntArray) -> FloatArray:
         """Centres of the balls that cover geometries, in the mesh's frame, (k, BALLS, 3), m."""

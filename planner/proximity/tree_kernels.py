@@ -153,7 +153,8 @@ def gaps_to_triangles(
             while j > 0 and values[count + order[j]] < values[count + order[j - 1]]:
                 order[j], order[j - 1] = order[j - 1], order[j]
                 j -= 1
-    for i in order:
+    for place in range(n):
+        i = int(order[place])
         body, below = which[i], limit
         if count > 0:
             below = max(_smallest(values, count), floor)
@@ -216,7 +217,7 @@ def _bound(
         apart = abs(turn[0, k] * x + turn[1, k] * y + turn[2, k] * z) - size[k]
         if apart > 0.0:
             square += apart * apart
-    return max(math.sqrt(square), above) - size[3] - ball[3]
+    return float(max(math.sqrt(square), above) - size[3] - ball[3])
 
 
 @loops_of_kernels

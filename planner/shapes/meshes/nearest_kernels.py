@@ -109,7 +109,7 @@ def _within_plain(
     owners, found = [], []
     for i, point in enumerate(points):
         near, _ = nearest_on_triangles(np.broadcast_to(point, (len(corners), 3)), corners)
-        mine = np.sort(numbers[((near - point) ** 2).sum(axis=1) <= radius**2])
+        mine = numbers[((near - point) ** 2).sum(axis=1) <= radius**2]
         owners.append(np.full(len(mine), i, dtype=np.int64))
         found.append(mine)
     none = np.zeros(0, dtype=np.int64)
@@ -128,14 +128,14 @@ def triangles_within(
 ) -> tuple[IntArray, IntArray]:
     """Triangles that come within a distance (m) of points, as pairs of both numbers, (k,) each.
 
-    Sorted by point, then by triangle. Arguments as of ``nearest_triangles``.
+    Sorted by point, of each as they are in the tree. Arguments as of ``nearest_triangles``.
     """
     inner, on = len(nodes) // 2, np.empty(3)
     stack = np.empty(64, dtype=np.int64)
     owners, found = np.empty(256, dtype=np.int64), np.empty(256, dtype=np.int64)
     k = 0
     for i in range(len(points)):
-        point, begin = points[i], k
+        point = points[i]
         stack[0], top = 0, 1
         while top > 0:
             top -= 1
@@ -151,12 +151,19 @@ def triangles_within(
                 x, y, z = on[0] - point[0], on[1] - point[1], on[2] - point[2]
                 if x * x + y * y + z * z <= radius * radius:
                     if k == len(found):
-                        owners = np.concatenate((owners, np.empty_like(owners)))
-                        found = np.concatenate((found, np.empty_like(found)))
+                        owners, found = _twice_as_long(owners), _twice_as_long(found)
                     owners[k], found[k] = i, numbers[f]
                     k += 1
-        found[begin:k] = np.sort(found[begin:k])
     return owners[:k], found[:k]
+
+
+@loops_of_kernels
+def _twice_as_long(values: IntArray) -> IntArray:
+    """The same values, with as much space behind them."""
+    out = np.empty(2 * len(values), dtype=np.int64)
+    for i in range(len(values)):
+        out[i] = values[i]
+    return out
 
 
 @loops_of_kernels

@@ -148,7 +148,9 @@ class NearestTriangles:
         """
         if kernels_are_compiled():
             points = np.ascontiguousarray(points, dtype=np.float64)
-            return triangles_within(points, float(radius), *self._tree)
+            owner, triangle = triangles_within(points, float(radius), *self._tree)
+            order = np.argsort(owner * len(self.faces) + triangle)
+            return owner[order], triangle[order]
         found = self._cover_tree.query_ball_point(points, radius + COVERED * self._step)
         counts = [len(row) for row in found]
         owner = np.repeat(np.arange(len(points)), counts)
