@@ -58,7 +58,6 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
     "Grasp": (
         Listed(call=run, example="opposable run shadow_hand box"),
         Listed(call=plan, example="opposable plan shadow_hand box -o plan.json"),
-        Listed(call=refine, example="opposable refine plan.json --out refined"),
         Listed(call=simulate, example="opposable simulate plan.json -o report.json"),
         Listed(call=test, example="opposable test plan.json --protocol shake"),
         Listed(call=drive, example="opposable drive plan.json --rate 100 --log run.npz"),
@@ -86,17 +85,15 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
     ),
     "Data": (
         Listed(call=batch, example="opposable batch allegro_hand box mug -n 20"),
-        Listed(call=states, example="opposable states allegro_hand cylinder:0.03x0.08 -n 500"),
         Listed(call=extract, example="opposable extract grasps 0 -o first.json"),
-        Listed(call=export, example="opposable export plan.json --to ros2-grasp -o grasp.yaml"),
-        Listed(call=episodes, example="opposable episodes plan.json -o episodes --video"),
-        Listed(
-            call=audit,
-            example="opposable audit grasps.csv --hand allegro_hand --object box",
-        ),
-        Listed(call=audit, example="opposable audit plan.json"),
-        Listed(call=export, example="opposable export plan.json --to ros2-grasp -o grasp.json"),
+        Listed(call=states, example="opposable states allegro_hand cylinder:0.03x0.08 -n 500"),
         Listed(call=schema, example="opposable schema plan"),
+    ),
+    "Exchange": (
+        Listed(call=export, example="opposable export plan.json --to ros2-grasp -o grasp.yaml"),
+        Listed(call=audit, example="opposable audit plan.json"),
+        Listed(call=refine, example="opposable refine plan.json --out refined"),
+        Listed(call=episodes, example="opposable episodes plan.json -o episodes --video"),
     ),
     "Models": (
         Listed(call=describe, example="opposable describe my_hand.xml -o hand.toml"),

@@ -19,7 +19,6 @@ from sim.cli.bench import (
     witness,
     zoo,
 )
-from sim.cli.bench import best, control, dexgraspbench, grasps, pages, refine, synthesis, turns, zoo
 
 __all__ = ["register"]
 
