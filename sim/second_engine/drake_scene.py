@@ -16,9 +16,9 @@ Contacts are Drake's compliant hydroelastic patches: pressure fields inside of b
 balance is a surface. Modulus, dissipation, friction's regularisation and solver are Drake's
 defaults, which nobody here tuned; only the meshes inside are finer than its 20 mm, since they stand
 for fingertips of 8 mm (``RESOLUTION``). Its other model, points of deepest penetration, cannot be
-used here: for ends of capsules and for ellipsoids its normals are off by 10 to 40 degrees at any
-depth (FCL's EPA), and grasps roll out of the hand by that alone. Two frictions mix as
-2 a b / (a + b), which is mu where both are mu.
+used here: its normals (FCL's EPA) are off by 9 to 19 degrees between a sphere and an ellipsoid, 0.01
+to 1 mm deep, and by up to 40 degrees at ends of capsules in a grasp, which then rolled out of the
+hand. Two frictions mix as 2 a b / (a + b), which is mu where both are mu.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ TIME_STEP = 0.001
 
 RESOLUTION = 0.005
 """Edge length (m) of the meshes that carry pressure. A coarse mesh lies inside of its shape: at the
-grasp a finger moves until the meshes touch, 10 mm at 20 mm (Drake's default), 0.4 mm at 5 mm, 0.2
-mm at 2 mm, which takes four times as long."""
+grasp a finger moves until the meshes touch: by 3 to over 10 mm at 20 mm (Drake's default), 0.2 to
+0.7 mm at 5 mm, 0.1 to 0.3 mm at 2 mm, which takes four times as long."""
 
 STOP_STIFFNESS, STOP_DAMPING = 20.0, 0.1
 """Of a stop or tie between joints, N m/rad and N m s/rad: 0.2 N m, the torque of a firm grip, bends
-it by 0.01 rad; explicit in time, it stays stable down to an inertia of 2e-5 kg m2 at 1 ms."""
+it by 0.01 rad; explicit in time, it stays stable down to an inertia of 5e-5 kg m2 at 1 ms."""
 
 
 def drake_missing() -> str:
