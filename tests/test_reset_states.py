@@ -13,18 +13,22 @@ from dataclasses import replace
 from pathlib import Path
 from shutil import copytree
 
+import mujoco
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from planner.errors import FileFormatError, ObjectError, TaskError
 from planner.objects import parse_object
+from planner.task import GraspTask
+from sim.physics import PhysicsOptions
 from sim.reset_states import Draws, StatesAsked, StateSet, StatesProgress, make_states
 from sim.reset_states.asked import cells_of, scaled
 from sim.reset_states.check_states import main as share_held
 from sim.reset_states.coverage import BANDS, SECTORS, TURNS, coverage, orientation_cells
 from sim.reset_states.distinct import NEAR_JOINT, NEAR_POSITION, Distinct
 from sim.reset_states.hold import DROPPED, LIMITS, LOOSE, PENETRATES, REASONS, hold
+from sim.reset_states.scene import write_scene
 from sim.reset_states.shards import SHARD, read_shard, shard_path
 from sim.reset_states.sources import plan_jobs, planned_sources
 from sim.reset_states.starts import Starts, load_starts
@@ -143,6 +147,18 @@ def test_candidate_i_is_the_same_whatever_was_drawn_before(cache: Path, starts: 
     for name in ("q", "commands", "position", "quaternion", "gravity", "mass", "friction"):
         assert np.array_equal(getattr(later, name), getattr(again, name)), name
     assert not np.array_equal(starts.draw(71).gravity, later.gravity)
+
+
+@pytest.mark.parametrize("hand", ["robosuite:inspire_right", "gymnasium-robotics:adroit"])
+def test_a_scene_of_a_hand_with_files_of_its_own_stands_alone(hand: str, tmp_path: Path) -> None:
+    pytest.importorskip(hand.split(":")[0].replace("-", "_"))
+    task = GraspTask.create(hand, "box", table_height=None)
+    there = write_scene(task, PhysicsOptions(), tmp_path / "a").parent.rename(tmp_path / "b")
+    model, own = mujoco.MjModel.from_xml_path(str(there / "scene.xml")), task.hand.mj_model
+    for body in range(1, own.nbody):
+        found = model.body(own.body(body).name)
+        assert np.allclose(found.mass, own.body_mass[body], rtol=1e-5)
+        assert np.allclose(found.inertia, own.body_inertia[body], rtol=1e-4, atol=1e-9)
 
 
 def test_a_gait_gives_poses_that_fewer_fingers_hold() -> None:

@@ -8,12 +8,11 @@ the model that is read back from the file: what is checked is what others load.
 
 from __future__ import annotations
 
-import zipfile
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from io import BytesIO
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -28,8 +27,11 @@ from sim.scene import OBJECT, add_solid_object, hand_spec
 
 __all__ = ["SCENE_FILE", "HoldScene", "load_scene", "write_scene"]
 
-SCENE_FILE = "scene.xml"
-"""Name of the model in its folder."""
+SCENE_FILE, MESHES = "scene.xml", "meshes"
+"""Name of the model in its folder, and of the folder of its mesh files."""
+
+ROUNDING = 1e-9
+"""Share by which a moment of inertia is lowered for MuJoCo's test of A + B >= C."""
 
 
 def write_scene(task: GraspTask, physics: PhysicsOptions, folder: Path) -> Path:
@@ -57,15 +59,63 @@ def write_scene(task: GraspTask, physics: PhysicsOptions, folder: Path) -> Path:
     add_solid_object(spec, item, SE3.Identity(), physics)
     compile_spec(spec, what)
     folder.mkdir(parents=True, exist_ok=True)
-    packed = BytesIO()
-    spec.to_zip(packed)
-    with zipfile.ZipFile(packed) as archive:
-        for name in archive.namelist():
-            inside = PurePosixPath(name)
-            target = folder / (SCENE_FILE if inside.suffix == ".xml" else str(inside))
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(archive.read(name))
+    root = ET.fromstring(spec.to_xml())
+    _copy_meshes(root, spec, folder)
+    _drop_pictures(root)
+    for inertial in root.iter("inertial"):
+        _mend_rounding(inertial)
+    ET.indent(root)
+    (folder / SCENE_FILE).write_text(ET.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
     return folder / SCENE_FILE
+
+
+def _copy_meshes(root: ET.Element, spec: Any, folder: Path) -> None:
+    """Copy the mesh files that geoms use beside the model, and name them there.
+
+    Raises:
+        ModelError: A mesh file cannot be copied.
+    """
+    used = {geom.get("mesh") for geom in root.iter("geom")}
+    home = Path(spec.modelfiledir) / spec.meshdir
+    for parent in root.iter("asset"):
+        for number, mesh in enumerate(list(parent.iter("mesh"))):
+            file = mesh.get("file")
+            if file is None:
+                continue
+            if mesh.get("name", Path(file).stem) not in used:
+                parent.remove(mesh)
+                continue
+            name = f"{number}-{Path(file).name}"
+            (folder / MESHES).mkdir(exist_ok=True)
+            try:
+                content = spec.assets.get(file) or (home / file).read_bytes()
+                (folder / MESHES / name).write_bytes(content)
+            except OSError as error:
+                raise ModelError(f"cannot copy the mesh {home / file}: {error.strerror}") from error
+            mesh.set("name", mesh.get("name", Path(file).stem))
+            mesh.set("file", name)
+    for compiler in root.iter("compiler"):
+        compiler.set("meshdir", MESHES)
+
+
+def _drop_pictures(root: ET.Element) -> None:
+    """Leave out textures, whose files would have to come along."""
+    for asset in root.iter("asset"):
+        for texture in asset.findall("texture"):
+            asset.remove(texture)
+    for material in root.iter("material"):
+        material.attrib.pop("texture", None)
+        for layer in material.findall("layer"):
+            material.remove(layer)
+
+
+def _mend_rounding(inertial: ET.Element) -> None:
+    """Lower the largest principal moment to the sum of the others, where 6 digits put it above."""
+    moments = [float(v) for v in inertial.get("diaginertia", "").split()]
+    if moments and max(moments) > sum(moments) - max(moments):
+        most = moments.index(max(moments))
+        moments[most] = (sum(moments) - moments[most]) * (1.0 - ROUNDING)
+        inertial.set("diaginertia", " ".join(map(repr, moments)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
