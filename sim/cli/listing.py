@@ -16,17 +16,17 @@ from sim.cli.batch import batch, extract
 from sim.cli.certify import certify
 from sim.cli.creep import creep
 from sim.cli.crosscheck import crosscheck
-from sim.cli.export import export
-from sim.cli.episodes import episodes
 from sim.cli.drive import drive
+from sim.cli.episodes import episodes
+from sim.cli.export import export
 from sim.cli.forces import forces
 from sim.cli.grasp import plan, run, simulate
 from sim.cli.hands import check_hand, describe, hands
 from sim.cli.look import analyse, inspect, schema
 from sim.cli.manipulation import demo, manipulate
 from sim.cli.motion import plan_gait, plan_motion
-from sim.cli.states import states
 from sim.cli.refine import refine
+from sim.cli.states import states
 from sim.cli.test import test
 from sim.cli.view import view
 
