@@ -20,6 +20,7 @@ WIDTH, HEIGHT = 80, 40
 """A terminal, characters."""
 
 LONG = ("run", "plan", "batch", "manipulate", "plan-motion", "plan-gait", "states")
+LONG = ("run", "plan", "batch", "manipulate", "plan-motion", "plan-gait", "refine")
 """Commands with so many options that no help of one line each fits a screen."""
 
 SLOW = (

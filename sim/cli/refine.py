@@ -17,6 +17,7 @@ from sim.cli.common import (
     EXIT_NO,
     EXIT_NOT_FOUND,
     SCENE_PANEL,
+    SEARCH_PANEL,
     JsonOption,
     err,
     errors_for_people,
@@ -160,12 +161,22 @@ def refine(
     request: GivenTaskOptions,
     clamp: Annotated[
         bool,
-        typer.Option("--clamp", help="Joints beyond limits count as given there.", metavar=""),
+        typer.Option(
+            "--clamp",
+            help="Joints beyond limits count as given there.",
+            metavar="",
+            rich_help_panel=SEARCH_PANEL,
+        ),
     ] = False,
-    workers: Annotated[int, typer.Option(help="Processes; -1 for one per core.", metavar="N")] = 1,
+    workers: Annotated[
+        int,
+        typer.Option(
+            help="Processes; -1 for one per core.", metavar="N", rich_help_panel=SEARCH_PANEL
+        ),
+    ] = 1,
     as_json: JsonOption = False,
 ) -> None:
-    """Bring given hand poses to the nearest grasps that pass the whole verdict.
+    """Bring given hand poses to the nearest verified grasps.
 
     A plan file brings hand, object and surroundings, and only its pose is taken; other files need
     --hand and --object. Fingers are found from the poses if --fingers does not name them. What is
