@@ -90,7 +90,7 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
         Listed(call=schema, example="opposable schema plan"),
     ),
     "Exchange": (
-        Listed(call=export, example="opposable export plan.json --to ros2-grasp -o grasp.yaml"),
+        Listed(call=export, example="opposable export plan.json --to ros2-grasp -o g.yaml"),
         Listed(call=audit, example="opposable audit plan.json"),
         Listed(call=refine, example="opposable refine plan.json --out refined"),
         Listed(call=episodes, example="opposable episodes plan.json -o episodes --video"),

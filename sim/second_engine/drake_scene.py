@@ -16,9 +16,9 @@ Contacts are Drake's compliant hydroelastic patches: pressure fields inside of b
 balance is a surface. Modulus, dissipation, friction's regularisation and solver are Drake's
 defaults, which nobody here tuned; only the meshes inside are finer than its 20 mm, since they stand
 for fingertips of 8 mm (``RESOLUTION``). Its other model, points of deepest penetration, cannot be
-used here: its normals (FCL's EPA) are off by 9 to 19 degrees between a sphere and an ellipsoid, 0.01
-to 1 mm deep, and by up to 40 degrees at ends of capsules in a grasp, which then rolled out of the
-hand. Two frictions mix as 2 a b / (a + b), which is mu where both are mu.
+used here: its normals (FCL's EPA) are off by 9 to 19 degrees between a sphere and an ellipsoid that
+overlap by 0.01 to 1 mm, and by up to 40 degrees at ends of capsules in a grasp, which then rolled
+out of the hand. Two frictions mix as 2 a b / (a + b), which is mu where both are mu.
 """
 
 from __future__ import annotations
