@@ -113,9 +113,15 @@ def refine(
     brought back is written as plan files. Exit code 0 if all are, 1 if some are not, 4 if none is.
     """
     from planner.batch import refine_grasps
+    from planner.errors import FileFormatError
     from planner.files import write_json, write_plan
 
     assumed, given = _poses(file, hand, object, reading, request)
+    if folder.is_dir() and any(folder.iterdir()):
+        raise FileFormatError(
+            f"{folder} exists already and is not empty; name another folder with --out, since "
+            "plans of two runs would lie beside each other"
+        )
     make_folder(folder)
     rows: dict[int, dict[str, Any]] = {}
     complete = False
@@ -287,7 +293,7 @@ def _show(report: dict[str, Any], folder: Path) -> None:
         out,
         escape(
             f"{report['found']} of {report['total']} brought back; written to {folder}: "
-            "a plan file for each, refined.json"
+            f"{'a plan file for each, ' if report['found'] else ''}refined.json"
         ),
     )
 
