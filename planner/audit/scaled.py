@@ -13,7 +13,7 @@ from planner.shapes import SIZED_SHAPES, Mesh
 __all__ = ["scaled_object"]
 
 SAME = 1e-3
-"""How far (-) lengths and volume of the result may be from what is asked for: they are far off for
+"""Largest relative error (-) of lengths and volume of the result; it is larger for
 a shape of which not all sizes are lengths."""
 
 

@@ -34,7 +34,7 @@ ARRAY_SUFFIXES = (".npy", ".npz", ".pkl", ".pickle", ".pt", ".pth")
 """How files end that are read here, or refused by name."""
 
 MOST_BYTES = 1 << 30
-"""Of a file, and of what is packed in it."""
+"""Largest size (bytes) of a file, and of the arrays that it unpacks to."""
 
 _NPY, _ZIP, _TORCH_MAGIC = b"\x93NUMPY", b"PK\x03\x04", b"\x8a\x0al\xfc\x9cF\xf9 j\xa8P\x19."
 
@@ -155,6 +155,7 @@ def _npz(data: bytes, path: Path) -> dict[str, NDArray[Any]]:
                 m.filename.removesuffix(".npy"): _npy(packed.read(m), f"{path}, {m.filename}")
                 for m in members
             }
+    # zipfile raises RuntimeError for encrypted members, NotImplementedError for other compressions
     except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError) as error:
         raise FileFormatError(
             f"{path} is a damaged or encrypted .npz file ({error}); copy it again"

@@ -37,7 +37,7 @@ class Channels:
         names: n names, as the file calls them.
         matrix: (n, nq), value = matrix q + offset.
         offset: (n,), rad or m.
-        said: Sentences on what is left out or commanded together.
+        said: Sentences that name joints left out and joints commanded together.
     """
 
     names: tuple[str, ...]

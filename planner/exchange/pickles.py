@@ -239,13 +239,13 @@ class _Machine:
     def append(self, values: list[Any]) -> None:
         """Lengthen the list on the stack."""
         if not isinstance(self.stack[-1], list):
-            raise ValueError("values for what is no list")
+            raise ValueError("values are appended to something else than a list")
         self.stack[-1].extend(values)
 
     def insert(self, values: list[Any]) -> None:
         """Add keys and values to the dictionary on the stack."""
         if not isinstance(self.stack[-1], dict) or len(values) % 2:
-            raise ValueError("keys for what is no dictionary")
+            raise ValueError("keys are set on something else than a dictionary")
         for key, value in zip(values[::2], values[1::2], strict=True):
             if not isinstance(key, str | int):  # what else hashes may do so without end
                 raise _Refused(f"a key that is a {type(key).__name__}, neither text nor a number")
