@@ -59,8 +59,8 @@ PROTOCOLS: Mapping[str, MakeCases] = MappingProxyType(
 """Name -> what makes the trials out of settings and the seed of random directions and errors."""
 
 IN_ALL = tuple(name for name in PROTOCOLS if name not in ("drake", "reality"))
-"""Protocols that "all" stands for: "drake" needs another package, and "reality" tests the controller
-more than the grasp; both are run by their names."""
+"""Protocols that "all" stands for: "drake" needs another package, and "reality" tests
+the controller more than the grasp; both are run by their names."""
 
 REPLAYED = ("dexgraspbench", "drake")
 """Protocols with commands and numbers of their own, whatever controller and settings are."""

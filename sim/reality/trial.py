@@ -33,10 +33,16 @@ class RealityOfTrial:
         task: What there is without errors.
     """
 
-    def __init__(self, reality: Reality, task: GraspTask) -> None:
-        """Draw the errors of a trial."""
+    def __init__(self, reality: Reality, task: GraspTask, drawn: Drawn | None = None) -> None:
+        """Draw the errors of a trial.
+
+        Args:
+            reality: How large they are.
+            task: What there is without them.
+            drawn: What stays the same, if it is not to be drawn: that of a report, say.
+        """
         self.reality, self.task = reality, task
-        self.drawn = Drawn.of(reality, task.hand)
+        self.drawn = drawn or Drawn.of(reality, task.hand)
         self._senses = RealSenses(reality, self.drawn, task)
         self._drive = RealDrive(reality, self.drawn, task.hand.actuation)
         self._last: Observation | None = None
