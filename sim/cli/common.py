@@ -153,16 +153,14 @@ PhysicsOption = Annotated[
 RealityOption = Annotated[
     str,
     typer.Option(
-        help="Errors of sensors, drives and object: ideal, lab or rough.",
+        help="How far off: ideal, lab, rough.",
         metavar="NAME",
         rich_help_panel=TRIAL_PANEL,
     ),
 ]
 RealitySeedOption = Annotated[
     int,
-    typer.Option(
-        min=0, help="Of what --reality draws.", metavar="SEED", rich_help_panel=TRIAL_PANEL
-    ),
+    typer.Option(min=0, help="Of what --reality draws.", metavar="N", rich_help_panel=TRIAL_PANEL),
 ]
 PlanArgument = Annotated[Path, typer.Argument(help="A plan file.", metavar="PLAN")]
 

@@ -64,24 +64,21 @@ def test(
     ] = Path("runs/test"),
     pages: Annotated[
         str,
-        typer.Option(
-            help="Of which trials a page (HTML) is written into the folder: none, failures or all."
-        ),
+        typer.Option(help="HTML pages of which trials: none, failures, all."),
     ] = "none",
     seed: SeedOption = 0,
     video: Annotated[
         str | None,
-        typer.Option(help="Film every trial into the folder of --out: mp4, webp or gif."),
+        typer.Option(help="Film every trial into --out: mp4, webp or gif."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Test plans in MuJoCo by protocols: pushes, shaking, errors.
 
     Exit code 0 if every grasp held in every trial without a growing load and bore the first load at
-    rest in every direction. Of all protocols, those that a hand cannot take are skipped. The
-    protocol dexgraspbench has the physics of its original, whatever --physics says. The protocol
-    drake holds the grasp in another engine and is none of "all": pip install "opposable[drake]".
-    The protocol reality, none of "all" either, draws the errors of --reality anew for each trial.
+    rest in every direction. "all" leaves out what the hand cannot take, reality (--reality drawn
+    anew for each trial) and drake (another engine: pip install "opposable[drake]"). The physics of
+    dexgraspbench is its own.
     """
     from planner.errors import NotFoundError, TaskError
     from planner.files import read_plan, write_json
