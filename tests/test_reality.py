@@ -50,6 +50,12 @@ def task(plan: GraspPlan) -> GraspTask:
     return plan.task
 
 
+def changed(reality: Reality, name: str, value: float) -> Reality:
+    """With another number in a field."""
+    values: dict[str, Any] = {name: value}
+    return replace(reality, **values)
+
+
 def nothing(task: GraspTask, **values: Any) -> Drawn:
     """Draws that are all nominal but those given."""
     return replace(Drawn.of(Reality(), task.hand), **values)
@@ -96,7 +102,7 @@ def test_same_seed_same_draws(task: GraspTask) -> None:
 def test_an_error_leaves_the_draws_of_the_others(name: str, value: float, seed: int) -> None:
     hand, first = load_hand("allegro_hand"), replace(REALITIES["rough"], seed=seed)
     before = Drawn.of(first, hand).to_dict()
-    after = Drawn.of(replace(first, **{name: value}), hand).to_dict()
+    after = Drawn.of(changed(first, name, value), hand).to_dict()
     own = name.removeprefix("object_")
     assert {k: v for k, v in before.items() if k != own} == {
         k: v for k, v in after.items() if k != own
@@ -130,13 +136,13 @@ def test_an_arm_is_calibrated() -> None:
 @pytest.mark.parametrize("value", [-1e-3, np.nan, np.inf])
 def test_bad_values_are_refused(name: str, value: float) -> None:
     with pytest.raises(TaskError, match=f"{name} is .*; give a finite number >= 0"):
-        Reality(**{name: value})
+        changed(Reality(), name, value)
 
 
 def test_other_bad_values_are_refused() -> None:
     for name in ("object_size", "object_mass", "object_friction", "torque_constant"):
         with pytest.raises(TaskError, match="a share in"):
-            Reality(**{name: 1.0})
+            changed(Reality(), name, 1.0)
     with pytest.raises(TaskError, match="a probability"):
         Reality(dropout=1.1)
     with pytest.raises(TaskError, match="drift_time is 0"):
@@ -202,7 +208,8 @@ def test_a_camera_sees_at_its_rate_and_late(task: GraspTask) -> None:
 
 
 def test_a_late_pose_is_carried_by_the_hand_once_it_holds(task: GraspTask) -> None:
-    for phase, expected in (("hold", 0.09), ("approach", 0.04)):
+    cases: tuple[tuple[Phase, float], ...] = (("hold", 0.09), ("approach", 0.04))
+    for phase, expected in cases:
         reality = Reality(pose_delay=5 * DT)
         senses = RealSenses(reality, Drawn.of(reality, task.hand), task)
         for k in range(10):
