@@ -19,8 +19,7 @@ LISTED = [c for group in GROUPS.values() for c in group]
 WIDTH, HEIGHT = 80, 40
 """A terminal, characters."""
 
-LONG = (*("run", "plan", "batch", "manipulate", "plan-motion", "plan-gait", "states", "refine"),)
-LONG = (*("run", "plan", "batch", "manipulate", "plan-motion", "plan-gait", "states", "refine"),)
+LONG = ("run", "plan", "batch", "manipulate", "plan-motion", "plan-gait", "states", "refine")
 """Commands with so many options that no help of one line each fits a screen."""
 
 SLOW = (

@@ -159,3 +159,14 @@ def test_ctrl_c_keeps_what_was_refined(
     assert "1 of 2 are kept" in " ".join(done.output.split())
     assert json.loads((tmp_path / "out" / "refined.json").read_text())["total"] == 2
     assert len(list((tmp_path / "out").glob("0-*.json"))) == 1
+
+
+def test_plans_of_two_runs_never_lie_beside_each_other(tmp_path: Path, plan: GraspPlan) -> None:
+    write_plan(plan, tmp_path / "plan.json")
+    folder = tmp_path / "refined"
+    folder.mkdir()
+    (folder / "0-earlier.json").write_text("{}")
+    done = RUN.invoke(app, ["refine", str(tmp_path / "plan.json"), "--out", str(folder)])
+    assert done.exit_code == 3
+    assert "is not empty; name another folder" in " ".join(done.output.split())
+    assert [path.name for path in folder.iterdir()] == ["0-earlier.json"]

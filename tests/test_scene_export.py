@@ -289,9 +289,12 @@ def test_a_folder_of_something_else_is_kept(tmp_path: Path) -> None:
         export_scene(plan, tmp_path / "no" / "scene")
     mine = tmp_path / "mine"
     export_scene(plan, mine)
-    (mine / "old.txt").write_text("of the export before")
-    files = export_scene(plan, mine, physics=PhysicsOptions(mu=0.8))
-    assert mine / "old.txt" not in files and not (mine / "old.txt").exists()
+    (mine / "notes.txt").write_text("of the user")
+    with pytest.raises(FileFormatError, match=r"export and notes\.txt, which would be lost"):
+        export_scene(plan, mine, physics=PhysicsOptions(mu=0.8))
+    assert (mine / "notes.txt").read_text() == "of the user"
+    (mine / "notes.txt").unlink()
+    export_scene(plan, mine, physics=PhysicsOptions(mu=0.8))
     assert json.loads((mine / "physics.json").read_text())["contact"]["friction"] == 0.8
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine", "taken"]
 
@@ -304,3 +307,9 @@ def test_the_format_is_registered_and_writes_a_folder_for_each_plan(tmp_path: Pa
     assert tmp_path / "one" / "scene.xml" in files
     files = MJCF_SCENE.write([plan, plan], tmp_path / "two", Writing())
     assert {path.parts[len(tmp_path.parts) + 1] for path in files} == {"000", "001"}
+    with pytest.raises(FileFormatError, match="exists already"):
+        MJCF_SCENE.write([plan, plan], tmp_path / "two", Writing())
+    weak = plan_grasp(GraspTask.create("shadow_hand_torque", "sphere"))
+    with pytest.raises(TaskError):
+        MJCF_SCENE.write([plan, weak], tmp_path / "three", Writing())
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["one", "two"]  # whole or not at all

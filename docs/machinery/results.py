@@ -22,20 +22,25 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from machinery.commands import shown
+from sim.bench.audit import audit_tables
 from sim.bench.best import best_tables
 from sim.bench.control.tables import control_tables
 from sim.bench.dexgraspbench.evaluate import dexgraspbench_table
+from sim.bench.episodes import episodes_table
+from sim.bench.exports import export_tables
 from sim.bench.forces import force_tables
 from sim.bench.grasps import grasps_table
 from sim.bench.metrics import metrics_table
 from sim.bench.motion import motion_table
 from sim.bench.objectives import objective_tables
 from sim.bench.physics import physics_tables
+from sim.bench.refine import refine_tables
 from sim.bench.scaling import scaling_tables
 from sim.bench.synthesis_tables import synthesis_tables
 from sim.bench.trial_cost import trial_cost_table
 from sim.bench.turn_table import manipulate_table
 from sim.bench.walls import walls_tables
+from sim.bench.witness import witness_tables
 
 DATA = Path(__file__).parent.parent / "results" / "data"
 LARGEST_KB = 200
@@ -43,8 +48,10 @@ LARGEST_KB = 200
 
 Tables = Callable[[dict[str, Any]], Table | str | Iterable[Table | str]]
 TABLES: dict[str, Tables] = {
+    "opposable-bench-audit": audit_tables,
     "opposable-bench-best": best_tables,
     "opposable-bench-control": control_tables,
+    "opposable-bench-exports": export_tables,
     "opposable-bench-forces": force_tables,
     "opposable-bench-grasps": grasps_table,
     "opposable-bench-manipulate": manipulate_table,
@@ -52,11 +59,14 @@ TABLES: dict[str, Tables] = {
     "opposable-bench-motion": motion_table,
     "opposable-bench-objectives": objective_tables,
     "opposable-bench-physics": physics_tables,
+    "opposable-bench-refine": refine_tables,
     "opposable-bench-scaling": scaling_tables,
     "opposable-bench-synthesis": synthesis_tables,
     "opposable-bench-trials": trial_cost_table,
     "opposable-bench-walls": walls_tables,
+    "opposable-bench-witness": witness_tables,
     "opposable-dexgraspbench": dexgraspbench_table,
+    "opposable-episodes-check": episodes_table,
 }
 """Format of a result -> what makes tables of it, as the command does."""
 

@@ -6,8 +6,8 @@ The one number ranks refinements of the same pose:
                + turn^2 / (0.2 rad)^2 + mean joint^2 / (0.2 rad)^2
 
 A contact's displacement is measured from the point of the surface that its pad was nearest to, on
-the side that the pad faces (``planner.refine.under_pads``): a pad that only has to come straight
-down to the surface, or out of it, displaces no contact.
+the side that the pad faces (``planner.refine.pads.under_pads``): a pad that only has to come
+straight down to the surface, or out of it, displaces no contact.
 """
 
 from __future__ import annotations

@@ -26,6 +26,8 @@ from sim.cli.common import (
     print_json,
     say,
 )
+from sim.cli.options import with_options
+from sim.cli.reading import ReadingOptions, our_kind
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,12 +39,6 @@ if TYPE_CHECKING:
     from planner.hands.hand import Hand
     from planner.task import GraspTask
 
-READING_PANEL = "What the file does not say"
-"""Group of options in the help."""
-
-UNITS = {"m": 1.0, "mm": 1e-3}
-ORDERS = ("wxyz", "xyzw")
-
 TABLE_WIDTH = 110
 """Width of the tables, characters."""
 
@@ -51,6 +47,7 @@ SHOWN = 10
 
 
 @errors_for_people()
+@with_options
 def audit(
     file: Annotated[
         Path, typer.Argument(help="A file of grasps, a plan or a batch.", metavar="FILE")
@@ -65,42 +62,8 @@ def audit(
     only: Annotated[
         str, typer.Option(help="Only grasps whose object's name has this in it.", metavar="TEXT")
     ] = "",
-    format: Annotated[
-        str | None,
-        typer.Option(help="By its content if not given.", metavar="NAME"),
-    ] = None,
-    joint_names: Annotated[
-        str | None,
-        typer.Option(
-            help="In the order of the file, comma separated.",
-            metavar="NAMES",
-            rich_help_panel=READING_PANEL,
-        ),
-    ] = None,
-    by_number: Annotated[
-        bool,
-        typer.Option(
-            "--by-number",
-            help="Joints are in the order of the hand.",
-            metavar="",
-            rich_help_panel=READING_PANEL,
-        ),
-    ] = False,
-    quaternion: Annotated[
-        str | None,
-        typer.Option(help="Its order.", metavar="wxyz|xyzw", rich_help_panel=READING_PANEL),
-    ] = None,
-    unit: Annotated[
-        str | None, typer.Option(help="Of lengths.", metavar="m|mm", rich_help_panel=READING_PANEL)
-    ] = None,
-    base_body: Annotated[
-        str,
-        typer.Option(
-            help="Body of the hand whose pose the file gives.",
-            metavar="BODY",
-            rich_help_panel=READING_PANEL,
-        ),
-    ] = "",
+    *,
+    reading: ReadingOptions,
     fingers: FingersOption = None,
     mu: MuOption = 0.5,
     grip_force: Annotated[
@@ -149,20 +112,13 @@ def audit(
     """
     from planner.audit.report import check_form
     from planner.errors import TaskError
-    from planner.exchange.formats import Reading
     from sim.cli.places import object_of, table_of
 
     check_folder(output)
     if output is not None:
         check_form(output)
-    reading = Reading(
-        by_number=by_number,
-        joint_names=None if joint_names is None else tuple(names(joint_names)),
-        quaternion=_chosen("--quaternion", quaternion, ORDERS),
-        unit=None if unit is None else UNITS[str(_chosen("--unit", unit, tuple(UNITS)))],
-        base_body=base_body,
-    )
-    ours = None if format is not None else _our_kind(file)
+    told = reading.reading()
+    ours = None if reading.format is not None else our_kind(file)
     if ours is not None:
         report = _audit_ours(file, ours, approach, workers, simulate, as_json)
     else:
@@ -196,8 +152,8 @@ def audit(
             task_for,
             loaded,
             bar=not as_json,
-            format=format,
-            reading=reading,
+            format=reading.format,
+            reading=told,
             only=only,
             fingers_told=wanted is not None,
             approach=approach,
@@ -215,35 +171,6 @@ def audit(
         raise typer.Exit(EXIT_INTERRUPTED)
     if not report.ok:
         raise typer.Exit(EXIT_NO)
-
-
-def _chosen(option: str, value: str | None, allowed: tuple[str, ...]) -> str | None:
-    """A value out of a few.
-
-    Raises:
-        TaskError: Another one.
-    """
-    from planner.errors import TaskError
-
-    if value is not None and value not in allowed:
-        raise TaskError(f"{option} {value!r} is none of {', '.join(allowed)}; give one of them")
-    return value
-
-
-def _our_kind(file: Path) -> str | None:
-    """Whether a file is a "plan" of ours, or a folder a "batch"; None for another."""
-    from planner.batch.manifest import MANIFEST
-
-    if file.is_dir():
-        return "batch" if (file / MANIFEST).is_file() else None
-    if file.suffix != ".json" or not file.is_file():
-        return None
-    with file.open("rb") as stream:
-        return "plan" if b'"opposable-plan"' in stream.read(HEAD) else None
-
-
-HEAD = 4096
-"""Bytes of a file that say whose it is."""
 
 
 def _executed(simulate: bool) -> Any:

@@ -75,73 +75,82 @@ def drive(
 
     Ctrl-C is an emergency stop. Exit code 0 if all phases were run, and a simulated object held.
     """
-    from contextlib import closing
+    with heeding_ctrl_c() as pressed:
+        from contextlib import closing
 
-    from planner.errors import NotFoundError, TaskError
-    from planner.files import read_plan
-    from sim.cli.common import check_folder
-    from sim.controllers import controller_for
-    from sim.real_hand import (
-        CommandLimits,
-        DryRun,
-        RealClock,
-        Safety,
-        SimulatedHand,
-        check_joints,
-        checks_table,
-        run_controller,
-    )
+        from planner.errors import NotFoundError, TaskError
+        from planner.files import read_plan
+        from sim.cli.common import check_folder
+        from sim.controllers import controller_for
+        from sim.real_hand import (
+            CommandLimits,
+            DryRun,
+            RealClock,
+            Safety,
+            SimulatedHand,
+            check_joints,
+            checks_table,
+            run_controller,
+        )
 
-    given = [n for n, v in (("--hand-interface", interface), ("--replay", replay)) if v]
-    if len(given) > 1 or (fast and given):
-        given += ["--fast"] * fast
-        raise TaskError(f"{' and '.join(given)} exclude each other; give one")
-    if check and replay:
-        raise TaskError("--check-joints moves a hand, and a log has none; leave --replay out")
-    check_folder(log)
-    plan = read_plan(plan_file)
-    if on_stop not in STOPS:
-        raise NotFoundError("way to stop", on_stop, STOPS)
-    bounds = Safety(on_stop=STOPS[on_stop])
-    limits = CommandLimits(rate=max_rate)
-    driver = controller_for(plan, controller)
-    used = _open(plan, interface, replay, fast, controller)
-    with closing(used.hand), heeding_ctrl_c():
-        hand = DryRun(used.hand) if dry_run else used.hand
-        if check:
-            checks, ran = check_joints(
-                hand, plan.task.hand, rate_hz=rate, clock=used.clock, limits=limits, safety=bounds
-            )
-            faults = [c.fault for c in checks if c.fault]
-            if as_json:
-                rows = [vars(c) | {"fault": c.fault} for c in checks]
-                print_json({"loop": ran.to_dict(), "joints": rows})
-            else:
-                out.print(checks_table(checks))
-                say(out, escape(str(ran)))
-            _leave(ran, good=not faults)
-            return
-        if isinstance(used.hand, SimulatedHand):
-            driver = used.hand.controller
-        real = isinstance(used.clock, RealClock)
-        with err.status(f"driving: {plan.task.hand.name} ... (Ctrl-C stops it)" if real else ""):
-            ran = run_controller(
-                hand,
-                driver,
-                plan,
-                rate_hz=rate,
-                clock=used.clock,
-                limits=limits,
-                safety=bounds,
-                carry=used.carry,
-                assume=names(assume) if assume else (),
-                log=log,
-            )
-        judged: TrialReport | None = None
-        if isinstance(used.hand, SimulatedHand) and not dry_run:
-            judged = used.hand.report(interrupted=ran.reason == "interrupted")
-    _tell(ran, judged, used, as_json)
-    _leave(ran, good=judged is None or judged.success)
+        given = [n for n, v in (("--hand-interface", interface), ("--replay", replay)) if v]
+        if len(given) > 1 or (fast and given):
+            given += ["--fast"] * fast
+            raise TaskError(f"{' and '.join(given)} exclude each other; give one")
+        if check and replay:
+            raise TaskError("--check-joints moves a hand, and a log has none; leave --replay out")
+        check_folder(log)
+        plan = read_plan(plan_file)
+        if on_stop not in STOPS:
+            raise NotFoundError("way to stop", on_stop, STOPS)
+        bounds = Safety(on_stop=STOPS[on_stop])
+        limits = CommandLimits(rate=max_rate)
+        driver = controller_for(plan, controller)
+        used = _open(plan, interface, replay, fast, controller)
+        pressed()  # a library swallows Ctrl-C while it is imported
+        with closing(used.hand):
+            hand = DryRun(used.hand) if dry_run else used.hand
+            if check:
+                checks, ran = check_joints(
+                    hand,
+                    plan.task.hand,
+                    rate_hz=rate,
+                    clock=used.clock,
+                    limits=limits,
+                    safety=bounds,
+                )
+                faults = [c.fault for c in checks if c.fault]
+                if as_json:
+                    rows = [vars(c) | {"fault": c.fault} for c in checks]
+                    print_json({"loop": ran.to_dict(), "joints": rows})
+                else:
+                    out.print(checks_table(checks))
+                    say(out, escape(str(ran)))
+                _leave(ran, good=not faults)
+                return
+            if isinstance(used.hand, SimulatedHand):
+                driver = used.hand.controller
+            real = isinstance(used.clock, RealClock)
+            with err.status(
+                f"driving: {plan.task.hand.name} ... (Ctrl-C stops it)" if real else ""
+            ):
+                ran = run_controller(
+                    hand,
+                    driver,
+                    plan,
+                    rate_hz=rate,
+                    clock=used.clock,
+                    limits=limits,
+                    safety=bounds,
+                    carry=used.carry,
+                    assume=names(assume) if assume else (),
+                    log=log,
+                )
+            judged: TrialReport | None = None
+            if isinstance(used.hand, SimulatedHand) and not dry_run:
+                judged = used.hand.report(interrupted=ran.reason == "interrupted")
+        _tell(ran, judged, used, as_json)
+        _leave(ran, good=judged is None or judged.success)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,97 +23,27 @@ from sim.cli.common import (
     errors_for_people,
     heeding_ctrl_c,
     make_folder,
-    names,
     out,
     print_json,
     say,
 )
 from sim.cli.options import with_options
+from sim.cli.reading import ReadingOptions, our_kind
 from sim.cli.task_options import TaskOptions
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from planner.exchange.formats import Reading
     from planner.exchange.given import GivenGrasp, GivenGrasps
     from planner.refine import RefinedGrasp
     from planner.spatial import SE3, FloatArray
     from planner.task import GraspTask
-
-READING_PANEL = "What the file does not say"
-"""Group of options in the help."""
-
-UNITS = {"m": 1.0, "mm": 1e-3}
 
 TABLE_WIDTH = 120
 """Width of the table, characters."""
 
 SHOWN = 50
 """Rows that are shown; the file of rows has all."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReadingOptions:
-    """What a file of another tool does not say of itself."""
-
-    format: Annotated[
-        str | None, typer.Option(help="By its content if not given.", metavar="NAME")
-    ] = None
-    joint_names: Annotated[
-        str | None,
-        typer.Option(
-            help="In the order of the file, comma separated.",
-            metavar="NAMES",
-            rich_help_panel=READING_PANEL,
-        ),
-    ] = None
-    by_number: Annotated[
-        bool,
-        typer.Option(
-            "--by-number",
-            help="Joints are in the order of the hand.",
-            metavar="",
-            rich_help_panel=READING_PANEL,
-        ),
-    ] = False
-    quaternion: Annotated[
-        str | None,
-        typer.Option(help="Its order.", metavar="wxyz|xyzw", rich_help_panel=READING_PANEL),
-    ] = None
-    unit: Annotated[
-        str | None, typer.Option(help="Of lengths.", metavar="m|mm", rich_help_panel=READING_PANEL)
-    ] = None
-    base_body: Annotated[
-        str,
-        typer.Option(
-            help="Body of the hand whose pose the file gives.",
-            metavar="BODY",
-            rich_help_panel=READING_PANEL,
-        ),
-    ] = ""
-
-    def reading(self) -> Reading:
-        """As readers take it.
-
-        Raises:
-            TaskError: A unit or an order that there is not.
-        """
-        from planner.errors import TaskError
-        from planner.exchange.formats import Reading
-
-        for option, value, allowed in (
-            ("--quaternion", self.quaternion, ("wxyz", "xyzw")),
-            ("--unit", self.unit, tuple(UNITS)),
-        ):
-            if value is not None and value not in allowed:
-                raise TaskError(f"{option} {value!r} is none of {', '.join(allowed)}")
-        return Reading(
-            by_number=self.by_number,
-            joint_names=None if self.joint_names is None else tuple(names(self.joint_names)),
-            quaternion=self.quaternion,
-            unit=None if self.unit is None else UNITS[self.unit],
-            base_body=self.base_body,
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,9 +113,15 @@ def refine(
     brought back is written as plan files. Exit code 0 if all are, 1 if some are not, 4 if none is.
     """
     from planner.batch import refine_grasps
+    from planner.errors import FileFormatError
     from planner.files import write_json, write_plan
 
     assumed, given = _poses(file, hand, object, reading, request)
+    if folder.is_dir() and any(folder.iterdir()):
+        raise FileFormatError(
+            f"{folder} exists already and is not empty; name another folder with --out, since "
+            "plans of two runs would lie beside each other"
+        )
     make_folder(folder)
     rows: dict[int, dict[str, Any]] = {}
     complete = False
@@ -240,7 +176,7 @@ def _poses(
     from planner.exchange.formats import format_named, format_of
     from planner.hand_loading import load_hand
 
-    if reading.format is None and _is_plan(file):
+    if reading.format is None and our_kind(file) == "plan":
         if hand is not None or object is not None:
             raise TaskError(f"{file} is a plan, which brings hand and object; leave them out")
         return (), [_of_plan(file)]
@@ -256,17 +192,6 @@ def _poses(
         raise TaskError(f"{file} holds no grasp")
     task_for = _task_for(request.task(loaded, object), own_place=request.table == "none")
     return given.assumed, [_placed(one, task_for(one)) for one in given.grasps]
-
-
-def _is_plan(file: Path) -> bool:
-    if file.suffix != ".json" or not file.is_file():
-        return False
-    with file.open("rb") as stream:
-        return b'"opposable-plan"' in stream.read(HEAD)
-
-
-HEAD = 4096
-"""Bytes of a file that say whose it is."""
 
 
 def _of_plan(file: Path) -> _Given:
@@ -368,7 +293,7 @@ def _show(report: dict[str, Any], folder: Path) -> None:
         out,
         escape(
             f"{report['found']} of {report['total']} brought back; written to {folder}: "
-            "a plan file for each, refined.json"
+            f"{'a plan file for each, ' if report['found'] else ''}refined.json"
         ),
     )
 

@@ -236,7 +236,8 @@ def read_log(path: Path | str) -> HandLog:
         raise FileFormatError(f"{path} does not exist; give a log of a hand (.npz)") from error
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise FileFormatError(
-            f"{path} cannot be read as a log of a hand ({error}); it is damaged or something else"
+            f"{path} cannot be read as a log of a hand; it is damaged or something else: give a "
+            "file of opposable drive --log"
         ) from error
     for name, shape in log.shapes().items():
         found = getattr(log, name).shape

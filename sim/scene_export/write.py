@@ -106,7 +106,7 @@ def _effort(scene: Scene) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def _need_ours(folder: Path) -> None:
-    """A folder is only replaced if it is empty or an earlier export."""
+    """A folder is only replaced if it is empty or an earlier export, with nothing beside it."""
     if not folder.exists():
         if not folder.absolute().parent.is_dir():
             raise FileFormatError(f"there is no folder {folder.parent}; make it, or name another")
@@ -121,6 +121,12 @@ def _need_ours(folder: Path) -> None:
         raise FileFormatError(
             f"{folder} is no earlier export of a scene; name another folder, or empty it"
         )
+    own = {SCENE, HAND_URDF, OBJECT_URDF, MESHES, PHYSICS, CHECK}
+    if others := sorted(entry.name for entry in folder.iterdir() if entry.name not in own):
+        raise FileFormatError(
+            f"{folder} holds an earlier export and {', '.join(others)}, which would be lost; name "
+            "another folder, or move them"
+        )
 
 
 def _write(plans: Sequence[GraspPlan], path: Path, writing: Writing) -> tuple[Path, ...]:
@@ -128,17 +134,21 @@ def _write(plans: Sequence[GraspPlan], path: Path, writing: Writing) -> tuple[Pa
     del writing
     if len(plans) == 1:
         return export_scene(plans[0], path)
-    _make(path)
-    return tuple(
-        file for k, plan in enumerate(plans) for file in export_scene(plan, path / f"{k:03d}")
-    )
-
-
-def _make(path: Path) -> None:
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        raise FileFormatError(
+            f"{path} exists already; several scenes are written into a new folder: name another"
+        )
+    _need_ours(path)
     try:
-        path.mkdir(exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.absolute().parent, prefix=".export-") as made:
+            home = Path(made) / "scenes"
+            home.mkdir()
+            for k, plan in enumerate(plans):
+                export_scene(plan, home / f"{k:03d}")
+            os.replace(home, path)
     except OSError as error:
-        raise FileFormatError(f"cannot make {path}: {error.strerror}") from error
+        raise FileFormatError(f"cannot write {path}: {error.strerror}") from error
+    return tuple(sorted(file for file in path.rglob("*") if file.is_file()))
 
 
 MJCF_SCENE = register_format(

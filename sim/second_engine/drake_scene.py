@@ -151,7 +151,7 @@ def load_drake_scene(folder: Path, *, time_step: float = TIME_STEP) -> DrakeScen
         FileFormatError: The folder is no export, or Drake cannot read its scene.
     """
     if reason := drake_missing():
-        raise TaskError(reason)
+        raise TaskError(f"{folder} is not executed: {reason}")
     from pydrake.geometry import SceneGraphConfig
     from pydrake.multibody.parsing import Parser
     from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
