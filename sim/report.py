@@ -82,6 +82,8 @@ class TrialReport(OnScreen):
             friction: ``analyse(report.contacts_measured, length=...)``.
         thresholds: Where success ends.
         physics: Name and numbers of ``PhysicsOptions``, as plain data.
+        reality: Fields of ``sim.reality.Reality``, and under "drawn" what was drawn of them; None
+            where sensors, drives and object were as believed.
         least_creep_mm_s: Speed at which the object sinks through the fingers under this physics
             without noslip iterations, however firm the grip (``sim.creep``).
         remedies: Of an object that was lost: what to write into a scene so that this creep is
@@ -130,6 +132,7 @@ class TrialReport(OnScreen):
     picture_reason: str = "none was asked for"
     command: str = ""
     drawn: str = ""
+    reality: dict[str, Any] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """How it is sent to another process: its plan as a plan file has it."""
@@ -180,6 +183,8 @@ class TrialReport(OnScreen):
             "mm/s however firm the grip, before "
             f"{self.physics['noslip_iterations']} noslip iterations"
         )
+        if self.reality is not None:
+            yield Text(f"reality: {self.reality['name']}, seed {self.reality['seed']}")
         if self.remedies:
             yield Text("each of these keeps the object from creeping:")
         for remedy in self.remedies:
@@ -277,6 +282,7 @@ class TrialReport(OnScreen):
             quality_mu=self.quality_mu,
             thresholds=asdict(self.thresholds),
             physics=self.physics,
+            reality=self.reality,
             least_creep_mm_s=finite(self.least_creep_mm_s),
             remedies=list(self.remedies),
             timeline=self.timeline,

@@ -32,8 +32,9 @@ __all__ = [
     "write_report",
 ]
 
-REPORT_VERSION: Literal[2] = 2
-"""Version of ``ReportFile``; another number means another schema. Version 1 had no states."""
+REPORT_VERSION: Literal[3] = 3
+"""Version of ``ReportFile``; another number means another schema. Version 1 had no states, versions
+1 and 2 no reality."""
 
 
 class ComparisonData(StrictData):
@@ -63,11 +64,12 @@ class ReportFile(StrictData):
 
     ``plan`` is the plan as its file has it, null for a hand that no file can name. ``recording``
     are the states, null where they were left out and in files of version 1. ``command`` is what the
-    command line was told, "" of a script.
+    command line was told, "" of a script. ``reality`` are the errors that the plan did not know, as
+    given and as drawn; null where there were none.
     """
 
     format: Literal["opposable-report"] = "opposable-report"
-    version: Literal[2] = REPORT_VERSION
+    version: Literal[3] = REPORT_VERSION
     written_by: str
     command: str = ""
     success: bool
@@ -87,6 +89,7 @@ class ReportFile(StrictData):
     quality_mu: float | None = None
     thresholds: dict[str, float]
     physics: dict[str, float | str | list[float]]
+    reality: dict[str, Any] | None
     least_creep_mm_s: float | None = None
     remedies: list[str] = Field(default_factory=list)
     timeline: dict[str, float]
@@ -126,7 +129,8 @@ def check_lengths(samples: StrictData, recording: RecordingData | None) -> None:
 def read_report(path: Path | str) -> ReportFile:
     """Read a trial report, from its JSON file or out of its page.
 
-    Files of version 1 are read too: they have neither plan nor recording.
+    Files of versions 1 and 2 are read too: they have no reality, those of version 1 neither plan
+    nor recording.
 
     Raises:
         FileFormatError: Missing, damaged, of another format or another version.
@@ -150,10 +154,15 @@ PAGE_SUFFIXES = (".html", ".htm")
 
 
 def upgraded(data: dict[str, Any]) -> dict[str, Any]:
-    """Data of version 1 as version 2: without plan and states, what was not recorded unknown."""
-    if data.get("version") != 1:
+    """Data of an older version as the newest: what it did not have is None."""
+    missing: dict[int, dict[str, Any]] = {
+        1: {"plan": None, "recording": None, "reality": None},
+        2: {"reality": None},
+    }
+    version = data.get("version")
+    if not isinstance(version, int) or version not in missing:
         return data
-    return {**data, "version": 2, "plan": None, "recording": None}
+    return {**data, "version": REPORT_VERSION, **missing[version]}
 
 
 def write_report(report: dict[str, Any], path: Path | str) -> None:

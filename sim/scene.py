@@ -14,7 +14,7 @@ shown as it is.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -185,6 +185,7 @@ def build_scene(
     T_world_base: SE3,
     q: FloatArray | None = None,
     physics: PhysicsOptions | None = None,
+    change: Callable[[Any], None] | None = None,
 ) -> Scene:
     """Assemble and compile the scene of a task.
 
@@ -193,6 +194,7 @@ def build_scene(
         T_world_base: Base pose at which the gantry's joints read zero: that of the grasp.
         q: Joints (nq,) at the grasp, from which the camera takes its place; zero if None.
         physics: How MuJoCo computes; defaults if None.
+        change: Changes the ``mujoco.MjSpec`` to a world that differs from the task's; not if None.
 
     Raises:
         ModelError: MuJoCo refuses the scene.
@@ -200,6 +202,8 @@ def build_scene(
     physics = physics or PhysicsOptions()
     hand = task.hand
     spec = scene_spec(task, T_world_base, physics)
+    if change is not None:
+        change(spec)
     add_looks(spec, task, T_world_base, hand.neutral if q is None else q)
     model = compile_spec(spec, f"the scene of {spec.modelname}")
     gantry = None

@@ -43,6 +43,7 @@ from sim.looking.picture import draw_tape
 from sim.looking.tape import FRAME_RATE, Tape
 from sim.looking.viewer import Viewer
 from sim.pads import read_pads
+from sim.reality import Reality, RealityOfTrial
 from sim.scene import PhysicsOptions, Scene, build_scene
 from sim.timeline import Timeline
 
@@ -71,6 +72,7 @@ class Simulation:
         data: ``mujoco.MjData``, as it is now.
         controller: What drives the hand's actuators.
         carrier: What moves the hand as a whole; may be replaced between steps.
+        reality: What stands between truth and controller; None if nothing does.
         phase: The phase that it is in.
         steps: Time steps made so far.
         stopped: Why the caller ended it, "" if not.
@@ -89,6 +91,7 @@ class Simulation:
         carrier: Carrier | None = None,
         q: FloatArray | None = None,
         T_world_base: SE3 | None = None,
+        reality: Reality | None = None,
     ) -> None:
         """Build the scene and put hand and object at their start.
 
@@ -102,21 +105,34 @@ class Simulation:
             carrier: What moves the hand as a whole; the scene's gantry or the arm if None.
             q: Joints (nq,) at the start, rad or m; the plan's start if None.
             T_world_base: Base pose at the start; the plan's start if None.
+            reality: Errors of sensors, drives and object that the plan does not know; none if None.
 
         Raises:
             ModelError: MuJoCo refuses the scene.
             NotFoundError: No controller has that name.
-            TaskError: The controller is none, or the plan has no path for the hand's arm.
+            TaskError: The controller is none, the plan has no path for the hand's arm, or a
+                ``scene`` is given together with a reality that changes it.
         """
         self.plan = plan
+        self.reality: RealityOfTrial | None = None
+        if reality is not None and not reality.ideal:
+            if scene is not None:
+                raise TaskError("give a scene or a reality: a reality changes the scene it builds")
+            self.reality = RealityOfTrial(reality, plan.task)
         self.controller: Controller = controller_for(plan, controller)
         self.scene: Scene = scene or build_scene(
-            plan.task, T_world_base=plan.T_world_base, q=plan.q, physics=physics
+            plan.task,
+            T_world_base=plan.T_world_base,
+            q=plan.q,
+            physics=physics,
+            change=None if self.reality is None else self.reality.change,
         )
         self.data: Any = self.scene.start(
             plan.q_start if q is None else q,
             plan.T_world_base_start if T_world_base is None else T_world_base,
         )
+        if self.reality is not None:
+            self.reality.place(self.scene, self.data)
         self.carrier: Carrier = carrier or carrier_of(plan, self.scene, timeline or Timeline())
         self.phase: Phase = PHASES[0]
         self.steps = 0
@@ -130,6 +146,8 @@ class Simulation:
         self._ctrl: FloatArray = self.data.ctrl[self.scene.hand_ctrl].copy()
         actuation = plan.task.hand.actuation
         ranges = np.concatenate([actuation.force_range.T, actuation.ctrl_range.T])
+        if self.reality is not None:
+            ranges[:2] *= 1.0 + self.reality.drawn.torque_constant
         self._limits = ranges + LIMIT_MARGIN * np.array([[1.0], [-1.0], [1.0], [-1.0]])
         tapes = _tapes.get()
         if tapes is not None:
@@ -160,7 +178,8 @@ class Simulation:
             before: Called before every step with the time since the phase began, s.
 
         Yields:
-            After every step, what the controller saw at its beginning.
+            After every step, the truth at its beginning; what the controller saw is ``sensed`` of
+            it.
         """
         self.phase = phase
         dt = self.timestep
@@ -178,7 +197,7 @@ class Simulation:
                 self._keep()
             if self._viewer is not None:
                 self._viewer.show(self.time)
-            if k + 1 >= steps and (until is None or until(observation)):
+            if k + 1 >= steps and (until is None or until(self.sensed(observation))):
                 return
 
     def due(self, period: float) -> bool:
@@ -193,22 +212,23 @@ class Simulation:
             share: How much of it has passed, in [0, 1].
 
         Returns:
-            What the controller saw, at the beginning of the step.
+            The truth at the beginning of the step; what the controller saw is ``sensed`` of it.
 
         Raises:
             TaskError: The controller's commands have the wrong shape.
         """
         scene, data = self.scene, self.data
         observation = self.observe(phase, share)
-        data.ctrl[scene.hand_ctrl] = self._commands(observation)
+        commands = self._commands(self.sensed(observation))
+        data.ctrl[scene.hand_ctrl] = self._driven(commands, observation)
         self.carrier.drive(data, phase, share)
-        self._ctrl = data.ctrl[scene.hand_ctrl]
+        self._ctrl = data.ctrl[scene.hand_ctrl] if self.reality is None else commands
         mujoco.mj_step(scene.model, data)
         self.steps += 1
         return observation
 
     def observe(self, phase: Phase, share: float) -> Observation:
-        """What a controller sees now, in a phase of which a share in [0, 1] has passed."""
+        """The truth of now, in a phase of which a share in [0, 1] has passed."""
         scene, data = self.scene, self.data
         fingers = self.plan.task.finger_names
         return Observation(
@@ -224,6 +244,16 @@ class Simulation:
             read_contacts=partial(hand_contacts, scene, data),
             read_pads=partial(read_pads, scene, data, fingers),
         )
+
+    def sensed(self, truth: Observation) -> Observation:
+        """What a controller sees of the truth: what the sensors of ``reality`` say."""
+        return truth if self.reality is None else self.reality.read(truth)
+
+    def _driven(self, commands: FloatArray, truth: Observation) -> FloatArray:
+        """What the hand's drives make of commands (nu,): ctrl (nu,)."""
+        if self.reality is None:
+            return commands
+        return self.reality.drive(truth.time, commands, truth.q)
 
     def _commands(self, observation: Observation) -> FloatArray:
         ctrl = np.asarray(self.controller.step(observation), dtype=np.float64)

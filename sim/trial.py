@@ -31,6 +31,7 @@ from sim.controllers import PHASES, AnyController, Observation, Phase
 from sim.creep import CREEP_BUDGET, least_creep, remedies
 from sim.looking.film import check_video
 from sim.looking.picture import draw_tape, moments_of
+from sim.reality import Reality
 from sim.recorder import Recorder
 from sim.report import TrialReport
 from sim.scene import PhysicsOptions
@@ -65,6 +66,7 @@ class Trial:
         timeline: Timeline | None = None,
         thresholds: Thresholds | None = None,
         record_every: float = 0.02,
+        reality: Reality | None = None,
     ) -> None:
         """Build the scene and put hand and object at their start.
 
@@ -76,6 +78,7 @@ class Trial:
             timeline: Durations; defaults if None.
             thresholds: Where success ends; defaults if None.
             record_every: Time between samples, s.
+            reality: Errors of sensors, drives and object that the plan does not know; none if None.
 
         Raises:
             ModelError: MuJoCo refuses the scene.
@@ -92,7 +95,11 @@ class Trial:
         self.timeline = timeline or Timeline()
         self.thresholds = thresholds or Thresholds()
         self.simulation = Simulation(
-            plan, physics=physics, controller=controller, timeline=self.timeline
+            plan,
+            physics=physics,
+            controller=controller,
+            timeline=self.timeline,
+            reality=reality,
         )
         self.recorder = Recorder(self.simulation, record_every)
 
@@ -226,6 +233,7 @@ class Trial:
             object_deviation_mm=1e3 * simulation.scene.deviation,
             controller=type(simulation.controller).__name__,
             events=simulation.events,
+            reality=None if simulation.reality is None else simulation.reality.to_dict(),
         )
 
     def _remedies(self, verdict: Verdict) -> tuple[str, ...]:
@@ -283,6 +291,7 @@ def simulate(
     timeline: Timeline | None = None,
     thresholds: Thresholds | None = None,
     record_every: float = 0.02,
+    reality: Reality | None = None,
     progress: Callable[[float], None] | None = None,
     on_step: Callable[[Simulation], None] | None = None,
     view: bool = False,
@@ -298,6 +307,7 @@ def simulate(
         timeline=timeline,
         thresholds=thresholds,
         record_every=record_every,
+        reality=reality,
     )
     return trial.run(
         progress=progress, on_step=on_step, view=view, picture=picture, video=video, arrows=arrows

@@ -323,7 +323,7 @@ def test_a_report_file_has_a_head_and_all_channels(
 ) -> None:
     write_json(report.to_dict(), tmp_path / "report.json")
     file = read_manipulation_report(tmp_path / "report.json")
-    assert (file.format, file.version) == ("opposable-manipulation-report", 2)
+    assert (file.format, file.version) == ("opposable-manipulation-report", 3)
     assert (file.hand, file.object, file.seed) == ("allegro_hand", "cylinder:0.03x0.08", 0)
     assert file.mass_kg == 0.1 and file.controller == "ObjectImpedance"
     assert file.written_by.startswith("opposable")

@@ -104,6 +104,7 @@ GROUPS: dict[str, list[str]] = {
     ],
     "Physics and protocols": [
         "sim.physics",
+        "sim.reality",
         "sim.protocols",
         "sim.creep",
         "sim.scene_export",

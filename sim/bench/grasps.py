@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -18,6 +18,7 @@ from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, task_for
 from sim.bench.run import ObjectJob, measure
 from sim.physics import PhysicsOptions
+from sim.reality import Reality
 from sim.runner import Check, Runner
 from sim.tables import Row, grouped, share, table_of
 from sim.trial import simulate
@@ -34,6 +35,7 @@ class GraspJob(ObjectJob):
     Attributes:
         seed: Seed of planning.
         physics: How MuJoCo computes.
+        reality: Errors of sensors, drives and object; drawn from the seed.
     """
 
     SHOWN: ClassVar = ("hand", "label", "seed")
@@ -52,6 +54,7 @@ class GraspJob(ObjectJob):
 
     seed: int
     physics: PhysicsOptions
+    reality: Reality = field(default_factory=Reality)
 
     def row(self, **values: Any) -> Row:
         """The row: what is not given stands for a grasp that was not found."""
@@ -74,7 +77,7 @@ def plan_and_execute(job: GraspJob, check: Check) -> Row:
         made = error.attempts if isinstance(error, NoGraspFoundError) else ()
         cpu_s = sum(a.cpu_s for a in made)
         return job.row(attempts=len(made), cpu_s=cpu_s, build_s=build_s, reason=str(error))
-    report = simulate(plan, physics=job.physics)
+    report = simulate(plan, physics=job.physics, reality=job.reality.seeded(job.seed))
     check()
     slip_mm, slip_deg = report.largest_slip
     return job.row(
@@ -105,12 +108,22 @@ def run_grasps(
     physics: PhysicsOptions,
     file: Path,
     runner: Runner,
+    reality: Reality | None = None,
 ) -> Row:
     """Plan and execute the seeds, from 0, that the file does not have yet (``sim.bench``)."""
     check_tasks(hands, objects)
     cells = [(hand, item, seed) for hand in hands for item in objects for seed in range(seeds)]
+    reality = reality or Reality()
     jobs = [
-        GraspJob(index=k, hand=hand, spec=item.spec, label=item.label, seed=seed, physics=physics)
+        GraspJob(
+            index=k,
+            hand=hand,
+            spec=item.spec,
+            label=item.label,
+            seed=seed,
+            physics=physics,
+            reality=reality,
+        )
         for k, (hand, item, seed) in enumerate(cells)
     ]
     asked = {
@@ -122,6 +135,9 @@ def run_grasps(
         "mu_simulation": physics.mu,
         "physics": {k: v for k, v in physics.to_dict().items() if k not in ("name", "mu")},
     }
+    # left out where nothing is off, so that files go on that were begun before there were any
+    if not reality.ideal:
+        asked["reality"] = reality.to_dict()
     return measure(
         runner,
         plan_and_execute,

@@ -43,6 +43,7 @@ from sim.bench.objects import BenchObject, bench_objects
 from sim.controllers.follow import RATE, SPEED
 from sim.manipulation import Push, manipulate, rests, settled
 from sim.physics import PhysicsOptions
+from sim.reality import Reality
 from sim.runner import Check, Runner
 from sim.tables import Row
 
@@ -65,6 +66,9 @@ NO_SHIFT: Vector = (0.0, 0.0, 0.0)
 OURS = PhysicsOptions()
 """How MuJoCo computes if nothing else is asked for."""
 
+EXACT = Reality()
+"""No errors beside the drawn conditions."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Turn:
@@ -84,6 +88,8 @@ class Turn:
         shift: Translation in the hand that is asked for with it (3,), m, world.
         spec: Specification of an object that is of no kind in ``KINDS``.
         physics: How MuJoCo computes; friction is drawn.
+        reality: Errors of sensors, drives and object, drawn from the seed and the number; those of
+            mass and friction come on top of what ``draw`` gives.
     """
 
     index: int
@@ -99,6 +105,7 @@ class Turn:
     shift: Vector = NO_SHIFT
     spec: str = ""
     physics: PhysicsOptions = OURS
+    reality: Reality = EXACT
 
     @property
     def regrasps(self) -> bool:
@@ -155,6 +162,7 @@ def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
         true_task=true_task,
         physics=replace(turn.physics, mu=there.mu),
         push=Push(force=np.array([*there.push, 0.0]), after=there.push_after, duration=PUSH_TIME),
+        reality=turn.reality.seeded(turn.seed + turn.number),
     )
     check()
     last = report.results[-1].numbers
@@ -217,6 +225,7 @@ def run_manipulate(
     angle: float = ANGLE,
     shift: Vector = NO_SHIFT,
     physics: PhysicsOptions = OURS,
+    reality: Reality = EXACT,
 ) -> dict[str, Any]:
     """Run the trials that the file does not have yet.
 
@@ -234,6 +243,7 @@ def run_manipulate(
         angle: Turn that is asked for, rad.
         shift: Translation in the hand that is asked for with it (3,), m, world.
         physics: How MuJoCo computes; friction is drawn.
+        reality: Errors of sensors, drives and object; see ``Turn``.
 
     Returns:
         Plain data: all rows that the file has then, and what they were made with.
@@ -265,6 +275,7 @@ def run_manipulate(
             shift=shift,
             spec="" if item.label in KINDS else item.spec,
             physics=physics,
+            reality=reality,
         )
         for i, (hand, item, k) in enumerate(cells)
     ]
@@ -285,6 +296,8 @@ def run_manipulate(
         asked["shift"] = list(shift)
     if physics != OURS:
         asked["physics"] = {k: v for k, v in physics.to_dict().items() if k != "mu"}
+    if not reality.ideal:
+        asked["reality"] = reality.to_dict()
     return run_cases(
         runner, run_turn, jobs, kind=FORMAT, asked=asked, file=file, title="pick, turn, place"
     )

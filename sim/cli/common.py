@@ -150,6 +150,18 @@ PhysicsOption = Annotated[
         rich_help_panel=TRIAL_PANEL,
     ),
 ]
+RealityOption = Annotated[
+    str,
+    typer.Option(
+        help="How far off: ideal, lab, rough.",
+        metavar="NAME",
+        rich_help_panel=TRIAL_PANEL,
+    ),
+]
+RealitySeedOption = Annotated[
+    int,
+    typer.Option(min=0, help="Of what --reality draws.", metavar="N", rich_help_panel=TRIAL_PANEL),
+]
 PlanArgument = Annotated[Path, typer.Argument(help="A plan file.", metavar="PLAN")]
 
 
@@ -208,6 +220,17 @@ def physics_of(text: str, sim_mu: float | None = None) -> Any:
 
     found = physics_for(text)
     return found if sim_mu is None else replace(found, mu=sim_mu)
+
+
+def reality_of(name: str, seed: int = 0) -> Any:
+    """Reality as ``--reality`` and ``--reality-seed`` give it.
+
+    Raises:
+        NotFoundError: There is none of that name.
+    """
+    from sim.reality import named_reality
+
+    return named_reality(name, seed)
 
 
 def _leave(*_: object) -> None:

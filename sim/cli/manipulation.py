@@ -23,6 +23,8 @@ from sim.cli.common import (
     JsonOption,
     MassOption,
     PhysicsOption,
+    RealityOption,
+    RealitySeedOption,
     RepairOption,
     SeedOption,
     SimMuOption,
@@ -39,6 +41,7 @@ from sim.cli.common import (
     out,
     physics_of,
     print_json,
+    reality_of,
     say,
     told_command,
 )
@@ -175,6 +178,8 @@ class ExecutionOptions:
 
     sim_mu: SimMuOption = None
     physics: PhysicsOption = "ours"
+    reality: RealityOption = "ideal"
+    reality_seed: RealitySeedOption = 0
     max_force: Annotated[
         float | None,
         typer.Option(
@@ -292,6 +297,7 @@ def _execute(
     from sim.report_file import write_report
 
     physics = physics_of(execution.physics, execution.sim_mu)
+    reality = reality_of(execution.reality, execution.reality_seed)
     check_films(execution.video)
     _warn_of_friction(believed_mu, physics.mu)
     if out_dir is not None:
@@ -305,6 +311,7 @@ def _execute(
             plan,
             controller=execution.controller,
             physics=physics,
+            reality=reality,
             criteria=SuccessCriteria(normal_N=execution.max_force),
             pictures=out_dir,
             video=execution.video,

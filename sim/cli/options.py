@@ -24,6 +24,8 @@ from sim.cli.common import (
     ArrowsOption,
     ControllerOption,
     PhysicsOption,
+    RealityOption,
+    RealitySeedOption,
     SeedOption,
     SimMuOption,
     VideoOption,
@@ -33,6 +35,7 @@ from sim.cli.common import (
     heeding_ctrl_c,
     numbers,
     physics_of,
+    reality_of,
     say,
 )
 from sim.cli.task_options import TaskOptions
@@ -316,6 +319,8 @@ class TrialOptions:
 
     sim_mu: SimMuOption = None
     physics: PhysicsOption = "ours"
+    reality: RealityOption = "ideal"
+    reality_seed: RealitySeedOption = 0
     controller: ControllerOption = "feedforward"
     view: ViewOption = False
     video: VideoOption = None
@@ -335,6 +340,7 @@ class TrialOptions:
         from sim.trial import simulate
 
         make, physics = named_controller(self.controller), physics_of(self.physics, self.sim_mu)
+        reality = reality_of(self.reality, self.reality_seed)
         if self.view:
             check_display()
         check_films(self.video)
@@ -345,6 +351,7 @@ class TrialOptions:
                 return simulate(
                     plan,
                     physics=physics,
+                    reality=reality,
                     controller=make(plan),
                     progress=lambda share: progress.update(bar, completed=share),
                     view=self.view,

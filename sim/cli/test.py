@@ -15,6 +15,8 @@ from sim.cli.common import (
     ControllerOption,
     JsonOption,
     PhysicsOption,
+    RealityOption,
+    RealitySeedOption,
     SeedOption,
     err,
     errors_for_people,
@@ -23,6 +25,7 @@ from sim.cli.common import (
     out,
     physics_of,
     print_json,
+    reality_of,
     say,
     told_command,
 )
@@ -44,10 +47,14 @@ def test(
     plans: Annotated[list[Path], typer.Argument(help="Plan files.", metavar="PLAN...")],
     protocol: Annotated[
         str,
-        typer.Option(help="dexgraspbench, forces, shake, robust, drake, or all.", metavar="NAME"),
+        typer.Option(
+            help="dexgraspbench, forces, shake, robust, reality, drake, or all.", metavar="NAME"
+        ),
     ] = "all",
     controller: ControllerOption = "feedforward",
     physics: PhysicsOption = "ours",
+    reality: RealityOption = "ideal",
+    reality_seed: RealitySeedOption = 0,
     only: Annotated[
         list[str] | None, typer.Option(help='Only trials of this name: "force +z".', metavar="NAME")
     ] = None,
@@ -57,23 +64,21 @@ def test(
     ] = Path("runs/test"),
     pages: Annotated[
         str,
-        typer.Option(
-            help="Of which trials a page (HTML) is written into the folder: none, failures or all."
-        ),
+        typer.Option(help="HTML pages of which trials: none, failures, all."),
     ] = "none",
     seed: SeedOption = 0,
     video: Annotated[
         str | None,
-        typer.Option(help="Film every trial into the folder of --out: mp4, webp or gif."),
+        typer.Option(help="Film every trial into --out: mp4, webp or gif."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Test plans in MuJoCo by protocols: pushes, shaking, errors.
 
     Exit code 0 if every grasp held in every trial without a growing load and bore the first load at
-    rest in every direction. Of all protocols, those that a hand cannot take are skipped. The
-    protocol dexgraspbench has the physics of its original, whatever --physics says. The protocol
-    drake holds the grasp in another engine and is none of "all": pip install "opposable[drake]".
+    rest in every direction. "all" leaves out what the hand cannot take, reality (--reality drawn
+    anew for each trial) and drake (another engine: pip install "opposable[drake]"). The physics of
+    dexgraspbench is its own.
     """
     from planner.errors import NotFoundError, TaskError
     from planner.files import read_plan, write_json
@@ -93,7 +98,7 @@ def test(
     named_controller(controller)  # bad input ends here
     if pages not in PAGES:
         raise NotFoundError("choice of pages", pages, PAGES)
-    computed = physics_of(physics)
+    computed, errors = physics_of(physics), reality_of(reality, reality_seed)
     ending = "" if video is None else f".{video}"
     check_video(f"film{ending}" if ending else None)
     asked = IN_ALL if protocol == "all" else [protocol]
@@ -119,6 +124,7 @@ def test(
                     name,
                     controller=controller,
                     physics=computed,
+                    reality=errors,
                     seed=seed,
                     workers=workers,
                     only=some,

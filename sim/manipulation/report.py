@@ -67,6 +67,8 @@ class ManipulationReport:
             N.
         events: What the controller noticed.
         physics: Name and numbers of ``PhysicsOptions``, as plain data.
+        reality: Fields of ``sim.reality.Reality``, and under "drawn" what was drawn of them; None
+            where sensors, drives and object were as believed.
         pictures: Files of pictures, by phase.
         picture_reason: Why there are none, "" otherwise.
         earlier: What was done before, where the object was put down and all was begun again; what
@@ -100,6 +102,7 @@ class ManipulationReport:
     force_limit: float
     events: tuple[Event, ...]
     physics: dict[str, Any]
+    reality: dict[str, Any] | None
     pictures: dict[str, str]
     picture_reason: str
     earlier: ManipulationReport | None = None
@@ -381,6 +384,7 @@ class ManipulationReport:
                 "criteria": asdict(self.criteria),
                 "timeline": asdict(self.timeline),
                 "physics": self.physics,
+                "reality": self.reality,
                 "events": [
                     {"time_s": e.time, "kind": e.kind, "finger": e.finger, "detail": e.detail}
                     for e in self.events

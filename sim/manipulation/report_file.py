@@ -13,7 +13,7 @@ from planner.schema import StrictData
 from sim.manipulation.log import ManipulationLog
 from sim.manipulation.timeline import ManipulationPhase
 from sim.recording import RecordingData
-from sim.report_file import EventData, check_lengths, report_data, upgraded
+from sim.report_file import REPORT_VERSION, EventData, check_lengths, report_data, upgraded
 
 __all__ = ["ManipulationReportFile", "read_manipulation_report"]
 
@@ -73,7 +73,7 @@ class ManipulationReportFile(StrictData):
     """
 
     format: Literal["opposable-manipulation-report"] = "opposable-manipulation-report"
-    version: Literal[2] = 2
+    version: Literal[3] = REPORT_VERSION
     written_by: str
     command: str = ""
     success: bool
@@ -103,6 +103,7 @@ class ManipulationReportFile(StrictData):
     criteria: dict[str, float | None]
     timeline: dict[str, float]
     physics: dict[str, float | str | list[float]]
+    reality: dict[str, Any] | None
     events: list[EventData]
     pictures: dict[str, str]
     picture_reason: str
@@ -120,7 +121,8 @@ class ManipulationReportFile(StrictData):
 def read_manipulation_report(path: Path | str) -> ManipulationReportFile:
     """Read a report of a manipulation, from its JSON file or out of its page.
 
-    Files of version 1 are read too: they have neither plan nor recording.
+    Files of versions 1 and 2 are read too: they have no reality, those of version 1 neither plan
+    nor recording.
 
     Raises:
         FileFormatError: Missing, damaged, of another format or another version.
@@ -129,7 +131,7 @@ def read_manipulation_report(path: Path | str) -> ManipulationReportFile:
 
 
 def _upgraded(data: dict[str, Any]) -> dict[str, Any]:
-    """Data of version 1 as version 2: what it did not have is unknown, earlier runs likewise."""
+    """Data of an older version as the newest: what it did not have is unknown, earlier runs too."""
     new, earlier = upgraded(data), data.get("earlier")
     if isinstance(earlier, dict):
         new = {**new, "earlier": _upgraded(earlier)}

@@ -38,6 +38,7 @@ from sim.manipulation.simulation import ManipulationSim, Push
 from sim.manipulation.standing import rests
 from sim.manipulation.timeline import TURNING, ManipulationTimeline, SuccessCriteria
 from sim.physics import PhysicsOptions
+from sim.reality import Reality
 
 __all__ = ["ManipulationRun", "manipulate"]
 
@@ -62,6 +63,7 @@ class ManipulationRun:
         timeline: ManipulationTimeline | None = None,
         criteria: SuccessCriteria | None = None,
         push: Push | None = None,
+        reality: Reality | None = None,
     ) -> None:
         """Build the scene and put hand and object at their start; see ``manipulate``."""
         self.plan = plan
@@ -79,6 +81,7 @@ class ManipulationRun:
             true_task=true_task,
             physics=physics,
             push=push,
+            reality=reality,
         )
         self._phases = Phases(plan, self.sim, self._timeline, self._criteria)
 
@@ -212,6 +215,7 @@ class ManipulationRun:
             force_limit=self._force_limit,
             events=simulation.events,
             physics=simulation.scene.physics.to_dict(),
+            reality=None if simulation.reality is None else simulation.reality.to_dict(),
             pictures={},
             picture_reason="",
         )
@@ -244,6 +248,7 @@ def manipulate(
     timeline: ManipulationTimeline | None = None,
     criteria: SuccessCriteria | None = None,
     push: Push | None = None,
+    reality: Reality | None = None,
     pictures: Path | None = None,
     video: Path | None = None,
     arrows: bool = False,
@@ -264,6 +269,7 @@ def manipulate(
         timeline: Durations; defaults if None.
         criteria: Where phases fail; defaults if None.
         push: A disturbance during the turn.
+        reality: Errors of sensors, drives and object that the plan does not know; none if None.
         pictures: Folder for a picture at the end of each phase, which is where it went wrong if it
             failed; it must exist.
         video: Write a film here: ``.mp4``, ``.webp`` or ``.gif``.
@@ -294,6 +300,7 @@ def manipulate(
             timeline=timeline,
             criteria=criteria,
             push=push,
+            reality=reality,
         )
 
     run = run_of(plan, controller, true_task, push)

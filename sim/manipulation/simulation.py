@@ -22,6 +22,7 @@ from sim.manipulation.timeline import (
     ManipulationTimeline,
 )
 from sim.physics import PhysicsOptions
+from sim.reality import Reality
 from sim.simulation import Simulation
 from sim.verdict import DropCriteria, lost
 
@@ -68,6 +69,7 @@ class ManipulationSim:
         true_task: GraspTask | None = None,
         physics: PhysicsOptions | None = None,
         push: Push | None = None,
+        reality: Reality | None = None,
     ) -> None:
         """Build the scene and put hand and object at their start; see ``manipulate``."""
         grasp = plan.grasp
@@ -75,7 +77,7 @@ class ManipulationSim:
         there = replace(there, obstacles=(*there.obstacles, *plan.under_target))
         self.driver = ManipulationDriver(plan, controller, rate=timeline.turn_rate)
         self.simulation = Simulation(
-            replace(grasp, task=there), physics=physics, controller=self.driver
+            replace(grasp, task=there), physics=physics, controller=self.driver, reality=reality
         )
         self.mover = BaseMover(self.simulation.scene.gantry, grasp.T_world_base_start)
         self.simulation.carrier = self.mover

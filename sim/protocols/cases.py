@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -12,6 +12,7 @@ from planner.spatial import FloatArray
 from sim.controllers import MakeController
 from sim.physics import PhysicsOptions
 from sim.protocols.outcome import Outcome
+from sim.reality import Reality
 
 __all__ = ["AXES", "Case", "Conditions", "axis_of"]
 
@@ -33,10 +34,13 @@ class Conditions:
     Attributes:
         physics: How MuJoCo computes.
         controller: Makes what drives the hand, out of the plan.
+        reality: Errors of sensors, drives and object; those of ``dexgraspbench`` and ``drake`` are
+            exact whatever it is.
     """
 
     physics: PhysicsOptions
     controller: MakeController
+    reality: Reality = field(default_factory=Reality)
 
 
 class Case(Protocol):

@@ -24,6 +24,7 @@ from sim.carrier import Carrier
 from sim.controllers import AnyController, Phase
 from sim.controllers.monitors import SLIP_SPEED
 from sim.physics import PhysicsOptions
+from sim.reality import Reality
 from sim.recorder import Recorder
 from sim.recording import Recording
 from sim.samples import Samples
@@ -77,6 +78,7 @@ class DisturbanceTrial:
         timeline: Timeline = GRIP,
         scene: Scene | None = None,
         carrier: Carrier | None = None,
+        reality: Reality | None = None,
     ) -> None:
         """Put the hand, fingers open, where it grasps.
 
@@ -88,6 +90,7 @@ class DisturbanceTrial:
             timeline: Durations up to the hold.
             scene: Another scene than that of the plan's task in the air.
             carrier: What carries the hand in it.
+            reality: Errors of sensors, drives and object that the plan does not know; none if None.
 
         Raises:
             ModelError: MuJoCo refuses the scene.
@@ -104,6 +107,7 @@ class DisturbanceTrial:
             carrier=carrier,
             q=plan.q_pregrasp,
             T_world_base=plan.T_world_base,
+            reality=reality,
         )
         self.simulation.carrier = _Still(self.simulation.carrier)
         self._recorder = Recorder(self.simulation, RECORD_EVERY)

@@ -76,6 +76,7 @@ class GravityCase:
             other,
             controller=conditions.controller(other),
             physics=conditions.physics,
+            reality=conditions.reality,
             dropped=self.settings.dropped,
         )
         fault = hold.close_and_squeeze() or hold.hold_for(self.settings.hold_s)
@@ -109,6 +110,7 @@ class PushCase:
             plan,
             controller=conditions.controller(plan),
             physics=conditions.physics,
+            reality=conditions.reality,
             dropped=settings.dropped,
         )
         held, failed, before = 0.0, np.inf, 0.0

@@ -80,6 +80,7 @@ class RobustCase:
             controller=conditions.controller(plan),
             timeline=Timeline.quick(),
             record_every=RECORD_EVERY,
+            reality=conditions.reality,
         )
         report = trial.run()
         return Outcome(

@@ -31,10 +31,12 @@ from sim.protocols.dexgraspbench_scene import benchmark_contacts, benchmark_phys
 from sim.protocols.drake import drake_cases, drake_physics, unsuitable_for_drake
 from sim.protocols.forces import forces_cases
 from sim.protocols.outcome import Outcome
+from sim.protocols.reality import reality_cases
 from sim.protocols.report import ProtocolReport
 from sim.protocols.robust import robust_cases
 from sim.protocols.settings import Settings
 from sim.protocols.shake import on_an_arm, shake_cases
+from sim.reality import Reality
 from sim.runner import Runner, made_with
 from sim.scene import build_scene
 from sim.second_engine import drake_missing
@@ -51,12 +53,14 @@ PROTOCOLS: Mapping[str, MakeCases] = MappingProxyType(
         "shake": lambda settings, seed: shake_cases(settings),
         "robust": robust_cases,
         "drake": lambda settings, seed: drake_cases(),
+        "reality": reality_cases,
     }
 )
 """Name -> what makes the trials out of settings and the seed of random directions and errors."""
 
-IN_ALL = tuple(name for name in PROTOCOLS if name != "drake")
-"""Protocols that "all" stands for: "drake" needs another package, and is run by its name."""
+IN_ALL = tuple(name for name in PROTOCOLS if name not in ("drake", "reality"))
+"""Protocols that "all" stands for: "drake" needs another package, and "reality" tests
+the controller more than the grasp; both are run by their names."""
 
 REPLAYED = ("dexgraspbench", "drake")
 """Protocols with commands and numbers of their own, whatever controller and settings are."""
@@ -127,6 +131,7 @@ def run_protocol(
     controller: AnyController | None = None,
     physics: PhysicsOptions | None = None,
     settings: Settings | None = None,
+    reality: Reality | None = None,
     seed: int = 0,
     workers: int = 1,
     only: Collection[str] = (),
@@ -147,6 +152,9 @@ def run_protocol(
         physics: How MuJoCo computes; defaults if None. ``dexgraspbench`` has its own, and ``drake``
             takes the friction alone.
         settings: Numbers of the protocols; defaults if None.
+        reality: Errors of sensors, drives and object; none if None, or those of a laboratory in the
+            protocol ``reality``, which draws them anew for every trial. ``dexgraspbench`` and
+            ``drake`` have none.
         seed: Of random directions and pose errors.
         workers: Processes; 1 for this one, -1 for one per core. With more than one, the hand
             must be one that its plan file can name.
@@ -181,7 +189,8 @@ def run_protocol(
         raise TaskError(reason)
     label = "replay" if protocol in REPLAYED else controller_name(controller)
     text = json.dumps(plan_to_dict(plan))
-    conditions = Conditions(physics=physics, controller=make)
+    reality = reality or Reality()
+    conditions = Conditions(physics=physics, controller=make, reality=reality)
     jobs = [
         _Job(plan=text, case=case, conditions=conditions, video=_film(video, case))
         for case in cases
@@ -202,6 +211,8 @@ def run_protocol(
         ).run(_run, jobs, title=f"{protocol} {name}".strip(), keep=keep, given_up=_given_up)
     task = plan.task
     own = {} if protocol in REPLAYED else asdict(settings)
+    if not (protocol in REPLAYED or reality.ideal):
+        own["reality"] = reality.to_dict()
     stated = drake_physics(physics.mu) if protocol == "drake" else physics_of(plan, physics)
     if protocol == "dexgraspbench":
         stated |= benchmark_contacts()

@@ -15,7 +15,7 @@ __all__ = ["Settings"]
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """What ``forces``, ``shake`` and ``robust`` ask for; ``dexgraspbench`` is another's and fixed.
+    """Numbers of ``forces``, ``shake``, ``robust`` and ``reality``; ``dexgraspbench`` has its own.
 
     Attributes:
         hold_s: How long each direction of gravity is held, s: as long as DexGraspBench's push.
@@ -33,6 +33,7 @@ class Settings:
         friction_factors: Of the friction in simulation (-).
         pose_errors: How far the object is from where the plan has it, pairs of mm and degrees, in a
             random direction each.
+        realities: Draws of the protocol ``reality``.
         dropped: When an object counts as lost.
     """
 
@@ -49,6 +50,7 @@ class Settings:
     mass_factors: tuple[float, ...] = (0.5, 1.0, 2.0)
     friction_factors: tuple[float, ...] = (0.7, 1.0, 1.3)
     pose_errors: tuple[tuple[float, float], ...] = ((0.0, 0.0), (2.5, 2.5), (5.0, 5.0))
+    realities: int = 10
     dropped: DropCriteria = DROPPED
 
     def __post_init__(self) -> None:
@@ -61,6 +63,8 @@ class Settings:
             raise TaskError(f"growth is {self.growth}; loads grow by a factor above 1")
         if self.random < 0:
             raise TaskError(f"random is {self.random}; give a number of directions >= 0")
+        if self.realities < 1:
+            raise TaskError(f"realities is {self.realities}; give a number of draws >= 1")
         factors = (*self.mass_factors, *self.friction_factors)
         if not factors or not all(np.isfinite(f) and f > 0 for f in factors):
             raise TaskError(f"factors of mass and friction are {factors}; give numbers > 0")

@@ -59,6 +59,7 @@ class ShakeCase:
             plan,
             controller=conditions.controller(plan),
             physics=conditions.physics,
+            reality=conditions.reality,
             dropped=settings.dropped,
         )
         gantry = hold.simulation.scene.gantry

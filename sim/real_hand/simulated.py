@@ -155,7 +155,7 @@ class SimulatedHand:
         simulation, scene = self._simulation, self._simulation.scene
         if simulation.diverged:
             raise HandError(f"the simulation has diverged: {simulation.diverged}")
-        seen = simulation.observe(self._phase, self._carried[0])
+        seen = simulation.sensed(simulation.observe(self._phase, self._carried[0]))
         senses = self._senses
         return HandReading(
             time=simulation.time + (self._offset or 0.0),

@@ -19,11 +19,13 @@ from sim.cli.bench.common import (
 )
 from sim.cli.common import (
     PhysicsOption,
+    RealityOption,
     SeedOption,
     SimMuOption,
     errors_for_people,
     names,
     physics_of,
+    reality_of,
 )
 from sim.cli.options import with_options
 
@@ -38,6 +40,7 @@ def grasps(
     seeds: Annotated[int, typer.Option(min=1, help="Seeds per cell, from 0.")] = 10,
     sim_mu: SimMuOption = None,
     physics: PhysicsOption = "ours",
+    reality: RealityOption = "ideal",
     samples: SamplesOption = Path("grasps.jsonl"),
     *,
     result: ResultOptions,
@@ -46,13 +49,14 @@ def grasps(
     from sim.bench.grasps import grasps_table, run_grasps
     from sim.bench.objects import bench_objects
 
-    computed = physics_of(physics, sim_mu)
+    computed, errors = physics_of(physics, sim_mu), reality_of(reality)
     with result.measuring(samples) as runner:
         measured = run_grasps(
             names(hands),
             bench_objects(names(objects)),
             seeds,
             physics=computed,
+            reality=errors,
             file=samples,
             runner=runner,
         )

@@ -18,11 +18,13 @@ from sim.cli.bench.common import (
 from sim.cli.common import (
     FingersOption,
     PhysicsOption,
+    RealityOption,
     SeedOption,
     StandOption,
     errors_for_people,
     names,
     physics_of,
+    reality_of,
 )
 from sim.cli.movement import NO_SHIFT, RotateOption, ShiftOption, movement
 from sim.cli.options import with_options
@@ -80,6 +82,7 @@ def manipulate(
     fingers: FingersOption = None,
     stand: StandOption = 0.0,
     physics: PhysicsOption = "ours",
+    reality: RealityOption = "ideal",
     seed: SeedOption = 0,
     samples: SamplesOption = Path("manipulate.jsonl"),
     *,
@@ -93,7 +96,7 @@ def manipulate(
     from sim.bench.turn_table import manipulate_table
 
     axis, degrees, moved = movement(rotate, shift)
-    computed = physics_of(physics)
+    computed, errors = physics_of(physics), reality_of(reality)
     with result.measuring(samples) as runner:
         measured = run_manipulate(
             hands,
@@ -109,5 +112,6 @@ def manipulate(
             angle=math.radians(degrees),
             shift=moved,
             physics=computed,
+            reality=errors,
         )
     result.give(measured, manipulate_table)

@@ -1,0 +1,79 @@
+"""``reality``: the whole trial again and again, each time with other errors drawn.
+
+Sensors, drives and object are off as a ``Reality`` says, and neither plan nor controller knows how.
+The verdict is that of every trial (``sim.verdict``), on the truth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner.plan import GraspPlan
+from sim.protocols.cases import Conditions
+from sim.protocols.outcome import Outcome
+from sim.protocols.settings import Settings
+from sim.reality import lab
+from sim.timeline import Timeline
+from sim.trial import Trial
+
+__all__ = ["RealityCase", "reality_cases"]
+
+RECORD_EVERY = 0.05
+"""Time between samples, s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RealityCase:
+    """One draw.
+
+    Attributes:
+        index: Number of the trial; added to the reality's seed.
+    """
+
+    index: int
+
+    @property
+    def name(self) -> str:
+        """Which draw."""
+        return f"draw {self.index}"
+
+    def run(self, plan: GraspPlan, conditions: Conditions) -> Outcome:
+        """Execute it all; in a laboratory if no reality was asked for."""
+        asked = lab.PRESET if conditions.reality.ideal else conditions.reality
+        reality = asked.seeded(conditions.reality.seed + self.index)
+        trial = Trial(
+            plan,
+            physics=conditions.physics,
+            controller=conditions.controller(plan),
+            timeline=Timeline.quick(),
+            record_every=RECORD_EVERY,
+            reality=reality,
+        )
+        report = trial.run()
+        drawn = report.reality["drawn"] if report.reality is not None else {}
+        offsets = np.asarray(drawn["encoder_offset"])
+        return Outcome(
+            index=self.index,
+            name=self.name,
+            held=report.success,
+            fault=report.verdict.fault,
+            fingers=report.fingers,
+            samples=report.samples,
+            recording=report.recording,
+            load=np.zeros(len(report.samples)),
+            events=report.events,
+            conditions={
+                "reality_seed": reality.seed,
+                "mass_factor": drawn["mass"],
+                "friction_factor": drawn["friction"],
+                "size_factor": drawn["size"],
+                "largest_encoder_offset_deg": float(np.rad2deg(np.abs(offsets).max())),
+            },
+        )
+
+
+def reality_cases(settings: Settings, seed: int) -> tuple[RealityCase, ...]:
+    """As many draws as the settings say."""
+    return tuple(RealityCase(index=k) for k in range(settings.realities))

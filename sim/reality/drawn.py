@@ -1,0 +1,93 @@
+"""``Drawn``: the errors of one trial, drawn from the seed of a ``Reality``.
+
+Every error has a stream of random numbers of its own, named by its field: a ``SeedSequence`` of
+the seed whose spawn key is a checksum of the name. Streams give standard numbers, which the field
+only scales. So an error that is added or changed leaves the draws of all others as they were, and
+doubles with its field.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.hands.hand import Hand
+from planner.spatial import FloatArray
+from sim.reality.errors import Reality
+
+__all__ = ["Drawn", "hand_actuators", "stream"]
+
+
+def stream(seed: int, name: str) -> np.random.Generator:
+    """The random numbers of one error."""
+    key = (crc32(name.encode()),)
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+
+
+def hand_actuators(hand: Hand) -> NDArray[np.bool_]:
+    """Which actuators (nu,) drive joints of the hand, not of an arm that carries it."""
+    own = np.setdiff1d(np.arange(hand.nq), hand.arm_index)
+    drives: NDArray[np.bool_] = (hand.actuation.moment[:, own] != 0).any(axis=1)
+    return drives
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Drawn:
+    """What stays the same during a trial.
+
+    Attributes:
+        encoder_offset: (nq,), reading minus joint at a joint of 0, rad or m; 0 for an arm's.
+        encoder_scale: (nq,), growth of the reading per joint, less 1 (-); 0 for an arm's.
+        torque_constant: (nu,), true over nominal force of each actuator, less 1 (-).
+        pose_bias: (3,), constant error of the object's position, m.
+        turn_bias: (3,), rotation vector, rad, world axes.
+        size: True over nominal lengths of the object (-).
+        mass: True over nominal mass (-).
+        center: (3,), centre of mass, as a share of half the extents, object's axes (-).
+        friction: True over nominal friction (-).
+    """
+
+    encoder_offset: FloatArray
+    encoder_scale: FloatArray
+    torque_constant: FloatArray
+    pose_bias: FloatArray
+    turn_bias: FloatArray
+    size: float
+    mass: float
+    center: FloatArray
+    friction: float
+
+    @classmethod
+    def of(cls, reality: Reality, hand: Hand) -> Drawn:
+        """Draw for a hand."""
+        nq, nu = hand.nq, len(hand.actuation.names)
+        of_hand = np.ones(nq)
+        of_hand[hand.arm_index] = 0.0
+
+        def normal(name: str, n: int) -> FloatArray:
+            numbers = stream(reality.seed, name).standard_normal(n)
+            return np.asarray(reality.numbers[name] * numbers)
+
+        def uniform(name: str, n: int) -> FloatArray:
+            numbers = stream(reality.seed, name).uniform(-1.0, 1.0, n)
+            return np.asarray(reality.numbers[name] * numbers)
+
+        return cls(
+            encoder_offset=of_hand * normal("encoder_offset", nq),
+            encoder_scale=of_hand * normal("encoder_scale", nq),
+            torque_constant=hand_actuators(hand) * uniform("torque_constant", nu),
+            pose_bias=normal("pose_bias", 3),
+            turn_bias=normal("turn_bias", 3),
+            size=1.0 + float(uniform("object_size", 1)[0]),
+            mass=1.0 + float(uniform("object_mass", 1)[0]),
+            center=uniform("object_center", 3),
+            friction=1.0 + float(uniform("object_friction", 1)[0]),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, by the names of the attributes."""
+        return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in vars(self).items()}

@@ -1,0 +1,177 @@
+"""``Reality``: how far a laboratory is from the world that planner and controller believe in.
+
+Without arguments there is no difference. Every error has a field of its own, and all of them are
+drawn from ``seed``, each from a stream of its own: ``sim.reality.drawn``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
+
+from planner.errors import NotFoundError, TaskError
+
+__all__ = ["IDEAL", "REALITIES", "Reality", "named_reality", "register_reality"]
+
+IDEAL = "ideal"
+"""Name of the reality without errors."""
+
+BELOW_ONE = (
+    "encoder_scale",
+    "torque_constant",
+    "object_size",
+    "object_mass",
+    "object_center",
+    "object_friction",
+)
+"""Shares; at 1 the least size, mass or friction that is drawn would be 0."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reality:
+    """What sensors, drives and object have for errors; each 0 unless given.
+
+    "Standard deviation" means a normal distribution, "at most" a uniform one about 0. The joints
+    are those of the hand; an arm that carries it is taken as calibrated.
+
+    Attributes:
+        name: What a report calls it.
+        encoder_offset: Standard deviation of a joint's constant offset, rad (m for slides).
+        encoder_scale: Standard deviation of a joint's scale error (-).
+        encoder_noise: Standard deviation of the white noise of a joint's reading, rad.
+        rate_noise: Standard deviation of the white noise of a joint's velocity, rad/s.
+        dry_friction: Dry friction of every joint beside what the model has, N m (N for slides).
+        torque_constant: Largest error of an actuator's force, as a share of it (-).
+        command_delay: Age of a command when it acts, s.
+        command_rate: Rate at which commands are taken over and held, Hz; 0 for every time step.
+        pose_noise: Standard deviation of the white noise of the object's position, each axis, m.
+        turn_noise: The same of its rotation, each axis, rad.
+        pose_drift: Standard deviation of the correlated noise of the position, each axis, m.
+        turn_drift: The same of the rotation, each axis, rad.
+        drift_time: Correlation time of both, s; their autocorrelation is exp(-t / drift_time).
+        pose_bias: Standard deviation of the constant error of the position, each axis, m.
+        turn_bias: The same of the rotation, each axis, rad.
+        pose_rate: Rate at which poses are measured, Hz; 0 for every time step.
+        pose_delay: Age of a pose when it arrives, s.
+        dropout: Probability per measured pose that poses stop arriving (-).
+        dropout_time: How long they then stay away, s.
+        touch_noise: Standard deviation of the force that a finger feels, each axis, N; a finger
+            without contact says so without noise.
+        sliding_noise: Standard deviation of a pad's sliding velocity, each axis, m/s.
+        object_size: Largest error of all lengths of the object, as a share (-).
+        object_mass: Largest error of its mass, as a share (-).
+        object_center: Largest offset of its centre of mass along each axis, as a share of half its
+            extent there (-).
+        object_friction: Largest error of its friction, as a share (-).
+        seed: Of all draws, an integer >= 0.
+    """
+
+    name: str = IDEAL
+    encoder_offset: float = 0.0
+    encoder_scale: float = 0.0
+    encoder_noise: float = 0.0
+    rate_noise: float = 0.0
+    dry_friction: float = 0.0
+    torque_constant: float = 0.0
+    command_delay: float = 0.0
+    command_rate: float = 0.0
+    pose_noise: float = 0.0
+    turn_noise: float = 0.0
+    pose_drift: float = 0.0
+    turn_drift: float = 0.0
+    drift_time: float = 1.0
+    pose_bias: float = 0.0
+    turn_bias: float = 0.0
+    pose_rate: float = 0.0
+    pose_delay: float = 0.0
+    dropout: float = 0.0
+    dropout_time: float = 0.0
+    touch_noise: float = 0.0
+    sliding_noise: float = 0.0
+    object_size: float = 0.0
+    object_mass: float = 0.0
+    object_center: float = 0.0
+    object_friction: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Check every number."""
+        if not (isinstance(self.seed, int) and self.seed >= 0):
+            raise TaskError(f"reality: seed is {self.seed!r}; give an integer >= 0")
+        for name, value in self.numbers.items():
+            if not (math.isfinite(value) and value >= 0):
+                raise TaskError(f"reality: {name} is {value}; give a finite number >= 0")
+            if name in BELOW_ONE and value >= 1:
+                raise TaskError(f"reality: {name} is {value}; give a share in [0, 1)")
+        if self.drift_time == 0:
+            raise TaskError("reality: drift_time is 0; give a time in s above 0")
+        if self.dropout > 1:
+            raise TaskError(f"reality: dropout is {self.dropout}; give a probability in [0, 1]")
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """All errors by the names of their fields."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in NO_ERROR}
+
+    @property
+    def ideal(self) -> bool:
+        """Whether it has no error at all: then nothing is drawn, changed or delayed."""
+        return not any(value for name, value in self.numbers.items() if name != "drift_time")
+
+    def seeded(self, seed: int) -> Reality:
+        """The same with another seed."""
+        return replace(self, seed=seed)
+
+    def alone(self, *names: str) -> Reality:
+        """The same with only some of its errors: to find which one does the harm.
+
+        Args:
+            names: Of fields; ``drift_time`` and ``seed`` are always kept.
+
+        Raises:
+            NotFoundError: No error has that name.
+        """
+        for name in names:
+            if name not in self.numbers:
+                raise NotFoundError("error of a reality", name, tuple(self.numbers))
+        kept = {name: self.numbers[name] for name in (*names, "drift_time")}
+        label = f"{self.name}: {', '.join(names)}"
+        return Reality(name=label, seed=self.seed, **kept)
+
+    def to_dict(self) -> dict[str, Any]:
+        """All fields as plain data."""
+        return asdict(self)
+
+
+NO_ERROR = ("name", "seed")
+"""Fields that are no error."""
+
+_REALITIES: dict[str, Reality] = {}
+
+REALITIES: Mapping[str, Reality] = _REALITIES
+"""Realities by their names."""
+
+
+def register_reality(reality: Reality) -> Reality:
+    """Make a reality known by its name, and return it.
+
+    Raises:
+        TaskError: Another one has that name.
+    """
+    if reality != _REALITIES.setdefault(reality.name, reality):
+        raise TaskError(f"there is a reality {reality.name!r} already; give another name")
+    return reality
+
+
+def named_reality(name: str, seed: int = 0) -> Reality:
+    """A registered reality with a seed.
+
+    Raises:
+        NotFoundError: There is none of that name.
+        TaskError: The seed is no integer >= 0.
+    """
+    if name not in REALITIES:
+        raise NotFoundError("reality", name, REALITIES)
+    return REALITIES[name].seeded(seed)

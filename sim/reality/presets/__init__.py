@@ -1,0 +1,1 @@
+"""Realities that ship, a file each; each registers itself by its name."""

@@ -1,0 +1,9 @@
+"""``ideal``: the object's pose, the joints and all numbers are known exactly and at once."""
+
+from __future__ import annotations
+
+from sim.reality.errors import Reality, register_reality
+
+__all__ = ["PRESET"]
+
+PRESET = register_reality(Reality())

@@ -1,0 +1,559 @@
+"""Reality against answers on paper: offsets, delays, rates, noise; nothing else changes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from manipulations import QUICK, task_of
+
+from planner.actuation import Actuation
+from planner.errors import NotFoundError, TaskError
+from planner.hand_loading import load_hand
+from planner.kinematics.state import HandState
+from planner.motion.manipulation import plan_manipulation
+from planner.plan import GraspPlan
+from planner.search import plan_grasp
+from planner.spatial import SE3, FloatArray
+from planner.task import GraspTask
+from sim.controllers import Observation, PadReading, Phase
+from sim.manipulation.run import ManipulationRun
+from sim.physics import PhysicsOptions
+from sim.reality import REALITIES, Drawn, Reality, RealityOfTrial, named_reality, register_reality
+from sim.reality.drawn import stream
+from sim.reality.drive import RealDrive
+from sim.reality.senses import Drift, RealSenses
+from sim.recording import Recording
+from sim.report_file import read_report, write_report
+from sim.scene import build_scene
+from sim.simulation import Simulation
+from sim.timeline import Timeline
+from sim.trial import Trial, simulate
+
+DT = 0.002
+SHORT = Timeline.quick(hold=0.3)
+ERRORS = [name for name in Reality().numbers if name != "drift_time"]
+
+
+@pytest.fixture(scope="module")
+def plan() -> GraspPlan:
+    return plan_grasp(GraspTask.create("allegro_hand", "sphere"))
+
+
+@pytest.fixture(scope="module")
+def task(plan: GraspPlan) -> GraspTask:
+    return plan.task
+
+
+def changed(reality: Reality, name: str, value: float) -> Reality:
+    """With another number in a field."""
+    values: dict[str, Any] = {name: value}
+    return replace(reality, **values)
+
+
+def nothing(task: GraspTask, **values: Any) -> Drawn:
+    """Draws that are all nominal but those given."""
+    return replace(Drawn.of(Reality(), task.hand), **values)
+
+
+def seen(time: float, x: float = 0.0, *, phase: Phase = "hold", **other: Any) -> Observation:
+    """An observation of 16 joints and two fingers, the object at x (m)."""
+    values: dict[str, Any] = {
+        "q": np.zeros(16),
+        "v": np.zeros(16),
+        "T_world_base": SE3.Identity(),
+        "T_world_object": SE3(np.eye(3), np.array([x, 0.0, 0.0])),
+        "normal_forces": np.zeros(2),
+        "read_twist": lambda: np.zeros(6),
+        "read_contacts": lambda: None,
+    }
+    return Observation(time=time, phase=phase, progress=0.0, **(values | other))
+
+
+# --- what is drawn -----------------------------------------------------------------------------
+
+
+def test_ideal_has_no_error_and_every_other_preset_has() -> None:
+    assert list(REALITIES) == ["ideal", "lab", "rough"]
+    assert [name for name, reality in REALITIES.items() if reality.ideal] == ["ideal"]
+    lab, rough = REALITIES["lab"].numbers, REALITIES["rough"].numbers
+    assert all(rough[name] >= lab[name] for name in ERRORS if name != "pose_rate")
+    assert 0 < rough["pose_rate"] < lab["pose_rate"]
+
+
+def test_same_seed_same_draws(task: GraspTask) -> None:
+    one, again, other = (
+        Drawn.of(named_reality("rough", seed), task.hand).to_dict() for seed in (3, 3, 4)
+    )
+    assert one == again
+    assert all(one[name] != other[name] for name in one if name not in ("pose_bias", "turn_bias"))
+
+
+@given(
+    name=st.sampled_from(ERRORS),
+    value=st.floats(0.0, 0.9),
+    seed=st.integers(0, 2**63),
+)
+def test_an_error_leaves_the_draws_of_the_others(name: str, value: float, seed: int) -> None:
+    hand, first = load_hand("allegro_hand"), replace(REALITIES["rough"], seed=seed)
+    before = Drawn.of(first, hand).to_dict()
+    after = Drawn.of(changed(first, name, value), hand).to_dict()
+    own = name.removeprefix("object_")
+    assert {k: v for k, v in before.items() if k != own} == {
+        k: v for k, v in after.items() if k != own
+    }
+    if own in ("size", "mass", "friction"):
+        share = (before[own] - 1.0) / REALITIES["rough"].numbers[name]
+        assert after[own] - 1.0 == pytest.approx(value * share, abs=1e-12)
+
+
+def test_draws_have_the_distribution_that_is_said(task: GraspTask) -> None:
+    rough = REALITIES["rough"]
+    drawn = [Drawn.of(rough.seeded(seed), task.hand) for seed in range(400)]
+    offsets = np.array([d.encoder_offset for d in drawn])
+    assert offsets.std() == pytest.approx(rough.encoder_offset, rel=0.03)
+    assert abs(offsets.mean()) < 4 * rough.encoder_offset / np.sqrt(offsets.size)
+    mass = np.array([d.mass for d in drawn]) - 1.0
+    assert np.abs(mass).max() <= rough.object_mass
+    assert mass.std() == pytest.approx(rough.object_mass / np.sqrt(3), rel=0.1)
+
+
+def test_an_arm_is_calibrated() -> None:
+    hand = load_hand("allegro_on_arm7")
+    drawn = Drawn.of(REALITIES["rough"], hand)
+    own = np.setdiff1d(np.arange(hand.nq), hand.arm_index)
+    assert len(hand.arm_index) > 0
+    assert not drawn.encoder_offset[hand.arm_index].any()
+    assert drawn.encoder_offset[own].all()
+
+
+@pytest.mark.parametrize("name", ERRORS)
+@pytest.mark.parametrize("value", [-1e-3, np.nan, np.inf])
+def test_bad_values_are_refused(name: str, value: float) -> None:
+    with pytest.raises(TaskError, match=f"{name} is .*; give a finite number >= 0"):
+        changed(Reality(), name, value)
+
+
+def test_other_bad_values_are_refused() -> None:
+    for name in ("object_size", "object_mass", "object_friction", "torque_constant"):
+        with pytest.raises(TaskError, match="a share in"):
+            changed(Reality(), name, 1.0)
+    with pytest.raises(TaskError, match="a probability"):
+        Reality(dropout=1.1)
+    with pytest.raises(TaskError, match="drift_time is 0"):
+        Reality(drift_time=0.0)
+    with pytest.raises(TaskError, match="an integer >= 0"):
+        Reality(seed=-1)
+    with pytest.raises(NotFoundError, match="lab"):
+        named_reality("labs")
+    with pytest.raises(NotFoundError, match="encoder_offset"):
+        REALITIES["lab"].alone("encoder_offsets")
+    with pytest.raises(TaskError, match="already"):
+        register_reality(Reality(name="lab"))
+
+
+def test_alone_keeps_one_error() -> None:
+    only = REALITIES["rough"].seeded(7).alone("object_mass")
+    assert [name for name in ERRORS if only.numbers[name]] == ["object_mass"]
+    assert only.seed == 7
+    assert {f.name for f in fields(Reality)} - set(ERRORS) == {"name", "seed", "drift_time"}
+
+
+# --- sensors -----------------------------------------------------------------------------------
+
+
+def test_drift_has_the_variance_and_the_correlation_of_its_formula() -> None:
+    time, elapsed, n = 0.5, 0.05, 40_000
+    drift = Drift(np.array([2.0, 0.1]), time, stream(1, "drift"))
+    x = np.array([drift.step(elapsed) for _ in range(n)])
+    np.testing.assert_allclose(x.std(axis=0), [2.0, 0.1], rtol=0.05)
+    for lag in (1, 5, 10, 20):
+        measured = (x[lag:] * x[:-lag]).mean(axis=0) / x.var(axis=0)
+        np.testing.assert_allclose(measured, np.exp(-lag * elapsed / time), atol=0.06)
+
+
+def test_drift_does_not_depend_on_how_time_is_cut() -> None:
+    finely = Drift(np.ones(2000), 0.5, stream(1, "a"))
+    coarsely = Drift(np.ones(2000), 0.5, stream(2, "b"))
+    begin = finely.step(0.0), coarsely.step(0.0)
+    for _ in range(10):
+        fine = finely.step(0.03)
+    coarse = coarsely.step(0.3)
+    for first, last in zip(begin, (fine, coarse), strict=True):
+        assert last.std() == pytest.approx(1.0, rel=0.06)
+        assert (first * last).mean() == pytest.approx(np.exp(-0.3 / 0.5), abs=0.06)
+
+
+@pytest.mark.parametrize("steps", [1, 7, 15])
+def test_a_late_pose_is_that_of_before(task: GraspTask, steps: int) -> None:
+    reality = Reality(pose_delay=DT * steps)
+    senses = RealSenses(reality, Drawn.of(reality, task.hand), task)
+    for k in range(40):
+        known = senses.read(seen(DT * k, 0.01 * k)).T_world_object.translation[0]
+        assert known == pytest.approx(0.01 * max(0, k - steps), abs=1e-12)
+
+
+def test_a_camera_sees_at_its_rate_and_late(task: GraspTask) -> None:
+    """At 50 Hz and 30 ms every tenth step is measured, and known 15 steps later."""
+    reality = Reality(pose_rate=50.0, pose_delay=0.03)
+    senses = RealSenses(reality, Drawn.of(reality, task.hand), task)
+    for k in range(100):
+        known = senses.read(seen(DT * k, float(k))).T_world_object.translation[0]
+        assert known == pytest.approx(max(0, (k - 15) // 10 * 10))
+
+
+def test_a_late_pose_is_carried_by_the_hand_once_it_holds(task: GraspTask) -> None:
+    cases: tuple[tuple[Phase, float], ...] = (("hold", 0.09), ("approach", 0.04))
+    for phase, expected in cases:
+        reality = Reality(pose_delay=5 * DT)
+        senses = RealSenses(reality, Drawn.of(reality, task.hand), task)
+        for k in range(10):
+            base = SE3(np.eye(3), np.array([0.01 * k, 0.0, 0.0]))
+            truth = seen(DT * k, 0.01 * k, T_world_base=base, phase=phase)
+            known = senses.read(truth).T_world_object.translation[0]
+        assert known == pytest.approx(expected, abs=1e-12)
+
+
+def test_the_twist_is_the_difference_of_the_last_two_poses(task: GraspTask) -> None:
+    reality = Reality(pose_rate=50.0)
+    senses = RealSenses(reality, Drawn.of(reality, task.hand), task)
+    read = senses.read(seen(0.0))
+    np.testing.assert_array_equal(read.object_twist, np.zeros(6))
+    for k in range(1, 30):
+        turned = SE3(pin.exp3(np.array([0.0, 0.0, 2.0 * DT * k])), np.array([DT * k, 0.0, 0.0]))
+        read = senses.read(seen(DT * k, T_world_object=turned))
+    np.testing.assert_allclose(read.object_twist, [1.0, 0, 0, 0, 0, 2.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("lost", [1, 4])
+def test_dropouts_come_and_last_as_often_and_long_as_said(task: GraspTask, lost: int) -> None:
+    """Of the poses a share p m / (1 - p + p m) is lost if each dropout costs m of them."""
+    p, rate = 0.1, 1.0 / DT
+    reality = Reality(dropout=p, dropout_time=lost * DT, pose_rate=rate)
+    senses = RealSenses(reality, Drawn.of(reality, task.hand), task)
+    known = np.array(
+        [senses.read(seen(DT * k, float(k))).T_world_object.translation[0] for k in range(8000)]
+    )
+    fresh = known == np.arange(8000)
+    assert 1.0 - fresh.mean() == pytest.approx(p * lost / (1 - p + p * lost), rel=0.1)
+    runs = np.diff(np.flatnonzero(fresh)) - 1
+    assert runs[runs > 0].min() == lost
+
+
+def test_noise_and_bias_have_the_size_asked_for(task: GraspTask) -> None:
+    reality = Reality(pose_noise=1e-3, turn_noise=0.02, encoder_noise=0.01, rate_noise=0.3)
+    drawn = nothing(task, pose_bias=np.array([5e-3, 0.0, 0.0]), turn_bias=np.array([0, 0.1, 0]))
+    senses = RealSenses(reality, drawn, task)
+    read = [senses.read(seen(DT * k)) for k in range(3000)]
+    moved = np.array([r.T_world_object.translation for r in read])
+    turned = np.array([pin.log3(r.T_world_object.rotation) for r in read])
+    np.testing.assert_allclose(moved.std(axis=0), 1e-3, rtol=0.06)
+    np.testing.assert_allclose(turned.std(axis=0), 0.02, rtol=0.06)
+    np.testing.assert_allclose(moved.mean(axis=0), [5e-3, 0, 0], atol=1e-4)
+    np.testing.assert_allclose(turned.mean(axis=0), [0, 0.1, 0], atol=2e-3)
+    assert np.std([r.q for r in read]) == pytest.approx(0.01, rel=0.03)
+    assert np.std([r.v for r in read]) == pytest.approx(0.3, rel=0.03)
+
+
+def test_a_finger_that_touches_nothing_says_so_and_pads_agree_with_touch(task: GraspTask) -> None:
+    reality = Reality(touch_noise=0.1, sliding_noise=0.002)
+    senses = RealSenses(reality, nothing(task), task)
+    pads = PadReading(
+        normal_force=np.array([2.0, 0.0]),
+        force=np.array([[2.0, 0.5, 0.0], [0.0, 0.0, 0.0]]),
+        position=np.array([[0.0, 0.0, 0.0], [np.nan] * 3]),
+        normal=np.array([[1.0, 0.0, 0.0], [np.nan] * 3]),
+        sliding=np.array([[0.0, 0.003, 0.004], [np.nan] * 3]),
+    )
+    truth = [
+        seen(DT * k, normal_forces=pads.normal_force, read_pads=lambda: pads) for k in range(3000)
+    ]
+    read = [senses.read(t) for t in truth]
+    felt = np.array([r.normal_forces for r in read])
+    assert felt[:, 0].std() == pytest.approx(0.1, rel=0.06)
+    assert not felt[:, 1].any()
+    for r in read[:10]:
+        np.testing.assert_array_equal(r.pads.normal_force, r.normal_forces)
+        assert r.pads.force[0, 0] == pytest.approx(r.normal_forces[0])
+        assert not r.pads.force[1].any()
+        assert np.isnan(r.pads.sliding[1]).all()
+    np.testing.assert_allclose(
+        np.std([r.pads.sliding[0] for r in read], axis=0), [0, 0.002, 0.002], rtol=0.06
+    )
+    with pytest.raises(TaskError, match="read pads"):
+        _ = read[0].contacts
+
+
+def test_places_on_pads_follow_the_joints_that_are_read(plan: GraspPlan) -> None:
+    """A reading in the world minus the truth is how far the offsets move the fingertip."""
+    task, offset = plan.task, np.deg2rad(2.0) * np.ones(16)
+    simulation = Simulation(plan)
+    senses = RealSenses(Reality(), nothing(task, encoder_offset=offset), task)
+    n = len(task.fingers)
+    tips = np.array([simulation.T_world_base.act(p) for p in _tips(task, simulation.q)])
+    pads = replace(
+        PadReading.nothing(n), position=tips, normal_force=np.ones(n), normal=np.eye(3)[[0] * n]
+    )
+    pads = replace(pads, sliding=np.zeros((n, 3)))
+    truth = replace(simulation.observe("hold", 0.0), read_pads=lambda: pads)
+    read = senses.read(truth).pads
+    base = simulation.T_world_base
+    expected = [base.act(p) for p in _tips(task, simulation.q + offset)]
+    np.testing.assert_allclose(read.position, expected, atol=1e-9)
+    assert np.linalg.norm(read.position - tips, axis=1).min() > 1e-3
+    np.testing.assert_allclose(np.linalg.norm(read.normal, axis=1), 1.0)
+
+
+def _tips(task: GraspTask, q: FloatArray) -> list[FloatArray]:
+    state = HandState(task.hand, q)
+    return [state.tip_pose(f).translation for f in task.fingers]
+
+
+# --- drives ------------------------------------------------------------------------------------
+
+
+@dataclass
+class Still:
+    """Keeps commanding one posture."""
+
+    commands: FloatArray
+
+    def step(self, observation: Observation) -> FloatArray:
+        return self.commands
+
+
+def test_an_offset_moves_the_joint_of_a_position_servo_the_other_way(plan: GraspPlan) -> None:
+    """2 degrees on one encoder: at rest its joint stands at -2 degrees, and reads as commanded."""
+    floating = replace(plan, task=replace(plan.task, gravity=np.zeros(3)))
+    k, offset = 2, np.deg2rad(2.0)
+    rest, read = [], []
+    for error in (0.0, offset):
+        simulation = Simulation(
+            floating, controller=Still(plan.q_start.copy()), reality=Reality(encoder_offset=1.0)
+        )
+        drawn = nothing(plan.task, encoder_offset=error * np.eye(16)[k])
+        simulation.reality = RealityOfTrial(Reality(), plan.task, drawn)
+        for _ in simulation.run("approach", 1.5):
+            pass
+        rest.append(simulation.q)
+        read.append(simulation.sensed(simulation.observe("approach", 1.0)).q)
+    np.testing.assert_allclose(rest[1] - rest[0], -offset * np.eye(16)[k], atol=2e-4)
+    np.testing.assert_allclose(read[1], read[0], atol=2e-4)
+
+
+def test_offsets_pass_through_tendons_and_clipping_comes_before() -> None:
+    hand = load_hand("shadow_hand")
+    task = GraspTask.create(hand, "sphere")
+    moment = hand.actuation.moment
+    assert (np.count_nonzero(moment, axis=1) > 1).any()  # tendons on two joints
+    drawn = Drawn.of(Reality(encoder_offset=0.02, seed=1), hand)
+    drive = RealDrive(Reality(), drawn, hand.actuation)
+    high = hand.actuation.ctrl_range[:, 1]
+    ctrl = drive.drive(0.0, high + 1.0, np.zeros(hand.nq))
+    np.testing.assert_allclose(ctrl, high - moment @ drawn.encoder_offset)
+    scaled = replace(nothing(task), encoder_scale=np.full(hand.nq, 0.1))
+    q = np.linspace(0.1, 0.3, hand.nq)
+    ctrl = RealDrive(Reality(), scaled, hand.actuation).drive(0.0, 0.0 * high, q)
+    np.testing.assert_allclose(ctrl, np.clip(0, *hand.actuation.ctrl_range.T) - 0.1 * moment @ q)
+
+
+def test_a_motor_gives_its_torque_whatever_its_encoder_says(task: GraspTask) -> None:
+    n = 16
+    motors = Actuation(
+        names=tuple(f"m{k}" for k in range(n)),
+        joint_names=task.hand.joint_names,
+        moment=np.eye(n),
+        length0=np.zeros(n),
+        gain=np.ones(n),
+        bias=np.zeros((n, 3)),
+        force_range=np.tile([-1.0, 1.0], (n, 1)),
+        ctrl_range=np.tile([-1.0, 1.0], (n, 1)),
+        stop_rows=np.zeros((0, n)),
+        stop_values=np.zeros(0),
+        stop_names=(),
+    )
+    drive = RealDrive(Reality(), nothing(task, encoder_offset=np.full(n, 0.1)), motors)
+    torque = np.linspace(-0.5, 0.5, n)
+    np.testing.assert_array_equal(drive.drive(0.0, torque, np.zeros(n)), torque)
+
+
+@pytest.mark.parametrize("steps", [1, 3, 8])
+def test_commands_act_late(task: GraspTask, steps: int) -> None:
+    drive = RealDrive(Reality(command_delay=steps * DT), nothing(task), task.hand.actuation)
+    for k in range(30):
+        acting = drive.drive(k * DT, np.full(16, 0.001 * k), np.zeros(16))
+        low = task.hand.actuation.ctrl_range[:, 0]
+        np.testing.assert_allclose(acting, np.maximum(low, 0.001 * max(0, k - steps)), atol=1e-12)
+
+
+def test_commands_are_held(task: GraspTask) -> None:
+    """At 100 Hz every fifth step is taken over; with 4 ms of delay it acts two steps later."""
+    reality = Reality(command_rate=100.0, command_delay=2 * DT)
+    drive = RealDrive(reality, nothing(task), task.hand.actuation)
+    low = task.hand.actuation.ctrl_range[:, 0]
+    for k in range(40):
+        acting = drive.drive(k * DT, np.full(16, 0.001 * k), np.zeros(16))
+        held = 0.001 * max(0, (k - 2) // 5 * 5)
+        np.testing.assert_allclose(acting, np.maximum(low, held), atol=1e-12)
+
+
+# --- the world ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shape", ["box", "cylinder", "mug"])
+def test_the_compiled_object_is_off_by_what_was_drawn(shape: str) -> None:
+    task = GraspTask.create("allegro_hand", shape)
+    drawn = nothing(task, size=1.1, mass=1.5, friction=0.5, center=np.array([0.1, -0.2, 0.0]))
+    here = RealityOfTrial(Reality(dry_friction=0.02), task, drawn)
+    scenes = []
+    for change in (None, here.change):
+        scenes.append(build_scene(task, T_world_base=SE3.Identity(), change=change))
+    (a, b), body = (scene.model for scene in scenes), scenes[0].object_body
+    geoms = sorted(scenes[0].object_geoms)
+    assert b.body_mass[body] == pytest.approx(1.5 * a.body_mass[body])
+    np.testing.assert_allclose(
+        np.sort(b.body_inertia[body]), 1.5 * 1.21 * np.sort(a.body_inertia[body]), rtol=1e-6
+    )
+    half = task.object.shape.half_extents
+    np.testing.assert_allclose(
+        b.body_ipos[body] - a.body_ipos[body], 1.1 * half * [0.1, -0.2, 0.0], atol=1e-9
+    )
+    np.testing.assert_allclose(b.geom_friction[geoms], 0.5 * a.geom_friction[geoms])
+    np.testing.assert_allclose(b.geom_rbound[geoms], 1.1 * a.geom_rbound[geoms], rtol=1e-5)
+    dofs = scenes[0].hand_dof
+    np.testing.assert_allclose(b.dof_frictionloss[dofs] - a.dof_frictionloss[dofs], 0.02)
+    others = np.setdiff1d(np.arange(a.ngeom), geoms)
+    np.testing.assert_array_equal(a.geom_size[others], b.geom_size[others])
+    np.testing.assert_array_equal(a.geom_friction[others], b.geom_friction[others])
+
+
+@pytest.mark.parametrize("size", [0.8, 1.2])
+def test_a_larger_object_stands_on_the_table(plan: GraspPlan, size: float) -> None:
+    task = plan.task
+    here = RealityOfTrial(Reality(), task, nothing(task, size=size))
+    scene = build_scene(task, T_world_base=plan.T_world_base, change=here.change)
+    data = scene.start(plan.q_start, plan.T_world_base_start)
+    here.place(scene, data)
+    radius = size * task.object.shape.half_extents[2]
+    assert task.table_height is not None
+    assert scene.body_pose(data, scene.object_body).translation[2] == pytest.approx(
+        task.table_height + radius, abs=1e-9
+    )
+
+
+def test_a_torque_constant_changes_what_actuators_give(plan: GraspPlan) -> None:
+    simulation = Simulation(plan, reality=Reality(torque_constant=0.3, seed=2))
+    nominal, model = Simulation(plan).scene.model, simulation.scene.model
+    assert simulation.reality is not None
+    ctrl, factor = simulation.scene.hand_ctrl, 1.0 + simulation.reality.drawn.torque_constant
+    for name in ("actuator_gainprm", "actuator_biasprm"):
+        before, after = getattr(nominal, name)[ctrl], getattr(model, name)[ctrl]
+        np.testing.assert_allclose(after[:, :3], factor[:, None] * before[:, :3])
+    assert factor.std() > 0.1
+
+
+# --- whole trials ------------------------------------------------------------------------------
+
+
+def same_states(one: Recording, other: Recording) -> None:
+    """To the last bit."""
+    for name in ("q", "T_world_object", "commands", "forces"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+@pytest.mark.parametrize("controller", ["feedforward", "impedance"])
+def test_layers_without_errors_change_no_bit(plan: GraspPlan, controller: str) -> None:
+    """With no reality, with ``ideal``, and with layers in between that have nothing to do."""
+    reports = []
+    for which in ("none", "ideal", "layers"):
+        trial = Trial(
+            plan,
+            controller=controller,
+            timeline=SHORT,
+            reality=None if which == "none" else Reality(seed=9),
+        )
+        assert trial.simulation.reality is None
+        if which == "layers":
+            trial.simulation.reality = RealityOfTrial(Reality(), plan.task)
+        reports.append(trial.run())
+    first, *rest = reports
+    for other in rest:
+        same_states(first.recording, other.recording)
+        assert first.verdict == other.verdict
+        assert first.events == other.events
+    assert reports[1].reality is None
+
+
+def test_layers_without_errors_change_no_bit_of_a_manipulation() -> None:
+    task = task_of("cylinder:0.03x0.08", fingers=("thumb", "index", "middle"))
+    plan = plan_manipulation(task, angle=np.deg2rad(20.0), place=(0.04, -0.02))
+    reports = []
+    for layers in (False, True):
+        run = ManipulationRun(plan, timeline=QUICK, reality=None if layers else Reality(seed=3))
+        assert run.sim.simulation.reality is None
+        if layers:
+            run.sim.simulation.reality = RealityOfTrial(Reality(), plan.task)
+        reports.append(run.perform())
+    assert reports[0].complete
+    same_states(reports[0].recording, reports[1].recording)
+    assert reports[0].numbers() == reports[1].numbers()
+
+
+def test_the_report_says_what_was_drawn_and_comes_again(plan: GraspPlan, tmp_path: Any) -> None:
+    asked = named_reality("rough", 5)
+    reports = [
+        simulate(plan, controller="impedance", timeline=SHORT, reality=asked) for _ in range(2)
+    ]
+    same_states(reports[0].recording, reports[1].recording)
+    write_report(reports[0].to_dict(), tmp_path / "report.json")
+    told = read_report(tmp_path / "report.json").reality
+    assert told is not None
+    assert (told["name"], told["seed"]) == ("rough", 5)
+    assert told["drawn"] == Drawn.of(asked, plan.task.hand).to_dict()
+
+
+def test_reports_of_older_versions_have_no_reality(plan: GraspPlan, tmp_path: Any) -> None:
+    data = simulate(plan, timeline=SHORT).to_dict(states=False)
+    old = {k: v for k, v in data.items() if k != "reality"} | {"version": 2}
+    write_report(old, tmp_path / "report.json")
+    assert read_report(tmp_path / "report.json").reality is None
+
+
+def test_the_loop_yields_the_truth_and_the_controller_sees_the_reading(plan: GraspPlan) -> None:
+    told: list[Observation] = []
+
+    class Noting(Still):
+        def step(self, observation: Observation) -> FloatArray:
+            told.append(observation)
+            return self.commands
+
+    simulation = Simulation(
+        plan, controller=Noting(plan.q_start.copy()), reality=Reality(encoder_offset=0.05, seed=1)
+    )
+    assert simulation.reality is not None
+    offset = simulation.reality.drawn.encoder_offset
+    for truth in simulation.run("approach", 5 * DT):
+        np.testing.assert_allclose(told[-1].q - truth.q, offset, atol=1e-12)
+        assert told[-1].T_world_object is truth.T_world_object
+
+
+def test_a_scene_of_ones_own_has_no_reality(plan: GraspPlan) -> None:
+    scene = Simulation(plan).scene
+    with pytest.raises(TaskError, match="a scene or a reality"):
+        Simulation(plan, scene=scene, reality=named_reality("lab"))
+    assert Simulation(plan, scene=scene, reality=named_reality("ideal")).reality is None
+
+
+def test_errors_of_physics_and_reality_go_together(plan: GraspPlan) -> None:
+    simulation = Simulation(
+        plan, physics=PhysicsOptions(mu=0.8), reality=Reality(object_friction=0.3, seed=4)
+    )
+    assert simulation.reality is not None
+    geom = min(simulation.scene.object_geoms)
+    expected = 0.8 * simulation.reality.drawn.friction
+    assert simulation.scene.model.geom_friction[geom, 0] == pytest.approx(expected)
