@@ -163,7 +163,8 @@ def test_equations_of_touch(
     equations = touch_equations(shape, estimate, tips, points, np.full(n, height), outward)
     assert equations.residual == pytest.approx(np.zeros((3 if felt else 1) * n), abs=1e-9)
     numeric = -differences(residual, 7 + m)
-    assert equations.jacobian == pytest.approx(numeric, abs=2e-2 if felt else 1e-6)
+    # curvature is a forward difference over 0.1 mm
+    assert equations.jacobian == pytest.approx(numeric, rel=5e-3 if felt else 1e-6, abs=1e-6)
     assert equations.jacobian[:n] == pytest.approx(numeric[:n], abs=1e-6)
 
 

@@ -117,6 +117,7 @@ class ObjectEstimator:
         track = self._track
         if track is None:
             self._track = track = self._begin(observation, touching)
+            self._note(track)
         elif observation.time > track.last.time + TOL:
             last = track.last
             changed = last.standing != (observation.phase in STANDING) or bool(

@@ -40,7 +40,7 @@ HUBER = 3.0
 STANDING = (5e-5, 1e-3)
 """Random walk of an object that stands and is not touched, m / sqrt(s) and rad / sqrt(s)."""
 
-PUSHED, PUSHED_UP = (0.03, 0.5), (0.005, 0.1)
+PUSHED, PUSHED_UP = (2e-3, 0.05), (1e-3, 0.02)
 """The same of one that is touched: along the table and about the vertical; up, and by tipping."""
 
 CARRIED = (0.1, 2.0)
