@@ -84,6 +84,11 @@ class Belief:
         pose = pin.exp6(pin.Motion(error[:6])) * self.T_base_object
         return Belief(pose, self.offsets + error[6:-1], self.size + float(error[-1]), covariance)
 
+    def beyond(self, other: Belief) -> FloatArray:
+        """The error (7 + m,) of another estimate, if this one is true."""
+        pose = other.off(self.T_base_object)
+        return np.concatenate([pose, self.offsets - other.offsets, [self.size - other.size]])
+
     def off(self, measured: SE3) -> FloatArray:
         """Logarithm (6,) of a measured pose relative to the estimate, base axes."""
         return np.array(pin.log6(measured * self.T_base_object.inverse()).vector)
