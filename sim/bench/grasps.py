@@ -17,6 +17,7 @@ from planner.synthesis.problem_cache import problems_for
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, task_for
 from sim.bench.run import ObjectJob, measure
+from sim.estimation import NONE, estimator_name
 from sim.physics import PhysicsOptions
 from sim.reality import Reality
 from sim.runner import Check, Runner
@@ -138,6 +139,8 @@ def run_grasps(
     # left out where nothing is off, so that files go on that were begun before there were any
     if not reality.ideal:
         asked["reality"] = reality.to_dict()
+    if (name := estimator_name(None, reality)) != NONE:
+        asked["estimator"] = name
     return measure(
         runner,
         plan_and_execute,

@@ -41,6 +41,7 @@ from sim.bench.conditions import (
 from sim.bench.meshes import standing
 from sim.bench.objects import BenchObject, bench_objects
 from sim.controllers.follow import RATE, SPEED
+from sim.estimation import NONE, estimator_name
 from sim.manipulation import Push, manipulate, rests, settled
 from sim.physics import PhysicsOptions
 from sim.reality import Reality
@@ -229,6 +230,7 @@ def run_manipulate(
     shift: Vector = NO_SHIFT,
     physics: PhysicsOptions = OURS,
     reality: Reality = EXACT,
+    estimator: str | None = None,
 ) -> dict[str, Any]:
     """Run the trials that the file does not have yet.
 
@@ -247,6 +249,7 @@ def run_manipulate(
         shift: Translation in the hand that is asked for with it (3,), m, world.
         physics: How MuJoCo computes; friction is drawn.
         reality: Errors of sensors, drives and object; see ``Turn``.
+        estimator: What tells the controller where the object is; see ``Turn``.
 
     Returns:
         Plain data: all rows that the file has then, and what they were made with.
@@ -279,6 +282,7 @@ def run_manipulate(
             spec="" if item.label in KINDS else item.spec,
             physics=physics,
             reality=reality,
+            estimator=estimator,
         )
         for i, (hand, item, k) in enumerate(cells)
     ]
@@ -301,6 +305,8 @@ def run_manipulate(
         asked["physics"] = {k: v for k, v in physics.to_dict().items() if k != "mu"}
     if not reality.ideal:
         asked["reality"] = reality.to_dict()
+    if (name := estimator_name(estimator, reality)) != NONE:
+        asked["estimator"] = name
     return run_cases(
         runner, run_turn, jobs, kind=FORMAT, asked=asked, file=file, title="pick, turn, place"
     )

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from planner.spatial import SE3, FloatArray, skew
+from planner.spatial import FloatArray, skew
 from planner.task import GraspTask
 from sim.estimation.errors import SensorErrors
 from sim.estimation.moments import Look, Moment
@@ -119,9 +119,7 @@ class PoseFilter:
         feels: Whether pads say where they touch; else only whether.
     """
 
-    def __init__(
-        self, task: GraspTask, errors: SensorErrors, trust: Trust, *, feels: bool
-    ) -> None:
+    def __init__(self, task: GraspTask, errors: SensorErrors, trust: Trust, *, feels: bool) -> None:
         """Prepare for a task."""
         self.tips = TipKinematics(task.hand, task.fingers)
         self.feels = feels
@@ -295,9 +293,7 @@ class PoseFilter:
             less = np.where(np.abs(away) > OFF_PAD, 25.0, 1.0)
         else:
             points, less = tips.out(self._centers[on]), np.ones(len(on))
-            equations = touch_equations(
-                self._shape, belief, tips, points, self._radii[on], None
-            )
+            equations = touch_equations(self._shape, belief, tips, points, self._radii[on], None)
         noise = np.empty(len(equations.residual))
         noise[: len(on)] = trust.distance**2 * lasting * less
         noise[len(on) :] = trust.normal**2 * lasting * np.repeat(less, 2)[: len(noise) - len(on)]

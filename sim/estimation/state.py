@@ -61,9 +61,7 @@ class Belief:
         diagonal[6:k] += drift
         return Belief(M * self.T_base_object, self.offsets, self.size, moved)
 
-    def corrected(
-        self, residual: FloatArray, jacobian: FloatArray, noise: FloatArray
-    ) -> Belief:
+    def corrected(self, residual: FloatArray, jacobian: FloatArray, noise: FloatArray) -> Belief:
         """After a measurement: residual = jacobian error + noise.
 
         Args:
