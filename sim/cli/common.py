@@ -153,7 +153,7 @@ PhysicsOption = Annotated[
 RealityOption = Annotated[
     str,
     typer.Option(
-        help="How far off: ideal, lab, rough.",
+        help="Errors: ideal, lab, rough.",
         metavar="NAME",
         rich_help_panel=TRIAL_PANEL,
     ),
@@ -165,7 +165,7 @@ RealitySeedOption = Annotated[
 EstimateOption = Annotated[
     str | None,
     typer.Option(
-        help="How the object is known: all, touch, contact, none.",
+        help="Object's pose by: all, touch, contact, none.",
         metavar="NAME",
         rich_help_panel=TRIAL_PANEL,
     ),
