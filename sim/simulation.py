@@ -76,6 +76,7 @@ class Simulation:
         carrier: What moves the hand as a whole; may be replaced between steps.
         reality: What stands between truth and controller; None if nothing does.
         estimator: What tells the controller where the object is; None if it reads the sensors.
+        told: The truth and what the estimator told of it, of the last time step; None without one.
         phase: The phase that it is in.
         steps: Time steps made so far.
         stopped: Why the caller ended it, "" if not.
@@ -128,7 +129,7 @@ class Simulation:
             self.reality = RealityOfTrial(reality, plan.task)
         self.estimator: Estimator | None = estimator_for(plan.task, estimator, reality)
         self._estimator_name = estimator_name(estimator, reality)
-        self._estimated: Observation | None = None
+        self.told: tuple[Observation, Observation] | None = None
         self.controller: Controller = controller_for(plan, controller)
         self.scene: Scene = scene or build_scene(
             plan.task,
@@ -263,9 +264,10 @@ class Simulation:
         read = truth if self.reality is None else self.reality.read(truth)
         if self.estimator is None:
             return read
-        last = self._estimated
+        last = None if self.told is None else self.told[1]
         if last is None or last.time != read.time:
-            self._estimated = last = self.estimator.step(read)
+            last = self.estimator.step(read)
+            self.told = truth, last
         if (last.phase, last.progress) == (read.phase, read.progress):
             return last
         return replace(last, phase=read.phase, progress=read.progress)

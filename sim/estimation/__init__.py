@@ -4,6 +4,7 @@ from sim.estimation.errors import SensorErrors
 from sim.estimation.estimator import ObjectEstimator
 from sim.estimation.filter import Trust
 from sim.estimation.kinds import all, contact, touch
+from sim.estimation.log import EstimateLog
 from sim.estimation.named import (
     ESTIMATORS,
     NONE,
@@ -21,6 +22,7 @@ __all__ = [
     "ESTIMATORS",
     "NONE",
     "AnyEstimator",
+    "EstimateLog",
     "Estimator",
     "NamedEstimator",
     "ObjectEstimator",

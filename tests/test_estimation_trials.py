@@ -1,0 +1,118 @@
+"""Estimators in trials: which one there is, what it knows, when it no longer knows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planner.errors import NotFoundError, TaskError
+from planner.plan import GraspPlan
+from planner.search import plan_grasp
+from planner.task import GraspTask
+from sim.controllers import Event, Observation
+from sim.estimation import EstimateLog, ObjectEstimator, SensorErrors, register_estimator
+from sim.reality import REALITIES, Reality
+from sim.simulation import Simulation
+from sim.timeline import Timeline
+from sim.trial import simulate
+
+SHORT = Timeline.quick(hold=0.3)
+
+
+@pytest.fixture(scope="module")
+def plan() -> GraspPlan:
+    return plan_grasp(GraspTask.create("allegro_hand", "sphere"))
+
+
+@pytest.mark.parametrize(
+    ("reality", "name"),
+    [
+        (None, "none"),
+        (Reality(), "none"),
+        (Reality(name="late", command_delay=0.004), "none"),
+        (REALITIES["lab"], "all"),
+        (REALITIES["rough"], "all"),
+    ],
+)
+def test_an_estimator_by_default_where_the_pose_has_errors(
+    plan: GraspPlan, reality: Reality | None, name: str
+) -> None:
+    simulation = Simulation(plan, reality=reality)
+    assert (simulation.estimator is None) == (name == "none")
+    told = simulation.senses()
+    assert told is None if simulation.reality is None else (told or {})["estimator"] == name
+
+
+@pytest.mark.parametrize(
+    ("name", "most_mm", "most_deg"), [("all", 1.5, 2.0), ("touch", 3.0, 4.0), ("contact", 4.0, 8.0)]
+)
+def test_an_estimate_is_near_the_truth_and_says_how_near(
+    plan: GraspPlan, tmp_path: Path, name: str, most_mm: float, most_deg: float
+) -> None:
+    log = EstimateLog()
+    lab = REALITIES["lab"].seeded(2)
+    report = simulate(plan, timeline=SHORT, reality=lab, estimator=name, on_step=log)
+    assert report.success
+    assert (report.reality or {})["estimator"] == name
+    late = np.array(log.phase) == "hold"
+    error = np.abs(log.error[late]).max(axis=0)
+    assert 1e3 * np.linalg.norm(error[:3]) < most_mm
+    assert np.rad2deg(np.linalg.norm(error[3:])) < most_deg
+    assert log.within_two_sigma > 0.9
+    assert not [e for e in report.events if e.kind == "pose lost"]
+    log.write_csv(tmp_path / "errors.csv")
+    lines = (tmp_path / "errors.csv").read_text(encoding="utf-8").splitlines()
+    assert len(lines) == len(log) + 1
+    assert lines[0].startswith("time_s,phase,error_x_mm")
+    log.draw(tmp_path / "errors.png")
+    assert (tmp_path / "errors.png").stat().st_size > 10_000
+
+
+class Numb:
+    """An estimator by touch, of a hand whose pads fail in the hold."""
+
+    def __init__(self, task: GraspTask, errors: SensorErrors) -> None:
+        self._inner = ObjectEstimator(task, errors, camera=False)
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        return self._inner.events
+
+    def step(self, observation: Observation) -> Observation:
+        if observation.phase == "hold":
+            none = np.zeros_like(observation.normal_forces)
+            observation = replace(observation, normal_forces=none)
+        return self._inner.step(observation)
+
+
+def test_without_touch_and_camera_a_held_object_is_soon_unknown(plan: GraspPlan) -> None:
+    report = simulate(plan, timeline=SHORT, reality=REALITIES["lab"], estimator=Numb)
+    begin = report.samples.time[report.samples.during("hold")[0]]
+    (lost,) = (e for e in report.events if e.kind == "pose lost")
+    assert begin - 0.02 < lost.time < begin + 0.15
+    assert (report.reality or {})["estimator"] == "Numb"
+
+
+def test_bad_estimators_are_refused(plan: GraspPlan) -> None:
+    with pytest.raises(NotFoundError, match="estimator.*tuoch"):
+        Simulation(plan, estimator="tuoch")
+    bad: Any = lambda task, errors: 3  # noqa: E731
+    with pytest.raises(TaskError, match="is no estimator; give a name"):
+        Simulation(plan, estimator=bad)
+    with pytest.raises(TaskError, match="already"):
+        register_estimator("touch", "the same again")(ObjectEstimator)
+    with pytest.raises(TaskError, match=r"camera is -1.0; give a number >= 0"):
+        SensorErrors(camera=-1.0)
+    with pytest.raises(TaskError, match="nothing was noted"):
+        EstimateLog().draw("nowhere.png")
+
+
+def test_an_estimator_is_told_the_size_of_errors_and_no_draw() -> None:
+    one, other = (SensorErrors.of(REALITIES["rough"].seeded(seed)) for seed in (1, 2))
+    assert one == other
+    assert one.joint_offset == REALITIES["rough"].encoder_offset
+    assert SensorErrors.of(None).camera > 0
