@@ -98,11 +98,14 @@ def test_without_touch_and_camera_a_held_object_is_soon_unknown(plan: GraspPlan)
 
 
 def test_bad_estimators_are_refused(plan: GraspPlan) -> None:
-    with pytest.raises(NotFoundError, match="estimator.*tuoch"):
+    with pytest.raises(NotFoundError, match=r"estimator.*tuoch"):
         Simulation(plan, estimator="tuoch")
-    bad: Any = lambda task, errors: 3  # noqa: E731
+
+    def three(task: GraspTask, errors: SensorErrors) -> Any:
+        return 3
+
     with pytest.raises(TaskError, match="is no estimator; give a name"):
-        Simulation(plan, estimator=bad)
+        Simulation(plan, estimator=three)
     with pytest.raises(TaskError, match="already"):
         register_estimator("touch", "the same again")(ObjectEstimator)
     with pytest.raises(TaskError, match=r"camera is -1.0; give a number >= 0"):

@@ -40,8 +40,11 @@ HUBER = 3.0
 STANDING = (5e-5, 1e-3)
 """Random walk of an object that stands and is not touched, m / sqrt(s) and rad / sqrt(s)."""
 
-PUSHED, PUSHED_UP = (2e-3, 0.05), (1e-3, 0.02)
+PUSHED, PUSHED_UP = (3e-3, 0.05), (1e-3, 0.03)
 """The same of one that is touched: along the table and about the vertical; up, and by tipping."""
+
+ROLLING = 0.15
+"""The same of a turn about a horizontal axis of an object that rolls on its table, rad / sqrt(s)."""
 
 CARRIED = (0.1, 2.0)
 """The same of one that no contact holds."""
@@ -269,6 +272,7 @@ class PoseFilter:
             prior = np.array(pin.log6(stays).vector)
             touched = self._table and (a.touching.any() or b.touching.any())
             (along, about), (up, tipping) = (PUSHED, PUSHED_UP) if touched else (STANDING, STANDING)
+            tipping = ROLLING if touched and self._shape.ball_like else tipping
         vertical = b.T_world_base.rotation.T @ self._up
         vertical = np.outer(vertical, vertical)
         level = np.eye(3) - vertical
