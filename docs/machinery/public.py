@@ -105,6 +105,7 @@ GROUPS: dict[str, list[str]] = {
     "Physics and protocols": [
         "sim.physics",
         "sim.reality",
+        "sim.estimation",
         "sim.protocols",
         "sim.creep",
         "sim.scene_export",
