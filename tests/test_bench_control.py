@@ -38,7 +38,7 @@ from sim.bench.control.parts import rate_row
 from sim.bench.control.slip_trial import Watched, slip_row
 from sim.bench.objects import BenchObject
 from sim.contacts import hand_contacts
-from sim.controllers import CONTROLLERS, GraspController, Observation, PadReading, Sensing
+from sim.controllers import CONTROLLERS, GraspController, Observation, PadReading
 from sim.controllers.monitors import SLIP_SPEED
 from sim.pads import read_pads
 from sim.protocols.dexgraspbench import dexgraspbench_cases
@@ -278,7 +278,7 @@ class Still:
 
 def watch(speeds: FloatArray, force: float = 2.0) -> Watched:
     """What is seen of pads whose object slides with speeds (m, n) along one direction, m/s."""
-    watched = Watched(Still(), speeds.shape[1], Sensing())
+    watched = Watched(Still(), speeds.shape[1])
     n = speeds.shape[1]
     empty = ContactSet.from_arrays(np.zeros((0, 3)), np.zeros((0, 3)), center=np.zeros(3))
     for k, row in enumerate(speeds):

@@ -48,7 +48,8 @@ def test(
     protocol: Annotated[
         str,
         typer.Option(
-            help="dexgraspbench, forces, shake, robust, reality, drake, or all.", metavar="NAME"
+            help="dexgraspbench, forces, shake, robust, reality, pushes, drake, or all.",
+            metavar="NAME",
         ),
     ] = "all",
     controller: ControllerOption = "feedforward",
@@ -73,12 +74,12 @@ def test(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Test plans in MuJoCo by protocols: pushes, shaking, errors.
+    r"""Test plans in MuJoCo by protocols: pushes, shaking, errors.
 
     Exit code 0 if every grasp held in every trial without a growing load and bore the first load at
     rest in every direction. "all" leaves out what the hand cannot take, reality (--reality drawn
-    anew for each trial) and drake (another engine: pip install "opposable[drake]"). The physics of
-    dexgraspbench is its own.
+    anew for each trial), pushes (a minute each) and drake (another engine: pip install
+    "opposable\[drake]"). The physics of dexgraspbench is its own.
     """
     from planner.errors import NotFoundError, TaskError
     from planner.files import read_plan, write_json

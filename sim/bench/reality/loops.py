@@ -1,0 +1,145 @@
+"""``Loop``: what drives the hand in a trial, and what it is told; a column of the comparison.
+
+All loops execute the same plans against the same draws. A further column is one call of
+``register_loop``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from planner.errors import NotFoundError, TaskError
+from planner.motion.manipulation import ManipulationPlan
+from planner.motion.manipulation.idle_fingers import out_of_the_way
+from planner.plan import GraspPlan
+from sim.controllers import Controller, GraspController, ObjectImpedance
+from sim.controllers.playback import Playback
+from sim.manipulation.driver import aimed_angle
+from sim.manipulation.in_hand import AnyTurningController
+from sim.reality import Reality
+
+__all__ = ["LOOPS", "Loop", "named_loop", "register_loop"]
+
+
+def _as_it_is(reality: Reality) -> Reality:
+    return reality
+
+
+@dataclass(frozen=True, kw_only=True)
+class Loop:
+    """One column.
+
+    Attributes:
+        name: In tables and on the command line.
+        about: What it is, in one line.
+        driver: What drives the hand: two loops with the same driver that are told the same are
+            one and the same run, which is made once.
+        holding: Makes what holds a grasp.
+        turning: Makes what holds and turns the object of a manipulation; None for the closed loop
+            of ``manipulate``.
+        told: The reality whose sensors it reads, out of that of the trial; what it changes of
+            drives and world it changes for all.
+        tasks: Names of the tasks that it can do; all if empty.
+        why_not: Why it cannot run here, such as a package that is missing; "" if it can.
+    """
+
+    name: str
+    about: str
+    driver: str
+    holding: Callable[[GraspPlan], Controller]
+    turning: Callable[[ManipulationPlan], AnyTurningController | None]
+    told: Callable[[Reality], Reality] = _as_it_is
+    tasks: tuple[str, ...] = ()
+    why_not: Callable[[], str] = lambda: ""
+
+    def does(self, task: str) -> bool:
+        """Whether it can do a task."""
+        return not self.tasks or task in self.tasks
+
+
+_LOOPS: dict[str, Loop] = {}
+
+LOOPS: Mapping[str, Loop] = _LOOPS
+"""Loops by their names, in the order of the columns."""
+
+
+def register_loop(loop: Loop) -> Loop:
+    """Make a loop known by its name, and return it.
+
+    Raises:
+        TaskError: Another one has that name.
+    """
+    if _LOOPS.setdefault(loop.name, loop) is not loop:
+        raise TaskError(f"there is a loop {loop.name!r} already; give another name")
+    return loop
+
+
+def named_loop(name: str) -> Loop:
+    """A registered loop that can run here.
+
+    Raises:
+        NotFoundError: There is none of that name.
+        TaskError: It cannot run here.
+    """
+    if name not in LOOPS:
+        raise NotFoundError("loop", name, LOOPS)
+    if reason := LOOPS[name].why_not():
+        raise TaskError(f"the loop {name!r} cannot run: {reason}")
+    return LOOPS[name]
+
+
+def played_back(plan: ManipulationPlan) -> Playback:
+    """The open loop of a plan, as far beyond the asked angle as the closed loop aims.
+
+    Raises:
+        TaskError: The plan moves fingers on, which cannot be done blindly.
+    """
+    if plan.gait is not None:
+        raise TaskError("a turn by regrasps cannot be played back: fingers must feel where to land")
+    motion = out_of_the_way(plan.motion)
+    return Playback(motion, angle=aimed_angle(motion, plan.angle))
+
+
+def _closed(plan: ManipulationPlan) -> None:
+    """The closed loop that ``manipulate`` makes itself, which knows the largest force."""
+
+
+register_loop(
+    Loop(
+        name="truth",
+        about="closed loop, calibrated joints and exact sensors: drives and world are off",
+        driver="impedance",
+        holding=ObjectImpedance,
+        turning=_closed,
+        told=Reality.sensed_exactly,
+    )
+)
+register_loop(
+    Loop(
+        name="readings",
+        about="the same loop on what the sensors say, as they say it",
+        driver="impedance",
+        holding=ObjectImpedance,
+        turning=_closed,
+    )
+)
+register_loop(
+    Loop(
+        name="blind",
+        about="the same loop without a camera: the object was seen once, before the hand closed",
+        driver="impedance",
+        holding=ObjectImpedance,
+        turning=_closed,
+        told=Reality.without_camera,
+    )
+)
+register_loop(
+    Loop(
+        name="open",
+        about="open loop: planned forces around the posture of the grip, planned joints in a turn",
+        driver="feedforward",
+        holding=GraspController,
+        turning=played_back,
+    )
+)
