@@ -219,6 +219,22 @@ def test_a_late_pose_is_carried_by_the_hand_once_it_holds(task: GraspTask) -> No
         assert known == pytest.approx(expected, abs=1e-12)
 
 
+def test_a_pose_seen_before_the_hand_closed_is_carried_from_there(task: GraspTask) -> None:
+    """The hand comes 0.2 m to an object at 0.05 m that is seen once, and carries it 0.1 m on."""
+    reality = Reality(turn_noise=1e-9).without_camera()
+    senses = RealSenses(reality, Drawn.of(reality, task.hand), task)
+
+    def known(k: int, base: float, x: float, phase: Phase) -> float:
+        pose = SE3(np.eye(3), np.array([base, 0.0, 0.0]))
+        read = senses.read(seen(DT * k, x, T_world_base=pose, phase=phase))
+        return float(read.T_world_object.translation[0])
+
+    assert known(0, -0.2, 0.05, "approach") == pytest.approx(0.05)
+    assert known(1, 0.0, 0.05, "close") == pytest.approx(0.05)
+    assert known(2, 0.0, 0.05, "squeeze") == pytest.approx(0.05)
+    assert known(3, 0.1, 0.15, "lift") == pytest.approx(0.15)
+
+
 def test_the_twist_is_the_difference_of_the_last_two_poses(task: GraspTask) -> None:
     reality = Reality(pose_rate=50.0)
     senses = RealSenses(reality, Drawn.of(reality, task.hand), task)
