@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,7 @@ from sim.controllers import (
     ReportsLimits,
     controller_for,
 )
+from sim.estimation import AnyEstimator, Estimator, estimator_for
 from sim.looking.picture import draw_tape
 from sim.looking.tape import FRAME_RATE, Tape
 from sim.looking.viewer import Viewer
@@ -73,6 +75,7 @@ class Simulation:
         controller: What drives the hand's actuators.
         carrier: What moves the hand as a whole; may be replaced between steps.
         reality: What stands between truth and controller; None if nothing does.
+        estimator: What tells the controller where the object is; None if it reads the sensors.
         phase: The phase that it is in.
         steps: Time steps made so far.
         stopped: Why the caller ended it, "" if not.
@@ -92,6 +95,7 @@ class Simulation:
         q: FloatArray | None = None,
         T_world_base: SE3 | None = None,
         reality: Reality | None = None,
+        estimator: AnyEstimator | None = None,
     ) -> None:
         """Build the scene and put hand and object at their start.
 
@@ -106,10 +110,13 @@ class Simulation:
             q: Joints (nq,) at the start, rad or m; the plan's start if None.
             T_world_base: Base pose at the start; the plan's start if None.
             reality: Errors of sensors, drives and object that the plan does not know; none if None.
+            estimator: What tells the controller where the object is: a name, or what makes one of
+                task and sensor errors; if None, that with all senses where the pose that is read
+                has errors, and none else.
 
         Raises:
             ModelError: MuJoCo refuses the scene.
-            NotFoundError: No controller has that name.
+            NotFoundError: No controller or estimator has that name.
             TaskError: The controller is none, the plan has no path for the hand's arm, or a
                 ``scene`` is given together with a reality that changes it.
         """
@@ -119,6 +126,8 @@ class Simulation:
             if scene is not None:
                 raise TaskError("give a scene or a reality: a reality changes the scene it builds")
             self.reality = RealityOfTrial(reality, plan.task)
+        self.estimator: Estimator | None = estimator_for(plan.task, estimator, reality)
+        self._estimated: Observation | None = None
         self.controller: Controller = controller_for(plan, controller)
         self.scene: Scene = scene or build_scene(
             plan.task,
@@ -246,8 +255,19 @@ class Simulation:
         )
 
     def sensed(self, truth: Observation) -> Observation:
-        """What a controller sees of the truth: what the sensors of ``reality`` say."""
-        return truth if self.reality is None else self.reality.read(truth)
+        """What a controller sees of the truth: by the sensors of ``reality``, then ``estimator``.
+
+        Asked again at the same time, it is the same.
+        """
+        read = truth if self.reality is None else self.reality.read(truth)
+        if self.estimator is None:
+            return read
+        last = self._estimated
+        if last is None or last.time != read.time:
+            self._estimated = last = self.estimator.step(read)
+        if (last.phase, last.progress) == (read.phase, read.progress):
+            return last
+        return replace(last, phase=read.phase, progress=read.progress)
 
     def _driven(self, commands: FloatArray, truth: Observation) -> FloatArray:
         """What the hand's drives make of commands (nu,): ctrl (nu,)."""
@@ -388,8 +408,11 @@ class Simulation:
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """What the controller noticed so far, in order; empty for one that notices nothing."""
-        return self.controller.events if isinstance(self.controller, ReportsEvents) else ()
+        """What controller and estimator noticed so far, in order of time."""
+        events = self.controller.events if isinstance(self.controller, ReportsEvents) else ()
+        if self.estimator is None or not self.estimator.events:
+            return events
+        return tuple(sorted((*events, *self.estimator.events), key=lambda event: event.time))
 
 
 @contextmanager

@@ -31,6 +31,7 @@ from planner.quality import analyse
 from sim.contacts import NO_FORCE, hand_contacts, merge_per_finger
 from sim.controllers import PHASES, AnyController, Observation, Phase
 from sim.creep import CREEP_BUDGET, least_creep, remedies
+from sim.estimation import AnyEstimator
 from sim.looking.film import check_video
 from sim.looking.picture import draw_tape, moments_of
 from sim.reality import Reality
@@ -69,6 +70,7 @@ class Trial:
         thresholds: Thresholds | None = None,
         record_every: float = 0.02,
         reality: Reality | None = None,
+        estimator: AnyEstimator | None = None,
     ) -> None:
         """Build the scene and put hand and object at their start.
 
@@ -81,6 +83,7 @@ class Trial:
             thresholds: Where success ends; defaults if None.
             record_every: Time between samples, s.
             reality: Errors of sensors, drives and object that the plan does not know; none if None.
+            estimator: What tells the controller where the object is; see ``Simulation``.
 
         Raises:
             ModelError: MuJoCo refuses the scene.
@@ -102,6 +105,7 @@ class Trial:
             controller=controller,
             timeline=self.timeline,
             reality=reality,
+            estimator=estimator,
         )
         self.recorder = Recorder(self.simulation, record_every)
         self._not_lifted = False
@@ -303,6 +307,7 @@ def simulate(
     thresholds: Thresholds | None = None,
     record_every: float = 0.02,
     reality: Reality | None = None,
+    estimator: AnyEstimator | None = None,
     progress: Callable[[float], None] | None = None,
     on_step: Callable[[Simulation], None] | None = None,
     view: bool = False,
@@ -319,6 +324,7 @@ def simulate(
         thresholds=thresholds,
         record_every=record_every,
         reality=reality,
+        estimator=estimator,
     )
     return trial.run(
         progress=progress, on_step=on_step, view=view, picture=picture, video=video, arrows=arrows

@@ -215,7 +215,7 @@ def test_a_file_goes_on_with_more_of_anything(fake: Fake, compare: Compare, tmp_
 
 
 def test_what_cannot_be_asked_for_is_refused(compare: Compare) -> None:
-    with pytest.raises(NotFoundError, match="blind, open, readings, truth"):
+    with pytest.raises(NotFoundError, match="contact, estimates, open, readings, touch, truth"):
         compare(loops=["reading"])
     with pytest.raises(NotFoundError, match="hold, pushes, turn"):
         compare(tasks=["holds"])

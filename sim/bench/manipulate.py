@@ -96,6 +96,7 @@ class Turn:
         physics: How MuJoCo computes; friction is drawn.
         reality: Errors of sensors, drives and object, drawn from the seed and the number; those of
             mass and friction come on top of what ``draw`` gives.
+        estimator: Name of what tells the controller where the object is; see ``Simulation``.
     """
 
     index: int
@@ -112,6 +113,7 @@ class Turn:
     spec: str = ""
     physics: PhysicsOptions = OURS
     reality: Reality = EXACT
+    estimator: str | None = None
 
     @property
     def regrasps(self) -> bool:
@@ -183,6 +185,7 @@ def execute_turn(
         physics=replace(turn.physics, mu=there.mu),
         push=Push(force=np.array([*there.push, 0.0]), after=there.push_after, duration=PUSH_TIME),
         reality=turn.reality.seeded(turn.seed + turn.number),
+        estimator=turn.estimator,
     )
 
 

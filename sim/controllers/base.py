@@ -18,6 +18,7 @@ from typing import Literal, Protocol, TypeAlias, runtime_checkable
 
 from planner.contacts import ContactSet
 from planner.spatial import SE3, FloatArray
+from sim.controllers.belief import PoseBelief, SeenPose
 from sim.controllers.events import Event
 from sim.controllers.pads import PadReading
 from sim.controllers.schedule import TOUCH_FORCE
@@ -79,6 +80,9 @@ class Observation:
         read_twist: Reads ``object_twist``.
         read_contacts: Reads ``contacts``.
         read_pads: Reads ``pads``.
+        seen: The newest measured pose that has arrived, with its time stamp; None where
+            ``T_world_object`` is one of now.
+        belief: How well an estimator knows ``T_world_object``; None of a pose that was read.
     """
 
     time: float
@@ -92,6 +96,8 @@ class Observation:
     read_twist: Callable[[], FloatArray]
     read_contacts: Callable[[], ContactSet]
     read_pads: Callable[[], PadReading] = PadReading.nothing
+    seen: SeenPose | None = None
+    belief: PoseBelief | None = None
 
     @property
     def all_touch(self) -> bool:

@@ -17,8 +17,11 @@ EventKind: TypeAlias = Literal[
     "finger leaves",
     "finger joins",
     "gave up",
+    "pose lost",
+    "pose known again",
 ]
-"""What there is to notice. "infeasible" means that no contact forces give the wanted wrench."""
+"""What there is to notice. "infeasible" means that no contact forces give the wanted wrench; "pose
+lost" that an estimator no longer knows where the object is."""
 
 
 @dataclass(frozen=True, kw_only=True)

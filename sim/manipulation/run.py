@@ -23,6 +23,7 @@ from planner.motion.manipulation.ending import backwards, object_at_target, stan
 from planner.motion.release import find_release
 from planner.spatial import SE3, signed_twist
 from planner.task import GraspTask
+from sim.estimation import AnyEstimator
 from sim.looking.film import check_video
 from sim.looking.picture import Drawn, draw_tape
 from sim.manipulation.in_hand import AnyTurningController, GuidedController, in_hand_controller
@@ -62,6 +63,7 @@ class ManipulationRun:
         criteria: SuccessCriteria | None = None,
         push: Push | None = None,
         reality: Reality | None = None,
+        estimator: AnyEstimator | None = None,
     ) -> None:
         """Build the scene and put hand and object at their start; see ``manipulate``."""
         self.plan = plan
@@ -79,6 +81,7 @@ class ManipulationRun:
             physics=physics,
             push=push,
             reality=reality,
+            estimator=estimator,
         )
         self._phases = Phases(plan, self.sim, self._timeline, self._criteria)
 
@@ -245,6 +248,7 @@ def manipulate(
     criteria: SuccessCriteria | None = None,
     push: Push | None = None,
     reality: Reality | None = None,
+    estimator: AnyEstimator | None = None,
     pictures: Path | None = None,
     video: Path | None = None,
     arrows: bool = False,
@@ -264,6 +268,8 @@ def manipulate(
         criteria: Where phases fail; defaults if None.
         push: A disturbance during the turn.
         reality: Errors of sensors, drives and object that the plan does not know; none if None.
+        estimator: What tells the controller where the object is: a name, or what makes one; see
+            ``sim.simulation.Simulation``.
         pictures: Folder for a picture at the end of each phase, which is where it went wrong if it
             failed; it must exist.
         video: Write a film here: ``.mp4``, ``.webp`` or ``.gif``.
@@ -294,6 +300,7 @@ def manipulate(
             criteria=criteria,
             push=push,
             reality=reality,
+            estimator=estimator,
         )
 
     run = run_of(plan, controller, true_task, push)

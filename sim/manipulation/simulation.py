@@ -12,6 +12,7 @@ from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.contacts import hand_contacts
 from sim.controllers import Observation
+from sim.estimation import AnyEstimator
 from sim.manipulation.driver import BaseMover, ManipulationDriver
 from sim.manipulation.in_hand import InHandController
 from sim.manipulation.log import ManipulationRecorder
@@ -72,6 +73,7 @@ class ManipulationSim:
         physics: PhysicsOptions | None = None,
         push: Push | None = None,
         reality: Reality | None = None,
+        estimator: AnyEstimator | None = None,
     ) -> None:
         """Build the scene and put hand and object at their start; see ``manipulate``."""
         grasp = plan.grasp
@@ -79,7 +81,11 @@ class ManipulationSim:
         there = replace(there, obstacles=(*there.obstacles, *plan.under_target))
         self.driver = ManipulationDriver(plan, controller, rate=timeline.turn_rate)
         self.simulation = Simulation(
-            replace(grasp, task=there), physics=physics, controller=self.driver, reality=reality
+            replace(grasp, task=there),
+            physics=physics,
+            controller=self.driver,
+            reality=reality,
+            estimator=estimator,
         )
         self.mover = BaseMover(self.simulation.scene.gantry, grasp.T_world_base_start)
         self.simulation.carrier = self.mover

@@ -10,6 +10,7 @@ import numpy as np
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from sim.controllers import MakeController
+from sim.estimation import AnyEstimator
 from sim.physics import PhysicsOptions
 from sim.protocols.outcome import Outcome
 from sim.reality import Reality
@@ -36,11 +37,13 @@ class Conditions:
         controller: Makes what drives the hand, out of the plan.
         reality: Errors of sensors, drives and object; those of ``dexgraspbench`` and ``drake`` are
             exact whatever it is.
+        estimator: What tells the controller where the object is; see ``Simulation``.
     """
 
     physics: PhysicsOptions
     controller: MakeController
     reality: Reality = field(default_factory=Reality)
+    estimator: AnyEstimator | None = None
 
 
 class Case(Protocol):

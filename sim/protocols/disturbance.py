@@ -23,6 +23,7 @@ from planner.spatial import FloatArray
 from sim.carrier import Carrier
 from sim.controllers import AnyController, Phase
 from sim.controllers.monitors import SLIP_SPEED
+from sim.estimation import AnyEstimator
 from sim.physics import PhysicsOptions
 from sim.reality import Reality
 from sim.recorder import Recorder
@@ -79,6 +80,7 @@ class DisturbanceTrial:
         scene: Scene | None = None,
         carrier: Carrier | None = None,
         reality: Reality | None = None,
+        estimator: AnyEstimator | None = None,
     ) -> None:
         """Put the hand, fingers open, where it grasps.
 
@@ -91,6 +93,7 @@ class DisturbanceTrial:
             scene: Another scene than that of the plan's task in the air.
             carrier: What carries the hand in it.
             reality: Errors of sensors, drives and object that the plan does not know; none if None.
+            estimator: What tells the controller where the object is; see ``Simulation``.
 
         Raises:
             ModelError: MuJoCo refuses the scene.
@@ -108,6 +111,7 @@ class DisturbanceTrial:
             q=plan.q_pregrasp,
             T_world_base=plan.T_world_base,
             reality=reality,
+            estimator=estimator,
         )
         self.simulation.carrier = _Still(self.simulation.carrier)
         self._recorder = Recorder(self.simulation, RECORD_EVERY)

@@ -77,6 +77,7 @@ class GravityCase:
             controller=conditions.controller(other),
             physics=conditions.physics,
             reality=conditions.reality,
+            estimator=conditions.estimator,
             dropped=self.settings.dropped,
         )
         fault = hold.close_and_squeeze() or hold.hold_for(self.settings.hold_s)
@@ -111,6 +112,7 @@ class PushCase:
             controller=conditions.controller(plan),
             physics=conditions.physics,
             reality=conditions.reality,
+            estimator=conditions.estimator,
             dropped=settings.dropped,
         )
         held, failed, before = 0.0, np.inf, 0.0

@@ -91,6 +91,7 @@ class PushesCase:
             physics=conditions.physics,
             dropped=settings.dropped,
             reality=reality.seeded(reality.seed + self.index),
+            estimator=conditions.estimator,
         )
         strongest = -GRAVITY[2] * settings.push_load * plan.task.object.mass
         rng = np.random.default_rng([self.seed, self.index])

@@ -50,6 +50,7 @@ class RealityCase:
             timeline=Timeline.quick(),
             record_every=RECORD_EVERY,
             reality=reality,
+            estimator=conditions.estimator,
         )
         report = trial.run()
         drawn = report.reality["drawn"] if report.reality is not None else {}

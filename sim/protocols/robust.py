@@ -81,6 +81,7 @@ class RobustCase:
             timeline=Timeline.quick(),
             record_every=RECORD_EVERY,
             reality=conditions.reality,
+            estimator=conditions.estimator,
         )
         report = trial.run()
         return Outcome(

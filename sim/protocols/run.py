@@ -24,6 +24,7 @@ from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.task import GraspTask
 from sim.controllers import AnyController, controller_maker, controller_name
+from sim.estimation import AnyEstimator
 from sim.physics import PhysicsOptions
 from sim.protocols.cases import Case, Conditions
 from sim.protocols.dexgraspbench import dexgraspbench_cases, unsuitable_for_dexgraspbench
@@ -134,6 +135,7 @@ def run_protocol(
     physics: PhysicsOptions | None = None,
     settings: Settings | None = None,
     reality: Reality | None = None,
+    estimator: AnyEstimator | None = None,
     seed: int = 0,
     workers: int = 1,
     only: Collection[str] = (),
@@ -157,6 +159,8 @@ def run_protocol(
         reality: Errors of sensors, drives and object; none if None, or those of a laboratory in the
             protocol ``reality``, which draws them anew for every trial. ``dexgraspbench`` and
             ``drake`` have none.
+        estimator: What tells the controller where the object is: a name, or what makes one; see
+            ``sim.simulation.Simulation``.
         seed: Of random directions and pose errors.
         workers: Processes; 1 for this one, -1 for one per core. With more than one, the hand
             must be one that its plan file can name.
@@ -192,7 +196,9 @@ def run_protocol(
     label = "replay" if protocol in REPLAYED else controller_name(controller)
     text = json.dumps(plan_to_dict(plan))
     reality = reality or Reality()
-    conditions = Conditions(physics=physics, controller=make, reality=reality)
+    conditions = Conditions(
+        physics=physics, controller=make, reality=reality, estimator=estimator
+    )
     jobs = [
         _Job(plan=text, case=case, conditions=conditions, video=_film(video, case))
         for case in cases

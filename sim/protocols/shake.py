@@ -60,6 +60,7 @@ class ShakeCase:
             controller=conditions.controller(plan),
             physics=conditions.physics,
             reality=conditions.reality,
+            estimator=conditions.estimator,
             dropped=settings.dropped,
         )
         gantry = hold.simulation.scene.gantry

@@ -120,6 +120,11 @@ class Reality:
         """Whether it has no error at all: then nothing is drawn, changed or delayed."""
         return not any(value for name, value in self.numbers.items() if name != "drift_time")
 
+    @property
+    def blurs_pose(self) -> bool:
+        """Whether the object's pose, as it is read, is not the one of now."""
+        return any(self.numbers[name] for name in POSE_ERRORS)
+
     def seeded(self, seed: int) -> Reality:
         """The same with another seed."""
         return replace(self, seed=seed)
@@ -156,6 +161,19 @@ class Reality:
         """All fields as plain data."""
         return asdict(self)
 
+
+POSE_ERRORS = (
+    "pose_noise",
+    "turn_noise",
+    "pose_drift",
+    "turn_drift",
+    "pose_bias",
+    "turn_bias",
+    "pose_rate",
+    "pose_delay",
+    "dropout",
+)
+"""Errors without which the object's pose and twist are exact."""
 
 NO_ERROR = ("name", "seed")
 """Fields that are no error."""

@@ -22,6 +22,7 @@ from planner.kinematics.state import MovingHand
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
 from sim.controllers import Observation, Phase
+from sim.controllers.belief import SeenPose
 from sim.controllers.pads import PadReading
 from sim.reality.drawn import Drawn, stream
 from sim.reality.errors import Reality
@@ -113,7 +114,7 @@ class RealSenses:
         ]
         self._camera = _Camera()
         self._closed: tuple[float, SE3] | None = None  # when, and T_base_world then
-        self._sees_exactly = not any(reality.numbers[name] for name in POSE_ERRORS)
+        self._sees_exactly = not reality.blurs_pose
         self._reads_exactly = not (drawn.encoder_offset.any() or drawn.encoder_scale.any())
         neutral = task.hand.neutral
         self._true_hand = MovingHand(task.hand, neutral)
@@ -141,8 +142,10 @@ class RealSenses:
         )
         if self._sees_exactly:
             return changed
-        pose = self._pose(truth)
-        return replace(changed, T_world_object=pose, read_twist=lambda: self._twist(truth))
+        pose, seen = self._pose(truth)
+        return replace(
+            changed, T_world_object=pose, read_twist=lambda: self._twist(truth), seen=seen
+        )
 
     # ---- pads
 
@@ -187,8 +190,8 @@ class RealSenses:
 
     # ---- the object's pose
 
-    def _pose(self, truth: Observation) -> SE3:
-        """The newest pose that has arrived; at first the oldest there is."""
+    def _pose(self, truth: Observation) -> tuple[SE3, SeenPose]:
+        """The newest pose that has arrived, now and as measured; at first the oldest there is."""
         r, camera, now = self._reality, self._camera, truth.time
         if now >= camera.next_sample - TIME_TOL:
             if r.pose_rate > 0:
@@ -197,12 +200,13 @@ class RealSenses:
         while camera.under_way and camera.under_way[0].time <= now - r.pose_delay + TIME_TOL:
             camera.before, camera.newest = camera.newest, camera.under_way.popleft()
         known = camera.newest or camera.under_way[0]
+        seen = SeenPose(time=known.time, T_world_object=known.T_world_object)
         if truth.phase in STANDING:
-            return known.T_world_object
+            return known.T_world_object, seen
         closed = self._closed = self._closed or (now, truth.T_world_base.inverse())
         if known.time < closed[0]:  # the object stood still until the hand had closed
-            return truth.T_world_base * closed[1] * known.T_world_object
-        return truth.T_world_base * known.T_base_object
+            return truth.T_world_base * closed[1] * known.T_world_object, seen
+        return truth.T_world_base * known.T_base_object, seen
 
     def _sample(self, truth: Observation) -> None:
         """Measure a pose, unless the object is out of sight; the first one is always seen."""
@@ -239,20 +243,6 @@ class RealSenses:
         turned = pin.log3(T_new.rotation @ T_old.rotation.T)
         moved = T_new.translation - T_old.translation
         return np.concatenate([moved, turned]) / (new.time - old.time)
-
-
-POSE_ERRORS = (
-    "pose_noise",
-    "turn_noise",
-    "pose_drift",
-    "turn_drift",
-    "pose_bias",
-    "turn_bias",
-    "pose_rate",
-    "pose_delay",
-    "dropout",
-)
-"""Errors without which the object's pose and twist are exact."""
 
 
 def _no_contacts() -> ContactSet:

@@ -15,6 +15,7 @@ from planner.motion.manipulation.idle_fingers import out_of_the_way
 from planner.plan import GraspPlan
 from sim.controllers import Controller, GraspController, ObjectImpedance
 from sim.controllers.playback import Playback
+from sim.estimation import ESTIMATORS, NONE
 from sim.manipulation.driver import aimed_angle
 from sim.manipulation.in_hand import AnyTurningController
 from sim.reality import Reality
@@ -33,13 +34,15 @@ class Loop:
     Attributes:
         name: In tables and on the command line.
         about: What it is, in one line.
-        driver: What drives the hand: two loops with the same driver that are told the same are
-            one and the same run, which is made once.
+        driver: What drives the hand: two loops with the same driver and estimator that are told
+            the same are one and the same run, which is made once.
         holding: Makes what holds a grasp.
         turning: Makes what holds and turns the object of a manipulation; None for the closed loop
             of ``manipulate``.
+        estimator: Name of what tells it where the object is, out of ``sim.estimation``.
         told: The reality whose sensors it reads, out of that of the trial; what it changes of
             drives and world it changes for all.
+        usual: Whether it is a column where none are named.
         tasks: Names of the tasks that it can do; all if empty.
         why_not: Why it cannot run here, such as a package that is missing; "" if it can.
     """
@@ -49,7 +52,9 @@ class Loop:
     driver: str
     holding: Callable[[GraspPlan], Controller]
     turning: Callable[[ManipulationPlan], AnyTurningController | None]
+    estimator: str = NONE
     told: Callable[[Reality], Reality] = _as_it_is
+    usual: bool = True
     tasks: tuple[str, ...] = ()
     why_not: Callable[[], str] = lambda: ""
 
@@ -132,8 +137,20 @@ register_loop(
         holding=ObjectImpedance,
         turning=_closed,
         told=Reality.without_camera,
+        usual=False,
     )
 )
+for _name, _estimator in (("estimates", "all"), ("touch", "touch"), ("contact", "contact")):
+    register_loop(
+        Loop(
+            name=_name,
+            about=f"the same loop on an estimate, from {ESTIMATORS[_estimator].reads}",
+            driver="impedance",
+            holding=ObjectImpedance,
+            turning=_closed,
+            estimator=_estimator,
+        )
+    )
 register_loop(
     Loop(
         name="open",

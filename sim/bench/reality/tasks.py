@@ -11,7 +11,7 @@ Verdicts are those of the trials and read the truth, whatever a loop is told.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -99,7 +99,9 @@ def _plan_grasp(hand: str, kind: str, seed: int) -> GraspPlan:
 
 def _hold(hand: str, kind: str, seed: int, plan: GraspPlan, loop: Loop, reality: Reality) -> Row:
     del hand, kind, seed
-    report = simulate(plan, controller=loop.holding(plan), reality=reality)
+    report = simulate(
+        plan, controller=loop.holding(plan), reality=reality, estimator=loop.estimator
+    )
     slip_mm, slip_deg = report.largest_slip
     return {
         "success": report.success,
@@ -133,7 +135,7 @@ def _plan_turn(hand: str, kind: str, seed: int) -> ManipulationPlan:
 def _execute_turn(
     hand: str, kind: str, seed: int, plan: ManipulationPlan, loop: Loop, reality: Reality
 ) -> Row:
-    turn = _turn(hand, kind, seed, reality)
+    turn = replace(_turn(hand, kind, seed, reality), estimator=loop.estimator)
     report = execute_turn(turn, plan, loop.turning(plan))
     numbers = report.numbers()
     off = abs(numbers["turned_deg"] - float(np.rad2deg(turn.angle)))
@@ -151,7 +153,12 @@ def _execute_turn(
 def _pushed(hand: str, kind: str, seed: int, plan: GraspPlan, loop: Loop, reality: Reality) -> Row:
     del hand, kind
     case = PushesCase(index=0, settings=Settings(), seed=seed)
-    conditions = Conditions(physics=PhysicsOptions(), controller=loop.holding, reality=reality)
+    conditions = Conditions(
+        physics=PhysicsOptions(),
+        controller=loop.holding,
+        reality=reality,
+        estimator=loop.estimator,
+    )
     outcome = case.run(plan, conditions)
     moved, turned = outcome.drift
     return {

@@ -34,8 +34,8 @@ def reality(
     loops: Annotated[
         str,
         typer.Option(
-            help="Comma separated: truth, readings, blind (no camera), open; all that can run "
-            "here if not given."
+            help="Comma separated: truth, readings, estimates, touch, contact, open, blind; all "
+            "but blind if not given."
         ),
     ] = "",
     seed: SeedOption = 0,
@@ -50,14 +50,14 @@ def reality(
     """
     from sim.bench.reality import LOOPS, reality_tables, run_reality
 
-    asked = names(loops) if loops else [n for n, loop in LOOPS.items() if not loop.why_not()]
+    usual = [name for name, loop in LOOPS.items() if loop.usual and not loop.why_not()]
     with result.measuring(samples) as runner:
         measured = run_reality(
             hands or BOTH_HANDS,
             n,
             tasks=names(tasks),
             realities=[reality_of(name) for name in names(realities)],
-            loops=asked,
+            loops=names(loops) if loops else usual,
             seed=seed,
             file=samples,
             runner=runner,

@@ -1,0 +1,267 @@
+"""``PoseFilter``: from what is known at one moment to what is known at the next.
+
+Prediction by contacts that stick (``rolling``), correction by contacts that lie on the surface
+(``surface``) and by what a camera saw. Errors that last, as a pad's or a camera's drift do, count
+as white noise with the same information per correlation time T: variance (1 + 2 T / dt) s^2.
+
+A contact far from where it is expected is trusted less (Huber's weight), a pose beyond
+``FARTHEST`` is not believed at all; after ``TOO_MANY`` of these in a row it is the filter that is
+wrong, and it starts anew from the last one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from planner.spatial import SE3, FloatArray, skew
+from planner.task import GraspTask
+from sim.estimation.errors import SensorErrors
+from sim.estimation.moments import Look, Moment
+from sim.estimation.rolling import Grip, Motion, rolling
+from sim.estimation.state import Belief
+from sim.estimation.surface import nearest, touch_equations
+from sim.estimation.tips import TipKinematics, Tips
+
+__all__ = ["FARTHEST", "Filtered", "PoseFilter", "Trust"]
+
+FARTHEST = 22.5
+"""Largest squared Mahalanobis distance (-) of a pose that is believed: 99.9 % of a chi-square
+distribution with 6 degrees of freedom lie below."""
+
+TOO_MANY = 5
+"""Poses in a row that are not believed before the filter gives up its own."""
+
+HUBER = 3.0
+"""Standard deviations beyond which a contact counts less."""
+
+STANDING = (5e-5, 1e-3)
+"""Random walk of an object that stands and is not touched, m / sqrt(s) and rad / sqrt(s)."""
+
+PUSHED, PUSHED_UP = (2e-3, 0.05), (1e-3, 0.02)
+"""The same of one that is touched: along the table and about the vertical; up, and by tipping."""
+
+CARRIED = (0.1, 2.0)
+"""The same of one that no contact holds."""
+
+OFF_PAD = 0.004
+"""Distance (m) of a contact from a pad's sphere beyond which it is one of another link."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trust:
+    """How much contacts are believed; calibrated on trials, see docs/how/estimation.md.
+
+    Attributes:
+        creep: Random walk between object and pad, m / sqrt(s).
+        spin: Random walk of the turn about the normal, rad / sqrt(s).
+        share: Error of a displacement per displacement (-), over each ``over``.
+        over: Way along which that error stays the same, m.
+        distance: Error of a contact's distance from the surface, m.
+        normal: Error of a felt normal, rad.
+        lasting: Correlation time of both, s.
+    """
+
+    creep: float = 5e-4
+    spin: float = 0.3
+    share: float = 0.03
+    over: float = 0.02
+    distance: float = 5e-4
+    normal: float = 0.05
+    lasting: float = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Filtered:
+    """What is known at a moment.
+
+    Attributes:
+        belief: It.
+        motion: How the object moved since the moment before; None at the first.
+        refused: Poses in a row that were not believed.
+    """
+
+    belief: Belief
+    motion: Motion | None = None
+    refused: int = 0
+
+
+class PoseFilter:
+    """The filter of one trial.
+
+    Attributes:
+        tips: Kinematics of the fingers that take part.
+        feels: Whether pads say where they touch; else only whether.
+    """
+
+    def __init__(
+        self, task: GraspTask, errors: SensorErrors, trust: Trust, *, feels: bool
+    ) -> None:
+        """Prepare for a task."""
+        self.tips = TipKinematics(task.hand, task.fingers)
+        self.feels = feels
+        self._errors, self._trust = errors, trust
+        self._shape = task.object.shape
+        self._table = task.table_height is not None
+        pads = [finger.pad for finger in task.fingers]
+        self._centers = np.array([pad.center for pad in pads])
+        self._radii = np.array([pad.radius for pad in pads])
+        self._up = -task.gravity / max(float(np.linalg.norm(task.gravity)), 1e-9)
+
+    def first(self, look: Look) -> Filtered:
+        """What a first look tells."""
+        errors, m = self._errors, len(self.tips.index)
+        covariance = np.zeros((7 + m, 7 + m))
+        covariance[:6, :6] = self.look_noise(look)
+        covariance[range(6, 6 + m), range(6, 6 + m)] = errors.joint_offset**2
+        covariance[-1, -1] = errors.size**2
+        return Filtered(Belief(look.T_base_object, np.zeros(m), 0.0, covariance))
+
+    def advanced(self, known: Filtered, a: Moment, b: Moment) -> Filtered:
+        """What is known at moment b before it is looked at, from what is known at a."""
+        belief, k, dt = known.belief, self.tips.index, b.time - a.time
+        moved = (b.q - a.q)[k]
+        tips = self.tips.at(self._believed(0.5 * (a.q + b.q), belief))
+        points, normals, on_pad = self._contacts(belief, a, b, tips)
+        jacobians = tips.jacobians(points)
+        held = a.touching & b.touching
+        slid = 0.5 * dt * tips.turned(a.sliding + b.sliding)
+        trust = self._trust
+        way = np.abs(moved @ jacobians).sum(axis=1)
+        variance = trust.creep**2 * dt + trust.share**2 * trust.over * way
+        variance += 0.25 * (slid * slid).sum(axis=1) + (self._errors.sliding * dt) ** 2
+        variance *= on_pad
+        prior, information = self._prior(belief, a, b)
+        grip = Grip(
+            points,
+            normals,
+            slid,
+            held / variance,
+            held / (trust.spin**2 * dt * on_pad),
+        )
+        motion = rolling(tips, jacobians, grip, moved, prior, information, dt)
+        drift = (self._errors.joint_scale**2 * 0.5) * np.abs(moved)
+        after = belief.moved(motion.displacement, motion.by_offsets, motion.covariance, drift)
+        if b.touching.any():
+            after = self._touched(after, b, dt)
+        return Filtered(after, motion, known.refused)
+
+    def looked(self, known: Filtered, look: Look) -> Filtered:
+        """What is known after a look."""
+        belief = known.belief
+        noise = self.look_noise(look)
+        off = belief.off(look.T_base_object)
+        spread = belief.covariance[:6, :6] + noise
+        if float(off @ np.linalg.solve(spread, off)) > FARTHEST:
+            if known.refused + 1 < TOO_MANY:
+                return Filtered(belief, known.motion, known.refused + 1)
+            again = self.first(look).belief
+            return Filtered(
+                Belief(again.T_base_object, belief.offsets, belief.size, again.covariance),
+                known.motion,
+            )
+        jacobian = np.zeros((6, len(belief.covariance)))
+        jacobian[:, :6] = np.eye(6)
+        return Filtered(belief.corrected(off, jacobian, noise), known.motion)
+
+    def look_noise(self, look: Look) -> FloatArray:
+        """(6, 6), covariance of a measured pose as an error of the base's axes."""
+        e = self._errors
+        drift = 1.0 + 2.0 * e.drift_time / max(look.period, 1e-3)
+        linear = e.camera**2 + e.drift**2 * drift
+        angular = e.camera_turn**2 + e.drift_turn**2 * drift
+        arm = skew(look.T_base_object.translation)
+        out = np.zeros((6, 6))
+        out[:3, :3] = linear * np.eye(3) + angular * arm @ arm.T
+        out[:3, 3:] = angular * arm
+        out[3:, :3] = out[:3, 3:].T
+        out[3:, 3:] = angular * np.eye(3)
+        return out
+
+    def contacts(self, belief: Belief, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Where round tips would touch, as the joints are read: points and normals (n, 3), base."""
+        tips = self.tips.at(self._believed(q, belief))
+        points, normals = self._round(belief, tips)
+        read = self.tips.at(q)
+        return read.out(tips.into(points)), read.turned(tips.turned_into(normals))
+
+    # ---- steps
+
+    def _believed(self, q: FloatArray, belief: Belief) -> FloatArray:
+        out = q.copy()
+        out[self.tips.index] -= belief.offsets
+        return out
+
+    def _round(self, belief: Belief, tips: Tips) -> tuple[FloatArray, FloatArray]:
+        """Points of the object nearest to the tips' spheres, and normals into it; (n, 3), base."""
+        centers = tips.out(self._centers)
+        distance, outward = nearest(self._shape, belief, centers)
+        return centers - distance[:, None] * outward, -outward
+
+    def _contacts(
+        self, belief: Belief, a: Moment, b: Moment, tips: Tips
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Contacts in the middle of a motion, and by how much their variance is larger (n,)."""
+        if not self.feels:
+            points, normals = self._round(belief, tips)
+            return points, normals, np.ones(len(points))
+        both = a.touching & b.touching
+        local = np.where(both[:, None], 0.5 * (a.points + b.points), self._centers)
+        normals = tips.turned(0.5 * (a.normals + b.normals))
+        return tips.out(local), normals, self._less(local)
+
+    def _less(self, local: FloatArray) -> FloatArray:
+        """(n,), factor on the variance of contacts in the pads' frames: many off the pads."""
+        away = np.sqrt(((local - self._centers) ** 2).sum(axis=1)) - self._radii
+        return np.where(np.abs(away) > OFF_PAD, 25.0, 1.0)
+
+    def _prior(self, belief: Belief, a: Moment, b: Moment) -> tuple[FloatArray, FloatArray]:
+        """Displacement (6,) of an object that no finger moves, and the information on it (6, 6)."""
+        dt = b.time - a.time
+        free = np.zeros((6, 6))
+        if not a.standing:
+            along, about = CARRIED
+            up, tipping = CARRIED
+            prior = np.zeros(6)
+        else:
+            stays = b.T_world_base.actInv(a.T_world_base)
+            prior = np.array(pin.log6(stays).vector)
+            touched = self._table and (a.touching.any() or b.touching.any())
+            (along, about), (up, tipping) = (PUSHED, PUSHED_UP) if touched else (STANDING, STANDING)
+        vertical = b.T_world_base.rotation.T @ self._up
+        vertical = np.outer(vertical, vertical)
+        level = np.eye(3) - vertical
+        free[:3, :3] = (level / along**2 + vertical / up**2) / dt
+        free[3:, 3:] = (level / tipping**2 + vertical / about**2) / dt
+        to_center = np.eye(6)
+        to_center[:3, 3:] = -skew(belief.T_base_object.translation)
+        return prior, to_center.T @ free @ to_center
+
+    def _touched(self, belief: Belief, moment: Moment, dt: float) -> Belief:
+        """After what the contacts of a moment say."""
+        on = np.flatnonzero(moment.touching)
+        tips = self.tips.at(self._believed(moment.q, belief)).of(on)
+        trust, lasting = self._trust, 1.0 + 2.0 * self._trust.lasting / dt
+        if self.feels:
+            local = moment.points[on]
+            outward = -tips.turned(moment.normals[on])
+            equations = touch_equations(
+                self._shape, belief, tips, tips.out(local), np.zeros(len(on)), outward
+            )
+            away = np.sqrt(((local - self._centers[on]) ** 2).sum(axis=1)) - self._radii[on]
+            less = np.where(np.abs(away) > OFF_PAD, 25.0, 1.0)
+        else:
+            points, less = tips.out(self._centers[on]), np.ones(len(on))
+            equations = touch_equations(
+                self._shape, belief, tips, points, self._radii[on], None
+            )
+        noise = np.empty(len(equations.residual))
+        noise[: len(on)] = trust.distance**2 * lasting * less
+        noise[len(on) :] = trust.normal**2 * lasting * np.repeat(less, 2)[: len(noise) - len(on)]
+        jacobian, residual = equations.jacobian, equations.residual
+        spread = ((jacobian @ belief.covariance) * jacobian).sum(axis=1) + noise
+        far = np.abs(residual) / (HUBER * np.sqrt(spread))
+        noise = noise + spread * (np.maximum(far, 1.0) ** 2 - 1.0)
+        return belief.corrected(residual, jacobian, np.diag(noise))

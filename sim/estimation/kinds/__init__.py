@@ -1,0 +1,1 @@
+"""Estimators that ship, a file each; each registers itself by its name."""

@@ -1,0 +1,126 @@
+"""Estimators by their names, and what a simulation takes as one.
+
+One of your own registers itself by a name::
+
+    @register_estimator("mine", "what it reads, in a few words")
+    def mine(task, errors):
+        return Mine(task)               # step(observation) -> observation, events
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias, runtime_checkable
+
+from planner.errors import NotFoundError, TaskError
+from planner.task import GraspTask
+from sim.controllers import Event, Observation
+from sim.estimation.errors import SensorErrors
+from sim.reality import Reality
+
+__all__ = [
+    "ESTIMATORS",
+    "NONE",
+    "AnyEstimator",
+    "Estimator",
+    "MakeEstimator",
+    "NamedEstimator",
+    "estimator_for",
+    "register_estimator",
+]
+
+NONE = "none"
+"""Name of no estimator: the controller reads the sensors themselves."""
+
+
+@runtime_checkable
+class Estimator(Protocol):
+    """What stands between sensors and controller."""
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What it noticed so far, in order."""
+        ...
+
+    def step(self, observation: Observation) -> Observation:
+        """What is known, from what sensors say; called once a time step."""
+        ...
+
+
+MakeEstimator: TypeAlias = Callable[[GraspTask, SensorErrors], Estimator]
+"""Makes an estimator for a task and what is expected of its senses."""
+
+AnyEstimator: TypeAlias = str | MakeEstimator
+"""What is accepted as an estimator: a name, or what makes one. Each trial gets its own."""
+
+
+@dataclass(frozen=True)
+class NamedEstimator:
+    """An estimator with a name.
+
+    Attributes:
+        make: Makes one.
+        reads: What it reads, in a few words.
+    """
+
+    make: MakeEstimator
+    reads: str
+
+
+_ESTIMATORS: dict[str, NamedEstimator] = {}
+
+ESTIMATORS: Mapping[str, NamedEstimator] = _ESTIMATORS
+"""Estimators by their names."""
+
+
+def register_estimator(name: str, reads: str) -> Callable[[MakeEstimator], MakeEstimator]:
+    """Make known by a name what makes an estimator.
+
+    Args:
+        name: Its name.
+        reads: What it reads, in a few words.
+
+    Raises:
+        TaskError: There is one of that name.
+    """
+
+    def register(make: MakeEstimator) -> MakeEstimator:
+        if name == NONE or name in _ESTIMATORS:
+            raise TaskError(f"there is an estimator {name!r} already; give another name")
+        _ESTIMATORS[name] = NamedEstimator(make, reads)
+        return make
+
+    return register
+
+
+def estimator_for(
+    task: GraspTask, given: AnyEstimator | None, reality: Reality | None
+) -> Estimator | None:
+    """The estimator of a trial; None for none.
+
+    Args:
+        task: What it is to believe.
+        given: A name, or what makes one; if None, that with all senses where the
+            pose that is read has errors, and none where it is exact.
+        reality: How large the errors of the senses are; their size is all that is told of it.
+
+    Raises:
+        NotFoundError: No estimator has that name.
+        TaskError: What was given is none.
+    """
+    if given is None:
+        given = "all" if reality is not None and reality.blurs_pose else NONE
+    if isinstance(given, str):
+        if given == NONE:
+            return None
+        if given not in ESTIMATORS:
+            raise NotFoundError("estimator", given, (*ESTIMATORS, NONE))
+        return ESTIMATORS[given].make(task, SensorErrors.of(reality))
+    made: object = given(task, SensorErrors.of(reality)) if callable(given) else given
+    if not isinstance(made, Estimator):
+        raise TaskError(
+            f"{given!r} is no estimator; give a name ({', '.join((*ESTIMATORS, NONE))}), or what "
+            "makes an object with step(observation) and events out of task and sensor errors"
+        )
+    return made
