@@ -196,9 +196,7 @@ def run_protocol(
     label = "replay" if protocol in REPLAYED else controller_name(controller)
     text = json.dumps(plan_to_dict(plan))
     reality = reality or Reality()
-    conditions = Conditions(
-        physics=physics, controller=make, reality=reality, estimator=estimator
-    )
+    conditions = Conditions(physics=physics, controller=make, reality=reality, estimator=estimator)
     jobs = [
         _Job(plan=text, case=case, conditions=conditions, video=_film(video, case))
         for case in cases

@@ -192,6 +192,14 @@ def _planned(task: str, hand: str, kind: str, draw: int) -> tuple[Any, float]:
 def _number(task: str, hand: str, kind: str, draw: int, loop: Loop, reality: Reality) -> int:
     """The number of a row: what is run, and nothing else, decides it."""
     told = loop.told(reality)
-    what = [task, hand, kind, draw, loop.driver, loop.estimator, None if told.ideal else told.numbers]
+    what = [
+        task,
+        hand,
+        kind,
+        draw,
+        loop.driver,
+        loop.estimator,
+        None if told.ideal else told.numbers,
+    ]
     digest = hashlib.blake2b(json.dumps(what).encode(), digest_size=8).digest()
     return int.from_bytes(digest) >> (64 - BITS)
