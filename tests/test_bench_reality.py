@@ -281,6 +281,83 @@ def test_the_command_measures(tmp_path: Path, fake: Fake) -> None:
     assert "lab" in wrong.output
 
 
+BENCHES = {
+    "grasps": "sim.bench.grasps.run_grasps",
+    "walls": "sim.bench.walls.run_walls",
+    "metrics": "sim.bench.metrics.run_metrics",
+    "trials": "sim.bench.trial_cost.run_trial_cost",
+    "control": "sim.bench.control.run_control",
+    "physics": "sim.bench.physics.run_physics",
+    "manipulate": "sim.bench.manipulate.run_manipulate",
+}
+"""Commands that run trials, and what they call."""
+
+
+class Stopped(Exception):
+    """Ends a command where it would measure."""
+
+
+@pytest.mark.parametrize("command", BENCHES)
+def test_every_bench_that_runs_trials_takes_a_reality(
+    command: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    given: dict[str, Any] = {}
+
+    def run(*args: Any, **asked: Any) -> None:
+        given.update(asked)
+        raise Stopped
+
+    monkeypatch.setattr(BENCHES[command], run)
+    monkeypatch.chdir(tmp_path)
+    hands = [] if command == "grasps" else ["allegro_hand"]
+    done = RUN.invoke(app, ["bench", command, *hands, "--reality", "rough"])
+    assert isinstance(done.exception, Stopped), done.output
+    assert given["reality"] == ROUGH
+    assert RUN.invoke(app, ["bench", command, *hands, "--reality", "ruff"]).exit_code == 3
+
+
+def test_jobs_hand_their_reality_on_and_files_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each trial of a bench is told the reality, drawn anew."""
+    from sim.bench import trials, walls
+    from sim.bench.control.jobs import control_jobs
+    from sim.bench.metrics import samples_for
+    from sim.bench.objects import BenchObject
+    from sim.bench.physics import physics_jobs
+    from sim.bench.run import stated
+
+    ball = [BenchObject(label="ball", spec="sphere")]
+    jobs = control_jobs(["allegro_hand"], ball, {"drift": 3}, 0, ROUGH)
+    assert [job.reality for job in jobs] == [ROUGH.seeded(k) for k in range(3)]
+    assert {s.reality for s in samples_for(["allegro_hand"], ball, 3, 0, ROUGH)} == {ROUGH}
+    assert {j.reality for j in physics_jobs(["allegro_hand"], ball, ["holds"], ROUGH)} == {ROUGH}
+    assert stated(ROUGH) == {"reality": ROUGH.to_dict()}
+    assert stated(IDEAL) == {}
+    told: list[Reality] = []
+
+    def trial(*args: Any, **asked: Any) -> None:
+        told.append(asked["reality"])
+        raise Stopped
+
+    monkeypatch.setattr(trials, "Trial", trial)
+    sample = samples_for(["allegro_hand"], ball, 3, 0, ROUGH)[2]
+    with pytest.raises(Stopped):
+        trials.try_sample(sample, lambda: None)
+    monkeypatch.setattr(walls, "simulate", trial)
+    job = walls._WallJob(
+        index=0,
+        hand="allegro_hand",
+        spec="sphere",
+        label="ball",
+        k=5,
+        seed=0,
+        execute=True,
+        reality=ROUGH,
+    )
+    with pytest.raises(Stopped):
+        walls._made(job, lambda: None)
+    assert told == [ROUGH.seeded(2), ROUGH.seeded(5)]
+
+
 # --- pushes ------------------------------------------------------------------------------------
 
 

@@ -45,6 +45,7 @@ from sim.bench.conditions import (
 )
 from sim.bench.meshes import standing
 from sim.bench.objects import BenchObject, bench_objects
+from sim.bench.run import stated
 from sim.controllers.follow import RATE, SPEED
 from sim.manipulation import ManipulationReport, Push, manipulate, rests, settled
 from sim.manipulation.in_hand import AnyTurningController
@@ -331,8 +332,7 @@ def run_manipulate(
         asked["shift"] = list(shift)
     if physics != OURS:
         asked["physics"] = {k: v for k, v in physics.to_dict().items() if k != "mu"}
-    if not reality.ideal:
-        asked["reality"] = reality.to_dict()
+    asked |= stated(reality)
     return run_cases(
         runner, run_turn, jobs, kind=FORMAT, asked=asked, file=file, title="pick, turn, place"
     )

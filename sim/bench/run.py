@@ -16,10 +16,11 @@ from rich.markup import escape
 
 from planner.plain import finite
 from sim.bench.journal import Journal
+from sim.reality import Reality
 from sim.runner import Check, Runner, made_with
 from sim.tables import Row, grouped
 
-__all__ = ["Job", "ObjectJob", "by_cell", "measure"]
+__all__ = ["Job", "ObjectJob", "by_cell", "measure", "stated"]
 
 
 class _Numbered(Protocol):
@@ -134,6 +135,14 @@ def measure(
             _say(runner, f"interrupted: {kept}; the same command goes on")
     result: Row = {"format": kind, "version": version, **made, **told}
     return result | {"workers": runner.workers, "interrupted": not whole, "rows": rows}
+
+
+def stated(reality: Reality) -> Row:
+    """How a file says under which reality its rows were made.
+
+    Nothing where nothing is off, so that files go on that were begun before there were any.
+    """
+    return {} if reality.ideal else {"reality": reality.to_dict()}
 
 
 def _say(runner: Runner, text: str) -> None:

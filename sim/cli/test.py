@@ -77,9 +77,8 @@ def test(
     r"""Test plans in MuJoCo by protocols: pushes, shaking, errors.
 
     Exit code 0 if every grasp held in every trial without a growing load and bore the first load at
-    rest in every direction. "all" leaves out what the hand cannot take, reality (--reality drawn
-    anew for each trial), pushes (a minute each) and drake (another engine: pip install
-    "opposable\[drake]"). The physics of dexgraspbench is its own.
+    rest in every direction. "all" leaves out what the hand cannot take, reality, pushes (a minute
+    each) and drake (pip install "opposable\[drake]"). dexgraspbench has its own physics.
     """
     from planner.errors import NotFoundError, TaskError
     from planner.files import read_plan, write_json

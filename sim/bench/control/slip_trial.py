@@ -114,8 +114,11 @@ class Watched:
         self.alarms.append(Slip(finger=finger, begin=self._open.pop(finger), end=self.times[-1]))
 
 
-def slip_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
-    """Undisturbed hold, then provocations, under each controller."""
+def slip_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> dict[str, Any]:
+    """Undisturbed hold, then provocations, under each controller.
+
+    Of a reality the drives and the world count: what slips is judged by pads without errors.
+    """
     pushes = rng.normal(size=(PROVOCATIONS, 3))
     pushes /= np.linalg.norm(pushes, axis=1, keepdims=True)
     seed = int(rng.integers(2**31))
@@ -123,7 +126,7 @@ def slip_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
     for loop, make in CONTROLLERS.items():
         noisy = RealityOfTrial(NOISE.seeded(seed), plan.task)
         watched = Watched(make(plan), len(plan.task.fingers), noisy.read)
-        hold = DisturbanceTrial(plan, controller=watched)
+        hold = DisturbanceTrial(plan, controller=watched, reality=reality.sensed_exactly())
         fault = hold.close_and_squeeze() or hold.hold_for(PEACE_S)
         peace = hold.simulation.data.time
         for k, push in enumerate(pushes):
