@@ -40,7 +40,7 @@ from sim.controllers import (
     ReportsLimits,
     controller_for,
 )
-from sim.estimation import AnyEstimator, Estimator, estimator_for
+from sim.estimation import AnyEstimator, Estimator, estimator_for, estimator_name
 from sim.looking.picture import draw_tape
 from sim.looking.tape import FRAME_RATE, Tape
 from sim.looking.viewer import Viewer
@@ -127,6 +127,7 @@ class Simulation:
                 raise TaskError("give a scene or a reality: a reality changes the scene it builds")
             self.reality = RealityOfTrial(reality, plan.task)
         self.estimator: Estimator | None = estimator_for(plan.task, estimator, reality)
+        self._estimator_name = estimator_name(estimator, reality)
         self._estimated: Observation | None = None
         self.controller: Controller = controller_for(plan, controller)
         self.scene: Scene = scene or build_scene(
@@ -405,6 +406,13 @@ class Simulation:
         if self._knows_limits is not None:
             names.update(self._knows_limits.saturated_actuators())
         return tuple(sorted(names))
+
+    def senses(self) -> dict[str, Any] | None:
+        """Reality and what was drawn of it, with the estimator's name; None where all is exact."""
+        if self.reality is None and self.estimator is None:
+            return None
+        told = Reality().to_dict() if self.reality is None else self.reality.to_dict()
+        return told | {"estimator": self._estimator_name}
 
     @property
     def events(self) -> tuple[Event, ...]:

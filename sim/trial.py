@@ -242,7 +242,7 @@ class Trial:
             object_deviation_mm=1e3 * simulation.scene.deviation,
             controller=type(simulation.controller).__name__,
             events=simulation.events,
-            reality=None if simulation.reality is None else simulation.reality.to_dict(),
+            reality=simulation.senses(),
         )
 
     def _remedies(self, verdict: Verdict) -> tuple[str, ...]:

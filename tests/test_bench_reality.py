@@ -330,7 +330,8 @@ def test_jobs_hand_their_reality_on_and_files_say_so(monkeypatch: pytest.MonkeyP
     assert [job.reality for job in jobs] == [ROUGH.seeded(k) for k in range(3)]
     assert {s.reality for s in samples_for(["allegro_hand"], ball, 3, 0, ROUGH)} == {ROUGH}
     assert {j.reality for j in physics_jobs(["allegro_hand"], ball, ["holds"], ROUGH)} == {ROUGH}
-    assert stated(ROUGH) == {"reality": ROUGH.to_dict()}
+    assert stated(ROUGH) == {"reality": ROUGH.to_dict(), "estimator": "all"}
+    assert stated(ROUGH, "none") == {"reality": ROUGH.to_dict()}
     assert stated(IDEAL) == {}
     told: list[Reality] = []
 

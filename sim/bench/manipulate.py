@@ -262,6 +262,7 @@ def run_manipulate(
     shift: Vector = NO_SHIFT,
     physics: PhysicsOptions = OURS,
     reality: Reality = EXACT,
+    estimator: str | None = None,
 ) -> dict[str, Any]:
     """Run the trials that the file does not have yet.
 
@@ -280,6 +281,7 @@ def run_manipulate(
         shift: Translation in the hand that is asked for with it (3,), m, world.
         physics: How MuJoCo computes; friction is drawn.
         reality: Errors of sensors, drives and object; see ``Turn``.
+        estimator: What tells the controller where the object is; see ``Turn``.
 
     Returns:
         Plain data: all rows that the file has then, and what they were made with.
@@ -312,6 +314,7 @@ def run_manipulate(
             spec="" if item.label in KINDS else item.spec,
             physics=physics,
             reality=reality,
+            estimator=estimator,
         )
         for i, (hand, item, k) in enumerate(cells)
     ]
@@ -332,7 +335,7 @@ def run_manipulate(
         asked["shift"] = list(shift)
     if physics != OURS:
         asked["physics"] = {k: v for k, v in physics.to_dict().items() if k != "mu"}
-    asked |= stated(reality)
+    asked |= stated(reality, estimator)
     return run_cases(
         runner, run_turn, jobs, kind=FORMAT, asked=asked, file=file, title="pick, turn, place"
     )

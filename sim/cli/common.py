@@ -162,6 +162,14 @@ RealitySeedOption = Annotated[
     int,
     typer.Option(min=0, help="Of what --reality draws.", metavar="N", rich_help_panel=TRIAL_PANEL),
 ]
+EstimateOption = Annotated[
+    str | None,
+    typer.Option(
+        help="How the object is known: all, touch, contact, none.",
+        metavar="NAME",
+        rich_help_panel=TRIAL_PANEL,
+    ),
+]
 PlanArgument = Annotated[Path, typer.Argument(help="A plan file.", metavar="PLAN")]
 
 
@@ -231,6 +239,19 @@ def reality_of(name: str, seed: int = 0) -> Any:
     from sim.reality import named_reality
 
     return named_reality(name, seed)
+
+
+def estimate_of(name: str | None) -> str | None:
+    """Estimator as ``--estimate`` gives it.
+
+    Raises:
+        NotFoundError: There is none of that name.
+    """
+    from sim.estimation import check_estimator
+
+    if name is not None:
+        check_estimator(name)
+    return name
 
 
 def _leave(*_: object) -> None:

@@ -19,6 +19,7 @@ from sim.cli.common import (
     TRIAL_PANEL,
     ArrowsOption,
     ControllerOption,
+    EstimateOption,
     FingersOption,
     JsonOption,
     MassOption,
@@ -35,6 +36,7 @@ from sim.cli.common import (
     check_films,
     err,
     errors_for_people,
+    estimate_of,
     make_folder,
     names,
     numbers,
@@ -180,6 +182,7 @@ class ExecutionOptions:
     physics: PhysicsOption = "ours"
     reality: RealityOption = "ideal"
     reality_seed: RealitySeedOption = 0
+    estimate: EstimateOption = None
     max_force: Annotated[
         float | None,
         typer.Option(
@@ -298,6 +301,7 @@ def _execute(
 
     physics = physics_of(execution.physics, execution.sim_mu)
     reality = reality_of(execution.reality, execution.reality_seed)
+    estimator = estimate_of(execution.estimate)
     check_films(execution.video)
     _warn_of_friction(believed_mu, physics.mu)
     if out_dir is not None:
@@ -312,6 +316,7 @@ def _execute(
             controller=execution.controller,
             physics=physics,
             reality=reality,
+            estimator=estimator,
             criteria=SuccessCriteria(normal_N=execution.max_force),
             pictures=out_dir,
             video=execution.video,

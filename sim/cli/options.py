@@ -23,6 +23,7 @@ from sim.cli.common import (
     SEARCH_PANEL,
     ArrowsOption,
     ControllerOption,
+    EstimateOption,
     PhysicsOption,
     RealityOption,
     RealitySeedOption,
@@ -32,6 +33,7 @@ from sim.cli.common import (
     ViewOption,
     check_films,
     err,
+    estimate_of,
     heeding_ctrl_c,
     numbers,
     physics_of,
@@ -321,6 +323,7 @@ class TrialOptions:
     physics: PhysicsOption = "ours"
     reality: RealityOption = "ideal"
     reality_seed: RealitySeedOption = 0
+    estimate: EstimateOption = None
     controller: ControllerOption = "feedforward"
     view: ViewOption = False
     video: VideoOption = None
@@ -341,6 +344,7 @@ class TrialOptions:
 
         make, physics = named_controller(self.controller), physics_of(self.physics, self.sim_mu)
         reality = reality_of(self.reality, self.reality_seed)
+        estimator = estimate_of(self.estimate)
         if self.view:
             check_display()
         check_films(self.video)
@@ -352,6 +356,7 @@ class TrialOptions:
                     plan,
                     physics=physics,
                     reality=reality,
+                    estimator=estimator,
                     controller=make(plan),
                     progress=lambda share: progress.update(bar, completed=share),
                     view=self.view,

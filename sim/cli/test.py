@@ -13,6 +13,7 @@ from sim.cli.common import (
     EXIT_INTERRUPTED,
     EXIT_NO,
     ControllerOption,
+    EstimateOption,
     JsonOption,
     PhysicsOption,
     RealityOption,
@@ -20,6 +21,7 @@ from sim.cli.common import (
     SeedOption,
     err,
     errors_for_people,
+    estimate_of,
     heeding_ctrl_c,
     make_folder,
     out,
@@ -56,6 +58,7 @@ def test(
     physics: PhysicsOption = "ours",
     reality: RealityOption = "ideal",
     reality_seed: RealitySeedOption = 0,
+    estimate: EstimateOption = None,
     only: Annotated[
         list[str] | None, typer.Option(help='Only trials of this name: "force +z".', metavar="NAME")
     ] = None,
@@ -99,6 +102,7 @@ def test(
     if pages not in PAGES:
         raise NotFoundError("choice of pages", pages, PAGES)
     computed, errors = physics_of(physics), reality_of(reality, reality_seed)
+    estimator = estimate_of(estimate)
     ending = "" if video is None else f".{video}"
     check_video(f"film{ending}" if ending else None)
     asked = IN_ALL if protocol == "all" else [protocol]
@@ -125,6 +129,7 @@ def test(
                     controller=controller,
                     physics=computed,
                     reality=errors,
+                    estimator=estimator,
                     seed=seed,
                     workers=workers,
                     only=some,

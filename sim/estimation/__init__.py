@@ -10,7 +10,10 @@ from sim.estimation.named import (
     AnyEstimator,
     Estimator,
     NamedEstimator,
+    check_estimator,
+    default_estimator,
     estimator_for,
+    estimator_name,
     register_estimator,
 )
 
@@ -24,8 +27,11 @@ __all__ = [
     "SensorErrors",
     "Trust",
     "all",
+    "check_estimator",
     "contact",
+    "default_estimator",
     "estimator_for",
+    "estimator_name",
     "register_estimator",
     "touch",
 ]

@@ -7,7 +7,7 @@ the filter goes on by a moment, and where a look arrives it is counted at its ti
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Literal, TypeAlias
 
@@ -164,9 +164,7 @@ class ObjectEstimator:
 
     # ---- touching
 
-    def _go_on(
-        self, track: Track, observation: Observation, touching: NDArray[np.bool_]
-    ) -> None:
+    def _go_on(self, track: Track, observation: Observation, touching: NDArray[np.bool_]) -> None:
         last = track.last
         moment = self._moment(observation, touching)
         track.go_on(moment)
@@ -248,9 +246,7 @@ class ObjectEstimator:
         twist[:3] += np.cross(twist[3:], pose.translation)
         return twist
 
-    def _pads(
-        self, known: Filtered, observation: Observation, forces: FloatArray
-    ) -> PadReading:
+    def _pads(self, known: Filtered, observation: Observation, forces: FloatArray) -> PadReading:
         """What pads would say of contacts of which only is known that they are there."""
         points, normals = self._filter.contacts(known.belief, observation.q)
         base, away = observation.T_world_base, (forces == 0.0)[:, None]

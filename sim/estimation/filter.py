@@ -11,12 +11,12 @@ wrong, and it starts anew from the last one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
 
-from planner.spatial import SE3, FloatArray, skew
+from planner.spatial import FloatArray, skew
 from planner.task import GraspTask
 from sim.estimation.errors import SensorErrors
 from sim.estimation.moments import Look, Moment
@@ -74,17 +74,40 @@ class Trust:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Felt:
+    """What contacts said at a moment.
+
+    Attributes:
+        belief: What was known before.
+        residual: (k,), m and rad.
+        jacobian: (k, 7 + m).
+        noise: (k,), variances.
+    """
+
+    belief: Belief
+    residual: FloatArray
+    jacobian: FloatArray
+    noise: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Filtered:
     """What is known at a moment.
 
     Attributes:
         belief: It.
         motion: How the object moved since the moment before; None at the first.
+        drift: (m,), variance by which offsets wandered meanwhile.
+        offsets: (m,), offsets with which the motion was computed.
+        felt: What contacts said; None without any.
         refused: Poses in a row that were not believed.
     """
 
     belief: Belief
     motion: Motion | None = None
+    drift: FloatArray | None = None
+    offsets: FloatArray | None = None
+    felt: Felt | None = None
     refused: int = 0
 
 
@@ -96,9 +119,7 @@ class PoseFilter:
         feels: Whether pads say where they touch; else only whether.
     """
 
-    def __init__(
-        self, task: GraspTask, errors: SensorErrors, trust: Trust, *, feels: bool
-    ) -> None:
+    def __init__(self, task: GraspTask, errors: SensorErrors, trust: Trust, *, feels: bool) -> None:
         """Prepare for a task."""
         self.tips = TipKinematics(task.hand, task.fingers)
         self.feels = feels
@@ -144,9 +165,29 @@ class PoseFilter:
         motion = rolling(tips, jacobians, grip, moved, prior, information, dt)
         drift = (self._errors.joint_scale**2 * 0.5) * np.abs(moved)
         after = belief.moved(motion.displacement, motion.by_offsets, motion.covariance, drift)
-        if b.touching.any():
-            after = self._touched(after, b, dt)
-        return Filtered(after, motion, known.refused)
+        felt = self._feel(after, b, dt) if b.touching.any() else None
+        if felt is not None:
+            after = after.corrected(felt.residual, felt.jacobian, np.diag(felt.noise))
+        return Filtered(after, motion, drift, belief.offsets, felt, known.refused)
+
+    def again(self, known: Filtered, before: Filtered) -> Filtered:
+        """What ``advanced`` gives from a better knowledge of the moment before, to first order.
+
+        Args:
+            known: What is known now of the moment before.
+            before: What was known of this moment, before any look.
+        """
+        motion, felt = before.motion, before.felt
+        if motion is None or before.drift is None or before.offsets is None:
+            return before
+        change = motion.by_offsets @ (known.belief.offsets - before.offsets)
+        after = known.belief.moved(
+            motion.displacement + change, motion.by_offsets, motion.covariance, before.drift
+        )
+        if felt is not None:
+            residual = felt.residual - felt.jacobian @ after.beyond(felt.belief)
+            after = after.corrected(residual, felt.jacobian, np.diag(felt.noise))
+        return replace(before, belief=after, refused=known.refused)
 
     def looked(self, known: Filtered, look: Look) -> Filtered:
         """What is known after a look."""
@@ -156,15 +197,13 @@ class PoseFilter:
         spread = belief.covariance[:6, :6] + noise
         if float(off @ np.linalg.solve(spread, off)) > FARTHEST:
             if known.refused + 1 < TOO_MANY:
-                return Filtered(belief, known.motion, known.refused + 1)
+                return replace(known, refused=known.refused + 1)
             again = self.first(look).belief
-            return Filtered(
-                Belief(again.T_base_object, belief.offsets, belief.size, again.covariance),
-                known.motion,
-            )
+            anew = Belief(again.T_base_object, belief.offsets, belief.size, again.covariance)
+            return replace(known, belief=anew, refused=0)
         jacobian = np.zeros((6, len(belief.covariance)))
         jacobian[:, :6] = np.eye(6)
-        return Filtered(belief.corrected(off, jacobian, noise), known.motion)
+        return replace(known, belief=belief.corrected(off, jacobian, noise), refused=0)
 
     def look_noise(self, look: Look) -> FloatArray:
         """(6, 6), covariance of a measured pose as an error of the base's axes."""
@@ -239,8 +278,8 @@ class PoseFilter:
         to_center[:3, 3:] = -skew(belief.T_base_object.translation)
         return prior, to_center.T @ free @ to_center
 
-    def _touched(self, belief: Belief, moment: Moment, dt: float) -> Belief:
-        """After what the contacts of a moment say."""
+    def _feel(self, belief: Belief, moment: Moment, dt: float) -> Felt:
+        """What the contacts of a moment say."""
         on = np.flatnonzero(moment.touching)
         tips = self.tips.at(self._believed(moment.q, belief)).of(on)
         trust, lasting = self._trust, 1.0 + 2.0 * self._trust.lasting / dt
@@ -254,9 +293,7 @@ class PoseFilter:
             less = np.where(np.abs(away) > OFF_PAD, 25.0, 1.0)
         else:
             points, less = tips.out(self._centers[on]), np.ones(len(on))
-            equations = touch_equations(
-                self._shape, belief, tips, points, self._radii[on], None
-            )
+            equations = touch_equations(self._shape, belief, tips, points, self._radii[on], None)
         noise = np.empty(len(equations.residual))
         noise[: len(on)] = trust.distance**2 * lasting * less
         noise[len(on) :] = trust.normal**2 * lasting * np.repeat(less, 2)[: len(noise) - len(on)]
@@ -264,4 +301,4 @@ class PoseFilter:
         spread = ((jacobian @ belief.covariance) * jacobian).sum(axis=1) + noise
         far = np.abs(residual) / (HUBER * np.sqrt(spread))
         noise = noise + spread * (np.maximum(far, 1.0) ** 2 - 1.0)
-        return belief.corrected(residual, jacobian, np.diag(noise))
+        return Felt(belief, residual, jacobian, noise)

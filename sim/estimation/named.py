@@ -26,7 +26,10 @@ __all__ = [
     "Estimator",
     "MakeEstimator",
     "NamedEstimator",
+    "check_estimator",
+    "default_estimator",
     "estimator_for",
+    "estimator_name",
     "register_estimator",
 ]
 
@@ -94,6 +97,32 @@ def register_estimator(name: str, reads: str) -> Callable[[MakeEstimator], MakeE
     return register
 
 
+def default_estimator(reality: Reality | None) -> str:
+    """Name of the estimator where none is asked for.
+
+    It is the one with all senses where the pose that is read has errors: a controller that acts on
+    each pose by itself multiplies their noise by its stiffness. An exact pose needs none.
+    """
+    return "all" if reality is not None and reality.blurs_pose else NONE
+
+
+def estimator_name(given: AnyEstimator | None, reality: Reality | None) -> str:
+    """What reports call the estimator of a trial."""
+    if given is None:
+        return default_estimator(reality)
+    return given if isinstance(given, str) else getattr(given, "__name__", type(given).__name__)
+
+
+def check_estimator(name: str) -> None:
+    """Refuse a name that no estimator has.
+
+    Raises:
+        NotFoundError: There is none of that name.
+    """
+    if name != NONE and name not in ESTIMATORS:
+        raise NotFoundError("estimator", name, (*ESTIMATORS, NONE))
+
+
 def estimator_for(
     task: GraspTask, given: AnyEstimator | None, reality: Reality | None
 ) -> Estimator | None:
@@ -110,12 +139,11 @@ def estimator_for(
         TaskError: What was given is none.
     """
     if given is None:
-        given = "all" if reality is not None and reality.blurs_pose else NONE
+        given = default_estimator(reality)
     if isinstance(given, str):
         if given == NONE:
             return None
-        if given not in ESTIMATORS:
-            raise NotFoundError("estimator", given, (*ESTIMATORS, NONE))
+        check_estimator(given)
         return ESTIMATORS[given].make(task, SensorErrors.of(reality))
     made: object = given(task, SensorErrors.of(reality)) if callable(given) else given
     if not isinstance(made, Estimator):

@@ -5,10 +5,11 @@ Montana, "The kinematics of contact and grasp", International Journal of Robotic
 1988). Over a short time, with d = [v; w] the displacement of the object about the base's origin,
 u_i = J_i dq that of fingertip i at contact p_i, and s_i what the pad says that it slid:
 
-    v + w x p_i = u_i + s_i + noise,    n_i . w = n_i . w_i + noise     (a soft tip resists spinning)
+    v + w x p_i = u_i + s_i + noise,    n_i . w = n_i . w_i + noise
 
-Weighted least squares gives d; its normal matrix is the information on it. What carries the object
-beside the fingers is a prior of d: on a table it stands still, in the air nothing is known.
+The second says that a soft tip resists spinning. Weighted least squares gives d; its normal matrix
+is the information on it. What carries the object beside the fingers is a prior of d: on a table it
+stands still, in the air nothing is known.
 """
 
 from __future__ import annotations
@@ -102,4 +103,10 @@ def rolling(
     turned = np.broadcast_to(displacement[3:], jacobians.shape)
     wrong = cross(turned, jacobians) - tips.bending(points, moved)
     by_offsets = covariance @ (weighted.T @ wrong.transpose(0, 2, 1).reshape(3 * n, m))
-    return Motion(displacement, covariance, by_joints, rest / elapsed, by_offsets)
+    return Motion(
+        displacement,
+        np.asarray(covariance, dtype=np.float64),
+        by_joints,
+        rest / elapsed,
+        by_offsets,
+    )

@@ -61,9 +61,7 @@ class Belief:
         diagonal[6:k] += drift
         return Belief(M * self.T_base_object, self.offsets, self.size, moved)
 
-    def corrected(
-        self, residual: FloatArray, jacobian: FloatArray, noise: FloatArray
-    ) -> Belief:
+    def corrected(self, residual: FloatArray, jacobian: FloatArray, noise: FloatArray) -> Belief:
         """After a measurement: residual = jacobian error + noise.
 
         Args:
@@ -83,6 +81,11 @@ class Belief:
     def _shifted(self, error: FloatArray, covariance: FloatArray) -> Belief:
         pose = pin.exp6(pin.Motion(error[:6])) * self.T_base_object
         return Belief(pose, self.offsets + error[6:-1], self.size + float(error[-1]), covariance)
+
+    def beyond(self, other: Belief) -> FloatArray:
+        """The error (7 + m,) of another estimate, if this one is true."""
+        pose = other.off(self.T_base_object)
+        return np.concatenate([pose, self.offsets - other.offsets, [self.size - other.size]])
 
     def off(self, measured: SE3) -> FloatArray:
         """Logarithm (6,) of a measured pose relative to the estimate, base axes."""

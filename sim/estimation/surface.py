@@ -95,6 +95,4 @@ def touch_equations(
     turning[:, :, -1] = -(bend @ arm[:, :, None])[:, :, 0] / (1.0 + belief.size)
     of_normals = (across @ turning).reshape(2 * k, -1)
     off = (across @ (felt - normals)[:, :, None]).reshape(-1)
-    return Equations(
-        np.concatenate([radii - distance, off]), np.concatenate([rows, of_normals]), k
-    )
+    return Equations(np.concatenate([radii - distance, off]), np.concatenate([rows, of_normals]), k)

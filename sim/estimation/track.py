@@ -1,7 +1,8 @@
 """``Track``: what was known at the last moments, so that a late look counts where it belongs.
 
 A look is taken into account at the moment nearest to its time stamp, and everything after is
-computed anew: the result is that of a filter that had it in time.
+computed anew, with the Jacobians that are there: the result is that of a filter that had it in
+time, to first order.
 """
 
 from __future__ import annotations
@@ -22,8 +23,11 @@ KEPT = 0.4
 
 @dataclass(slots=True)
 class _Node:
+    """A moment, what is known of it, and what was known of it before any look."""
+
     moment: Moment
     known: Filtered
+    before: Filtered
     looks: list[Look] = field(default_factory=list)
 
 
@@ -33,7 +37,8 @@ class Track:
     def __init__(self, pose_filter: PoseFilter, moment: Moment, look: Look) -> None:
         """Begin with a moment at which the object was looked at."""
         self._filter = pose_filter
-        self._nodes = [_Node(moment, pose_filter.first(look))]
+        known = pose_filter.first(look)
+        self._nodes = [_Node(moment, known, known)]
 
     @property
     def known(self) -> Filtered:
@@ -48,7 +53,7 @@ class Track:
     def go_on(self, moment: Moment) -> None:
         """Add a moment, later than the last."""
         known = self._filter.advanced(self.known, self.last, moment)
-        self._nodes.append(_Node(moment, known))
+        self._nodes.append(_Node(moment, known, known))
         while self._nodes[1].moment.time < moment.time - KEPT:
             del self._nodes[0]
 
@@ -83,7 +88,7 @@ class Track:
         nodes[i].looks.append(look)
         nodes[i].known = self._filter.looked(nodes[i].known, look)
         for before, node in zip(nodes[i:], nodes[i + 1 :], strict=False):
-            known = self._filter.advanced(before.known, before.moment, node.moment)
+            known = self._filter.again(before.known, node.before)
             for seen in node.looks:
                 known = self._filter.looked(known, seen)
             node.known = known

@@ -215,7 +215,7 @@ class ManipulationRun:
             force_limit=self._force_limit,
             events=simulation.events,
             physics=simulation.scene.physics.to_dict(),
-            reality=None if simulation.reality is None else simulation.reality.to_dict(),
+            reality=simulation.senses(),
             pictures={},
             picture_reason="",
         )

@@ -24,7 +24,7 @@ from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.task import GraspTask
 from sim.controllers import AnyController, controller_maker, controller_name
-from sim.estimation import AnyEstimator
+from sim.estimation import NONE, AnyEstimator, estimator_name
 from sim.physics import PhysicsOptions
 from sim.protocols.cases import Case, Conditions
 from sim.protocols.dexgraspbench import dexgraspbench_cases, unsuitable_for_dexgraspbench
@@ -219,6 +219,8 @@ def run_protocol(
     own = {} if protocol in REPLAYED else asdict(settings)
     if not (protocol in REPLAYED or reality.ideal):
         own["reality"] = reality.to_dict()
+    if protocol not in REPLAYED and (used := estimator_name(estimator, reality)) != NONE:
+        own["estimator"] = used
     stated = drake_physics(physics.mu) if protocol == "drake" else physics_of(plan, physics)
     if protocol == "dexgraspbench":
         stated |= benchmark_contacts()

@@ -16,12 +16,14 @@ from sim.cli.bench.common import (
     SamplesOption,
 )
 from sim.cli.common import (
+    EstimateOption,
     FingersOption,
     PhysicsOption,
     RealityOption,
     SeedOption,
     StandOption,
     errors_for_people,
+    estimate_of,
     names,
     physics_of,
     reality_of,
@@ -83,6 +85,7 @@ def manipulate(
     stand: StandOption = 0.0,
     physics: PhysicsOption = "ours",
     reality: RealityOption = "ideal",
+    estimate: EstimateOption = None,
     seed: SeedOption = 0,
     samples: SamplesOption = Path("manipulate.jsonl"),
     *,
@@ -97,6 +100,7 @@ def manipulate(
 
     axis, degrees, moved = movement(rotate, shift)
     computed, errors = physics_of(physics), reality_of(reality)
+    estimator = estimate_of(estimate)
     with result.measuring(samples) as runner:
         measured = run_manipulate(
             hands,
@@ -113,5 +117,6 @@ def manipulate(
             shift=moved,
             physics=computed,
             reality=errors,
+            estimator=estimator,
         )
     result.give(measured, manipulate_table)
