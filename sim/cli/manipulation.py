@@ -33,6 +33,7 @@ from sim.cli.common import (
     VideoOption,
     ViewOption,
     check_films,
+    controller_of,
     err,
     errors_for_people,
     make_folder,
@@ -298,6 +299,7 @@ def _execute(
 
     physics = physics_of(execution.physics, execution.sim_mu)
     reality = reality_of(execution.reality, execution.reality_seed)
+    driver = controller_of(execution.controller)
     check_films(execution.video)
     _warn_of_friction(believed_mu, physics.mu)
     if out_dir is not None:
@@ -309,7 +311,7 @@ def _execute(
     with err.status("executing ..."):
         report = simulate(
             plan,
-            controller=execution.controller,
+            controller=driver,
             physics=physics,
             reality=reality,
             criteria=SuccessCriteria(normal_N=execution.max_force),

@@ -31,6 +31,7 @@ from sim.cli.common import (
     VideoOption,
     ViewOption,
     check_films,
+    controller_of,
     err,
     heeding_ctrl_c,
     numbers,
@@ -335,11 +336,11 @@ class TrialOptions:
         """
         from rich.progress import Progress
 
-        from sim.controllers import named_controller
         from sim.looking.viewer import check_display
         from sim.trial import simulate
 
-        make, physics = named_controller(self.controller), physics_of(self.physics, self.sim_mu)
+        driver = controller_of(self.controller)
+        physics = physics_of(self.physics, self.sim_mu)
         reality = reality_of(self.reality, self.reality_seed)
         if self.view:
             check_display()
@@ -352,7 +353,7 @@ class TrialOptions:
                     plan,
                     physics=physics,
                     reality=reality,
-                    controller=make(plan),
+                    controller=driver,
                     progress=lambda share: progress.update(bar, completed=share),
                     view=self.view,
                     picture=picture,

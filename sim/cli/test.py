@@ -18,6 +18,7 @@ from sim.cli.common import (
     RealityOption,
     RealitySeedOption,
     SeedOption,
+    controller_of,
     err,
     errors_for_people,
     heeding_ctrl_c,
@@ -82,7 +83,6 @@ def test(
     """
     from planner.errors import NotFoundError, TaskError
     from planner.files import read_plan, write_json
-    from sim.controllers import named_controller
     from sim.looking.backend import why_not
     from sim.looking.film import check_video
     from sim.protocols import (
@@ -95,7 +95,7 @@ def test(
         write_csv,
     )
 
-    named_controller(controller)  # bad input ends here
+    driver = controller_of(controller)  # bad input ends here
     if pages not in PAGES:
         raise NotFoundError("choice of pages", pages, PAGES)
     computed, errors = physics_of(physics), reality_of(reality, reality_seed)
@@ -122,7 +122,7 @@ def test(
                 report = run_protocol(
                     plan,
                     name,
-                    controller=controller,
+                    controller=driver,
                     physics=computed,
                     reality=errors,
                     seed=seed,
