@@ -131,9 +131,7 @@ def learn(
     )
     with heeding_ctrl_c(), _Bar() as bar:
         try:
-            learned = train(
-                task, course, folder, command=told_command(context), progress=bar.show
-            )
+            learned = train(task, course, folder, command=told_command(context), progress=bar.show)
         except KeyboardInterrupt as error:
             say(err, escape(f"interrupted: {bar.kept()}; the same command goes on"))
             raise typer.Exit(EXIT_INTERRUPTED) from error

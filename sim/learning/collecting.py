@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import FileFormatError
+from planner.files.whole import whole_file
 from sim.learning.policy import Policy
 from sim.learning.senses import SENSES
 from sim.learning.teacher import Demonstrator
@@ -61,9 +62,12 @@ class Episode:
         )
 
     def save(self, path: Path) -> None:
-        """Write it: all of it or nothing."""
-        part = path.with_suffix(".part")
-        with part.open("wb") as stream:
+        """Write it: all of it or nothing.
+
+        Raises:
+            FileFormatError: The file cannot be written.
+        """
+        with whole_file(path) as stream:
             np.savez_compressed(
                 stream,
                 allow_pickle=False,
@@ -74,7 +78,6 @@ class Episode:
                 reason=np.array(self.reason),
                 cpu_s=np.array(self.cpu_s),
             )
-        part.replace(path)
 
 
 def read_episode(path: Path) -> Episode:
@@ -84,7 +87,7 @@ def read_episode(path: Path) -> Episode:
         FileFormatError: The file is damaged.
     """
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             data: dict[str, Any] = {name: stored[name] for name in stored.files}
         success, strict = data["verdict"].tolist()
         return Episode(
@@ -97,7 +100,9 @@ def read_episode(path: Path) -> Episode:
             cpu_s=float(data["cpu_s"]),
         )
     except _DAMAGED as error:
-        raise FileFormatError(f"{path} is damaged ({error}); remove it: it is made again") from error
+        raise FileFormatError(
+            f"{path} is damaged ({error}); remove it: it is made again"
+        ) from error
 
 
 def run_episode(

@@ -35,12 +35,12 @@ import math
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, TypeAlias
 
 import gymnasium
 import numpy as np
 import pinocchio as pin
-from greenlet import GreenletExit, getcurrent, greenlet
+from greenlet import GreenletExit, getcurrent, greenlet  # switches inside one thread
 from gymnasium.spaces import Box, Dict
 from numpy.typing import NDArray
 
@@ -49,7 +49,7 @@ from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from sim.controllers import Observation
 from sim.learning.controller import PolicyController
-from sim.learning.policy import ACTION_SCALE, RATE_HZ
+from sim.learning.policy import RATE_HZ
 from sim.learning.trials import Conditions, Plans, TurnTask
 from sim.manipulation import ManipulationReport, ManipulationRun
 from sim.reality import named_reality
@@ -66,7 +66,7 @@ ALWAYS, ASKED = ("joints", "targets", "touch", "clock", "plan"), ("object_pose",
 """Senses that there always are, and that there are if asked for."""
 
 INCREMENT = 0.05
-"""Change (rad) of a joint target by an action of 1 in mode "increment": 2.5 rad/s at 50 Hz."""
+"""Change (rad) of a joint target by an action of 1 in mode "increment": 5 rad/s at 100 Hz."""
 
 MOST_TOUCH, MOST_RATE, BEYOND = 100.0, 10.0, 1.0
 """Bounds of the observation space: N, rad/s, and rad beyond the joints' ranges."""
@@ -80,7 +80,7 @@ Told: TypeAlias = dict[str, NDArray[np.float32]]
 class TurnEnv(gymnasium.Env[Told, NDArray[np.float32]]):
     """Turning an object in the hand; see the module."""
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012, an attribute of Gymnasium's
 
     def __init__(
         self,
@@ -144,22 +144,24 @@ class TurnEnv(gymnasium.Env[Told, NDArray[np.float32]]):
         hand = self._plans.hand
         nq, nu = hand.nq, len(hand.actuation.names)
 
-        def box(low: Any, high: Any, n: int) -> Box:
-            ends = (np.broadcast_to(np.asarray(v, dtype=np.float32), n) for v in (low, high))
-            return Box(*ends, dtype=np.float32)
+        def box(low: Any, high: Any, n: int) -> Any:
+            least, most = (np.broadcast_to(np.asarray(v, np.float32), n) for v in (low, high))
+            return Box(least, most, dtype=np.float32)
 
         reach = hand.q_lower - BEYOND, hand.q_upper + BEYOND
+        least, most = hand.actuation.ctrl_range.T
         spaces = {
             "joints": box(*reach, nq),
-            "targets": box(*hand.actuation.ctrl_range.T, nu),
+            "targets": box(least, most, nu),
             "touch": box(0.0, MOST_TOUCH, len(hand.fingers)),
             "clock": box(0.0, [1.0, MOST_RATE, 1.0, 1.0], 4),
             "plan": box(*reach, nq),
         }
         if self._sees_pose:
             spaces["object_pose"] = box(-BEYOND, BEYOND, 7)
-        self.observation_space = Dict(spaces)
-        self.action_space = box(-1.0, 1.0, nu)
+        self._spaces: dict[str, Any] = spaces
+        self.observation_space: Any = Dict(spaces)
+        self.action_space: Any = box(-1.0, 1.0, nu)
 
     # ---- Gymnasium
 
@@ -196,9 +198,7 @@ class TurnEnv(gymnasium.Env[Told, NDArray[np.float32]]):
             "object or a milder reality"
         )
 
-    def step(
-        self, action: NDArray[np.float32]
-    ) -> tuple[Told, float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[np.float32]) -> tuple[Told, float, bool, bool, dict[str, Any]]:
         """Act until the next decision, or until the end of the run.
 
         Returns:
@@ -247,7 +247,7 @@ class TurnEnv(gymnasium.Env[Told, NDArray[np.float32]]):
             pose = pin.SE3ToXYZQUAT(seen.T_world_base.inverse() * seen.T_world_object)
             told["object_pose"] = pose[[0, 1, 2, 6, 3, 4, 5]]
         out = {}
-        for name, space in self.observation_space.spaces.items():
+        for name, space in self._spaces.items():
             value = told[name].astype(np.float32)
             out[name] = np.clip(value, space.low, space.high)
         return out

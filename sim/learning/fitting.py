@@ -8,16 +8,15 @@ seed give the same policy on one machine.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import TaskError
-from sim.learning.policy import Policy, PolicyFor
+from sim.learning.policy import Policy, PolicyFor, normalised
 
-__all__ = ["NEEDS_SKLEARN", "fit"]
+__all__ = ["NEEDS_SKLEARN", "fit", "trained_network"]
 
 HIDDEN = (128, 128)
 """Units of the hidden layers."""
@@ -43,7 +42,6 @@ def fit(
     *,
     epochs: int,
     seed: int,
-    progress: Callable[[int, float], None] | None = None,
 ) -> Policy:
     """A policy that gives the wanted actions for the senses, least squares.
 
@@ -53,47 +51,14 @@ def fit(
         wanted: (k, nu), in [-1, 1].
         epochs: Passes over all samples.
         seed: Of first weights and order.
-        progress: Told the epochs made and the mean squared error so far, after every stage.
 
     Raises:
         TaskError: scikit-learn is not installed, or there are no samples.
     """
-    try:
-        from sklearn.exceptions import ConvergenceWarning
-        from sklearn.neural_network import MLPRegressor
-    except ImportError as error:
-        raise TaskError(NEEDS_SKLEARN) from error
     if len(senses) == 0:
         raise TaskError("there are no samples to learn from; collect episodes first")
     mean, scale = senses.mean(axis=0), np.maximum(senses.std(axis=0), np.float32(LEAST_SCALE))
-    blank = tuple(np.zeros((len(mean), wanted.shape[1]), dtype=np.float32) for _ in range(1))
-    first = Policy(
-        about=about,
-        mean=mean,
-        scale=scale,
-        weights=blank,
-        biases=(np.zeros(wanted.shape[1], dtype=np.float32),),
-    )
-    x = first.normalised(senses)
-    network: Any = MLPRegressor(
-        hidden_layer_sizes=HIDDEN,
-        batch_size=min(BATCH, len(x)),
-        alpha=DECAY,
-        random_state=seed,
-        warm_start=True,
-        tol=0.0,
-        n_iter_no_change=epochs + 1,
-    )
-    done = 0
-    for rate, share in STAGES:
-        count = max(1, round(share * epochs))
-        network.set_params(learning_rate_init=rate, max_iter=count)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ConvergenceWarning)  # the epochs are what was asked for
-            network.fit(x, wanted)
-        done += count
-        if progress is not None:
-            progress(done, float(2.0 * network.loss_))
+    network = trained_network(normalised(senses, mean, scale), wanted, epochs=epochs, seed=seed)
     return Policy(
         about=about,
         mean=mean,
@@ -101,3 +66,33 @@ def fit(
         weights=tuple(w.astype(np.float32) for w in network.coefs_),
         biases=tuple(b.astype(np.float32) for b in network.intercepts_),
     )
+
+
+def trained_network(
+    inputs: NDArray[np.float32], wanted: NDArray[np.float32], *, epochs: int, seed: int
+) -> Any:
+    """scikit-learn's ``MLPRegressor`` after so many passes over the samples, at falling rates.
+
+    Raises:
+        TaskError: scikit-learn is not installed.
+    """
+    try:
+        from sklearn.exceptions import ConvergenceWarning
+        from sklearn.neural_network import MLPRegressor
+    except ImportError as error:
+        raise TaskError(NEEDS_SKLEARN) from error
+    network = MLPRegressor(
+        hidden_layer_sizes=HIDDEN,
+        batch_size=min(BATCH, len(inputs)),
+        alpha=DECAY,
+        random_state=seed,
+        warm_start=True,
+        tol=0.0,
+        n_iter_no_change=epochs + 1,
+    )
+    for rate, share in STAGES:
+        network.set_params(learning_rate_init=rate, max_iter=max(1, round(share * epochs)))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)  # the epochs are what was asked for
+            network.fit(inputs, wanted)
+    return network

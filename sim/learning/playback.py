@@ -1,4 +1,4 @@
-"""``Playback``: the turn of a plan by the clock, as commands, without any measurement of the object.
+"""``Playback``: the turn of a plan by the clock, as commands: nothing is measured of the object.
 
 It is what a policy corrects (``sim.learning.controller``), and by itself the open loop that a
 policy is compared with. Posture and planned forces are those of the plan's knots:
@@ -19,6 +19,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from planner.errors import HandError
+from planner.hands.hand import Hand
 from planner.motion import MotionPlan
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
@@ -27,7 +28,7 @@ from sim.controllers.follow import CREEP, RAMP, RATE
 from sim.controllers.grasp import FIRST_SHARE
 from sim.controllers.loads import HandLoads, crossed
 
-__all__ = ["AIM", "Playback"]
+__all__ = ["AIM", "Playback", "servo_shift"]
 
 AIM = float(np.deg2rad(2.5))
 """Turn (rad) beyond the asked one at which the clock ends: the middle of what the protocol accepts,
@@ -67,15 +68,7 @@ class Playback:
             HandError: An actuator of the hand is no position servo.
         """
         self.plan, self._aim = plan, aim
-        actuation = plan.task.hand.actuation
-        servo = -actuation.bias[:, 1] / actuation.gain
-        self.shift: FloatArray = servo[:, None] * actuation.moment
-        motors = [name for name, k in zip(actuation.names, servo, strict=True) if k <= 0.0]
-        if motors:
-            raise HandError(
-                f"{', '.join(motors)} of {plan.task.hand.name} are no position servos, and a "
-                "policy commands joint targets; give a hand whose actuators are servos"
-            )
+        self.shift = servo_shift(plan.task.hand)
         self._reference: MotionReference | None = None
         self._table = _tabulated(plan, None)
         self._gone, self._end, self._whole = 0.0, 0.0, 1.0
@@ -162,6 +155,23 @@ class Playback:
         self.ctrl = row[nq : nq + nu] + self.share * self.press + self.shift @ self.bent
 
 
+def servo_shift(hand: Hand) -> FloatArray:
+    """Change (nu, nq) of a servo's command per change of its joint's reading.
+
+    Raises:
+        HandError: An actuator of the hand is no position servo.
+    """
+    actuation = hand.actuation
+    servo = -actuation.bias[:, 1] / actuation.gain
+    motors = [name for name, k in zip(actuation.names, servo, strict=True) if k <= 0.0]
+    if motors:
+        raise HandError(
+            f"{', '.join(motors)} of {hand.name} are no position servos, and a policy commands "
+            "joint targets; give a hand whose actuators are servos"
+        )
+    return np.asarray(servo[:, None] * actuation.moment)
+
+
 def _tabulated(plan: GraspPlan, motion: MotionPlan | None) -> FloatArray:
     """Posture, commands at rest, and what pressing adds, (places, nq + 2 nu), along the path."""
     task = plan.task
@@ -178,7 +188,9 @@ def _tabulated(plan: GraspPlan, motion: MotionPlan | None) -> FloatArray:
         forces = in_base.forces_in_axes()
         pressing = loads.torque(forces, crossed(in_base.positions, forces))
         rest = actuation.commands(q, still, weight)
-        rows.append(np.concatenate([q, rest, actuation.commands(q, still, weight + pressing) - rest]))
+        rows.append(
+            np.concatenate([q, rest, actuation.commands(q, still, weight + pressing) - rest])
+        )
     if len(rows) == 1:
         return np.array(rows)
     spline = CubicSpline([place for place, _, _ in knots], np.array(rows))

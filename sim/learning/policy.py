@@ -7,7 +7,8 @@ weights, the normalisation of the senses, and a text (JSON) that says what the p
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.errors import FileFormatError, HandError, PlannerError, TaskError
+from planner.files.whole import whole_file
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray
@@ -24,7 +26,15 @@ from planner.version import written_by
 from sim.learning.playback import AIM
 from sim.learning.senses import SENSES, SenseHistory, checked_senses
 
-__all__ = ["ACTION_SCALE", "POLICY_FORMAT", "POLICY_VERSION", "RATE_HZ", "Policy", "PolicyFor"]
+__all__ = [
+    "ACTION_SCALE",
+    "POLICY_FORMAT",
+    "POLICY_VERSION",
+    "RATE_HZ",
+    "Policy",
+    "PolicyFor",
+    "normalised",
+]
 
 POLICY_FORMAT, POLICY_VERSION = "opposable-policy", 1
 """What a file says it is, and the version of its contents."""
@@ -138,7 +148,7 @@ class Policy:
             TaskError: Layers that do not fit each other or the hand, or a number that is none.
         """
         sizes = [len(self.mean), *(len(b) for b in self.biases)]
-        shapes = [(a, b) for a, b in zip(sizes, sizes[1:], strict=False)]
+        shapes = list(pairwise(sizes))
         fits = [w.shape for w in self.weights] == shapes and len(self.scale) == sizes[0]
         if not fits or not shapes or sizes[-1] != len(self.about.actuators):
             raise TaskError(
@@ -149,22 +159,13 @@ class Policy:
         if not all(np.isfinite(a).all() for a in every) or not (self.scale > 0).all():
             raise TaskError("weights that are not finite, or a scale that is not above 0")
 
-    def normalised(self, senses: FloatArray) -> NDArray[np.float32]:
-        """Senses (..., m) in standard deviations from their means, clipped."""
-        x = (senses.astype(np.float32) - self.mean) / self.scale
-        return np.asarray(np.minimum(np.maximum(x, np.float32(-FAR)), np.float32(FAR)))
-
-    def act(self, senses: FloatArray) -> FloatArray:
+    def act(self, senses: NDArray[Any]) -> FloatArray:
         """Actions (..., nu) for senses (..., m), each in [-1, 1]."""
-        x = self.normalised(senses)
+        x = normalised(senses, self.mean, self.scale)
         for w, b in zip(self.weights[:-1], self.biases[:-1], strict=True):
             x = np.maximum(x @ w + b, np.float32(0.0))
         x = x @ self.weights[-1] + self.biases[-1]
         return np.asarray(np.minimum(np.maximum(x, -1.0), 1.0), dtype=np.float64)
-
-    def told(self, command: str) -> Policy:
-        """The same with the command that made it."""
-        return replace(self, about=replace(self.about, command=command))
 
     def save(self, path: Path | str) -> None:
         """Write it to a file.
@@ -180,11 +181,8 @@ class Policy:
         }
         for k, (w, b) in enumerate(zip(self.weights, self.biases, strict=True)):
             arrays |= {f"weights{k}": w, f"biases{k}": b}
-        try:
-            with Path(path).open("wb") as stream:  # a path without .npz gets none added
-                np.savez(stream, allow_pickle=False, **arrays)
-        except OSError as error:
-            raise FileFormatError(f"cannot write {path}: {error.strerror or error}") from error
+        with whole_file(Path(path)) as stream:
+            np.savez(stream, allow_pickle=False, **arrays)
 
     @classmethod
     def load(cls, path: Path | str, *, hand: Hand | None = None) -> Policy:
@@ -205,7 +203,8 @@ class Policy:
                     f"{path} has more than {MOST_BYTES // 2**20} MB, and no policy has; give the "
                     "file that 'opposable learn' wrote"
                 )
-            with np.load(file, allow_pickle=False) as stored:
+            # a damaged file stays open if NumPy opens it
+            with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
                 arrays = {name: stored[name] for name in stored.files}
             header = json.loads(arrays["header"].tobytes().decode())
             kind, version = header.pop("format"), header.pop("version")
@@ -256,6 +255,14 @@ class Policy:
                 f"this policy takes {len(self.mean)} numbers, and {plan.task.hand.name} tells "
                 f"{size}; train it anew"
             )
+
+
+def normalised(
+    senses: NDArray[Any], mean: NDArray[np.float32], scale: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Senses (..., m) in standard deviations from their means (m,), clipped to ``FAR``."""
+    x = (senses.astype(np.float32) - mean) / scale
+    return np.asarray(np.minimum(np.maximum(x, np.float32(-FAR)), np.float32(FAR)))
 
 
 def _listed(names: str | tuple[str, ...]) -> str:

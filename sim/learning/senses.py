@@ -1,4 +1,4 @@
-"""``SenseHistory``: what a policy is told, as one vector: joints, joint targets, touch, and the plan.
+"""``SenseHistory``: what a policy is told, as one vector: joints, targets, touch, and the plan.
 
 Everything is of the last few decisions, and nothing of it comes from a camera:
 
@@ -74,7 +74,9 @@ class SenseHistory:
         each = {"joints": len(LAGS) * nq, "touch": len(LAGS) * n, "targets": nu}
         self.size = sum(each[name] for name in self._senses) + 2 * nq + nu + n + 4
 
-    def vector(self, observation: Observation, playback: Playback, action: FloatArray) -> FloatArray:
+    def vector(
+        self, observation: Observation, playback: Playback, action: FloatArray
+    ) -> FloatArray:
         """What is told now, (size,); call it once a decision.
 
         Args:

@@ -21,7 +21,14 @@ from planner.errors import TaskError
 from planner.kinematics.state import MovingHand
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
-from sim.controllers import ImpedanceGains, MotionReference, ObjectImpedance, Observation, Reference, Target
+from sim.controllers import (
+    ImpedanceGains,
+    MotionReference,
+    ObjectImpedance,
+    Observation,
+    Reference,
+    Target,
+)
 from sim.controllers.impedance import felt_inertia
 from sim.learning.controller import PolicyController
 from sim.learning.policy import Policy

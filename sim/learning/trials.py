@@ -140,9 +140,7 @@ class Conditions:
             controller=controller,
             true_task=there,
             physics=replace(task.physics, mu=self.mu),
-            push=Push(
-                force=np.array([*self.push, 0.0]), after=self.push_after, duration=PUSH_TIME
-            ),
+            push=Push(force=np.array([*self.push, 0.0]), after=self.push_after, duration=PUSH_TIME),
             reality=task.reality.seeded(self.seed),
         )
 
