@@ -19,6 +19,7 @@ from sim.cli.common import (
     RealityOption,
     RealitySeedOption,
     SeedOption,
+    controller_of,
     err,
     errors_for_people,
     estimate_of,
@@ -85,7 +86,6 @@ def test(
     """
     from planner.errors import NotFoundError, TaskError
     from planner.files import read_plan, write_json
-    from sim.controllers import named_controller
     from sim.looking.backend import why_not
     from sim.looking.film import check_video
     from sim.protocols import (
@@ -98,7 +98,7 @@ def test(
         write_csv,
     )
 
-    named_controller(controller)  # bad input ends here
+    driver = controller_of(controller)  # bad input ends here
     if pages not in PAGES:
         raise NotFoundError("choice of pages", pages, PAGES)
     computed, errors = physics_of(physics), reality_of(reality, reality_seed)
@@ -126,7 +126,7 @@ def test(
                 report = run_protocol(
                     plan,
                     name,
-                    controller=controller,
+                    controller=driver,
                     physics=computed,
                     reality=errors,
                     estimator=estimator,
