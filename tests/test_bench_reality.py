@@ -12,25 +12,24 @@ from typing import Any
 
 import numpy as np
 import pytest
-from manipulations import QUICK, task_of
+from manipulations import task_of
 from rich.console import Console
 from rich.table import Table
 from typer.testing import CliRunner
 
-from planner.errors import NotFoundError, PlannerError, TaskError
-from planner.motion.manipulation import ManipulationPlan, plan_manipulation
-from planner.spatial import SE3, FloatArray
+from planner.errors import FileFormatError, HandError, NotFoundError, PlannerError, TaskError
+from planner.hand_loading import load_hand
+from planner.spatial import SE3
 from sim.bench.reality import LOOPS, Loop, reality_tables, register_loop, run_reality
 from sim.bench.reality import loops as loops_module
 from sim.bench.reality import tasks as tasks_module
-from sim.bench.reality.loops import named_loop, played_back
+from sim.bench.reality.loops import named_loop
 from sim.bench.reality.reasons import class_of_turn
 from sim.bench.reality.tasks import ComparedTask, register_task
 from sim.bench.statistics import wilson
 from sim.cli import app
 from sim.controllers import Observation
-from sim.manipulation import manipulate
-from sim.manipulation.driver import aimed_angle
+from sim.learning import Policy, PolicyFor
 from sim.manipulation.results import undisturbed
 from sim.manipulation.timeline import SuccessCriteria
 from sim.protocols.pushes import PAUSE, PUSH_TIME, drawn_pushes
@@ -251,6 +250,45 @@ def test_another_column_is_one_registration(
         compare(loops=["mine"], tasks=["hold"])
 
 
+def test_a_policy_of_a_file_is_a_column(
+    fake: Fake, compare: Compare, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hand = load_hand("allegro_hand")
+    n = len(hand.actuation.names)
+    policy = Policy(
+        about=PolicyFor.of(hand, objects="cylinder", angle_deg=90.0, reality="lab"),
+        mean=np.zeros(3, dtype=np.float32),
+        scale=np.ones(3, dtype=np.float32),
+        weights=(np.zeros((3, n), dtype=np.float32),),
+        biases=(np.zeros(n, dtype=np.float32),),
+    )
+    path = tmp_path / "p.npz"
+    policy.save(path)
+    loop = named_loop(f"policy:{path}")
+    assert loop.does("turn")
+    assert not loop.does("hold")
+    assert "cylinder" in loop.about
+    policy.save(tmp_path / "q.npz")
+    changed = replace(policy, biases=(np.ones(n, dtype=np.float32),))
+    changed.save(tmp_path / "r.npz")
+    drivers = [named_loop(f"policy:{tmp_path / name}").driver for name in ("q.npz", "r.npz")]
+    assert drivers[0] != drivers[1]  # other weights are another run
+    with pytest.raises(FileFormatError):
+        named_loop("policy:nowhere.npz")
+
+
+def test_what_refuses_a_hand_is_counted(
+    fake: Fake, compare: Compare, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*args: Any) -> dict[str, Any]:
+        raise HandError("of another hand")
+
+    fake_task = tasks_module._TASKS["fake"]
+    monkeypatch.setitem(tasks_module._TASKS, "fake", replace(fake_task, execute=refuse))
+    cells = compare(loops=["open"], realities=[LAB], n=1)["cells"]
+    assert [cell["reasons"] for cell in cells] == [{"refused": 1}, {"refused": 1}]
+
+
 def test_tables_count_and_say_why(compare: Compare) -> None:
     tables = list(reality_tables(compare()))
     texts, shown = tables[:3], [t for t in tables if isinstance(t, Table)]
@@ -430,38 +468,3 @@ def test_classes_are_of_the_sentences_of_the_phases() -> None:
     moved, _ = undisturbed(SE3.Identity(), there, criteria)
     ended: Any = Ended(results=failed("close", moved))
     assert class_of_turn(ended) == "knocked over"
-
-
-# --- the open loop of a turn -------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def turned() -> ManipulationPlan:
-    return plan_manipulation(task_of("cylinder:0.03x0.08"), angle=np.deg2rad(20.0), seed=1)
-
-
-def test_the_open_loop_turns_the_object_and_never_looks_at_it(turned: ManipulationPlan) -> None:
-    played = played_back(turned)
-    report = manipulate(turned, controller=lambda grasp: played, timeline=QUICK)
-    made = [r.numbers["turn_deg"] for r in report.results if r.phase == "turn"]
-    assert made
-    assert made[0] > 10.0
-    aimed = aimed_angle(turned.motion, turned.angle) / turned.motion.path.angle
-    assert played.place == pytest.approx(aimed, abs=0.01)
-    # where the object is makes no difference once the turn has begun
-    one, other = (_commands(turned, x) for x in (0.0, 0.02))
-    np.testing.assert_array_equal(one, other)
-    assert np.abs(np.diff(one, axis=0)).max() > 0
-
-
-def _commands(plan: ManipulationPlan, x: float) -> FloatArray:
-    """Commands of the open loop while the object seems to be at x (m)."""
-    played, nq = played_back(plan), plan.task.hand.nq
-    seen = replace(_seen(0.0, 0.0, nq), q=plan.grasp.q, phase="squeeze", progress=1.0)
-    played.step(seen)
-    rows = []
-    for k in range(200):
-        pose = _seen(0.0, x, nq).T_world_object
-        now = replace(seen, time=0.002 * (k + 1), phase="turn", T_world_object=pose)
-        rows.append(played.step(now))
-    return np.array(rows)

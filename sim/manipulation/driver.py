@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from planner.errors import TaskError
 from planner.kinematics.state import MovingHand
-from planner.motion import MotionPlan
 from planner.motion.manipulation import ManipulationPlan
 from planner.motion.manipulation.idle_fingers import out_of_the_way
 from planner.motion.path import tilts
@@ -28,7 +27,7 @@ from sim.manipulation.in_hand import InHandController
 from sim.manipulation.swing import FingerSwing
 from sim.timeline import Timeline
 
-__all__ = ["BaseMover", "ManipulationDriver", "aimed_angle"]
+__all__ = ["BaseMover", "ManipulationDriver"]
 
 BEYOND, TILTED_BEYOND = np.deg2rad(0.5), np.deg2rad(1.0)
 """Turn (rad) beyond the asked one, a margin against elastic return; and about an axis that is not
@@ -72,7 +71,9 @@ class ManipulationDriver:
                 stroke has.
         """
         motion = self._motion
-        angle = aimed_angle(motion, math.copysign(left, self._plan.angle))
+        beyond = TILTED_BEYOND if tilts(motion.path.axis) else BEYOND
+        most = min(abs(left) + beyond, abs(motion.path.angle))
+        angle = math.copysign(most, self._plan.angle)
         self.reference = MotionReference(motion, angle=angle, rate=self._rate)
         self.holding.reference = self.reference
         return self.reference
@@ -105,12 +106,6 @@ class ManipulationDriver:
     def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last step wanted."""
         return self.holding.saturated_actuators()
-
-
-def aimed_angle(motion: MotionPlan, angle: float) -> float:
-    """The turn (rad) that is aimed at where another one is asked for, as far as it is planned."""
-    beyond = TILTED_BEYOND if tilts(motion.path.axis) else BEYOND
-    return math.copysign(min(abs(angle) + beyond, abs(motion.path.angle)), angle)
 
 
 class PostureServo:

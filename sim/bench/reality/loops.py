@@ -6,21 +6,22 @@ All loops execute the same plans against the same draws. A further column is one
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 from planner.errors import NotFoundError, TaskError
-from planner.motion.manipulation import ManipulationPlan
-from planner.motion.manipulation.idle_fingers import out_of_the_way
-from planner.plan import GraspPlan
-from sim.controllers import Controller, GraspController, ObjectImpedance
-from sim.controllers.playback import Playback
+from sim.controllers import GraspController, MakeController, ObjectImpedance
 from sim.estimation import ESTIMATORS, NONE
-from sim.manipulation.driver import aimed_angle
-from sim.manipulation.in_hand import AnyTurningController
+from sim.learning import open_loop, policy_controller
 from sim.reality import Reality
 
 __all__ = ["LOOPS", "Loop", "named_loop", "register_loop"]
+
+
+POLICY = "policy:"
+"""What a name begins with that is a policy's file."""
 
 
 def _as_it_is(reality: Reality) -> Reality:
@@ -37,8 +38,8 @@ class Loop:
         driver: What drives the hand: two loops with the same driver and estimator that are told
             the same are one and the same run, which is made once.
         holding: Makes what holds a grasp.
-        turning: Makes what holds and turns the object of a manipulation; None for the closed loop
-            of ``manipulate``.
+        turning: Makes what holds and turns the object of a manipulation, out of its grasp; None for
+            the closed loop of ``manipulate``.
         estimator: Name of what tells it where the object is, out of ``sim.estimation``.
         told: The reality whose sensors it reads, out of that of the trial; what it changes of
             drives and world it changes for all.
@@ -50,8 +51,8 @@ class Loop:
     name: str
     about: str
     driver: str
-    holding: Callable[[GraspPlan], Controller]
-    turning: Callable[[ManipulationPlan], AnyTurningController | None]
+    holding: MakeController
+    turning: MakeController | None = None
     estimator: str = NONE
     told: Callable[[Reality], Reality] = _as_it_is
     usual: bool = True
@@ -81,12 +82,15 @@ def register_loop(loop: Loop) -> Loop:
 
 
 def named_loop(name: str) -> Loop:
-    """A registered loop that can run here.
+    """A registered loop that can run here, or that of a policy, "policy:FILE".
 
     Raises:
         NotFoundError: There is none of that name.
+        FileFormatError: A policy that cannot be read.
         TaskError: It cannot run here.
     """
+    if name.startswith(POLICY):
+        return _policy(name)
     if name not in LOOPS:
         raise NotFoundError("loop", name, LOOPS)
     if reason := LOOPS[name].why_not():
@@ -94,20 +98,25 @@ def named_loop(name: str) -> Loop:
     return LOOPS[name]
 
 
-def played_back(plan: ManipulationPlan) -> Playback:
-    """The open loop of a plan, as far beyond the asked angle as the closed loop aims.
+def _policy(name: str) -> Loop:
+    """The loop of a policy's file.
 
     Raises:
-        TaskError: The plan moves fingers on, which cannot be done blindly.
+        FileFormatError: It cannot be read.
     """
-    if plan.gait is not None:
-        raise TaskError("a turn by regrasps cannot be played back: fingers must feel where to land")
-    motion = out_of_the_way(plan.motion)
-    return Playback(motion, angle=aimed_angle(motion, plan.angle))
-
-
-def _closed(plan: ManipulationPlan) -> None:
-    """The closed loop that ``manipulate`` makes itself, which knows the largest force."""
+    path = name.removeprefix(POLICY)
+    make = policy_controller(path)
+    about = make.policy.about
+    digest = hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    return Loop(
+        name=name,
+        about=f"policy for {about.objects}, trained in the reality {about.reality}: joints and "
+        "touch",
+        driver=f"policy {digest}",
+        holding=make,
+        turning=make,
+        tasks=("turn",),
+    )
 
 
 register_loop(
@@ -116,7 +125,6 @@ register_loop(
         about="closed loop, calibrated joints and exact sensors: drives and world are off",
         driver="impedance",
         holding=ObjectImpedance,
-        turning=_closed,
         told=Reality.sensed_exactly,
     )
 )
@@ -126,7 +134,6 @@ register_loop(
         about="the same loop on what the sensors say, as they say it",
         driver="impedance",
         holding=ObjectImpedance,
-        turning=_closed,
     )
 )
 register_loop(
@@ -135,7 +142,6 @@ register_loop(
         about="the same loop without a camera: the object was seen once, before the hand closed",
         driver="impedance",
         holding=ObjectImpedance,
-        turning=_closed,
         told=Reality.without_camera,
         usual=False,
     )
@@ -147,16 +153,15 @@ for _name, _estimator in (("estimates", "all"), ("touch", "touch"), ("contact", 
             about=f"the same loop on an estimate, from {ESTIMATORS[_estimator].reads}",
             driver="impedance",
             holding=ObjectImpedance,
-            turning=_closed,
             estimator=_estimator,
         )
     )
 register_loop(
     Loop(
         name="open",
-        about="open loop: planned forces around the posture of the grip, planned joints in a turn",
-        driver="feedforward",
+        about="open loop: planned forces around the posture of the grip; planned joints in a turn",
+        driver="playback",
         holding=GraspController,
-        turning=played_back,
+        turning=open_loop,
     )
 )

@@ -17,7 +17,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar
 
-from planner.errors import PlannerError, TaskError
+from planner.errors import HandError, PlannerError, TaskError
 from sim.bench.reality.cells import cells_of, numbers_of
 from sim.bench.reality.loops import Loop, named_loop
 from sim.bench.reality.tasks import named_task
@@ -105,7 +105,10 @@ def compared_row(trial: ComparedTrial, check: Check) -> Row:
         return trial.row(planned=False, success=False, reason="no plan", detail=plan, **told)
     reality = loop.told(trial.reality).seeded(trial.draw)
     begin = time.process_time()
-    came = task.execute(trial.hand, trial.kind, trial.draw, plan, loop, reality)
+    try:
+        came = task.execute(trial.hand, trial.kind, trial.draw, plan, loop, reality)
+    except HandError as error:  # a policy of another hand
+        return trial.row(planned=True, success=False, reason="refused", detail=str(error), **told)
     cpu_s = time.process_time() - begin
     check()
     return trial.row(planned=True, read=reality.name, simulation_cpu_s=cpu_s, **told, **came)

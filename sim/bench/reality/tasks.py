@@ -136,7 +136,7 @@ def _execute_turn(
     hand: str, kind: str, seed: int, plan: ManipulationPlan, loop: Loop, reality: Reality
 ) -> Row:
     turn = replace(_turn(hand, kind, seed, reality), estimator=loop.estimator)
-    report = execute_turn(turn, plan, loop.turning(plan))
+    report = execute_turn(turn, plan, loop.turning)
     numbers = report.numbers()
     off = abs(numbers["turned_deg"] - float(np.rad2deg(turn.angle)))
     return {

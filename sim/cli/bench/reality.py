@@ -34,8 +34,8 @@ def reality(
     loops: Annotated[
         str,
         typer.Option(
-            help="Comma separated: truth, readings, estimates, touch, contact, open, blind; all "
-            "but blind if not given."
+            help="Comma separated: truth, readings, estimates, touch, contact, open, blind, "
+            "policy:FILE; the first six if not given."
         ),
     ] = "",
     seed: SeedOption = 0,
