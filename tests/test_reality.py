@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -28,6 +29,7 @@ from sim.reality import REALITIES, Drawn, Reality, RealityOfTrial, named_reality
 from sim.reality.drawn import stream
 from sim.reality.drive import RealDrive
 from sim.reality.senses import Drift, RealSenses
+from sim.reality.world import center_offset
 from sim.recording import Recording
 from sim.report_file import read_report, write_report
 from sim.scene import build_scene
@@ -446,6 +448,28 @@ def test_the_compiled_object_is_off_by_what_was_drawn(shape: str) -> None:
     others = np.setdiff1d(np.arange(a.ngeom), geoms)
     np.testing.assert_array_equal(a.geom_size[others], b.geom_size[others])
     np.testing.assert_array_equal(a.geom_friction[others], b.geom_friction[others])
+
+
+@pytest.mark.parametrize(
+    ("shape", "kept"), [("box", (1.0, 1.0)), ("sphere", (0.0, 0.0)), ("capsule", (0.0, 0.0))]
+)
+def test_what_stands_at_rest_does_not_roll_away(shape: str, kept: tuple[float, float]) -> None:
+    """The centre of mass stays above what the object stands on: a face, a point, a line."""
+    task = GraspTask.create("allegro_hand", shape)
+    drawn = nothing(task, center=np.array([0.3, 0.2, -0.1]))
+    R, half = task.T_world_object.rotation, task.object.shape.half_extents
+    asked, there = R @ (drawn.center * half), R @ center_offset(drawn, task)
+    assert there[2] == asked[2]
+    np.testing.assert_allclose(there[:2], kept * asked[:2], atol=3e-4)
+    floating = replace(task, table_height=None)
+    np.testing.assert_allclose(center_offset(drawn, floating), drawn.center * half)
+    here, away = RealityOfTrial(Reality(), task, drawn), SE3(np.eye(3), np.array([0.0, 0.0, 1.0]))
+    scene = build_scene(task, T_world_base=away, change=here.change)
+    data = scene.start(task.hand.neutral, away)
+    before = scene.body_pose(data, scene.object_body).translation.copy()
+    while data.time < 1.0:
+        mujoco.mj_step(scene.model, data)
+    assert np.linalg.norm(scene.body_pose(data, scene.object_body).translation - before) < 1.5e-3
 
 
 @pytest.mark.parametrize("size", [0.8, 1.2])
