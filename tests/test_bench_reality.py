@@ -19,7 +19,9 @@ from typer.testing import CliRunner
 
 from planner.errors import FileFormatError, HandError, NotFoundError, PlannerError, TaskError
 from planner.hand_loading import load_hand
+from planner.search import plan_grasp
 from planner.spatial import SE3
+from planner.task import GRAVITY, GraspTask
 from sim.bench.reality import LOOPS, Loop, reality_tables, register_loop, run_reality
 from sim.bench.reality import loops as loops_module
 from sim.bench.reality import tasks as tasks_module
@@ -28,11 +30,14 @@ from sim.bench.reality.reasons import class_of_turn
 from sim.bench.reality.tasks import ComparedTask, register_task
 from sim.bench.statistics import wilson
 from sim.cli import app
-from sim.controllers import Observation
+from sim.controllers import GraspController, Observation
 from sim.learning import Policy, PolicyFor
 from sim.manipulation.results import undisturbed
 from sim.manipulation.timeline import SuccessCriteria
-from sim.protocols.pushes import PAUSE, PUSH_TIME, drawn_pushes
+from sim.physics import PhysicsOptions
+from sim.protocols.cases import Conditions
+from sim.protocols.pushes import PAUSE, PUSH_TIME, drawn_pushes, pushes_cases
+from sim.protocols.settings import Settings
 from sim.reality import REALITIES, Reality
 from sim.runner import Runner
 
@@ -468,3 +473,23 @@ def test_classes_are_of_the_sentences_of_the_phases() -> None:
     moved, _ = undisturbed(SE3.Identity(), there, criteria)
     ended: Any = Ended(results=failed("close", moved))
     assert class_of_turn(ended) == "knocked over"
+
+
+@pytest.mark.parametrize(("load", "held"), [(0.5, True), (60.0, False)])
+def test_pushes_are_felt_and_a_strong_one_loses_the_object(load: float, held: bool) -> None:
+    plan = plan_grasp(GraspTask.create("allegro_hand", "sphere"), seed=0)
+    settings = Settings(pushes=1, pushes_s=2.0, push_load=load)
+    (case,) = pushes_cases(settings, seed=1)
+    conditions = Conditions(physics=PhysicsOptions(), controller=GraspController)
+    outcome = case.run(plan, conditions)
+    assert outcome.held == held
+    made = drawn_pushes(2.0, load * -GRAVITY[2] * 0.1, np.random.default_rng([1, 0]))
+    assert outcome.conditions["pushes"] == len(made) >= 1
+    strongest = max(np.linalg.norm(push.force) for push in made)
+    if held:
+        assert outcome.conditions["pushes_survived"] == len(made)
+        assert outcome.load.max() == pytest.approx(strongest)
+        assert outcome.samples.slip_mm.max() > 0.01
+    else:
+        assert outcome.conditions["pushes_survived"] < len(made)
+        assert outcome.reason in ("dropped", "slipped", "torque limit reached")

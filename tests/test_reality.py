@@ -22,7 +22,7 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
-from sim.controllers import Observation, PadReading, Phase
+from sim.controllers import GraspController, Observation, PadReading, Phase
 from sim.manipulation.run import ManipulationRun
 from sim.physics import PhysicsOptions
 from sim.reality import REALITIES, Drawn, Reality, RealityOfTrial, named_reality, register_reality
@@ -555,6 +555,49 @@ def test_the_report_says_what_was_drawn_and_comes_again(plan: GraspPlan, tmp_pat
     assert told is not None
     assert (told["name"], told["seed"]) == ("rough", 5)
     assert told["drawn"] == Drawn.of(asked, plan.task.hand).to_dict()
+
+
+def test_what_was_read_stands_beside_the_truth(plan: GraspPlan, tmp_path: Any) -> None:
+    """Joints are off by the drawn offsets, the pose by what it was 10 steps before; to a file."""
+    asked = Reality(name="off", encoder_offset=0.03, pose_delay=10 * DT, seed=2)
+    seen: list[tuple[FloatArray, FloatArray]] = []
+
+    class Listens(GraspController):
+        def step(self, observation: Observation) -> FloatArray:
+            seen.append((observation.q.copy(), observation.T_world_object.translation.copy()))
+            return super().step(observation)
+
+    report = simulate(plan, controller=Listens, timeline=SHORT, reality=asked, estimator="none")
+    recording = report.recording
+    assert recording is not None
+    assert recording.read_q is not None
+    assert recording.read_T_world_object is not None
+    steps = np.round(recording.time / DT).astype(int)
+    told = np.array([seen[k - 1][0] for k in steps])
+    np.testing.assert_array_equal(recording.read_q, told)
+    poses = np.array([seen[k - 1][1] for k in steps])
+    np.testing.assert_array_equal(recording.read_T_world_object[:, :3], poses)
+    offset = Drawn.of(asked, plan.task.hand).encoder_offset
+    still = recording.phase.index("settle")
+    np.testing.assert_allclose(recording.read_q[still] - recording.q[still], offset, atol=2e-3)
+    lifted = recording.phase.index("hold") - 15
+    assert recording.T_world_object[lifted, 2] - recording.read_T_world_object[lifted, 2] > 1e-4
+    write_report(report.to_dict(), tmp_path / "report.json")
+    again = read_report(tmp_path / "report.json").recording
+    assert again is not None
+    assert again.read_q_rad is not None
+    np.testing.assert_allclose(np.array(again.read_q_rad), recording.read_q, atol=1e-5)
+    joined = recording.joined(replace(recording, read_q=None, read_T_world_object=None), 9.0)
+    assert joined.read_q is not None
+    assert np.isfinite(joined.read_q[: len(recording)]).all()
+    assert np.isnan(joined.read_q[len(recording) :]).all()
+
+
+def test_the_truth_is_not_recorded_twice(plan: GraspPlan) -> None:
+    recording = simulate(plan, timeline=SHORT, reality=Reality(seed=4)).recording
+    assert recording is not None
+    assert recording.read_q is None
+    assert recording.to_dict()["read_T_world_object_m"] is None
 
 
 def test_reports_of_older_versions_have_no_reality(plan: GraspPlan, tmp_path: Any) -> None:
