@@ -489,7 +489,7 @@ def test_pushes_are_felt_and_a_strong_one_loses_the_object(load: float, held: bo
     if held:
         assert outcome.conditions["pushes_survived"] == len(made)
         assert outcome.load.max() == pytest.approx(strongest)
-        assert outcome.samples.slip_mm.max() > 0.01
+        assert np.nanmax(outcome.samples.slip_mm) > 0.03  # at rest it is 0.01
     else:
         assert outcome.conditions["pushes_survived"] < len(made)
         assert outcome.reason in ("dropped", "slipped", "torque limit reached")
