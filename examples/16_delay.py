@@ -17,9 +17,10 @@ import numpy as np
 
 from planner import GraspTask, plan_grasp
 from planner.spatial import FloatArray
-from sim.controllers import ImpedanceGains, ObjectImpedance, Sensing
+from sim.controllers import ImpedanceGains, ObjectImpedance
 from sim.controllers.impedance import BANDWIDTH, LEARNING_RATE, felt_inertia
 from sim.protocols.disturbance import DisturbanceTrial
+from sim.reality import Reality
 
 HAND = "allegro_hand"
 OBJECT = "sphere"
@@ -46,9 +47,9 @@ def pushed(delay_ms: float, share: float) -> tuple[FloatArray, tuple[str, ...]]:
             bandwidth=share * BANDWIDTH,
             learning_rate=share**2 * LEARNING_RATE,
         ),
-        sensing=Sensing(pose_delay=1e-3 * delay_ms),
     )
-    hold = DisturbanceTrial(plan, controller=controller, dropped=None)
+    late = Reality(name="late", pose_delay=1e-3 * delay_ms)
+    hold = DisturbanceTrial(plan, controller=controller, dropped=None, reality=late)
     hold.close_and_squeeze()
     first = hold.simulation.T_palm_object.translation
     towards = (

@@ -17,10 +17,11 @@ from planner.system.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from sim.contacts import contacts_from_mujoco
-    from sim.controllers import Controller, GraspController, ObjectImpedance, Observation, Sensing
+    from sim.controllers import Controller, GraspController, ObjectImpedance, Observation
     from sim.manipulation import ManipulationReport, ManipulationTimeline, manipulate
     from sim.physics import PhysicsOptions
     from sim.protocols import ProtocolReport, run_protocol
+    from sim.reality import Reality
     from sim.report import TrialReport
     from sim.scene import Scene
     from sim.simulation import Simulation
@@ -36,8 +37,8 @@ __all__ = [
     "Observation",
     "PhysicsOptions",
     "ProtocolReport",
+    "Reality",
     "Scene",
-    "Sensing",
     "Simulation",
     "Timeline",
     "Trial",
@@ -57,8 +58,8 @@ _HOMES = {
     "Observation": "sim.controllers",
     "PhysicsOptions": "sim.physics.options",
     "ProtocolReport": "sim.protocols",
+    "Reality": "sim.reality",
     "Scene": "sim.scene",
-    "Sensing": "sim.controllers",
     "Simulation": "sim.simulation",
     "Timeline": "sim.timeline",
     "Trial": "sim.trial",

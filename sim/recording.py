@@ -41,7 +41,7 @@ class RecordingData(StrictData):
 
     Poses are x, y, z (m) and a quaternion w, x, y, z. Joints and commands are in rad, m or N m, as
     the hand's model has them. Columns of contacts follow ``contact_names``: those of a finger are
-    merged into one.
+    merged into one. What the controller read stands beside the truth where it was something else.
     """
 
     joint_names: list[str]
@@ -60,6 +60,8 @@ class RecordingData(StrictData):
     contact_mu_torsion_m: Numbers
     commands: Numbers
     normalised_min_weight: list[float | None]
+    read_q_rad: Numbers | None = None
+    read_T_world_object_m: Numbers | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,6 +86,9 @@ class Recording:
         forces: (m, k, 3), on the object, N, world.
         friction: (m, k, 2), sliding (-) and torsional (m) friction of the contact.
         commands: (m, nu), to the hand's actuators.
+        read_q: (m, nq), what the controller read of the joints at the beginning of the time step
+            that ended at the sample's time; NaN before the first. None where it read the truth.
+        read_T_world_object: (m, 7), the same of the object's pose: a reading or an estimate.
     """
 
     joint_names: tuple[str, ...]
@@ -100,6 +105,8 @@ class Recording:
     forces: FloatArray
     friction: FloatArray
     commands: FloatArray
+    read_q: FloatArray | None = None
+    read_T_world_object: FloatArray | None = None
 
     def __post_init__(self) -> None:
         """Check that shapes fit.
@@ -121,11 +128,14 @@ class Recording:
             "friction": (m, k, 2),
             "commands": (m, nu),
         }
+        if self.read_q is not None or self.read_T_world_object is not None:
+            wanted |= {"read_q": (m, nq), "read_T_world_object": (m, 7)}
         for name, shape in wanted.items():
-            if getattr(self, name).shape != shape:
+            found = np.shape(getattr(self, name))
+            if found != shape:
                 raise FileFormatError(
-                    f"the recording's {name} has shape {getattr(self, name).shape}; {m} samples of "
-                    f"{nq} joints, {nu} actuators and {k} contacts need {shape}; it is damaged"
+                    f"the recording's {name} has shape {found}; {m} samples of {nq} joints, "
+                    f"{nu} actuators and {k} contacts need {shape}; it is damaged"
                 )
         if len(self.phase) != m:
             raise FileFormatError(
@@ -197,6 +207,8 @@ class Recording:
             "contact_mu_torsion_m": _rounded(self.friction[..., 1], LENGTH),
             "commands": _rounded(self.commands, ANGLE),
             "normalised_min_weight": _rounded(self.min_weight, SHARE),
+            "read_q_rad": _rounded_or_none(self.read_q, ANGLE),
+            "read_T_world_object_m": _rounded_or_none(self.read_T_world_object, LENGTH),
         }
 
     @classmethod
@@ -228,6 +240,8 @@ class Recording:
                 [_array(v, (m, k)) for v in (data.contact_mu, data.contact_mu_torsion_m)], axis=-1
             ),
             commands=_array(data.commands, (m, nu)),
+            read_q=_array_or_none(data.read_q_rad, (m, nq)),
+            read_T_world_object=_array_or_none(data.read_T_world_object_m, (m, 7)),
         )
         weight = _array(data.normalised_min_weight, (m,))
         # what the file says, not computed again from rounded contacts
@@ -253,6 +267,14 @@ class Recording:
             for f in fields(self)
             if f.name in _OVER_TIME
         }
+        for name in ("read_q", "read_T_world_object"):
+            parts = [getattr(one, name) for one in both]
+            if any(part is not None for part in parts):  # one that read the truth has no readings
+                width = next(part.shape[1] for part in parts if part is not None)
+                nothing = [np.full((len(one), width), np.nan) for one in both]
+                whole[name] = np.concatenate(
+                    [n if part is None else part for part, n in zip(parts, nothing, strict=True)]
+                )
         whole["time"] = np.concatenate([self.time, later.time + shift])
         made = Recording(
             joint_names=self.joint_names,
@@ -304,6 +326,16 @@ def _rounded(values: FloatArray, decimals: int) -> Any:
     out = rounded.astype(object)
     out[~known] = None
     return out.tolist()
+
+
+def _rounded_or_none(values: FloatArray | None, decimals: int) -> Any:
+    """The same, None for none at all."""
+    return None if values is None else _rounded(values, decimals)
+
+
+def _array_or_none(rows: Any, shape: tuple[int, ...]) -> FloatArray | None:
+    """``_array``, None for none at all."""
+    return None if rows is None else _array(rows, shape)
 
 
 def _array(rows: ArrayLike | Any, shape: tuple[int, ...]) -> FloatArray:

@@ -78,6 +78,7 @@ class Simulation:
         estimator: What tells the controller where the object is; None if it reads the sensors.
         told: The truth and what the estimator told of it, of the last time step; None without one.
         phase: The phase that it is in.
+        seen: What the controller saw in the last time step; None if it was the truth.
         steps: Time steps made so far.
         stopped: Why the caller ended it, "" if not.
         on_step: Called with the simulation after every time step of a phase; may be set.
@@ -147,6 +148,7 @@ class Simulation:
         self.carrier: Carrier = carrier or carrier_of(plan, self.scene, timeline or Timeline())
         self.phase: Phase = PHASES[0]
         self.steps = 0
+        self.seen: Observation | None = None
         self.stopped = ""
         self.on_step: Callable[[Simulation], None] | None = None
         self.tape: Tape | None = None
@@ -230,7 +232,9 @@ class Simulation:
         """
         scene, data = self.scene, self.data
         observation = self.observe(phase, share)
-        commands = self._commands(self.sensed(observation))
+        sensed = self.sensed(observation)
+        self.seen = None if sensed is observation else sensed
+        commands = self._commands(sensed)
         data.ctrl[scene.hand_ctrl] = self._driven(commands, observation)
         self.carrier.drive(data, phase, share)
         self._ctrl = data.ctrl[scene.hand_ctrl] if self.reality is None else commands

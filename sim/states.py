@@ -1,8 +1,8 @@
 """``StateRecorder``: takes the states of a simulation that a ``Recording`` holds.
 
-It copies what MuJoCo has and computes nothing while the simulation runs, so that a run with it is
-the same run. Poses are made from the joints of the same moment: MuJoCo's own poses are those of the
-step before.
+It copies what MuJoCo has and what the controller read, and computes nothing while the simulation
+runs, so that a run with it is the same run. Poses are made from the joints of the same moment:
+MuJoCo's own poses are those of the step before.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ class StateRecorder:
         self._base = simulation.plan.T_world_base  # of a hand on an arm, whose base stands
         self._phases: list[str] = []
         self._rows: list[FloatArray] = []
+        self._read: list[tuple[FloatArray, FloatArray] | None] = []
 
     def take(self, phase: str) -> None:
         """Take the state of now, which belongs to a phase."""
@@ -43,6 +44,10 @@ class StateRecorder:
         )
         self._rows.append(np.concatenate(parts))
         self._phases.append(phase)
+        seen, read = self._simulation.seen, None
+        if seen is not None:
+            read = seen.q.copy(), np.concatenate(pose_to_wxyz(seen.T_world_object))
+        self._read.append(read)
 
     def recording(self, contacts: Mapping[str, Any]) -> Recording:
         """Everything taken so far.
@@ -56,6 +61,7 @@ class StateRecorder:
         time, q, T_world_object, commands, gantry = np.split(rows, np.cumsum(sizes)[:-1], axis=1)
         quaternion = T_world_object[:, 3:]
         quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+        read_q, read_pose = self._readings(q.shape[1])
         return Recording(
             joint_names=task.hand.joint_names,
             actuator_names=task.hand.actuation.names,
@@ -66,8 +72,18 @@ class StateRecorder:
             T_world_base=self._bases(gantry),
             T_world_object=T_world_object,
             commands=commands,
+            read_q=read_q,
+            read_T_world_object=read_pose,
             **contacts,
         )
+
+    def _readings(self, nq: int) -> tuple[FloatArray | None, FloatArray | None]:
+        """Joints (m, nq) and poses (m, 7) that the controller read; None if that was the truth."""
+        if not any(self._read):
+            return None, None
+        none = np.full(nq, np.nan), np.full(7, np.nan)
+        joints, poses = zip(*(none if read is None else read for read in self._read), strict=True)
+        return np.array(joints), np.array(poses)
 
     def _bases(self, gantry: FloatArray) -> FloatArray:
         """Poses of the base (m, 7) from the joints of what carries it; an arm's base stands."""

@@ -23,6 +23,8 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
+
 from planner.errors import TaskError
 from planner.plan import GraspPlan
 from planner.quality import analyse
@@ -40,7 +42,7 @@ from sim.simulation import Simulation
 from sim.timeline import Timeline
 from sim.verdict import Fault, Thresholds, Verdict, judge
 
-__all__ = ["Timeline", "Trial", "run_grasp_phase", "simulate"]
+__all__ = ["Timeline", "Trial", "felt_by", "run_grasp_phase", "simulate"]
 
 
 LONGEST_PERIOD = 0.1
@@ -106,6 +108,7 @@ class Trial:
             estimator=estimator,
         )
         self.recorder = Recorder(self.simulation, record_every)
+        self._not_lifted = False
 
     def run(
         self,
@@ -155,6 +158,7 @@ class Trial:
         try:
             for phase in PHASES:
                 if not run_grasp_phase(simulation, self.recorder, self.timeline, phase):
+                    self._not_lifted = phase == "lift"
                     break
         except KeyboardInterrupt:
             interrupted = True
@@ -196,6 +200,7 @@ class Trial:
             interrupted=interrupted,
             stopped=simulation.stopped,
             diverged=simulation.diverged,
+            not_lifted="it was felt by too few fingers to be lifted" if self._not_lifted else "",
         )
         return self._report(verdict, begin)
 
@@ -254,8 +259,8 @@ def run_grasp_phase(
 ) -> bool:
     """Run one phase of grasping, lifting and holding, and take samples.
 
-    Slip counts from the beginning of "settle"; before "lift" enough fingers must touch, and the
-    constraint of an object without a table lets go.
+    Slip counts from the beginning of "settle"; before "lift" enough fingers must feel the object,
+    and the constraint of an object without a table lets go.
 
     Args:
         simulation: What runs.
@@ -264,7 +269,7 @@ def run_grasp_phase(
         phase: Which of ``PHASES``.
 
     Returns:
-        Whether going on makes sense: too few fingers may touch, or the simulation have ended.
+        Whether going on makes sense: too few fingers may feel it, or the simulation have ended.
     """
     wait, until = 0.0, None
     if phase == "close":
@@ -272,8 +277,7 @@ def run_grasp_phase(
     if phase == "settle":
         recorder.mark_reference()
     if phase == "lift":
-        pressing = int((simulation.normal_forces() > NO_FORCE).sum())
-        if pressing < simulation.plan.task.fingers_needed:
+        if len(felt_by(simulation)) < simulation.plan.task.fingers_needed:
             recorder.record()
             return False
         simulation.scene.release(simulation.data)
@@ -281,6 +285,13 @@ def run_grasp_phase(
         if simulation.due(recorder.every):
             recorder.record()
     return not simulation.ended
+
+
+def felt_by(simulation: Simulation) -> tuple[str, ...]:
+    """Names of the fingers whose sensors feel the object: what a robot knows before it lifts."""
+    forces = simulation.sensed(simulation.observe(simulation.phase, 1.0)).normal_forces
+    names = simulation.plan.task.finger_names
+    return tuple(names[i] for i in np.flatnonzero(forces > NO_FORCE))
 
 
 def _all_touch(observation: Observation) -> bool:

@@ -194,6 +194,7 @@ def judge(
     interrupted: bool = False,
     stopped: str = "",
     diverged: str = "",
+    not_lifted: str = "",
 ) -> Verdict:
     """The verdict on a trial.
 
@@ -206,6 +207,7 @@ def judge(
         interrupted: Whether a person ended the trial (Ctrl-C).
         stopped: Why the caller ended it, "" if not.
         diverged: What went wrong numerically, "" if nothing did.
+        not_lifted: Why the hand decided not to lift the object, "" if it did not.
     """
     end = float(samples.time[-1]) if len(samples) else 0.0
     if diverged:
@@ -234,6 +236,8 @@ def judge(
         )
         if fault is not None
     ]
+    if not faults and not_lifted:
+        return Verdict(Fault(reason="no contact", detail=not_lifted, time=end))
     if not faults:
         return Verdict() if len(samples.during("hold")) else early
     first = min(faults, key=lambda fault: fault.time)

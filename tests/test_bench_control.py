@@ -38,7 +38,7 @@ from sim.bench.control.parts import rate_row
 from sim.bench.control.slip_trial import Watched, slip_row
 from sim.bench.objects import BenchObject
 from sim.contacts import hand_contacts
-from sim.controllers import CONTROLLERS, GraspController, Observation, PadReading, Sensing
+from sim.controllers import CONTROLLERS, GraspController, Observation, PadReading
 from sim.controllers.monitors import SLIP_SPEED
 from sim.pads import read_pads
 from sim.protocols.dexgraspbench import dexgraspbench_cases
@@ -46,6 +46,7 @@ from sim.protocols.disturbance import DROPPED, DisturbanceTrial
 from sim.protocols.forces import PushCase
 from sim.protocols.outcome import Outcome
 from sim.protocols.robust import RobustCase
+from sim.reality import Reality
 from sim.runner import Runner
 from sim.verdict import Fault
 
@@ -105,8 +106,8 @@ def test_a_file_goes_on_with_more_grasps_and_other_parts(
 ) -> None:
     seen: list[str] = []
 
-    def fake(name: str) -> Callable[[GraspPlan, np.random.Generator], dict[str, Any]]:
-        def measure(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
+    def fake(name: str) -> Callable[[GraspPlan, np.random.Generator, Reality], dict[str, Any]]:
+        def measure(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> dict[str, Any]:
             seen.append(name)
             return {"drawn": float(rng.random()), "planned": len(plan.task.fingers)}
 
@@ -164,7 +165,7 @@ def test_both_loops_meet_the_same_pushes(plan: GraspPlan, monkeypatch: pytest.Mo
         )
 
     monkeypatch.setattr(PushCase, "run", borne)
-    row = push.push_row(plan, np.random.default_rng(0))
+    row = push.push_row(plan, np.random.default_rng(0), Reality())
     grips = push.tried_grips(plan)
     assert grips[0] == plan.task.grip_force
     assert len(grips) == push.GRIPS + 1
@@ -212,7 +213,7 @@ def test_a_promise_is_tested_along_its_weakest_direction(
     monkeypatch.setattr(DisturbanceTrial, "close_and_squeeze", lambda self: None)
     monkeypatch.setattr(DisturbanceTrial, "push", lambda self, wrench: pushed.append(wrench))
     monkeypatch.setattr(DisturbanceTrial, "hold_for", hold_for)
-    row = promise.promise_row(plan, np.random.default_rng(0))
+    row = promise.promise_row(plan, np.random.default_rng(0), Reality())
     assert json.loads(json.dumps(row, allow_nan=False)) == row
     told = {(load["kind"], load["speed"]): load["broke_at"] for load in row["loads"]}
     assert told["force", "slow"] == pytest.approx(0.86)
@@ -241,7 +242,7 @@ def test_the_grid_is_seen_by_a_latin_square(
     monkeypatch.setattr(RobustCase, "run", lambda self, plan, conditions: outcome(self))
     squares = set()
     for seed in range(10):
-        trials = parts.robust_row(plan, np.random.default_rng(seed))["trials"]
+        trials = parts.robust_row(plan, np.random.default_rng(seed), Reality())["trials"]
         cells = [
             (t["mass"], t["friction"], t["pose"]) for t in trials if t["loop"] == "feedforward"
         ]
@@ -254,12 +255,14 @@ def test_the_grid_is_seen_by_a_latin_square(
 
 def test_a_grasp_holds_in_fc_and_is_timed(plan: GraspPlan, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parts, "dexgraspbench_cases", lambda: dexgraspbench_cases()[:1])
-    row = parts.fc_row(plan, np.random.default_rng(0))
+    row = parts.fc_row(plan, np.random.default_rng(0), Reality())
     assert (row["held"], row["of"], row["reasons"]) == (1, 1, [])
     assert 0 <= row["start_penetration_mm"] <= 1.0
     assert 0 <= row["grasp_penetration_mm"] <= 1.0
     monkeypatch.setattr(parts, "STRETCHES", 3)
-    timed = {loop["loop"]: loop for loop in rate_row(plan, np.random.default_rng(0))["loops"]}
+    timed = {
+        loop["loop"]: loop for loop in rate_row(plan, np.random.default_rng(0), Reality())["loops"]
+    }
     assert timed["feedforward"]["step_ms"] == 2.0
     for loop in timed.values():
         assert 0 < np.median(loop["bare_ms"]) < np.median(loop["whole_ms"])
@@ -278,7 +281,7 @@ class Still:
 
 def watch(speeds: FloatArray, force: float = 2.0) -> Watched:
     """What is seen of pads whose object slides with speeds (m, n) along one direction, m/s."""
-    watched = Watched(Still(), speeds.shape[1], Sensing())
+    watched = Watched(Still(), speeds.shape[1])
     n = speeds.shape[1]
     empty = ContactSet.from_arrays(np.zeros((0, 3)), np.zeros((0, 3)), center=np.zeros(3))
     for k, row in enumerate(speeds):
@@ -334,7 +337,7 @@ def test_provoked_slips_are_found(plan: GraspPlan, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(slip_trial, "PEACE_S", 0.3)
     monkeypatch.setattr(slip_trial, "PROVOCATIONS", 1)
     monkeypatch.setattr(slip_trial, "GROW_S", 0.5)
-    row = slip_row(plan, np.random.default_rng(0))
+    row = slip_row(plan, np.random.default_rng(0), Reality())
     for loop in row["loops"]:
         assert loop["slips"] >= 1
         assert loop["found"] >= 1

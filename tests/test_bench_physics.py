@@ -26,6 +26,7 @@ from sim.bench.physics import (
 )
 from sim.bench.physics_variants import VARIANTS
 from sim.physics import PRESETS, PhysicsOptions
+from sim.reality import Reality
 from sim.runner import Runner
 
 BOX = bench_objects(["box"])
@@ -50,7 +51,7 @@ def amid() -> GraspPlan:
 
 
 def creep_of(plan: GraspPlan, case: str) -> dict[str, Any]:
-    return {"error": "", **PARTS["creep"][0](plan, case)}
+    return {"error": "", **PARTS["creep"][0](plan, case, Reality())}
 
 
 def test_jobs_have_numbers_that_do_not_depend_on_the_parts_asked_for() -> None:

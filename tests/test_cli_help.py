@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import shutil
 from pathlib import Path
@@ -50,6 +51,16 @@ def test_every_command_is_in_one_group_and_on_one_line() -> None:
     command = typer.main.get_command(app)
     assert {c.name for c in LISTED} | {"bench"} == set(command.commands)  # type: ignore[attr-defined]
     assert all(c.rich_help_panel in GROUPS for c in command.commands.values())  # type: ignore[attr-defined]
+
+
+def test_the_names_of_extras_keep_their_brackets() -> None:
+    """Rich takes [drake] for markup unless it is escaped."""
+    told = [c for c in LISTED if "pip install" in (c.call.__doc__ or "")]
+    assert "test" in [c.name for c in told]
+    for listed in told:
+        text = " ".join(printed(listed.name, "--help").split())
+        for extra in re.findall(r"opposable\\?\[(\w+)\]", listed.call.__doc__ or ""):
+            assert f'"opposable[{extra}]"' in text
 
 
 def test_alone_it_shows_the_groups_on_one_screen() -> None:

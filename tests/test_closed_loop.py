@@ -23,10 +23,10 @@ from sim.controllers import (
     ImpedanceGains,
     ObjectImpedance,
     Observation,
-    Sensing,
 )
 from sim.pads import read_pads
 from sim.protocols.disturbance import DisturbanceTrial
+from sim.reality import Reality
 from sim.report import TrialReport
 from sim.report_file import ReportFile
 from sim.scene import PhysicsOptions
@@ -63,9 +63,16 @@ def run(
     *,
     timeline: Timeline = SHORT,
     mu: float = 0.6,
+    reality: Reality | None = None,
 ) -> TrialReport:
     """A short trial; ``on_hold`` is called after every step of the hold with the time since."""
-    trial = Trial(plan, controller=controller, timeline=timeline, physics=PhysicsOptions(mu=mu))
+    trial = Trial(
+        plan,
+        controller=controller,
+        timeline=timeline,
+        physics=PhysicsOptions(mu=mu),
+        reality=reality,
+    )
     began: list[float] = []
 
     def on_step(t: Simulation) -> None:
@@ -169,20 +176,20 @@ def test_fingers_ease_off_where_one_must_push_alone() -> None:
 def test_no_delay_and_no_noise_are_the_same_as_none(plan: GraspPlan) -> None:
     short = replace(SHORT, hold=0.1)
     exact = run(plan, ObjectImpedance(plan), timeline=short)
-    nothing = Sensing(pose_noise=0.0, turn_noise=0.0, pose_delay=0.0, seed=3)
-    same = run(plan, ObjectImpedance(plan, sensing=nothing), timeline=short)
-    late = run(plan, ObjectImpedance(plan, sensing=Sensing(pose_delay=0.01)), timeline=short)
+    nothing = Reality(pose_noise=0.0, turn_noise=0.0, pose_delay=0.0, seed=3)
+    same = run(plan, ObjectImpedance(plan), timeline=short, reality=nothing)
+    late = run(plan, ObjectImpedance(plan), timeline=short, reality=Reality(pose_delay=0.01))
     np.testing.assert_array_equal(exact.samples.slip_mm, same.samples.slip_mm)
     np.testing.assert_array_equal(exact.samples.normal_force, same.samples.normal_force)
     assert np.abs(exact.samples.normal_force - late.samples.normal_force).max() > 1e-6
 
 
 def test_it_holds_with_noise_and_delay(plan: GraspPlan) -> None:
-    sensing = Sensing(
-        pose_noise=3e-4, turn_noise=3e-3, pose_delay=0.01, force_noise=0.02, sliding_noise=0.002
+    noisy = Reality(
+        pose_noise=3e-4, turn_noise=3e-3, pose_delay=0.01, touch_noise=0.02, sliding_noise=0.002
     )
-    controller = ObjectImpedance(plan, sensing=sensing, mass=1.3 * plan.task.object.mass)
-    report = run(plan, controller)
+    controller = ObjectImpedance(plan, mass=1.3 * plan.task.object.mass)
+    report = run(plan, controller, reality=noisy)
     assert report.success, report.verdict.detail
     assert "gave up" not in kinds(controller)
 
@@ -263,8 +270,8 @@ def test_a_contact_that_is_lost_is_noticed_and_found_again(plan: GraspPlan) -> N
 
 def test_slips_are_noticed_and_answered(plan: GraspPlan) -> None:
     """Friction falls to less than is believed, while the object is pulled."""
-    sensing = Sensing(force_noise=0.02, sliding_noise=0.002)
-    controller = ObjectImpedance(plan, sensing=sensing)
+    noisy = Reality(touch_noise=0.02, sliding_noise=0.002)
+    controller = ObjectImpedance(plan)
     rows: list[tuple[float, FloatArray, FloatArray]] = []
 
     def on_hold(trial: Simulation, since: float) -> None:
@@ -274,7 +281,7 @@ def test_slips_are_noticed_and_answered(plan: GraspPlan) -> None:
         pads = read_pads(trial.scene, trial.data, plan.task.finger_names)
         rows.append((float(trial.data.time), pads.sliding_speed, pads.normal_force))
 
-    run(plan, controller, on_hold, timeline=replace(SHORT, hold=0.8))
+    run(plan, controller, on_hold, timeline=replace(SHORT, hold=0.8), reality=noisy)
     times, speed, force = (np.array(column) for column in zip(*rows, strict=True))
     slips = true_slips(times, speed, force)
     noticed = [e for e in controller.events if e.kind == "slip"]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -21,15 +19,12 @@ from sim.bench.control.slips import LATENCY, Slip, score_slips, true_slips
 from sim.controllers import (
     ImpedanceGains,
     ObjectImpedance,
-    Observation,
     PadReading,
-    Sensing,
     named_controller,
 )
 from sim.controllers.impedance import ImpedanceLaw, felt_inertia
 from sim.controllers.monitors import SlipDetector
 from sim.controllers.schedule import LOST_TIME, RAMP, TOUCH_TIME, ContactSchedule
-from sim.controllers.sensing import Senses
 from sim.controllers.torques import HoldingTorques, grasp_matrix
 
 DT = 0.002
@@ -175,26 +170,6 @@ def test_the_damper_suits_what_moves_most_easily(name: str) -> None:
 # --- senses ------------------------------------------------------------------------------------
 
 
-def observation(pads: PadReading) -> Observation:
-    return Observation(
-        time=0.0,
-        phase="hold",
-        progress=0.0,
-        q=np.zeros(1),
-        v=np.zeros(1),
-        T_world_base=at(0.0),
-        T_world_object=at(0.5),
-        read_twist=lambda: np.zeros(6),
-        normal_forces=pads.normal_force,
-        read_contacts=lambda: ContactSet.from_arrays(np.zeros((0, 3)), np.zeros((0, 3))),
-        read_pads=lambda: pads,
-    )
-
-
-def at(x: float) -> SE3:
-    return SE3(np.eye(3), np.array([x, 0.0, 0.0]))
-
-
 def two_pads() -> PadReading:
     return PadReading(
         normal_force=np.array([2.0, 0.0]),
@@ -205,52 +180,11 @@ def two_pads() -> PadReading:
     )
 
 
-def test_without_noise_and_delay_everything_is_exact() -> None:
-    senses, pads = Senses(Sensing(seed=5)), two_pads()
-    for k in range(5):
-        np.testing.assert_array_equal(senses.pose(DT * k, at(0.2 * k)).translation, [0.2 * k, 0, 0])
-        assert senses.pads(observation(pads)) is pads
-
-
-@pytest.mark.parametrize("steps", [1, 7, 10])
-def test_a_late_pose_is_that_of_before(steps: int) -> None:
-    senses = Senses(Sensing(pose_delay=DT * steps))
-    for k in range(30):
-        expected = 0.01 * max(0, k - steps)  # the oldest there is, at first
-        known = senses.pose(DT * k, at(0.01 * k)).translation[0]
-        np.testing.assert_allclose(known, expected, atol=1e-12)
-
-
-def test_noise_has_the_size_asked_for_and_comes_again_with_its_seed() -> None:
-    sensing = Sensing(pose_noise=1e-3, turn_noise=0.02, force_noise=0.1, sliding_noise=0.002)
-    samples = []
-    for seed in (1, 1, 2):
-        senses = Senses(replace(sensing, seed=seed))
-        poses = [senses.pose(DT * k, at(0.5)) for k in range(1500)]
-        pads = [senses.pads(observation(two_pads())) for _ in range(1500)]
-        moved = np.array([p.translation for p in poses])
-        turned = np.array([pin.log3(p.rotation) for p in poses])
-        np.testing.assert_allclose(moved.std(axis=0), 1e-3, rtol=0.1)
-        np.testing.assert_allclose(turned.std(axis=0), 0.02, rtol=0.1)
-        force = np.array([p.force[0] for p in pads])
-        sliding = np.array([p.sliding[0] for p in pads])
-        np.testing.assert_allclose(force.std(axis=0), 0.1, rtol=0.1)
-        np.testing.assert_allclose(sliding.std(axis=0), [0, 0.002, 0.002], rtol=0.1)
-        assert all(p.normal_force[1] == 0.0 and not p.force[1].any() for p in pads)
-        assert np.isnan(pads[0].sliding[1]).all()
-        np.testing.assert_allclose(pads[0].normal_force[0], force[0, 0])
-        samples.append(moved)
-    np.testing.assert_array_equal(samples[0], samples[1])
-    assert np.abs(samples[0] - samples[2]).max() > 1e-3
-
-
 def test_a_reading_knows_its_tangential_part() -> None:
     pads = two_pads()
     np.testing.assert_allclose(pads.tangential_force, [0.5, 0.0])
     np.testing.assert_allclose(pads.friction_ratio(), [0.25, 0.0])
     np.testing.assert_allclose(pads.sliding_speed, [0.005, 0.0])
-    with pytest.raises(TaskError, match="pose_delay is -1; give a finite number >= 0"):
-        Sensing(pose_delay=-1)
 
 
 # --- schedule ----------------------------------------------------------------------------------

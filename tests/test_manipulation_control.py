@@ -17,7 +17,7 @@ from planner.errors import NotFoundError, TaskError
 from planner.motion.manipulation import ManipulationPlan, plan_manipulation
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
-from sim.controllers import ImpedanceGains, ObjectImpedance, Observation, Sensing
+from sim.controllers import ImpedanceGains, ObjectImpedance, Observation
 from sim.controllers.impedance import ImpedanceLaw
 from sim.manipulation import InHandController, ManipulationObservation, manipulate
 from sim.manipulation.driver import ManipulationDriver
@@ -133,8 +133,6 @@ def test_what_is_no_controller_is_refused_by_name(plan: ManipulationPlan) -> Non
     wrong: Any = 7
     with pytest.raises(TaskError, match="controller is 7"):
         manipulate(plan, controller=wrong)
-    with pytest.raises(TaskError, match="sensing is for the default controller"):
-        manipulate(plan, controller=Servo, sensing=Sensing())
 
 
 def test_commands_of_the_wrong_shape_are_refused(plan: ManipulationPlan) -> None:

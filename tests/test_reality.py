@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -21,13 +22,14 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
-from sim.controllers import Observation, PadReading, Phase
+from sim.controllers import GraspController, Observation, PadReading, Phase
 from sim.manipulation.run import ManipulationRun
 from sim.physics import PhysicsOptions
 from sim.reality import REALITIES, Drawn, Reality, RealityOfTrial, named_reality, register_reality
 from sim.reality.drawn import stream
 from sim.reality.drive import RealDrive
 from sim.reality.senses import Drift, RealSenses
+from sim.reality.world import center_offset
 from sim.recording import Recording
 from sim.report_file import read_report, write_report
 from sim.scene import build_scene
@@ -217,6 +219,22 @@ def test_a_late_pose_is_carried_by_the_hand_once_it_holds(task: GraspTask) -> No
             truth = seen(DT * k, 0.01 * k, T_world_base=base, phase=phase)
             known = senses.read(truth).T_world_object.translation[0]
         assert known == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_pose_seen_before_the_hand_closed_is_carried_from_there(task: GraspTask) -> None:
+    """The hand comes 0.2 m to an object at 0.05 m that is seen once, and carries it 0.1 m on."""
+    reality = Reality(turn_noise=1e-9).without_camera()
+    senses = RealSenses(reality, Drawn.of(reality, task.hand), task)
+
+    def known(k: int, base: float, x: float, phase: Phase) -> float:
+        pose = SE3(np.eye(3), np.array([base, 0.0, 0.0]))
+        read = senses.read(seen(DT * k, x, T_world_base=pose, phase=phase))
+        return float(read.T_world_object.translation[0])
+
+    assert known(0, -0.2, 0.05, "approach") == pytest.approx(0.05)
+    assert known(1, 0.0, 0.05, "close") == pytest.approx(0.05)
+    assert known(2, 0.0, 0.05, "squeeze") == pytest.approx(0.05)
+    assert known(3, 0.1, 0.15, "lift") == pytest.approx(0.15)
 
 
 def test_the_twist_is_the_difference_of_the_last_two_poses(task: GraspTask) -> None:
@@ -432,6 +450,28 @@ def test_the_compiled_object_is_off_by_what_was_drawn(shape: str) -> None:
     np.testing.assert_array_equal(a.geom_friction[others], b.geom_friction[others])
 
 
+@pytest.mark.parametrize(
+    ("shape", "kept"), [("box", (1.0, 1.0)), ("sphere", (0.0, 0.0)), ("capsule", (0.0, 0.0))]
+)
+def test_what_stands_at_rest_does_not_roll_away(shape: str, kept: tuple[float, float]) -> None:
+    """The centre of mass stays above what the object stands on: a face, a point, a line."""
+    task = GraspTask.create("allegro_hand", shape)
+    drawn = nothing(task, center=np.array([0.3, 0.2, -0.1]))
+    R, half = task.T_world_object.rotation, task.object.shape.half_extents
+    asked, there = R @ (drawn.center * half), R @ center_offset(drawn, task)
+    assert there[2] == asked[2]
+    np.testing.assert_allclose(there[:2], kept * asked[:2], atol=3e-4)
+    floating = replace(task, table_height=None)
+    np.testing.assert_allclose(center_offset(drawn, floating), drawn.center * half)
+    here, away = RealityOfTrial(Reality(), task, drawn), SE3(np.eye(3), np.array([0.0, 0.0, 1.0]))
+    scene = build_scene(task, T_world_base=away, change=here.change)
+    data = scene.start(task.hand.neutral, away)
+    before = scene.body_pose(data, scene.object_body).translation.copy()
+    while data.time < 1.0:
+        mujoco.mj_step(scene.model, data)
+    assert np.linalg.norm(scene.body_pose(data, scene.object_body).translation - before) < 1.5e-3
+
+
 @pytest.mark.parametrize("size", [0.8, 1.2])
 def test_a_larger_object_stands_on_the_table(plan: GraspPlan, size: float) -> None:
     task = plan.task
@@ -515,6 +555,49 @@ def test_the_report_says_what_was_drawn_and_comes_again(plan: GraspPlan, tmp_pat
     assert told is not None
     assert (told["name"], told["seed"]) == ("rough", 5)
     assert told["drawn"] == Drawn.of(asked, plan.task.hand).to_dict()
+
+
+def test_what_was_read_stands_beside_the_truth(plan: GraspPlan, tmp_path: Any) -> None:
+    """Joints are off by the drawn offsets, the pose by what it was 10 steps before; to a file."""
+    asked = Reality(name="off", encoder_offset=0.03, pose_delay=10 * DT, seed=2)
+    seen: list[tuple[FloatArray, FloatArray]] = []
+
+    class Listens(GraspController):
+        def step(self, observation: Observation) -> FloatArray:
+            seen.append((observation.q.copy(), observation.T_world_object.translation.copy()))
+            return super().step(observation)
+
+    report = simulate(plan, controller=Listens, timeline=SHORT, reality=asked, estimator="none")
+    recording = report.recording
+    assert recording is not None
+    assert recording.read_q is not None
+    assert recording.read_T_world_object is not None
+    steps = np.round(recording.time / DT).astype(int)
+    told = np.array([seen[k - 1][0] for k in steps])
+    np.testing.assert_array_equal(recording.read_q, told)
+    poses = np.array([seen[k - 1][1] for k in steps])
+    np.testing.assert_array_equal(recording.read_T_world_object[:, :3], poses)
+    offset = Drawn.of(asked, plan.task.hand).encoder_offset
+    still = recording.phase.index("settle")
+    np.testing.assert_allclose(recording.read_q[still] - recording.q[still], offset, atol=2e-3)
+    lifted = recording.phase.index("hold") - 15
+    assert recording.T_world_object[lifted, 2] - recording.read_T_world_object[lifted, 2] > 1e-4
+    write_report(report.to_dict(), tmp_path / "report.json")
+    again = read_report(tmp_path / "report.json").recording
+    assert again is not None
+    assert again.read_q_rad is not None
+    np.testing.assert_allclose(np.array(again.read_q_rad), recording.read_q, atol=1e-5)
+    joined = recording.joined(replace(recording, read_q=None, read_T_world_object=None), 9.0)
+    assert joined.read_q is not None
+    assert np.isfinite(joined.read_q[: len(recording)]).all()
+    assert np.isnan(joined.read_q[len(recording) :]).all()
+
+
+def test_the_truth_is_not_recorded_twice(plan: GraspPlan) -> None:
+    recording = simulate(plan, timeline=SHORT, reality=Reality(seed=4)).recording
+    assert recording is not None
+    assert recording.read_q is None
+    assert recording.to_dict()["read_T_world_object_m"] is None
 
 
 def test_reports_of_older_versions_have_no_reality(plan: GraspPlan, tmp_path: Any) -> None:

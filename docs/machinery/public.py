@@ -65,6 +65,7 @@ GROUPS: dict[str, list[str]] = {
     "Motions, gaits and manipulation": [
         "planner.motion",
         "sim.manipulation",
+        "sim.learning",
     ],
     "Many grasps and files": [
         "planner.batch",

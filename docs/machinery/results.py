@@ -34,6 +34,7 @@ from sim.bench.metrics import metrics_table
 from sim.bench.motion import motion_table
 from sim.bench.objectives import objective_tables
 from sim.bench.physics import physics_tables
+from sim.bench.reality import reality_tables
 from sim.bench.refine import refine_tables
 from sim.bench.scaling import scaling_tables
 from sim.bench.synthesis_tables import synthesis_tables
@@ -59,6 +60,7 @@ TABLES: dict[str, Tables] = {
     "opposable-bench-motion": motion_table,
     "opposable-bench-objectives": objective_tables,
     "opposable-bench-physics": physics_tables,
+    "opposable-bench-reality": reality_tables,
     "opposable-bench-refine": refine_tables,
     "opposable-bench-scaling": scaling_tables,
     "opposable-bench-synthesis": synthesis_tables,

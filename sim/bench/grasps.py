@@ -16,8 +16,7 @@ from planner.search import plan_grasp
 from planner.synthesis.problem_cache import problems_for
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, task_for
-from sim.bench.run import ObjectJob, measure
-from sim.estimation import NONE, estimator_name
+from sim.bench.run import ObjectJob, measure, stated
 from sim.physics import PhysicsOptions
 from sim.reality import Reality
 from sim.runner import Check, Runner
@@ -136,11 +135,7 @@ def run_grasps(
         "mu_simulation": physics.mu,
         "physics": {k: v for k, v in physics.to_dict().items() if k not in ("name", "mu")},
     }
-    # left out where nothing is off, so that files go on that were begun before there were any
-    if not reality.ideal:
-        asked["reality"] = reality.to_dict()
-    if (name := estimator_name(None, reality)) != NONE:
-        asked["estimator"] = name
+    asked |= stated(reality)
     return measure(
         runner,
         plan_and_execute,

@@ -20,7 +20,12 @@ import numpy as np
 import pinocchio as pin
 
 from planner.errors import NotFoundError, PlannerError
-from planner.motion.manipulation import manipulation_task, on_stand, plan_manipulation
+from planner.motion.manipulation import (
+    ManipulationPlan,
+    manipulation_task,
+    on_stand,
+    plan_manipulation,
+)
 from planner.motion.manipulation.search import ONE_STROKE
 from planner.motion.path import LARGEST_TURN, ObjectPath
 from planner.objects import object_names, parse_object
@@ -40,15 +45,16 @@ from sim.bench.conditions import (
 )
 from sim.bench.meshes import standing
 from sim.bench.objects import BenchObject, bench_objects
+from sim.bench.run import stated
 from sim.controllers.follow import RATE, SPEED
-from sim.estimation import NONE, estimator_name
-from sim.manipulation import Push, manipulate, rests, settled
+from sim.manipulation import ManipulationReport, Push, manipulate, rests, settled
+from sim.manipulation.in_hand import AnyTurningController
 from sim.physics import PhysicsOptions
 from sim.reality import Reality
 from sim.runner import Check, Runner
 from sim.tables import Row
 
-__all__ = ["Turn", "run_manipulate", "run_turn"]
+__all__ = ["Turn", "believed", "execute_turn", "plan_turn", "run_manipulate", "run_turn"]
 
 FORMAT = "opposable-bench-manipulate"
 
@@ -131,24 +137,38 @@ class Turn:
         return Conditions.draw(drawn, self.height, rng, push_until=min(PUSH_UNTIL, moving))
 
 
-def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
-    """Plan and execute one trial; its row, as plain data."""
+def plan_turn(turn: Turn, task: GraspTask) -> ManipulationPlan:
+    """The plan of a trial.
+
+    Args:
+        turn: The trial.
+        task: As the planner has it: ``believed``.
+
+    Raises:
+        PlannerError: There is none.
+    """
+    return plan_manipulation(
+        task,
+        axis=turn.axis,
+        angle=turn.angle,
+        shift=turn.shift,
+        place=turn.draw().place,
+        seed=turn.seed + turn.number,
+        rests=rests,
+    )
+
+
+def execute_turn(
+    turn: Turn, plan: ManipulationPlan, controller: AnyTurningController | None = None
+) -> ManipulationReport:
+    """Execute a plan of a trial under what there really is.
+
+    Args:
+        turn: The trial.
+        plan: Its plan.
+        controller: What drives the fingers; the closed loop if None.
+    """
     there = turn.draw()
-    task = _believed(turn, there)
-    try:
-        seed = turn.seed + turn.number
-        plan = plan_manipulation(
-            task,
-            axis=turn.axis,
-            angle=turn.angle,
-            shift=turn.shift,
-            place=there.place,
-            seed=seed,
-            rests=rests,
-        )
-    except PlannerError as error:
-        return not_found(turn, str(error))
-    check()
     task = plan.motion.grasp.task  # with the fingers that were chosen
     pose = task.T_world_object
     turned = pin.exp3(np.array([0.0, 0.0, there.heading])) @ pose.rotation
@@ -159,15 +179,27 @@ def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
         T_world_object=SE3(turned, pose.translation + aside),
         obstacles=tuple(o.moved(aside) for o in task.obstacles),  # its stand is off as well
     )
-    begin = time.process_time()
-    report = manipulate(
+    return manipulate(
         plan,
+        controller=controller,
         true_task=true_task,
         physics=replace(turn.physics, mu=there.mu),
         push=Push(force=np.array([*there.push, 0.0]), after=there.push_after, duration=PUSH_TIME),
         reality=turn.reality.seeded(turn.seed + turn.number),
         estimator=turn.estimator,
     )
+
+
+def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
+    """Plan and execute one trial; its row, as plain data."""
+    task = believed(turn)
+    try:
+        plan = plan_turn(turn, task)
+    except PlannerError as error:
+        return not_found(turn, str(error))
+    check()
+    begin = time.process_time()
+    report = execute_turn(turn, plan)
     check()
     last = report.results[-1].numbers
     return row_of(
@@ -191,9 +223,9 @@ def run_turn(turn: Turn, check: Check) -> dict[str, Any]:
     )
 
 
-def _believed(turn: Turn, there: Conditions) -> GraspTask:
+def believed(turn: Turn) -> GraspTask:
     """The task as the planner has it."""
-    item = parse_object(there.spec, mass=REGRASP_MASS if turn.regrasps else MASS[1])
+    item = parse_object(turn.draw().spec, mass=REGRASP_MASS if turn.regrasps else MASS[1])
     mu = REGRASP_FRICTION[0] if turn.regrasps else BELIEVED_MU
     task = manipulation_task(turn.hand, item, mu=mu, fingers=turn.fingers)
     if turn.spec:
@@ -303,10 +335,7 @@ def run_manipulate(
         asked["shift"] = list(shift)
     if physics != OURS:
         asked["physics"] = {k: v for k, v in physics.to_dict().items() if k != "mu"}
-    if not reality.ideal:
-        asked["reality"] = reality.to_dict()
-    if (name := estimator_name(estimator, reality)) != NONE:
-        asked["estimator"] = name
+    asked |= stated(reality, estimator)
     return run_cases(
         runner, run_turn, jobs, kind=FORMAT, asked=asked, file=file, title="pick, turn, place"
     )

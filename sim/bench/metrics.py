@@ -16,8 +16,9 @@ from sim.bench.auc import auc
 from sim.bench.objects import BenchObject
 from sim.bench.predictors import PREDICTORS
 from sim.bench.requests import check_tasks
-from sim.bench.run import measure
+from sim.bench.run import measure, stated
 from sim.bench.trials import CONDITIONS, GRADES, Sample, try_sample
+from sim.reality import Reality
 from sim.runner import Runner
 from sim.tables import Row, grouped, share, table_of
 
@@ -29,9 +30,14 @@ SAME = "same task"
 
 
 def samples_for(
-    hands: Sequence[str], objects: Sequence[BenchObject], n: int, seed: int
+    hands: Sequence[str],
+    objects: Sequence[BenchObject],
+    n: int,
+    seed: int,
+    reality: Reality | None = None,
 ) -> list[Sample]:
     """N samples: cell after cell, in each of them conditions and grades equally often."""
+    reality = reality or Reality()
     cells = [(hand, item) for hand in hands for item in objects]
     each = -(-n // len(cells))
     grades, conditions = list(GRADES), list(CONDITIONS)
@@ -48,6 +54,7 @@ def samples_for(
                 grade=grades[turn % len(grades)],
                 condition=conditions[condition],
                 seed=seed,
+                reality=reality,
             )
         )
     return samples
@@ -61,9 +68,11 @@ def run_metrics(
     seed: int,
     file: Path,
     runner: Runner,
+    reality: Reality | None = None,
 ) -> Row:
     """Try n samples over all hands and objects, and sum up all that the file has then."""
     check_tasks(hands, objects)
+    reality = reality or Reality()
     asked = {
         "format": FORMAT,
         "version": 3,
@@ -73,17 +82,19 @@ def run_metrics(
         "seed": seed,
         "grades": list(GRADES),
         "conditions": list(CONDITIONS),
+        **stated(reality),
     }
     result = measure(
         runner,
         try_sample,
-        samples_for(hands, objects, n, seed),
+        samples_for(hands, objects, n, seed, reality),
         kind=f"{FORMAT}-summary",
         title="plan and simulate",
         lost=Sample.lost,
         file=file,
         asked=asked,
         seed=seed,
+        **stated(reality),
     )
     return result | summary_of_trials(result.pop("rows"))
 

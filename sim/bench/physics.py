@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import ClassVar
+from typing import ClassVar, TypeAlias
 
 from rich.table import Table
 
@@ -23,10 +23,12 @@ from planner.verification.grasp import plan_forces
 from sim.bench.objects import BenchObject
 from sim.bench.physics_variants import SOFT, VARIANTS
 from sim.bench.planned import PlannedJob, ask, run_parts
+from sim.bench.run import stated
 from sim.bench.statistics import median_of, quantile_of
 from sim.creep import CREEP_BUDGET, least_creep, remedies
 from sim.physics import PRESETS, PhysicsOptions
 from sim.protocols.creep import measure_creep
+from sim.reality import Reality
 from sim.runner import Check, Runner
 from sim.scene import build_scene
 from sim.tables import Row, grouped, number, share, summary_table, table_of
@@ -41,6 +43,9 @@ __all__ = [
     "physics_tables",
     "run_physics",
 ]
+
+Measure: TypeAlias = Callable[[GraspPlan, str, Reality], Row]
+"""Measures a case with a grasp, under a reality."""
 
 NO_SUCH_GRIP = "the hand cannot press so hard"
 """Why there is no creep to measure with a firmer grip."""
@@ -59,34 +64,39 @@ class PhysicsJob(PlannedJob):
     case: str
 
 
-def _hold(plan: GraspPlan, case: str) -> Row:
-    return _trial(plan, PRESETS[case], "feedforward")
+def _hold(plan: GraspPlan, case: str, reality: Reality) -> Row:
+    return _trial(plan, PRESETS[case], "feedforward", reality)
 
 
-def _closed(plan: GraspPlan, case: str) -> Row:
-    return _trial(plan, PRESETS[case], "impedance")
+def _closed(plan: GraspPlan, case: str, reality: Reality) -> Row:
+    return _trial(plan, PRESETS[case], "impedance", reality)
 
 
-def _remedy(plan: GraspPlan, case: str) -> Row:
+def _remedy(plan: GraspPlan, case: str, reality: Reality) -> Row:
     """Under the change of MuJoCo's defaults that the formula asks for."""
     scene = build_scene(plan.task, T_world_base=plan.T_world_base, q=plan.q, physics=SOFT)
     names = plan.task.finger_names
     found = remedies(SOFT, lambda physics: least_creep(scene, names, physics), CREEP_BUDGET)
     for change in found:
         if change.kind == case:
-            return {**_trial(plan, change.physics, "feedforward"), "what": change.what}
+            trial = _trial(plan, change.physics, "feedforward", reality)
+            return {**trial, "what": change.what}
     return {"held": False, "reason": "there is no such remedy for this grasp"}
 
 
-def _trial(plan: GraspPlan, physics: PhysicsOptions, loop: str) -> Row:
-    report = simulate(plan, physics=physics, controller=loop)
+def _trial(plan: GraspPlan, physics: PhysicsOptions, loop: str, reality: Reality) -> Row:
+    report = simulate(plan, physics=physics, controller=loop, reality=reality)
     moved, turned = report.largest_slip
     outcome = {"physics": physics.label, "held": report.success, "reason": report.reason}
     return outcome | {"slip_mm": moved, "slip_deg": turned}
 
 
-def _creep(plan: GraspPlan, case: str) -> Row:
-    """Speed of the object in the palm, and what the formula says of the contacts there were."""
+def _creep(plan: GraspPlan, case: str, reality: Reality) -> Row:
+    """Speed of the object in the palm, and what the formula says of the contacts there were.
+
+    Nothing is off whatever the reality: the formula is about what is planned.
+    """
+    del reality
     variant = VARIANTS[case]
     pressed = _gripped(plan, variant.grip)
     if pressed is None:
@@ -109,7 +119,7 @@ def _gripped(plan: GraspPlan, factor: float) -> GraspPlan | None:
     return replace(plan, task=task, forces=forces, contacts=forces.contacts)
 
 
-PARTS: Mapping[str, tuple[Callable[[GraspPlan, str], Row], tuple[str, ...]]] = MappingProxyType(
+PARTS: Mapping[str, tuple[Measure, tuple[str, ...]]] = MappingProxyType(
     {
         "holds": (_hold, tuple(PRESETS)),
         "closed": (_closed, tuple(PRESETS)),
@@ -121,7 +131,10 @@ PARTS: Mapping[str, tuple[Callable[[GraspPlan, str], Row], tuple[str, ...]]] = M
 
 
 def physics_jobs(
-    hands: Sequence[str], objects: Sequence[BenchObject], parts: Iterable[str]
+    hands: Sequence[str],
+    objects: Sequence[BenchObject],
+    parts: Iterable[str],
+    reality: Reality | None = None,
 ) -> list[PhysicsJob]:
     """The jobs, grasp by grasp, numbered whatever parts are asked for.
 
@@ -135,7 +148,15 @@ def physics_jobs(
     cells = [(hand, item) for hand in hands for item in objects]
     every = [(*c, part, case) for c in cells for part in PARTS for case in PARTS[part][1]]
     return [
-        PhysicsJob(index=k, part=part, hand=hand, spec=item.spec, label=item.label, case=case)
+        PhysicsJob(
+            index=k,
+            part=part,
+            hand=hand,
+            spec=item.spec,
+            label=item.label,
+            case=case,
+            reality=reality or Reality(),
+        )
         for k, (hand, item, part, case) in enumerate(every)
         if part in asked
     ]
@@ -143,7 +164,7 @@ def physics_jobs(
 
 def physics_row(job: PhysicsJob, check: Check) -> Row:
     """The row of a job; the arguments are those of ``ask``."""
-    return ask(job, check, lambda plan: PARTS[job.part][0](plan, job.case))
+    return ask(job, check, lambda plan: PARTS[job.part][0](plan, job.case, job.reality))
 
 
 def run_physics(
@@ -153,19 +174,22 @@ def run_physics(
     *,
     file: Path,
     runner: Runner,
+    reality: Reality | None = None,
 ) -> Row:
     """Measure the grasp of seed 0 of every hand and object, part by part (``sim.bench``)."""
+    reality = reality or Reality()
     return run_parts(
         runner,
         physics_row,
-        physics_jobs(hands, objects, parts),
+        physics_jobs(hands, objects, parts, reality),
         hands,
         objects,
         kind="opposable-bench-physics",
         title="physics",
         file=file,
-        drawn={},
+        drawn=stated(reality),
         physics={name: preset.to_dict() for name, preset in PRESETS.items()},
+        **stated(reality),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,6 +14,7 @@ from planner.search import plan_grasp
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, loaded_hand, task_for
 from sim.bench.run import ObjectJob, measure
+from sim.reality import Reality
 from sim.runner import Check, Runner
 from sim.tables import Row
 
@@ -27,10 +28,12 @@ class PlannedJob(ObjectJob):
     Attributes:
         part: Name of the part.
         plan_seed: Seed of planning.
+        reality: Errors of sensors, drives and object in trials, with the seed of the job.
     """
 
     part: str
     plan_seed: int = 0
+    reality: Reality = field(default_factory=Reality)
 
 
 SomeJob = TypeVar("SomeJob", bound=PlannedJob)

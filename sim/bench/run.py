@@ -16,10 +16,12 @@ from rich.markup import escape
 
 from planner.plain import finite
 from sim.bench.journal import Journal
+from sim.estimation import NONE, AnyEstimator, estimator_name
+from sim.reality import Reality
 from sim.runner import Check, Runner, made_with
 from sim.tables import Row, grouped
 
-__all__ = ["Job", "ObjectJob", "by_cell", "measure"]
+__all__ = ["Job", "ObjectJob", "by_cell", "measure", "stated"]
 
 
 class _Numbered(Protocol):
@@ -134,6 +136,17 @@ def measure(
             _say(runner, f"interrupted: {kept}; the same command goes on")
     result: Row = {"format": kind, "version": version, **made, **told}
     return result | {"workers": runner.workers, "interrupted": not whole, "rows": rows}
+
+
+def stated(reality: Reality, estimator: AnyEstimator | None = None) -> Row:
+    """How a file says under which reality, and with which estimator, its rows were made.
+
+    Nothing where nothing is off and nothing is estimated, so that files go on that were begun
+    before there were any.
+    """
+    row: Row = {} if reality.ideal else {"reality": reality.to_dict()}
+    name = estimator_name(estimator, reality)
+    return row if name == NONE else row | {"estimator": name}
 
 
 def _say(runner: Runner, text: str) -> None:

@@ -6,8 +6,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import binomtest
 
-__all__ = ["PowerLaw", "median_of", "power_law", "quantile_of", "ratio", "summed"]
+__all__ = ["PowerLaw", "median_of", "power_law", "quantile_of", "ratio", "summed", "wilson"]
 
 
 def quantile_of(values: Iterable[float], share: float) -> float | None:
@@ -24,6 +25,14 @@ def median_of(values: Iterable[float]) -> float | None:
 def ratio(above: float, below: float) -> float | None:
     """A quotient."""
     return above / below if below else None
+
+
+def wilson(held: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
+    """The interval of Wilson about a share of n trials; (0, 1) without any."""
+    if n == 0:
+        return 0.0, 1.0
+    interval = binomtest(held, n).proportion_ci(confidence_level=confidence, method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def summed(parts: Iterable[Mapping[str, float]]) -> dict[str, float]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import mujoco
@@ -21,7 +21,8 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from sim.bench.objects import BenchObject
 from sim.bench.requests import Setting, check_tasks, task_for
-from sim.bench.run import ObjectJob, measure
+from sim.bench.run import ObjectJob, measure, stated
+from sim.reality import Reality
 from sim.runner import Check, Runner
 from sim.simulation import Simulation
 from sim.tables import Row, grouped, table_of
@@ -40,6 +41,7 @@ class TrialCostJob(ObjectJob):
         controller: Name of the controller.
         seed: Of planning.
         repeats: How often trial and steps are timed; the row has the medians.
+        reality: Errors of sensors, drives and object, drawn from the seed.
     """
 
     SHOWN: ClassVar = ("hand", "label", "controller")
@@ -47,6 +49,7 @@ class TrialCostJob(ObjectJob):
     controller: str
     seed: int
     repeats: int
+    reality: Reality = field(default_factory=Reality)
 
 
 class Replay:
@@ -93,19 +96,21 @@ class Replay:
         return made
 
 
-def time_trial(plan: GraspPlan, controller: str, repeats: int = 3) -> Row:
+def time_trial(
+    plan: GraspPlan, controller: str, repeats: int = 3, reality: Reality | None = None
+) -> Row:
     """Medians of CPU times, s: building, the trial, MuJoCo's steps alone, and the report's data.
 
     The first trial, which is not counted, warms up and gives the commands. The report's data are
     those of its file: closure, epsilon and min-weight of every sample are computed for it.
     """
-    first = Trial(plan, controller=controller)
+    first = Trial(plan, controller=controller, reality=reality)
     replay = Replay(first.simulation)
     report = first.run(on_step=replay)
     spent: dict[str, list[float]] = {"build_s": [], "trial_s": [], "steps_s": [], "report_s": []}
     for _ in range(repeats):
         begin = time.process_time()
-        trial = Trial(plan, controller=controller)
+        trial = Trial(plan, controller=controller, reality=reality)
         built = time.process_time()
         again = trial.run()
         ran = time.process_time()
@@ -134,7 +139,7 @@ def cost_of(job: TrialCostJob, check: Check) -> Row:
         plan = plan_grasp(task, seed=job.seed, progress=lambda _: check())
     except PlannerError as error:
         return job.lost(str(error))
-    row = time_trial(plan, job.controller, job.repeats)
+    row = time_trial(plan, job.controller, job.repeats, job.reality.seeded(job.seed))
     check()
     return job.row(**row)
 
@@ -147,8 +152,10 @@ def run_trial_cost(
     seed: int,
     repeats: int,
     runner: Runner,
+    reality: Reality | None = None,
 ) -> Row:
-    """Time the trials of hands x objects x controllers."""
+    """Time the trials of hands x objects x controllers, under a reality if one is given."""
+    reality = reality or Reality()
     check_tasks(hands, objects)
     cells = [(h, item, c) for c in controllers for h in hands for item in objects]
     jobs = [
@@ -160,10 +167,19 @@ def run_trial_cost(
             controller=controller,
             seed=seed,
             repeats=repeats,
+            reality=reality,
         )
         for k, (hand, item, controller) in enumerate(cells)
     ]
-    return measure(runner, cost_of, jobs, kind=FORMAT, title="time trials", lost=TrialCostJob.lost)
+    return measure(
+        runner,
+        cost_of,
+        jobs,
+        kind=FORMAT,
+        title="time trials",
+        lost=TrialCostJob.lost,
+        **stated(reality),
+    )
 
 
 COLUMNS = ("steps", "steps alone, s", "trial, s", "trial / steps", "build, s", "report, s", "end")

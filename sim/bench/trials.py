@@ -7,7 +7,7 @@ tables, so that every metric is asked the same questions.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import mujoco
@@ -23,6 +23,7 @@ from sim.bench.predictors import predictors_of
 from sim.bench.requests import Setting, task_for
 from sim.bench.run import ObjectJob
 from sim.physics import PhysicsOptions
+from sim.reality import Reality
 from sim.report import TrialReport
 from sim.simulation import Simulation
 from sim.tables import Row
@@ -103,6 +104,7 @@ class Sample(ObjectJob):
         grade: Name out of ``GRADES``.
         condition: Name out of ``CONDITIONS``.
         seed: Seed of the measurement; what is drawn depends on it and on ``index``.
+        reality: Errors of sensors, drives and object, drawn from ``index``.
     """
 
     SHOWN: ClassVar = ("hand", "label", "grade", "condition")
@@ -110,6 +112,7 @@ class Sample(ObjectJob):
     grade: str
     condition: str
     seed: int
+    reality: Reality = field(default_factory=Reality)
 
     def lost(self, reason: str) -> Row:
         """The row of a sample that nothing came of."""
@@ -140,7 +143,8 @@ def try_sample(sample: Sample, check: Callable[[], None]) -> Row:
         return sample.lost("no plan")
     except PlannerError as error:
         return sample.lost(str(error))
-    verdict = trial_under(plan, CONDITIONS[sample.condition], rng).verdict
+    reality = sample.reality.seeded(sample.index)
+    verdict = trial_under(plan, CONDITIONS[sample.condition], rng, reality=reality).verdict
     check()
     return sample.row(
         found=True,
@@ -155,8 +159,9 @@ def trial_under(
     condition: Condition,
     rng: np.random.Generator,
     record_every: float = RECORD_EVERY,
+    reality: Reality | None = None,
 ) -> TrialReport:
-    """A trial under a condition, with a sample every so often (s)."""
+    """A trial under a condition and a reality, with a sample every so often (s)."""
     item = plan.task.object
     heavier = replace(item, mass=condition.mass_factor * item.mass)
     changed = replace(plan, task=replace(plan.task, object=heavier))
@@ -165,6 +170,7 @@ def trial_under(
         physics=PhysicsOptions(mu=condition.mu),
         timeline=TIMELINE,
         record_every=record_every,
+        reality=reality,
     )
     angle = rng.uniform(0.0, 2 * np.pi)
     aside = condition.shift * np.array([np.cos(angle), np.sin(angle)])

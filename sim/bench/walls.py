@@ -22,8 +22,9 @@ from planner.shapes import Mesh, Shape, shape_key
 from planner.task import GraspTask
 from sim.bench.objects import BenchObject
 from sim.bench.requests import check_tasks, loaded_hand
-from sim.bench.run import ObjectJob, measure
+from sim.bench.run import ObjectJob, measure, stated
 from sim.bench.statistics import ratio, summed
+from sim.reality import Reality
 from sim.runner import Check, Runner
 from sim.tables import Row, grouped, number, percent, table_of
 from sim.trial import simulate
@@ -55,6 +56,7 @@ class _WallJob(ObjectJob):
     k: int
     seed: int
     execute: bool
+    reality: Reality
 
     def lost(self, reason: str) -> Row:
         """The row of a request that could not be tried."""
@@ -98,7 +100,9 @@ def _made(job: _WallJob, check: Check) -> Row:
         if plan is not None or cpu_s >= SOON:
             break
     plan = plan if cpu_s <= SOON else None
-    report = simulate(plan) if job.execute and plan is not None else None
+    report = None
+    if job.execute and plan is not None:
+        report = simulate(plan, reality=job.reality.seeded(job.k))
     return job.row(
         error="",
         found=plan is not None,
@@ -119,6 +123,7 @@ def run_walls(
     *,
     seed: int,
     runner: Runner,
+    reality: Reality | None = None,
 ) -> Row:
     """Make n requests of every hand and object, and execute the first few (``sim.bench``).
 
@@ -129,7 +134,10 @@ def run_walls(
         trials: How many of them are executed too.
         seed: Of the measurement.
         runner: Who works.
+        reality: Errors of sensors, drives and object in trials, drawn from the number of the
+            request; none if None.
     """
+    reality = reality or Reality()
     check_tasks(hands, objects)
     cells = [(hand, item, k) for hand in hands for item in objects for k in range(n)]
     jobs = [
@@ -141,6 +149,7 @@ def run_walls(
             k=k,
             seed=seed,
             execute=k < trials,
+            reality=reality,
         )
         for i, (hand, item, k) in enumerate(cells)
     ]
@@ -153,6 +162,7 @@ def run_walls(
         lost=_WallJob.lost,
         seed=seed,
         walls_mm={item.label: _wall_mm(item.spec) for item in objects},
+        **stated(reality),
     )
 
 

@@ -131,7 +131,8 @@ ArrowsOption = Annotated[
 ControllerOption = Annotated[
     str,
     typer.Option(
-        help="feedforward: the planned forces; impedance: a loop that keeps the object in place.",
+        help="feedforward: the planned forces; impedance: a loop that keeps the object in place; "
+        "policy:FILE: what was learned.",
         metavar="NAME",
         rich_help_panel=TRIAL_PANEL,
     ),
@@ -228,6 +229,27 @@ def physics_of(text: str, sim_mu: float | None = None) -> Any:
 
     found = physics_for(text)
     return found if sim_mu is None else replace(found, mu=sim_mu)
+
+
+POLICY = "policy:"
+"""What a controller begins with that is a policy's file."""
+
+
+def controller_of(name: str) -> Any:
+    """What ``--controller`` names: a name as it is, or what makes controllers of a policy's file.
+
+    Raises:
+        NotFoundError: No controller has that name.
+        FileFormatError: A policy that cannot be read.
+    """
+    if name.startswith(POLICY):
+        from sim.learning import policy_controller
+
+        return policy_controller(name.removeprefix(POLICY))
+    from sim.controllers import named_controller
+
+    named_controller(name)
+    return name
 
 
 def reality_of(name: str, seed: int = 0) -> Any:

@@ -80,7 +80,7 @@ def drive(
 
         from planner.errors import NotFoundError, TaskError
         from planner.files import read_plan
-        from sim.cli.common import check_folder
+        from sim.cli.common import check_folder, controller_of
         from sim.controllers import controller_for
         from sim.real_hand import (
             CommandLimits,
@@ -105,8 +105,9 @@ def drive(
             raise NotFoundError("way to stop", on_stop, STOPS)
         bounds = Safety(on_stop=STOPS[on_stop])
         limits = CommandLimits(rate=max_rate)
-        driver = controller_for(plan, controller)
-        used = _open(plan, interface, replay, fast, controller)
+        named = controller_of(controller)
+        driver = controller_for(plan, named)
+        used = _open(plan, interface, replay, fast, named)
         pressed()  # a library swallows Ctrl-C while it is imported
         with closing(used.hand):
             hand = DryRun(used.hand) if dry_run else used.hand
@@ -163,7 +164,7 @@ class _Used:
 
 
 def _open(
-    plan: GraspPlan, interface: str | None, replay: Path | None, fast: bool, controller: str
+    plan: GraspPlan, interface: str | None, replay: Path | None, fast: bool, controller: Any
 ) -> _Used:
     """The hand that was asked for.
 

@@ -22,6 +22,7 @@ from sim.cli.export import export
 from sim.cli.forces import forces
 from sim.cli.grasp import plan, run, simulate
 from sim.cli.hands import check_hand, describe, hands
+from sim.cli.learn import learn
 from sim.cli.look import analyse, inspect, schema
 from sim.cli.manipulation import demo, manipulate
 from sim.cli.motion import plan_gait, plan_motion
@@ -75,6 +76,10 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
         Listed(
             call=plan_gait,
             example="opposable plan-gait shadow_hand cylinder:0.03x0.10 --angle 180",
+        ),
+        Listed(
+            call=learn,
+            example="opposable learn allegro_hand cylinder:0.025..0.035x0.08 --out runs/learn",
         ),
     ),
     "Look": (Listed(call=view, example="opposable view plan.json -o plan.html"),),

@@ -34,6 +34,7 @@ from sim.cli.common import (
     VideoOption,
     ViewOption,
     check_films,
+    controller_of,
     err,
     errors_for_people,
     estimate_of,
@@ -302,6 +303,7 @@ def _execute(
     physics = physics_of(execution.physics, execution.sim_mu)
     reality = reality_of(execution.reality, execution.reality_seed)
     estimator = estimate_of(execution.estimate)
+    driver = controller_of(execution.controller)
     check_films(execution.video)
     _warn_of_friction(believed_mu, physics.mu)
     if out_dir is not None:
@@ -313,7 +315,7 @@ def _execute(
     with err.status("executing ..."):
         report = simulate(
             plan,
-            controller=execution.controller,
+            controller=driver,
             physics=physics,
             reality=reality,
             estimator=estimator,

@@ -32,6 +32,7 @@ from sim.cli.common import (
     VideoOption,
     ViewOption,
     check_films,
+    controller_of,
     err,
     estimate_of,
     heeding_ctrl_c,
@@ -338,11 +339,11 @@ class TrialOptions:
         """
         from rich.progress import Progress
 
-        from sim.controllers import named_controller
         from sim.looking.viewer import check_display
         from sim.trial import simulate
 
-        make, physics = named_controller(self.controller), physics_of(self.physics, self.sim_mu)
+        driver = controller_of(self.controller)
+        physics = physics_of(self.physics, self.sim_mu)
         reality = reality_of(self.reality, self.reality_seed)
         estimator = estimate_of(self.estimate)
         if self.view:
@@ -357,7 +358,7 @@ class TrialOptions:
                     physics=physics,
                     reality=reality,
                     estimator=estimator,
-                    controller=make(plan),
+                    controller=driver,
                     progress=lambda share: progress.update(bar, completed=share),
                     view=self.view,
                     picture=picture,

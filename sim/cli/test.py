@@ -19,6 +19,7 @@ from sim.cli.common import (
     RealityOption,
     RealitySeedOption,
     SeedOption,
+    controller_of,
     err,
     errors_for_people,
     estimate_of,
@@ -50,7 +51,8 @@ def test(
     protocol: Annotated[
         str,
         typer.Option(
-            help="dexgraspbench, forces, shake, robust, reality, drake, or all.", metavar="NAME"
+            help="dexgraspbench, forces, shake, robust, reality, pushes, drake, or all.",
+            metavar="NAME",
         ),
     ] = "all",
     controller: ControllerOption = "feedforward",
@@ -76,16 +78,14 @@ def test(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Test plans in MuJoCo by protocols: pushes, shaking, errors.
+    r"""Test plans in MuJoCo by protocols: pushes, shaking, errors.
 
     Exit code 0 if every grasp held in every trial without a growing load and bore the first load at
-    rest in every direction. "all" leaves out what the hand cannot take, reality (--reality drawn
-    anew for each trial) and drake (another engine: pip install "opposable[drake]"). The physics of
-    dexgraspbench is its own.
+    rest in every direction. "all" leaves out what the hand cannot take, reality, pushes (a minute
+    each) and drake (pip install "opposable\[drake]"). dexgraspbench has its own physics.
     """
     from planner.errors import NotFoundError, TaskError
     from planner.files import read_plan, write_json
-    from sim.controllers import named_controller
     from sim.looking.backend import why_not
     from sim.looking.film import check_video
     from sim.protocols import (
@@ -98,7 +98,7 @@ def test(
         write_csv,
     )
 
-    named_controller(controller)  # bad input ends here
+    driver = controller_of(controller)  # bad input ends here
     if pages not in PAGES:
         raise NotFoundError("choice of pages", pages, PAGES)
     computed, errors = physics_of(physics), reality_of(reality, reality_seed)
@@ -126,7 +126,7 @@ def test(
                 report = run_protocol(
                     plan,
                     name,
-                    controller=controller,
+                    controller=driver,
                     physics=computed,
                     reality=errors,
                     estimator=estimator,

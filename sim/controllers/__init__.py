@@ -29,7 +29,6 @@ from sim.controllers.named import (
 from sim.controllers.object_impedance import ObjectImpedance
 from sim.controllers.pads import PadReading
 from sim.controllers.reference import Reference, Target
-from sim.controllers.sensing import Sensing
 
 __all__ = [
     "CONTROLLERS",
@@ -51,7 +50,6 @@ __all__ = [
     "ReportsEvents",
     "ReportsLimits",
     "Sense",
-    "Sensing",
     "SlipDetector",
     "Target",
     "controller_for",

@@ -71,6 +71,7 @@ class MotionReference:
     """The reference of one motion; starts at the first ``advance``.
 
     Attributes:
+        motion: What was planned.
         axis: (3,), of the turn, palm.
         goal: Turn that is asked for, rad, with its sign; of a pure translation 0.
         turned: Turn that was measured last, rad, counted beyond half turns too.
@@ -104,7 +105,7 @@ class MotionReference:
             )
         if not (np.isfinite(rate) and rate > 0):
             raise TaskError(f"rate is {rate}; give a finite number > 0 in rad/s")
-        path = motion.path
+        self.motion, path = motion, motion.path
         self._path = _Path(motion, back_from)
         whole = path.angle if back_from is None else -back_from * path.angle
         self.goal = whole if angle is None else angle

@@ -41,7 +41,6 @@ from sim.controllers.monitors import InfeasibilityMonitor, SlipDetector
 from sim.controllers.pads import PadReading
 from sim.controllers.reference import Reference
 from sim.controllers.schedule import TOUCH_FORCE, ContactSchedule
-from sim.controllers.sensing import Senses, Sensing
 from sim.controllers.torques import HoldingTorques
 
 __all__ = ["ObjectImpedance"]
@@ -107,7 +106,6 @@ class ObjectImpedance:
         plan: GraspPlan,
         *,
         gains: ImpedanceGains | None = None,
-        sensing: Sensing | None = None,
         mass: float | None = None,
         mu: float | None = None,
         max_normal: float = MAX_NORMAL,
@@ -117,7 +115,6 @@ class ObjectImpedance:
         Args:
             plan: What to execute.
             gains: Of the impedance; from what moves with the object if None.
-            sensing: How well the object is known; exactly and at once if None.
             mass: Mass that the object is believed to have, kg; the task's if None.
             mu: Friction that the contacts are believed to have (-); the task's if None.
             max_normal: Largest normal force that a pad is asked for, N.
@@ -149,7 +146,6 @@ class ObjectImpedance:
         self.forces = np.zeros((n, 4))
         self._events: list[Event] = []
         self._opening = GraspController(plan)
-        self._senses = Senses(sensing or Sensing())
         self._slips = SlipDetector(n)
         self._torques = HoldingTorques(plan)
         self._first_mu = first_mu
@@ -212,13 +208,12 @@ class ObjectImpedance:
         elapsed, self._time = observation.time - self._time, observation.time
         if observation.phase in ("approach", "close"):
             return self._opening.step(observation)
-        pads = self._senses.pads(observation)
+        pads = observation.pads
         T_base_world = observation.T_world_base.inverse()
         gravity = T_base_world.rotation @ self.plan.task.gravity
         self._torques.move(observation.q, observation.v, gravity)
         T_base_palm = self._torques.T_base_palm
-        exact = T_base_palm.actInv(T_base_world * observation.T_world_object)
-        in_palm = self._senses.pose(observation.time, exact)
+        in_palm = T_base_palm.actInv(T_base_world * observation.T_world_object)
         if self.T_palm_wanted is None:
             self.T_palm_wanted = in_palm
             self.schedule = ContactSchedule(pads.normal_force > TOUCH_FORCE)

@@ -29,7 +29,7 @@ from typing import Protocol, TypeAlias, cast, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.errors import NotFoundError, TaskError
+from planner.errors import NotFoundError
 from planner.kinematics.state import MovingHand
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray
@@ -41,7 +41,6 @@ from sim.controllers import (
     Reference,
     ReportsEvents,
     ReportsLimits,
-    Sensing,
     Target,
     controller_for,
 )
@@ -142,31 +141,21 @@ class InHandController(Protocol):
 
 
 def in_hand_controller(
-    plan: GraspPlan,
-    given: AnyTurningController | None,
-    *,
-    sensing: Sensing | None,
-    max_normal: float,
+    plan: GraspPlan, given: AnyTurningController | None, *, max_normal: float
 ) -> InHandController:
     """The controller that was given, made for a plan and able to turn.
 
     Args:
         plan: The grasp that the manipulation begins with.
         given: Name, controller, class or function of the plan; "impedance" if None.
-        sensing: How well the object is known to the default; exactly and at once if None.
         max_normal: Largest normal force that the default asks of a finger, N.
 
     Raises:
         NotFoundError: No controller has that name.
-        TaskError: What was given is none, or sensing is given for another than the default.
+        TaskError: What was given is none.
     """
     if given is None or given == "impedance":
-        return ObjectImpedance(plan, sensing=sensing, max_normal=max_normal)
-    if sensing is not None:
-        raise TaskError(
-            "sensing is for the default controller; give your own what it is to know when you make "
-            "it: manipulate(plan, controller=ObjectImpedance(plan.grasp, sensing=...))"
-        )
+        return ObjectImpedance(plan, max_normal=max_normal)
     made = cast(TurningController, controller_for(plan, cast(AnyController, given)))
     return made if isinstance(made, InHandController) else GuidedController(plan, made)
 

@@ -2,7 +2,9 @@
 
 The base is sent to planned poses up to the turn, and afterwards to where the measured object gets
 to its target. The turn is measured as the signed twist of the object in the palm since the turn
-began, and each stroke begins at the measured pose: rolling and regrasps are compensated.
+began, and each stroke begins at the measured pose: rolling and regrasps are compensated. What the
+robot decides by is what it reads (``reading``); whether a phase has failed is judged by the truth,
+but for fingers that do not feel the object after the squeeze and strokes that stall.
 """
 
 from __future__ import annotations
@@ -106,13 +108,14 @@ class Phases:
 
     def _squeeze(self) -> Measured:
         fault = self._run.run("squeeze", self._timeline.squeeze)
-        self._run.recorder.mark_reference()
+        self._run.reading.mark_reference()
         reason, numbers = self._standing(fault)
         task = self._plan.task
         forces = self._run.simulation.normal_forces()
         each = list(zip(task.finger_names, forces.tolist(), strict=True))
         numbers |= {f"{finger}_N": force for finger, force in each}
-        missing = [finger for finger, force in each if force == 0.0]
+        felt = self._run.reading.normal_forces()
+        missing = [task.finger_names[i] for i in np.flatnonzero(felt == 0.0)]
         touching = len(each) - len(missing)
         if not reason and touching < task.fingers_needed:
             few = f"{touching} fingers touch, {task.fingers_needed} are needed"
@@ -154,14 +157,14 @@ class Phases:
 
     @property
     def _turned(self) -> float:
-        """How far the object has come since the turn began, rad, with its sign."""
-        return self._run.recorder.moved()[0]
+        """How far the object has come since the turn began, as it is read, rad, with its sign."""
+        return self._run.reading.turned()
 
     def _turn(self) -> Measured:
         """The turn, or its next stroke, from the measured pose."""
         first, self._turn_begun = not self._turn_begun, True
         if first:
-            self._run.recorder.mark_reference()
+            self._run.reading.mark_reference()
         if self._plan.gait is not None:
             return self._stroke()
         if not first:  # fingers went back to where the motion began

@@ -92,8 +92,7 @@ class Regrasping:
 
     def _refused(self, finger: str, numbers: dict[str, float]) -> str:
         """Why a finger may not be lifted now, "" if it may."""
-        simulation = self._run.simulation
-        measured = hand_contacts(simulation.scene, simulation.data)
+        measured = self._run.reading.contacts()
         numbers["margin"] = margin = margin_without(measured, self._task, finger)
         if margin < MEASURED_MARGIN:
             return (

@@ -23,7 +23,6 @@ from planner.motion.manipulation.ending import backwards, object_at_target, stan
 from planner.motion.release import find_release
 from planner.spatial import SE3, signed_twist
 from planner.task import GraspTask
-from sim.controllers import Sensing
 from sim.estimation import AnyEstimator
 from sim.looking.film import check_video
 from sim.looking.picture import Drawn, draw_tape
@@ -60,7 +59,6 @@ class ManipulationRun:
         controller: AnyTurningController | None = None,
         true_task: GraspTask | None = None,
         physics: PhysicsOptions | None = None,
-        sensing: Sensing | None = None,
         timeline: ManipulationTimeline | None = None,
         criteria: SuccessCriteria | None = None,
         push: Push | None = None,
@@ -73,9 +71,8 @@ class ManipulationRun:
         self._timeline = timeline or ManipulationTimeline()
         self._criteria = criteria or SuccessCriteria()
         self._force_limit = self._criteria.normal_N or force_limit(plan)
-        holding = in_hand_controller(
-            plan.grasp, controller, sensing=sensing, max_normal=ASKED_SHARE * self._force_limit
-        )
+        most = ASKED_SHARE * self._force_limit
+        holding = in_hand_controller(plan.grasp, controller, max_normal=most)
         self.sim = ManipulationSim(
             plan,
             controller=holding,
@@ -171,7 +168,7 @@ class ManipulationRun:
         """How the object is put down where it is; or why it cannot be."""
         plan, simulation = self.plan, self.sim.simulation
         axis, back = plan.motion.path.axis, plan.ending.back
-        first, now = simulation.plan.task.T_world_object, simulation.T_world_object
+        first, now = simulation.plan.task.T_world_object, self.sim.reading.T_world_object()
         turned = signed_twist(now.rotation @ first.rotation.T, axis)
         x, y = now.translation[:2].tolist()
         task = replace(plan.task, T_world_object=first)
@@ -247,7 +244,6 @@ def manipulate(
     controller: AnyTurningController | None = None,
     true_task: GraspTask | None = None,
     physics: PhysicsOptions | None = None,
-    sensing: Sensing | None = None,
     timeline: ManipulationTimeline | None = None,
     criteria: SuccessCriteria | None = None,
     push: Push | None = None,
@@ -268,8 +264,6 @@ def manipulate(
             your own sees is told in ``sim.manipulation.in_hand``.
         true_task: The task as it really is, where mass or pose differ from the plan's.
         physics: How MuJoCo computes, with the true friction; defaults if None.
-        sensing: How well the object is known to the default controller; exactly and at once if
-            None.
         timeline: Durations; defaults if None.
         criteria: Where phases fail; defaults if None.
         push: A disturbance during the turn.
@@ -302,7 +296,6 @@ def manipulate(
             controller=controller,
             true_task=there,
             physics=physics,
-            sensing=sensing,
             timeline=timeline,
             criteria=criteria,
             push=push,
@@ -314,34 +307,29 @@ def manipulate(
     report = run.perform(pictures=pictures, video=video, arrows=arrows, retry=retry, view=view)
     if not report.put_down:
         return report
+    standing = run.sim.simulation.T_world_object
     try:
-        rest = _rest_of(plan, report.log, run.sim.simulation.T_world_object)
+        rest = _rest_of(plan, report.log, run.sim.reading.T_world_object())
     except PlannerError as error:
         last = replace(report.results[-1], then=f"no plan for the rest of the turn: {error}")
         return replace(report, results=(*report.results[:-1], last))
     there = run.sim.simulation.plan.task
-    there = replace(there, T_world_object=rest.task.T_world_object)
+    there = replace(there, T_world_object=_stood(plan, report.log, standing)[0])
     return replace(run_of(rest, fresh, there, None).perform(view=view), earlier=report)
 
 
 def _rest_of(plan: ManipulationPlan, log: ManipulationLog, T_world_object: SE3) -> ManipulationPlan:
-    """A plan for what is left of a turn, from where the object stands now.
+    """A plan for what is left of a turn, from where the object stands now, as it is read.
 
     Raises:
         PlannerError: There is none.
     """
     task, motion = plan.task, plan.motion
-    axis = motion.path.axis
-    made = 0.0  # brought back in the hand it stands as at first
-    if not plan.ending.back:
-        counted = float(log.turn[log.during(*TURNING)[-1]])  # whole turns too
-        turned = T_world_object.rotation @ task.T_world_object.rotation.T
-        made = signed_twist(turned, axis, near=counted)
-    x, y = T_world_object.translation[:2].tolist()
+    standing, made = _stood(plan, log, T_world_object)
     at_x, at_y = plan.ending.T_world_target.translation[:2].tolist()
     return plan_manipulation(
-        replace(task, T_world_object=object_at_target(task, axis, made, (x, y))),
-        axis=axis,
+        replace(task, T_world_object=standing),
+        axis=motion.path.axis,
         angle=plan.angle - made,
         shift=plan.shift,
         place=(at_x, at_y),
@@ -349,3 +337,15 @@ def _rest_of(plan: ManipulationPlan, log: ManipulationLog, T_world_object: SE3) 
         regrasp=plan.gait is not None,
         rests=rests,
     )
+
+
+def _stood(plan: ManipulationPlan, log: ManipulationLog, T_world_object: SE3) -> tuple[SE3, float]:
+    """Upright pose of an object that was put down, and the turn (rad) that was made of it."""
+    task, axis = plan.task, plan.motion.path.axis
+    made = 0.0  # brought back in the hand it stands as at first
+    if not plan.ending.back:
+        counted = float(log.turn[log.during(*TURNING)[-1]])  # whole turns too
+        turned = T_world_object.rotation @ task.T_world_object.rotation.T
+        made = signed_twist(turned, axis, near=counted)
+    x, y = T_world_object.translation[:2].tolist()
+    return object_at_target(task, axis, made, (x, y)), made

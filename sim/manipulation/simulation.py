@@ -16,6 +16,7 @@ from sim.estimation import AnyEstimator
 from sim.manipulation.driver import BaseMover, ManipulationDriver
 from sim.manipulation.in_hand import InHandController
 from sim.manipulation.log import ManipulationRecorder
+from sim.manipulation.reading import Reading
 from sim.manipulation.timeline import (
     CONTROLLER_PHASE,
     IN_THE_AIR,
@@ -58,7 +59,8 @@ class ManipulationSim:
         simulation: Scene, data and the loop.
         driver: Drives the fingers.
         mover: Moves the base.
-        recorder: Takes samples.
+        recorder: Takes samples, of the truth.
+        reading: What the robot knows of the object.
     """
 
     def __init__(
@@ -87,7 +89,9 @@ class ManipulationSim:
         )
         self.mover = BaseMover(self.simulation.scene.gantry, grasp.T_world_base_start)
         self.simulation.carrier = self.mover
-        self.recorder = ManipulationRecorder(self.simulation, self.driver.reference.axis)
+        axis = self.driver.reference.axis
+        self.recorder = ManipulationRecorder(self.simulation, axis)
+        self.reading = Reading(self.simulation, self.recorder, axis)
         self._push = push
         self._turn_began: float | None = None
 
@@ -130,6 +134,7 @@ class ManipulationSim:
                     wanted=driver.holding.T_palm_wanted,
                     away=driver.off,
                 )
+                self.reading.note()
             if fault:
                 break
         simulation.data.xfrc_applied[simulation.scene.object_body] = 0.0
@@ -147,9 +152,9 @@ class ManipulationSim:
         return set(hand_contacts(self.simulation.scene, self.simulation.data).fingers) - {""}
 
     def base_for(self, T_world_object: SE3) -> SE3:
-        """Where the base must be for the object, as it lies in the hand now, to be at a pose."""
-        now = self.simulation
-        return T_world_object * now.T_world_object.inverse() * now.T_world_base
+        """Where the base must be for the object, as it is read now, to be at a pose."""
+        now = self.reading.T_world_object()
+        return T_world_object * now.inverse() * self.simulation.T_world_base
 
     def _push_object(self, push: Push) -> None:
         """Push while it is time to."""

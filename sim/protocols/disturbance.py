@@ -32,7 +32,7 @@ from sim.samples import Samples
 from sim.scene import Scene
 from sim.simulation import Simulation
 from sim.timeline import Timeline
-from sim.trial import run_grasp_phase
+from sim.trial import felt_by, run_grasp_phase
 from sim.verdict import DropCriteria, Fault, Reason, lost, put_down_to_actuators
 
 __all__ = ["DROPPED", "GRIP", "DisturbanceTrial"]
@@ -138,8 +138,8 @@ class DisturbanceTrial:
                 continue
             if simulation.ended:
                 return self._ending()
-            forces = simulation.normal_forces()
-            missing = [f for f, n in zip(task.finger_names, forces, strict=True) if n == 0]
+            felt = felt_by(simulation)
+            missing = [finger for finger in task.finger_names if finger not in felt]
             detail = f"after the squeeze {', '.join(missing)} did not touch"
             return self.fault("no contact", f"{detail}; {task.fingers_needed} are needed")
         return None

@@ -32,6 +32,7 @@ from sim.protocols.dexgraspbench_scene import benchmark_contacts, benchmark_phys
 from sim.protocols.drake import drake_cases, drake_physics, unsuitable_for_drake
 from sim.protocols.forces import forces_cases
 from sim.protocols.outcome import Outcome
+from sim.protocols.pushes import pushes_cases
 from sim.protocols.reality import reality_cases
 from sim.protocols.report import ProtocolReport
 from sim.protocols.robust import robust_cases
@@ -55,13 +56,14 @@ PROTOCOLS: Mapping[str, MakeCases] = MappingProxyType(
         "robust": robust_cases,
         "drake": lambda settings, seed: drake_cases(),
         "reality": reality_cases,
+        "pushes": pushes_cases,
     }
 )
 """Name -> what makes the trials out of settings and the seed of random directions and errors."""
 
-IN_ALL = tuple(name for name in PROTOCOLS if name not in ("drake", "reality"))
-"""Protocols that "all" stands for: "drake" needs another package, and "reality" tests
-the controller more than the grasp; both are run by their names."""
+IN_ALL = tuple(name for name in PROTOCOLS if name not in ("drake", "reality", "pushes"))
+"""Protocols that "all" stands for: "drake" needs another package, "reality" and "pushes" test the
+controller more than the grasp; these are run by their names."""
 
 REPLAYED = ("dexgraspbench", "drake")
 """Protocols with commands and numbers of their own, whatever controller and settings are."""

@@ -15,7 +15,7 @@ __all__ = ["Settings"]
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Numbers of ``forces``, ``shake``, ``robust`` and ``reality``; ``dexgraspbench`` has its own.
+    """Numbers of the protocols but ``dexgraspbench``, which has its own.
 
     Attributes:
         hold_s: How long each direction of gravity is held, s: as long as DexGraspBench's push.
@@ -34,6 +34,9 @@ class Settings:
         pose_errors: How far the object is from where the plan has it, pairs of mm and degrees, in a
             random direction each.
         realities: Draws of the protocol ``reality``.
+        pushes: Holds of the protocol ``pushes``.
+        pushes_s: Duration of each, s.
+        push_load: Of the object's weight under 9.81 m/s2, the strongest push (-).
         dropped: When an object counts as lost.
     """
 
@@ -51,6 +54,9 @@ class Settings:
     friction_factors: tuple[float, ...] = (0.7, 1.0, 1.3)
     pose_errors: tuple[tuple[float, float], ...] = ((0.0, 0.0), (2.5, 2.5), (5.0, 5.0))
     realities: int = 10
+    pushes: int = 3
+    pushes_s: float = 60.0
+    push_load: float = 1.5
     dropped: DropCriteria = DROPPED
 
     def __post_init__(self) -> None:
@@ -65,6 +71,8 @@ class Settings:
             raise TaskError(f"random is {self.random}; give a number of directions >= 0")
         if self.realities < 1:
             raise TaskError(f"realities is {self.realities}; give a number of draws >= 1")
+        if self.pushes < 1:
+            raise TaskError(f"pushes is {self.pushes}; give a number of holds >= 1")
         factors = (*self.mass_factors, *self.friction_factors)
         if not factors or not all(np.isfinite(f) and f > 0 for f in factors):
             raise TaskError(f"factors of mass and friction are {factors}; give numbers > 0")

@@ -145,6 +145,18 @@ class Reality:
         label = f"{self.name}: {', '.join(names)}"
         return Reality(name=label, seed=self.seed, **kept)
 
+    def sensed_exactly(self) -> Reality:
+        """The same world and drives with calibrated joints, and sensors without errors.
+
+        What is left is drawn as before. It is the best that any estimator could do.
+        """
+        exact: dict[str, Any] = dict.fromkeys(SENSED, 0.0)
+        return replace(self, name=f"{self.name}, sensed exactly", **exact)
+
+    def without_camera(self) -> Reality:
+        """The same with a camera that sees the object once, when a trial begins."""
+        return replace(self, name=f"{self.name}, no camera", dropout=1.0, dropout_time=FOREVER)
+
     def to_dict(self) -> dict[str, Any]:
         """All fields as plain data."""
         return asdict(self)
@@ -165,6 +177,29 @@ POSE_ERRORS = (
 
 NO_ERROR = ("name", "seed")
 """Fields that are no error."""
+
+SENSED = (
+    "encoder_offset",
+    "encoder_scale",
+    "encoder_noise",
+    "rate_noise",
+    "pose_noise",
+    "turn_noise",
+    "pose_drift",
+    "turn_drift",
+    "pose_bias",
+    "turn_bias",
+    "pose_rate",
+    "pose_delay",
+    "dropout",
+    "dropout_time",
+    "touch_noise",
+    "sliding_noise",
+)
+"""Errors of sensors; the others are of drives and of the world."""
+
+FOREVER = 1e9
+"""A time (s) that no trial lasts."""
 
 _REALITIES: dict[str, Reality] = {}
 

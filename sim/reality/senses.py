@@ -2,9 +2,9 @@
 
 Joints are read through their encoders. Pads feel forces in the frames of their fingertips, so where
 they act is told by the joints as read. A camera sees the object at its own rate, with noise, drift
-and bias, and late; now and then it does not see it for a while. Each pose has a time stamp. Once
-the hand has closed, a pose is carried on with the hand's base from the moment of its stamp; before,
-the object stands still.
+and bias, and late; now and then it does not see it for a while. Each pose has a time stamp. A pose
+is carried on with the hand's base from the moment of its stamp, or from that at which the hand had
+closed; before, the object stands still.
 """
 
 from __future__ import annotations
@@ -113,6 +113,7 @@ class RealSenses:
             )
         ]
         self._camera = _Camera()
+        self._closed: tuple[float, SE3] | None = None  # when, and T_base_world then
         self._sees_exactly = not reality.blurs_pose
         self._reads_exactly = not (drawn.encoder_offset.any() or drawn.encoder_scale.any())
         neutral = task.hand.neutral
@@ -202,6 +203,9 @@ class RealSenses:
         seen = SeenPose(time=known.time, T_world_object=known.T_world_object)
         if truth.phase in STANDING:
             return known.T_world_object, seen
+        closed = self._closed = self._closed or (now, truth.T_world_base.inverse())
+        if known.time < closed[0]:  # the object stood still until the hand had closed
+            return truth.T_world_base * closed[1] * known.T_world_object, seen
         return truth.T_world_base * known.T_base_object, seen
 
     def _sample(self, truth: Observation) -> None:

@@ -17,12 +17,17 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from planner.spatial import FloatArray
 from planner.task import GraspTask
 from sim.reality.drawn import Drawn, hand_actuators
 from sim.reality.errors import Reality
 from sim.scene import HAND_PREFIX, OBJECT
 
-__all__ = ["change_world", "lifted_by"]
+__all__ = ["center_offset", "change_world", "lifted_by"]
+
+SIDES, TILT, WITHIN = 32, 0.01, 0.9
+"""Directions (-) in which what an object stands on is measured, the tilt (rad) at which its extent
+is read off the support function, and the share (-) of it that the centre of mass stays within."""
 
 
 def change_world(reality: Reality, drawn: Drawn, task: GraspTask) -> Callable[[Any], None]:
@@ -49,6 +54,31 @@ def lifted_by(drawn: Drawn, task: GraspTask) -> float:
     return (drawn.size - 1.0) * task.object.shape.support(down)
 
 
+def center_offset(drawn: Drawn, task: GraspTask) -> FloatArray:
+    """How far (3,), m, object's axes, the true centre of mass is from the believed one.
+
+    An object on a table is known to stand there at rest. So its centre of mass stays above what it
+    stands on: sideways that of a box may be off, that of a ball is not, or it would roll away.
+    """
+    shape = task.object.shape
+    offset = np.asarray(drawn.center * drawn.size * shape.half_extents)
+    if task.table_height is None:
+        return offset
+    R = task.T_world_object.rotation
+    there = R @ offset
+    down, most = np.array([0.0, 0.0, -1.0]), 1.0
+    for angle in np.linspace(0.0, 2.0 * np.pi, SIDES, endpoint=False):
+        side = np.array([np.cos(angle), np.sin(angle), 0.0])
+        tilted = np.cos(TILT) * down + np.sin(TILT) * side
+        beyond = shape.support(R.T @ tilted) - np.cos(TILT) * shape.support(R.T @ down)
+        extent = drawn.size * beyond / np.sin(TILT)
+        aside = float(there @ side)
+        if aside > WITHIN * extent:
+            most = min(most, WITHIN * extent / aside)
+    there[:2] *= most
+    return np.asarray(R.T @ there)
+
+
 def _change_object(spec: Any, drawn: Drawn, task: GraspTask) -> None:
     body = spec.body(OBJECT)
     for geom in body.geoms:
@@ -61,8 +91,7 @@ def _change_object(spec: Any, drawn: Drawn, task: GraspTask) -> None:
             geom.size = drawn.size * np.array(geom.size)
     body.mass *= drawn.mass
     body.fullinertia = drawn.mass * drawn.size**2 * np.array(body.fullinertia)
-    half = drawn.size * task.object.shape.half_extents
-    body.ipos = np.array(body.ipos) + drawn.center * half
+    body.ipos = np.array(body.ipos) + center_offset(drawn, task)
 
 
 def _change_hand(spec: Any, dry_friction: float, drawn: Drawn, task: GraspTask) -> None:

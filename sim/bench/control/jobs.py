@@ -23,6 +23,8 @@ from sim.bench.control.push import push_row
 from sim.bench.control.slip_trial import slip_row
 from sim.bench.objects import BenchObject
 from sim.bench.planned import PlannedJob, ask, run_parts
+from sim.bench.run import stated
+from sim.reality import Reality
 from sim.runner import Check, Runner
 from sim.tables import Row
 
@@ -35,13 +37,14 @@ class Part:
 
     Attributes:
         number: Its place among the row numbers of a grasp.
-        measure: Measures a grasp; draws directions from the generator; gives plain data.
+        measure: Measures a grasp under a reality; draws directions from the generator; gives plain
+            data.
         grasps: How many grasps are asked by default.
         whole_hand: Whether all fingers of the hand must take part.
     """
 
     number: int
-    measure: Callable[[GraspPlan, np.random.Generator], Mapping[str, Any]]
+    measure: Callable[[GraspPlan, np.random.Generator, Reality], Mapping[str, Any]]
     grasps: int
     whole_hand: bool = False
 
@@ -93,10 +96,15 @@ def grasps_of(names: Iterable[str], n: int | None) -> dict[str, int]:
 
 
 def control_jobs(
-    hands: Sequence[str], objects: Sequence[BenchObject], parts: Mapping[str, int], seed: int
+    hands: Sequence[str],
+    objects: Sequence[BenchObject],
+    parts: Mapping[str, int],
+    seed: int,
+    reality: Reality | None = None,
 ) -> list[ControlJob]:
     """The jobs, cell by cell, so that what a cell prepares serves all of its grasps."""
     cells = [(item, hand) for item in objects for hand in hands]
+    reality = reality or Reality()
     jobs = []
     for part, n in parts.items():
         for k in range(n):
@@ -108,6 +116,7 @@ def control_jobs(
                 spec=item.spec,
                 label=item.label,
                 grasp=k,
+                reality=reality.seeded(k),
                 plan_seed=seed + k // len(cells),
                 seed=seed,
             )
@@ -119,7 +128,9 @@ def control_row(job: ControlJob, check: Check) -> Row:
     """The row of a job; the arguments are those of ``ask``."""
     part = PARTS[job.part]
     rng = np.random.default_rng([job.seed, job.index])
-    return ask(job, check, lambda plan: part.measure(plan, rng), whole_hand=part.whole_hand)
+    return ask(
+        job, check, lambda plan: part.measure(plan, rng, job.reality), whole_hand=part.whole_hand
+    )
 
 
 def run_control(
@@ -130,17 +141,23 @@ def run_control(
     seed: int,
     file: Path,
     runner: Runner,
+    reality: Reality | None = None,
 ) -> Row:
-    """Measure parts, name -> number of grasps; one seed for plans and draws (``sim.bench``)."""
+    """Measure parts, name -> number of grasps; one seed for plans and draws (``sim.bench``).
+
+    Errors of a reality are drawn from the number of the grasp.
+    """
+    reality = reality or Reality()
     return run_parts(
         runner,
         control_row,
-        control_jobs(hands, objects, parts, seed),
+        control_jobs(hands, objects, parts, seed, reality),
         hands,
         objects,
         kind="opposable-bench-control",
         title="control",
         file=file,
-        drawn={"seed": seed},
+        drawn={"seed": seed, **stated(reality)},
         parts=dict(parts),
+        **stated(reality),
     )

@@ -1,7 +1,7 @@
 """Parts that run the protocols: ``fc``, drift, the grid and the time of a step.
 
-Every function takes a plan and a random generator, and gives plain data. Feedforward and impedance
-control meet the same directions and errors.
+Every function takes a plan, a random generator and a reality, and gives plain data. Feedforward and
+impedance control meet the same directions and errors.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from sim.protocols.dexgraspbench import dexgraspbench_cases
 from sim.protocols.disturbance import DisturbanceTrial
 from sim.protocols.robust import robust_cases
 from sim.protocols.settings import Settings
+from sim.reality import Reality
 
 __all__ = ["drift_row", "fc_row", "rate_row", "robust_row"]
 
@@ -37,9 +38,9 @@ WARM_S = 0.2
 """Hold before the measurement (s), so that first-use costs are over."""
 
 
-def fc_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
-    """The six pushes of DexGraspBench's test; it draws nothing."""
-    del rng
+def fc_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> dict[str, Any]:
+    """The six pushes of DexGraspBench's test, which are exact; it draws nothing."""
+    del rng, reality
     outcomes = [case.run(plan, conditions("feedforward")) for case in dexgraspbench_cases()]
     return {
         "held": sum(o.held for o in outcomes),
@@ -50,14 +51,17 @@ def fc_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def drift_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
+def drift_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> dict[str, Any]:
     """How far an object moves in the hand while nothing happens; it draws nothing."""
     del rng
     holds = []
     for loop, make in CONTROLLERS.items():
         for noslip in NOSLIP:
             hold = DisturbanceTrial(
-                plan, controller=make(plan), physics=PhysicsOptions(noslip_iterations=noslip)
+                plan,
+                controller=make(plan),
+                physics=PhysicsOptions(noslip_iterations=noslip),
+                reality=reality,
             )
             fault = hold.close_and_squeeze() or hold.hold_for(DRIFT_S)
             seen = hold.samples.during("hold")
@@ -74,7 +78,7 @@ def drift_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
     return {"seconds": DRIFT_S, "holds": holds}
 
 
-def robust_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
+def robust_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> dict[str, Any]:
     """A third of the grid of masses, frictions and pose errors, by each loop.
 
     A Latin square: every mass, friction and error three times, every pair of them once. Three
@@ -93,7 +97,7 @@ def robust_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
         if (m + f + e + shift) % len(settings.pose_errors):
             continue
         for loop in CONTROLLERS:
-            outcome = case.run(plan, conditions(loop))
+            outcome = case.run(plan, conditions(loop, reality))
             trials.append(
                 {
                     "loop": loop,
@@ -107,7 +111,7 @@ def robust_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
     return {"trials": trials}
 
 
-def rate_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
+def rate_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> dict[str, Any]:
     """CPU time (ms) of a step of each loop, physics included, and of MuJoCo alone; draws nothing.
 
     In the median over short stretches of a hold. The loop runs at every time step.
@@ -115,7 +119,7 @@ def rate_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
     del rng
     loops: list[dict[str, Any]] = []
     for loop, make in CONTROLLERS.items():
-        hold = DisturbanceTrial(plan, controller=make(plan))
+        hold = DisturbanceTrial(plan, controller=make(plan), reality=reality)
         fault = hold.close_and_squeeze() or hold.hold_for(WARM_S)
         if fault is not None:
             loops.append({"loop": loop, "reason": fault.reason})

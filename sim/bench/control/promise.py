@@ -20,6 +20,7 @@ from planner.spatial import FloatArray
 from sim.controllers import ObjectImpedance
 from sim.physics import PhysicsOptions
 from sim.protocols.disturbance import DROPPED, DisturbanceTrial
+from sim.reality import Reality
 from sim.verdict import Fault
 
 __all__ = ["MOST", "promise_row"]
@@ -39,7 +40,7 @@ LEAD_STEPS = 20
 """Increments of the slow load up to ``SLOW_FIRST`` (-)."""
 
 
-def promise_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
+def promise_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> dict[str, Any]:
     """Shares of certified force and torque at which the object was lost; draws nothing."""
     del rng
     length = plan.task.object.shape.bounding_radius
@@ -51,7 +52,7 @@ def promise_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
             continue
         wrench = promised / size * breaking.wrench
         for speed, run in (("slow", _slow), ("sudden", _sudden)):
-            share, fault = run(plan, wrench)
+            share, fault = run(plan, wrench, reality)
             loads.append(
                 {
                     "kind": kind,
@@ -67,9 +68,9 @@ def promise_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
     return {"loads": loads}
 
 
-def _slow(plan: GraspPlan, wrench: FloatArray) -> tuple[float, Fault | None]:
+def _slow(plan: GraspPlan, wrench: FloatArray, reality: Reality) -> tuple[float, Fault | None]:
     """Share of a slowly growing wrench (6,) at which the grasp failed."""
-    hold = _hold(plan)
+    hold = _hold(plan, reality)
     share, fault = 0.0, hold.close_and_squeeze()
     while fault is None and share < MOST:
         share += SLOW_FIRST / LEAD_STEPS if share < SLOW_FIRST else SLOW_STEP
@@ -78,9 +79,9 @@ def _slow(plan: GraspPlan, wrench: FloatArray) -> tuple[float, Fault | None]:
     return share, fault
 
 
-def _sudden(plan: GraspPlan, wrench: FloatArray) -> tuple[float, Fault | None]:
+def _sudden(plan: GraspPlan, wrench: FloatArray, reality: Reality) -> tuple[float, Fault | None]:
     """Share of a sudden wrench (6,) at which the grasp failed."""
-    hold = _hold(plan)
+    hold = _hold(plan, reality)
     share, fault = SUDDEN_FIRST - SUDDEN_STEP, hold.close_and_squeeze()
     while fault is None and share < MOST:
         share += SUDDEN_STEP
@@ -92,7 +93,7 @@ def _sudden(plan: GraspPlan, wrench: FloatArray) -> tuple[float, Fault | None]:
     return share, fault
 
 
-def _hold(plan: GraspPlan) -> DisturbanceTrial:
+def _hold(plan: GraspPlan, reality: Reality) -> DisturbanceTrial:
     """Impedance control at the certified friction."""
     task = plan.task
     torsion = task.mu_torsion if task.contact_model == "soft" else 0.0
@@ -100,4 +101,5 @@ def _hold(plan: GraspPlan) -> DisturbanceTrial:
         plan,
         controller=ObjectImpedance(plan),
         physics=PhysicsOptions(mu=task.mu, mu_torsion=torsion),
+        reality=reality,
     )

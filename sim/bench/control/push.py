@@ -21,6 +21,7 @@ from sim.protocols.cases import Conditions
 from sim.protocols.forces import PushCase
 from sim.protocols.outcome import Outcome
 from sim.protocols.settings import Settings
+from sim.reality import Reality
 
 __all__ = ["conditions", "largest_grip", "push_row", "tried_grips", "unit"]
 
@@ -35,7 +36,7 @@ GRIP_TOL = 0.05
 """Relative width at which the search for the largest grip ends (-)."""
 
 
-def push_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
+def push_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> dict[str, Any]:
     """A force and a torque in random directions that grow until the object is lost.
 
     "feedforward" presses with the planned forces, "best" with those of the grip out of
@@ -51,8 +52,8 @@ def push_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
         direction = np.zeros(6)
         direction[offset : offset + 3] = unit(rng)
         case = PushCase(index=0, name=kind, direction=direction, settings=settings)
-        opened = [case.run(tight, conditions("feedforward")) for tight in pressed]
-        closed = case.run(plan, conditions("impedance"))
+        opened = [case.run(tight, conditions("feedforward", reality)) for tight in pressed]
+        closed = case.run(plan, conditions("impedance", reality))
         best = max(range(len(grips)), key=lambda k: opened[k].largest_load_held)
         pushes.append(
             {
@@ -100,9 +101,11 @@ def unit(rng: np.random.Generator) -> FloatArray:
     return np.asarray(drawn / np.linalg.norm(drawn))
 
 
-def conditions(loop: str) -> Conditions:
-    """Default physics with a controller by name."""
-    return Conditions(physics=PhysicsOptions(), controller=CONTROLLERS[loop])
+def conditions(loop: str, reality: Reality | None = None) -> Conditions:
+    """Default physics with a controller by name, under a reality."""
+    return Conditions(
+        physics=PhysicsOptions(), controller=CONTROLLERS[loop], reality=reality or Reality()
+    )
 
 
 def _told(outcome: Outcome) -> dict[str, Any]:

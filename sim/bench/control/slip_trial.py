@@ -2,13 +2,15 @@
 
 The object is held undisturbed for a while. Then it is provoked repeatedly until a pad slips, by
 turns with a growing push in a random direction and with decreasing friction. Each provocation ends
-before the object is lost. The detector sees noisy pads and does not act. Both controllers are
+before the object is lost. The detector sees noisy pads and does not act; the controller's are
+exact, so that noise moves no slip. Both controllers are
 tested: impedance control reacts and moves the fingers while it holds.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
@@ -18,15 +20,16 @@ from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from planner.task import GRAVITY
 from sim.bench.control.slips import SLIP_TIME, Slip, score_slips, true_slips
-from sim.controllers import CONTROLLERS, Controller, Observation, Sensing, SlipDetector
+from sim.controllers import CONTROLLERS, Controller, Observation, SlipDetector
 from sim.controllers.monitors import LOADED, SLIP_SPEED
-from sim.controllers.sensing import TIME_TOL, Senses
 from sim.protocols.disturbance import DisturbanceTrial
+from sim.reality import Reality, RealityOfTrial
+from sim.reality.senses import TIME_TOL
 from sim.verdict import Fault
 
-__all__ = ["SENSING", "Watched", "slip_row"]
+__all__ = ["NOISE", "Watched", "slip_row"]
 
-SENSING = Sensing(force_noise=0.02, sliding_noise=0.002)
+NOISE = Reality(name="pads", touch_noise=0.02, sliding_noise=0.002)
 """Noise of the pads: 20 mN and 2 mm/s at every step, of the order of a good optical pad."""
 
 PEACE_S = 10.0
@@ -56,16 +59,20 @@ class Watched:
         alarms: Of the detector; the last ones may not have ended.
     """
 
-    def __init__(self, inner: Controller, fingers: int, sensing: Sensing) -> None:
+    def __init__(
+        self,
+        inner: Controller,
+        fingers: int,
+        read: Callable[[Observation], Observation] = lambda truth: truth,
+    ) -> None:
         """Watch a controller's pads.
 
         Args:
             inner: What drives the hand.
             fingers: How many take part.
-            sensing: Noise of the pads.
+            read: What the detector's sensors say of the truth; the truth if not given.
         """
-        self._inner = inner
-        self._senses = Senses(sensing)
+        self._inner, self._read = inner, read
         self._detector = SlipDetector(fingers)
         self._open: dict[int, float] = {}
         self.times: list[float] = []
@@ -97,7 +104,7 @@ class Watched:
         self.times.append(observation.time)
         self.speeds.append(observation.pads.sliding_speed)
         self.forces.append(observation.pads.normal_force)
-        begun = self._detector.update(elapsed, self._senses.pads(observation))
+        begun = self._detector.update(elapsed, self._read(observation).pads)
         for finger in np.flatnonzero(begun).tolist():
             self._open[finger] = observation.time
         for finger in [f for f in self._open if not self._detector.slipping[f]]:
@@ -107,18 +114,19 @@ class Watched:
         self.alarms.append(Slip(finger=finger, begin=self._open.pop(finger), end=self.times[-1]))
 
 
-def slip_row(plan: GraspPlan, rng: np.random.Generator) -> dict[str, Any]:
-    """Undisturbed hold, then provocations, under each controller."""
+def slip_row(plan: GraspPlan, rng: np.random.Generator, reality: Reality) -> dict[str, Any]:
+    """Undisturbed hold, then provocations, under each controller.
+
+    Of a reality the drives and the world count: what slips is judged by pads without errors.
+    """
     pushes = rng.normal(size=(PROVOCATIONS, 3))
     pushes /= np.linalg.norm(pushes, axis=1, keepdims=True)
     seed = int(rng.integers(2**31))
-    sensing = Sensing(
-        force_noise=SENSING.force_noise, sliding_noise=SENSING.sliding_noise, seed=seed
-    )
     loops = []
     for loop, make in CONTROLLERS.items():
-        watched = Watched(make(plan), len(plan.task.fingers), sensing)
-        hold = DisturbanceTrial(plan, controller=watched)
+        noisy = RealityOfTrial(NOISE.seeded(seed), plan.task)
+        watched = Watched(make(plan), len(plan.task.fingers), noisy.read)
+        hold = DisturbanceTrial(plan, controller=watched, reality=reality.sensed_exactly())
         fault = hold.close_and_squeeze() or hold.hold_for(PEACE_S)
         peace = hold.simulation.data.time
         for k, push in enumerate(pushes):

@@ -15,7 +15,7 @@ from sim.cli.bench.common import (
     ResultOptions,
     SamplesOption,
 )
-from sim.cli.common import SeedOption, errors_for_people, names
+from sim.cli.common import RealityOption, SeedOption, errors_for_people, names, reality_of
 from sim.cli.options import with_options
 
 SHAPES = f"{PRIMITIVES},mug,lbracket,torus,hammer,superquadric"
@@ -48,6 +48,7 @@ def control(
     parts: Annotated[
         str, typer.Option(help="Comma separated: fc, push, drift, slip, robust, rate, promise.")
     ] = "fc,push,drift,slip,robust,rate,promise",
+    reality: RealityOption = "ideal",
     seed: SeedOption = 0,
     samples: SamplesOption = Path("control.jsonl"),
     *,
@@ -61,6 +62,7 @@ def control(
     from sim.bench.control import control_tables, grasps_of, run_control
     from sim.bench.objects import bench_objects
 
+    errors = reality_of(reality)
     with result.measuring(samples) as runner:
         measured = run_control(
             hands or BOTH_HANDS,
@@ -69,6 +71,7 @@ def control(
             seed=seed,
             file=samples,
             runner=runner,
+            reality=errors,
         )
     result.give(measured, control_tables)
 
@@ -81,6 +84,7 @@ def physics(
     parts: Annotated[
         str, typer.Option(help="Comma separated: holds, closed, remedies, creep.")
     ] = "holds,closed,remedies,creep",
+    reality: RealityOption = "ideal",
     samples: SamplesOption = Path("physics.jsonl"),
     *,
     result: ResultOptions,
@@ -94,6 +98,7 @@ def physics(
     from sim.bench.objects import bench_objects
     from sim.bench.physics import physics_tables, run_physics
 
+    errors = reality_of(reality)
     with result.measuring(samples) as runner:
         measured = run_physics(
             hands or BOTH_HANDS,
@@ -101,5 +106,6 @@ def physics(
             names(parts),
             file=samples,
             runner=runner,
+            reality=errors,
         )
     result.give(measured, physics_tables)

@@ -75,6 +75,7 @@ def walls(
     trials: Annotated[
         int, typer.Option(min=0, help="How many of them are executed in simulation.")
     ] = 2,
+    reality: RealityOption = "ideal",
     seed: SeedOption = 0,
     *,
     result: ResultOptions,
@@ -84,9 +85,16 @@ def walls(
     from sim.bench.walls import WALLED, run_walls, walls_tables
 
     chosen = WALLED if objects is None else names(objects)
+    errors = reality_of(reality)
     with result.measuring() as runner:
         measured = run_walls(
-            hands or BOTH_HANDS, bench_objects(chosen), n, trials, seed=seed, runner=runner
+            hands or BOTH_HANDS,
+            bench_objects(chosen),
+            n,
+            trials,
+            seed=seed,
+            runner=runner,
+            reality=errors,
         )
     result.give(measured, walls_tables)
 
@@ -97,6 +105,7 @@ def metrics(
     hands: HandsArgument,
     objects: ObjectsOption = PRIMITIVES,
     n: Annotated[int, typer.Option("-n", "--number", min=1, help="Grasps in all.")] = 500,
+    reality: RealityOption = "ideal",
     seed: SeedOption = 0,
     samples: SamplesOption = Path("metrics.jsonl"),
     *,
@@ -106,9 +115,16 @@ def metrics(
     from sim.bench.metrics import metrics_table, run_metrics
     from sim.bench.objects import bench_objects
 
+    errors = reality_of(reality)
     with result.measuring(samples) as runner:
         measured = run_metrics(
-            hands, bench_objects(names(objects)), n, seed=seed, file=samples, runner=runner
+            hands,
+            bench_objects(names(objects)),
+            n,
+            seed=seed,
+            file=samples,
+            runner=runner,
+            reality=errors,
         )
     result.give(measured, metrics_table)
 
@@ -122,6 +138,7 @@ def trials(
         str, typer.Option(help="Controllers, comma separated.")
     ] = "feedforward,impedance",
     repeats: Annotated[int, typer.Option(min=1, help="Timings per cell; medians count.")] = 3,
+    reality: RealityOption = "ideal",
     seed: SeedOption = 0,
     *,
     result: ResultOptions,
@@ -130,6 +147,7 @@ def trials(
     from sim.bench.objects import bench_objects
     from sim.bench.trial_cost import run_trial_cost, trial_cost_table
 
+    errors = reality_of(reality)
     with result.measuring() as runner:
         measured = run_trial_cost(
             hands or BOTH_HANDS,
@@ -138,5 +156,6 @@ def trials(
             seed=seed,
             repeats=repeats,
             runner=runner,
+            reality=errors,
         )
     result.give(measured, trial_cost_table)

@@ -1,0 +1,206 @@
+"""The command ``learn``: a policy for turns in the hand, by imitation of the closed loop."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.markup import escape
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+
+from sim.cli.common import (
+    EXIT_INTERRUPTED,
+    HandArgument,
+    JsonOption,
+    PhysicsOption,
+    RealityOption,
+    SeedOption,
+    err,
+    errors_for_people,
+    heeding_ctrl_c,
+    names,
+    out,
+    physics_of,
+    print_json,
+    reality_of,
+    say,
+    told_command,
+)
+
+if TYPE_CHECKING:
+    from sim.learning import Progress as Made
+
+COURSE_PANEL = "How much is trained"
+"""Group of the options that cost time."""
+
+
+@errors_for_people()
+def learn(
+    context: typer.Context,
+    hand: HandArgument,
+    objects: Annotated[
+        str,
+        typer.Argument(
+            help="Object as `plan` takes it; a dimension a..b is a range, m.", metavar="OBJECT"
+        ),
+    ],
+    folder: Annotated[
+        Path, typer.Option("--out", help="Folder; a training that is there goes on.", metavar="DIR")
+    ] = Path("runs/learn"),
+    rotate: Annotated[
+        float, typer.Option(help="Turn about the vertical, degrees.", metavar="DEG")
+    ] = 90.0,
+    senses: Annotated[
+        str, typer.Option(help="What the policy is told beside the plan.", metavar="NAMES")
+    ] = "joints,touch,targets",
+    plans: Annotated[
+        int,
+        typer.Option(
+            help="Plans that episodes draw from.", metavar="N", rich_help_panel=COURSE_PANEL
+        ),
+    ] = 24,
+    demonstrations: Annotated[
+        int,
+        typer.Option(
+            help="Episodes of the teacher alone.", metavar="N", rich_help_panel=COURSE_PANEL
+        ),
+    ] = 72,
+    rounds: Annotated[
+        int,
+        typer.Option(
+            help="Rounds in which the policy drives too.", metavar="N", rich_help_panel=COURSE_PANEL
+        ),
+    ] = 4,
+    episodes: Annotated[
+        int,
+        typer.Option(help="Episodes of each.", metavar="N", rich_help_panel=COURSE_PANEL),
+    ] = 36,
+    noise: Annotated[
+        float,
+        typer.Option(
+            help="On the teacher's actions (-).", metavar="SIGMA", rich_help_panel=COURSE_PANEL
+        ),
+    ] = 0.05,
+    epochs: Annotated[
+        int,
+        typer.Option(
+            help="Passes over all samples per round.", metavar="N", rich_help_panel=COURSE_PANEL
+        ),
+    ] = 30,
+    seed: SeedOption = 0,
+    physics: PhysicsOption = "ours",
+    reality: RealityOption = "lab",
+    as_json: JsonOption = False,
+) -> None:
+    """Learn to turn objects in the hand by joints and touch alone.
+
+    The planner's closed loop, which is told the truth, teaches a small network that is told what
+    sensors say. Use the policy with --controller policy:FILE.
+
+    An interrupted training goes on when the same command is given again.
+    """
+    from sim.learning import Course, TurnTask
+    from sim.learning import learn as train
+
+    task = TurnTask(
+        hand=hand,
+        objects=objects,
+        angle=math.radians(rotate),
+        reality=reality_of(reality),
+        physics=physics_of(physics),
+        seed=seed,
+    )
+    course = Course(
+        plans=plans,
+        demonstrations=demonstrations,
+        rounds=rounds,
+        episodes=episodes,
+        noise=noise,
+        epochs=epochs,
+        senses=tuple(names(senses)),
+    )
+    with heeding_ctrl_c(), _Bar() as bar:
+        try:
+            learned = train(task, course, folder, command=told_command(context), progress=bar.show)
+        except KeyboardInterrupt as error:
+            say(err, escape(f"interrupted: {bar.kept()}; the same command goes on"))
+            raise typer.Exit(EXIT_INTERRUPTED) from error
+    told = learned.to_dict()
+    if as_json:
+        print_json(told)
+        return
+    out.print(_table(told))
+    say(out, escape(f"written to {folder}: policy.npz, progress.csv, curves.png"))
+    say(
+        out,
+        escape(
+            f"to use it: opposable manipulate {hand} OBJECT --rotate {rotate:g} --reality "
+            f"{reality} --controller policy:{folder / 'policy.npz'}"
+        ),
+    )
+
+
+class _Bar:
+    """A progress bar of episodes; nothing is drawn where there is no terminal."""
+
+    def __init__(self) -> None:
+        self._progress = Progress(
+            TextColumn("round {task.fields[round]}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[note]}"),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            console=err,
+            disable=not err.is_terminal,
+            transient=True,
+        )
+        self._bar: Any = None
+        self._done = 0
+
+    def __enter__(self) -> _Bar:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def show(self, now: Made) -> None:
+        """Show how far it is."""
+        self._done = now.episode
+        if self._bar is None:
+            self._bar = self._progress.add_task("", total=now.of, round=0, note="")
+        note = f"with closure {now.strict} of {now.in_round}"
+        if math.isfinite(now.fitted):
+            note += f", error {now.fitted:.2g}"
+        self._progress.update(self._bar, completed=now.episode, round=now.round, note=note)
+
+    def kept(self) -> str:
+        """What there is."""
+        return f"{self._done} episodes are kept"
+
+
+def _table(told: dict[str, Any]) -> Table:
+    """A row for each round."""
+    table = Table("round", "teacher drives", "episodes", "turned, not dropped", "with closure")
+    for row in told["rounds"]:
+        n = row["episodes"]
+        table.add_row(
+            str(row["round"]),
+            f"{100 * row['teacher_share']:.0f} %",
+            str(n),
+            f"{row['success']} of {n}",
+            f"{row['success_with_closure']} of {n}",
+        )
+    return table

@@ -1,0 +1,195 @@
+"""``PolicyController``: a policy as a controller like any other; without one the open loop.
+
+Until the fingers touch it is ``GraspController``. From the squeeze on the hand follows the playback
+of the plan, and ``rate_hz`` times a second the policy decides by how much the joint targets differ
+from it; that offset is held until the next decision. It reads joints and touch only. In a
+manipulation the phases are told by the clock how far the turn has come.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from planner.errors import NotFoundError
+from planner.plan import GraspPlan
+from planner.spatial import SE3, FloatArray
+from sim.controllers import Event, GraspController, MotionReference, Observation, Reference, Sense
+from sim.controllers.schedule import TOUCH_FORCE, ContactSchedule
+from sim.learning.playback import AIM, Playback
+from sim.learning.policy import ACTION_SCALE, RATE_HZ, Policy
+from sim.learning.senses import SENSES, SenseHistory
+
+__all__ = ["PolicyController", "PolicyMaker", "open_loop", "policy_controller"]
+
+TIME_TOL = 1e-9
+"""Rounding of times, s."""
+
+
+class PolicyController:
+    """Drives the fingers by a policy: an ``InHandController``.
+
+    Attributes:
+        needs: Senses without which it cannot work.
+        plan: What is executed.
+        policy: What corrects the playback; None for the open loop.
+        playback: The plan by the clock.
+        action: (nu,), the last decision.
+        grip: As ``InHandController``; not used, since the playback has the plan's forces.
+        schedule: As there.
+    """
+
+    needs: tuple[Sense, ...] = ("touch",)
+
+    def __init__(self, plan: GraspPlan, policy: Policy | None = None) -> None:
+        """Prepare for a plan.
+
+        Raises:
+            HandError: The plan is of another hand than the policy, or of one without servos.
+        """
+        self.plan, self.policy = plan, policy
+        if policy is not None:
+            policy.check_plan(plan)
+        about = None if policy is None else policy.about
+        self.playback = Playback(plan, aim=AIM if about is None else about.aim)
+        self.scale = ACTION_SCALE if about is None else about.action_scale
+        self.period = 1.0 / (RATE_HZ if about is None else about.rate_hz)
+        self.history = SenseHistory(plan.task, SENSES if about is None else about.senses)
+        self.action: FloatArray = np.zeros(len(plan.task.hand.actuation.names))
+        self.grip = plan.task.grip_force
+        self.schedule = ContactSchedule(np.zeros(len(plan.task.fingers), dtype=bool))
+        self.T_palm_wanted: SE3 | None = None
+        self._names = plan.task.finger_names
+        self._opening = GraspController(plan)
+        self._range = plan.task.hand.actuation.ctrl_range
+        self._wanted: FloatArray = np.zeros(len(self._range))
+        self._began = False
+        self._next = self._time = self._told = 0.0
+
+    # ---- what the phases of a manipulation ask
+
+    @property
+    def reference(self) -> Reference | None:
+        """Of the motion; told by the clock how far the turn has come."""
+        return self.playback.reference
+
+    @reference.setter
+    def reference(self, reference: Reference | None) -> None:
+        self.playback.reference = reference if isinstance(reference, MotionReference) else None
+        self._told = self._time
+
+    @property
+    def gave_up(self) -> str:
+        """Never: nothing tells it."""
+        return ""
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """None: it notices nothing by name."""
+        return ()
+
+    def saturated_actuators(self) -> tuple[str, ...]:
+        """Names of the actuators whose targets were beyond their range."""
+        low, high = self._range.T
+        beyond = (self._wanted < low) | (self._wanted > high)
+        return tuple(self.plan.task.hand.actuation.names[i] for i in np.flatnonzero(beyond))
+
+    def leave(self, finger: str) -> None:
+        """Note that a finger is to move on; the playback goes on with it."""
+        self.schedule.wanted[self._index(finger)] = False
+
+    def join(self, finger: str) -> None:
+        """Note that it is to hold again."""
+        self.schedule.wanted[self._index(finger)] = True
+
+    def keep(self) -> None:
+        """Drop the reference."""
+        self.reference = None
+
+    # ---- what it does
+
+    def step(self, observation: Observation) -> FloatArray:
+        """Commands (nu,) for the hand's actuators."""
+        elapsed, self._time = observation.time - self._time, observation.time
+        if observation.phase in ("approach", "close"):
+            return self._opening.step(observation)
+        self.playback.step(observation)
+        if not self._began:
+            self._began, self._next = True, observation.time
+            self.schedule = ContactSchedule(observation.normal_forces > TOUCH_FORCE)
+        self.schedule.step(elapsed, observation.normal_forces)
+        if observation.time >= self._next - TIME_TOL:
+            self._next += self.period
+            self.action = self.decide(observation)
+            self._tell(observation)
+        return self.commands(observation)
+
+    def decide(self, observation: Observation) -> FloatArray:
+        """The next action (nu,)."""
+        senses = self.history.vector(observation, self.playback, self.action)
+        return self.action if self.policy is None else self.policy.act(senses)
+
+    def commands(self, observation: Observation) -> FloatArray:
+        """Commands (nu,) of the playback with the last action."""
+        del observation
+        self._wanted = self.playback.ctrl + self.scale * self.action
+        low, high = self._range.T
+        return np.asarray(np.minimum(np.maximum(self._wanted, low), high))
+
+    def _tell(self, observation: Observation) -> None:
+        """Tell the reference how far the clock is."""
+        reference = self.playback.reference
+        believed = self.playback.T_palm_object
+        self.T_palm_wanted = believed
+        if observation.phase in ("turn", "hold") and reference is not None and believed is not None:
+            tips = np.zeros((len(self._names), 3))  # the target that it gives is not used
+            elapsed = max(observation.time - self._told, TIME_TOL)
+            reference.advance(elapsed, believed, tips, observation.q, missed=0.0)
+        self._told = observation.time
+
+    def _index(self, finger: str) -> int:
+        if finger not in self._names:
+            raise NotFoundError("finger that takes part", finger, self._names)
+        return self._names.index(finger)
+
+
+def open_loop(plan: GraspPlan) -> PolicyController:
+    """The playback of a plan alone: a controller without any feedback after the first touch."""
+    return PolicyController(plan)
+
+
+@dataclass(frozen=True)
+class PolicyMaker:
+    """Makes a controller for every plan; given wherever a controller can be.
+
+    Attributes:
+        policy: What drives.
+        name: What a report calls it.
+    """
+
+    policy: Policy
+    name: str = "policy"
+
+    @property
+    def __name__(self) -> str:
+        """What a report calls it."""
+        return self.name
+
+    def __call__(self, plan: GraspPlan) -> PolicyController:
+        """A controller for a plan.
+
+        Raises:
+            HandError: The plan is of another hand.
+        """
+        return PolicyController(plan, self.policy)
+
+
+def policy_controller(path: Path | str) -> PolicyMaker:
+    """What makes controllers of a policy's file: ``manipulate(plan, controller=...)``.
+
+    Raises:
+        FileFormatError: The file is none, damaged, or of another version.
+    """
+    return PolicyMaker(Policy.load(path), f"policy:{Path(path).name}")

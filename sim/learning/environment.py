@@ -1,0 +1,324 @@
+"""``TurnEnv``: an object is picked up and turned in the hand, as a Gymnasium environment.
+
+    import gymnasium
+    env = gymnasium.make("sim.learning.environment:Opposable/Turn-v0", reality="lab")
+
+An episode is one ``ManipulationRun``, the very protocol by which turns are judged, with its phases
+and its verdict. It waits for an action ``rate_hz`` times a second from the squeeze to the release;
+before, the fingers close by themselves, and afterwards they open by themselves.
+
+Observations, a dictionary of named senses (float32):
+
+    joints       joints as read (nq,), rad
+    targets      commands of the last decision (nu,), rad
+    touch        normal force per finger of the hand, N; 0 of those that take no part
+    clock        place on the planned path, rate of the turn (rad/s), share of the planned forces,
+                 whether the object stands on something, by the phase
+    plan         planned posture of now, as it would be read (nq,), rad
+    object_pose  only if asked for: object in the hand's base as the camera says, position (m) and
+                 quaternion (w, x, y, z)
+
+An action, in [-1, 1] for every actuator, sets joint targets, by one of ``ACTIONS``:
+
+    playback     the plan's commands of the moment plus ``ACTION_SCALE`` times the action; 0 is the
+                 open loop
+    increment    the last targets plus ``INCREMENT`` times the action
+    absolute     the action as a share of the commands' range
+
+The reward of a step is the progress of the turn as a share of the one asked for, counted to 1; the
+last step adds 1 if the verdict is a success with closure.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import gymnasium
+import numpy as np
+import pinocchio as pin
+from greenlet import GreenletExit, getcurrent, greenlet  # switches inside one thread
+from gymnasium.spaces import Box, Dict
+from numpy.typing import NDArray
+
+from planner.errors import NotFoundError, TaskError
+from planner.plan import GraspPlan
+from planner.spatial import FloatArray
+from sim.controllers import Observation
+from sim.learning.controller import PolicyController
+from sim.learning.policy import RATE_HZ
+from sim.learning.trials import Conditions, Plans, TurnTask
+from sim.manipulation import ManipulationReport, ManipulationRun
+from sim.reality import named_reality
+
+__all__ = ["ACTIONS", "ENVIRONMENT", "INCREMENT", "TurnEnv"]
+
+ENVIRONMENT = "Opposable/Turn-v0"
+"""Name under which it is registered when this module is imported."""
+
+ACTIONS = ("playback", "increment", "absolute")
+"""What an action can mean."""
+
+ALWAYS, ASKED = ("joints", "targets", "touch", "clock", "plan"), ("object_pose",)
+"""Senses that there always are, and that there are if asked for."""
+
+INCREMENT = 0.05
+"""Change (rad) of a joint target by an action of 1 in mode "increment": 5 rad/s at 100 Hz."""
+
+MOST_TOUCH, MOST_RATE, BEYOND = 100.0, 10.0, 1.0
+"""Bounds of the observation space: N, rad/s, and rad beyond the joints' ranges."""
+
+REDRAWS = 20
+"""Trials that are drawn, at most, until one comes to the first action."""
+
+Told: TypeAlias = dict[str, NDArray[np.float32]]
+
+
+class TurnEnv(gymnasium.Env[Told, NDArray[np.float32]]):
+    """Turning an object in the hand; see the module."""
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012, an attribute of Gymnasium's
+
+    def __init__(
+        self,
+        *,
+        hand: str = "allegro_hand",
+        objects: str = "cylinder:0.025..0.035x0.08",
+        angle_deg: float = 90.0,
+        reality: str = "ideal",
+        senses: Sequence[str] = (),
+        action: str = "playback",
+        rate_hz: float = RATE_HZ,
+        plans: int = 4,
+        folder: Path | str | None = None,
+        seed: int = 0,
+        render_mode: str | None = None,
+    ) -> None:
+        """Prepare spaces; plans are made when they are first drawn, in some seconds each.
+
+        Args:
+            hand: Name or path of the hand; its actuators must be position servos.
+            objects: Objects as ``sim.learning.ObjectRange`` takes them.
+            angle_deg: Turn about the vertical that is asked for, degrees.
+            reality: Name of the errors of sensors, drives and object.
+            senses: More senses, of ``object_pose``.
+            action: What an action means: playback, increment or absolute.
+            rate_hz: Actions per second.
+            plans: How many different plans episodes draw from.
+            folder: Where plans are kept; in memory if None.
+            seed: Of the plans; ``reset`` has its own for all that is drawn.
+            render_mode: None: films are drawn by ``opposable manipulate --controller``.
+
+        Raises:
+            NotFoundError: No such hand, reality, sense or meaning of an action.
+            TaskError: A number that is not positive.
+        """
+        if action not in ACTIONS:
+            raise NotFoundError("meaning of an action", action, ACTIONS)
+        for name in senses:
+            if name not in (*ALWAYS, *ASKED):
+                raise NotFoundError("sense of the environment", name, (*ALWAYS, *ASKED))
+        if plans < 1 or not (math.isfinite(rate_hz) and rate_hz > 0):
+            raise TaskError(f"{plans} plans and {rate_hz} actions a second; give both above 0")
+        self.render_mode = render_mode
+        self.task = TurnTask(
+            hand=hand,
+            objects=objects,
+            angle=math.radians(angle_deg),
+            reality=named_reality(reality),
+            seed=seed,
+        )
+        self._plans = _shared_plans(self.task, None if folder is None else Path(folder))
+        self._count, self._rate, self._meaning = plans, rate_hz, action
+        self._sees_pose = "object_pose" in senses
+        self._course: Any = None
+        self._run: ManipulationRun | None = None
+        self._puppet: _Puppet | None = None
+        self._progress = 0.0
+        self._set_spaces()
+
+    def _set_spaces(self) -> None:
+        hand = self._plans.hand
+        nq, nu = hand.nq, len(hand.actuation.names)
+
+        def box(low: Any, high: Any, n: int) -> Any:
+            least, most = (np.broadcast_to(np.asarray(v, np.float32), n) for v in (low, high))
+            return Box(least, most, dtype=np.float32)
+
+        reach = hand.q_lower - BEYOND, hand.q_upper + BEYOND
+        least, most = hand.actuation.ctrl_range.T
+        spaces = {
+            "joints": box(*reach, nq),
+            "targets": box(least, most, nu),
+            "touch": box(0.0, MOST_TOUCH, len(hand.fingers)),
+            "clock": box(0.0, [1.0, MOST_RATE, 1.0, 1.0], 4),
+            "plan": box(*reach, nq),
+        }
+        if self._sees_pose:
+            spaces["object_pose"] = box(-BEYOND, BEYOND, 7)
+        self._spaces: dict[str, Any] = spaces
+        self.observation_space: Any = Dict(spaces)
+        self.action_space: Any = box(-1.0, 1.0, nu)
+
+    # ---- Gymnasium
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Told, dict[str, Any]]:
+        """Draw a trial, and close the fingers.
+
+        Args:
+            seed: Of plan and conditions; goes on with the last one's numbers if None.
+            options: ``{"plan": k}`` takes the plan of that number.
+
+        Returns:
+            The observation, and what was drawn: ``plan`` and ``object``; and ``redrawn``, how many
+            trials ended before the first action, as where a finger pushed the object over.
+
+        Raises:
+            TaskError: No trial came to the first action.
+        """
+        super().reset(seed=seed)
+        self.close()
+        for redrawn in range(REDRAWS):
+            number = (options or {}).get("plan", int(self.np_random.integers(self._count)))
+            conditions = Conditions.draw(self.np_random)
+            plan = self._plans(number)
+            self._puppet = _Puppet(plan.grasp, self._rate, self._meaning)
+            self._run = conditions.run(self.task, plan, self._puppet)
+            self._course, self._progress = greenlet(self._run.perform), 0.0
+            if self._course.switch() is None:
+                about = {"plan": number, "object": plan.task.object.shape.spec, "redrawn": redrawn}
+                return self._told(), about
+        raise TaskError(
+            f"{REDRAWS} trials of {self.task.objects} ended before the first action; give another "
+            "object or a milder reality"
+        )
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Told, float, bool, bool, dict[str, Any]]:
+        """Act until the next decision, or until the end of the run.
+
+        Returns:
+            Observation, reward, whether the run has ended, False, and at the end ``success``
+            (with closure), ``is_success`` (the same), ``reason`` and ``turned_deg``.
+
+        Raises:
+            TaskError: An action of another shape, or no episode under way.
+        """
+        if self._course is None or self._course.dead:
+            raise TaskError("no episode is under way; call reset first")
+        given = np.asarray(action, dtype=np.float64)
+        shape = self.action_space.shape
+        if given.shape != shape or not np.isfinite(given).all():
+            raise TaskError(f"the action has shape {given.shape}; give {shape} finite numbers")
+        report = self._course.switch(np.clip(given, -1.0, 1.0))
+        reward = self._reward()
+        if report is None:
+            return self._told(), reward, False, False, {}
+        return self._told(), reward + _bonus(report), True, False, _verdict(report)
+
+    def close(self) -> None:
+        """End the episode that is under way."""
+        if self._course is not None and not self._course.dead:
+            self._course.throw(GreenletExit)
+        self._course = None
+
+    # ---- parts
+
+    def _reward(self) -> float:
+        """Progress of the turn since the last step, as a share of all of it."""
+        assert self._run is not None and self._puppet is not None
+        if self._puppet.seen is None or self._puppet.seen.phase not in ("turn", "hold"):
+            return 0.0
+        turned = self._run.sim.recorder.moved()[0]
+        before = self._progress
+        self._progress = float(np.clip(turned / self.task.angle, 0.0, 1.0))
+        return self._progress - before
+
+    def _told(self) -> Told:
+        assert self._puppet is not None
+        told = self._puppet.told()
+        if self._sees_pose:
+            seen = self._puppet.seen
+            assert seen is not None
+            pose = pin.SE3ToXYZQUAT(seen.T_world_base.inverse() * seen.T_world_object)
+            told["object_pose"] = pose[[0, 1, 2, 6, 3, 4, 5]]
+        out = {}
+        for name, space in self._spaces.items():
+            value = told[name].astype(np.float32)
+            out[name] = np.clip(value, space.low, space.high)
+        return out
+
+
+class _Puppet(PolicyController):
+    """A controller whose decisions come from outside: it lets the environment's caller go on."""
+
+    def __init__(self, plan: GraspPlan, rate_hz: float, meaning: str) -> None:
+        super().__init__(plan)
+        self.period = 1.0 / rate_hz
+        self.seen: Observation | None = None
+        self._meaning = meaning
+        self._target: FloatArray = np.zeros(len(self.action))
+        hand = plan.task.hand
+        self._fingers = [list(hand.fingers).index(name) for name in plan.task.finger_names]
+        self._touch = np.zeros(len(hand.fingers))
+
+    def decide(self, observation: Observation) -> FloatArray:
+        """What the caller of ``step`` gives."""
+        if self.seen is None:
+            self._target = super().commands(observation)
+        self.seen = observation
+        action: FloatArray = getcurrent().parent.switch()
+        low, high = self._range.T
+        if self._meaning == "increment":
+            self._target = np.clip(self._target + INCREMENT * action, low, high)
+        elif self._meaning == "absolute":
+            self._target = low + 0.5 * (action + 1.0) * (high - low)
+        return action
+
+    def commands(self, observation: Observation) -> FloatArray:
+        """Commands (nu,) by the meaning of actions."""
+        if self._meaning == "playback":
+            self._target = super().commands(observation)
+        return self._target
+
+    def told(self) -> dict[str, FloatArray]:
+        """The senses at the last decision."""
+        seen, play = self.seen, self.playback
+        assert seen is not None
+        self._touch[self._fingers] = seen.normal_forces
+        clock = [play.place, play.rate, play.share, float(play.standing)]
+        return {
+            "joints": seen.q,
+            "targets": self._target,
+            "touch": self._touch,
+            "clock": np.array(clock),
+            "plan": play.q,
+        }
+
+
+@lru_cache(maxsize=8)
+def _shared_plans(task: TurnTask, folder: Path | None) -> Plans:
+    """The environments of one process share their plans."""
+    return Plans(task, folder)
+
+
+def _bonus(report: ManipulationReport) -> float:
+    return 1.0 if report.success_with_closure else 0.0
+
+
+def _verdict(report: ManipulationReport) -> dict[str, Any]:
+    good = report.success_with_closure
+    return {
+        "success": good,
+        "is_success": good,
+        "reason": report.reason or report.faults,
+        "turned_deg": math.degrees(report.turned),
+    }
+
+
+if ENVIRONMENT not in gymnasium.registry:
+    gymnasium.register(id=ENVIRONMENT, entry_point="sim.learning.environment:TurnEnv")

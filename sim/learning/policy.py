@@ -1,0 +1,269 @@
+"""``Policy``: a small network that corrects the playback of a plan, and its file.
+
+At run time it is three products of matrices in NumPy. A file is an ``.npz`` without pickles: the
+weights, the normalisation of the senses, and a text (JSON) that says what the policy is for.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+from zlib import error as ZlibError
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.errors import FileFormatError, HandError, PlannerError, TaskError
+from planner.files.whole import whole_file
+from planner.hands.hand import Hand
+from planner.plan import GraspPlan
+from planner.spatial import FloatArray
+from planner.version import written_by
+from sim.learning.playback import AIM
+from sim.learning.senses import SENSES, SenseHistory, checked_senses
+
+__all__ = [
+    "ACTION_SCALE",
+    "POLICY_FORMAT",
+    "POLICY_VERSION",
+    "RATE_HZ",
+    "Policy",
+    "PolicyFor",
+    "normalised",
+]
+
+POLICY_FORMAT, POLICY_VERSION = "opposable-policy", 1
+"""What a file says it is, and the version of its contents."""
+
+RATE_HZ = 100.0
+"""Decisions per second."""
+
+ACTION_SCALE = 0.25
+"""Change (rad) of a joint target by an action of 1: more than the servos of the Allegro-type hand
+need for their whole torque (0.7 N m at 3 N m/rad)."""
+
+FAR = 5.0
+"""Largest deviation of a sense from its mean, in standard deviations: beyond, it is clipped."""
+
+MOST_BYTES = 64 * 2**20
+"""Largest file (bytes) that is read."""
+
+_DAMAGED = (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile, ZlibError)
+"""What reading a file raises that is cut short, or of another kind."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyFor:
+    """What a policy was trained for.
+
+    Attributes:
+        hand: Name of the hand.
+        joints: Its joints, in order.
+        actuators: Its actuators, in order.
+        fingers: Its fingers, in order.
+        objects: Objects that it was trained on, a dimension ``a..b`` is a range in m.
+        angle_deg: Turn that it was trained on, degrees.
+        reality: Name of the reality in which it was trained.
+        rate_hz: Decisions per second.
+        senses: What it is told beside the plan.
+        action_scale: Change of a joint target by an action of 1, rad.
+        aim: Turn beyond the asked one at which its playback ends, rad.
+        command: What made it.
+        written_by: Version that made it.
+    """
+
+    hand: str
+    joints: tuple[str, ...]
+    actuators: tuple[str, ...]
+    fingers: tuple[str, ...]
+    objects: str
+    angle_deg: float
+    reality: str
+    rate_hz: float = RATE_HZ
+    senses: tuple[str, ...] = SENSES
+    action_scale: float = ACTION_SCALE
+    aim: float = AIM
+    command: str = ""
+    written_by: str = field(default_factory=written_by)
+
+    @classmethod
+    def of(cls, hand: Hand, **about: Any) -> PolicyFor:
+        """For a hand, with what else is known."""
+        return cls(
+            hand=hand.name,
+            joints=tuple(hand.joint_names),
+            actuators=tuple(hand.actuation.names),
+            fingers=tuple(hand.fingers),
+            **about,
+        )
+
+    def check(self, hand: Hand) -> None:
+        """Refuse another hand.
+
+        Raises:
+            HandError: Its name, joints, actuators or fingers differ.
+        """
+        for what, mine, given in (
+            ("hand", self.hand, hand.name),
+            ("joints", self.joints, tuple(hand.joint_names)),
+            ("actuators", self.actuators, tuple(hand.actuation.names)),
+            ("fingers", self.fingers, tuple(hand.fingers)),
+        ):
+            if mine != given:
+                raise HandError(
+                    f"this policy is for the {what} {_listed(mine)}, and the plan has "
+                    f"{_listed(given)}; give a plan of {self.hand}, or a policy that was trained "
+                    f"for {hand.name}: opposable learn {hand.name} {self.objects}"
+                )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Policy:
+    """Senses to actions: layers of rectified sums, the last one linear, clipped to [-1, 1].
+
+    ``sim.learning.policy_controller`` makes controllers of it.
+
+    Attributes:
+        about: What it was trained for.
+        mean: (m,), of the senses.
+        scale: (m,), their standard deviations.
+        weights: Matrices (inputs, outputs), first layer first.
+        biases: Vectors (outputs,).
+    """
+
+    about: PolicyFor
+    mean: NDArray[np.float32]
+    scale: NDArray[np.float32]
+    weights: tuple[NDArray[np.float32], ...]
+    biases: tuple[NDArray[np.float32], ...]
+
+    def __post_init__(self) -> None:
+        """Check shapes and numbers.
+
+        Raises:
+            TaskError: Layers that do not fit each other or the hand, or a number that is none.
+        """
+        sizes = [len(self.mean), *(len(b) for b in self.biases)]
+        shapes = list(pairwise(sizes))
+        fits = [w.shape for w in self.weights] == shapes and len(self.scale) == sizes[0]
+        if not fits or not shapes or sizes[-1] != len(self.about.actuators):
+            raise TaskError(
+                f"layers of shapes {[w.shape for w in self.weights]} with {sizes[0]} senses do not "
+                f"make actions for {len(self.about.actuators)} actuators; train the policy anew"
+            )
+        every = [self.mean, self.scale, *self.weights, *self.biases]
+        if not all(np.isfinite(a).all() for a in every) or not (self.scale > 0).all():
+            raise TaskError("weights that are not finite, or a scale that is not above 0")
+
+    def act(self, senses: NDArray[Any]) -> FloatArray:
+        """Actions (..., nu) for senses (..., m), each in [-1, 1]."""
+        x = normalised(senses, self.mean, self.scale)
+        for w, b in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            x = np.maximum(x @ w + b, np.float32(0.0))
+        x = x @ self.weights[-1] + self.biases[-1]
+        return np.asarray(np.minimum(np.maximum(x, -1.0), 1.0), dtype=np.float64)
+
+    def save(self, path: Path | str) -> None:
+        """Write it to a file.
+
+        Raises:
+            FileFormatError: The file cannot be written.
+        """
+        header = {"format": POLICY_FORMAT, "version": POLICY_VERSION, **asdict(self.about)}
+        arrays: dict[str, NDArray[Any]] = {
+            "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
+            "mean": self.mean,
+            "scale": self.scale,
+        }
+        for k, (w, b) in enumerate(zip(self.weights, self.biases, strict=True)):
+            arrays |= {f"weights{k}": w, f"biases{k}": b}
+        with whole_file(Path(path)) as stream:
+            np.savez(stream, allow_pickle=False, **arrays)
+
+    @classmethod
+    def load(cls, path: Path | str, *, hand: Hand | None = None) -> Policy:
+        """Read one from a file.
+
+        Args:
+            path: The file.
+            hand: Whose it is to be; any if None.
+
+        Raises:
+            FileFormatError: There is no such file, it is none of these, or of another version.
+            HandError: It is for another hand.
+        """
+        file = Path(path)
+        try:
+            if file.stat().st_size > MOST_BYTES:
+                raise FileFormatError(
+                    f"{path} has more than {MOST_BYTES // 2**20} MB, and no policy has; give the "
+                    "file that 'opposable learn' wrote"
+                )
+            # a damaged file stays open if NumPy opens it
+            with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+                arrays = {name: stored[name] for name in stored.files}
+            header = json.loads(arrays["header"].tobytes().decode())
+            kind, version = header.pop("format"), header.pop("version")
+        except FileNotFoundError as error:
+            raise FileFormatError(
+                f"there is no policy {path}; make one: opposable learn HAND OBJECT"
+            ) from error
+        except _DAMAGED as error:
+            raise FileFormatError(
+                f"{path} is no policy, or damaged ({error}); give a file that 'opposable learn' "
+                "wrote"
+            ) from error
+        if kind != POLICY_FORMAT or version != POLICY_VERSION:
+            raise FileFormatError(
+                f"{path} is of format {kind!r}, version {version!r}; this version reads "
+                f"{POLICY_FORMAT!r}, version {POLICY_VERSION}; train the policy anew"
+            )
+        try:
+            for name in ("joints", "actuators", "fingers", "senses"):
+                header[name] = tuple(header[name])
+            about = PolicyFor(**header)
+            checked_senses(about.senses)
+            count = sum(name.startswith("weights") for name in arrays)
+            found = cls(
+                about=about,
+                mean=arrays["mean"].astype(np.float32),
+                scale=arrays["scale"].astype(np.float32),
+                weights=tuple(arrays[f"weights{k}"].astype(np.float32) for k in range(count)),
+                biases=tuple(arrays[f"biases{k}"].astype(np.float32) for k in range(count)),
+            )
+        except (KeyError, TypeError, ValueError, PlannerError) as error:
+            raise FileFormatError(f"{path} is damaged: {error}; train the policy anew") from error
+        if hand is not None:
+            about.check(hand)
+        return found
+
+    def check_plan(self, plan: GraspPlan) -> None:
+        """Refuse a plan that it was not trained for.
+
+        Raises:
+            HandError: Another hand.
+            TaskError: The senses of its hand are not as many as it was trained with.
+        """
+        self.about.check(plan.task.hand)
+        size = SenseHistory(plan.task, self.about.senses).size
+        if size != len(self.mean):
+            raise TaskError(
+                f"this policy takes {len(self.mean)} numbers, and {plan.task.hand.name} tells "
+                f"{size}; train it anew"
+            )
+
+
+def normalised(
+    senses: NDArray[Any], mean: NDArray[np.float32], scale: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Senses (..., m) in standard deviations from their means (m,), clipped to ``FAR``."""
+    x = (senses.astype(np.float32) - mean) / scale
+    return np.asarray(np.minimum(np.maximum(x, np.float32(-FAR)), np.float32(FAR)))
+
+
+def _listed(names: str | tuple[str, ...]) -> str:
+    return names if isinstance(names, str) else ", ".join(names)

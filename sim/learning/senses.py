@@ -1,0 +1,101 @@
+"""``SenseHistory``: what a policy is told, as one vector: joints, targets, touch, and the plan.
+
+Everything is of the last few decisions, and nothing of it comes from a camera:
+
+    joints    joints as read less the playback's posture (nq,), of each lag
+    touch     normal force per finger of the hand (fingers,), N, of each lag
+    targets   offset from the playback's commands at the last decision, as an action (nu,)
+    plan      the playback: posture (nq,), what pressing adds to the commands (nu,), the posture at
+              the first touch less the planned one (nq,), which fingers take part (fingers,), and
+              place on the path, rate, share of the forces, whether the object stands (4,)
+
+The plan is always there; of the senses any may be left out.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from planner.errors import NotFoundError, TaskError
+from planner.spatial import FloatArray
+from planner.task import GraspTask
+from sim.controllers import Observation
+from sim.learning.playback import Playback
+
+__all__ = ["LAGS", "SENSES", "SenseHistory", "checked_senses"]
+
+SENSES: tuple[str, ...] = ("joints", "touch", "targets")
+"""Senses that a policy may have."""
+
+LAGS: tuple[int, ...] = (0, 2, 6)
+"""Ages of joint readings and forces that a policy sees, in decisions."""
+
+
+def checked_senses(names: Sequence[str]) -> tuple[str, ...]:
+    """Senses in their order.
+
+    Raises:
+        NotFoundError: There is none of a name.
+        TaskError: None is given.
+    """
+    for name in names:
+        if name not in SENSES:
+            raise NotFoundError("sense of a policy", name, SENSES)
+    if not names:
+        raise TaskError(f"a policy needs a sense; give some of {', '.join(SENSES)}")
+    return tuple(name for name in SENSES if name in names)
+
+
+class SenseHistory:
+    """The last readings of one run.
+
+    Attributes:
+        size: Length of the vector.
+    """
+
+    def __init__(self, task: GraspTask, senses: Sequence[str] = SENSES) -> None:
+        """Nothing has been read yet.
+
+        Args:
+            task: Hand, and fingers that take part.
+            senses: Those that are told, out of ``SENSES``.
+        """
+        self._senses = checked_senses(senses)
+        hand = task.hand
+        all_fingers = tuple(hand.fingers)
+        self._columns = [all_fingers.index(name) for name in task.finger_names]
+        self._part = np.zeros(len(all_fingers))
+        self._part[self._columns] = 1.0
+        self._kept: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=max(LAGS) + 1)
+        nq, nu, n = hand.nq, len(hand.actuation.names), len(all_fingers)
+        each = {"joints": len(LAGS) * nq, "touch": len(LAGS) * n, "targets": nu}
+        self.size = sum(each[name] for name in self._senses) + 2 * nq + nu + n + 4
+
+    def vector(
+        self, observation: Observation, playback: Playback, action: FloatArray
+    ) -> FloatArray:
+        """What is told now, (size,); call it once a decision.
+
+        Args:
+            observation: What sensors read.
+            playback: At the time of the observation.
+            action: The last decision's (nu,).
+        """
+        forces = np.zeros(len(self._part))
+        forces[self._columns] = observation.normal_forces
+        self._kept.appendleft((observation.q - playback.q, forces))
+        last = len(self._kept) - 1
+        past = [self._kept[min(lag, last)] for lag in LAGS]
+        told: list[FloatArray] = []
+        if "joints" in self._senses:
+            told += [joints for joints, _ in past]
+        if "touch" in self._senses:
+            told += [force for _, force in past]
+        if "targets" in self._senses:
+            told.append(action)
+        clock = [playback.place, playback.rate, playback.share, float(playback.standing)]
+        told += [playback.q, playback.press, playback.bent, self._part, np.array(clock)]
+        return np.concatenate(told)

@@ -1,0 +1,321 @@
+"""``learn``: a policy by imitation of the planner's closed loop, and what is kept of it on disk.
+
+    round 0       the teacher drives, with noise: behaviour cloning
+    round i > 0   the policy of the round before drives a growing share of the time (DAgger)
+
+Each round's policy is fitted anew to the episodes of all rounds so far. A folder keeps them:
+
+    learn.json           what was asked for
+    plans/               plans
+    episodes/NNNNN.npz   samples and verdict of one episode
+    rounds/NN.npz        policy after a round
+    progress.csv         a row for each episode, curves.png a picture of it
+    policy.npz           the newest policy
+
+An episode depends on the seed, its number and the policy that drove it; a fit on the episodes. So
+what was interrupted goes on from its folder, and ends as if it had not been.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner.errors import FileFormatError, TaskError
+from planner.files import read_json, write_json
+from sim.learning.collecting import Episode, read_episode, run_episode
+from sim.learning.curves import draw_curves
+from sim.learning.fitting import fit
+from sim.learning.policy import ACTION_SCALE, RATE_HZ, Policy, PolicyFor
+from sim.learning.senses import SENSES, checked_senses
+from sim.learning.trials import Plans, TurnTask
+
+__all__ = ["Course", "Learned", "Progress", "learn"]
+
+LEARN_FORMAT, LEARN_VERSION = "opposable-learn", 1
+"""What ``learn.json`` says it is."""
+
+
+LOOKED_AT = 2000
+"""Samples, about, of which the error of a fit is told."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Course:
+    """How much is trained.
+
+    Attributes:
+        plans: Different plans that episodes draw from, in turn.
+        demonstrations: Episodes of round 0.
+        rounds: Rounds after it.
+        episodes: Episodes of each of these.
+        noise: Noise on the teacher's actions while it drives (-).
+        epochs: Passes over all samples in the fit of a round.
+        senses: What the policy is told beside the plan.
+    """
+
+    plans: int = 24
+    demonstrations: int = 72
+    rounds: int = 4
+    episodes: int = 36
+    noise: float = 0.05
+    epochs: int = 30
+    senses: tuple[str, ...] = SENSES
+
+    def __post_init__(self) -> None:
+        """Check every number.
+
+        Raises:
+            PlannerError: Counts below 1 (rounds: 0), noise below 0, or no sense of a name.
+        """
+        for name in ("plans", "demonstrations", "episodes", "epochs"):
+            if getattr(self, name) < 1:
+                raise TaskError(f"{name} is {getattr(self, name)}; give at least 1")
+        if self.rounds < 0 or not 0.0 <= self.noise < 1.0:
+            raise TaskError(
+                f"rounds {self.rounds}, noise {self.noise}; give rounds >= 0 and noise in [0, 1)"
+            )
+        checked_senses(self.senses)
+
+    def begins(self, number: int) -> int:
+        """The first episode of a round."""
+        return 0 if number == 0 else self.demonstrations + (number - 1) * self.episodes
+
+    def share(self, number: int) -> float:
+        """Share of the time in which the teacher drives in a round: 1, 1/2, 1/4, ..., last 0."""
+        return 0.0 if 0 < number == self.rounds else 0.5**number
+
+
+@dataclass(frozen=True, kw_only=True)
+class Progress:
+    """What is done now.
+
+    Attributes:
+        round: Which round.
+        episode: Episodes done.
+        of: Episodes in all.
+        strict: Successes with closure in this round so far.
+        in_round: Episodes of this round so far.
+        fitted: Mean squared error of the newest fit; NaN before the first.
+    """
+
+    round: int
+    episode: int
+    of: int
+    strict: int
+    in_round: int
+    fitted: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Learned:
+    """What came of it.
+
+    Attributes:
+        policy: The newest policy; None if it was interrupted before there was one.
+        folder: Where everything is.
+        rows: A row for each episode, as in ``progress.csv``.
+        complete: Whether all rounds were made.
+    """
+
+    policy: Policy | None
+    folder: Path
+    rows: tuple[dict[str, Any], ...]
+    complete: bool
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        by_round: dict[int, list[dict[str, Any]]] = {}
+        for row in self.rows:
+            by_round.setdefault(row["round"], []).append(row)
+        return {
+            "folder": str(self.folder),
+            "policy": str(self.folder / POLICY) if self.policy is not None else None,
+            "complete": self.complete,
+            "rounds": [
+                {
+                    "round": number,
+                    "teacher_share": rows[0]["teacher_share"],
+                    "episodes": len(rows),
+                    "success": sum(row["success"] for row in rows),
+                    "success_with_closure": sum(row["strict"] for row in rows),
+                }
+                for number, rows in by_round.items()
+            ],
+        }
+
+
+POLICY = "policy.npz"
+"""The newest policy in a folder."""
+
+
+def learn(
+    task: TurnTask,
+    course: Course,
+    folder: Path,
+    *,
+    command: str = "",
+    progress: Callable[[Progress], None] | None = None,
+) -> Learned:
+    """Train a policy, or go on with what a folder has.
+
+    Ctrl-C (``KeyboardInterrupt``) leaves the folder as after the last episode.
+
+    Args:
+        task: What is to be learned.
+        course: How much is trained.
+        folder: Keeps everything; made if it is not there.
+        command: What the policy's file says made it.
+        progress: Told after every episode and fit.
+
+    Raises:
+        FileFormatError: The folder was begun with another task or course, or is damaged.
+        TaskError: A trainer is not installed.
+        NoGraspFoundError: There is no plan.
+    """
+    _begin(task, course, folder)
+    plans = Plans(task, folder / "plans")
+    about = PolicyFor.of(
+        plans.hand,
+        objects=task.objects,
+        angle_deg=float(np.rad2deg(task.angle)),
+        reality=task.reality.name,
+        rate_hz=RATE_HZ,
+        senses=checked_senses(course.senses),
+        action_scale=ACTION_SCALE,
+        command=command,
+    )
+    rows: list[dict[str, Any]] = []
+    samples: list[Episode] = []
+    policy: Policy | None = None
+    error = float("nan")
+    total = course.begins(course.rounds + 1)
+    for number in range(course.rounds + 1):
+        strict, begin, share = 0, course.begins(number), course.share(number)
+        for k in range(begin, course.begins(number + 1)):
+            episode = _episode(plans, k, course, folder, policy, share)
+            samples.append(episode)
+            strict += episode.strict
+            rows.append(_row(number, k, share, episode))
+            if progress is not None:
+                progress(
+                    Progress(
+                        round=number,
+                        episode=k + 1,
+                        of=total,
+                        strict=strict,
+                        in_round=k + 1 - begin,
+                        fitted=error,
+                    )
+                )
+        _write_rows(rows, folder)
+        policy, error = _fitted(about, samples, course, folder, number, task.seed)
+        policy.save(folder / POLICY)
+        draw_curves(rows, folder / "curves.png")
+    return Learned(policy=policy, folder=folder, rows=tuple(rows), complete=True)
+
+
+def _begin(task: TurnTask, course: Course, folder: Path) -> None:
+    """Make the folder, or check that it was begun with the same.
+
+    Raises:
+        FileFormatError: It was not, or it cannot be made.
+    """
+    told = asdict(task) | {"physics": task.physics.to_dict(), "reality": task.reality.to_dict()}
+    asked = {
+        "format": LEARN_FORMAT,
+        "version": LEARN_VERSION,
+        "task": told,
+        "course": asdict(course) | {"senses": list(checked_senses(course.senses))},
+    }
+    file = folder / "learn.json"
+    if file.exists():
+        there = read_json(file, "record of a training")
+        for part in ("format", "version", "task", "course"):
+            if there.get(part) != asked[part]:
+                raise FileFormatError(
+                    f"{folder} was begun with another {part}: {_different(there, asked, part)}; "
+                    "give the same command, or another folder (--out)"
+                )
+        return
+    try:
+        for name in ("plans", "episodes", "rounds"):
+            (folder / name).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileFormatError(f"cannot make the folder {folder}: {error.strerror}") from error
+    write_json(asked, file)
+
+
+def _different(there: dict[str, Any], asked: dict[str, Any], part: str) -> str:
+    old, new = there.get(part), asked[part]
+    if not isinstance(old, dict) or not isinstance(new, dict):
+        return f"{old!r}, not {new!r}"
+    names = [name for name in new if old.get(name) != new[name]]
+    return ", ".join(f"{name} {old.get(name)!r}, not {new[name]!r}" for name in names)
+
+
+def _episode(
+    plans: Plans, number: int, course: Course, folder: Path, policy: Policy | None, share: float
+) -> Episode:
+    """The episode of a number: read, or run and kept."""
+    file = folder / "episodes" / f"{number:05d}.npz"
+    if file.exists():
+        return read_episode(file)
+    episode = run_episode(
+        plans,
+        number,
+        count=course.plans,
+        policy=policy,
+        share=share,
+        noise=course.noise,
+        senses=course.senses,
+    )
+    episode.save(file)
+    return episode
+
+
+def _fitted(
+    about: PolicyFor,
+    samples: list[Episode],
+    course: Course,
+    folder: Path,
+    number: int,
+    seed: int,
+) -> tuple[Policy, float]:
+    """The policy of a round: read, or fitted and kept; and its mean squared error."""
+    file = folder / "rounds" / f"{number:02d}.npz"
+    senses = np.concatenate([e.senses for e in samples])
+    wanted = np.concatenate([e.wanted for e in samples])
+    if file.exists():
+        policy = Policy.load(file)
+    else:
+        policy = fit(about, senses, wanted, epochs=course.epochs, seed=seed + number)
+        policy.save(file)
+    some = slice(None, None, max(1, len(senses) // LOOKED_AT))
+    return policy, float(((policy.act(senses[some]) - wanted[some]) ** 2).mean())
+
+
+def _row(number: int, k: int, share: float, episode: Episode) -> dict[str, Any]:
+    return {
+        "round": number,
+        "episode": k,
+        "teacher_share": share,
+        "success": episode.success,
+        "strict": episode.strict,
+        "turned_deg": episode.turned_deg,
+        "decisions": len(episode.senses),
+        "reason": episode.reason,
+        "cpu_s": episode.cpu_s,
+    }
+
+
+def _write_rows(rows: list[dict[str, Any]], folder: Path) -> None:
+    with (folder / "progress.csv").open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, fieldnames=list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)

@@ -1,0 +1,411 @@
+"""Policies: their playback, their file, what they see, and that a training goes on as it began."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from planner.errors import FileFormatError, HandError, NotFoundError, ObjectError, TaskError
+from planner.hand_loading import load_hand
+from planner.kinematics.state import HandState
+from planner.motion.manipulation import ManipulationPlan
+from sim.bench import conditions as bench
+from sim.cli import main
+from sim.controllers import MotionReference, Observation
+from sim.learning import (
+    Conditions,
+    Course,
+    ObjectRange,
+    Plans,
+    Policy,
+    PolicyController,
+    PolicyFor,
+    Progress,
+    TurnTask,
+    learn,
+    open_loop,
+    policy_controller,
+    trials,
+)
+from sim.learning.collecting import read_episode
+from sim.learning.fitting import fit, trained_network
+from sim.learning.playback import AIM, Playback, servo_shift
+from sim.learning.policy import normalised
+from sim.learning.senses import LAGS, SENSES, SenseHistory
+from sim.learning.training import POLICY
+from sim.reality import Reality, named_reality
+
+OBJECT = "cylinder:0.03x0.08"
+TASK = TurnTask(hand="allegro_hand", objects=OBJECT, reality=named_reality("lab"))
+CALM = Conditions(
+    mass=0.1, mu=0.8, shift=(0.001, -0.001), heading=0.02, push=(0.2, 0.0), push_after=0.3, seed=4
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("plans")
+
+
+@pytest.fixture(scope="module")
+def plan(folder: Path) -> ManipulationPlan:
+    return Plans(TASK, folder)(0)
+
+
+@pytest.fixture
+def policy(plan: ManipulationPlan) -> Policy:
+    """Small random layers: actions about 0.01."""
+    rng = np.random.default_rng(3)
+    hand = plan.task.hand
+    m, nu = SenseHistory(plan.task).size, len(hand.actuation.names)
+    return Policy(
+        about=PolicyFor.of(hand, objects=OBJECT, angle_deg=90.0, reality="lab", command="by hand"),
+        mean=rng.normal(size=m).astype(np.float32),
+        scale=rng.uniform(0.5, 1.0, size=m).astype(np.float32),
+        weights=tuple(
+            (0.05 * rng.normal(size=shape)).astype(np.float32) for shape in ((m, 8), (8, nu))
+        ),
+        biases=tuple((0.01 * rng.normal(size=n)).astype(np.float32) for n in (8, nu)),
+    )
+
+
+# ---- what is drawn
+
+
+def test_all_ranges_of_an_object_are_drawn_together() -> None:
+    sizes = ObjectRange("box:0.05..0.07x0.05..0.07x0.08")
+    assert sizes.at(0.0) == "box:0.05x0.05x0.08"
+    assert sizes.at(0.5) == "box:0.06x0.06x0.08"
+    assert sizes.at(1.0) == "box:0.07x0.07x0.08"
+    assert ObjectRange(OBJECT).at(0.3) == OBJECT
+
+
+def test_a_range_that_ends_below_its_beginning_is_told_the_other_way_round() -> None:
+    with pytest.raises(ObjectError, match=r"0\.07\.\.0\.05 .* give 0\.05\.\.0\.07"):
+        ObjectRange("box:0.07..0.05x0.05x0.08")
+
+
+def test_conditions_are_those_of_the_bench() -> None:
+    for name in ("FRICTION", "MASS", "BELIEVED_MU", "SHIFT", "HEADING", "PUSH_FORCE", "PUSH_TIME"):
+        assert getattr(trials, name) == getattr(bench, name), name
+    assert trials.PUSH_UNTIL == bench.PUSH_UNTIL
+    drawn = [Conditions.draw(np.random.default_rng(k)) for k in range(200)]
+    assert min(d.mass for d in drawn) >= bench.MASS[0] and max(d.mass for d in drawn) > 0.28
+    assert max(abs(v) for d in drawn for v in d.shift) <= bench.SHIFT
+    assert {d.seed for d in drawn} != {drawn[0].seed}
+
+
+# ---- the playback
+
+
+def test_commands_of_the_playback_exert_the_planned_forces(plan: ManipulationPlan) -> None:
+    """Another way to the same torque: Jacobians of the pads, actuators by their law."""
+    playback = Playback(plan.grasp)
+    playback.reference = MotionReference(plan.motion)
+    knot, actuation = plan.motion.knots[0], plan.task.hand.actuation
+    state = HandState(plan.task.hand, knot.q)
+    T_base_world = plan.motion.T_world_base.inverse()
+    wanted = state.gravity_torque(T_base_world.rotation @ plan.task.gravity)
+    forces = knot.contacts.forces_in_axes() @ T_base_world.rotation.T
+    for finger, point, force in zip(
+        plan.task.fingers, knot.contacts.positions, forces, strict=True
+    ):
+        jacobian = state.point_jacobian(finger.pad.joint_id, T_base_world.act(point))[:3]
+        own = np.zeros_like(wanted)
+        own[finger.q_index] = (jacobian.T @ force)[finger.q_index]
+        wanted = wanted + own
+    ctrl = playback.ctrl - playback.share * playback.press + playback.press
+    length = actuation.moment @ knot.q + actuation.length0
+    made = actuation.moment.T @ (
+        actuation.gain * ctrl + actuation.bias[:, 0] + actuation.bias[:, 1] * length
+    )
+    assert np.abs(wanted).max() > 0.05
+    np.testing.assert_allclose(made, wanted, atol=1e-9)
+
+
+def test_the_clock_ends_beyond_the_turn_and_not_beyond_the_plan(plan: ManipulationPlan) -> None:
+    playback = Playback(plan.grasp)
+    reference = MotionReference(plan.motion, angle=plan.angle)
+    playback.reference = reference
+    asked = math.pi / 2
+    for k in range(2000):
+        playback.step(seen(plan, time=0.002 * k, phase="turn"))
+    assert playback.place * plan.motion.path.angle == pytest.approx(asked + AIM, abs=1e-6)
+    assert playback.end == pytest.approx(asked + AIM)
+    assert playback.rate == pytest.approx(0.0, abs=0.03)
+    whole = Playback(plan.grasp, aim=1.0)
+    whole.reference = reference
+    assert whole.end == pytest.approx(plan.motion.path.angle)
+
+
+def test_a_posture_read_at_the_first_touch_shifts_posture_and_commands(
+    plan: ManipulationPlan,
+) -> None:
+    first, bent = Playback(plan.grasp), Playback(plan.grasp)
+    aside = np.full(plan.task.hand.nq, 0.01)
+    for playback, q in ((first, plan.grasp.q), (bent, plan.grasp.q + aside)):
+        playback.step(seen(plan, q=q))
+        playback.step(seen(plan, q=q, time=0.002))
+    np.testing.assert_allclose(bent.q - first.q, aside, atol=1e-12)
+    servo = plan.task.hand.actuation.moment @ aside  # kp over gain is 1
+    np.testing.assert_allclose(bent.ctrl - first.ctrl, servo, atol=1e-12)
+
+
+def test_a_hand_with_motors_has_no_playback() -> None:
+    with pytest.raises(HandError, match="of shadow_hand_torque are no position servos"):
+        servo_shift(load_hand("shadow_hand_torque"))
+    assert servo_shift(load_hand("shadow_hand")).shape == (20, 24)
+
+
+def seen(
+    plan: ManipulationPlan, *, time: float = 0.0, phase: Any = "settle", q: Any = None
+) -> Observation:
+    return Observation(
+        time=time,
+        phase=phase,
+        progress=0.5,
+        q=plan.grasp.q if q is None else q,
+        v=np.zeros(plan.task.hand.nq),
+        T_world_base=plan.motion.T_world_base,
+        T_world_object=plan.task.T_world_object,
+        normal_forces=np.arange(1.0, 1.0 + len(plan.task.fingers)),
+        read_twist=lambda: np.zeros(6),
+        read_contacts=lambda: plan.grasp.contacts,
+    )
+
+
+# ---- what a policy sees
+
+
+def test_the_history_has_readings_of_before_each_at_its_lag(plan: ManipulationPlan) -> None:
+    history, playback = SenseHistory(plan.task), Playback(plan.grasp)
+    nq, nu = plan.task.hand.nq, len(plan.task.hand.actuation.names)
+    playback.step(seen(plan))
+    q0 = playback.q.copy()
+    for k in range(10):
+        told = history.vector(seen(plan, q=q0 + 0.001 * k), playback, np.full(nu, 0.1 * k))
+    assert told.shape == (history.size,)
+    for place, lag in enumerate(LAGS):
+        expected = np.full(nq, 0.001 * (9 - lag))
+        np.testing.assert_allclose(told[place * nq : (place + 1) * nq], expected, atol=1e-12)
+    blind = SenseHistory(plan.task, ("touch",))
+    assert blind.size == history.size - len(LAGS) * nq - nu
+
+
+def test_touch_of_a_finger_stands_in_the_place_of_that_finger(plan: ManipulationPlan) -> None:
+    few = replace(plan.task, finger_names=("thumb", "middle", "ring"), may_spare_fingers=False)
+    history, playback = SenseHistory(few, ("touch",)), Playback(plan.grasp)
+    playback.step(seen(plan))
+    observation = replace(seen(plan), normal_forces=np.array([3.0, 4.0, 5.0]))
+    told = history.vector(observation, playback, np.zeros(16))
+    fingers = list(plan.task.hand.fingers)
+    expected = [{"thumb": 3.0, "middle": 4.0, "ring": 5.0}.get(name, 0.0) for name in fingers]
+    assert told[: len(fingers)].tolist() == expected
+
+
+@pytest.mark.parametrize("names", [(), ("sight",)])
+def test_senses_that_do_not_exist_are_refused(
+    plan: ManipulationPlan, names: tuple[str, ...]
+) -> None:
+    with pytest.raises((NotFoundError, TaskError), match="joints, "):
+        SenseHistory(plan.task, names)
+
+
+@pytest.mark.slow
+def test_a_policy_reads_nothing_of_the_camera(plan: ManipulationPlan, policy: Policy) -> None:
+    """With a camera that is half a metre off it does exactly the same."""
+    blind = Reality(name="blind", pose_noise=0.5, turn_noise=1.0, pose_rate=7.0)
+    reports = [
+        CALM.run(replace(TASK, reality=reality), plan, PolicyController(plan.grasp, policy))
+        for reality in (Reality(), blind)
+    ]
+    one, other = (run.perform() for run in reports)
+    assert len(one.log) > 100
+    assert np.array_equal(one.log.turn, other.log.turn)
+    assert np.array_equal(one.log.normal_force, other.log.normal_force)
+
+
+@pytest.mark.slow
+def test_the_open_loop_turns_the_object_where_all_is_as_planned(plan: ManipulationPlan) -> None:
+    report = CALM.run(replace(TASK, reality=Reality()), plan, open_loop(plan.grasp)).perform()
+    assert report.success, report
+    assert report.controller == "PolicyController"
+
+
+# ---- the network and its file
+
+
+def test_a_policy_computes_what_its_trainer_computes(plan: ManipulationPlan) -> None:
+    pytest.importorskip("sklearn")
+    rng = np.random.default_rng(0)
+    m, nu = SenseHistory(plan.task).size, 16
+    senses = (3.0 * rng.normal(size=(300, m)) + 1.0).astype(np.float32)
+    wanted = np.tanh(senses @ rng.normal(size=(m, nu)) / m).astype(np.float32)
+    about = PolicyFor.of(plan.task.hand, objects=OBJECT, angle_deg=90.0, reality="lab")
+    policy = fit(about, senses, wanted, epochs=60, seed=1)
+    x = normalised(senses, policy.mean, policy.scale)
+    network = trained_network(x, wanted, epochs=60, seed=1)
+    expected = np.clip(network.predict(x), -1.0, 1.0)
+    assert np.abs(expected).max() > 0.01
+    np.testing.assert_allclose(policy.act(senses), expected, atol=1e-5)
+    np.testing.assert_allclose(policy.act(senses[7]), expected[7], atol=1e-5)
+    before = np.mean(wanted**2)
+    assert np.mean((policy.act(senses) - wanted) ** 2) < 0.5 * before
+
+
+def test_a_policy_is_the_same_after_its_file(policy: Policy, tmp_path: Path) -> None:
+    file = tmp_path / "policy"
+    policy.save(file)
+    again = Policy.load(file, hand=load_hand("allegro_hand"))
+    assert again.about == policy.about
+    senses = np.random.default_rng(1).normal(size=(5, len(policy.mean)))
+    assert np.array_equal(again.act(senses), policy.act(senses))
+    assert not any(a.dtype == object for a in np.load(file).values())
+
+
+def test_a_policy_of_another_hand_is_refused_by_name(policy: Policy, tmp_path: Path) -> None:
+    policy.save(tmp_path / "p.npz")
+    with pytest.raises(HandError, match=r"for the hand allegro_hand, .* has shadow_hand"):
+        Policy.load(tmp_path / "p.npz", hand=load_hand("shadow_hand"))
+
+
+def changed(policy: Policy, tmp_path: Path, **header: Any) -> Path:
+    """A policy's file with another header."""
+    file = tmp_path / "changed.npz"
+    policy.save(file)
+    with np.load(file) as stored:
+        arrays = dict(stored)
+    told = json.loads(arrays["header"].tobytes()) | header
+    arrays["header"] = np.frombuffer(json.dumps(told).encode(), dtype=np.uint8)
+    with file.open("wb") as stream:
+        np.savez(stream, **arrays)
+    return file
+
+
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        ({"version": 2}, "version 2; this version reads"),
+        ({"format": "opposable-plan"}, "of format 'opposable-plan'"),
+        ({"senses": ["sight"]}, "damaged: no sense"),
+        ({"actuators": ["one"]}, "damaged: layers"),
+        ({"more": 1}, "damaged"),
+    ],
+)
+def test_files_that_are_no_policy_of_ours_are_refused(
+    policy: Policy, tmp_path: Path, header: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(FileFormatError, match=message):
+        Policy.load(changed(policy, tmp_path, **header))
+
+
+def test_a_missing_a_cut_and_a_foreign_file_are_refused(policy: Policy, tmp_path: Path) -> None:
+    with pytest.raises(FileFormatError, match=r"there is no policy .*opposable learn"):
+        Policy.load(tmp_path / "none.npz")
+    file = tmp_path / "p.npz"
+    policy.save(file)
+    file.write_bytes(file.read_bytes()[:2000])
+    with pytest.raises(FileFormatError, match="no policy, or damaged"):
+        Policy.load(file)
+    file.write_text("{}")
+    with pytest.raises(FileFormatError, match="no policy, or damaged"):
+        Policy.load(file)
+
+
+def test_weights_that_are_not_finite_are_refused(policy: Policy) -> None:
+    bad = policy.weights[0].copy()
+    bad[0, 0] = np.nan
+    with pytest.raises(TaskError, match="not finite"):
+        replace(policy, weights=(bad, policy.weights[1]))
+
+
+def test_the_command_line_tells_that_a_policy_is_missing(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ["manipulate", "allegro_hand", "sphere", "--controller", "policy:no.npz"]
+    with pytest.raises(SystemExit) as left:
+        main(words)
+    assert left.value.code == 3
+    assert "there is no policy no.npz" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_policy_has_its_name_in_reports(policy: Policy, tmp_path: Path) -> None:
+    from sim.controllers import controller_maker, controller_name
+
+    policy.save(tmp_path / "turner.npz")
+    maker = policy_controller(tmp_path / "turner.npz")
+    assert controller_name(maker) == "policy:turner.npz"
+    controller_maker(maker)  # is taken for one that takes a plan
+
+
+# ---- training
+
+TINY = Course(plans=1, demonstrations=1, rounds=1, episodes=1, epochs=1)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"plans": 0}, {"rounds": -1}, {"noise": 1.0}, {"senses": ("sight",)}]
+)
+def test_courses_that_cannot_be_are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises((TaskError, NotFoundError), match=r"give|There is"):
+        Course(**wrong)
+
+
+def test_the_teacher_drives_less_from_round_to_round_and_not_in_the_last() -> None:
+    course = Course(demonstrations=5, rounds=3, episodes=2)
+    assert [course.share(k) for k in range(4)] == [1.0, 0.5, 0.25, 0.0]
+    assert [course.begins(k) for k in range(5)] == [0, 5, 7, 9, 11]
+
+
+@pytest.mark.slow
+def test_an_interrupted_training_ends_as_if_it_had_not_been(
+    plan: ManipulationPlan, folder: Path, tmp_path: Path
+) -> None:
+    pytest.importorskip("sklearn")
+    at_once, in_two = tmp_path / "at-once", tmp_path / "in-two"
+    for run in (at_once, in_two):
+        (run / "plans").mkdir(parents=True)
+        file = folder / "plan-0000.json"
+        (run / "plans" / file.name).write_bytes(file.read_bytes())
+    whole = learn(TASK, TINY, at_once, command="one")
+
+    def press(now: Progress) -> None:
+        if now.episode == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        learn(TASK, TINY, in_two, command="one", progress=press)
+    assert not (in_two / "rounds" / "01.npz").exists()
+    rest = learn(TASK, TINY, in_two, command="one")
+    assert whole.policy is not None and rest.policy is not None
+    for one, other in zip(whole.policy.weights, rest.policy.weights, strict=True):
+        assert np.array_equal(one, other)
+    both = [read_episode(run / "episodes" / "00001.npz") for run in (at_once, in_two)]
+    assert np.array_equal(both[0].senses, both[1].senses)
+    assert (at_once / POLICY).stat().st_size < 2**20
+    assert (at_once / "curves.png").stat().st_size > 1000
+    told = whole.to_dict()
+    assert [row["teacher_share"] for row in told["rounds"]] == [1.0, 0.0]
+    with pytest.raises(FileFormatError, match=r"another course: epochs 1, not 2"):
+        learn(TASK, replace(TINY, epochs=2), in_two)
+    with pytest.raises(FileFormatError, match=r"another task: angle"):
+        learn(replace(TASK, angle=1.0), TINY, in_two)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("plan")
+def test_the_teacher_turns_it_under_lab_by_the_truth(folder: Path) -> None:
+    from sim.learning.collecting import run_episode
+
+    episode = run_episode(
+        Plans(TASK, folder), 0, count=1, policy=None, share=1.0, noise=0.0, senses=SENSES
+    )
+    assert episode.strict, episode.reason
+    assert len(episode.senses) == len(episode.wanted) > 300
+    assert np.abs(episode.wanted).max() <= 1.0
