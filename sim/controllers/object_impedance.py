@@ -34,6 +34,7 @@ from planner.forces import ForceLoop, turned_frames
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers.base import Observation, Phase, Sense
+from sim.controllers.believed import BelievedJoints
 from sim.controllers.events import Event, EventKind
 from sim.controllers.grasp import FIRST_SHARE, GraspController
 from sim.controllers.impedance import ImpedanceGains, ImpedanceLaw, felt_inertia
@@ -152,6 +153,7 @@ class ObjectImpedance:
         self._senses = Senses(sensing or Sensing())
         self._slips = SlipDetector(n)
         self._torques = HoldingTorques(plan)
+        self._believed = BelievedJoints(task.hand.actuation, plan.q)
         self._first_mu = first_mu
         self._mu = np.full(n, first_mu)
         self._grip = 1.0
@@ -227,6 +229,7 @@ class ObjectImpedance:
         if observation.phase in REFERENCE_PHASES and self.reference is not None:
             wanted_twist = self._follow(self.reference, elapsed, in_palm, observation.q)
         self._feel(elapsed, pads, T_base_world)
+        believed = self._believed.believe(observation.q)
         carries = observation.phase in CARRYING
         if carries and not self.gave_up:
             self._tighten(elapsed, pads)
@@ -238,16 +241,18 @@ class ObjectImpedance:
         holding = self.schedule.holding
         pose = T_base_palm * in_palm
         twist = self._torques.touch(self._points, pose.translation, holding) - wanted_twist
+        if self._believed.acts:
+            self._feel_stops(elapsed, observation, pads.force @ T_base_world.rotation.T)
         wrench = self.law.wrench(T_base_palm * self.T_palm_wanted, pose, twist)
         wrench[:3] -= self._mass * gravity
-        missed = self._distribute(scale * wrench, pose.translation, observation.q, scale)
+        missed = self._distribute(scale * wrench, pose.translation, believed, scale)
         if carries:
             self._judge(elapsed, wrench, missed)
         if carries and not self.gave_up:
             self.law.learn(elapsed, missed)
         forces = (self._frames @ self.forces[:, :3, None])[:, :, 0]
         normals = self._frames[:, :, 0]
-        return self._torques.commands(forces, normals, holding, self.schedule.searching)
+        return self._torques.commands(forces, normals, holding, self.schedule.searching, believed)
 
     def _follow(
         self, reference: Reference, elapsed: float, in_palm: SE3, q: FloatArray
@@ -258,6 +263,7 @@ class ObjectImpedance:
         )
         self.T_palm_wanted = target.T_palm_object
         self._torques.aim(target.tips, target.q, target.v)
+        self._believed.lean_on(target.q)
         turn = self._torques.T_base_palm.rotation
         return np.concatenate([turn @ target.twist[:3], turn @ target.twist[3:]])
 
@@ -275,6 +281,14 @@ class ObjectImpedance:
         for i in np.flatnonzero(found).tolist() if found.any() else ():
             self._torques.latch(i)
             self._note("contact found", i, f"felt {pads.normal_force[i]:.2f} N")
+
+    def _feel_stops(self, elapsed: float, observation: Observation, felt: FloatArray) -> None:
+        """Tell the believed joints how the forces felt (n, 3), base axes, press on the stops."""
+        q = observation.q
+        torque = felt.ravel() @ self._torques.jacobians.reshape(-1, len(q))
+        torque += self._torques.own_torque
+        _, pressing = self.plan.task.hand.actuation.split_torque(self._believed.believe(q), torque)
+        self._believed.feel(elapsed, q, observation.v, pressing)
 
     def _tighten(self, elapsed: float, pads: PadReading) -> None:
         """Answer to slips: press harder, and believe less friction."""
