@@ -24,8 +24,8 @@ from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers.base import Observation, Sense
 from sim.controllers.believed import BelievedJoints, servo_commands
 from sim.controllers.closing import GuardedClosing
-from sim.controllers.loads import HandLoads, crossed
 from sim.controllers.lightly import LightTouch
+from sim.controllers.loads import HandLoads, crossed
 from sim.controllers.motors import MotorServo
 
 __all__ = ["GraspController", "saturated"]
