@@ -7,8 +7,8 @@ are off by delta put the contact elsewhere: the known surface closes the loop. C
     minimise   sum_looks sum_contacts  (distance / s_d)^2 + |n + outward|^2 / s_n^2
                   + |delta / s_q|^2 + sum_looks |pose error / s_pose|^2
 
-over the offsets delta (reading minus joint) of the fingers that touch, the same in all looks, and
-over the pose error of each look. Distance and outward normal are those of the object's surface at
+over the offsets delta (reading minus joint) of the joints that move a touching pad, the same in all
+looks, and over the pose error of each look. Distance and outward normal are those of the object's surface at
 the contact (from the pads' reading, or a pad's ball where only touch is known). Gauss and Newton,
 with the surface's curvature by differences. Contacts see few combinations of joints: what they do
 not see stays at its prior, 0, and ``deviation`` says so.
@@ -73,7 +73,7 @@ class OffsetEstimate:
     """Offsets of a hand's encoders.
 
     Attributes:
-        offset: (nq,), reading minus joint, rad; 0 for joints of fingers that do not touch.
+        offset: (nq,), reading minus joint, rad; 0 for joints that move no touching pad.
         deviation: (nq,), its standard deviation, rad; the prior's where nothing was seen.
         before, after: Root mean square of the contacts' distances to the surface without and with
             the offsets, m.
@@ -110,7 +110,7 @@ def estimate_offsets(
     seen = np.zeros(nq, dtype=bool)
     for look in looks:
         for i in np.flatnonzero(look.touching).tolist():
-            seen[fingers[i].q_index] = True
+            seen |= hand.moved_by[fingers[i].pad.joint_id]
     precision = np.concatenate(
         [
             np.full(nq, prior**-2),
