@@ -52,7 +52,9 @@ def estimated(plan: GraspPlan, *looks: Look, prior: float = OFFSET) -> FloatArra
 
 def test_exact_joints_have_no_offset(plan: GraspPlan) -> None:
     found = estimated(plan, look_of(plan, np.zeros(plan.task.hand.nq)))
-    assert np.abs(found).max() < np.deg2rad(0.15)  # the plan's pads are on the surface within 0.1 mm
+    assert np.abs(found).max() < np.deg2rad(
+        0.15
+    )  # the plan's pads are on the surface within 0.1 mm
 
 
 def test_one_contact_moves_the_joints_in_proportion_to_their_levers(plan: GraspPlan) -> None:

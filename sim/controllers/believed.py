@@ -68,6 +68,10 @@ class BelievedJoints:
         if not self._idle:
             self._planned = self._carrying & (self._gaps(planned) <= STOP_TOL)
 
+    def corrected(self, offset: FloatArray) -> None:
+        """From now on readings come without an offset (nq,), rad."""
+        self.offset = self.offset - self._rows @ offset
+
     def believe(self, q: FloatArray) -> FloatArray:
         """Joints (nq,) that agree with the stops; the array given itself if readings do already."""
         if self._idle:

@@ -35,6 +35,7 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers.base import Observation, Phase, Sense
 from sim.controllers.believed import BelievedJoints
+from sim.controllers.calibration import Calibration
 from sim.controllers.events import Event, EventKind
 from sim.controllers.grasp import FIRST_SHARE, GraspController
 from sim.controllers.impedance import ImpedanceGains, ImpedanceLaw, felt_inertia
@@ -99,6 +100,7 @@ class ObjectImpedance:
         grip: Least normal force (N) of a finger that holds, at the end of the squeeze and before
             any slip; the task's at first. May be set.
         forces: (n, 4), contact forces of the last step in the contact frames, N and N m.
+        calibration: Encoder offsets found when the squeeze was over.
     """
 
     needs: tuple[Sense, ...] = ("touch", "object_pose", "pads")
@@ -154,6 +156,8 @@ class ObjectImpedance:
         self._slips = SlipDetector(n)
         self._torques = HoldingTorques(plan)
         self._believed = BelievedJoints(task.hand.actuation, plan.q)
+        self.calibration = Calibration(plan)
+        self._calibrated = self._moved = False
         self._first_mu = first_mu
         self._mu = np.full(n, first_mu)
         self._grip = 1.0
@@ -214,6 +218,10 @@ class ObjectImpedance:
         elapsed, self._time = observation.time - self._time, observation.time
         if observation.phase in ("approach", "close"):
             return self._opening.step(observation)
+        if not self._calibrated and observation.phase != "squeeze":
+            self._calibrate(observation)
+        read = observation.q
+        observation = self.calibration.correct(observation)
         pads = self._senses.pads(observation)
         T_base_world = observation.T_world_base.inverse()
         gravity = T_base_world.rotation @ self.plan.task.gravity
@@ -221,6 +229,9 @@ class ObjectImpedance:
         T_base_palm = self._torques.T_base_palm
         exact = T_base_palm.actInv(T_base_world * observation.T_world_object)
         in_palm = self._senses.pose(observation.time, exact)
+        if self._moved:
+            self._moved, self.T_palm_wanted = False, in_palm
+            self._torques.latch()
         if self.T_palm_wanted is None:
             self.T_palm_wanted = in_palm
             self.schedule = ContactSchedule(pads.normal_force > TOUCH_FORCE)
@@ -252,7 +263,9 @@ class ObjectImpedance:
             self.law.learn(elapsed, missed)
         forces = (self._frames @ self.forces[:, :3, None])[:, :, 0]
         normals = self._frames[:, :, 0]
-        return self._torques.commands(forces, normals, holding, self.schedule.searching, believed)
+        return self._torques.commands(
+            forces, normals, holding, self.schedule.searching, believed, read
+        )
 
     def _follow(
         self, reference: Reference, elapsed: float, in_palm: SE3, q: FloatArray
@@ -281,6 +294,13 @@ class ObjectImpedance:
         for i in np.flatnonzero(found).tolist() if found.any() else ():
             self._torques.latch(i)
             self._note("contact found", i, f"felt {pads.normal_force[i]:.2f} N")
+
+    def _calibrate(self, observation: Observation) -> None:
+        """Compare the joints with the contacts, once the squeeze is over."""
+        self._calibrated = True
+        if self.calibration.learn(observation):
+            self._believed.corrected(self.calibration.offset)
+            self._moved = True  # hand and object are elsewhere than was believed: keep them there
 
     def _feel_stops(self, elapsed: float, observation: Observation, felt: FloatArray) -> None:
         """Tell the believed joints how the forces felt (n, 3), base axes, press on the stops."""

@@ -8,10 +8,10 @@ are off by delta put the contact elsewhere: the known surface closes the loop. C
                   + |delta / s_q|^2 + sum_looks |pose error / s_pose|^2
 
 over the offsets delta (reading minus joint) of the joints that move a touching pad, the same in all
-looks, and over the pose error of each look. Distance and outward normal are those of the object's surface at
-the contact (from the pads' reading, or a pad's ball where only touch is known). Gauss and Newton,
-with the surface's curvature by differences. Contacts see few combinations of joints: what they do
-not see stays at its prior, 0, and ``deviation`` says so.
+looks, and over the pose error of each look. Distance and outward normal are those of the object's
+surface at the contact (from the pads' reading, or a pad's ball where only touch is known). Gauss
+and Newton, with the surface's curvature by differences. Contacts see few combinations of joints:
+what they do not see stays at its prior, 0, and ``deviation`` says so.
 """
 
 from __future__ import annotations
@@ -77,12 +77,14 @@ class OffsetEstimate:
         deviation: (nq,), its standard deviation, rad; the prior's where nothing was seen.
         before, after: Root mean square of the contacts' distances to the surface without and with
             the offsets, m.
+        misfit: Root mean square of all errors without the offsets, in standard deviations (-).
     """
 
     offset: FloatArray
     deviation: FloatArray
     before: float
     after: float
+    misfit: float
 
 
 def estimate_offsets(
@@ -118,10 +120,11 @@ def estimate_offsets(
         ]
     )
     x = np.zeros(nq + poses)
-    before = after = 0.0
+    before = after = misfit = 0.0
     gram = np.diag(precision)
     for round_ in range(ROUNDS):
         gram, right, squares, count = np.diag(precision), -precision * x, 0.0, 0
+        whole, errors_n = 0.0, 0
         for k, look in enumerate(looks):
             mine = slice(nq + 6 * k, nq + 6 * k + 6)
             state = HandState(hand, look.q - x[:nq])
@@ -133,13 +136,18 @@ def estimate_offsets(
                 gram += full.T @ full
                 right -= full.T @ error
                 squares, count = squares + (error[0] * DISTANCE) ** 2, count + 1
+                whole, errors_n = whole + float(error @ error), errors_n + len(error)
         after = float(np.sqrt(squares / max(count, 1)))
         if round_ == 0:
-            before = after
+            before, misfit = after, float(np.sqrt(whole / max(errors_n, 1)))
         x += np.linalg.solve(gram, right)
     deviation = np.sqrt(np.diag(np.linalg.inv(gram)))[:nq]
     return OffsetEstimate(
-        offset=np.where(seen, x[:nq], 0.0), deviation=deviation, before=before, after=after
+        offset=np.where(seen, x[:nq], 0.0),
+        deviation=deviation,
+        before=before,
+        after=after,
+        misfit=misfit,
     )
 
 

@@ -164,6 +164,7 @@ class HoldingTorques:
         holding: NDArray[np.bool_],
         searching: NDArray[np.bool_],
         believed: FloatArray,
+        read: FloatArray,
     ) -> FloatArray:
         """Commands (nu,) that press.
 
@@ -173,6 +174,7 @@ class HoldingTorques:
             holding: (n,), which fingers hold.
             searching: (n,), which look for the object; the rest stay off it.
             believed: (nq,), joints as the stops have them; see ``sim.controllers.believed``.
+            read: (nq,), joints as the servos' encoders have them.
         """
         seek = SEARCH_FORCE * normals
         away = RETREAT_STIFFNESS * (self._apart - RETREAT * normals)
@@ -183,12 +185,14 @@ class HoldingTorques:
         torque += self._idle_part(np.where(self._moving, bent, 0.0))
         torque += self._stiffness * bent - self._damping * (self._v - self._v_ref)
         self._torque = torque
-        read = np.where(self._moving, self._q, self._q_ref)
-        self._law_q = read
+        self._law_q = np.where(self._moving, self._q, self._q_ref)
+        encoders = self._law_q
+        if read is not self._q:
+            encoders = self._law_q + (read - self._q)
         if believed is not self._q:
             self._law_q = np.where(self._moving, believed, self._q_ref)
         v = np.where(self._moving, self._v, 0.0)
-        return servo_commands(self._hand.actuation, read, self._law_q, v, torque)
+        return servo_commands(self._hand.actuation, encoders, self._law_q, v, torque)
 
     def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last command wanted."""
