@@ -1,8 +1,9 @@
 """``Calibration``: the encoder offsets that a controller has found, and its readings without them.
 
-Called by ``ObjectImpedance``: once, when the squeeze is over, with what the pads feel; from then on
-at every step. Offsets are taken over only where the contacts contradict the joints as read by more
-than ``CONTRADICTION``, so exact joints stay exactly as they are.
+Called by ``TouchAgain`` when all fingers touch and by ``ObjectImpedance`` when the squeeze is over,
+with what the pads feel, and from then on at every step. Offsets are taken over only where the
+contacts contradict the joints as read by more than ``CONTRADICTION``, so exact joints stay exactly
+as they are.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ class Calibration:
         task = plan.task
         self._hand, self._fingers, self._shape = task.hand, task.fingers, task.object.shape
         self._read, self._true = (MovingHand(task.hand, plan.q) for _ in range(2))
+        self._looks: list[Look] = []
         self.offset = np.zeros(task.hand.nq)
         self.estimate: OffsetEstimate | None = None
 
@@ -49,13 +51,14 @@ class Calibration:
         look = Look(
             q=observation.q,
             T_base_object=T_base_world * observation.T_world_object,
-            touching=np.isfinite(pads.position).all(axis=1),
+            touching=np.asarray(np.isfinite(pads.position).all(axis=1)),
             points=pads.position @ T_base_world.rotation.T + T_base_world.translation,
             normals=pads.normal @ T_base_world.rotation.T,
         )
         if not look.touching.any():
             return False
-        self.estimate = estimate_offsets(self._hand, self._fingers, self._shape, [look])
+        self._looks.append(look)
+        self.estimate = estimate_offsets(self._hand, self._fingers, self._shape, self._looks)
         if self.estimate.misfit < CONTRADICTION:
             return False
         self.offset = self.estimate.offset

@@ -1,6 +1,6 @@
 """``GraspController``: opens, closes until every finger touches, then presses as planned.
 
-Closing is guarded: ``sim.controllers.closing``.
+Closing is guarded: ``sim.controllers.closing`` and ``retouch``.
 
 Pressing is force control with a spring around the posture in which all fingers touched:
 
@@ -23,10 +23,11 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers.base import Observation, Sense
 from sim.controllers.believed import BelievedJoints, servo_commands
-from sim.controllers.closing import GuardedClosing
+from sim.controllers.calibration import Calibration
 from sim.controllers.lightly import LightTouch
 from sim.controllers.loads import HandLoads, crossed
 from sim.controllers.motors import MotorServo
+from sim.controllers.retouch import TouchAgain
 
 __all__ = ["GraspController", "saturated"]
 
@@ -43,7 +44,8 @@ class GraspController:
     Attributes:
         needs: Senses without which it cannot work.
         plan: What is executed.
-        q_ref: Posture (nq,) around which the hand is held at present.
+        q_ref: Posture (nq,) around which the hand is held at present, as encoders read it.
+        calibration: Encoder offsets that the first touch found.
     """
 
     needs: tuple[Sense, ...] = ("touch", "object_pose")
@@ -62,7 +64,8 @@ class GraspController:
         torsion = np.where(soft, np.nan_to_num(planned.forces[:, 3]), 0.0)
         self._moments = torsion[:, None] * planned.normals
         self._twists = bool(torsion.any())
-        self._closing = GuardedClosing(plan)
+        self.calibration = Calibration(plan)
+        self._closing = TouchAgain(plan, self.calibration)
         self._light = LightTouch(self._hand)
         self._believed = BelievedJoints(self._hand.actuation, plan.q)
         self._servo = MotorServo(self._hand, plan.q)
@@ -78,7 +81,8 @@ class GraspController:
         """Commands (nu,) for the hand's actuators."""
         elapsed, self._time = observation.time - self._time, observation.time
         gravity = observation.T_world_base.rotation.T @ self._gravity
-        weight = self._loads.move(observation.q, gravity)
+        offset = self.calibration.offset
+        weight = self._loads.move(observation.q - offset, gravity)
         torque = weight.copy()
         if observation.phase == "close":
             self.q_ref = self._closing.step(elapsed, observation)
@@ -94,11 +98,19 @@ class GraspController:
             torque += pressing
         torque += self._servo.torque(observation.time, self.q_ref, observation.q, observation.v)
         self._torque = torque
-        self._law_q = self._believed.believe(self.q_ref) if self._latched else self.q_ref
+        self._law_q = self.q_ref
+        if self._latched:
+            true = self.q_ref - offset if offset.any() else self.q_ref
+            self._law_q = self._believed.believe(true)
         ctrl = servo_commands(self._hand.actuation, self.q_ref, self._law_q, self._still, torque)
         if self._latched:
             return ctrl
         return self._light.commands(ctrl, observation.q, observation.v, weight)
+
+    @property
+    def closing(self) -> bool:
+        """Whether the closing goes on though all fingers touch."""
+        return self._closing.busy
 
     def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last step wanted."""

@@ -35,7 +35,6 @@ from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers.base import Observation, Phase, Sense
 from sim.controllers.believed import BelievedJoints
-from sim.controllers.calibration import Calibration
 from sim.controllers.events import Event, EventKind
 from sim.controllers.grasp import FIRST_SHARE, GraspController
 from sim.controllers.impedance import ImpedanceGains, ImpedanceLaw, felt_inertia
@@ -100,7 +99,7 @@ class ObjectImpedance:
         grip: Least normal force (N) of a finger that holds, at the end of the squeeze and before
             any slip; the task's at first. May be set.
         forces: (n, 4), contact forces of the last step in the contact frames, N and N m.
-        calibration: Encoder offsets found when the squeeze was over.
+        calibration: Encoder offsets found by the first touch and when the squeeze was over.
     """
 
     needs: tuple[Sense, ...] = ("touch", "object_pose", "pads")
@@ -152,11 +151,11 @@ class ObjectImpedance:
         self.forces = np.zeros((n, 4))
         self._events: list[Event] = []
         self._opening = GraspController(plan)
+        self.calibration = self._opening.calibration
         self._senses = Senses(sensing or Sensing())
         self._slips = SlipDetector(n)
         self._torques = HoldingTorques(plan)
         self._believed = BelievedJoints(task.hand.actuation, plan.q)
-        self.calibration = Calibration(plan)
         self._calibrated = self._moved = False
         self._first_mu = first_mu
         self._mu = np.full(n, first_mu)
@@ -172,6 +171,11 @@ class ObjectImpedance:
     def events(self) -> tuple[Event, ...]:
         """What it noticed, in order."""
         return tuple(self._events)
+
+    @property
+    def closing(self) -> bool:
+        """Whether the closing goes on though all fingers touch."""
+        return self._opening.closing
 
     @property
     def gave_up(self) -> str:
@@ -298,8 +302,9 @@ class ObjectImpedance:
     def _calibrate(self, observation: Observation) -> None:
         """Compare the joints with the contacts, once the squeeze is over."""
         self._calibrated = True
+        before = self.calibration.offset
         if self.calibration.learn(observation):
-            self._believed.corrected(self.calibration.offset)
+            self._believed.corrected(self.calibration.offset - before)
             self._moved = True  # hand and object are elsewhere than was believed: keep them there
 
     def _feel_stops(self, elapsed: float, observation: Observation, felt: FloatArray) -> None:

@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.hands.fingers import Finger
 from planner.hands.hand import Hand
@@ -63,7 +64,7 @@ class Look:
 
     q: FloatArray
     T_base_object: SE3
-    touching: FloatArray
+    touching: NDArray[np.bool_]
     points: FloatArray | None = None
     normals: FloatArray | None = None
 
