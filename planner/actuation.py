@@ -158,6 +158,11 @@ class Actuation:
         """Which stops touch at q, (ns,): S q - s <= ``STOP_TOL``."""
         return np.asarray(self.stop_rows @ q - self.stop_values <= STOP_TOL)
 
+    @property
+    def carrying_stops(self) -> NDArray[np.int64]:
+        """Stops that make torques which no actuator makes: forces there hang on their reading."""
+        return self._tables.useful.copy()
+
     def passive_torque(self, q: FloatArray) -> FloatArray:
         """Joint torque (nv,) of the springs at q, N m."""
         return np.asarray(self.spring_torque - self.stiffness @ q)

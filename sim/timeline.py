@@ -30,7 +30,7 @@ class Timeline:
 
     approach: float = 1.0
     close: float = 0.5
-    close_wait: float = 0.5
+    close_wait: float = 1.0
     squeeze: float = 0.6
     settle: float = 0.2
     lift: float = 1.0

@@ -29,7 +29,8 @@ from planner.errors import TaskError
 from planner.plan import GraspPlan
 from planner.quality import analyse
 from sim.contacts import NO_FORCE, hand_contacts, merge_per_finger
-from sim.controllers import PHASES, AnyController, Observation, Phase
+from sim.controllers import PHASES, AnyController, Phase
+from sim.controllers.retouch import AGAIN_TIME, closed
 from sim.creep import CREEP_BUDGET, least_creep, remedies
 from sim.estimation import AnyEstimator
 from sim.looking.film import check_video
@@ -273,7 +274,8 @@ def run_grasp_phase(
     """
     wait, until = 0.0, None
     if phase == "close":
-        wait, until = timeline.close_wait, _all_touch
+        wait = timeline.close_wait + AGAIN_TIME
+        until = closed(simulation.controller, timeline.close_wait, simulation.timestep)
     if phase == "settle":
         recorder.mark_reference()
     if phase == "lift":
@@ -292,10 +294,6 @@ def felt_by(simulation: Simulation) -> tuple[str, ...]:
     forces = simulation.sensed(simulation.observe(simulation.phase, 1.0)).normal_forces
     names = simulation.plan.task.finger_names
     return tuple(names[i] for i in np.flatnonzero(forces > NO_FORCE))
-
-
-def _all_touch(observation: Observation) -> bool:
-    return observation.all_touch
 
 
 def simulate(

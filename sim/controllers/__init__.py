@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from sim.controllers.base import (
     PHASES,
+    ClosesAgain,
     Controller,
     NeedsSenses,
     Observation,
@@ -34,6 +35,7 @@ __all__ = [
     "CONTROLLERS",
     "PHASES",
     "AnyController",
+    "ClosesAgain",
     "Controller",
     "Event",
     "EventKind",

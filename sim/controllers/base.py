@@ -25,6 +25,7 @@ from sim.controllers.schedule import TOUCH_FORCE
 
 __all__ = [
     "PHASES",
+    "ClosesAgain",
     "Controller",
     "NeedsSenses",
     "Observation",
@@ -151,6 +152,16 @@ class ReportsEvents(Protocol):
     @property
     def events(self) -> tuple[Event, ...]:
         """What it has noticed and done so far, in order."""
+        ...
+
+
+@runtime_checkable
+class ClosesAgain(Protocol):
+    """A controller that may open the fingers after the first touch, to close them better."""
+
+    @property
+    def closing(self) -> bool:
+        """Whether it is at that: the phase "close" then goes on though all fingers may touch."""
         ...
 
 

@@ -1,7 +1,6 @@
 """``GraspController``: opens, closes until every finger touches, then presses as planned.
 
-Closing is guarded: every finger moves from pre-grasp to grasp until it touches; one that arrives
-without touching goes on slowly along its contact normal.
+Closing is guarded: ``sim.controllers.closing`` and ``retouch``.
 
 Pressing is force control with a spring around the posture in which all fingers touched:
 
@@ -20,28 +19,17 @@ import numpy as np
 
 from planner.actuation import Actuation
 from planner.hands.hand import Hand
-from planner.kinematics.state import HandState
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers.base import Observation, Sense
+from sim.controllers.believed import BelievedJoints, servo_commands
+from sim.controllers.calibration import Calibration
+from sim.controllers.lightly import LightTouch
 from sim.controllers.loads import HandLoads, crossed
 from sim.controllers.motors import MotorServo
-from sim.controllers.schedule import TOUCH_FORCE
+from sim.controllers.retouch import TouchAgain
 
 __all__ = ["GraspController", "saturated"]
-
-CLOSE_RATE = 4.0
-"""Fastest change (1/s) of a finger's share of the closing motion, for one that lost touch."""
-
-SEARCH_SPEED = 0.01
-"""Speed (m/s) along the normal of a finger that has arrived without touching."""
-
-SEARCH_REACH = 0.01
-"""How far (m) it searches beyond its planned contact."""
-
-SEARCH_DAMPING = 0.01
-"""Damping (m/rad) of the inverse that turns the search into joint motion; keeps a straight finger
-from swinging."""
 
 FIRST_SHARE = 0.1
 """Share of the planned forces at which the squeeze begins: about the force of first touch."""
@@ -56,7 +44,8 @@ class GraspController:
     Attributes:
         needs: Senses without which it cannot work.
         plan: What is executed.
-        q_ref: Posture (nq,) around which the hand is held at present.
+        q_ref: Posture (nq,) around which the hand is held at present, as encoders read it.
+        calibration: Encoder offsets that the first touch found.
     """
 
     needs: tuple[Sense, ...] = ("touch", "object_pose")
@@ -75,9 +64,10 @@ class GraspController:
         torsion = np.where(soft, np.nan_to_num(planned.forces[:, 3]), 0.0)
         self._moments = torsion[:, None] * planned.normals
         self._twists = bool(torsion.any())
-        self._search = self._search_directions()
-        self._share = np.zeros(len(self._fingers))
-        self._reach = np.zeros(len(self._fingers))
+        self.calibration = Calibration(plan)
+        self._closing = TouchAgain(plan, self.calibration)
+        self._light = LightTouch(self._hand)
+        self._believed = BelievedJoints(self._hand.actuation, plan.q)
         self._servo = MotorServo(self._hand, plan.q)
         self._loads = HandLoads(self._hand, self._fingers)
         self._still = np.zeros(self._hand.nq)
@@ -85,14 +75,17 @@ class GraspController:
         self._latched = False
         self._time = 0.0
         self.q_ref = plan.q_pregrasp.copy()
+        self._law_q = self.q_ref
 
     def step(self, observation: Observation) -> FloatArray:
         """Commands (nu,) for the hand's actuators."""
         elapsed, self._time = observation.time - self._time, observation.time
         gravity = observation.T_world_base.rotation.T @ self._gravity
-        torque = self._loads.move(observation.q, gravity)
+        offset = self.calibration.offset
+        weight = self._loads.move(observation.q - offset, gravity)
+        torque = weight.copy()
         if observation.phase == "close":
-            self._close(observation, elapsed)
+            self.q_ref = self._closing.step(elapsed, observation)
         elif observation.phase != "approach":
             if not self._latched:
                 self._latched = True
@@ -105,26 +98,23 @@ class GraspController:
             torque += pressing
         torque += self._servo.torque(observation.time, self.q_ref, observation.q, observation.v)
         self._torque = torque
-        return self._hand.actuation.commands(self.q_ref, self._still, torque)
+        self._law_q = self.q_ref
+        if self._latched:
+            true = self.q_ref - offset if offset.any() else self.q_ref
+            self._law_q = self._believed.believe(true)
+        ctrl = servo_commands(self._hand.actuation, self.q_ref, self._law_q, self._still, torque)
+        if self._latched:
+            return ctrl
+        return self._light.commands(ctrl, observation.q, observation.v, weight)
+
+    @property
+    def closing(self) -> bool:
+        """Whether the closing goes on though all fingers touch."""
+        return self._closing.busy
 
     def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last step wanted."""
-        return saturated(self._hand.actuation, self.q_ref, self._torque)
-
-    def _close(self, observation: Observation, elapsed: float) -> None:
-        """Advance every finger that does not touch."""
-        goal = float(minimum_jerk(np.asarray(observation.progress)))
-        free = observation.normal_forces < TOUCH_FORCE
-        arrived = self._share >= 1.0
-        self._share[free] = np.minimum(goal, self._share + CLOSE_RATE * elapsed)[free]
-        self._reach[free & arrived] += SEARCH_SPEED * elapsed
-        self._reach = np.minimum(self._reach, SEARCH_REACH)
-        plan = self.plan
-        q = plan.q_pregrasp + goal * (plan.q - plan.q_pregrasp)
-        for finger, share in zip(self._fingers, self._share, strict=True):
-            k = finger.q_index
-            q[k] = plan.q_pregrasp[k] + share * (plan.q[k] - plan.q_pregrasp[k])
-        self.q_ref = q + self._reach @ self._search
+        return saturated(self._hand.actuation, self._law_q, self._torque)
 
     def _pressing_torque(self, observation: Observation) -> FloatArray:
         """Joint torques (nq,) of the full planned forces at the object's present pose.
@@ -140,21 +130,6 @@ class GraspController:
         if self._twists:
             moments += self._moments @ turn
         return self._loads.torque(forces, moments)
-
-    def _search_directions(self) -> FloatArray:
-        """Joint motion (n_fingers, nq), rad/m, that moves each pad along its normal."""
-        plan = self.plan
-        state = HandState(self._hand, plan.q)
-        inverse = plan.T_world_base.inverse()
-        out = np.zeros((len(self._fingers), self._hand.nq))
-        for row, finger, point, normal in zip(
-            out, self._fingers, plan.contacts.positions, plan.contacts.normals, strict=True
-        ):
-            jacobian = state.point_jacobian(finger.pad.joint_id, inverse.act(point))[:3]
-            jacobian = jacobian[:, finger.q_index]
-            gram = jacobian @ jacobian.T + SEARCH_DAMPING**2 * np.eye(3)
-            row[finger.q_index] = jacobian.T @ np.linalg.solve(gram, inverse.rotation @ normal)
-        return out
 
 
 def saturated(actuation: Actuation, q: FloatArray, torque: FloatArray) -> tuple[str, ...]:

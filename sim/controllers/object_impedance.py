@@ -34,6 +34,7 @@ from planner.forces import ForceLoop, turned_frames
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
 from sim.controllers.base import Observation, Phase, Sense
+from sim.controllers.believed import BelievedJoints
 from sim.controllers.events import Event, EventKind
 from sim.controllers.grasp import FIRST_SHARE, GraspController
 from sim.controllers.impedance import ImpedanceGains, ImpedanceLaw, felt_inertia
@@ -97,6 +98,7 @@ class ObjectImpedance:
         grip: Least normal force (N) of a finger that holds, at the end of the squeeze and before
             any slip; the task's at first. May be set.
         forces: (n, 4), contact forces of the last step in the contact frames, N and N m.
+        calibration: Encoder offsets found by the first touch and when the squeeze was over.
     """
 
     needs: tuple[Sense, ...] = ("touch", "object_pose", "pads")
@@ -146,8 +148,11 @@ class ObjectImpedance:
         self.forces = np.zeros((n, 4))
         self._events: list[Event] = []
         self._opening = GraspController(plan)
+        self.calibration = self._opening.calibration
         self._slips = SlipDetector(n)
         self._torques = HoldingTorques(plan)
+        self._believed = BelievedJoints(task.hand.actuation, plan.q)
+        self._calibrated = self._moved = False
         self._first_mu = first_mu
         self._mu = np.full(n, first_mu)
         self._grip = 1.0
@@ -162,6 +167,11 @@ class ObjectImpedance:
     def events(self) -> tuple[Event, ...]:
         """What it noticed, in order."""
         return tuple(self._events)
+
+    @property
+    def closing(self) -> bool:
+        """Whether the closing goes on though all fingers touch."""
+        return self._opening.closing
 
     @property
     def gave_up(self) -> str:
@@ -208,12 +218,19 @@ class ObjectImpedance:
         elapsed, self._time = observation.time - self._time, observation.time
         if observation.phase in ("approach", "close"):
             return self._opening.step(observation)
+        if not self._calibrated and observation.phase != "squeeze":
+            self._calibrate(observation)
+        read = observation.q
+        observation = self.calibration.correct(observation)
         pads = observation.pads
         T_base_world = observation.T_world_base.inverse()
         gravity = T_base_world.rotation @ self.plan.task.gravity
         self._torques.move(observation.q, observation.v, gravity)
         T_base_palm = self._torques.T_base_palm
         in_palm = T_base_palm.actInv(T_base_world * observation.T_world_object)
+        if self._moved:
+            self._moved, self.T_palm_wanted = False, in_palm
+            self._torques.latch()
         if self.T_palm_wanted is None:
             self.T_palm_wanted = in_palm
             self.schedule = ContactSchedule(pads.normal_force > TOUCH_FORCE)
@@ -222,6 +239,7 @@ class ObjectImpedance:
         if observation.phase in REFERENCE_PHASES and self.reference is not None:
             wanted_twist = self._follow(self.reference, elapsed, in_palm, observation.q)
         self._feel(elapsed, pads, T_base_world)
+        believed = self._believed.believe(observation.q)
         carries = observation.phase in CARRYING
         if carries and not self.gave_up:
             self._tighten(elapsed, pads)
@@ -233,16 +251,20 @@ class ObjectImpedance:
         holding = self.schedule.holding
         pose = T_base_palm * in_palm
         twist = self._torques.touch(self._points, pose.translation, holding) - wanted_twist
+        if self._believed.acts:
+            self._feel_stops(elapsed, observation, pads.force @ T_base_world.rotation.T)
         wrench = self.law.wrench(T_base_palm * self.T_palm_wanted, pose, twist)
         wrench[:3] -= self._mass * gravity
-        missed = self._distribute(scale * wrench, pose.translation, observation.q, scale)
+        missed = self._distribute(scale * wrench, pose.translation, believed, scale)
         if carries:
             self._judge(elapsed, wrench, missed)
         if carries and not self.gave_up:
             self.law.learn(elapsed, missed)
         forces = (self._frames @ self.forces[:, :3, None])[:, :, 0]
         normals = self._frames[:, :, 0]
-        return self._torques.commands(forces, normals, holding, self.schedule.searching)
+        return self._torques.commands(
+            forces, normals, holding, self.schedule.searching, believed, read
+        )
 
     def _follow(
         self, reference: Reference, elapsed: float, in_palm: SE3, q: FloatArray
@@ -253,6 +275,7 @@ class ObjectImpedance:
         )
         self.T_palm_wanted = target.T_palm_object
         self._torques.aim(target.tips, target.q, target.v)
+        self._believed.lean_on(target.q)
         turn = self._torques.T_base_palm.rotation
         return np.concatenate([turn @ target.twist[:3], turn @ target.twist[3:]])
 
@@ -270,6 +293,22 @@ class ObjectImpedance:
         for i in np.flatnonzero(found).tolist() if found.any() else ():
             self._torques.latch(i)
             self._note("contact found", i, f"felt {pads.normal_force[i]:.2f} N")
+
+    def _calibrate(self, observation: Observation) -> None:
+        """Compare the joints with the contacts, once the squeeze is over."""
+        self._calibrated = True
+        before = self.calibration.offset
+        if self.calibration.learn(observation):
+            self._believed.corrected(self.calibration.offset - before)
+            self._moved = True  # hand and object are elsewhere than was believed: keep them there
+
+    def _feel_stops(self, elapsed: float, observation: Observation, felt: FloatArray) -> None:
+        """Tell the believed joints how the forces felt (n, 3), base axes, press on the stops."""
+        q = observation.q
+        torque = felt.ravel() @ self._torques.jacobians.reshape(-1, len(q))
+        torque += self._torques.own_torque
+        _, pressing = self.plan.task.hand.actuation.split_torque(self._believed.believe(q), torque)
+        self._believed.feel(elapsed, q, observation.v, pressing)
 
     def _tighten(self, elapsed: float, pads: PadReading) -> None:
         """Answer to slips: press harder, and believe less friction."""

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, skew
+from sim.controllers.believed import servo_commands
 from sim.controllers.grasp import saturated
 from sim.controllers.loads import HandLoads
 from sim.controllers.motors import FULL_FRICTION_RATE, joint_drag, motor_servo
@@ -162,6 +163,8 @@ class HoldingTorques:
         normals: FloatArray,
         holding: NDArray[np.bool_],
         searching: NDArray[np.bool_],
+        believed: FloatArray,
+        read: FloatArray,
     ) -> FloatArray:
         """Commands (nu,) that press.
 
@@ -170,6 +173,8 @@ class HoldingTorques:
             normals: (n, 3), into the object.
             holding: (n,), which fingers hold.
             searching: (n,), which look for the object; the rest stay off it.
+            believed: (nq,), joints as the stops have them; see ``sim.controllers.believed``.
+            read: (nq,), joints as the servos' encoders have them.
         """
         seek = SEARCH_FORCE * normals
         away = RETREAT_STIFFNESS * (self._apart - RETREAT * normals)
@@ -181,9 +186,13 @@ class HoldingTorques:
         torque += self._stiffness * bent - self._damping * (self._v - self._v_ref)
         self._torque = torque
         self._law_q = np.where(self._moving, self._q, self._q_ref)
-        return self._hand.actuation.commands(
-            self._law_q, np.where(self._moving, self._v, 0.0), torque
-        )
+        encoders = self._law_q
+        if read is not self._q:
+            encoders = self._law_q + (read - self._q)
+        if believed is not self._q:
+            self._law_q = np.where(self._moving, believed, self._q_ref)
+        v = np.where(self._moving, self._v, 0.0)
+        return servo_commands(self._hand.actuation, encoders, self._law_q, v, torque)
 
     def saturated_actuators(self) -> tuple[str, ...]:
         """Names of the actuators that could not give what the last command wanted."""

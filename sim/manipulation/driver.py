@@ -19,7 +19,7 @@ from planner.motion.manipulation.idle_fingers import out_of_the_way
 from planner.motion.path import tilts
 from planner.plan import GraspPlan
 from planner.spatial import SE3, FloatArray, minimum_jerk
-from sim.controllers import Event, Observation, Phase
+from sim.controllers import ClosesAgain, Event, Observation, Phase
 from sim.controllers.follow import MotionReference
 from sim.controllers.motors import MotorServo
 from sim.gantry import Gantry
@@ -62,6 +62,11 @@ class ManipulationDriver:
     def events(self) -> tuple[Event, ...]:
         """What was noticed, in order."""
         return self.holding.events
+
+    @property
+    def closing(self) -> bool:
+        """Whether the fingers close a second time."""
+        return isinstance(self.holding, ClosesAgain) and self.holding.closing
 
     def begin_stroke(self, left: float) -> MotionReference:
         """Begin a stroke: a reference along the planned motion, from where the object is.

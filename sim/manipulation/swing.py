@@ -16,7 +16,7 @@ from planner.motion.gait import Relocation
 from planner.plan import GraspPlan
 from planner.spatial import FloatArray, minimum_jerk
 from sim.controllers import Observation
-from sim.controllers.grasp import SEARCH_DAMPING
+from sim.controllers.closing import SEARCH_DAMPING
 from sim.controllers.motors import motor_servo
 
 __all__ = ["FingerSwing"]

@@ -1,0 +1,59 @@
+"""Trials with joints that are off: what is mended, by which part, and that exact joints stay."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from planner.plan import GraspPlan
+from planner.search import plan_grasp
+from planner.spatial import FloatArray
+from planner.task import GraspTask
+from sim.controllers.believed import BelievedJoints
+from sim.controllers.lightly import LightTouch
+from sim.reality import REALITIES
+from sim.report import TrialReport
+from sim.timeline import Timeline
+from sim.trial import simulate
+
+QUICK = Timeline(hold=0.5)
+OFFSETS = REALITIES["rough"].alone("encoder_offset")  # 3 degrees
+SEED = 201
+"""A draw in which closed stops of the Shadow-type hand are read as open."""
+
+
+@pytest.fixture(scope="module")
+def plan() -> GraspPlan:
+    return plan_grasp(GraspTask.create("shadow_hand", "ellipsoid"), seed=SEED)
+
+
+def held(plan: GraspPlan, controller: str, seed: int = SEED) -> TrialReport:
+    return simulate(plan, controller=controller, reality=OFFSETS.seeded(seed), timeline=QUICK)
+
+
+@pytest.mark.parametrize("controller", ["feedforward", "impedance"])
+def test_three_degrees_are_borne_by_tendons_and_stops(plan: GraspPlan, controller: str) -> None:
+    report = held(plan, controller)
+    assert report.success, report.verdict.detail
+
+
+def test_without_the_stops_it_would_be_lost(
+    plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same trial with the stops judged by the reading alone, as a plan judges them."""
+
+    def as_read(_: BelievedJoints, q: FloatArray) -> FloatArray:
+        return q
+
+    monkeypatch.setattr(BelievedJoints, "believe", as_read)
+    assert not held(plan, "impedance").success
+
+
+def test_a_free_hand_does_not_notice_the_light_touch(
+    plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with_it = simulate(plan, timeline=QUICK)
+    monkeypatch.setattr(LightTouch, "commands", lambda _self, ctrl, *_: ctrl)
+    without = simulate(plan, timeline=QUICK)
+    assert with_it.success
+    np.testing.assert_array_equal(with_it.samples.normal_force, without.samples.normal_force)
