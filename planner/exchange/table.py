@@ -239,7 +239,7 @@ register_format(
     GraspFormat(
         name=NAME,
         title="a plain table of poses and joints by names with units: CSV, JSON or NPZ",
-        suffix=".csv",
+        suffixes=(".csv", ".json", ".npz"),
         loses=(
             "the object's mass, contacts and forces, friction, table and obstacles, the way to the "
             "pre-grasp"
@@ -248,5 +248,7 @@ register_format(
         read=read_table,
         write=write_table,
         heeds=frozenset({"rename", "base_body"}),
+        hand_of=lambda path: read_table_file(path).hand,
+        object_specs=True,
     )
 )

@@ -23,6 +23,7 @@ from sim.cli.common import (
     print_json,
     say,
 )
+from sim.cli.reading import one_plan
 
 if TYPE_CHECKING:
     from planner.plan import GraspPlan
@@ -79,7 +80,6 @@ def drive(
         from contextlib import closing
 
         from planner.errors import NotFoundError, TaskError
-        from planner.files import read_plan
         from sim.cli.common import check_folder
         from sim.controllers import controller_for
         from sim.real_hand import (
@@ -100,7 +100,7 @@ def drive(
         if check and replay:
             raise TaskError("--check-joints moves a hand, and a log has none; leave --replay out")
         check_folder(log)
-        plan = read_plan(plan_file)
+        plan = one_plan(plan_file)
         if on_stop not in STOPS:
             raise NotFoundError("way to stop", on_stop, STOPS)
         bounds = Safety(on_stop=STOPS[on_stop])
