@@ -106,7 +106,7 @@ def joints_by_name(
     foreign = [name for name in mine if name not in hand.joint_names]
     doubled = sorted({name for name in mine if mine.count(name) > 1})
     if doubled:
-        raise FileFormatError(f"{where} names twice: {few_of(doubled)}; name every joint once")
+        raise FileFormatError(f"{where} names twice {few_of(doubled)}; name every joint once")
     if missing or foreign:
         parts = [f"lacks {few_of(missing)}"] * bool(missing)
         parts += [f"names {few_of(foreign)}, which {hand.name} does not have"] * bool(foreign)

@@ -31,6 +31,10 @@ if TYPE_CHECKING:
     from sim.report import TrialReport
 
 
+RATE_HZ = 100.0
+"""Rate of the loop unless another is asked for."""
+
+
 @errors_for_people()
 def drive(
     plan_file: PlanArgument,
@@ -43,7 +47,10 @@ def drive(
         ),
     ] = None,
     controller: ControllerOption = "feedforward",
-    rate: Annotated[float, typer.Option(help="Rate of the loop, Hz.", metavar="HZ")] = 100.0,
+    rate: Annotated[
+        float | None,
+        typer.Option(help="Rate of the loop, Hz; 100, or that of the log.", metavar="HZ"),
+    ] = None,
     log: Annotated[
         Path | None, typer.Option(help="Readings and commands (.npz).", metavar="FILE")
     ] = None,
@@ -86,6 +93,7 @@ def drive(
             CommandLimits,
             DryRun,
             RealClock,
+            ReplayedHand,
             Safety,
             SimulatedHand,
             check_joints,
@@ -107,6 +115,8 @@ def drive(
         limits = CommandLimits(rate=max_rate)
         driver = controller_for(plan, controller)
         used = _open(plan, interface, replay, fast, controller)
+        if rate is None:
+            rate = used.hand.log.rate_hz if isinstance(used.hand, ReplayedHand) else RATE_HZ
         pressed()  # a library swallows Ctrl-C while it is imported
         with closing(used.hand):
             hand = DryRun(used.hand) if dry_run else used.hand
@@ -254,6 +264,8 @@ def _tell(ran: LoopReport, judged: TrialReport | None, used: _Used, as_json: boo
         say(out, escape(f"simulated object: {said}"))
     if compared is not None:
         say(out, escape(f"replayed: {compared}"))
+        if used.hand.log.plan is None:
+            say(out, "the log is of version 1, which does not say of which plan it is")
 
 
 def _leave(ran: LoopReport, *, good: bool) -> None:
