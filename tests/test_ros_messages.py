@@ -259,7 +259,7 @@ DAMAGE: list[tuple[str, Json, str]] = [
     (
         "grasp_posture.joint_names.2",
         "X",
-        "grasp_posture does not fit shadow_hand: it lacks FFJ4 and names X",
+        "does not fit shadow_hand: it lacks FFJ4 and names X",
     ),
     ("grasp_posture.points.0.positions.3", "nan", r"positions\[3\] is 'nan'; a finite"),
     ("grasp_posture.points.0.time_from_start.sec", 0.5, "sec is 0.5; an integer from -2147483648"),
