@@ -159,6 +159,7 @@ def test_an_export_for_dexgraspbench_is_held(folder: Path) -> None:
             ["good.csv", "--object", "box:0.05x0.05x0.09"],
             "is of the object 'box:0.05x0.05x0.08', and 'box:0.05x0.05x0.09' is given; leave",
         ),
+        (["good.csv", "--out", "good.csv"], "good.csv would be written over; give another name"),
         (["good.csv", "--object", "mug"], "is of the object 'box:0.05x0.05x0.08', and 'mug'"),
         (["plan.json", "--object", "box"], "brings hand, object .*; leave --object out"),
         (
@@ -180,7 +181,7 @@ def test_an_export_for_dexgraspbench_is_held(folder: Path) -> None:
 )
 def test_bad_input_is_told(folder: Path, arguments: list[str], said: str) -> None:
     name, *rest = arguments
-    rest = [str(folder / r) if r == "rows.xlsx" else r for r in rest]
+    rest = [str(folder / r) if r in ("rows.xlsx", "good.csv") else r for r in rest]
     before = sorted(folder.iterdir())
     done = RUN.invoke(app, ["audit", str(folder / name), *rest])
     assert done.exit_code == 3, done.output

@@ -156,6 +156,8 @@ def test_a_hand_that_fails_is_told(drive: Any) -> None:
         (["--max-rate", "-1"], "give a number > 0 in rad/s"),
         (["--on-stop", "panic"], "There is: hold, torque-off"),
         (["--log", "no/run.npz"], "there is no folder"),
+        (["--log", "run.txt"], "run.txt is no name of a log; let it end with .npz"),
+        (["--log", "plan.json"], "plan.json would be written over; give another name"),
         (["--controller", "x"], "no controller is called"),
     ],
 )

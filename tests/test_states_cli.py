@@ -58,6 +58,9 @@ def test_states_are_made_in_two_sizes_and_shown_again(tmp_path: Path) -> None:
     code, _, err = opposable(*words, "--mass", "0.1,0.2")
     assert code == 3
     assert "draws differ" in err
+    (tmp_path / "cache" / "manifest.json").write_text('{"format": "opposable-batch"}')
+    code, _, err = opposable(*words)
+    assert code == 3 and "holds something else, of the format 'opposable-batch'; choose" in err
 
 
 def test_an_object_that_cannot_be_held_is_said(tmp_path: Path) -> None:

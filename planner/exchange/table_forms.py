@@ -51,7 +51,7 @@ def read_table_file(path: Path) -> TableFile:
     data = TABLE_FORMS[path.suffix][0](path)
     if path.suffix != ".csv":  # there it was seen to by row and column
         _need_finite(data, str(path))
-    return checked_file(TableFile, data, str(path))
+    return checked_file(TableFile, data, str(path), "write it again in that version")
 
 
 def table_bytes(table: TableFile, suffix: str) -> bytes:

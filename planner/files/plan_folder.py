@@ -21,23 +21,24 @@ _FORMAT = re.compile(rb'"format"\s*:\s*"(opposable-[a-z-]+)"')
 
 
 def format_told(file: Path) -> str:
-    """The format that a JSON file of ours says of itself, "" for every other file.
+    """The format that a JSON file of ours says of itself, "" for every other file or folder.
 
     Raises:
         FileFormatError: It cannot be read.
     """
-    if file.suffix.lower() != ".json" or not file.is_file():
+    if not file.is_file():
         return ""
     try:
         with file.open("rb") as stream:
-            told = _FORMAT.search(stream.read(HEAD))
+            head = stream.read(HEAD)
     except OSError as error:
         raise FileFormatError(f"cannot read {file}: {error.strerror}") from error
+    told = _FORMAT.search(head) if head.lstrip().startswith(b"{") else None
     return told[1].decode() if told else ""
 
 
 def plan_files(folder: Path, formats: Collection[str] = ("opposable-plan",)) -> tuple[Path, ...]:
-    """Files of some formats that lie in a folder, by name.
+    """JSON files of some formats that lie in a folder, by name.
 
     Args:
         folder: The folder; folders in it are not looked at.
@@ -50,4 +51,4 @@ def plan_files(folder: Path, formats: Collection[str] = ("opposable-plan",)) -> 
         files = sorted(folder.iterdir())
     except OSError as error:
         raise FileFormatError(f"cannot read the folder {folder}: {error.strerror}") from error
-    return tuple(file for file in files if format_told(file) in formats)
+    return tuple(f for f in files if f.suffix == ".json" and format_told(f) in formats)

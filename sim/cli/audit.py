@@ -20,6 +20,7 @@ from sim.cli.common import (
     check_folder,
     err,
     errors_for_people,
+    keep_inputs,
     names,
     numbers,
     out,
@@ -124,6 +125,7 @@ def audit(
     from sim.cli.places import object_of, table_of
 
     check_folder(output)
+    keep_inputs(output, file)
     if output is not None:
         check_form(output)
     ours = None if reading.format is not None else our_kind(file)

@@ -373,6 +373,20 @@ def check_folder(file: Path | None) -> None:
         raise FileFormatError(f"cannot write {file}: it is a folder; name a file")
 
 
+def keep_inputs(output: Path | None, *inputs: Path | None) -> None:
+    """Refuse to write over a file that is read.
+
+    Raises:
+        FileFormatError: The output is one of the inputs.
+    """
+    from planner.errors import FileFormatError
+
+    for given in inputs:
+        if output is not None and given is not None and given.is_file() and output.exists():
+            if output.samefile(given):
+                raise FileFormatError(f"{given} would be written over; give another name for it")
+
+
 def check_films(*files: Path | None) -> None:
     """Refuse files that cannot be written, the last of them a film, before the work.
 

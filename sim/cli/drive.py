@@ -18,6 +18,7 @@ from sim.cli.common import (
     err,
     errors_for_people,
     heeding_ctrl_c,
+    keep_inputs,
     names,
     out,
     print_json,
@@ -108,6 +109,9 @@ def drive(
         if check and replay:
             raise TaskError("--check-joints moves a hand, and a log has none; leave --replay out")
         check_folder(log)
+        keep_inputs(log, plan_file, replay)
+        if log is not None and log.suffix.lower() != ".npz":
+            raise TaskError(f"--log {log} is no name of a log; let it end with .npz")
         plan = one_plan(plan_file)
         if on_stop not in STOPS:
             raise NotFoundError("way to stop", on_stop, STOPS)

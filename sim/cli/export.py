@@ -15,6 +15,7 @@ from sim.cli.common import (
     err,
     errors_for_people,
     heeding_ctrl_c,
+    keep_inputs,
     names,
     out,
     print_json,
@@ -139,6 +140,7 @@ def export(
         world_frame=world_frame,
     )
     check_export(to, output, writing)
+    keep_inputs(output, *sources)
     if not output.parent.is_dir():
         raise TaskError(f"cannot write {output}: there is no folder {output.parent}; make it")
     plans = _read(sources, None if objects is None else names(objects), n)

@@ -20,6 +20,7 @@ from sim.cli.common import (
     check_folder,
     errors_for_people,
     exit_for,
+    keep_inputs,
     make_folder,
     out,
     print_json,
@@ -174,6 +175,7 @@ def simulate(
 
     check_folder(report_file)
     check_folder(picture)
+    keep_inputs(report_file, plan_file)
     plan = one_plan(plan_file)
     report = replace(trial.trial()(plan, picture), command=told_command(context))
     page = None if report_file is None else report_file.with_suffix(".html")

@@ -126,7 +126,9 @@ def sources_of(
     found: list[Source] = []
     for path in paths:
         if not path.exists():
-            raise NotFoundError("file", str(path), (), "give a plan, a report or a batch")
+            raise NotFoundError(
+                "file", str(path), (), "give a plan, a report or a batch", is_path=True
+            )
         found += _of_folder(path, trials, most) if path.is_dir() else _of_file(path, trials)
     for source in found:
         if source.hand != found[0].hand:
