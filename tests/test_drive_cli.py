@@ -109,6 +109,14 @@ def test_a_log_is_replayed_with_its_own_plan_and_rate(drive: Any, folder: Path) 
     assert "the log is of another grasp of sphere" in " ".join(done.stderr.split())
 
 
+def test_a_movement_is_told_what_takes_it(folder: Path) -> None:
+    (folder / "m.json").write_text('{"format": "opposable-manipulation", "version": 1}')
+    for command in ("drive", "simulate", "forces"):
+        done = RUN.invoke(app, [command, str(folder / "m.json")])
+        said = " ".join(done.stderr.split())
+        assert done.exit_code == 3 and "manipulate --plan" in said and "ros2-trajectory" in said
+
+
 def test_a_dry_run_moves_nothing(drive: Any) -> None:
     done = drive("--fast", "--dry-run", "--json")
     data = json.loads(done.stdout)

@@ -381,10 +381,11 @@ def keep_inputs(output: Path | None, *inputs: Path | None) -> None:
     """
     from planner.errors import FileFormatError
 
+    if output is None or not output.exists():
+        return
     for given in inputs:
-        if output is not None and given is not None and given.is_file() and output.exists():
-            if output.samefile(given):
-                raise FileFormatError(f"{given} would be written over; give another name for it")
+        if given is not None and given.is_file() and output.samefile(given):
+            raise FileFormatError(f"{given} would be written over; give another name for it")
 
 
 def check_films(*files: Path | None) -> None:

@@ -38,6 +38,10 @@ ORDERS = ("wxyz", "xyzw")
 """Of a quaternion."""
 
 
+MOVEMENTS = ("opposable-motion", "opposable-gait", "opposable-manipulation")
+"""Formats of plans that are movements."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class ReadingOptions:
     """What a file of another tool does not say of itself."""
@@ -164,17 +168,24 @@ def one_plan(path: Path) -> GraspPlan:
     """The plan of a file, or of a folder that holds one.
 
     Raises:
-        TaskError: The folder holds several.
+        TaskError: The folder holds several, or the file is the plan of a movement.
         FileFormatError: It holds none, or the file is none.
     """
     from planner.errors import TaskError, few_of
-    from planner.files import read_plan
+    from planner.files import format_told, read_plan
 
     files = listed_plans([path])
     if len(files) > 1:
         raise TaskError(
             f"{path} holds {len(files)} plans, and one is taken; give a file of it: "
             f"{few_of(file.name for file in files)}"
+        )
+    kind = format_told(files[0])
+    if kind in MOVEMENTS:
+        raise TaskError(
+            f"{files[0]} is of the format {kind!r}, and the plan of a grasp is taken; opposable "
+            f"manipulate --plan {files[0]} executes it in simulation, and opposable export --to "
+            "ros2-trajectory writes its joints over time"
         )
     return read_plan(files[0])
 
