@@ -21,11 +21,23 @@ __all__ = [
     "ObjectError",
     "PlannerError",
     "TaskError",
+    "few_of",
 ]
 
 
+MOST_NAMED = 4
+"""Names that a message gives as examples of many."""
+
 MOST_LISTED = 20
 """More names than this are not listed where one of them is near the one asked for."""
+
+
+def few_of(names: Iterable[str]) -> str:
+    """Names for a message: all of a few; of many the first, and how many there are."""
+    given = list(names)
+    if len(given) <= MOST_NAMED:
+        return ", ".join(given) or "none"
+    return f"{', '.join(given[:MOST_NAMED])}, ... ({len(given)} in all)"
 
 
 class PlannerError(Exception):

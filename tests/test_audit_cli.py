@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from typer.testing import CliRunner
 
 from planner.audit import given_of_plans
@@ -41,6 +42,11 @@ def folder(plans: list[GraspPlan], tmp_path_factory: pytest.TempPathFactory) -> 
     write_table(plans, made / "good.csv", Writing())
     worse = replace(plans[0], q=plans[0].q_pregrasp)
     write_table([*plans, worse], made / "bad.json", Writing())
+    plain = json.loads((made / "bad.json").read_text())
+    del plain["hand"]
+    for k, grasp in enumerate(plain["grasps"]):
+        grasp["object"] = ("can", "can", "pot", BOX)[k]
+    (made / "plain.json").write_text(json.dumps(plain))
     write_plan(plans[0], made / "plan.json")
     plan_grasps("allegro_hand", [BOX], 2, seed=1, workers=1, out=made / "set")
     export_dexgraspbench(GraspSet(made / "set"), made / "out")
@@ -62,6 +68,53 @@ def test_good_grasps_exit_with_0_and_bad_ones_with_1(folder: Path, tmp_path: Pat
     ):
         assert words in done.output
     assert len(rows.read_text().splitlines()) == 5
+
+
+def test_a_table_brings_its_hand_and_its_objects(folder: Path, tmp_path: Path) -> None:
+    """Columns that say what the grasps are for are used where nothing is told."""
+    done = RUN.invoke(app, ["audit", str(folder / "good.csv"), "--json"])
+    assert done.exit_code == 0, done.output
+    data = json.loads(done.stdout)
+    assert (data["hand"], data["object"], data["passed"]) == ("allegro_hand", BOX, 3)
+    table = json.loads((folder / "good.csv").with_name("bad.json").read_text())
+    table["grasps"][1]["object"] = "box:0.05x0.05x0.09"  # of it the pads touch as well
+    (tmp_path / "two.json").write_text(json.dumps(table))
+    done = RUN.invoke(app, ["audit", str(tmp_path / "two.json"), "--json"])
+    data = json.loads(done.stdout)
+    assert data["object"] == f"{BOX}, box:0.05x0.05x0.09"
+    assert [row["index"] for row in data["rows"]] == [0, 1, 2, 3]
+    assert [row["object"] for row in data["rows"]] == [BOX] * 3 + ["box:0.05x0.05x0.09"]
+    table["hand"] = "my_hand"
+    (tmp_path / "two.json").write_text(json.dumps(table))
+    done = RUN.invoke(app, ["audit", str(tmp_path / "two.json")])
+    assert done.exit_code == 3
+    said = " ".join(done.output.split())
+    assert "is for the hand 'my_hand', which is not known here; give its name or file" in said
+
+
+def test_a_mesh_that_a_file_names(folder: Path, tmp_path: Path) -> None:
+    """A table's is used, found beside the table; another tool's is offered."""
+    box = trimesh.creation.box((0.05, 0.05, 0.08))
+    box.export(tmp_path / "can.obj")
+    table = json.loads((folder / "plain.json").read_text())
+    table["grasps"] = table["grasps"][:1]
+    table["grasps"][0]["object"] = "can.obj"
+    (tmp_path / "t.json").write_text(json.dumps(table))
+    done = RUN.invoke(app, ["audit", str(tmp_path / "t.json"), *FOR[:2], "--json"])
+    data = json.loads(done.stdout)
+    assert data["object"].endswith("can.obj") and data["stages"]["gap"]["passed"] == 1
+    for other, code in (("box:0.05x0.05x0.08", 0), ("box:0.05x0.05x0.09", 3)):
+        words = ["audit", str(tmp_path / "t.json"), *FOR[:2], "--object", other]
+        assert RUN.invoke(app, words).exit_code == code, "the same in another form, or another"
+    (source,) = sorted((folder / "out" / "graspdata").rglob("*0.npy"))[:1]
+    grasp = np.load(source, allow_pickle=True).item()
+    grasp["obj_path"] = "can.obj"
+    np.save(tmp_path / "g.npy", np.array(grasp, dtype=object))
+    words = ["audit", str(tmp_path / "g.npy"), *FOR[:2], "--by-number"]
+    done = RUN.invoke(app, words)
+    said = " ".join(done.output.split())
+    assert f"it names can.obj, which is there: give --object {tmp_path / 'can.obj'}" in said
+    assert RUN.invoke(app, [*words, "--object", str(tmp_path / "can.obj")]).exit_code in (0, 1)
 
 
 def test_json_for_machines(folder: Path) -> None:
@@ -95,8 +148,24 @@ def test_an_export_for_dexgraspbench_is_held(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["good.csv"], "give --hand"),
-        (["good.csv", "--hand", "allegro_hand"], "give --object"),
+        (["plain.json"], "does not say which hand it is for; give --hand"),
+        (
+            ["plain.json", "--hand", "allegro_hand", "--only", "can"],
+            "of the object 'can', which is neither a shape nor a mesh .*; give --object",
+        ),
+        (["plain.json", *FOR], "grasps of 3 objects: box:0.05x0.05x0.08, can, pot; one .* --only"),
+        (["out/graspdata", *FOR[:2], "--by-number"], "does not bring its object .*; give --object"),
+        (
+            ["good.csv", "--object", "box:0.05x0.05x0.09"],
+            "is of the object 'box:0.05x0.05x0.08', and 'box:0.05x0.05x0.09' is given; leave",
+        ),
+        (["good.csv", "--out", "good.csv"], "good.csv would be written over; give another name"),
+        (["good.csv", "--object", "mug"], "is of the object 'box:0.05x0.05x0.08', and 'mug'"),
+        (["plan.json", "--object", "box"], "brings hand, object .*; leave --object out"),
+        (
+            ["good.csv", *FOR, "--format", "mjcf-scene"],
+            "formats? (to read|that are read|is called)",
+        ),
         (["none.csv", *FOR], "does not exist"),
         (["good.csv", *FOR, "--unit", "inch"], "--unit 'inch' is none of m, mm"),
         (["good.csv", *FOR, "--quaternion", "abcd"], "none of wxyz, xyzw"),
@@ -112,7 +181,7 @@ def test_an_export_for_dexgraspbench_is_held(folder: Path) -> None:
 )
 def test_bad_input_is_told(folder: Path, arguments: list[str], said: str) -> None:
     name, *rest = arguments
-    rest = [str(folder / r) if r == "rows.xlsx" else r for r in rest]
+    rest = [str(folder / r) if r in ("rows.xlsx", "good.csv") else r for r in rest]
     before = sorted(folder.iterdir())
     done = RUN.invoke(app, ["audit", str(folder / name), *rest])
     assert done.exit_code == 3, done.output

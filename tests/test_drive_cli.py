@@ -97,6 +97,26 @@ def test_a_simulated_hand_holds_and_its_log_replays(drive: Any, folder: Path) ->
     assert compared["compared"] == data["loop"]["ticks"] and compared["largest"] < 1e-9
 
 
+def test_a_log_is_replayed_with_its_own_plan_and_rate(drive: Any, folder: Path) -> None:
+    assert drive("--fast", "--rate", "50", "--log", "slow.npz").exit_code == 0
+    assert drive("--replay", "slow.npz").exit_code == 0, "the rate is that of the log"
+    done = drive("--replay", "slow.npz", "--rate", "100")
+    assert done.exit_code == 3
+    assert "100 Hz is asked for; give 50 Hz" in " ".join(done.stderr.split())
+    write_plan(plan_grasp(GraspTask.create("allegro_hand", "sphere"), seed=1), folder / "b.json")
+    done = RUN.invoke(app, ["drive", "b.json", "--replay", "slow.npz"])
+    assert done.exit_code == 3
+    assert "the log is of another grasp of sphere" in " ".join(done.stderr.split())
+
+
+def test_a_movement_is_told_what_takes_it(folder: Path) -> None:
+    (folder / "m.json").write_text('{"format": "opposable-manipulation", "version": 1}')
+    for command in ("drive", "simulate", "forces"):
+        done = RUN.invoke(app, [command, str(folder / "m.json")])
+        said = " ".join(done.stderr.split())
+        assert done.exit_code == 3 and "manipulate --plan" in said and "ros2-trajectory" in said
+
+
 def test_a_dry_run_moves_nothing(drive: Any) -> None:
     done = drive("--fast", "--dry-run", "--json")
     data = json.loads(done.stdout)
@@ -144,6 +164,8 @@ def test_a_hand_that_fails_is_told(drive: Any) -> None:
         (["--max-rate", "-1"], "give a number > 0 in rad/s"),
         (["--on-stop", "panic"], "There is: hold, torque-off"),
         (["--log", "no/run.npz"], "there is no folder"),
+        (["--log", "run.txt"], "run.txt is no name of a log; let it end with .npz"),
+        (["--log", "plan.json"], "plan.json would be written over; give another name"),
         (["--controller", "x"], "no controller is called"),
     ],
 )

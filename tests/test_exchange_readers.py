@@ -257,14 +257,14 @@ def test_damaged_dexgraspnet(tmp_path: Path, rng: np.random.Generator) -> None:
         ({"WRJTx": None}, "grasp 0"),
         ({"robot0:FFJ3": "x"}, "not all numbers"),
         ({"robot0:FFJ3": float("nan")}, "not finite"),
-        ({"j5": 0.1}, "names joints that shadow_hand does not have: j5"),
+        ({"j5": 0.1}, "names j5, which shadow_hand does not have"),
     ):
         row = _net(rng)
         row["qpos"] |= change
         np.save(path, np.array([row], dtype=object))
         with pytest.raises(FileFormatError, match=said):
             read_dexgraspnet(path, shadow, Reading())
-    with pytest.raises(FileFormatError, match="lacks, of the joints of allegro_hand"):
+    with pytest.raises(FileFormatError, match="does not fit allegro_hand: it lacks index_0"):
         np.save(path, np.array([_net(rng)], dtype=object))
         read_dexgraspnet(path, load_hand("allegro_hand"), Reading())
 

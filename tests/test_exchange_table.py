@@ -127,7 +127,9 @@ def test_the_pose_of_another_body_becomes_that_of_the_base(tmp_path: Path) -> No
 
     palm = grasp.T_object_base * HandState(shadow, grasp.q).T_base_palm
     np.testing.assert_allclose(palm.translation, [0.01, 0.02, 0.03], atol=1e-12)
-    with pytest.raises(FileFormatError, match="lacks, of the joints of shadow_hand, WRJ2, WRJ1"):
+    with pytest.raises(
+        FileFormatError, match="does not fit shadow_hand: it lacks WRJ2, WRJ1; give"
+    ):
         read_table(path, shadow, Reading())
 
 
@@ -135,14 +137,19 @@ def test_the_pose_of_another_body_becomes_that_of_the_base(tmp_path: Path) -> No
     ("change", "said"),
     [
         (lambda t: t.replace("index_0_rad", "pinky_0_rad"), "index_0"),
-        (lambda t: t.replace("index_0_rad", "index_0"), "columns that a table .* index_0. Joints"),
+        (lambda t: t.replace("index_0_rad", "index_0"), "columns that a table .* index_0; leave"),
         (lambda t: t.replace("index_0_rad", "index_1_rad"), "twice"),
         (lambda t: t.replace("index_0_rad", "index_0_deg"), "in rad and in deg"),
         (lambda t: t.replace("index_0_rad", "index_0_m"), "gives index_0 as a length"),
         (lambda t: t.replace("index_0_rad", "index_0_mm"), "positions in m and index_0_mm"),
         (lambda t: t.replace("x_m,", "x,"), "needs the columns x_m, y_m and z_m"),
         (lambda t: t.replace("0.5,0.5", "0.5,banana"), "row 2, column qx: 'banana' is no number"),
-        (lambda t: t.replace("0.5,0.5", "0.5,nan"), "quaternion"),
+        (lambda t: t.replace("0.5,0.5", "0.5,nan"), "row 2, column qx: 'nan' is no number; put"),
+        (lambda t: t.replace("0.5,0.5", "0.5,inf"), "row 2, column qx: 'inf' is no number; put"),
+        (lambda t: t.replace("0.5,0.5", "0.5,"), "row 2, column qx: an empty cell is no number"),
+        (lambda t: t.replace("qw,", "w,"), "lacks the columns qw; an orientation"),
+        (lambda t: t.replace(",", ";"), "has semicolons between its columns; write it with commas"),
+        (lambda t: t.replace("\n", "\n\n").replace("0.5,0.5", "0.5,x"), "row 3, column qx"),
         (lambda t: t.replace("0.5,0.5", "0.5,0.9"), "length 1"),
         (lambda t: t.rstrip("\n").rsplit(",", 1)[0], "22 values for 23 columns"),
         (lambda t: "", "is empty"),

@@ -106,7 +106,25 @@ def test_what_cannot_be_is_refused_before_anything_is_written(folder: Path, tmp_
         ((batch / "manifest.json", *grasp), 3, "what can be exported is opposable-plan"),
         ((batch, *grasp), 3, "more than one object"),
         ((batch, *grasp, "--objects", "cup"), 3, "no object of the batch is called 'cup'"),
-        ((plan, "--to", "isaac-grasp", "-o", tmp_path / "a" / "b"), 3, "there is no folder"),
+        ((plan, "--to", "isaac-grasp", "-o", tmp_path / "a" / "b.yaml"), 3, "there is no folder"),
+        (
+            (plan, "--to", "isaac-grasp", "-o", tmp_path / "g.txt"),
+            3,
+            f"ends with .txt, and files of isaac-grasp end with .yaml or .yml; name it {file}",
+        ),
+        ((plan, "--to", "ros2-grasp", "-o", tmp_path / "g"), 3, ".yml or .json; name it"),
+        ((plan, "--to", "table", "-o", tmp_path / "g.yaml"), 3, ".csv or .json or .npz; name it"),
+        (
+            (plan, "--to", "mjcf-scene", "-o", tmp_path / "scene.xml"),
+            3,
+            f"ends with .xml, and mjcf-scene is a folder; name one: {tmp_path / 'scene'}",
+        ),
+        (
+            (plan, "--to", "frogger", "-o", file),
+            3,
+            "frogger is read only; formats that",
+        ),
+        ((plan, "--to", "nothing", "-o", file), 3, "There is: dexgraspbench, isaac-grasp, mjcf-sc"),
     ):
         given = opposable("export", *words)
         assert (given[0], said in given[2]) == (code, True), given

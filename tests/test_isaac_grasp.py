@@ -135,7 +135,7 @@ def test_another_body_and_other_names_come_back(
     T_base_palm = HandState(shadow, plan.q).T_base_palm
     palm = plan.task.T_world_object.inverse() * plan.T_world_base * T_base_palm
     np.testing.assert_allclose(data["grasps"]["grasp_0"]["position"], palm.translation, atol=1e-12)
-    with pytest.raises(FileFormatError, match="lacks, of the joints of shadow_hand, FFJ4"):
+    with pytest.raises(FileFormatError, match="it lacks FFJ4 and names rh_FFJ4, which"):
         read_isaac_grasp(path, shadow, Reading(base_body="palm"))
     told = Reading(base_body="palm", rename={"rh_FFJ4": "FFJ4"})
     (grasp,) = read_isaac_grasp(path, shadow, told).grasps
@@ -157,7 +157,7 @@ def test_a_joint_that_follows_is_left_out_and_computed(tmp_path: Path) -> None:
     np.testing.assert_allclose(grasp.q, [0.4, 0.1 - 0.5 * 0.4], atol=1e-12)
     assert (grasp.q_pregrasp, grasp.confidence) == (None, None)
     (tmp_path / "g.yaml").write_text(text.replace("left", "right"), encoding="utf-8")
-    with pytest.raises(FileFormatError, match="cspace_position lacks, of the joints of claw, left"):
+    with pytest.raises(FileFormatError, match="position does not fit claw: it lacks left"):
         read_isaac_grasp(tmp_path / "g.yaml", claw, Reading())
 
 
@@ -205,8 +205,16 @@ DAMAGE: list[tuple[str, Json, str]] = [
     ("grasps.grasp_0.orientation.w", 4.0, "orientation is a quaternion of length 4"),
     ("grasps.grasp_0.confidence", True, "confidence is True; a finite number is needed"),
     ("grasps.grasp_0.cspace_position", ..., "grasps.grasp_0 has no cspace_position"),
-    ("grasps.grasp_0.cspace_position.FFJ4", ..., "cspace_position lacks, .*, FFJ4; it names FFJ1"),
-    ("grasps.grasp_0.cspace_position.thumb", 0.1, "names joints that shadow_hand does not have: t"),
+    (
+        "grasps.grasp_0.cspace_position.FFJ4",
+        ...,
+        "does not fit shadow_hand: it lacks FFJ4; give",
+    ),
+    (
+        "grasps.grasp_0.cspace_position.thumb",
+        0.1,
+        "it names thumb, which shadow_hand does not",
+    ),
     ("grasps.grasp_0.cspace_position.FFJ4", float("inf"), "cspace_position.FFJ4 is inf; a finite"),
     ("grasps.grasp_0.pregrasp_cspace_position.FFJ4", None, "pregrasp_cspace_position.FFJ4 is None"),
 ]

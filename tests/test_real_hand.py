@@ -13,9 +13,11 @@ import pytest
 from hands_in_loops import FakeClock, FakeHand, Steady, looped
 
 from planner.errors import FileFormatError, HandError, NotFoundError, TaskError
+from planner.files import read_plan, write_plan
 from planner.hand_loading import load_hand
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
+from planner.shapes import Sphere
 from planner.spatial import SE3, FloatArray, IntArray
 from planner.task import GraspTask
 from sim.controllers import (
@@ -35,6 +37,7 @@ from sim.real_hand import (
     HandWrapper,
     LoopReport,
     Observer,
+    PlanMark,
     ReplayedHand,
     Safety,
     SimulatedHand,
@@ -441,6 +444,45 @@ def test_a_log_that_ends_ends_the_run(plan: GraspPlan, tmp_path: Path) -> None:
     assert report.ticks == len(read_log(path)) == len(live.writes)
 
 
+def test_a_log_says_which_plan_it_is_of(logged: Path, plan: GraspPlan, tmp_path: Path) -> None:
+    write_plan(plan, tmp_path / "plan.json")
+    marks = [PlanMark.of(plan), PlanMark.of(read_plan(tmp_path / "plan.json"))]
+    assert read_log(logged).plan == marks[0] == marks[1]
+    assert marks[0].hand == plan.task.hand.name and marks[0].object == plan.task.object.shape.spec
+
+
+def test_a_log_of_another_plan_or_rate_is_refused(logged: Path, plan: GraspPlan) -> None:
+    """Also behind a wrapper, which hides that it is a log."""
+    heavy = replace(plan, task=replace(plan.task, object=replace(plan.task.object, mass=0.3)))
+    small = replace(
+        plan.task, table_height=None, object=replace(plan.task.object, shape=Sphere(0.02))
+    )
+    hand = ReplayedHand(logged)
+    for other, rate, said in (
+        (replace(plan, q=plan.q + 1e-3), 125.0, "of another grasp of"),
+        (heavy, 125.0, "of another grasp of"),
+        (replace(plan, task=small), 125.0, "not of sphere:0.02; give"),
+        (plan, 100.0, "of a loop at 125 Hz, and a rate of 100 Hz is asked for; give 125 Hz"),
+    ):
+        with pytest.raises(TaskError, match=said):
+            run_controller(HandWrapper(hand), Steady(plan.q), other, rate_hz=rate, clock=hand.clock)
+    assert hand.comparison().compared == 0
+
+
+def test_a_log_of_version_1_is_read_and_not_compared(logged: Path, plan: GraspPlan) -> None:
+    with np.load(logged, allow_pickle=False) as file:
+        meta = json.loads(str(file["meta"]))
+    del meta["plan"]
+    path = damaged(logged, meta=np.array(json.dumps(meta | {"version": 1})))
+    hand = ReplayedHand(path)
+    assert hand.log.plan is None
+    other = replace(plan, q=plan.q + 1e-3)
+    done = run_controller(
+        hand, Steady(plan.q), other, rate_hz=125.0, timeline=QUICK, clock=hand.clock
+    )
+    assert done.done
+
+
 def test_a_log_of_another_hand_is_refused(logged: Path) -> None:
     with pytest.raises(FileFormatError, match="of another hand than shadow_hand"):
         ReplayedHand(logged, load_hand("shadow_hand"))
@@ -505,7 +547,7 @@ def test_a_damaged_log_is_refused_and_nothing_is_executed(
     pickled = tmp_path / "pickle.npz"
     pickled.write_bytes(pickle.dumps(Hostile()))
     objects = damaged(logged, joints=np.array([Hostile()], dtype=object)).rename("objects.npz")
-    later = {"format": "opposable-hand-log", "version": 2}
+    later = {"format": "opposable-hand-log", "version": 3}
     cases = {
         "does not exist": tmp_path / "none.npz",
         "cannot be read as a log": cut,
@@ -519,7 +561,7 @@ def test_a_damaged_log_is_refused_and_nothing_is_executed(
     changed: dict[str, dict[str, Any]] = {
         "joints has shape": {"joints": log.joints[:-1]},
         "cannot be read as a log": {"efforts": None},
-        "version 2; this reads version 1": {"meta": np.array(json.dumps(later))},
+        "version 3; this reads version 1 and 2": {"meta": np.array(json.dumps(later))},
         "is no log of a hand": {"meta": np.array("{}")},
         "phases for": {"phase": np.array(["hold"])},
     }

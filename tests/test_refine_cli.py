@@ -127,8 +127,17 @@ def test_another_size_of_the_object_is_that_of_its_grasp(plan: GraspPlan, tmp_pa
         (("{poses}", "--hand", "allegro_hand"), "give --object"),
         (("{poses}", "--object", "box"), "give --hand"),
         (("{poses}", *BOX, "--unit", "cm"), "--unit 'cm' is none of m, mm"),
-        (("{poses}", "--hand", "shadow_hand", "--object", "box"), "of the joints of shadow_hand"),
+        (
+            ("{poses}", "--hand", "shadow_hand", "--object", "box"),
+            "does not fit shadow_hand: it lacks WRJ2, WRJ1, FFJ4, FFJ3, ... (24 in all) and names "
+            "index_0, index_1, index_2, index_3, ... (16 in all), which shadow_hand does not have; "
+            "give the hand that the file is for",
+        ),
         (("{poses}", *BOX, "--format", "nothing"), "no format is called 'nothing'"),
+        (
+            ("{poses}", *BOX, "--format", "ros2-trajectory"),
+            "ros2-trajectory is written only; formats that are read: dexgraspbench,",
+        ),
     ],
 )
 def test_what_is_wrong_is_one_line(
@@ -140,6 +149,70 @@ def test_what_is_wrong_is_one_line(
     assert done.exit_code == 3
     assert said in " ".join(done.output.split())
     assert not (tmp_path / "out").exists()
+
+
+def test_millimetres_are_noticed(plan: GraspPlan, tmp_path: Path) -> None:
+    """By the check of ``audit``, with its words; poses that are nearly grasps are let through."""
+    rng = np.random.default_rng(0)
+    poses = {f"pose {k}": perturbed(plan, 0.01, 0.1, rng) for k in range(4)}
+    file = table_file(tmp_path / "poses.json", plan, poses)
+    data = json.loads(file.read_text())
+    for grasp in data["grasps"]:
+        grasp["position"] = [1e3 * p for p in grasp["position"]]
+    file.write_text(json.dumps(data))
+    done = asked(file, *BOX, "--out", tmp_path / "out")
+    assert done.exit_code == 3, done.output
+    assert "with lengths in millimetres, " in done.output and "give --unit mm" in done.output
+    assert not (tmp_path / "out").exists()
+    done = asked(file, *BOX, "--unit", "mm", "--out", tmp_path / "out")
+    assert "4 of 4 brought back" in done.output
+
+
+def test_what_is_refined_is_read_again(plan: GraspPlan, tmp_path: Path) -> None:
+    """The folder that ``refine`` writes is an input of every command that takes plans."""
+    poses = {name: (plan.T_world_base, plan.q) for name in ("a", "b")}
+    folder = tmp_path / "out"
+    assert asked(table_file(tmp_path / "p.json", plan, poses), *BOX, "--out", folder).exit_code == 0
+
+    def run(*words: object) -> tuple[int, str]:
+        done = RUN.invoke(app, [str(w) for w in words])
+        return done.exit_code, " ".join(done.output.split())
+
+    assert run("audit", folder)[1].endswith("2 of 2 grasps pass")
+    rows = json.loads(RUN.invoke(app, ["audit", str(folder), "--json"]).stdout)["rows"]
+    assert [row["name"] for row in rows] == ["0-a", "1-b"]
+    assert "2 of 2 brought back" in run("refine", folder, "-o", tmp_path / "again")[1]
+    assert "2 plans written" in run("export", folder, "--to", "table", "-o", tmp_path / "t.csv")[1]
+    code, said = run("simulate", folder)
+    assert "holds 2 plans, and one is taken; give a file of it: 0-a.json, 1-b.json" in said
+    assert code == 3
+    (folder / "1-b.json").unlink()
+    assert run("simulate", folder)[0] == 0
+    (folder / "0-a.json").unlink()
+    for command in ("simulate", "test"):
+        code, said = run(command, folder)
+        assert code == 3 and "is a folder without plan files; give plan files" in said
+    code, said = run("export", folder, "--to", "table", "-o", tmp_path / "t.csv")
+    assert code == 3 and "holds neither plan files nor a batch" in said
+
+
+def test_what_a_plan_brings_is_not_told_again(plan: GraspPlan, tmp_path: Path) -> None:
+    write_plan(plan, tmp_path / "plan.json")
+    done = asked(tmp_path / "plan.json", "--mu", "0.3", "--hand", "shadow_hand")
+    assert done.exit_code == 3
+    assert "brings hand, object and surroundings; leave --hand, --mu out" in done.output
+
+
+def test_a_table_brings_its_hand_and_object(plan: GraspPlan, tmp_path: Path) -> None:
+    poses = {"a": (plan.T_world_base, plan.q)}
+    file = table_file(tmp_path / "p.json", plan, poses, hand="allegro_hand")
+    data = json.loads(file.read_text())
+    data["grasps"][0]["object"] = plan.task.object.shape.spec
+    file.write_text(json.dumps(data))
+    done = asked(file, "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    found = read_plan(tmp_path / "out" / "0-a.json")
+    assert found.task.object.shape.spec == plan.task.object.shape.spec
 
 
 def test_ctrl_c_keeps_what_was_refined(

@@ -77,6 +77,14 @@ def test_states_are_still_held_by_a_script_that_knows_nothing_of_us(cache: Path)
         check=True,
     )
     assert "20 of 20 states held" in done.stdout
+    for words in ([], ["none.npz"], [str(cache / CELL / "states.npz"), "many"]):
+        wrong = subprocess.run(
+            [sys.executable, str(script), *words], capture_output=True, text=True, check=False
+        )
+        assert wrong.returncode == 2, wrong.stderr
+        assert (
+            wrong.stderr == "usage: python check_states.py CACHE/OBJECT/states.npz [COUNT] [SEED]\n"
+        )
     text = script.read_text(encoding="utf-8")
     assert len(text.splitlines()) < 60
     imported = {

@@ -69,6 +69,15 @@ def run_check(folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder.parent)
 
 
+def test_the_check_of_a_folder_without_a_scene_is_one_line(folder: Path, tmp_path: Path) -> None:
+    for words in ([str(tmp_path)], ["a", "b"]):
+        command = [sys.executable, "-I", str(folder / "check.py"), *words]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 2
+        assert done.stderr.startswith("usage: python check.py [FOLDER]")
+        assert len(done.stderr.splitlines()) == 2
+
+
 # --- the same scene -------------------------------------------------------------------------------
 
 

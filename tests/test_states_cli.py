@@ -11,6 +11,7 @@ import time
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -47,9 +48,19 @@ def test_states_are_made_in_two_sizes_and_shown_again(tmp_path: Path) -> None:
     code, out, _ = opposable(*words, "--json", "--format", "npz")
     assert code == 0
     assert [cell["scale"] for cell in json.loads(out)["cells"]] == [1.0, 1.1]
+    fewer = ["2" if word == "5" else word for word in words]
+    code, out, _ = opposable(*fewer)
+    assert code == 0 and "sphere-0.035-s1 had 5 states before, and keeps them" in out
+    for file in hora.iterdir():
+        assert len(np.load(file)) == 5
+    code, out, _ = opposable(*fewer, "--json")
+    assert [(cell["states"], cell["asked"]) for cell in json.loads(out)["cells"]] == [(5, 2)] * 2
     code, _, err = opposable(*words, "--mass", "0.1,0.2")
     assert code == 3
     assert "draws differ" in err
+    (tmp_path / "cache" / "manifest.json").write_text('{"format": "opposable-batch"}')
+    code, _, err = opposable(*words)
+    assert code == 3 and "holds something else, of the format 'opposable-batch'; choose" in err
 
 
 def test_an_object_that_cannot_be_held_is_said(tmp_path: Path) -> None:

@@ -5,6 +5,8 @@ ours, both by ``planner.verification`` and with its tolerances, so that both sta
 ``audit_file`` reads and judges, and says where a file was read in another unit, order or hand.
 """
 
+from planner.audit.grasp_file import GraspFile
+from planner.audit.readings import right_task
 from planner.audit.report import AuditReport, joined_reports
 from planner.audit.rows import STAGES, AuditRow, StageResult
 from planner.audit.run import audit_file, audit_grasps, audit_plans
@@ -15,6 +17,7 @@ __all__ = [
     "STAGES",
     "AuditReport",
     "AuditRow",
+    "GraspFile",
     "StageResult",
     "audit_file",
     "audit_grasps",
@@ -22,5 +25,6 @@ __all__ = [
     "given_of_batch",
     "given_of_plans",
     "joined_reports",
+    "right_task",
     "scaled_object",
 ]

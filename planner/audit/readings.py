@@ -3,27 +3,27 @@
 Poses in millimetres, quaternions in the other order and the other hand give numbers that look as
 good as any. They show where the hand is: under the wrong reading the pads of no grasp are near the
 object, under the right one those of most are. Nothing is decided here: the error says what to
-give.
+give. ``audit`` and ``refine`` read files through it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
+from planner.audit.grasp_file import GraspFile
 from planner.audit.judge import Judge
-from planner.errors import FileFormatError, PlannerError
-from planner.exchange.formats import GraspFormat, Reading
+from planner.errors import FileFormatError, PlannerError, TaskError
+from planner.exchange.formats import Reading
 from planner.exchange.given import GivenGrasps
 from planner.hand_loading import load_hand
 from planner.hands.catalog import hand_names
 from planner.hands.hand import Hand
 from planner.task import GraspTask
 
-__all__ = ["need_right_reading"]
+__all__ = ["right_task"]
 
 SIGNS = ((0.001, 3), (0.01, 2))
 """Distance (m) of pads from the surface, either side, and how many of them must be so near: nearly
@@ -39,33 +39,49 @@ ENOUGH = 0.5
 """Share of grasps (-) that another reading must bring near to be named."""
 
 
-def need_right_reading(
-    path: Path,
-    read: GraspFormat,
-    reading: Reading,
-    judge: Judge,
-    given: GivenGrasps,
+def right_task(
+    file: GraspFile,
     task_for: Callable[[Hand], GraspTask],
-) -> None:
-    """Refuse a file whose hand is nowhere near the object, and would be in another reading.
+    hand: Hand,
+    *,
+    fingers_told: bool = False,
+    within: float | None = None,
+) -> tuple[GraspTask, GivenGrasps]:
+    """Task and grasps of one object of a file, seen to be read as they were written.
 
     Args:
-        path: The file.
-        read: Its format.
-        reading: How it was read.
-        judge: For the hand and object that were given.
-        given: What was read.
-        task_for: The same task for another hand.
+        file: The file, restricted to an object where it has several.
+        task_for: Makes the task for a hand.
+        hand: The hand.
+        fingers_told: Whether the fingers of the task hold and no others.
+        within: Distance (m) of two pads from the object up to which a pose is as it was meant,
+            where poses need be no grasps; by ``SIGNS`` if None.
 
     Raises:
-        FileFormatError: So; it says what to give.
+        FileFormatError: Damaged; or the hand is nowhere near the object, and would be in another
+            reading: it says what to give.
+        TaskError: It holds no grasp.
     """
+    given = file.grasps(hand)
+    if not len(given):
+        raise TaskError(f"{file.path} holds no grasp; give a file with grasps")
+    task = task_for(hand)
+    judge = Judge(task, fingers_told=fingers_told)
+    if within is None or _share_near(judge, given, within, 2) <= FEW:
+        _need_right_reading(file, judge, given, task_for)
+    return task, given
+
+
+def _need_right_reading(
+    file: GraspFile, judge: Judge, given: GivenGrasps, task_for: Callable[[Hand], GraspTask]
+) -> None:
+    """Refuse a file whose hand is nowhere near the object, and would be in another reading."""
     near = [_share_near(judge, given, *sign) for sign in SIGNS]
-    if read.read is None or min(near) > FEW:
+    if min(near) > FEW:
         return
-    for said, hand, other in _others(judge.task.hand, reading):
+    for said, hand, other in _others(judge.task.hand, file.reading):
         try:
-            again = read.read(path, hand, other)
+            again = file.grasps(hand, other)
             mine = judge if hand is judge.task.hand else Judge(task_for(hand), **judge.how)
             shares = [_share_near(mine, again, *sign) for sign in SIGNS]
         except PlannerError:  # this reading cannot be, and another one may
@@ -73,7 +89,7 @@ def need_right_reading(
         for (within, count), before, share in zip(SIGNS, near, shares, strict=True):
             if before <= FEW and share >= ENOUGH:
                 raise FileFormatError(
-                    f"{path}: of the grasps looked at, {min(len(given), LOOKED_AT)} of "
+                    f"{file.path}: of the grasps looked at, {min(len(given), LOOKED_AT)} of "
                     f"{len(given)}, {100 * before:.0f} % have {count} pads within "
                     f"{1e3 * within:.0f} mm of the object's surface; {said[0]}, "
                     f"{100 * share:.0f} % do: {said[1]}"

@@ -8,16 +8,17 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
+from planner.audit.grasp_file import GraspFile, need_one_object
 from planner.audit.judge import Judge
-from planner.audit.readings import need_right_reading
+from planner.audit.readings import right_task
 from planner.audit.report import AuditReport, joined_reports
 from planner.audit.rows import AuditRow, StageResult
 from planner.audit.sources import given_of_plans
 from planner.batch.jobs import end_with
 from planner.batch.pool import finished
 from planner.batch.recipe import recipe_of, task_of
-from planner.errors import FileFormatError, TaskError
-from planner.exchange.formats import Reading, format_named, format_of
+from planner.errors import TaskError
+from planner.exchange.formats import Reading
 from planner.exchange.given import GivenGrasp, GivenGrasps
 from planner.hands.hand import Hand
 from planner.plan import GraspPlan
@@ -178,21 +179,9 @@ def audit_file(
         NotFoundError: No such file or format.
         TaskError: The format has no reader.
     """
-    chosen = format_of(path) if format is None else format_named(format)
-    if chosen.read is None:
-        raise TaskError(f"{chosen.name} is written and not read; give a file of another format")
-    reading = reading or Reading()
-    given = chosen.read(path, hand, reading)
-    if only:
-        kept = tuple(g for g in given.grasps if only in g.object)
-        if not kept:
-            names = ", ".join(sorted({g.object for g in given.grasps}))
-            raise TaskError(f"no object of {path} has {only!r} in its name; there is: {names}")
-        given = replace(given, grasps=kept)
-    _need_one_object(path, given)
-    task = task_for(hand)
-    judge = Judge(task, fingers_told=fingers_told)
-    need_right_reading(path, chosen, reading, judge, given, task_for)
+    file = GraspFile.open(path, format=format, reading=reading, only=only)
+    need_one_object(path, sorted({g.object for g in file.grasps(hand).grasps}))
+    task, given = right_task(file, task_for, hand, fingers_told=fingers_told)
     if started is not None:
         started(given)
     return audit_grasps(
@@ -204,16 +193,6 @@ def audit_file(
         workers=workers,
         progress=progress,
     )
-
-
-def _need_one_object(path: Path, given: GivenGrasps) -> None:
-    names = sorted({g.object for g in given.grasps})
-    if len(names) > 1:
-        shown = ", ".join(names[:5])
-        raise FileFormatError(
-            f"{path} has grasps of {len(names)} objects ({shown}{', ...' if names[5:] else ''}); "
-            "one is judged at a time: say which with --only, a part of its name"
-        )
 
 
 def _chunks(

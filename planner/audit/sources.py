@@ -19,13 +19,19 @@ __all__ = ["given_of_batch", "given_of_plans"]
 
 
 def given_of_plans(
-    plans: Sequence[GraspPlan], source: Path
+    plans: Sequence[GraspPlan], source: Path, names: Sequence[str] | None = None
 ) -> Iterator[tuple[GraspTask, GivenGrasps]]:
-    """Each plan with its task, as a grasp of which nothing is verified."""
-    for plan in plans:
+    """Each plan with its task, as a grasp of which nothing is verified.
+
+    Args:
+        plans: The plans.
+        source: Where they are from.
+        names: What to call them; their seeds if None.
+    """
+    for plan, name in zip(plans, names or [f"seed {p.record.seed}" for p in plans], strict=True):
         to_file, upright = T_file_object(plan.task), plan.task.T_world_object
         grasp = GivenGrasp(
-            name=f"seed {plan.record.seed}",
+            name=name,
             T_object_base=to_file * upright.inverse() * plan.T_world_base,
             q=plan.q,
             q_pregrasp=plan.q_pregrasp,

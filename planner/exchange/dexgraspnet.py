@@ -143,7 +143,7 @@ register_format(
     GraspFormat(
         name=NAME,
         title="DexGraspNet dictionaries (Shadow hand)",
-        suffix=".npy",
+        suffixes=(".npy",),
         loses="",
         recognises=_recognises,
         read=read_dexgraspnet,

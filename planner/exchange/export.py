@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from planner.errors import TaskError
-from planner.exchange.formats import FORMATS, GraspFormat, Writing, format_named
+from planner.exchange.formats import FORMATS, GraspFormat, Writing, writable_format
 from planner.exchange.joints import channels_of
 from planner.exchange.sources import AnyPlan, task_of_plan
 from planner.plan import GraspPlan
@@ -34,23 +34,49 @@ class Export:
     notes: tuple[str, ...]
 
 
-def check_export(name: str, writing: Writing | None = None) -> GraspFormat:
-    """The format of a name, seen to be writable with these names of frames and joints.
+FILE_SUFFIXES = (
+    *(".csv", ".json", ".npy", ".npz", ".txt", ".toml", ".yaml", ".yml"),
+    *(".mjcf", ".urdf", ".xml", ".zip"),
+)
+"""Endings by which a name is meant for a file, where a format is a folder."""
+
+
+def check_export(name: str, path: Path, writing: Writing | None = None) -> GraspFormat:
+    """The format of a name, seen to be writable there with these names of frames and joints.
 
     Raises:
         NotFoundError: There is no such format.
-        TaskError: It has no writer, or no use for something that is given.
+        TaskError: It has no writer, its files do not end so, or it has no use for something that
+            is given.
     """
-    chosen = format_named(name)
-    if chosen.write is None:
-        able = ", ".join(f.name for f in FORMATS.values() if f.write is not None)
-        raise TaskError(f"{name} is read only; formats that are written: {able}")
+    chosen = writable_format(name)
+    _need_suffix(chosen, path)
     told = writing or Writing()
     given = {f.name for f in fields(Writing) if getattr(told, f.name) != getattr(Writing(), f.name)}
     if unused := sorted(given - chosen.heeds):
         heeded = ", ".join(sorted(chosen.heeds)) or "nothing of the kind"
         raise TaskError(f"{name} has no place for {', '.join(unused)}; it takes {heeded}")
     return chosen
+
+
+def _need_suffix(chosen: GraspFormat, path: Path) -> None:
+    """Refuse a path that does not end as the files of a format do.
+
+    Raises:
+        TaskError: So.
+    """
+    ending, allowed = path.suffix.lower(), chosen.suffixes
+    if not allowed and ending in FILE_SUFFIXES:
+        raise TaskError(
+            f"{path} ends with {path.suffix}, and {chosen.name} is a folder; name one: "
+            f"{path.with_suffix('')}"
+        )
+    if allowed and ending not in allowed:
+        said = f"ends with {path.suffix}" if ending else "has no ending"
+        raise TaskError(
+            f"{path} {said}, and files of {chosen.name} end with {' or '.join(allowed)}; name it "
+            f"{path.parent / (path.stem or 'grasps')}{allowed[0]}"
+        )
 
 
 def export_plans(
@@ -66,11 +92,12 @@ def export_plans(
 
     Raises:
         NotFoundError: There is no such format.
-        TaskError: No plan, a format without a writer, or something that it cannot carry.
+        TaskError: No plan, a format without a writer, a path with another ending, or something
+            that the format cannot carry.
         FileFormatError: The file cannot be written.
     """
     told = writing or Writing()
-    chosen = check_export(format, told)
+    chosen = check_export(format, Path(path), told)
     if not plans:
         raise TaskError("there are no plans to export; give at least one")
     for plan in plans:

@@ -25,7 +25,9 @@ __all__ = [
     "format_named",
     "format_of",
     "load_formats",
+    "readable_format",
     "register_format",
+    "writable_format",
 ]
 
 
@@ -92,7 +94,7 @@ class GraspFormat:
     Attributes:
         name: Lower case with hyphens, for example "isaac-grasp".
         title: What it is, in a few words, with the version and whose it is.
-        suffix: How its files end, ".yaml"; "" for a folder.
+        suffixes: How its files may end, the usual ending first; () for a folder.
         loses: What of a plan does not come back from it, a sentence; "" for nothing.
         recognises: Whether a file looks like it, without reading more than is needed; never raises
             but for a file that cannot be opened.
@@ -103,17 +105,23 @@ class GraspFormat:
         heeds: Names of the fields of ``Writing`` that ``write`` heeds; ``export_plans`` refuses the
             others.
         movements: Whether ``write`` takes motions, gaits and manipulation plans as well.
+        hand_of: What a file calls its hand, as ``load_hand`` takes it, "" where it says nothing;
+            None for a format whose files name no hand of ours.
+        object_specs: Whether ``GivenGrasp.object`` is what ``parse_object`` takes, and not only
+            what the other tool calls the object.
     """
 
     name: str
     title: str
-    suffix: str
+    suffixes: tuple[str, ...]
     loses: str
     recognises: Callable[[Path], bool]
     read: Callable[[Path, Hand, Reading], GivenGrasps] | None = None
     write: Callable[[Sequence[Any], Path, Writing], tuple[Path, ...]] | None = None
     heeds: frozenset[str] = frozenset()
     movements: bool = False
+    hand_of: Callable[[Path], str] | None = None
+    object_specs: bool = False
 
 
 FORMATS: dict[str, GraspFormat] = {}
@@ -161,6 +169,37 @@ def format_named(name: str) -> GraspFormat:
     if name not in FORMATS:
         raise NotFoundError("format", name, FORMATS)
     return FORMATS[name]
+
+
+def readable_format(name: str) -> GraspFormat:
+    """The format of a name, which is read.
+
+    Raises:
+        NotFoundError: There is none.
+        TaskError: It is written only.
+    """
+    return _able(name, "read", "written")
+
+
+def writable_format(name: str) -> GraspFormat:
+    """The format of a name, which is written.
+
+    Raises:
+        NotFoundError: There is none.
+        TaskError: It is read only.
+    """
+    return _able(name, "write", "read")
+
+
+def _able(name: str, verb: str, other: str) -> GraspFormat:
+    load_formats()
+    able = [f.name for f in FORMATS.values() if getattr(f, verb) is not None]
+    if name in able:
+        return FORMATS[name]
+    if name not in FORMATS:
+        raise NotFoundError("format", name, able)
+    done = {"read": "read", "write": "written"}[verb]
+    raise TaskError(f"{name} is {other} only; formats that are {done}: {', '.join(able)}")
 
 
 def format_of(path: Path) -> GraspFormat:

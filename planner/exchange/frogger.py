@@ -106,7 +106,7 @@ register_format(
     GraspFormat(
         name=NAME,
         title="results of FRoGGeR's timing script",
-        suffix=".pkl",
+        suffixes=(".pkl", ".pickle"),
         loses="",
         recognises=_recognises,
         read=read_frogger,

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.errors import FileFormatError
+from planner.errors import FileFormatError, few_of
 from planner.hands.hand import Hand
 from planner.immutable import freeze
 from planner.spatial import SE3, FloatArray
@@ -105,17 +105,15 @@ def joints_by_name(
     missing = [name for name in hand.joint_names if name not in mine]
     foreign = [name for name in mine if name not in hand.joint_names]
     doubled = sorted({name for name in mine if mine.count(name) > 1})
-    for fault, said in (
-        (doubled, "names twice"),
-        (missing, f"lacks, of the joints of {hand.name},"),
-        (foreign, f"names joints that {hand.name} does not have:"),
-    ):
-        if fault:
-            raise FileFormatError(
-                f"{where} {said} {', '.join(fault)}; it names {', '.join(names) or 'none'}; "
-                f"the hand has {', '.join(hand.joint_names)}: give the hand that the file is for, "
-                "or say which joint is which"
-            )
+    if doubled:
+        raise FileFormatError(f"{where} names twice {few_of(doubled)}; name every joint once")
+    if missing or foreign:
+        parts = [f"lacks {few_of(missing)}"] * bool(missing)
+        parts += [f"names {few_of(foreign)}, which {hand.name} does not have"] * bool(foreign)
+        raise FileFormatError(
+            f"{where} does not fit {hand.name}: it {' and '.join(parts)}; give the hand that the "
+            "file is for with --hand, or say which joint is which with --rename THEIRS=OURS"
+        )
     array = np.asarray(values, dtype=float)
     if array.shape[-1] != len(mine):
         raise FileFormatError(

@@ -201,7 +201,7 @@ ISAAC_GRASP = register_format(
     GraspFormat(
         name="isaac-grasp",
         title="isaac_grasp YAML 1.0 of NVIDIA's Isaac Sim, Isaac ROS and GraspGen",
-        suffix=".yaml",
+        suffixes=(".yaml", ".yml"),
         loses=(
             "the object's shape and mass, contacts and forces, friction, table and obstacles, the "
             "way to the pre-grasp"

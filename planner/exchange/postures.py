@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from planner.errors import FileFormatError
+from planner.errors import FileFormatError, few_of
 from planner.exchange.formats import Reading
 from planner.exchange.frames import T_base_body
 from planner.exchange.given import joints_by_name
@@ -106,7 +106,7 @@ class FileJoints:
         if told is None:
             raise FileFormatError(
                 f"{where} has {count} joints and does not name them; if they are in the order of "
-                f"{hand.name} ({', '.join(hand.joint_names)}), say --by-number, else give their "
+                f"{hand.name} ({few_of(hand.joint_names)}), say --by-number, else give their "
                 "names with --joint-names"
             )
         self.names = [reading.rename.get(n) or _ours(n, hand) for n in told]

@@ -1,4 +1,4 @@
-"""What there is to export: plan files of any kind, and grasps of batches."""
+"""What there is to export: plan files of any kind, folders of them, and grasps of batches."""
 
 from __future__ import annotations
 
@@ -8,8 +8,16 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from planner.batch.dataset import GraspSet
+from planner.batch.manifest import MANIFEST
 from planner.errors import FileFormatError, NotFoundError, TaskError
-from planner.files import read_gait, read_json, read_manipulation, read_motion, read_plan
+from planner.files import (
+    plan_files,
+    read_gait,
+    read_json,
+    read_manipulation,
+    read_motion,
+    read_plan,
+)
 from planner.motion.gait.plan import GaitPlan
 from planner.motion.manipulation.plan import ManipulationPlan
 from planner.motion.plan import MotionPlan
@@ -43,7 +51,7 @@ def plans_of(
     """Plans of files and of folders of batches, each verified again as it is read.
 
     Args:
-        paths: Plan files, and folders that ``plan_grasps`` wrote.
+        paths: Plan files, folders of plan files, and folders that ``plan_grasps`` wrote.
         objects: Labels of the objects of a batch that are wanted; all if None.
         first: At most so many grasps of each object of a batch; all if None.
 
@@ -52,7 +60,7 @@ def plans_of(
         FileFormatError: A file is no plan, is damaged, or fails its checks now.
         TaskError: Objects or a number are given without a batch.
     """
-    batches = [path for path in paths if path.is_dir()]
+    batches = [path for path in paths if (path / MANIFEST).is_file()]
     if not batches and (objects is not None or first is not None):
         raise TaskError(
             "objects and the number of grasps choose from a batch, and no folder of a batch is "
@@ -65,6 +73,14 @@ def plans_of(
             raise NotFoundError(
                 "file", str(path), (), "give plan files, or the folder of a batch", is_path=True
             )
+        elif path.is_dir():
+            files = plan_files(path, _READERS)
+            if not files:
+                raise FileFormatError(
+                    f"{path} holds neither plan files nor a batch; give plan files, a folder of "
+                    "them, or the folder of a batch"
+                )
+            yield from map(_of_file, files)
         else:
             yield _of_file(path)
 
@@ -86,6 +102,6 @@ def _of_file(path: Path) -> AnyPlan:
     if read is None:
         raise FileFormatError(
             f"{path} is of the format {data.get('format')!r}; what can be exported is "
-            f"{', '.join(_READERS)}, and folders of batches"
+            f"{', '.join(_READERS)}, folders of these, and of batches"
         )
     return read(path)

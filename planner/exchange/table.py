@@ -41,8 +41,8 @@ def read_table(path: Path, hand: Hand, reading: Reading) -> GivenGrasps:
     table = read_table_file(path)
     if table.hand and table.hand != hand.name:
         raise FileFormatError(
-            f"{path} is for the hand {table.hand!r}, and {hand.name!r} is given; give that one "
-            "with --hand, or correct the table"
+            f"{path} is for the hand {table.hand!r}, and {hand.name!r} is given; leave --hand out "
+            "to take that of the file, or correct the file"
         )
     joints = FileJoints(
         hand,
@@ -218,9 +218,11 @@ def _all(values: FloatArray | None) -> tuple[float, ...] | None:
 
 
 def _recognises(path: Path) -> bool:
-    """Whether it says so, or has the first columns."""
+    """Whether it says so; a CSV is of no other format."""
     if not path.is_file() or path.suffix not in TABLE_FORMS:
         return False
+    if path.suffix == ".csv":
+        return True
     if path.suffix == ".npz":
         try:
             with zipfile.ZipFile(path) as packed:
@@ -229,17 +231,14 @@ def _recognises(path: Path) -> bool:
             return False
     with path.open("rb") as stream:
         head = stream.read(HEAD)
-    if path.suffix == ".json":
-        return json.dumps("opposable-grasp-table").encode() in head
-    first = head.splitlines()[0] if head else b""
-    return any(f"x_{unit}".encode() in first for unit in LENGTHS) and b"qw" in first
+    return json.dumps("opposable-grasp-table").encode() in head
 
 
 register_format(
     GraspFormat(
         name=NAME,
         title="a plain table of poses and joints by names with units: CSV, JSON or NPZ",
-        suffix=".csv",
+        suffixes=(".csv", ".json", ".npz"),
         loses=(
             "the object's mass, contacts and forces, friction, table and obstacles, the way to the "
             "pre-grasp"
@@ -248,5 +247,7 @@ register_format(
         read=read_table,
         write=write_table,
         heeds=frozenset({"rename", "base_body"}),
+        hand_of=lambda path: read_table_file(path).hand,
+        object_specs=True,
     )
 )

@@ -4,7 +4,7 @@ One content in three forms:
 
     .json   this schema, grasp by grasp
     .npz    arrays of the same names, one row per grasp; "" or NaN for what a grasp lacks
-    .csv    one row per grasp; units are part of the names of columns, see ``table_csv``
+    .csv    one row per grasp; units are part of the names of columns, see ``table_forms``
 
 Poses are of ``base_body`` of the hand in the frame of the object's own file; quaternions are
 w, x, y, z.

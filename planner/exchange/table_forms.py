@@ -14,6 +14,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -22,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.errors import FileFormatError
+from planner.errors import FileFormatError, few_of
 from planner.exchange.array_files import read_npz
 from planner.exchange.table_file import ANGLES, LENGTHS, PARTS, TableFile
 from planner.files import read_json
@@ -33,6 +34,7 @@ __all__ = ["TABLE_FORMS", "read_table_file", "table_bytes"]
 _PREFIXES = dict(zip(PARTS, ("", "pregrasp:", "squeeze:"), strict=True))
 _TEXTS = ("name", "object")
 _VECTORS = {"position": 3, "quaternion_wxyz": 4, "object_position": 3, "object_quaternion_wxyz": 4}
+_NEEDED = ("position", "quaternion_wxyz", "joints")
 _AXES = ("x", "y", "z")
 _QUATERNION = ("qw", "qx", "qy", "qz")
 _HEADER = ("format", "version", "hand", "base_body", "length", "angle", "joint_names", "slides")
@@ -46,7 +48,10 @@ def read_table_file(path: Path) -> TableFile:
     """
     if path.suffix not in TABLE_FORMS:
         raise FileFormatError(f"{path} is no table of grasps; give {', '.join(TABLE_FORMS)}")
-    return checked_file(TableFile, TABLE_FORMS[path.suffix][0](path), str(path))
+    data = TABLE_FORMS[path.suffix][0](path)
+    if path.suffix != ".csv":  # there it was seen to by row and column
+        _need_finite(data, str(path))
+    return checked_file(TableFile, data, str(path), "write it again in that version")
 
 
 def table_bytes(table: TableFile, suffix: str) -> bytes:
@@ -56,6 +61,30 @@ def table_bytes(table: TableFile, suffix: str) -> bytes:
 
 def _from_json(path: Path) -> dict[str, Any]:
     return read_json(path, "a table of grasps")
+
+
+def _need_finite(data: Mapping[str, Any], where: str) -> None:
+    """Refuse NaN and infinity with the grasp and the joint or axis that they are of.
+
+    Raises:
+        FileFormatError: There is one.
+    """
+    grasps, joints = data.get("grasps"), data.get("joint_names")
+    for i, grasp in enumerate(grasps if isinstance(grasps, list) else ()):
+        for name, value in grasp.items() if isinstance(grasp, dict) else ():
+            for k, number in enumerate(value if isinstance(value, list) else [value]):
+                if not isinstance(number, float) or math.isfinite(number):
+                    continue
+                part = f"[{k}]" if isinstance(value, list) else ""
+                if name in PARTS and isinstance(joints, list) and k < len(joints):
+                    part = f" of {joints[k]}"
+                raise FileFormatError(
+                    f"{where}, grasp {i}, {name}{part}: {number} {MEND.format('grasp')}"
+                )
+
+
+MEND = "is no number; put a finite one there, or leave the {} out"
+"""What to do about a cell that holds NaN, infinity, text or nothing."""
 
 
 def _to_json(table: TableFile) -> bytes:
@@ -75,7 +104,8 @@ def _from_npz(path: Path) -> dict[str, Any]:
         )
     values = {n: a.tolist() for n, a in columns.items()}
     data["grasps"] = [
-        {n: v[i] for n, v in values.items() if _is_there(v[i])} for i in range(count.pop())
+        {n: v[i] for n, v in values.items() if n in _NEEDED or _is_there(v[i])}
+        for i in range(count.pop())
     ]
     return data
 
@@ -117,18 +147,29 @@ def _from_csv(path: Path) -> dict[str, Any]:
         raise FileFormatError(f"{path} cannot be read as CSV: {error}") from None
     if not lines:
         raise FileFormatError(f"{path} is empty; a table begins with the names of its columns")
-    header, rows = [h.strip() for h in lines[0]], [row for row in lines[1:] if any(row)]
+    header = [h.strip() for h in lines[0]]
+    rows = {i: [c.strip() for c in row] for i, row in enumerate(lines[1:], start=2) if any(row)}
+    if len(header) == 1 and (other := next((c for c in ";\t" if c in header[0]), "")):
+        raise FileFormatError(
+            f"{path} has {'tabs' if other == chr(9) else 'semicolons'} between its columns; write "
+            "it with commas"
+        )
     doubled = sorted({h for h in header if header.count(h) > 1})
     if doubled:
         raise FileFormatError(f"{path} has the columns {', '.join(doubled)} twice")
     length, angle = _units(header, path)
     joints = _joint_columns(header)
+    if lacking := [c for c in _QUATERNION if c not in header]:
+        raise FileFormatError(
+            f"{path} lacks the columns {', '.join(lacking)}; an orientation is a quaternion "
+            f"{', '.join(_QUATERNION)}"
+        )
     known = _known(length, joints)
     strange = [h for h in header if h not in known]
     if strange:
         raise FileFormatError(
-            f"{path} has columns that a table of grasps does not: {', '.join(strange)}. Joints end "
-            "with their unit, _rad, _deg, _m or _mm"
+            f"{path} has columns that a table of grasps does not: {few_of(strange)}; leave them "
+            "out, or let joints end with their unit, _rad, _deg, _m or _mm"
         )
     data: dict[str, Any] = {
         "format": "opposable-grasp-table",
@@ -139,8 +180,8 @@ def _from_csv(path: Path) -> dict[str, Any]:
         "slides": [joint for joint, column in joints if column.endswith(f"_{length}")],
         "grasps": [],
     }
-    for i, row in enumerate(rows):
-        where = f"{path}, row {i + 2}"
+    for i, row in rows.items():
+        where = f"{path}, row {i}"
         if len(row) != len(header):
             raise FileFormatError(f"{where} has {len(row)} values for {len(header)} columns")
         cells = dict(zip(header, row, strict=True))
@@ -156,27 +197,26 @@ def _grasp_of(
 ) -> dict[str, Any]:
     """One grasp of a row of text."""
 
-    def numbers(columns: Sequence[str]) -> list[float] | None:
+    def numbers(columns: Sequence[str], *, needed: bool = False) -> list[float] | None:
         texts = [cells.get(c, "") for c in columns]
-        if not any(texts):
+        if not any(texts) and not needed:
             return None
-        try:
-            return [float(t) for t in texts]
-        except ValueError:
-            bad = next(c for c, t in zip(columns, texts, strict=True) if not _is_number(t))
-            raise FileFormatError(
-                f"{where}, column {bad}: {cells.get(bad, '')!r} is no number"
-            ) from None
+        for column, text in zip(columns, texts, strict=True):
+            if not _is_number(text):
+                said = repr(text) if text else "an empty cell"
+                raise FileFormatError(f"{where}, column {column}: {said} {MEND.format('row')}")
+        return [float(t) for t in texts]
 
     out: dict[str, Any] = {n: cells[n] for n in _TEXTS if n in cells}
     for start, position, turn in (
         ("", "position", "quaternion_wxyz"),
         ("object_", "object_position", "object_quaternion_wxyz"),
     ):
-        out[position] = numbers([f"{start}{a}_{length}" for a in _AXES])
-        out[turn] = numbers([f"{start}{a}" for a in _QUATERNION])
+        out[position] = numbers([f"{start}{a}_{length}" for a in _AXES], needed=not start)
+        out[turn] = numbers([f"{start}{a}" for a in _QUATERNION], needed=not start)
     for part, prefix in _PREFIXES.items():
-        out[part] = numbers([f"{prefix}{column}" for _, column in joints]) if joints else []
+        of_part = [f"{prefix}{column}" for _, column in joints]
+        out[part] = numbers(of_part, needed=not prefix) if joints else []
     for name in ("scale", "confidence"):
         value = numbers([name])
         out[name] = None if value is None else value[0]
@@ -185,10 +225,9 @@ def _grasp_of(
 
 def _is_number(text: str) -> bool:
     try:
-        float(text)
+        return math.isfinite(float(text))
     except ValueError:
         return False
-    return True
 
 
 def _units(header: Sequence[str], path: Path) -> tuple[str, str]:
@@ -197,7 +236,7 @@ def _units(header: Sequence[str], path: Path) -> tuple[str, str]:
     if len(lengths) != 1:
         raise FileFormatError(
             f"{path} needs the columns x_m, y_m and z_m, or x_mm, y_mm and z_mm; it has "
-            f"{', '.join(header)}"
+            f"{few_of(header)}"
         )
     angles = {u for u in ANGLES for h in header if h.endswith(f"_{u}")}
     if len(angles) > 1:

@@ -10,6 +10,7 @@ from planner.files.manipulations import (
     write_manipulation,
 )
 from planner.files.motions import MotionFile, read_motion, write_motion
+from planner.files.plan_folder import format_told, plan_files
 from planner.files.plans import (
     plan_from_dict,
     plan_to_dict,
@@ -28,7 +29,9 @@ __all__ = [
     "MotionFile",
     "PlanFile",
     "TaskData",
+    "format_told",
     "plain_name",
+    "plan_files",
     "plan_from_dict",
     "plan_to_dict",
     "pose_of_plan",

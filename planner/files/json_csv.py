@@ -75,7 +75,9 @@ def read_json(path: Path | str, what: str) -> dict[str, Any]:
     return data
 
 
-def checked_file(schema: type[FileT], data: dict[str, Any], source: str) -> FileT:
+def checked_file(
+    schema: type[FileT], data: dict[str, Any], source: str, remedy: str = "plan again"
+) -> FileT:
     """Plain data as the file of a schema.
 
     Args:
@@ -83,6 +85,7 @@ def checked_file(schema: type[FileT], data: dict[str, Any], source: str) -> File
             ``version``, a ``Literal`` of those that are.
         data: What the file holds.
         source: What errors call it, as its path.
+        remedy: What to do about a file of another version.
 
     Raises:
         FileFormatError: Another format or version, or damaged.
@@ -97,7 +100,7 @@ def checked_file(schema: type[FileT], data: dict[str, Any], source: str) -> File
     if data.get("version") not in versions:
         raise FileFormatError(
             f"{source} has {kind} version {data.get('version')!r}; this Opposable reads version "
-            f"{' or '.join(map(str, versions))}; plan again"
+            f"{' or '.join(map(str, versions))}; {remedy}"
         )
     try:
         return schema.model_validate(data)

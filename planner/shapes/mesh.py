@@ -409,10 +409,13 @@ class Mesh(Shape):
         return stable_poses(self.hull_vertices)
 
     def resting_poses(self) -> tuple[StablePose, ...]:
-        """Stable poses on a horizontal table, the one that can be tilted farthest first."""
+        """Stable poses on a horizontal table, the one that can be tilted farthest first.
+
+        Of vessels that their sizes determine the upright one is first.
+        """
         return self._resting_poses
 
     @property
     def resting_rotation(self) -> FloatArray:
-        """Of the stable pose that can be tilted farthest."""
+        """Of the first stable pose."""
         return self.resting_poses()[0].rotation

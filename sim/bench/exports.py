@@ -135,7 +135,7 @@ def _trip(there: GraspFormat, plans: Sequence[GraspPlan]) -> Row:
     assert there.read is not None  # of round_trip_formats, or refused below
     hand = plans[0].task.hand
     with TemporaryDirectory(prefix="opposable-") as folder:
-        path = Path(folder) / f"grasps{there.suffix}"
+        path = Path(folder) / f"grasps{there.suffixes[0] if there.suffixes else ''}"
         begin = time.process_time()
         try:
             export_plans(plans, path, there.name)

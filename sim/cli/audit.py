@@ -20,6 +20,7 @@ from sim.cli.common import (
     check_folder,
     err,
     errors_for_people,
+    keep_inputs,
     names,
     numbers,
     out,
@@ -27,20 +28,22 @@ from sim.cli.common import (
     say,
 )
 from sim.cli.options import with_options
-from sim.cli.reading import ReadingOptions, our_kind
+from sim.cli.reading import ReadingOptions, listed_plans, our_kind, refuse_beside_ours
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from rich.table import Table
 
-    from planner.audit import AuditReport
-    from planner.exchange.formats import Reading
+    from planner.audit import AuditReport, GraspFile
     from planner.hands.hand import Hand
     from planner.task import GraspTask
 
 TABLE_WIDTH = 110
 """Width of the tables, characters."""
+
+KEPT = ("file", "approach", "simulate", "workers", "output", "as_json")
+"""Parameters that go with plans and batches of ours, which bring the rest."""
 
 SHOWN = 10
 """Grasps that do not pass and are listed with their reasons."""
@@ -49,19 +52,27 @@ SHOWN = 10
 @errors_for_people()
 @with_options
 def audit(
+    context: typer.Context,
     file: Annotated[
-        Path, typer.Argument(help="A file of grasps, a plan or a batch.", metavar="FILE")
+        Path,
+        typer.Argument(
+            help="A file of grasps, a plan, a folder of plans, a batch.", metavar="FILE"
+        ),
     ],
     hand: Annotated[
-        str | None, typer.Option(help="Its name, hand.toml, MJCF or URDF file.", metavar="HAND")
+        str | None,
+        typer.Option(
+            help="Its name, hand.toml, MJCF or URDF file; that of the file if not given.",
+            metavar="HAND",
+        ),
     ] = None,
     object: Annotated[
         str | None,
-        typer.Option(help="As `plan` takes it, in the size of scale 1.", metavar="OBJECT"),
+        typer.Option(
+            help="As `plan` takes it, in the size of scale 1; that of the file if not given.",
+            metavar="OBJECT",
+        ),
     ] = None,
-    only: Annotated[
-        str, typer.Option(help="Only grasps whose object's name has this in it.", metavar="TEXT")
-    ] = "",
     *,
     reading: ReadingOptions,
     fingers: FingersOption = None,
@@ -107,36 +118,30 @@ def audit(
 ) -> None:
     """Judge grasps that somebody else made by the verdict on our own.
 
-    Plans and batches of ours bring hand and object; other files need --hand and --object. Exit
-    code 0 if every grasp passes, 1 if not.
+    Plans and batches of ours bring hand and object, and so may tables; other files need --hand and
+    --object. Exit code 0 if every grasp passes, 1 if not.
     """
     from planner.audit.report import check_form
-    from planner.errors import TaskError
     from sim.cli.places import object_of, table_of
 
     check_folder(output)
+    keep_inputs(output, file)
     if output is not None:
         check_form(output)
-    told = reading.reading()
     ours = None if reading.format is not None else our_kind(file)
     if ours is not None:
+        refuse_beside_ours(context, file, KEPT)
         report = _audit_ours(file, ours, approach, workers, simulate, as_json)
     else:
-        if hand is None or object is None:
-            missing = "--hand" if hand is None else "--object"
-            raise TaskError(
-                f"{file} does not bring hand and object, as plans and batches of ours do; give "
-                f"{missing}"
-            )
-        from planner.hand_loading import load_hand
         from planner.task import GraspTask
 
-        item, height = object_of(object, mass=mass), table_of(table)
+        height = table_of(table)
         pull = numbers("--gravity", gravity, 3)
         wanted = None if fingers is None else names(fingers)
 
-        def task_for(some: Hand) -> GraspTask:
-            return GraspTask.create(
+        def task_with(spec: str) -> Callable[[Hand], GraspTask]:
+            item = object_of(spec, mass=mass)
+            return lambda some: GraspTask.create(
                 some,
                 item,
                 table_height=height,
@@ -146,15 +151,13 @@ def audit(
                 grip_force=grip_force,
             )
 
-        loaded = load_hand(hand)
+        opened = reading.open(file)
         report = _audit_theirs(
-            file,
-            task_for,
-            loaded,
+            opened,
+            task_with,
+            opened.hand(hand),
+            object,
             bar=not as_json,
-            format=reading.format,
-            reading=told,
-            only=only,
             fingers_told=wanted is not None,
             approach=approach,
             execute=_executed(simulate),
@@ -185,18 +188,17 @@ def _executed(simulate: bool) -> Any:
 def _audit_ours(
     file: Path, kind: str, approach: bool, workers: int, simulate: bool, quiet: bool
 ) -> AuditReport:
-    """The verdict on a plan or a batch of ours, each grasp with the fingers of its task."""
-    from dataclasses import replace
-
-    from planner.audit import audit_grasps, given_of_batch, given_of_plans, joined_reports
+    """The verdict on plans or a batch of ours, each grasp with the fingers of its task."""
+    from planner.audit import audit_grasps, given_of_batch, given_of_plans
     from planner.batch import GraspSet
     from planner.files import read_plan
 
-    sets = list(
-        given_of_plans([read_plan(file)], file)
-        if kind == "plan"
-        else given_of_batch(GraspSet(file), file)
-    )
+    if kind == "batch":
+        sets = list(given_of_batch(GraspSet(file), file))
+    else:
+        files = listed_plans([file])
+        called = None if kind == "plan" else [one.stem for one in files]
+        sets = list(given_of_plans([read_plan(one) for one in files], file, called))
     reports = []
     with Progress(console=err, transient=True, disable=quiet or not err.is_terminal) as progress:
         bar = progress.add_task("judging", total=sum(len(given) for _, given in sets))
@@ -208,42 +210,63 @@ def _audit_ours(
                     fingers_told=True,
                     approach=approach,
                     execute=_executed(simulate),
-                    workers=1 if kind == "plan" else workers,
+                    workers=workers if kind == "batch" else 1,
                     progress=lambda _: progress.advance(bar),
                 )
             )
             if not reports[-1].complete:
                 break
-    joined = joined_reports(reports)
-    rows = tuple(replace(row, index=i) for i, row in enumerate(joined.rows))
-    return replace(joined, rows=rows, total=sum(len(given) for _, given in sets))
+    return _joined(reports, sum(len(given) for _, given in sets))
 
 
 def _audit_theirs(
-    file: Path,
-    task_for: Callable[[Hand], GraspTask],
+    file: GraspFile,
+    task_with: Callable[[str], Callable[[Hand], GraspTask]],
     hand: Hand,
+    object: str | None,
     *,
     bar: bool,
-    format: str | None,
-    reading: Reading,
+    fingers_told: bool,
     **options: Any,
 ) -> AuditReport:
-    """The verdict on a file of another tool."""
-    from planner.audit import audit_file
+    """The verdict on a file of another tool, object by object."""
+    from dataclasses import replace
 
+    from planner.audit import audit_grasps, right_task
+
+    objects = file.objects(file.grasps(hand), object)
+    sets = [
+        right_task(replace(file, object=name), task_with(spec), hand, fingers_told=fingers_told)
+        for name, spec in objects.items()
+    ]
+    total = sum(len(given) for _, given in sets)
+    reports = []
     with Progress(console=err, transient=True, disable=not (bar and err.is_terminal)) as progress:
-        shown = progress.add_task("judging", total=None)
-        return audit_file(
-            file,
-            task_for,
-            hand,
-            format=format,
-            reading=reading,
-            started=lambda given: progress.update(shown, total=len(given)),
-            progress=lambda _: progress.advance(shown),
-            **options,
-        )
+        shown = progress.add_task("judging", total=total)
+        for task, given in sets:
+            reports.append(
+                audit_grasps(
+                    task,
+                    given,
+                    fingers_told=fingers_told,
+                    progress=lambda _: progress.advance(shown),
+                    **options,
+                )
+            )
+            if not reports[-1].complete:
+                break
+    return _joined(reports, total)
+
+
+def _joined(reports: Sequence[AuditReport], total: int) -> AuditReport:
+    """Reports as one, rows numbered through."""
+    from dataclasses import replace
+
+    from planner.audit import joined_reports
+
+    joined = joined_reports(reports)
+    rows = tuple(replace(row, index=i) for i, row in enumerate(joined.rows))
+    return replace(joined, rows=rows, total=total)
 
 
 def _show(report: AuditReport, output: Path | None) -> None:

@@ -17,6 +17,7 @@ from sim.cli.common import (
     print_json,
     say,
 )
+from sim.cli.reading import one_plan
 
 
 @errors_for_people()
@@ -44,10 +45,9 @@ def certify(
     Exit code 0 if the grasp is closed and no sample contradicts a promise, else with 1.
     """
     from planner.certify import certify as prove
-    from planner.files import read_plan
 
     certificate = prove(
-        read_plan(plan_file),
+        one_plan(plan_file),
         width=width,
         max_points=max_points,
         edges=edges,

@@ -416,6 +416,21 @@ def check_folder(file: Path | None) -> None:
         raise FileFormatError(f"cannot write {file}: it is a folder; name a file")
 
 
+def keep_inputs(output: Path | None, *inputs: Path | None) -> None:
+    """Refuse to write over a file that is read.
+
+    Raises:
+        FileFormatError: The output is one of the inputs.
+    """
+    from planner.errors import FileFormatError
+
+    if output is None or not output.exists():
+        return
+    for given in inputs:
+        if given is not None and given.is_file() and output.samefile(given):
+            raise FileFormatError(f"{given} would be written over; give another name for it")
+
+
 def check_films(*files: Path | None) -> None:
     """Refuse files that cannot be written, the last of them a film, before the work.
 

@@ -19,6 +19,7 @@ from sim.cli.common import (
     print_json,
     say,
 )
+from sim.cli.reading import one_plan
 
 
 @errors_for_people()
@@ -34,10 +35,9 @@ def creep(
     code 0 if nothing is to be changed, 1 if the object creeps faster than the budget.
     """
     from planner.errors import TaskError
-    from planner.files import read_plan
     from sim.protocols.creep import measure_creep, sized_remedies
 
-    plan, computed = read_plan(plan_file), physics_of(physics)
+    plan, computed = one_plan(plan_file), physics_of(physics)
     if not 0 < budget < float("inf"):
         raise TaskError(f"--budget is {budget:g}; give a finite speed > 0 in mm/s")
     with err.status(f"creep: {plan.task.hand.name}, {plan.task.object.name} ..."):

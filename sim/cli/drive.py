@@ -18,16 +18,22 @@ from sim.cli.common import (
     err,
     errors_for_people,
     heeding_ctrl_c,
+    keep_inputs,
     names,
     out,
     print_json,
     say,
 )
+from sim.cli.reading import one_plan
 
 if TYPE_CHECKING:
     from planner.plan import GraspPlan
     from sim.real_hand import Carry, Clock, HandInterface, LoopReport, OnStop
     from sim.report import TrialReport
+
+
+RATE_HZ = 100.0
+"""Rate of the loop unless another is asked for."""
 
 
 @errors_for_people()
@@ -42,7 +48,10 @@ def drive(
         ),
     ] = None,
     controller: ControllerOption = "feedforward",
-    rate: Annotated[float, typer.Option(help="Rate of the loop, Hz.", metavar="HZ")] = 100.0,
+    rate: Annotated[
+        float | None,
+        typer.Option(help="Rate of the loop, Hz; 100, or that of the log.", metavar="HZ"),
+    ] = None,
     log: Annotated[
         Path | None, typer.Option(help="Readings and commands (.npz).", metavar="FILE")
     ] = None,
@@ -79,13 +88,13 @@ def drive(
         from contextlib import closing
 
         from planner.errors import NotFoundError, TaskError
-        from planner.files import read_plan
         from sim.cli.common import check_folder, controller_of
         from sim.controllers import controller_for
         from sim.real_hand import (
             CommandLimits,
             DryRun,
             RealClock,
+            ReplayedHand,
             Safety,
             SimulatedHand,
             check_joints,
@@ -100,7 +109,10 @@ def drive(
         if check and replay:
             raise TaskError("--check-joints moves a hand, and a log has none; leave --replay out")
         check_folder(log)
-        plan = read_plan(plan_file)
+        keep_inputs(log, plan_file, replay)
+        if log is not None and log.suffix.lower() != ".npz":
+            raise TaskError(f"--log {log} is no name of a log; let it end with .npz")
+        plan = one_plan(plan_file)
         if on_stop not in STOPS:
             raise NotFoundError("way to stop", on_stop, STOPS)
         bounds = Safety(on_stop=STOPS[on_stop])
@@ -108,6 +120,8 @@ def drive(
         named = controller_of(controller)
         driver = controller_for(plan, named)
         used = _open(plan, interface, replay, fast, named)
+        if rate is None:
+            rate = used.hand.log.rate_hz if isinstance(used.hand, ReplayedHand) else RATE_HZ
         pressed()  # a library swallows Ctrl-C while it is imported
         with closing(used.hand):
             hand = DryRun(used.hand) if dry_run else used.hand
@@ -255,6 +269,8 @@ def _tell(ran: LoopReport, judged: TrialReport | None, used: _Used, as_json: boo
         say(out, escape(f"simulated object: {said}"))
     if compared is not None:
         say(out, escape(f"replayed: {compared}"))
+        if used.hand.log.plan is None:
+            say(out, "the log is of version 1, which does not say of which plan it is")
 
 
 def _leave(ran: LoopReport, *, good: bool) -> None:

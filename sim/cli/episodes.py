@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 def episodes(
     inputs: Annotated[
         list[Path],
-        typer.Argument(help="Plan files, report files, or folders of batches.", metavar="INPUT..."),
+        typer.Argument(help="Plans, reports, folders of plans or of batches.", metavar="INPUT..."),
     ],
     folder: Annotated[
         Path, typer.Option("--out", "-o", help="The data set, a new folder.", metavar="DIR")

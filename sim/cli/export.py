@@ -15,11 +15,13 @@ from sim.cli.common import (
     err,
     errors_for_people,
     heeding_ctrl_c,
+    keep_inputs,
     names,
     out,
     print_json,
     say,
 )
+from sim.cli.reading import renaming
 
 if TYPE_CHECKING:
     from planner.exchange.sources import AnyPlan
@@ -35,7 +37,9 @@ FRAMES_PANEL, CHOICE_PANEL = "Names in the file", "Out of a batch"
 def export(
     sources: Annotated[
         list[Path] | None,
-        typer.Argument(help="Plan files, or folders of batches.", metavar="PLAN_OR_BATCH"),
+        typer.Argument(
+            help="Plan files, folders of plan files or of batches.", metavar="PLAN_OR_BATCH"
+        ),
     ] = None,
     to: Annotated[str, typer.Option(help="A format; --list shows them.", metavar="FORMAT")] = "",
     output: Annotated[
@@ -128,14 +132,15 @@ def export(
     if not sources or not to or output is None:
         raise typer.BadParameter("give plans or a batch, --to FORMAT and -o PATH; or --list")
     writing = Writing(
-        rename=_renaming(rename or []),
+        rename=renaming(rename or []),
         by=by,
         object_frame=object_frame,
         hand_frame=hand_frame,
         base_body=base_body,
         world_frame=world_frame,
     )
-    check_export(to, writing)
+    check_export(to, output, writing)
+    keep_inputs(output, *sources)
     if not output.parent.is_dir():
         raise TaskError(f"cannot write {output}: there is no folder {output.parent}; make it")
     plans = _read(sources, None if objects is None else names(objects), n)
@@ -174,23 +179,6 @@ def _read(
     return plans
 
 
-def _renaming(given: Sequence[str]) -> dict[str, str]:
-    """Our name -> theirs, out of OLD=NEW and of files."""
-    from planner.errors import TaskError
-    from planner.exchange.joints import read_renaming
-
-    found: dict[str, str] = {}
-    for text in given:
-        old, sign, new = text.partition("=")
-        if not sign:
-            found |= read_renaming(Path(text))
-        elif old.strip() and new.strip():
-            found[old.strip()] = new.strip()
-        else:
-            raise TaskError(f"--rename {text!r} lacks a name; give OLD=NEW, or a TOML or YAML file")
-    return found
-
-
 def _show_formats(as_json: bool) -> None:
     from planner.exchange.formats import FORMATS, load_formats
 
@@ -202,7 +190,7 @@ def _show_formats(as_json: bool) -> None:
             "reads": f.read is not None,
             "writes": f.write is not None,
             "movements": f.movements,
-            "suffix": f.suffix,
+            "suffixes": list(f.suffixes),
             "takes": sorted(f.heeds),
             "loses": f.loses,
         }
@@ -215,4 +203,5 @@ def _show_formats(as_json: bool) -> None:
         able = " and ".join(verb for verb in ("reads", "writes") if row[verb])
         moves = ", movements too" if row["movements"] else ""
         say(out, f"[bold]{row['name']}[/] ({able}{moves}): {escape(row['title'])}")
+        say(out, escape(f"  {', '.join(row['suffixes']) or 'a folder'}"))
         say(out, escape(f"  not in it: {row['loses'] or 'nothing'}"))

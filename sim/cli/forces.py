@@ -18,6 +18,7 @@ from sim.cli.common import (
     print_json,
     say,
 )
+from sim.cli.reading import one_plan
 
 if TYPE_CHECKING:
     from planner.forces import ForceSolution, PyramidGap
@@ -58,13 +59,12 @@ def forces(
 
     from planner.arrays import checked_number
     from planner.errors import TaskError
-    from planner.files import read_plan
     from planner.forces import compare_solvers, cone_gaps, distribute_forces, turning_wrenches
     from planner.verification.grasp import force_arguments
 
     checked_number("--tolerance", tolerance, above=0.0, error=TaskError)
     checked_number("--rate", 1.0 if rate is None else rate, above=0.0, error=TaskError)
-    plan = read_plan(plan_file)
+    plan = one_plan(plan_file)
     given: dict[str, Any] = dict(
         force_arguments(plan.task, plan.contacts, plan.T_world_base, plan.q)
     )

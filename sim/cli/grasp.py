@@ -20,6 +20,7 @@ from sim.cli.common import (
     check_folder,
     errors_for_people,
     exit_for,
+    keep_inputs,
     make_folder,
     out,
     print_json,
@@ -27,6 +28,7 @@ from sim.cli.common import (
     told_command,
 )
 from sim.cli.options import BestOptions, TrialOptions, with_options
+from sim.cli.reading import one_plan
 from sim.cli.several import numbered, plans_table
 
 LONGEST_NAME = 60
@@ -169,12 +171,12 @@ def simulate(
     as_json: JsonOption = False,
 ) -> None:
     """Execute a plan file in MuJoCo and judge whether it holds."""
-    from planner.files import read_plan
     from sim.report_file import PAGE_SUFFIXES, write_report
 
     check_folder(report_file)
     check_folder(picture)
-    plan = read_plan(plan_file)
+    keep_inputs(report_file, plan_file)
+    plan = one_plan(plan_file)
     report = replace(trial.trial()(plan, picture), command=told_command(context))
     page = None if report_file is None else report_file.with_suffix(".html")
     if report_file is not None and report_file.suffix.lower() in PAGE_SUFFIXES:

@@ -1,7 +1,11 @@
-"""What ``audit`` and ``refine`` are told of a file of grasps, and whose file it is."""
+"""What commands read: plans of ours, in files and folders, and grasps in files of other tools.
+
+``ReadingOptions`` is what ``audit`` and ``refine`` are told of another tool's file.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,9 +15,18 @@ import typer
 from sim.cli.common import names
 
 if TYPE_CHECKING:
+    from planner.audit import GraspFile
     from planner.exchange.formats import Reading
+    from planner.plan import GraspPlan
 
-__all__ = ["ReadingOptions", "our_kind"]
+__all__ = [
+    "ReadingOptions",
+    "listed_plans",
+    "one_plan",
+    "our_kind",
+    "refuse_beside_ours",
+    "renaming",
+]
 
 READING_PANEL = "What the file does not say"
 """Group of options in the help."""
@@ -24,8 +37,9 @@ UNITS = {"m": 1.0, "mm": 1e-3}
 ORDERS = ("wxyz", "xyzw")
 """Of a quaternion."""
 
-HEAD = 4096
-"""Bytes of a file that say whose it is."""
+
+MOVEMENTS = ("opposable-motion", "opposable-gait", "opposable-manipulation")
+"""Formats of plans that are movements."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +49,9 @@ class ReadingOptions:
     format: Annotated[
         str | None, typer.Option(help="By its content if not given.", metavar="NAME")
     ] = None
+    only: Annotated[
+        str, typer.Option(help="Only grasps whose object's name has this in it.", metavar="TEXT")
+    ] = ""
     joint_names: Annotated[
         str | None,
         typer.Option(
@@ -52,6 +69,14 @@ class ReadingOptions:
             rich_help_panel=READING_PANEL,
         ),
     ] = False
+    rename: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="The file's name of a joint = ours: rh_FFJ4=FFJ4; or a TOML or YAML file.",
+            metavar="OLD=NEW",
+            rich_help_panel=READING_PANEL,
+        ),
+    ] = None
     quaternion: Annotated[
         str | None,
         typer.Option(help="Its order.", metavar="wxyz|xyzw", rich_help_panel=READING_PANEL),
@@ -67,6 +92,16 @@ class ReadingOptions:
             rich_help_panel=READING_PANEL,
         ),
     ] = ""
+
+    def open(self, file: Path) -> GraspFile:
+        """A file of another tool.
+
+        Raises:
+            PlannerError: No such file or format, or something told that there is not.
+        """
+        from planner.audit import GraspFile
+
+        return GraspFile.open(file, format=self.format, reading=self.reading(), only=self.only)
 
     def reading(self) -> Reading:
         """As readers take it.
@@ -88,6 +123,7 @@ class ReadingOptions:
         return Reading(
             by_number=self.by_number,
             joint_names=None if self.joint_names is None else tuple(names(self.joint_names)),
+            rename=renaming(self.rename or ()),
             quaternion=self.quaternion,
             unit=None if self.unit is None else UNITS[self.unit],
             base_body=self.base_body,
@@ -95,12 +131,108 @@ class ReadingOptions:
 
 
 def our_kind(file: Path) -> str | None:
-    """Whether a file is a "plan" of ours, or a folder a "batch"; None for another."""
+    """What of ours a path is: a "plan" file, a folder of "plans", a "batch"; None for another.
+
+    Raises:
+        FileFormatError: It cannot be read.
+    """
     from planner.batch.manifest import MANIFEST
+    from planner.files import format_told, plan_files
 
     if file.is_dir():
-        return "batch" if (file / MANIFEST).is_file() else None
-    if file.suffix != ".json" or not file.is_file():
-        return None
-    with file.open("rb") as stream:
-        return "plan" if b'"opposable-plan"' in stream.read(HEAD) else None
+        if (file / MANIFEST).is_file():
+            return "batch"
+        return "plans" if plan_files(file) else None
+    return "plan" if format_told(file) == "opposable-plan" else None
+
+
+def listed_plans(paths: Sequence[Path]) -> list[Path]:
+    """Plan files, with those of each folder in its place.
+
+    Raises:
+        FileFormatError: A folder holds none.
+    """
+    from planner.errors import FileFormatError
+    from planner.files import plan_files
+
+    files: list[Path] = []
+    for path in paths:
+        found = plan_files(path) if path.is_dir() else (path,)
+        if not found:
+            raise FileFormatError(f"{path} is a folder without plan files; give plan files")
+        files += found
+    return files
+
+
+def one_plan(path: Path) -> GraspPlan:
+    """The plan of a file, or of a folder that holds one.
+
+    Raises:
+        TaskError: The folder holds several, or the file is the plan of a movement.
+        FileFormatError: It holds none, or the file is none.
+    """
+    from planner.errors import TaskError, few_of
+    from planner.files import format_told, read_plan
+
+    files = listed_plans([path])
+    if len(files) > 1:
+        raise TaskError(
+            f"{path} holds {len(files)} plans, and one is taken; give a file of it: "
+            f"{few_of(file.name for file in files)}"
+        )
+    kind = format_told(files[0])
+    if kind in MOVEMENTS:
+        raise TaskError(
+            f"{files[0]} is of the format {kind!r}, and the plan of a grasp is taken; opposable "
+            f"manipulate --plan {files[0]} executes it in simulation, and opposable export --to "
+            "ros2-trajectory writes its joints over time"
+        )
+    return read_plan(files[0])
+
+
+def refuse_beside_ours(context: typer.Context, file: Path, kept: Collection[str]) -> None:
+    """Refuse options about hand, object and surroundings, where a file of ours brings them.
+
+    Args:
+        context: Of the command.
+        file: The file or folder of ours.
+        kept: Names of the parameters that go with it.
+
+    Raises:
+        TaskError: Others are given.
+    """
+    from planner.errors import TaskError
+
+    given = [
+        parameter.opts[0]
+        for parameter in context.command.params
+        if parameter.name not in kept
+        and (source := context.get_parameter_source(parameter.name or "")) is not None
+        and source.name == "COMMANDLINE"
+    ]
+    if given:
+        raise TaskError(
+            f"{file} brings hand, object and surroundings; leave {', '.join(given)} out"
+        )
+
+
+def renaming(given: Sequence[str]) -> dict[str, str]:
+    """Names -> names, out of OLD=NEW and of files; the value of ``--rename``.
+
+    Raises:
+        TaskError: A name is missing.
+        FileFormatError: A file cannot be read.
+    """
+    from planner.errors import TaskError
+    from planner.exchange.joints import read_renaming
+
+    found: dict[str, str] = {}
+    for text in given:
+        old, sign, new = text.partition("=")
+        if not sign:
+            found |= read_renaming(Path(text))
+        elif old.strip() and new.strip():
+            found[old.strip()] = new.strip()
+        else:
+            raise TaskError(f"--rename {text!r} lacks a name; give OLD=NEW, or a TOML or YAML file")
+    return found

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -28,19 +29,22 @@ from sim.cli.common import (
     say,
 )
 from sim.cli.options import with_options
-from sim.cli.reading import ReadingOptions, our_kind
+from sim.cli.reading import ReadingOptions, listed_plans, our_kind, refuse_beside_ours
 from sim.cli.task_options import TaskOptions
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from planner.exchange.given import GivenGrasp, GivenGrasps
+    from planner.exchange.given import GivenGrasp
     from planner.refine import RefinedGrasp
     from planner.spatial import SE3, FloatArray
     from planner.task import GraspTask
 
 TABLE_WIDTH = 120
 """Width of the table, characters."""
+
+KEPT = ("file", "folder", "clamp", "workers", "as_json")
+"""Parameters that go with plans of ours, which bring the rest."""
 
 SHOWN = 50
 """Rows that are shown; the file of rows has all."""
@@ -73,14 +77,25 @@ class _Given:
 @errors_for_people()
 @with_options
 def refine(
-    file: Annotated[Path, typer.Argument(help="A file of grasps, or a plan file.", metavar="FILE")],
+    context: typer.Context,
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help="A file of grasps, a plan, a folder of plans, a batch.", metavar="FILE"
+        ),
+    ],
     hand: Annotated[
-        str | None, typer.Option(help="Its name, hand.toml, MJCF or URDF file.", metavar="HAND")
+        str | None,
+        typer.Option(
+            help="Its name, hand.toml, MJCF or URDF file; that of the file if not given.",
+            metavar="HAND",
+        ),
     ] = None,
     object: Annotated[
         str | None,
         typer.Option(
-            help="The object in the size of scale 1, as `plan` takes it.", metavar="OBJECT"
+            help="As `plan` takes it, in the size of scale 1; that of the file if not given.",
+            metavar="OBJECT",
         ),
     ] = None,
     folder: Annotated[
@@ -108,15 +123,23 @@ def refine(
 ) -> None:
     """Bring given hand poses to the nearest verified grasps.
 
-    A plan file brings hand, object and surroundings, and only its pose is taken; other files need
-    --hand and --object. Fingers are found from the poses if --fingers does not name them. What is
-    brought back is written as plan files. Exit code 0 if all are, 1 if some are not, 4 if none is.
+    A plan brings hand, object and surroundings, and only its pose is taken; a table may bring hand
+    and object; other files need --hand and --object. Fingers are found from the poses if
+    --fingers does not name them. What is brought back is written as plan files. Exit code 0 if all
+    are, 1 if some are not, 4 if none is.
     """
     from planner.batch import refine_grasps
     from planner.errors import FileFormatError
     from planner.files import write_json, write_plan
 
-    assumed, given = _poses(file, hand, object, reading, request)
+    kind = None if reading.format is not None else our_kind(file)
+    if kind is not None:
+        refuse_beside_ours(context, file, KEPT)
+        assumed: Sequence[str] = ()
+        plans = [] if kind == "batch" else listed_plans([file])
+        given = [_of_plan(one) for one in plans] if plans else list(_of_batch(file))
+    else:
+        assumed, given = _poses(file, hand, object, reading, request)
     if folder.is_dir() and any(folder.iterdir()):
         raise FileFormatError(
             f"{folder} exists already and is not empty; name another folder with --out, since "
@@ -166,32 +189,31 @@ def _poses(
     reading: ReadingOptions,
     request: GivenTaskOptions,
 ) -> tuple[Sequence[str], list[_Given]]:
-    """What was taken for granted, and the poses of a plan or of a file of another tool.
+    """What was taken for granted, and the poses of a file of another tool.
 
     Raises:
         TaskError: Hand or object are missing, or the file holds no grasp.
-        FileFormatError: The file cannot be read.
+        FileFormatError: The file cannot be read, or was read in another unit, order or hand than it
+            was written.
     """
-    from planner.errors import TaskError
-    from planner.exchange.formats import format_named, format_of
-    from planner.hand_loading import load_hand
+    from planner.audit import right_task
+    from planner.refine.pads import NEAR
 
-    if reading.format is None and our_kind(file) == "plan":
-        if hand is not None or object is not None:
-            raise TaskError(f"{file} is a plan, which brings hand and object; leave them out")
-        return (), [_of_plan(file)]
-    if hand is None or object is None:
-        missing = "--hand" if hand is None else "--object"
-        raise TaskError(f"{file} does not bring hand and object, as plans do; give {missing}")
-    found = format_of(file) if reading.format is None else format_named(reading.format)
-    if found.read is None:
-        raise TaskError(f"the format {found.name!r} is written, not read; give another file")
-    loaded = load_hand(hand)
-    given: GivenGrasps = found.read(file, loaded, reading.reading())
-    if not len(given):
-        raise TaskError(f"{file} holds no grasp")
-    task_for = _task_for(request.task(loaded, object), own_place=request.table == "none")
-    return given.assumed, [_placed(one, task_for(one)) for one in given.grasps]
+    opened = reading.open(file)
+    loaded = opened.hand(hand)
+    every = opened.grasps(loaded)
+    placed: list[_Given] = []
+    for name, spec in opened.objects(every, object).items():
+        task, given = right_task(
+            replace(opened, object=name),
+            partial(request.task, object=spec),
+            loaded,
+            fingers_told=request.fingers is not None,
+            within=NEAR,
+        )
+        task_for = _task_for(task, own_place=request.table == "none")
+        placed += [_placed(one, task_for(one)) for one in given.grasps]
+    return every.assumed, placed
 
 
 def _of_plan(file: Path) -> _Given:
@@ -200,6 +222,16 @@ def _of_plan(file: Path) -> _Given:
 
     task, T_world_base, q = pose_of_plan(file)
     return _Given(file.stem, task, T_world_base, q)
+
+
+def _of_batch(folder: Path) -> Iterator[_Given]:
+    """The poses of a batch."""
+    from planner.audit import given_of_batch
+    from planner.batch import GraspSet
+
+    for task, given in given_of_batch(GraspSet(folder), folder):
+        for grasp in given.grasps:
+            yield _placed(grasp, task)
 
 
 def _task_for(first: GraspTask, *, own_place: bool) -> Callable[[GivenGrasp], GraspTask]:

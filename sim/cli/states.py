@@ -135,7 +135,8 @@ def states(
     They are drawn around planned grasps, turns and gaits, and each is held in MuJoCo for 2 s by
     position commands alone. Exit code 0 if every object and size got as many as were asked for.
 
-    An interrupted run goes on when the same command is given again, also with another -n.
+    An interrupted run goes on when the same command is given again, also with a larger -n; a
+    smaller one takes no state away.
     """
     from sim.cli.states_report import StatesBar, states_table
     from sim.reset_states import Draws, StatesAsked, make_states
@@ -178,6 +179,8 @@ def states(
         # a narrow terminal breaks its lines
         Console(width=max(out.width, TABLE_WIDTH)).print(states_table(summary))
         for cell in summary["cells"]:
+            if cell["before"] > n:
+                say(out, f"{cell['name']} had {cell['before']} states before, and keeps them")
             for name, reason in cell["left_out"].items():
                 say(out, escape(f"no {name} of {cell['name']}: {reason}"))
         files = [file for cell in summary["cells"][:1] for file in cell["files"].values()]

@@ -32,6 +32,7 @@ from sim.cli.common import (
     say,
     told_command,
 )
+from sim.cli.reading import listed_plans
 
 if TYPE_CHECKING:
     from planner.plan import GraspPlan
@@ -47,7 +48,9 @@ TABLE_WIDTH = 120
 @errors_for_people()
 def test(
     context: typer.Context,
-    plans: Annotated[list[Path], typer.Argument(help="Plan files.", metavar="PLAN...")],
+    plans: Annotated[
+        list[Path], typer.Argument(help="Plan files, or folders of them.", metavar="PLAN...")
+    ],
     protocol: Annotated[
         str,
         typer.Option(
@@ -107,7 +110,7 @@ def test(
     check_video(f"film{ending}" if ending else None)
     asked = IN_ALL if protocol == "all" else [protocol]
     trials = trials_of(asked, only or (), Settings(), seed)
-    loaded = [(path, read_plan(path)) for path in plans]
+    loaded = [(path, read_plan(path)) for path in listed_plans(plans)]
     make_folder(folder)
     if ending and (reason := why_not()):
         say(err, escape(f"no films: {reason}"))

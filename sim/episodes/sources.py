@@ -13,6 +13,7 @@ from typing import Any
 
 from planner.batch import GraspSet
 from planner.errors import FileFormatError, NotFoundError, TaskError
+from planner.files import plan_files
 from planner.files.manipulations import manipulation_from_dict
 from planner.files.plans import plan_from_dict
 from planner.plan import GraspPlan
@@ -27,6 +28,9 @@ __all__ = ["Source", "Trials", "sources_of"]
 
 BATCH = "manifest.json"
 """File by which the folder of a batch is known."""
+
+PLANS = ("opposable-plan", "opposable-manipulation")
+"""Formats of files in a folder that are executed."""
 
 USUAL_RATE = 50.0
 """Samples per second of a trial, unless the frame rate asks for others: at least so many, since
@@ -109,8 +113,8 @@ def sources_of(
     """The trials that files and folders stand for, in order.
 
     Args:
-        paths: Plan files of grasps and manipulations, report files (JSON or page), and folders of
-            batches, each of whose grasps is a trial.
+        paths: Plan files of grasps and manipulations, folders of plan files, report files (JSON or
+            page), and folders of batches, each of whose grasps is a trial.
         trials: How plans are executed.
         most: Trials taken of every batch, the first; None for all.
 
@@ -122,8 +126,10 @@ def sources_of(
     found: list[Source] = []
     for path in paths:
         if not path.exists():
-            raise NotFoundError("file", str(path), (), "give a plan, a report or a batch")
-        found += _of_batch(path, trials, most) if path.is_dir() else _of_file(path, trials)
+            raise NotFoundError(
+                "file", str(path), (), "give a plan, a report or a batch", is_path=True
+            )
+        found += _of_folder(path, trials, most) if path.is_dir() else _of_file(path, trials)
     for source in found:
         if source.hand != found[0].hand:
             raise TaskError(
@@ -133,9 +139,21 @@ def sources_of(
     return tuple(found)
 
 
+def _of_folder(folder: Path, trials: Trials, most: int | None) -> Iterator[Source]:
+    if (folder / BATCH).is_file():
+        yield from _of_batch(folder, trials, most)
+        return
+    files = plan_files(folder, PLANS)
+    if not files:
+        raise FileFormatError(
+            f"{folder} holds neither a batch, for there is no {BATCH} in it, nor plan files; give "
+            "plans, reports, or the folder of a batch"
+        )
+    for file in files:
+        yield from _of_file(file, trials)
+
+
 def _of_batch(folder: Path, trials: Trials, most: int | None) -> Iterator[Source]:
-    if not (folder / BATCH).is_file():
-        raise FileFormatError(f"{folder} holds no batch: there is no {BATCH} in it")
     grasps = GraspSet(folder)
     numbers = [number for number, _ in grasps.found()][:most]
     for number in numbers:

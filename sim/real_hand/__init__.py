@@ -6,7 +6,7 @@ offer it too, and ``HandWrapper`` stands between. ``run_controller`` executes a 
 
 from __future__ import annotations
 
-from sim.real_hand.clock import Clock, Pace, RealClock
+from sim.real_hand.clock import Clock, Pace, RealClock, RecordedClock
 from sim.real_hand.interface import (
     DryRun,
     EndOfReadings,
@@ -19,6 +19,7 @@ from sim.real_hand.limits import CommandLimiter, CommandLimits
 from sim.real_hand.log import HandLog, LogWriter, read_log
 from sim.real_hand.loop import Carry, ControlLoop
 from sim.real_hand.packets import Inbox, LossyLink, Packet, reading_of, reading_values
+from sim.real_hand.plan_mark import PlanMark
 from sim.real_hand.replay import Comparison, ReplayedHand
 from sim.real_hand.report import LoopReport, Times
 from sim.real_hand.run import run_controller
@@ -52,7 +53,9 @@ __all__ = [
     "OnStop",
     "Pace",
     "Packet",
+    "PlanMark",
     "RealClock",
+    "RecordedClock",
     "ReplayedHand",
     "Safety",
     "SimulatedHand",

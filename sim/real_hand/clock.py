@@ -8,13 +8,16 @@ then: slots that have passed altogether are skipped, so that a late loop does no
 from __future__ import annotations
 
 import time
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
 from planner.spatial import FloatArray
 
-__all__ = ["Clock", "Pace", "RealClock"]
+if TYPE_CHECKING:
+    from sim.real_hand.plan_mark import PlanMark
+
+__all__ = ["Clock", "Pace", "RealClock", "RecordedClock"]
 
 LATE_TOL = 1e-9
 """Lateness (s) that is rounding."""
@@ -29,6 +32,23 @@ class Clock(Protocol):
 
     def sleep_until(self, moment: float) -> None:
         """Return at a time (s), or at once where it has passed."""
+        ...
+
+
+@runtime_checkable
+class RecordedClock(Clock, Protocol):
+    """A clock whose time is that of a recorded run: it serves the same run alone."""
+
+    def need_same(self, rate_hz: float, plan: PlanMark | None) -> None:
+        """Refuse a loop that is not the one that was recorded.
+
+        Args:
+            rate_hz: Its rate, Hz.
+            plan: What it executes; None where it executes none.
+
+        Raises:
+            TaskError: Another rate, or another plan.
+        """
         ...
 
 

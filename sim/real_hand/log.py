@@ -20,10 +20,14 @@ from planner.files.whole import whole_file
 from planner.spatial import FloatArray, pose_to_wxyz
 from sim.controllers.pads import PadReading
 from sim.real_hand.interface import HandReading
+from sim.real_hand.plan_mark import PlanMark
 
 __all__ = ["HandLog", "LogWriter", "read_log"]
 
-FORMAT, VERSION = "opposable-hand-log", 1
+FORMAT, VERSION = "opposable-hand-log", 2
+
+READ = (1, 2)
+"""Versions that are read; the first does not say which plan a log is of."""
 
 PAD_WIDTH = 14
 """Numbers per finger in ``pads``: normal force, force, position, normal, sliding, spin."""
@@ -57,6 +61,7 @@ class HandLog:
         actuator_names: nu names.
         finger_names: n names of the fingers whose touch was read.
         rate_hz: Rate of the loop, Hz.
+        plan: Which plan was executed; None where there was none, and in logs of version 1.
         phase: m phases.
         progress: (m,), share of the phase.
         time_s, begin_s, write_s, end_s: (m,).
@@ -72,6 +77,7 @@ class HandLog:
     actuator_names: tuple[str, ...]
     finger_names: tuple[str, ...]
     rate_hz: float
+    plan: PlanMark | None
     phase: tuple[str, ...]
     progress: FloatArray
     time_s: FloatArray
@@ -121,6 +127,7 @@ class HandLog:
             "format": FORMAT,
             "version": VERSION,
             "rate_hz": self.rate_hz,
+            "plan": None if self.plan is None else self.plan.to_dict(),
             "joint_names": self.joint_names,
             "actuator_names": self.actuator_names,
             "finger_names": self.finger_names,
@@ -142,10 +149,11 @@ class LogWriter:
         actuator_names: tuple[str, ...],
         finger_names: tuple[str, ...],
         rate_hz: float,
+        plan: PlanMark | None = None,
     ) -> None:
         """Start empty; arguments as in ``HandLog``."""
         self._names = (joint_names, actuator_names, finger_names)
-        self._rate_hz = rate_hz
+        self._rate_hz, self._plan = rate_hz, plan
         self._rows: list[dict[str, Any]] = []
 
     def add(
@@ -190,6 +198,7 @@ class LogWriter:
             actuator_names=actuators,
             finger_names=fingers,
             rate_hz=self._rate_hz,
+            plan=self._plan,
             phase=tuple(row["phase"] for row in self._rows),
             **dict.fromkeys(UNITS, zero) | {"time_s": np.zeros(len(self._rows))},
         )
@@ -219,22 +228,33 @@ def read_log(path: Path | str) -> HandLog:
             raise FileFormatError(
                 f"{path} is no log of a hand; give a file of opposable drive --log"
             )
-        if meta.get("version") != VERSION:
+        if meta.get("version") not in READ:
             raise FileFormatError(
-                f"{path} is a log of version {meta.get('version')}; this reads version {VERSION}"
+                f"{path} is a log of version {meta.get('version')}; this reads version "
+                f"{' and '.join(map(str, READ))}"
             )
+        marked = meta.get("plan")
         numbers: Any = {name: arrays[name].astype(np.float64) for name in UNITS}
         log = HandLog(
             joint_names=tuple(map(str, meta["joint_names"])),
             actuator_names=tuple(map(str, meta["actuator_names"])),
             finger_names=tuple(map(str, meta["finger_names"])),
             rate_hz=float(meta["rate_hz"]),
+            plan=None if marked is None else PlanMark(**{k: str(v) for k, v in marked.items()}),
             phase=tuple(map(str, arrays.pop("phase"))),
             **numbers,
         )
     except FileNotFoundError as error:
         raise FileFormatError(f"{path} does not exist; give a log of a hand (.npz)") from error
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        EOFError,
+        zipfile.BadZipFile,
+    ) as error:
         raise FileFormatError(
             f"{path} cannot be read as a log of a hand; it is damaged or something else: give a "
             "file of opposable drive --log"

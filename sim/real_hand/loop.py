@@ -19,10 +19,11 @@ from planner.hands.hand import Hand
 from planner.spatial import FloatArray
 from planner.system.interrupts import interrupts_wait
 from sim.controllers.base import Controller, Phase
-from sim.real_hand.clock import Clock, Pace, RealClock
+from sim.real_hand.clock import Clock, Pace, RealClock, RecordedClock
 from sim.real_hand.interface import EndOfReadings, HandInterface, HandReading
 from sim.real_hand.limits import CommandLimiter, CommandLimits
 from sim.real_hand.log import LogWriter
+from sim.real_hand.plan_mark import PlanMark
 from sim.real_hand.report import LoopReport, Times
 from sim.real_hand.safety import Guard, Safety, Stopped
 from sim.real_hand.senses import HandObservation, Observer
@@ -83,10 +84,14 @@ class ControlLoop:
             keep_log: Whether every tick is kept in ``log``, about 3 kB each.
 
         Raises:
-            TaskError: A rate above that of the interface, or limits that fit no actuator.
+            TaskError: A rate above that of the interface, limits that fit no actuator, or a log of
+                another plan or rate.
             NotFoundError: Limits for an actuator that there is not.
         """
         checked_number("the rate", rate_hz, above=0.0, error=TaskError)
+        plan = None if observer.plan is None else PlanMark.of(observer.plan)
+        if isinstance(clock, RecordedClock):
+            clock.need_same(rate_hz, plan)
         if rate_hz > interface.rate_hz * (1.0 + RATE_TOL):
             raise TaskError(
                 f"a rate of {rate_hz:g} Hz is asked for; this hand can be read and written at "
@@ -101,7 +106,7 @@ class ControlLoop:
         self._carry, self._keep_log = carry, keep_log
         self.pace = Pace(self._clock, 1.0 / rate_hz)
         names = interface.joint_names, interface.actuator_names
-        self.log = LogWriter(*names, interface.finger_names, rate_hz)
+        self.log = LogWriter(*names, interface.finger_names, rate_hz, plan)
         self._guard = Guard(self._safety, hand, *names, len(interface.finger_names))
         self._limiter: CommandLimiter | None = None
         self._to_interface = np.argsort(observer.actuators)

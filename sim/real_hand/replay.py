@@ -2,11 +2,13 @@
 
 Run by ``hand.clock`` the loop sees the times of the log, misses included, so that the same
 controller with the same limits gives the same commands; another one shows where it differs. The
-readings do not answer to the commands: what a controller would have caused is not replayed.
+readings do not answer to the commands: what a controller would have caused is not replayed. A loop
+of another plan or at another rate is refused.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,13 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from planner.errors import FileFormatError, HandError
+from planner.errors import FileFormatError, HandError, TaskError
 from planner.hands.hand import Hand
 from planner.spatial import FloatArray, pose_from_wxyz
 from sim.controllers.pads import PadReading
 from sim.real_hand.clock import Clock
 from sim.real_hand.interface import EndOfReadings, HandReading
 from sim.real_hand.log import HandLog, read_log
+from sim.real_hand.plan_mark import PlanMark
 from sim.real_hand.senses import places
 
 __all__ = ["Comparison", "ReplayedHand"]
@@ -164,6 +167,25 @@ class ReplayedHand:
         )
 
     # ---- its own clock
+
+    def need_same(self, rate_hz: float, plan: PlanMark | None) -> None:
+        """See ``RecordedClock``: readings are those of the log's ticks and answer to its plan.
+
+        A log of version 1 does not say which plan it is of, and none is refused.
+
+        Raises:
+            TaskError: Another rate, or another plan.
+        """
+        own = self.log.rate_hz
+        if not math.isclose(rate_hz, own):
+            raise TaskError(
+                f"the log is of a loop at {own:g} Hz, and a rate of {rate_hz:g} Hz is asked for; "
+                f"give {own:g} Hz: between its ticks there are no readings"
+            )
+        if plan is None or self.log.plan is None:
+            return
+        if said := self.log.plan.difference(plan):
+            raise TaskError(f"the log is of {said}; give the plan that was driven")
 
     def now(self) -> float:
         """Time of the log, s."""

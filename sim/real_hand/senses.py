@@ -77,6 +77,7 @@ class Observer:
 
     Attributes:
         assume: Senses for which planned values stand in.
+        plan: What is executed; None where nothing is grasped.
     """
 
     def __init__(
@@ -105,7 +106,7 @@ class Observer:
         if assume and plan is None:
             raise HandError("planned values stand in for senses only where there is a plan")
         self.assume = cast("tuple[Sense, ...]", tuple(assume))
-        self._plan = plan
+        self.plan = plan
         self._joints = places("joint", hand.joint_names, interface.joint_names)
         self.actuators = places("actuator", hand.actuation.names, interface.actuator_names)
         self._fingers: list[int] | None = None
@@ -137,7 +138,7 @@ class Observer:
             "v": reading.velocities[self._joints],
         }
         base = reading.T_world_base
-        if base is None and self._plan is not None:
+        if base is None and self.plan is not None:
             base = self._T_world_base
         known["T_world_base"] = SE3.Identity() if base is None else base
         if "object_pose" in self.assume:

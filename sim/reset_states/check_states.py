@@ -2,9 +2,8 @@
 
     python check_states.py CACHE/OBJECT/states.npz [COUNT] [SEED]
 
-loads COUNT states at random (500; 0 for all), holds each for 2 s with its commands under its own
-gravity, mass and friction, and counts those whose object moved by at most 5 mm and 5 degrees. The
-exit code is 0 if at least 95 % did.
+COUNT states at random (500; 0: all) are held for 2 s by their commands, gravity, mass and friction.
+Exit code 0: of 95 % the object moved by at most 5 mm and 5 degrees; 1: of fewer; 2: wrong usage.
 """
 
 import sys
@@ -53,4 +52,8 @@ def main(path: Path, count: int = 500, seed: int = 0) -> float:
 
 
 if __name__ == "__main__":
-    sys.exit(0 if main(Path(sys.argv[1]), *map(int, sys.argv[2:])) >= 0.95 else 1)
+    file, *numbers = sys.argv[1:] or [""]
+    if not (Path(file).is_file() and all(map(str.isdecimal, numbers)) and len(numbers) <= 2):
+        print("usage: " + __doc__.splitlines()[2].strip(), file=sys.stderr)
+        sys.exit(2)
+    sys.exit(0 if main(Path(file), *map(int, numbers)) >= 0.95 else 1)

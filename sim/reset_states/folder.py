@@ -19,7 +19,7 @@ from pathlib import Path
 from shutil import copyfile
 from typing import Any
 
-from planner.errors import FileFormatError
+from planner.errors import FileFormatError, few_of
 from planner.files import read_json, write_json
 from planner.version import written_by
 from sim.reset_states.asked import StatesAsked
@@ -51,10 +51,15 @@ def open_folder(folder: Path, asked: StatesAsked, hand_digest: str) -> None:
     if path.exists():
         there = read_json(path, "a cache of states")
         there.pop("written_by", None)
+        if there.get("format") != FORMAT:
+            raise FileFormatError(
+                f"{folder} holds something else, of the format {there.get('format')!r}; choose "
+                "another folder"
+            )
         if differing := [k for k in sorted({*there, *wanted}) if there.get(k) != wanted.get(k)]:
             k = differing[0]
             raise FileFormatError(
-                f"{folder} holds states that were asked for otherwise: {', '.join(differing)} "
+                f"{folder} holds states that were asked for otherwise: {few_of(differing)} "
                 f"differ ({k} is {there.get(k)!r} there and {wanted.get(k)!r} here); ask for the "
                 "same to go on, or choose another folder"
             )
@@ -65,7 +70,9 @@ def open_folder(folder: Path, asked: StatesAsked, hand_digest: str) -> None:
             raise FileFormatError(f"{folder} is not empty and holds no {MANIFEST}; choose another")
         copyfile(Path(__file__).with_name(CHECK_FILE), folder / CHECK_FILE)
     except OSError as error:
-        raise FileFormatError(f"cannot begin a cache in {folder}: {error.strerror}") from error
+        raise FileFormatError(
+            f"cannot begin a cache in {folder}: {error.strerror}; choose another folder"
+        ) from error
     write_json({**wanted, "written_by": written_by()}, path)
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from planner.batch.pool import check_backend, finished
-from planner.errors import TaskError
+from planner.errors import FileFormatError, TaskError
 from planner.files import write_json
 from planner.hands.hand import Hand
 from planner.kinematics.state import HandState
@@ -25,6 +25,7 @@ from sim.reset_states.coverage import coverage
 from sim.reset_states.distinct import Distinct
 from sim.reset_states.folder import SUMMARY, append_line, journal, open_folder
 from sim.reset_states.formats import state_format, state_formats
+from sim.reset_states.formats.arrays import STATES_FILE
 from sim.reset_states.hold import REASONS
 from sim.reset_states.scene import SCENE_FILE, write_scene
 from sim.reset_states.shards import (
@@ -88,7 +89,8 @@ def make_states(
 
     Args:
         asked: What is asked for. The states depend on it alone.
-        folder: Of the cache; one of the same request goes on, also with a larger or smaller n.
+        folder: Of the cache; one of the same request goes on, also with a larger n. With a smaller
+            one it keeps the states that it has.
         workers: Processes; -1 for one per core, 1 for this one.
         formats: Names of formats; "all" for those that can hold the states.
         progress: Called at the beginning of a phase and after every plan or shard.
@@ -139,6 +141,8 @@ def _make_cell(
     folder = root / cell.name
     if not (folder / SCENE_FILE).exists():
         write_scene(task, asked.physics, folder)
+    before = _there(folder)
+    n = max(asked.n, before)
     plans = _planned(asked, cell, folder, workers, tell)
     sources = [source for plan in plans for source in plan["sources"]]
     about: dict[str, Any] = {
@@ -146,6 +150,7 @@ def _make_cell(
         "object": cell.object,
         "scale": cell.scale,
         "asked": asked.n,
+        "before": before,
         "plans": _plan_counts(plans),
         "sources": len(sources),
     }
@@ -153,12 +158,12 @@ def _make_cell(
         return about | {"states": 0, "tried": 0, "lost": {}, "files": {}, "left_out": {}}
     write_cell(asked, cell, hand, sources, folder)
     load_starts.cache_clear()
-    kept = _Kept(asked.n)
+    kept = _Kept(n)
     begin, cpu_s, tried = time.monotonic(), 0.0, 0
-    before: int | None = None
-    for made_now, shard in _shards(folder, kept, asked.n, workers):
-        if made_now and before is None:
-            before, begin = len(kept.rows), time.monotonic()
+    held_before: int | None = None
+    for made_now, shard in _shards(folder, kept, n, workers):
+        if made_now and held_before is None:
+            held_before, begin = len(kept.rows), time.monotonic()
         kept.add(shard)
         cpu_s += shard.cpu_s
         tried += SHARD
@@ -167,8 +172,8 @@ def _make_cell(
                 cell=cell.name,
                 phase="holding",
                 done=len(kept.rows),
-                total=asked.n,
-                before=len(kept.rows) if before is None else before,
+                total=n,
+                before=len(kept.rows) if held_before is None else held_before,
                 tried=kept.tried,
                 elapsed_s=time.monotonic() - begin,
             )
@@ -187,6 +192,15 @@ def _make_cell(
     kinds = Counter(states.kind.tolist())
     about |= {"states_by_kind": dict(kinds.most_common())}
     return about | {"coverage": _coverage(hand, states), "files": files, "left_out": left_out}
+
+
+def _there(folder: Path) -> int:
+    """How many states of a cell an earlier run has written; 0 where its file is damaged."""
+    path = folder / STATES_FILE
+    try:
+        return len(StateSet.read(path)) if path.exists() else 0
+    except FileFormatError:
+        return 0
 
 
 def _planned(

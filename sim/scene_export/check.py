@@ -2,7 +2,8 @@
 
 Loads scene.xml beside this file, begins at the key frame "grasp", sends the commands of the key
 frame "squeeze" to the servos and nothing else, and looks for 2 s whether the object stays in the
-hand. Exit code 0 if it does. This file imports nothing of Opposable.
+hand. Exit code 0 if it does, 1 if not, 2 if there is no scene. This file imports nothing of
+Opposable.
 """
 
 import sys
@@ -33,9 +34,20 @@ def hold(scene: Path, seconds: float = SECONDS) -> tuple[bool, float, float]:
     return held, mm, deg
 
 
+def scene_of(given: list[str]) -> Path:
+    """The scene of the folder that is given, or of this file's; ends with exit code 2 if none."""
+    scene = (Path(given[0]) if given else Path(__file__).parent) / "scene.xml"
+    fault = "" if scene.is_file() else f"there is no {scene}; give the folder of an exported scene"
+    if len(given) > 1:
+        fault = f"{len(given)} arguments are given; give one folder, or none for that of this file"
+    if fault:
+        print(f"usage: python check.py [FOLDER]\n{fault}", file=sys.stderr)
+        sys.exit(2)
+    return scene
+
+
 if __name__ == "__main__":
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent
-    held, mm, deg = hold(folder / "scene.xml")
+    held, mm, deg = hold(scene_of(sys.argv[1:]))
     print(
         f"{'held' if held else 'not held'}: the object moved {mm:.2f} mm and turned {deg:.2f} deg"
     )

@@ -155,7 +155,7 @@ MJCF_SCENE = register_format(
     GraspFormat(
         name="mjcf-scene",
         title="a folder with MJCF, key frames, URDF, meshes and the physics beside it",
-        suffix="",
+        suffixes=(),
         loses="the way to the grasp; table and obstacles are left out",
         recognises=lambda path: False,
         write=_write,

@@ -12,7 +12,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TypeAlias
 
-from planner.errors import FileFormatError, NotFoundError
+from planner.errors import FileFormatError, NotFoundError, few_of
+from planner.files import plan_files
 from planner.hands.catalog import hand_names
 from planner.objects import object_names
 from planner.pages.page import Page
@@ -110,6 +111,12 @@ def recognise(target: Target) -> Kind:
             raise NotFoundError("hand or object", target.text, names, advice, is_path=True)
         hint = "Or give the path of a file or folder."
         raise NotFoundError("hand or object", target.text, names, hint)
+    plans = plan_files(target.path) if target.is_folder else ()
+    if plans:
+        raise FileFormatError(
+            f"{target.path} holds {len(plans)} plan files, and one is viewed; give a file of it: "
+            f"{few_of(file.name for file in plans)}"
+        )
     found = f"its format is {target.format!r}" if target.format else "it is of another kind"
     raise FileFormatError(
         f"{target.path} cannot be viewed: {found}; what can be: {', '.join(k.name for k in known)}"

@@ -227,7 +227,7 @@ register_format(
     GraspFormat(
         name=NAME,
         title="DexGraspBench, BODex and Dexonomy dictionaries",
-        suffix="",
+        suffixes=(),
         loses=(
             "contacts and forces, friction and gravity, table and obstacles, names of joints, the "
             "way to the pre-grasp"

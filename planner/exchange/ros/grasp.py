@@ -212,7 +212,7 @@ ROS_GRASP = register_format(
     GraspFormat(
         name="ros2-grasp",
         title=f"{GRASP} of ROS 2 as YAML, a document per grasp, or a list as JSON",
-        suffix=".yaml",
+        suffixes=(".yaml", ".yml", ".json"),
         loses=(
             "the object's shape and mass, contacts (the largest force stays), friction, table and "
             "obstacles; of the approach its direction and length stay"

@@ -59,7 +59,7 @@ ROS_TRAJECTORY = register_format(
     GraspFormat(
         name="ros2-trajectory",
         title=f"{TRAJECTORY} of ROS 2 as YAML, a document per plan, or a list as JSON",
-        suffix=".yaml",
+        suffixes=(".yaml", ".yml", ".json"),
         loses=(
             "all but joint positions over time: the pose of a hand without an arm, phases, "
             "contacts and forces, the object"

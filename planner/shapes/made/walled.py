@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import ClassVar
 
@@ -17,6 +18,7 @@ import numpy as np
 from planner.errors import ObjectError
 from planner.shapes.made.base import Made
 from planner.shapes.made.woven import circle, stacked
+from planner.shapes.stable import StablePose
 from planner.spatial import FloatArray, IntArray
 
 __all__ = ["AROUND", "Bowl", "Cup", "Plate", "Tube", "Walled", "closed_shell", "revolved"]
@@ -32,6 +34,9 @@ RIM_PARTS = 6
 
 THINNEST = 2e-4
 """Thinnest wall, m."""
+
+UPRIGHT = 0.999
+"""Cosine between z and the vertical (-) from which on a vessel stands upright."""
 
 THICKEST = 0.25
 """Thickest wall as a share of the smallest other size."""
@@ -95,9 +100,18 @@ def revolved(outline: FloatArray, *, closed: bool = False) -> tuple[FloatArray, 
 
 
 class Walled(Made):
-    """A mesh with a ``wall``, the last of its sizes."""
+    """A mesh with a ``wall``, the last of its sizes.
+
+    A vessel stands with its open side, which is towards z, up, although a bowl and a plate are
+    harder to tilt upside down.
+    """
 
     wall: float
+
+    @cached_property
+    def _resting_poses(self) -> tuple[StablePose, ...]:
+        poses = super()._resting_poses
+        return tuple(sorted(poses, key=lambda pose: pose.rotation[2, 2] < UPRIGHT))
 
     def _check(self) -> None:
         """Whether the wall is thin beside the other sizes; ObjectError if not."""

@@ -97,14 +97,16 @@ class MeshSeeder(Seeder):
             level = np.abs(pairs.directions @ T.rotation[2]) < self.steepest
             height = pairs.centers @ T.rotation[2] + T.translation[2] - task.table_height
             pad = max(f.pad.radius for f in task.fingers)
-            # a flat object has none that high: then any of them
             high = height > pad + ABOVE_TABLE
-            able &= level & (high if (able & level & high).any() else True)
+            # of a plate no faces stand level: then any of them, and the verdict decides
+            able &= level if (able & level).any() else True
+            # a flat object has none that high: then any of them
+            able &= high if (able & high).any() else True
         if not able.any():
             least = float(pairs.widths.min(initial=np.inf))
             places = (
                 f"{len(pairs.widths)} places with opposed faces, the narrowest {1e3 * least:.0f} "
-                "mm wide, none of them level enough, within reach and where it may be touched"
+                "mm wide, none of them within reach and where it may be touched"
                 if len(pairs.widths)
                 else "no places with opposed faces"
             )
@@ -170,6 +172,8 @@ class MeshSeeder(Seeder):
         if self.task.table_height is not None:
             up = np.tile(self.task.T_world_object.rotation[2], (len(axes), 1))
         up -= axes * np.einsum("ij,ij->i", axes, up)[:, None]
+        upright = np.linalg.norm(up, axis=1) < TINY
+        up[upright] = np.cross(axes[upright], np.roll(axes[upright], 1, axis=1))
         up /= np.linalg.norm(up, axis=1, keepdims=True)
         turn = rng.normal(0, self.turn_noise, (len(axes), 1))
         return np.cos(turn) * up + np.sin(turn) * np.cross(axes, up)
