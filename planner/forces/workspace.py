@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from planner.arrays import is_finite
 from planner.contacts import ContactSet
 from planner.errors import ContactError
 from planner.spatial import FloatArray, contact_frames, skew
@@ -88,7 +89,7 @@ class ContactWorkspace:
         given = jacobians.shape
         if len(given) != 3 or given[0] != n or given[1] < rows or given[2] != self._nv:
             raise ContactError(f"jacobians have shape {given}; give ({n}, {rows}, {self._nv})")
-        if not np.isfinite(jacobians).all():
+        if not is_finite(jacobians):
             raise ContactError("jacobians hold NaN or infinity; give finite numbers")
         np.matmul(self._turned, jacobians[:, :3], out=self._force_levers)
         if self._soft:
