@@ -74,7 +74,7 @@ def finite_given(what: str, value: Any, shape: tuple[int, ...]) -> FloatArray:
 
 
 def is_finite(array: FloatArray) -> bool:
-    """Whether all numbers are finite: by their sum of squares, which takes a call instead of two."""
+    """Whether all numbers are finite: by their sum of squares, one call instead of two."""
     return isfinite(np.vdot(array, array)) or bool(np.isfinite(array).all())
 
 

@@ -73,7 +73,8 @@ class TrialReport(OnScreen):
         recording: States at the same times.
         plan: What was executed.
         comparison: Planned against measured contacts, one per finger; empty without a hold.
-        quality_mu: Sliding friction (-) of both analyses of quality: the plan's, not the simulation's.
+        quality_mu: Sliding friction (-) of both analyses of quality: the plan's, not that of the
+            simulation.
         contacts_measured: Those contacts, merged per finger, in the world's axes, with their forces
             and the simulation's friction; None without contacts. For an analysis with another
             friction: ``analyse(report.contacts_measured, length=...)``.

@@ -22,6 +22,7 @@ class ContactWorkspace:
 
     Attributes:
         positions, frames, center: As they are now; write them, then ``place``.
+        table: (6, nx), the grasp map.
         lever: (nx, nv), joint torque per unknown, N m per N.
         plain: Whether all are point contacts and the forces all there is.
     """
@@ -41,7 +42,7 @@ class ContactWorkspace:
         dims = np.array(contacts.dims, dtype=np.int64)
         n, nx = len(dims), len(unit)
         wide = int(dims.max(initial=3))
-        self._table, self._length, self._nv, self._unit = table, length, nv, unit
+        self.table, self._length, self._nv, self._unit = table, length, nv, unit
         self._soft = wide == 4
         self.positions, self.frames = np.array(contacts.positions), np.array(contacts.frames)
         self.center = np.array(contacts.center)
@@ -75,9 +76,9 @@ class ContactWorkspace:
             self._map[:, 3:, 3] = self.frames[:, :, 0] / self._length
         if self._used is not None:
             columns = self._map.transpose(1, 0, 2).reshape(6, -1)[:, self._used]
-            self._table[:, : len(self._used)] = columns
+            self.table[:, : len(self._used)] = columns
         if self._soft:
-            self._table *= self._unit
+            self.table *= self._unit
 
     def load(self, jacobians: FloatArray) -> None:
         """Write the levers from Jacobians (n, 3 or 6, nv).
