@@ -27,7 +27,15 @@ from planner.errors import ContactError
 from planner.forces.build import EXTRA_COST, LimitArguments, build_force_problem
 from planner.forces.costs import QuadraticCost
 from planner.forces.least_violation import Relaxation
-from planner.forces.loop_kernels import OPEN_CHANGED, REFUSED, place_points, shortfall
+from planner.forces.loop_kernels import (
+    AWAY_CHANGED,
+    OPEN_CHANGED,
+    REFUSED,
+    give_answer,
+    place_points,
+    press_points,
+    shortfall,
+)
 from planner.forces.screen import force_table, wrench_text
 from planner.forces.torque_limits import TorqueCase, TorqueLimits, loaded_rows
 from planner.forces.workspace import ContactWorkspace
@@ -160,7 +168,9 @@ class ForceLoop:
         if n and (dims == dims[0]).all():  # evenly spaced: a view
             self._normal = slice(0, nf, int(dims[0]))
         self._least, self._most = np.array(p.lower[normal]), np.array(p.upper[normal])
-        self._away = b""  # which contacts are away, as it was last written
+        # which contacts are away, as it was last written
+        self._away: NDArray[np.bool_] | None = None
+        self._pressed = np.zeros((2, n))
         self._minus_row_scale, self._row_unit = -p.row_scale[:6], 1.0 / p.row_scale[:6]
         self._case: TorqueCase | None = None
         self._lay_out(0)
@@ -371,7 +381,7 @@ class ForceLoop:
         now, n = self.contacts, len(p.contacts)
         of_contacts = (now.positions.copy(), now.frames.copy(), now.center.copy())
         self._kept = (*of_contacts, np.zeros((n, 3, nv)), np.zeros(nv))
-        points = bool((np.array(p.contacts.dims) == 3).all())
+        points = bool((np.array(p.contacts.dims) == 3).all() and (unit[: 3 * n] == 1.0).all())
         self._by_loops = points and self._drive is not None and kernels_are_compiled()
 
     def _make_room(self, extra: int) -> None:
@@ -394,6 +404,8 @@ class ForceLoop:
     def _press(self, min_normal: ArrayLike | None, max_normal: ArrayLike | None) -> None:
         """Write bounds on normal forces; of a contact that is away everything is 0."""
         qp, n = self.qp, len(self._least)
+        if self._press_by_loops(min_normal, max_normal):
+            return
         least = self._least if min_normal is None else per_item("min_normal", min_normal, n)
         most = self._most if max_normal is None else per_item("max_normal", max_normal, n)
         if n and not (least.min() >= 0.0 and least.max() < math.inf and most.min() >= 0.0):
@@ -411,11 +423,32 @@ class ForceLoop:
             self._most[:] = most
             qp.upper[self._normal] = self._most
             away = self._most <= 0.0
-            if (key := away.tobytes()) != self._away:
-                self._away = key
-                tails = np.where(away[self._owner], 0.0, self._tail_limits)
-                qp.lower[self._tail], qp.upper[self._tail] = tails
+            if self._away is None or not np.array_equal(away, self._away):
+                self._hold_away(away)
         qp.lower[self._normal] = np.minimum(self._least, self._most)
+
+    def _press_by_loops(self, least: ArrayLike | None, most: ArrayLike | None) -> bool:
+        """As ``_press`` in loops; whether that was possible."""
+        if not self._by_loops or self._away is None:
+            return False
+        for row, given in zip(self._pressed, (least, most), strict=True):
+            if type(given) is not np.ndarray or given.shape != row.shape:
+                return False
+            row[:] = given
+        qp = self.qp
+        answer = press_points(*self._pressed, 3, qp.lower, qp.upper, self._away)
+        if answer == REFUSED:
+            return False
+        self._least[:], self._most[:] = self._pressed
+        if answer == AWAY_CHANGED:
+            self._hold_away(self._away)
+        return True
+
+    def _hold_away(self, away: NDArray[np.bool_]) -> None:
+        """Write the bounds on what is not a normal force, with some contacts (n,) away."""
+        self._away = away
+        tails = np.where(away[self._owner], 0.0, self._tail_limits)
+        self.qp.lower[self._tail], self.qp.upper[self._tail] = tails
 
     def _take_costs(self, costs: Sequence[QuadraticCost]) -> None:
         """Write costs in place of those before."""
@@ -472,6 +505,19 @@ class ForceLoop:
     def _give(self, x: FloatArray, wrench: FloatArray) -> None:
         """Write forces, torques and the unbalanced wrench of an answer."""
         r = self.result
+        if self._by_loops:
+            give_answer(
+                x,
+                self._met,
+                self._row_unit,
+                wrench,
+                self.contacts.lever,
+                self._gravity,
+                r.forces,
+                r.left_over,
+                r.joint_torques,
+            )
+            return
         if self.contacts.plain:
             self._vectors[:] = x.reshape(-1, 3)
         else:

@@ -12,7 +12,17 @@ from numpy.typing import NDArray
 from planner.numerics.kernels import kernel
 from planner.spatial import FloatArray, cross
 
-__all__ = ["OPEN_CHANGED", "REFUSED", "place_points", "renew_limits", "shortfall"]
+__all__ = [
+    "AWAY_CHANGED",
+    "OPEN_CHANGED",
+    "REFUSED",
+    "give_answer",
+    "place_points",
+    "press_points",
+    "renew_limits",
+    "shortfall",
+    "turn_onto",
+]
 
 REFUSED, OPEN_CHANGED = 1, 2
 """What ``place_points`` answers beside 0: numbers that are not finite or frames that are no
@@ -20,6 +30,9 @@ rotations; that contacts load other joints than before."""
 
 STOPS_CHANGED = 3
 """What ``renew_limits`` answers beside 0: other stops are active than the rows are for."""
+
+AWAY_CHANGED = 4
+"""What ``press_points`` answers beside 0 and ``REFUSED``: other contacts are away than before."""
 
 ORTHONORMAL_TOL = 1e-6
 """Largest entry of F'F - 1 of a frame (-): ``planner.contacts.checks`` has the same."""
@@ -250,3 +263,162 @@ def shortfall(table: FloatArray, limits: FloatArray, x: FloatArray, value: Float
             if not np.isfinite(worst):
                 return np.inf
     return worst
+
+
+def _press_points_plain(
+    least: FloatArray,
+    most: FloatArray,
+    step: int,
+    lower: FloatArray,
+    upper: FloatArray,
+    away: NDArray[np.bool_],
+) -> int:
+    """``press_points`` in NumPy."""
+    sound = (least >= 0.0) & np.isfinite(least) & (most >= 0.0)
+    if not (sound & ((least <= most) | (most <= 0.0))).all():
+        return REFUSED
+    now = most <= 0.0
+    lower[: step * len(least) : step] = np.minimum(least, most)
+    upper[: step * len(least) : step] = most
+    same = bool((now == away).all())
+    away[:] = now
+    return 0 if same else AWAY_CHANGED
+
+
+@kernel(_press_points_plain)
+def press_points(
+    least: FloatArray,
+    most: FloatArray,
+    step: int,
+    lower: FloatArray,
+    upper: FloatArray,
+    away: NDArray[np.bool_],
+) -> int:
+    """Write bounds on the normal forces of n contacts.
+
+    Args:
+        least: (n,), N.
+        most: (n,), N; 0 for a contact that is away.
+        step: Unknowns per contact, the normal force first.
+        lower: (nx,): written.
+        upper: (nx,): written.
+        away: (n,), which contacts are away: compared and written.
+
+    Returns:
+        0, ``REFUSED`` (nothing is written then) or ``AWAY_CHANGED``.
+    """
+    n = len(least)
+    for i in range(n):
+        sound = least[i] >= 0.0 and least[i] < np.inf and most[i] >= 0.0
+        if not (sound and (least[i] <= most[i] or most[i] <= 0.0)):
+            return REFUSED
+    same = True
+    for i in range(n):
+        lower[step * i], upper[step * i] = min(least[i], most[i]), most[i]
+        is_away = most[i] <= 0.0
+        if is_away != away[i]:
+            same = False
+            away[i] = is_away
+    return 0 if same else AWAY_CHANGED
+
+
+def _give_answer_plain(
+    x: FloatArray,
+    met: FloatArray,
+    row_unit: FloatArray,
+    wrench: FloatArray,
+    lever: FloatArray,
+    gravity: FloatArray,
+    forces: FloatArray,
+    left_over: FloatArray,
+    torques: FloatArray,
+) -> None:
+    """``give_answer`` in NumPy."""
+    forces[:, :3] = x[: 3 * len(forces)].reshape(-1, 3)
+    left_over[:] = met * row_unit + wrench
+    torques[:] = x @ lever + gravity
+
+
+@kernel(_give_answer_plain)
+def give_answer(
+    x: FloatArray,
+    met: FloatArray,
+    row_unit: FloatArray,
+    wrench: FloatArray,
+    lever: FloatArray,
+    gravity: FloatArray,
+    forces: FloatArray,
+    left_over: FloatArray,
+    torques: FloatArray,
+) -> None:
+    """Write what unknowns of n point contacts mean.
+
+    Args:
+        x: (nx,), forces first, N.
+        met: (6,), balance rows at x.
+        row_unit: (6,), of these rows.
+        wrench: (6,), N and N m.
+        lever: (nx, nv), joint torque per unknown.
+        gravity: (nv,), N m.
+        forces: (n, 4): written but for the torques about the normals.
+        left_over: (6,), unbalanced wrench: written.
+        torques: (nv,), of the joints: written.
+    """
+    for i in range(len(forces)):
+        for k in range(3):
+            forces[i, k] = x[3 * i + k]
+    for k in range(6):
+        left_over[k] = met[k] * row_unit[k] + wrench[k]
+    for j in range(len(torques)):
+        torque = 0.0
+        for k in range(len(x)):
+            torque += x[k] * lever[k, j]
+        torques[j] = torque + gravity[j]
+
+
+def _turn_onto_plain(
+    frames: FloatArray, normals: FloatArray, opposed: float, out: FloatArray
+) -> bool:
+    """``turn_onto`` in NumPy."""
+    old = frames[:, :, 0]
+    cosine = (old * normals).sum(axis=1)
+    if (cosine < opposed).any():
+        return False
+    dyad = normals[:, :, None] * old[:, None]
+    turn = dyad - dyad.transpose(0, 2, 1)  # the cross-product matrix of old x normals
+    rotation = _IDENTITY + turn + turn @ turn / (1.0 + cosine)[:, None, None]
+    out[:] = rotation @ frames
+    return True
+
+
+_IDENTITY = np.eye(3)
+
+
+@kernel(_turn_onto_plain)
+def turn_onto(frames: FloatArray, normals: FloatArray, opposed: float, out: FloatArray) -> bool:
+    """Turn contact frames by the least rotation onto normals.
+
+    Args:
+        frames: (n, 3, 3), axes in columns.
+        normals: (n, 3), unit.
+        opposed: Cosine of old and new normal below which there is no least rotation.
+        out: (n, 3, 3): written.
+
+    Returns:
+        Whether all could be turned; else some are not written.
+    """
+    for i in range(len(frames)):
+        a, b, c = normals[i, 0], normals[i, 1], normals[i, 2]
+        u, v, w = frames[i, 0, 0], frames[i, 1, 0], frames[i, 2, 0]
+        cosine = u * a + v * b + w * c
+        if cosine < opposed:
+            return False
+        x, y, z = v * c - w * b, w * a - u * c, u * b - v * a  # old x new
+        share = 1.0 / (1.0 + cosine)
+        for k in range(3):
+            p, q, r = frames[i, 0, k], frames[i, 1, k], frames[i, 2, k]
+            s0, s1, s2 = y * r - z * q, z * p - x * r, x * q - y * p
+            out[i, 0, k] = p + s0 + share * (y * s2 - z * s1)
+            out[i, 1, k] = q + s1 + share * (z * s0 - x * s2)
+            out[i, 2, k] = r + s2 + share * (x * s1 - y * s0)
+    return True

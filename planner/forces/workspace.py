@@ -7,14 +7,13 @@ import numpy as np
 from planner.arrays import is_finite
 from planner.contacts import ContactSet
 from planner.errors import ContactError
+from planner.forces.loop_kernels import turn_onto
 from planner.spatial import FloatArray, contact_frames, skew
 
 __all__ = ["ContactWorkspace", "turned_frames"]
 
 OPPOSED = -0.9
 """Cosine between an old and a new normal below which tangents are chosen anew (-)."""
-
-_IDENTITY = np.eye(3)
 
 
 class ContactWorkspace:
@@ -106,11 +105,6 @@ def turned_frames(frames: FloatArray, normals: FloatArray) -> FloatArray:
 
     Tangents then move as little as the normals do, where ``contact_frames`` may jump.
     """
-    old = frames[:, :, 0]
-    cosine = (old * normals).sum(axis=1)
-    if (cosine < OPPOSED).any():
-        return contact_frames(normals)
-    dyad = normals[:, :, None] * old[:, None]
-    turn = dyad - dyad.transpose(0, 2, 1)  # the cross-product matrix of old x normals
-    rotation = _IDENTITY + turn + turn @ turn / (1.0 + cosine)[:, None, None]
-    return np.asarray(rotation @ frames)
+    out = np.empty(frames.shape)
+    turned = turn_onto(np.ascontiguousarray(frames), np.ascontiguousarray(normals), OPPOSED, out)
+    return out if turned else contact_frames(normals)

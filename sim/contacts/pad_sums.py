@@ -1,4 +1,4 @@
-"""``pad_sums``: forces, places and sliding of contacts on an object, summed per finger.
+"""``pad_means``: forces, places and sliding of contacts on an object, per finger.
 
 ``sim.pads`` asks at every step of a closed loop. Loops and plain numbers give the same bits.
 """
@@ -14,10 +14,14 @@ from planner.numerics.kernels import kernel, loops_of_kernels
 from planner.spatial import FloatArray, IntArray
 from sim.contacts.reading import NO_FORCE, load_of
 
-__all__ = ["pad_sums", "twist_of"]
+__all__ = ["pad_means", "twist_of"]
+
+MIN_LENGTH = 1e-12
+"""Least length (-) of a mean of normals that is divided by: a finger that pinches the object by
+itself can have none."""
 
 
-def _pad_sums_plain(
+def _pad_means_plain(
     geoms: IntArray,
     places: FloatArray,
     frames: FloatArray,
@@ -36,7 +40,7 @@ def _pad_sums_plain(
     object_body: int,
     n: int,
 ) -> FloatArray:
-    """``pad_sums`` in plain numbers, which are cheaper than arrays of three."""
+    """``pad_means`` in plain numbers, which are cheaper than arrays of three, and in NumPy."""
     sums = [[0.0] * 14 for _ in range(n)]
     columns = (geoms, places, frames, addresses, dims, friction)
     rows = zip(*(column.tolist() for column in columns), strict=True)
@@ -61,7 +65,16 @@ def _pad_sums_plain(
             ]
             relative[body] = [p - q for p, q in zip(*pair, strict=True)]
         _add(sums[k], load, at, frame, sign, relative[body])
-    return np.array(sums).reshape(n, 14)
+    table = np.array(sums).reshape(n, 14)
+    pressing = table[:, 0] > 0
+    weight = np.where(pressing, table[:, 0], np.nan)[:, None]
+    spin = np.where(pressing, table[:, 13] / np.where(pressing, table[:, 0], 1.0), 0.0)
+    table[:, 4:13] /= weight
+    normal = table[:, 7:10]
+    length = np.sqrt((normal * normal).sum(axis=1, keepdims=True))
+    table[:, 7:10] = normal / np.maximum(length, MIN_LENGTH)
+    table[:, 13] = spin
+    return table
 
 
 @loops_of_kernels
@@ -122,8 +135,8 @@ def twist_of(
     return a, b, c, u - b * z + c * y, v - c * x + a * z, w - a * y + b * x
 
 
-@kernel(_pad_sums_plain)
-def pad_sums(
+@kernel(_pad_means_plain)
+def pad_means(
     geoms: IntArray,
     places: FloatArray,
     frames: FloatArray,
@@ -142,7 +155,9 @@ def pad_sums(
     object_body: int,
     n: int,
 ) -> FloatArray:
-    """Per finger (n, 14): normal force, force; times normal force: place, normal, sliding, spin.
+    """Per finger (n, 14): normal force, force, place, unit normal, sliding, spin.
+
+    The last four are means weighted by normal force; without contact they are NaN, and the spin 0.
 
     Args:
         geoms: (k, 2), geoms of each contact.
@@ -185,4 +200,17 @@ def pad_sums(
         for j in range(6):
             relative[j] = other[j] - mine[j]
         _add(sums[k], load, places[i], frames[i], sign, relative)
+    for k in range(n):
+        weight = sums[k, 0]
+        if not weight > 0.0:
+            sums[k, 4:13] = np.nan
+            sums[k, 13] = 0.0
+            continue
+        for j in range(4, 14):
+            sums[k, j] /= weight
+        length = np.sqrt(
+            sums[k, 7] * sums[k, 7] + sums[k, 8] * sums[k, 8] + sums[k, 9] * sums[k, 9]
+        )
+        for j in range(7, 10):
+            sums[k, j] /= max(length, MIN_LENGTH)
     return sums
