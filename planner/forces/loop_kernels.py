@@ -16,6 +16,7 @@ __all__ = [
     "AWAY_CHANGED",
     "OPEN_CHANGED",
     "REFUSED",
+    "STOPS_CHANGED",
     "give_answer",
     "place_points",
     "press_points",
@@ -259,9 +260,7 @@ def shortfall(table: FloatArray, limits: FloatArray, x: FloatArray, value: Float
         value[r] = dot
         under, over = limits[0, r] - dot, dot - limits[1, r]
         if not (under <= worst and over <= worst):
-            worst = max(under, over)
-            if not np.isfinite(worst):
-                return np.inf
+            worst = max(under, over) if np.isfinite(dot) else np.inf
     return worst
 
 
