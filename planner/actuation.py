@@ -256,19 +256,25 @@ class Actuation:
         Everything that is linear in (q, v, torque) comes out of one product: this runs in every
         step of a simulation, and a call into numpy costs more than its arithmetic here.
         """
-        shape = (len(self.joint_names),)
-        if not np.shape(q) == np.shape(v) == np.shape(torque) == shape:
+        t = self._tables
+        try:
+            state = np.concatenate((q, v, torque))
+            fits = state.shape == t.state_shape and len(q) == len(v) == len(torque)
+        except (ValueError, TypeError):  # numbers, or arrays that do not fit together
+            fits = False
+        if not fits:
             given = f"q {np.shape(q)}, v {np.shape(v)}, torque {np.shape(torque)}"
+            shape = (len(self.joint_names),)
             raise HandError(f"shapes are {given}; give {shape} each, one number per joint")
-        state = np.concatenate((q, v, torque))
         if not math.isfinite(state @ state):
             raise HandError("q, v or torque holds NaN or infinity; give finite numbers")
-        t = self._tables
         out = t.linear @ state + t.constant
-        offset, force, undriven, gaps = (out[part] for part in t.parts)
-        lam = np.zeros(len(self.stop_names))
+        of_offset, of_force, of_undriven, of_gaps = t.parts
+        offset, force = out[of_offset], out[of_force]
         if not t.useful.size:
-            return offset, force, lam
+            return offset, force, t.no_stop
+        undriven, gaps = out[of_undriven], out[of_gaps]
+        lam = np.zeros(len(self.stop_names))
         if t.choices is None:
             active = np.zeros(len(lam), dtype=bool)
             active[t.useful] = gaps <= STOP_TOL
@@ -280,7 +286,7 @@ class Actuation:
                     if gap[k] <= STOP_TOL:
                         lam[stop] = wanted / share
                         break
-        return offset, force - t.stops_driven @ lam, lam
+        return offset, force - t.stops_driven @ lam if lam.any() else force, lam
 
     def _reaction(
         self, columns: FloatArray, active: NDArray[np.bool_], wanted: FloatArray
@@ -307,6 +313,8 @@ class _Tables:
     """Quantities that ``Actuation`` computes once.
 
     Attributes:
+        state_shape: Of (q, v, torque), one after the other.
+        no_stop: (ns,), zero, not to be written.
         linear, constant: (q, v, torque) -> [force at ctrl = 0 (nu); pinv(R^T) tau (nu);
             N tau (k); gaps S q - s of the useful stops], where tau is torque less that of springs.
         parts: Where those four parts stand.
@@ -321,6 +329,8 @@ class _Tables:
             best aligned first, as (place in ``useful``, stop, entry of N S^T). Else None.
     """
 
+    state_shape: tuple[int]
+    no_stop: FloatArray
     linear: FloatArray
     constant: FloatArray
     parts: tuple[slice, slice, slice, slice]
@@ -366,7 +376,11 @@ class _Tables:
                 mine.sort(key=lambda j, i=i: -aligned[i, useful[j]])  # type: ignore[misc]
                 found = [(j, int(useful[j]), float(in_null[i, useful[j]])) for j in mine]
                 choices.append(([c for c in found if c[2] > 0], [c for c in found if c[2] < 0]))
+        no_stop = np.zeros(len(a.stop_names))
+        no_stop.flags.writeable = False
         return cls(
+            state_shape=(3 * nv,),
+            no_stop=no_stop,
             linear=linear,
             constant=constant,
             parts=(

@@ -106,7 +106,7 @@ class Gantry:
             velocity: Their rates (6,), per second.
         """
         kp, kd = self.gains
-        forward = kd * velocity + data.qfrc_bias[self.dof]
+        forward = kd * velocity + data.qfrc_bias.take(self.dof)
         return np.asarray(target + forward / kp)
 
 

@@ -6,10 +6,12 @@ samples at once; closure and epsilon, which take longer than a trial, when they 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from planner.quality import closure_and_epsilon, force_closure
 from planner.spatial import SE3, FloatArray, pose_change
@@ -52,6 +54,7 @@ class Recorder:
         self._contacts = ContactHistory.of(simulation.scene)
         self._samples: Samples | None = None
         self._poses: list[SE3] = []  # of the object
+        self._in_palm: list[tuple[SE3 | None, SE3]] = []  # its reference, and where it is
 
     def mark_reference(self) -> None:
         """From now on, slip is movement relative to how the object lies in the palm now."""
@@ -64,24 +67,17 @@ class Recorder:
 
     def _take(self) -> None:
         simulation = self._simulation
-        T_world_object, first = simulation.T_world_object, simulation.plan.task.T_world_object
-        moved, turned = pose_change(first, T_world_object)
-        slip = self.slip()
         self._rows.append(
             {
                 "time": simulation.time,
                 "phase": simulation.phase,
-                "slip_mm": slip[0],
-                "slip_deg": slip[1],
-                "moved_mm": moved,
-                "turned_deg": turned,
-                "lift_mm": 1e3 * (T_world_object.translation[2] - first.translation[2]),
                 "saturated": simulation.saturated_actuators(),
             }
         )
         self._states.take(simulation.phase)
         self._contacts.note(simulation.data)
-        self._poses.append(T_world_object)
+        self._poses.append(simulation.T_world_object)
+        self._in_palm.append((self._reference, simulation.T_palm_object))
         self._samples = None
 
     def samples(self) -> Samples:
@@ -104,11 +100,31 @@ class Recorder:
             "collision_N": force,
             "collision": collision,
         }
-        for name in self._rows[0] if self._rows else _ROW:
+        for name in _ROW:
             columns[name] = [row[name] for row in self._rows]
+        columns |= self._movements()
         return Samples.of(
             columns, len(self._fingers), later=partial(_closure, raw, length=self._length)
         )
+
+    def _movements(self) -> dict[str, FloatArray]:
+        """Movements of the object in the world and in the palm, (m,) each."""
+        first = self._simulation.plan.task.T_world_object
+        in_world = _changes(first, self._poses)
+        slip = np.full((len(self._in_palm), 2), NAN)
+        references = {id(reference): reference for reference, _ in self._in_palm}
+        for key, reference in references.items():
+            if reference is not None:
+                mine = [i for i, (mark, _) in enumerate(self._in_palm) if id(mark) == key]
+                slip[mine] = _changes(reference, [self._in_palm[i][1] for i in mine])
+        heights = np.array([pose.translation[2] for pose in self._poses])
+        return {
+            "slip_mm": slip[:, 0],
+            "slip_deg": slip[:, 1],
+            "moved_mm": in_world[:, 0],
+            "turned_deg": in_world[:, 1],
+            "lift_mm": 1e3 * (heights - first.translation[2]),
+        }
 
     def recording(self) -> Recording:
         """The states at the same times."""
@@ -166,17 +182,20 @@ class Recorder:
         return out[:, [merged.names.index(finger) for finger in self._fingers]]
 
 
-_ROW = (
-    "time",
-    "phase",
-    "slip_mm",
-    "slip_deg",
-    "moved_mm",
-    "turned_deg",
-    "lift_mm",
-    "saturated",
-)
+_ROW = ("time", "phase", "saturated")
 """What a sample notes itself; the contacts say the rest."""
+
+
+def _changes(before: SE3, after: Sequence[SE3]) -> FloatArray:
+    """``pose_change`` of many poses, (m, 2): mm and degrees."""
+    if not after:
+        return np.zeros((0, 2))
+    shift = np.array([pose.translation for pose in after]) - before.translation
+    turns = before.rotation.T @ np.array([pose.rotation for pose in after])
+    angles = np.array([pin.log3(turn) for turn in turns])
+    return np.column_stack(
+        [1e3 * np.sqrt(np.vecdot(shift, shift)), np.rad2deg(np.sqrt(np.vecdot(angles, angles)))]
+    )
 
 
 def _closure(raw: ContactRows, length: float) -> dict[str, Any]:

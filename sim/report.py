@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,7 +16,7 @@ from planner.contacts import ContactSet
 from planner.files import plan_from_dict, plan_to_dict
 from planner.plain import finite
 from planner.plan import GraspPlan
-from planner.quality import QualityReport
+from planner.quality import QualityReport, analyse
 from planner.showing import in_notebook
 from planner.spatial import FloatArray
 from planner.version import written_by
@@ -72,11 +73,8 @@ class TrialReport(OnScreen):
         recording: States at the same times.
         plan: What was executed.
         comparison: Planned against measured contacts, one per finger; empty without a hold.
-        quality_planned: Analysis of the planned contacts.
-        quality_measured: The same analysis of where the contacts were at the end of the hold,
-            merged per finger, with the plan's friction and contact model; None without contacts.
-            The closure in ``samples`` has the simulation's own friction.
-        quality_mu: Sliding friction (-) of both analyses: the plan's, not the simulation's.
+        quality_mu: Sliding friction (-) of both analyses of quality: the plan's, not that of the
+            simulation.
         contacts_measured: Those contacts, merged per finger, in the world's axes, with their forces
             and the simulation's friction; None without contacts. For an analysis with another
             friction: ``analyse(report.contacts_measured, length=...)``.
@@ -112,8 +110,6 @@ class TrialReport(OnScreen):
     recording: Recording
     plan: GraspPlan
     comparison: tuple[FingerComparison, ...]
-    quality_planned: QualityReport
-    quality_measured: QualityReport | None
     quality_mu: float
     contacts_measured: ContactSet | None
     thresholds: Thresholds
@@ -133,6 +129,28 @@ class TrialReport(OnScreen):
     command: str = ""
     drawn: str = ""
     reality: dict[str, Any] | None = None
+
+    @property
+    def quality_planned(self) -> QualityReport:
+        """Analysis of the planned contacts."""
+        return self.plan.quality
+
+    @cached_property
+    def quality_measured(self) -> QualityReport | None:
+        """The same of where the contacts were at the end of the hold; None without contacts.
+
+        They are merged per finger, with the plan's friction and contact model, so that the two can
+        be compared; the closure in ``samples`` has the simulation's own friction. Computed when it
+        is first read: it takes as long as a tenth of a trial.
+        """
+        if self.contacts_measured is None:
+            return None
+        task = self.plan.task
+        measured = replace(
+            self.contacts_measured.with_friction(task.mu, task.mu_torsion),
+            models=(task.contact_model,) * len(self.contacts_measured),
+        )
+        return analyse(measured, length=task.object.shape.bounding_radius)
 
     def __getstate__(self) -> dict[str, Any]:
         """How it is sent to another process: its plan as a plan file has it."""

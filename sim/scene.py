@@ -22,6 +22,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 from pinocchio import SE3
 
 from planner.bridge import compile_spec
@@ -135,6 +136,30 @@ class Scene:
         """Root of the tree of every body, as plain numbers."""
         roots: list[int] = self.model.body_rootid.tolist()
         return roots
+
+    @cached_property
+    def is_object_geom(self) -> NDArray[np.bool_]:
+        """Which geoms are the object's (ngeom,)."""
+        return np.asarray(self.model.geom_bodyid == self.object_body)
+
+    @cached_property
+    def pyramids(self) -> bool:
+        """Whether friction cones are pyramids, whose edges have a force each; else elliptic."""
+        return bool(self.model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL)
+
+    def finger_numbers(self, fingers: tuple[str, ...]) -> IntArray:
+        """Place among some fingers of the one that each geom belongs to (ngeom,), -1 for none."""
+        if fingers not in self._finger_numbers:
+            numbers = np.full(self.model.ngeom, -1, dtype=np.int64)
+            for geom, name in self.finger_of_geom.items():
+                if name in fingers:
+                    numbers[geom] = fingers.index(name)
+            self._finger_numbers[fingers] = numbers
+        return self._finger_numbers[fingers]
+
+    @cached_property
+    def _finger_numbers(self) -> dict[tuple[str, ...], IntArray]:
+        return {}
 
     def posed(self, q: FloatArray, T_world_base: SE3, T_world_object: SE3) -> FloatArray:
         """State (qpos) with the hand at q (nq,) and a base pose, and the object at a pose."""

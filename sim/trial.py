@@ -27,7 +27,6 @@ import numpy as np
 
 from planner.errors import TaskError
 from planner.plan import GraspPlan
-from planner.quality import analyse
 from sim.contacts import NO_FORCE, hand_contacts, merge_per_finger
 from sim.controllers import PHASES, AnyController, Phase
 from sim.controllers.retouch import AGAIN_TIME, closed
@@ -209,13 +208,7 @@ class Trial:
         plan, task, simulation = self.plan, self.plan.task, self.simulation
         samples = self.recorder.samples()
         merged = merge_per_finger(hand_contacts(simulation.scene, simulation.data))
-        # under the plan's own friction, so that the two can be compared
-        measured = replace(
-            merged.with_friction(task.mu, task.mu_torsion),
-            models=(task.contact_model,) * len(merged),
-        )
-        length = task.object.shape.bounding_radius
-        ended_holding = len(samples) > 0 and samples.phase[-1] == "hold" and len(measured) > 0
+        ended_holding = len(samples) > 0 and samples.phase[-1] == "hold" and len(merged) > 0
         return TrialReport(
             verdict=verdict,
             hand=task.hand.name,
@@ -227,8 +220,6 @@ class Trial:
             recording=self.recorder.recording(),
             plan=plan,
             comparison=self.recorder.comparison(),
-            quality_planned=plan.quality,
-            quality_measured=analyse(measured, length=length) if ended_holding else None,
             quality_mu=task.mu,
             contacts_measured=merged if ended_holding else None,
             thresholds=self.thresholds,

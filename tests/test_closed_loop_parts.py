@@ -22,10 +22,11 @@ from sim.controllers import (
     PadReading,
     named_controller,
 )
+from sim.controllers.holding_loops import grasp_matrix
 from sim.controllers.impedance import ImpedanceLaw, felt_inertia
 from sim.controllers.monitors import SlipDetector
 from sim.controllers.schedule import LOST_TIME, RAMP, TOUCH_TIME, ContactSchedule
-from sim.controllers.torques import HoldingTorques, grasp_matrix
+from sim.controllers.torques import HoldingTorques
 
 DT = 0.002
 

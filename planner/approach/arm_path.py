@@ -13,10 +13,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
-from planner.collision.world import Clearance, CollisionWorld, bounding_radius
+from planner.collision.world import Clearance, CollisionWorld
 from planner.failure import Failure
 from planner.hands.hand import Hand
 from planner.immutable import freeze
@@ -252,7 +253,7 @@ class _Radii:
         self._axes = joint_axes(model)
         self._of_joint = np.array([g.joint_id for g in hand.geometries])
         self._centers = np.array([g.T_joint_geometry.translation for g in hand.geometries])
-        self._sizes = np.array([bounding_radius(g.geometry) for g in hand.geometries])
+        self._sizes = np.array([_bounding_radius(g.geometry) for g in hand.geometries])
         self._below = [
             np.array([k + 1 in list(model.supports[int(j)]) for j in self._of_joint])
             for k in hand.arm_index
@@ -276,3 +277,10 @@ class _Radii:
             across = np.cross(centers[below] - pose.translation, pose.rotation @ axis[3:])
             out[i] = (np.linalg.norm(across, axis=1) + self._sizes[below]).max()
         return out
+
+
+def _bounding_radius(geometry: Any) -> float:
+    """Radius (m) of the ball about the geometry's origin that contains it."""
+    geometry.computeLocalAABB()
+    box = geometry.aabb_local
+    return float(np.linalg.norm(np.maximum(np.abs(box.min_), np.abs(box.max_))))

@@ -1,6 +1,7 @@
-"""Jobs through joblib: results as they are finished, even if workers die.
+"""Jobs in parallel: results as they are finished, even if workers die.
 
-joblib's backends carry the same jobs to processes ("loky"), threads ("threading") and, where they
+Workers are copies of this process ("fork", ``planner.batch.forked``) where that is safe. joblib's
+backends carry the same jobs to processes ("loky"), threads ("threading") and, where they
 are installed, to a cluster ("dask", "ray"). A worker that dies takes no result of others with it:
 the pool is started again, and what was in flight is done once more, alone, so that a job that kills
 its worker is found out.
@@ -17,12 +18,13 @@ from typing import Any, TypeVar
 import joblib
 
 from planner.arrays import checked_count
+from planner.batch.forked import FORK, can_fork, forked_results
 from planner.batch.jobs import Job, plan_row
 from planner.batch.rows import failed_row
 from planner.errors import TaskError
 from planner.system.environment import on_interrupt, safe_path
 
-__all__ = ["check_backend", "finished", "planned_rows"]
+__all__ = ["check_backend", "default_backend", "finished", "planned_rows"]
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -42,8 +44,16 @@ before."""
 MOST_WORKERS = 1024
 """Most processes of a pool: each loads all libraries and models."""
 
+LOKY = "loky"
+"""joblib's backend of processes that are started anew."""
+
 AT_ONCE = 4
 """Jobs per worker and wave for a backend without a stream of results."""
+
+
+def default_backend(workers: int) -> str:
+    """The backend where none is named: copies of this process where that is safe."""
+    return FORK if workers != 1 and can_fork() else LOKY
 
 
 def check_backend(backend: str, workers: int) -> None:
@@ -53,12 +63,19 @@ def check_backend(backend: str, workers: int) -> None:
         TaskError: So; or ``workers`` is neither -1 nor a number of processes.
     """
     _check_workers(workers)
+    if backend == FORK:
+        if not can_fork():
+            raise TaskError(
+                "workers cannot be forked here: that takes Linux, and no other thread; use the "
+                "backend 'loky'"
+            )
+        return
     try:
         with joblib.parallel_config(backend=backend, n_jobs=workers):
             pass
     except (ImportError, TypeError, ValueError) as error:
         raise TaskError(
-            f"joblib cannot use the backend {backend!r}: {error}. Use loky, threading or "
+            f"joblib cannot use the backend {backend!r}: {error}. Use fork, loky, threading or "
             "multiprocessing; dask after making a dask.distributed.Client; ray after "
             "ray.util.joblib.register_ray()"
         ) from error
@@ -143,6 +160,9 @@ def _stream(
     The iterator is asked for more as workers become free. Workers import nothing from the current
     folder, also those that are started again later.
     """
+    if backend == FORK:
+        yield from forked_results(work, jobs, joblib.cpu_count() if workers == -1 else workers)
+        return
     call = joblib.delayed(_numbered)
     with safe_path(), joblib.parallel_config(backend=backend, n_jobs=workers):
         active, n_workers = joblib.parallel.get_active_backend()
@@ -166,9 +186,10 @@ def _alone(
     given_up: Callable[[Item, str], Result],
 ) -> Result:
     """The result of a job that was in flight when a worker died, with no other beside it."""
+    others = LOKY if backend == FORK else backend  # a fork does its first job in this process
     for _ in range(DEATHS_ALONE):
         try:
-            return next(_stream(work, iter([(0, job)]), 2, backend))[1]
+            return next(_stream(work, iter([(0, job)]), 2, others))[1]
         except _deaths():
             continue
     return given_up(

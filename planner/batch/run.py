@@ -14,7 +14,7 @@ from weakref import finalize
 from planner.batch.dataset import GraspSet
 from planner.batch.jobs import BatchObject, batch_jobs
 from planner.batch.manifest import Manifest, ManifestObject
-from planner.batch.pool import check_backend, planned_rows
+from planner.batch.pool import check_backend, default_backend, planned_rows
 from planner.batch.recipe import Recipe, label_of, recipe_of, task_of
 from planner.batch.rows import grasp_schema
 from planner.batch.store import Store
@@ -61,7 +61,7 @@ def plan_grasps(
     *,
     seed: int = 0,
     workers: int = -1,
-    backend: str = "loky",
+    backend: str | None = None,
     out: Path | str | None = None,
     options: SynthesisOptions | None = None,
     max_attempts: int = DEFAULT_MAX_ATTEMPTS,
@@ -78,7 +78,9 @@ def plan_grasps(
         n: Grasps per object.
         seed: Same seed, same grasps, for any number of workers.
         workers: Processes (or what the backend has); -1 for one per core, 1 for this process.
-        backend: joblib's name of a backend. Threads take turns, so they are no faster than one.
+        backend: joblib's name of a backend, or "fork": workers begin as copies of this process, in
+            milliseconds. None for "fork" on Linux while no other thread runs Python, else "loky".
+            Threads take turns, so they are no faster than one.
         out: Folder of the dataset; a batch that is there goes on. A temporary one if None, which
             lives as long as the result.
         options: Margins, weights and objectives of the search.
@@ -118,6 +120,7 @@ def plan_grasps(
             ManifestObject(label=label, **dict(Recipe.of(task))) for label, task in tasks.items()
         ],
     )
+    backend = default_backend(workers) if backend is None else backend
     check_backend(backend, workers)
     folder = Path(mkdtemp(prefix="opposable-")) if out is None else Path(out)
     try:

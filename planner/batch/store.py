@@ -129,6 +129,7 @@ class Store:
                 another process is writing to it.
         """
         self.folder, self.manifest, self._schema = folder, manifest, schema
+        self._owner = manifest.digest
         self._lock = _locked(folder)
         try:
             self._begin()
@@ -182,7 +183,7 @@ class Store:
 
     def _line(self, row: dict[str, Any]) -> str:
         """A row as a line of the journal."""
-        return json.dumps({OWNER: self.manifest.digest, **row}) + "\n"
+        return json.dumps({OWNER: self._owner, **row}) + "\n"
 
     def _stored(self, index: int) -> bool:
         return index // self.manifest.shard_rows in self._shards
@@ -212,7 +213,7 @@ class Store:
 
     def _write(self, table: str, shard: int, data: Any) -> None:
         owned = data.replace_schema_metadata(
-            {**(data.schema.metadata or {}), OWNER: self.manifest.digest or ""}
+            {**(data.schema.metadata or {}), OWNER: self._owner or ""}
         )
 
         def write(path: Path) -> None:

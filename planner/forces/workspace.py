@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from planner.arrays import is_finite
 from planner.contacts import ContactSet
 from planner.errors import ContactError
+from planner.forces.loop_kernels import turn_onto
 from planner.spatial import FloatArray, contact_frames, skew
 
 __all__ = ["ContactWorkspace", "turned_frames"]
@@ -13,14 +15,13 @@ __all__ = ["ContactWorkspace", "turned_frames"]
 OPPOSED = -0.9
 """Cosine between an old and a new normal below which tangents are chosen anew (-)."""
 
-_IDENTITY = np.eye(3)
-
 
 class ContactWorkspace:
     """Where contacts are, and what they do to the object and to the joints.
 
     Attributes:
         positions, frames, center: As they are now; write them, then ``place``.
+        table: (6, nx), the grasp map.
         lever: (nx, nv), joint torque per unknown, N m per N.
         plain: Whether all are point contacts and the forces all there is.
     """
@@ -40,7 +41,7 @@ class ContactWorkspace:
         dims = np.array(contacts.dims, dtype=np.int64)
         n, nx = len(dims), len(unit)
         wide = int(dims.max(initial=3))
-        self._table, self._length, self._nv, self._unit = table, length, nv, unit
+        self.table, self._length, self._nv, self._unit = table, length, nv, unit
         self._soft = wide == 4
         self.positions, self.frames = np.array(contacts.positions), np.array(contacts.frames)
         self.center = np.array(contacts.center)
@@ -74,9 +75,9 @@ class ContactWorkspace:
             self._map[:, 3:, 3] = self.frames[:, :, 0] / self._length
         if self._used is not None:
             columns = self._map.transpose(1, 0, 2).reshape(6, -1)[:, self._used]
-            self._table[:, : len(self._used)] = columns
+            self.table[:, : len(self._used)] = columns
         if self._soft:
-            self._table *= self._unit
+            self.table *= self._unit
 
     def load(self, jacobians: FloatArray) -> None:
         """Write the levers from Jacobians (n, 3 or 6, nv).
@@ -88,7 +89,7 @@ class ContactWorkspace:
         given = jacobians.shape
         if len(given) != 3 or given[0] != n or given[1] < rows or given[2] != self._nv:
             raise ContactError(f"jacobians have shape {given}; give ({n}, {rows}, {self._nv})")
-        if not np.isfinite(jacobians).all():
+        if not is_finite(jacobians):
             raise ContactError("jacobians hold NaN or infinity; give finite numbers")
         np.matmul(self._turned, jacobians[:, :3], out=self._force_levers)
         if self._soft:
@@ -104,11 +105,6 @@ def turned_frames(frames: FloatArray, normals: FloatArray) -> FloatArray:
 
     Tangents then move as little as the normals do, where ``contact_frames`` may jump.
     """
-    old = frames[:, :, 0]
-    cosine = (old * normals).sum(axis=1)
-    if (cosine < OPPOSED).any():
-        return contact_frames(normals)
-    dyad = normals[:, :, None] * old[:, None]
-    turn = dyad - dyad.transpose(0, 2, 1)  # the cross-product matrix of old x normals
-    rotation = _IDENTITY + turn + turn @ turn / (1.0 + cosine)[:, None, None]
-    return np.asarray(rotation @ frames)
+    out = np.empty(frames.shape)
+    turned = turn_onto(np.ascontiguousarray(frames), np.ascontiguousarray(normals), OPPOSED, out)
+    return out if turned else contact_frames(normals)

@@ -104,6 +104,7 @@ WITHOUT_REFERENCES = 2
 """Version of ``marshal`` whose bytes do not tell whether the code was read from a ``.pyc`` file."""
 
 
+@lru_cache(maxsize=256)
 def _digest(loops: Any) -> str:
     """Digest of loops, of the numbers that they take from modules, and of the loops they call."""
     parts = [marshal.dumps(_without_place(loops.__code__), WITHOUT_REFERENCES)]
@@ -115,6 +116,7 @@ def _digest(loops: Any) -> str:
     return hashlib.sha256(b"\0".join(parts)).hexdigest()
 
 
+@lru_cache(maxsize=256)
 def _taken(loops: Any) -> dict[str, Any]:
     """What loops take from their module, by name."""
     names = {i.argval for i in dis.get_instructions(loops) if i.opname == "LOAD_GLOBAL"}

@@ -29,11 +29,11 @@ def interrupts_wait() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    heard: list[tuple[signal.Signals, Any]] = []
-    handlers: dict[signal.Signals, Any] = {}
+    heard: list[tuple[int, Any]] = []
+    handlers: dict[int, Any] = {}
 
     def wait(number: int, frame: Any) -> None:
-        heard.append((signal.Signals(number), frame))
+        heard.append((number, frame))
 
     try:
         for number in _SIGNALS:

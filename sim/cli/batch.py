@@ -49,8 +49,9 @@ def batch(
     ] = Path("grasps"),
     workers: Annotated[int, typer.Option(help="Processes; -1 for one per core.", metavar="N")] = -1,
     backend: Annotated[
-        str, typer.Option(help="joblib's: loky, threading.", metavar="NAME")
-    ] = "loky",
+        str | None,
+        typer.Option(help="fork, loky, threading; fork where possible if none.", metavar="NAME"),
+    ] = None,
     *,
     request: PlanOptions,
     export: Annotated[

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
+import time
 from typing import Any, Self
 
 from rich import box
@@ -22,6 +23,10 @@ from planner.batch import BatchProgress, GraspSet
 from sim.tables import number
 
 __all__ = ["BatchBar", "batch_summary", "batch_table"]
+
+
+DRAW_S = 0.1
+"""Shortest time (s) between two drawings of the bar."""
 
 
 class BatchBar:
@@ -44,9 +49,11 @@ class BatchBar:
             console=console,
             disable=not console.is_terminal,
             transient=True,
+            auto_refresh=False,  # by a thread, beside which no worker may be forked
         )
         self._bar = self._progress.add_task("", total=None, note="")
         self._last: BatchProgress | None = None
+        self._drawn = -math.inf
 
     def __enter__(self) -> Self:
         """Start drawing."""
@@ -62,7 +69,12 @@ class BatchBar:
         self._last = now
         planned = now.done - now.kept
         note = f"{now.rate:.1f}/s, found {now.found} of {planned}" if planned else ""
-        self._progress.update(self._bar, total=now.total, completed=now.done, note=note)
+        draws = time.monotonic() - self._drawn >= DRAW_S or now.done == now.total
+        if draws:
+            self._drawn = time.monotonic()
+        self._progress.update(
+            self._bar, total=now.total, completed=now.done, note=note, refresh=draws
+        )
 
     def kept(self) -> str:
         """How many grasps are kept, in words."""

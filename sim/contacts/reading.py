@@ -7,6 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from planner.numerics.kernels import loops_of_kernels
 from planner.spatial import FloatArray
 from sim.scene import Scene
 
@@ -16,34 +17,69 @@ NO_FORCE = 1e-6
 """Normal force (N) up to which a contact counts as unloaded: what the contact solver leaves."""
 
 
+_PYRAMID = int(mujoco.mjtConstraint.mjCNSTR_CONTACT_PYRAMIDAL)
+
+
 def normal_forces(scene: Scene, data: Any, fingers: tuple[str, ...]) -> FloatArray:
     """Sum of normal forces on the object per finger, (n,), N: quick enough for every step."""
     total = [0.0] * len(fingers)
     touching = object_contacts(scene, data)
     if touching:
-        place = {name: k for k, name in enumerate(fingers)}
-        finger_of_geom = scene.finger_of_geom
+        finger = scene.finger_numbers(fingers)
         forces, address = data.efc_force, data.contact.efc_address.tolist()
+        edges = data.contact.dim.tolist() if scene.pyramids else ()
         for i, geom, _ in touching:
-            k = place.get(finger_of_geom[geom])
-            if k is not None and address[i] >= 0:
-                total[k] += float(forces[address[i]])
+            k, first = finger[geom], address[i]
+            if k < 0 or first < 0:
+                continue
+            if edges and edges[i] > 1:  # the edges' forces add up to the normal force
+                total[k] += sum(forces[first : first + 2 * (edges[i] - 1)].tolist())
+            else:
+                total[k] += forces.item(first)
     return np.array(total)
+
+
+@loops_of_kernels
+def load_of(
+    forces: Any, address: int, dim: int, friction: Any, pyramids: bool
+) -> tuple[float, float, float]:
+    """f_n, f_t1, f_t2 (N) of a contact on its geom 2, in MuJoCo's frame: ``mj_contactForce``.
+
+    Args:
+        forces: Of all constraints, N.
+        address: Where those of the contact begin, negative for a contact without.
+        dim: Its dimension: 1, 3, 4 or 6.
+        friction: Its five coefficients.
+        pyramids: Whether the friction cone is a pyramid, whose edges have a force each; else it is
+            elliptic and the constraint's force is the contact's.
+    """
+    if address < 0:
+        return 0.0, 0.0, 0.0
+    if dim == 1:
+        return forces[address], 0.0, 0.0
+    if not pyramids:
+        return forces[address], forces[address + 1], forces[address + 2]
+    normal = 0.0
+    for k in range(2 * (dim - 1)):
+        normal += forces[address + k]
+    return (
+        normal,
+        (forces[address] - forces[address + 1]) * friction[0],
+        (forces[address + 2] - forces[address + 3]) * friction[1],
+    )
 
 
 def contact_loads(data: Any) -> list[list[float]]:
     """f_n, f_t1, f_t2 (N) of every contact on its geom 2, in MuJoCo's frame, as plain numbers.
 
-    What ``mj_contactForce`` gives, all at once: with elliptic cones, which scenes have, it is the
-    constraint force itself.
+    What ``mj_contactForce`` gives, all at once.
     """
-    forces = data.efc_force.tolist()
-    out = []
-    for address, dim in zip(
-        data.contact.efc_address.tolist(), data.contact.dim.tolist(), strict=True
-    ):
-        load = forces[address : address + min(dim, 3)] if address >= 0 else []
-        out.append(load + [0.0] * (3 - len(load)))
+    forces, kinds = data.efc_force.tolist(), data.efc_type
+    out, contact = [], data.contact
+    columns = (contact.efc_address, contact.dim, contact.friction)
+    for address, dim, friction in zip(*(column.tolist() for column in columns), strict=True):
+        pyramids = address >= 0 and kinds[address] == _PYRAMID
+        out.append(list(load_of(forces, address, dim, friction, pyramids)))
     return out
 
 

@@ -19,13 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.plan import GraspPlan
-from planner.spatial import SE3, FloatArray, skew
+from planner.spatial import SE3, FloatArray
 from sim.controllers.believed import servo_commands
 from sim.controllers.grasp import saturated
+from sim.controllers.holding_loops import tips_moved, torques_for
 from sim.controllers.loads import HandLoads
 from sim.controllers.motors import FULL_FRICTION_RATE, joint_drag, motor_servo
 
-__all__ = ["HoldingTorques", "grasp_matrix"]
+__all__ = ["HoldingTorques"]
 
 TIP_STIFFNESS = 150.0
 """Spring (N/m) of fingertips against each other: 0.15 N per millimetre of creeping apart."""
@@ -40,14 +41,6 @@ damper (N s/m): it moves at some 3 cm/s."""
 
 RETREAT, RETREAT_STIFFNESS = 0.01, 100.0
 """Distance (m) that a leaving finger keeps from where it held, and the spring (N/m) for that."""
-
-RANK_TOL = 1e-6
-"""Added to G G^T (-, m^2) where too few fingers hold to fix every motion."""
-
-FLAT = 1e-8
-"""Added to J J^T (m^2): a stretched finger has a direction in which it cannot push, 0.1 mm/rad."""
-
-_RANK, _FLAT = RANK_TOL * np.eye(6), FLAT * np.eye(3)
 
 
 class HoldingTorques:
@@ -72,7 +65,6 @@ class HoldingTorques:
         self.own_torque = np.zeros(nq)
         self._drag, self._stiction = joint_drag(self._hand)
         self._v_ref = np.zeros(nq)
-        self._full = np.zeros((n, 6, nq))
         self._own = np.zeros((n, nq), dtype=bool)
         for row, finger in zip(self._own, self._fingers, strict=True):
             row[finger.q_index] = True
@@ -89,8 +81,6 @@ class HoldingTorques:
         self._apart = np.zeros((n, 3))  # from the fingertips to where they were when latched
         self._tip_forces = np.zeros((n, 3))
         self._tip_velocity = np.zeros((n, 3))
-        self._arms, self._moved = np.zeros((n, 3, 3)), np.zeros((3 * n, 2))
-        self._grasp = grasp_matrix(np.zeros((n, 3))).reshape(6, n, 3)
         self._law_q, self._torque = plan.q.copy(), np.zeros(nq)
 
     def move(self, q: FloatArray, v: FloatArray, gravity: FloatArray) -> None:
@@ -101,8 +91,6 @@ class HoldingTorques:
         self._v_ref = np.zeros(self._hand.nq)
         for i, (joint, center) in enumerate(self._pads):
             self.centers[i] = self._loads.at(joint, center)
-        # linear rows are the velocity of the point that passes the origin
-        np.multiply(self._loads.moved_by[:, None], self._loads.jacobian, out=self._full)
 
     def latch(self, finger: int | None = None) -> None:
         """Keep the posture and the fingertips as they are now; of one finger, or of all."""
@@ -139,23 +127,20 @@ class HoldingTorques:
             Twist (6,) of the body that the holding fingertips move like, relative to the palm,
             about ``center``.
         """
-        np.subtract(
-            self._full[:, :3], _skewed(points, self._arms) @ self._full[:, 3:], out=self.jacobians
-        )
-        self._tip_velocity = self.jacobians @ np.where(self._moving, self._v, 0.0)
-        mask = holding[:, None]
-        self._grasp[3:] = _skewed(points - center, self._arms).transpose(1, 0, 2)
-        grasp = self._grasp.reshape(6, -1)
-        if not holding.all():
-            grasp = grasp * np.repeat(holding, 3)
-        gram = grasp @ grasp.T + _RANK
         self._apart = self._latched() - self.centers
-        apart = np.where(mask, self._apart, 0.0)
-        self._moved[:, 0], self._moved[:, 1] = self._tip_velocity.ravel(), apart.ravel()
-        rigid = np.linalg.solve(gram, grasp @ self._moved)
-        rest = apart - (rigid[:, 1] @ grasp).reshape(-1, 3)
-        self._tip_forces = np.where(mask, TIP_STIFFNESS * rest, 0.0)
-        return np.asarray(rigid[:, 0])
+        return tips_moved(
+            self._loads.jacobian,
+            self._loads.moved_by,
+            points,
+            center,
+            holding,
+            np.where(self._moving, self._v, 0.0),
+            self._apart,
+            TIP_STIFFNESS,
+            self.jacobians,
+            self._tip_velocity,
+            self._tip_forces,
+        )
 
     def commands(
         self,
@@ -180,9 +165,10 @@ class HoldingTorques:
         away = RETREAT_STIFFNESS * (self._apart - RETREAT * normals)
         alone = np.where(searching[:, None], seek, away) - SEARCH_DAMPING * self._tip_velocity
         total = np.where(holding[:, None], forces + self._tip_forces, alone)
-        torque = total.ravel() @ self.jacobians.reshape(-1, self._hand.nq) + self.own_torque
         bent = self._q_ref - self._q
-        torque += self._idle_part(np.where(self._moving, bent, 0.0))
+        torque = torques_for(
+            total, self.jacobians, self._own, bent, POSTURE_STIFFNESS, self.own_torque
+        )
         torque += self._stiffness * bent - self._damping * (self._v - self._v_ref)
         self._torque = torque
         self._law_q = np.where(self._moving, self._q, self._q_ref)
@@ -207,31 +193,3 @@ class HoldingTorques:
         """Where the fingertips (n, 3) were when latched, with the palm where it is now."""
         T = self.T_base_palm
         return np.asarray(self._tips @ T.rotation.T + T.translation)
-
-    def _idle_part(self, bent: FloatArray) -> FloatArray:
-        """Spring torque (nq,) on the posture that presses nowhere: torque - J^T f, f least squares.
-
-        It moves what a redundant finger can move without its tip.
-        """
-        own = np.where(self._own, POSTURE_STIFFNESS * bent, 0.0)  # (n, nq)
-        jac = np.where(self._own[:, None], self.jacobians, 0.0)
-        gram = jac @ jac.transpose(0, 2, 1) + _FLAT
-        force = np.linalg.solve(gram, jac @ own[..., None])
-        return np.asarray((own - (jac.transpose(0, 2, 1) @ force)[..., 0]).sum(axis=0))
-
-
-def _skewed(vectors: FloatArray, out: FloatArray) -> FloatArray:
-    """``skew`` of vectors (n, 3) written into (n, 3, 3), whose diagonals are zero."""
-    x, y, z = vectors.T
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -z, y, -x
-    out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = z, -y, x
-    return out
-
-
-def grasp_matrix(arms: FloatArray) -> FloatArray:
-    """G (6, 3 n): forces in the axes at arms (n, 3) from the centre -> wrench about it."""
-    n = len(arms)
-    out = np.empty((6, n, 3))
-    out[:3] = np.eye(3)[:, None]
-    out[3:] = skew(arms).transpose(1, 0, 2)
-    return out.reshape(6, 3 * n)

@@ -1,0 +1,115 @@
+"""Workers that begin as copies of this process: ``forked_results``, and whether that is safe.
+
+``planner.batch.pool`` asks, for the backend "fork". A copy has libraries, hand, tasks and machine
+code already, so that a worker costs milliseconds instead of the seconds of a new process. Jobs are
+sent in portions that take some tenths of a second, so that messages cost little and workers end
+together.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from itertools import islice
+from typing import TypeVar
+
+from planner.batch.jobs import end_with
+from planner.system.environment import on_interrupt
+
+__all__ = ["FORK", "can_fork", "forked_results"]
+
+FORK = "fork"
+"""Name of this backend beside those of joblib."""
+
+PORTION_S = 0.2
+"""Time (s) that a portion of jobs should take: what a worker may be idle for at the end."""
+
+MOST_JOBS = 32
+"""Most jobs of a portion: what a worker that dies takes with it, and what is done again alone."""
+
+AHEAD = 2
+"""Portions per worker that are sent before the first is finished, so that none waits."""
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def can_fork() -> bool:
+    """Whether a copy of this process is sound: on Linux, and while no other thread runs Python.
+
+    A thread that held a lock would not be there in the copy to let it go.
+    """
+    return sys.platform == "linux" and threading.active_count() == 1
+
+
+def forked_results(
+    work: Callable[[Item], Result], jobs: Iterator[tuple[int, Item]], workers: int
+) -> Iterator[tuple[int, Result]]:
+    """Numbers and results of jobs as they are finished, in any order.
+
+    The first job is done here: what it loads and compiles is there in all workers.
+
+    Args:
+        work: Called with each job.
+        jobs: Their numbers and jobs, asked for the next as workers become free.
+        workers: Their number.
+
+    Raises:
+        BrokenProcessPool: A worker has died.
+    """
+    for number, job in islice(jobs, 1):
+        yield number, work(job)
+    before = set(multiprocessing.active_children())
+    context = multiprocessing.get_context("fork")
+    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin)
+    finished = False
+    try:
+        yield from _in_portions(pool, work, jobs, workers)
+        finished = True
+    finally:
+        if not finished:
+            for worker in set(multiprocessing.active_children()) - before:
+                worker.terminate()
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _in_portions(
+    pool: ProcessPoolExecutor,
+    work: Callable[[Item], Result],
+    jobs: Iterator[tuple[int, Item]],
+    workers: int,
+) -> Iterator[tuple[int, Result]]:
+    """Send portions and give back what they bring."""
+    size, sent = 1, set[Future[tuple[float, list[tuple[int, Result]]]]]()
+    while True:
+        while len(sent) < AHEAD * workers and (portion := list(islice(jobs, size))):
+            with on_interrupt(signal.SIG_IGN):  # workers that are begun now inherit it
+                sent.add(pool.submit(_done, work, portion))
+        if not sent:
+            return
+        ready, sent = wait(sent, return_when=FIRST_COMPLETED)
+        for future in ready:
+            taken, results = future.result()
+            size = max(1, min(MOST_JOBS, 2 * size, int(PORTION_S * len(results) / taken)))
+            yield from results
+
+
+def _done(
+    work: Callable[[Item], Result], portion: list[tuple[int, Item]]
+) -> tuple[float, list[tuple[int, Result]]]:
+    """Time (s) and results of a portion, in a worker."""
+    begin = time.perf_counter()
+    results = [(number, work(job)) for number, job in portion]
+    return max(time.perf_counter() - begin, 1e-6), results
+
+
+def _begin() -> None:
+    """A worker leaves Ctrl-C to who started it, and watches that process anew."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    end_with.cache_clear()
