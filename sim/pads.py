@@ -1,7 +1,7 @@
 """``read_pads``: what ideal tactile pads would feel in a simulation, from MuJoCo's contacts.
 
-Exact: ``sim.controllers.sensing`` adds what a sensor does not know. Everything belongs to the
-beginning of the step that ended, like all contacts of MuJoCo.
+Exact: ``sim.tactile`` has senses that know less. Everything belongs to the beginning of the step
+that ended, like all contacts of MuJoCo.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from sim.contacts import NO_FORCE, contact_loads, object_contacts
 from sim.controllers.pads import PadReading
 from sim.scene import Scene
 
-__all__ = ["read_pads"]
+__all__ = ["body_twist", "read_pads"]
 
 MIN_LENGTH = 1e-12
 """Least length (-) of a mean of normals that is divided by: a finger that pinches the object by
@@ -29,7 +29,7 @@ def read_pads(scene: Scene, data: Any, fingers: tuple[str, ...]) -> PadReading:
     sums = [[0.0] * 14 for _ in range(n)]
     touching = object_contacts(scene, data)
     if touching:
-        loads, of_object = contact_loads(data), _twist(scene, data, scene.object_body)
+        loads, of_object = contact_loads(data), body_twist(scene, data, scene.object_body)
         places, frames = data.contact.pos.tolist(), data.contact.frame.tolist()
         twists: dict[int, list[float]] = {}
         for i, geom, sign in touching:
@@ -39,7 +39,7 @@ def read_pads(scene: Scene, data: Any, fingers: tuple[str, ...]) -> PadReading:
             body = scene.body_of_geom[geom]
             if body not in twists:
                 twists[body] = [
-                    p - q for p, q in zip(of_object, _twist(scene, data, body), strict=True)
+                    p - q for p, q in zip(of_object, body_twist(scene, data, body), strict=True)
                 ]
             _add(sums[k], loads[i], places[i], frames[i], sign, twists[body])
     table = np.array(sums).reshape(n, 14)
@@ -104,7 +104,7 @@ def _add(
     sums[13] += inward * c * n2
 
 
-def _twist(scene: Scene, data: Any, body: int) -> list[float]:
+def body_twist(scene: Scene, data: Any, body: int) -> list[float]:
     """Angular velocity, and velocity of the body's point at the world's origin; world axes.
 
     MuJoCo keeps velocities about the centre of mass of the whole tree.

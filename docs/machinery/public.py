@@ -100,6 +100,7 @@ GROUPS: dict[str, list[str]] = {
     "Controllers": [
         "sim.controllers",
         "sim.pads",
+        "sim.tactile",
         "sim.real_hand",
     ],
     "Physics and protocols": [

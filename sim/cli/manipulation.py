@@ -22,6 +22,7 @@ from sim.cli.common import (
     FingersOption,
     JsonOption,
     MassOption,
+    PadsOption,
     PhysicsOption,
     RealityOption,
     RealitySeedOption,
@@ -180,6 +181,7 @@ class ExecutionOptions:
     physics: PhysicsOption = "ours"
     reality: RealityOption = "ideal"
     reality_seed: RealitySeedOption = 0
+    pads: PadsOption = "exact"
     max_force: Annotated[
         float | None,
         typer.Option(
@@ -297,7 +299,7 @@ def _execute(
     from sim.report_file import write_report
 
     physics = physics_of(execution.physics, execution.sim_mu)
-    reality = reality_of(execution.reality, execution.reality_seed)
+    reality = reality_of(execution.reality, execution.reality_seed, execution.pads)
     check_films(execution.video)
     _warn_of_friction(believed_mu, physics.mu)
     if out_dir is not None:

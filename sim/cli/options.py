@@ -23,6 +23,7 @@ from sim.cli.common import (
     SEARCH_PANEL,
     ArrowsOption,
     ControllerOption,
+    PadsOption,
     PhysicsOption,
     RealityOption,
     RealitySeedOption,
@@ -321,6 +322,7 @@ class TrialOptions:
     physics: PhysicsOption = "ours"
     reality: RealityOption = "ideal"
     reality_seed: RealitySeedOption = 0
+    pads: PadsOption = "exact"
     controller: ControllerOption = "feedforward"
     view: ViewOption = False
     video: VideoOption = None
@@ -340,7 +342,7 @@ class TrialOptions:
         from sim.trial import simulate
 
         make, physics = named_controller(self.controller), physics_of(self.physics, self.sim_mu)
-        reality = reality_of(self.reality, self.reality_seed)
+        reality = reality_of(self.reality, self.reality_seed, self.pads)
         if self.view:
             check_display()
         check_films(self.video)

@@ -14,6 +14,7 @@ from sim.cli.common import (
     EXIT_NO,
     ControllerOption,
     JsonOption,
+    PadsOption,
     PhysicsOption,
     RealityOption,
     RealitySeedOption,
@@ -55,6 +56,7 @@ def test(
     physics: PhysicsOption = "ours",
     reality: RealityOption = "ideal",
     reality_seed: RealitySeedOption = 0,
+    pads: PadsOption = "exact",
     only: Annotated[
         list[str] | None, typer.Option(help='Only trials of this name: "force +z".', metavar="NAME")
     ] = None,
@@ -98,7 +100,7 @@ def test(
     named_controller(controller)  # bad input ends here
     if pages not in PAGES:
         raise NotFoundError("choice of pages", pages, PAGES)
-    computed, errors = physics_of(physics), reality_of(reality, reality_seed)
+    computed, errors = physics_of(physics), reality_of(reality, reality_seed, pads)
     ending = "" if video is None else f".{video}"
     check_video(f"film{ending}" if ending else None)
     asked = IN_ALL if protocol == "all" else [protocol]

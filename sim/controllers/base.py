@@ -21,6 +21,7 @@ from planner.spatial import SE3, FloatArray
 from sim.controllers.events import Event
 from sim.controllers.pads import PadReading
 from sim.controllers.schedule import TOUCH_FORCE
+from sim.controllers.touch import TouchReading
 
 __all__ = [
     "PHASES",
@@ -79,6 +80,7 @@ class Observation:
         read_twist: Reads ``object_twist``.
         read_contacts: Reads ``contacts``.
         read_pads: Reads ``pads``.
+        read_touch: Reads ``touch``: raw images of taxels, where there are any.
     """
 
     time: float
@@ -92,6 +94,7 @@ class Observation:
     read_twist: Callable[[], FloatArray]
     read_contacts: Callable[[], ContactSet]
     read_pads: Callable[[], PadReading] = PadReading.nothing
+    read_touch: Callable[[], TouchReading] = TouchReading.nothing
 
     @property
     def all_touch(self) -> bool:
@@ -112,6 +115,11 @@ class Observation:
     def pads(self) -> PadReading:
         """What tactile pads feel, per finger that takes part; read when first asked for."""
         return self.read_pads()
+
+    @cached_property
+    def touch(self) -> TouchReading:
+        """Images of taxels, per finger that takes part; read when first asked for."""
+        return self.read_touch()
 
 
 class Controller(Protocol):

@@ -1,0 +1,93 @@
+"""The sense ``taxels``: arrays of taxels on the pads, and what follows from their images.
+
+Every step: perfect images from MuJoCo's contacts (``exact``), through noise, threshold, dead
+taxels, rate and latency (``array``), to a contact per pad (``estimate``); from the spread of the
+shear over time the friction, and whether a pad slips (``friction``). A pad feels whatever presses on
+it, the table too, and only what presses on its array.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from zlib import crc32
+
+import numpy as np
+
+from sim.controllers import Observation, PadReading, TouchReading
+from sim.tactile.array import TaxelArray
+from sim.tactile.bodies import PadBodies, pad_reading
+from sim.tactile.estimate import ContactEstimate, ContactEstimator
+from sim.tactile.exact import exact_images, layouts_of
+from sim.tactile.friction import SlipWatch
+from sim.tactile.senses import TouchContext, register_touch
+
+__all__ = ["TaxelSense"]
+
+
+class TaxelSense:
+    """Arrays of taxels during one trial.
+
+    Attributes:
+        slips: Friction in use and slips, pad by pad.
+        estimates: Contacts of the last step, in the frames of the pads' bodies.
+        touch: Images of the last step.
+    """
+
+    def __init__(self, context: TouchContext) -> None:
+        """Nothing has been felt."""
+        scene, fingers = context.scene, context.plan.task.finger_names
+        self._scene, self._data = scene, context.data
+        self._layouts = layouts_of(scene, fingers)
+        self._bodies = PadBodies.of(scene, context.data, self._layouts)
+        streams = np.random.SeedSequence(context.seed, spawn_key=(crc32(b"taxels"),))
+        self._arrays = [
+            TaxelArray(layout, np.random.default_rng(own))
+            for layout, own in zip(self._layouts, streams.spawn(len(fingers)), strict=True)
+        ]
+        self._estimators = [ContactEstimator(layout) for layout in self._layouts]
+        self.slips = SlipWatch(len(fingers), [one.array.spacing for one in self._layouts])
+        self.estimates: tuple[ContactEstimate, ...] = ()
+        self.touch = TouchReading.nothing()
+        self._time = 0.0
+
+    def read(self, truth: Observation) -> Observation:
+        """The observation with what the taxels say."""
+        elapsed, self._time = truth.time - self._time, truth.time
+        exact = exact_images(self._scene, self._data, self._layouts)
+        read = [a.read(truth.time, image) for a, image in zip(self._arrays, exact, strict=True)]
+        touch = TouchReading(
+            time=np.array([time for time, _ in read]), images=tuple(image for _, image in read)
+        )
+        self.touch = touch
+        self.estimates = tuple(
+            e.estimate(image) for e, image in zip(self._estimators, touch.images, strict=True)
+        )
+        self.slips.step(elapsed, self.estimates)
+        reading = self._reading()
+        return replace(
+            truth,
+            normal_forces=reading.normal_force,
+            read_pads=lambda: reading,
+            read_touch=lambda: touch,
+        )
+
+    def _reading(self) -> PadReading:
+        seen = self.estimates
+        touching = np.array([one.normal_force > 0 for one in seen])
+        turns, places = self._bodies.turns(), self._bodies.places()
+        vectors = np.array([[one.point, one.normal, one.force] for one in seen])
+        vectors = vectors @ turns.transpose(0, 2, 1)
+        position = vectors[:, 0] + places
+        stick = 1.0 - self.slips.used
+        sliding = self._bodies.sliding(position, vectors[:, 1], touching, stick)
+        return pad_reading(
+            touching=touching,
+            force=vectors[:, 2],
+            normal=vectors[:, 1],
+            position=position,
+            sliding=sliding,
+            slipping=self.slips.slipping.copy(),
+        )
+
+
+register_touch("taxels", TaxelSense)
