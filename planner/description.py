@@ -69,8 +69,10 @@ class TaxelDescription(StrictData):
         rows: Number of rows.
         columns: Number of columns.
         spacing: Distance of neighbours along the sphere, m.
-        noise: Standard deviation of a taxel's white noise, as a share of what it reads (-).
-        threshold: Force (N) below which a taxel reads nothing; it has the noise of this force.
+        noise: Standard deviation of a taxel's white noise, each axis, as a share of the normal
+            force on it (-).
+        threshold: Normal force (N) below which a taxel reads nothing; the least that its noise is
+            a share of.
         latency: Age of an image when it arrives, s.
         rate: Images per second, Hz; 0 for one at every time step.
         dead: Row and column, from 0, of each taxel that reads nothing, as its driver knows.

@@ -122,7 +122,9 @@ class Reality:
     @property
     def ideal(self) -> bool:
         """Whether it has no error at all: then nothing is drawn, changed or delayed."""
-        return self.touch == EXACT and not any(value for name, value in self.numbers.items() if name != "drift_time")
+        return self.touch == EXACT and not any(
+            value for name, value in self.numbers.items() if name != "drift_time"
+        )
 
     def seeded(self, seed: int) -> Reality:
         """The same with another seed."""

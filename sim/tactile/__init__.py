@@ -12,7 +12,7 @@ from sim.tactile.exact import (
     pad_contacts,
     read_touch,
 )
-from sim.tactile.friction import SlipWatch
+from sim.tactile.friction import FrictionWatch
 from sim.tactile.ideal import ExactSense
 from sim.tactile.layout import TaxelLayout, default_array
 from sim.tactile.senses import (
@@ -24,7 +24,9 @@ from sim.tactile.senses import (
     make_sense,
     register_touch,
 )
+from sim.tactile.slip import SlipWatch
 from sim.tactile.taxels import TaxelSense
+from sim.tactile.texture import Texture
 
 __all__ = [
     "EXACT",
@@ -34,11 +36,13 @@ __all__ = [
     "ContactEstimator",
     "EffortSense",
     "ExactSense",
+    "FrictionWatch",
     "PadContact",
     "SlipWatch",
     "TaxelArray",
     "TaxelLayout",
     "TaxelSense",
+    "Texture",
     "TouchContext",
     "TouchSense",
     "check_touch",

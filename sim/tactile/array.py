@@ -62,8 +62,7 @@ class TaxelArray:
         """An image (rows, columns, 3) with noise, without what is below the threshold or dead."""
         array, image = self.layout.array, exact
         if array.noise > 0:
-            size = np.sqrt(np.einsum("rck,rck->rc", exact, exact))[..., None]
-            deviation = array.noise * np.maximum(size, array.threshold)
+            deviation = array.noise * np.maximum(np.abs(exact[..., :1]), array.threshold)
             image = exact + deviation * self._rng.standard_normal(exact.shape)
-        felt = np.einsum("rck,rck->rc", image, image)[..., None] >= array.threshold**2
+        felt = np.abs(image[..., :1]) >= array.threshold
         return np.asarray(image * (felt * self._alive))

@@ -52,9 +52,7 @@ class BinarySense:
             position=position,
             sliding=self._bodies.sliding(position, normal, touching, np.ones(len(touching))),
         )
-        return replace(
-            truth, normal_forces=reading.normal_force, read_pads=lambda: reading
-        )
+        return replace(truth, normal_forces=reading.normal_force, read_pads=lambda: reading)
 
 
 register_touch("binary", BinarySense)

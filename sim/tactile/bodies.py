@@ -59,7 +59,11 @@ class PadBodies:
         return np.array(self.data.xpos[list(self.bodies)])
 
     def sliding(
-        self, points: FloatArray, normals: FloatArray, touching: NDArray[np.bool_], stick: FloatArray
+        self,
+        points: FloatArray,
+        normals: FloatArray,
+        touching: NDArray[np.bool_],
+        stick: FloatArray,
     ) -> FloatArray:
         """Velocity of the object over the pads as the joints tell it, (n, 3), m/s, world.
 

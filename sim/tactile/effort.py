@@ -88,9 +88,7 @@ class EffortSense:
             position=position,
             sliding=self._bodies.sliding(position, normal, touching, np.ones(len(touching))),
         )
-        return replace(
-            truth, normal_forces=reading.normal_force, read_pads=lambda: reading
-        )
+        return replace(truth, normal_forces=reading.normal_force, read_pads=lambda: reading)
 
     def _forces(self, truth: Observation) -> FloatArray:
         """Forces (n, 3) on what touches that explain the torques now, N, world."""

@@ -19,8 +19,23 @@ from sim.controllers import TouchReading
 from sim.scene import HAND_PREFIX, Scene
 from sim.tactile.layout import TaxelLayout
 from sim.tactile.pressure import contact_deviation, spread, spread_of_shear, stick_ratio
+from sim.tactile.texture import Texture
 
-__all__ = ["PadContact", "contact_image", "exact_images", "layouts_of", "pad_contacts", "read_touch"]
+__all__ = [
+    "PadContact",
+    "contact_image",
+    "exact_images",
+    "layouts_of",
+    "pad_contacts",
+    "read_touch",
+]
+
+NO_SHARE = 1e-9
+"""Share of a force (-) on the array below which it lies beside it."""
+
+LEAST_ARM = 0.1
+"""Mean square of the taxels' distance from the contact over that of its patch (-), below which a
+torsion is not felt in full: a patch on a single taxel has no arm to turn by."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,8 +107,16 @@ def _in_pad(
     )
 
 
-def contact_image(layout: TaxelLayout, contact: PadContact) -> FloatArray:
-    """What perfect taxels read of one contact, (rows, columns, 3), N; see ``TouchReading``."""
+def contact_image(
+    layout: TaxelLayout, contact: PadContact, gains: FloatArray | None = None
+) -> FloatArray:
+    """What perfect taxels read of one contact, (rows, columns, 3), N; see ``TouchReading``.
+
+    Args:
+        layout: The array.
+        contact: The contact.
+        gains: (rows, columns), of the texture under each taxel (-); a smooth object if None.
+    """
     place = layout.chart(contact.point)
     deviation = contact_deviation(contact.normal_force, layout.radius)
     across, along = layout.edges
@@ -104,28 +127,51 @@ def contact_image(layout: TaxelLayout, contact: PadContact) -> FloatArray:
     pressure = shares(deviation)
     stuck = shares(max(stick_ratio(contact.used), 0.05) * deviation)
     shear = spread_of_shear(pressure, stuck, contact.used)
+    if gains is not None:
+        pressure, shear = _textured(pressure, gains), _textured(shear, gains)
     forces = (contact.normal_force * pressure)[..., None] * contact.normal
     forces = forces + shear[..., None] * contact.shear
     if contact.torsion:
         frame = layout.frame_at(place)
-        second = 2.0 * deviation**2 + layout.array.spacing**2 / 6.0
-        turned = contact.torsion / second * pressure[..., None]
-        forces = forces + turned * (
-            (layout.u - place[0])[None, :, None] * frame[:, 2]
-            - (layout.v - place[1])[:, None, None] * frame[:, 1]
-        )
+        felt = max(float(pressure.sum()), NO_SHARE)
+        # about the centroid of what is felt, so that a torsion adds no force
+        du = (layout.u - pressure.sum(axis=0) @ layout.u / felt)[None, :]
+        dv = (layout.v - pressure.sum(axis=1) @ layout.v / felt)[:, None]
+        square = float((pressure * (du**2 + dv**2)).sum()) / felt
+        least = LEAST_ARM * (2.0 * deviation**2 + layout.array.spacing**2 / 6.0)
+        turned = contact.torsion / max(square, least) * pressure
+        forces = forces + (turned * du)[..., None] * frame[:, 2]
+        forces = forces - (turned * dv)[..., None] * frame[:, 1]
     return np.einsum("rcik,rci->rck", layout.frames, forces)
 
 
+def _textured(shares: FloatArray, gains: FloatArray) -> FloatArray:
+    """Shares of a force with the gains of a texture; their sum stays what it is."""
+    changed = shares * gains
+    total = float(changed.sum())
+    return changed if abs(total) < NO_SHARE else changed * (float(shares.sum()) / total)
+
+
 def exact_images(
-    scene: Scene, data: Any, layouts: Sequence[TaxelLayout]
+    scene: Scene,
+    data: Any,
+    layouts: Sequence[TaxelLayout],
+    textures: Sequence[Texture] | None = None,
 ) -> tuple[FloatArray, ...]:
-    """What perfect arrays read, one image (rows, columns, 3) per layout, N."""
+    """What perfect arrays read, one image (rows, columns, 3) per layout, N.
+
+    Args:
+        scene: The scene.
+        data: ``mujoco.MjData``.
+        layouts: The arrays.
+        textures: What lies under each of them; smooth objects if None.
+    """
     out = []
-    for layout, contacts in zip(layouts, pad_contacts(scene, data, layouts), strict=True):
-        image = np.zeros((*layout.shape, 3))
+    for k, contacts in enumerate(pad_contacts(scene, data, layouts)):
+        image = np.zeros((*layouts[k].shape, 3))
+        gains = None if textures is None else textures[k].gains
         for contact in contacts:
-            image += contact_image(layout, contact)
+            image += contact_image(layouts[k], contact, gains)
         out.append(image)
     return tuple(out)
 

@@ -87,7 +87,7 @@ def check_touch(name: str) -> str:
         NotFoundError: There is none of that name.
     """
     if name not in TOUCH_SENSES:
-        raise NotFoundError("sense of touch", name, TOUCH_SENSES)
+        raise NotFoundError("sense of touch", name, sorted(TOUCH_SENSES))
     return name
 
 

@@ -1,9 +1,10 @@
 """The sense ``taxels``: arrays of taxels on the pads, and what follows from their images.
 
 Every step: perfect images from MuJoCo's contacts (``exact``), through noise, threshold, dead
-taxels, rate and latency (``array``), to a contact per pad (``estimate``); from the spread of the
-shear over time the friction, and whether a pad slips (``friction``). A pad feels whatever presses on
-it, the table too, and only what presses on its array.
+taxels, rate and latency (``array``), to a contact per pad (``estimate``); from their shiver, whether
+it slips (``slip``); from the spread of their shear, the friction (``friction``). How fast it slides
+is seen in the joints (``bodies``). A pad feels whatever presses on it, the table too, and only what
+presses on its array.
 """
 
 from __future__ import annotations
@@ -18,8 +19,10 @@ from sim.tactile.array import TaxelArray
 from sim.tactile.bodies import PadBodies, pad_reading
 from sim.tactile.estimate import ContactEstimate, ContactEstimator
 from sim.tactile.exact import exact_images, layouts_of
-from sim.tactile.friction import SlipWatch
+from sim.tactile.friction import FrictionWatch
 from sim.tactile.senses import TouchContext, register_touch
+from sim.tactile.slip import SlipWatch
+from sim.tactile.texture import SHARE, Texture
 
 __all__ = ["TaxelSense"]
 
@@ -28,24 +31,35 @@ class TaxelSense:
     """Arrays of taxels during one trial.
 
     Attributes:
-        slips: Friction in use and slips, pad by pad.
+        slips: Which pads slip.
+        friction: Their friction, and how much of it is in use.
         estimates: Contacts of the last step, in the frames of the pads' bodies.
         touch: Images of the last step.
     """
 
-    def __init__(self, context: TouchContext) -> None:
-        """Nothing has been felt."""
+    def __init__(self, context: TouchContext, texture: float = SHARE) -> None:
+        """Nothing has been felt.
+
+        Args:
+            context: What it is made from.
+            texture: Of the object, see ``Texture``; 0 for a polished one.
+        """
         scene, fingers = context.scene, context.plan.task.finger_names
         self._scene, self._data = scene, context.data
         self._layouts = layouts_of(scene, fingers)
         self._bodies = PadBodies.of(scene, context.data, self._layouts)
         streams = np.random.SeedSequence(context.seed, spawn_key=(crc32(b"taxels"),))
+        own = [np.random.default_rng(one) for one in streams.spawn(2 * len(fingers))]
         self._arrays = [
-            TaxelArray(layout, np.random.default_rng(own))
-            for layout, own in zip(self._layouts, streams.spawn(len(fingers)), strict=True)
+            TaxelArray(layout, rng) for layout, rng in zip(self._layouts, own[::2], strict=True)
+        ]
+        self._textures = [
+            Texture(layout.shape, rng, texture)
+            for layout, rng in zip(self._layouts, own[1::2], strict=True)
         ]
         self._estimators = [ContactEstimator(layout) for layout in self._layouts]
-        self.slips = SlipWatch(len(fingers), [one.array.spacing for one in self._layouts])
+        self.slips = SlipWatch(self._layouts)
+        self.friction = FrictionWatch([one.array.spacing for one in self._layouts])
         self.estimates: tuple[ContactEstimate, ...] = ()
         self.touch = TouchReading.nothing()
         self._time = 0.0
@@ -53,7 +67,9 @@ class TaxelSense:
     def read(self, truth: Observation) -> Observation:
         """The observation with what the taxels say."""
         elapsed, self._time = truth.time - self._time, truth.time
-        exact = exact_images(self._scene, self._data, self._layouts)
+        for texture, speed in zip(self._textures, truth.pads.sliding_speed.tolist(), strict=True):
+            texture.slide(elapsed * speed)
+        exact = exact_images(self._scene, self._data, self._layouts, self._textures)
         read = [a.read(truth.time, image) for a, image in zip(self._arrays, exact, strict=True)]
         touch = TouchReading(
             time=np.array([time for time, _ in read]), images=tuple(image for _, image in read)
@@ -62,7 +78,8 @@ class TaxelSense:
         self.estimates = tuple(
             e.estimate(image) for e, image in zip(self._estimators, touch.images, strict=True)
         )
-        self.slips.step(elapsed, self.estimates)
+        self.slips.step(touch.time, touch.images, self.estimates)
+        self.friction.step(elapsed, self.estimates, self.slips.slipping)
         reading = self._reading()
         return replace(
             truth,
@@ -78,7 +95,7 @@ class TaxelSense:
         vectors = np.array([[one.point, one.normal, one.force] for one in seen])
         vectors = vectors @ turns.transpose(0, 2, 1)
         position = vectors[:, 0] + places
-        stick = 1.0 - self.slips.used
+        stick = 1.0 - self.friction.used
         sliding = self._bodies.sliding(position, vectors[:, 1], touching, stick)
         return pad_reading(
             touching=touching,
