@@ -184,7 +184,9 @@ class TrialReport(OnScreen):
             f"{self.physics['noslip_iterations']} noslip iterations"
         )
         if self.reality is not None:
-            yield Text(f"reality: {self.reality['name']}, seed {self.reality['seed']}")
+            told = f"reality: {self.reality['name']}, seed {self.reality['seed']}"
+            touch = self.reality.get("touch", "exact")
+            yield Text(told if touch == "exact" else f"{told}; pads: {touch}")
         if self.remedies:
             yield Text("each of these keeps the object from creeping:")
         for remedy in self.remedies:

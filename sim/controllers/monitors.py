@@ -100,7 +100,7 @@ class SlipDetector:
 
     def _told(self, slipping: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Take over the slips (n,) that the pads notice by themselves; which have just begun."""
-        begins = slipping & ~self._slipping[0]
+        begins = np.asarray(slipping & ~self._slipping[0])
         self._slipping[:] = slipping
         self.begun_beyond_spin = begins
         return begins

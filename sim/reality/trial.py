@@ -21,7 +21,7 @@ from sim.reality.errors import Reality
 from sim.reality.senses import RealSenses
 from sim.reality.world import change_world, lifted_by
 from sim.scene import Scene
-from sim.tactile import TouchContext, TouchSense, make_sense
+from sim.tactile import TaxelSense, TouchContext, TouchSense, make_sense
 
 __all__ = ["RealityOfTrial"]
 
@@ -92,5 +92,8 @@ class RealityOfTrial:
         return self._drive.drive(time, commands, q)
 
     def to_dict(self) -> dict[str, Any]:
-        """The reality's fields and what was drawn, as plain data."""
-        return {**self.reality.to_dict(), "drawn": self.drawn.to_dict()}
+        """The reality's fields, what was drawn, and what taxels felt ("felt"), as plain data."""
+        data = {**self.reality.to_dict(), "drawn": self.drawn.to_dict()}
+        if isinstance(self._touch, TaxelSense):
+            data["felt"] = self._touch.felt()
+        return data

@@ -142,7 +142,7 @@ def contact_image(
         turned = contact.torsion / max(square, least) * pressure
         forces = forces + (turned * du)[..., None] * frame[:, 2]
         forces = forces - (turned * dv)[..., None] * frame[:, 1]
-    return np.einsum("rcik,rci->rck", layout.frames, forces)
+    return np.asarray(np.einsum("rcik,rci->rck", layout.frames, forces))
 
 
 def _textured(shares: FloatArray, gains: FloatArray) -> FloatArray:

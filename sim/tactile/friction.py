@@ -3,8 +3,8 @@
 Where a share (used) of the friction cone is in use, the shear is spread wider than the pressure by
 (1 - (1 - used)^(5/3)) / used, 5/3 at no load and 1 at the edge (``sim.tactile.pressure``). With the
 measured ratio r of tangential to normal force, used = r / mu: each image makes some mu likelier
-than others. Their likelihoods are kept on a grid of mu and forgotten over ``MEMORY``. What slips has
-all of its friction in use: r is mu then.
+than others. Their likelihoods are kept on a grid of mu and forgotten over ``MEMORY``. What slips
+has all of its friction in use: r is mu then.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ SPREAD_NOISE = 0.25
 the normal one; it grows as the tangential force shrinks."""
 
 MOST_OFF = 3.0
-"""Standard deviations (-) beyond which an image counts no more: two patches, an edge of the array."""
+"""Standard deviations (-) beyond which an image counts no more: two patches, the array's edge."""
 
 RATIO_NOISE = 0.03
 """Standard deviation (-) of r, as a share of it."""

@@ -31,7 +31,7 @@ CONTACT_MODULUS = 1.3e6
 """Contact modulus E / (1 - nu^2) of pads, Pa: the soft rubber of ``sim.physics.options``."""
 
 LEAST_DEVIATION = 1e-4
-"""Standard deviation (m) of the pressure of the lightest touch: pads are not sharper than 0.1 mm."""
+"""Standard deviation (m) of the pressure of the lightest touch: pads are no sharper than 0.1 mm."""
 
 LEAST_USED = 0.02
 """Share of friction (-) below which the shear has the spread of this share: the formula is 0/0."""
@@ -46,7 +46,7 @@ def contact_deviation(force: float, radius: float) -> float:
         force: N, >= 0.
         radius: Of the pad, m.
     """
-    patch = (0.75 * force * radius / CONTACT_MODULUS) ** (1.0 / 3.0)
+    patch = math.cbrt(0.75 * force * radius / CONTACT_MODULUS)
     return max(patch / math.sqrt(5.0), LEAST_DEVIATION)
 
 
@@ -78,4 +78,4 @@ def spread_of_shear(pressure: FloatArray, stuck: FloatArray, used: float) -> Flo
 
 def stick_ratio(used: float) -> float:
     """Radius of the stick region over that of the patch (-), at a share of friction in use."""
-    return (1.0 - min(1.0, max(used, LEAST_USED))) ** (1.0 / 3.0)
+    return math.cbrt(1.0 - min(1.0, max(used, LEAST_USED)))

@@ -3,9 +3,9 @@
 While a pad sticks or rolls, what its taxels read over what a smooth patch at the estimated place
 would give (``sim.tactile.pressure``) stays the same, taxel by taxel, up to noise: the texture under
 each of them (``sim.tactile.texture``). Its logarithm, less what a wrong place or force explains
-(constant and linear parts), is averaged over ``FAST`` and over ``SLOW``. The pad slips when the mean
-square of their difference over the loaded taxels, less that of noise, exceeds ``ALARM`` squared and
-is larger than noise alone would make it once in millions (``SIGMAS``); it has stopped when it falls
+(constant and linear parts), is averaged over ``FAST`` and over ``SLOW``. The pad slips when the
+mean square of their difference over the loaded taxels, less that of noise, exceeds ``ALARM``
+squared and is larger than noise alone would make it once in millions (``SIGMAS``); it has stopped when it falls
 below ``CALM`` squared.
 """
 
@@ -28,7 +28,7 @@ FAST, SLOW = 0.015, 0.08
 """Time constants (s) of the averages that are compared."""
 
 ALARM, CALM = 0.05, 0.03
-"""Difference of the averages (-), as a share of a taxel's force, at which a slip begins and ends."""
+"""Difference of the averages (-), as a share of a taxel's force, where a slip begins and ends."""
 
 SIGMAS = 5.0
 """How unlikely noise alone must be, in standard deviations of a normal distribution: 3e-7."""

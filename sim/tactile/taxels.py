@@ -1,8 +1,8 @@
 """The sense ``taxels``: arrays of taxels on the pads, and what follows from their images.
 
 Every step: perfect images from MuJoCo's contacts (``exact``), through noise, threshold, dead
-taxels, rate and latency (``array``), to a contact per pad (``estimate``); from their shiver, whether
-it slips (``slip``); from the spread of their shear, the friction (``friction``). How fast it slides
+taxels, rate and latency (``array``), to a contact per pad (``estimate``); from their shiver,
+whether it slips (``slip``); from the spread of their shear, the friction (``friction``). How fast it slides
 is seen in the joints (``bodies``). A pad feels whatever presses on it, the table too, and only what
 presses on its array.
 """
@@ -10,10 +10,12 @@ presses on its array.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 from zlib import crc32
 
 import numpy as np
 
+from planner.spatial import FloatArray
 from sim.controllers import Observation, PadReading, TouchReading
 from sim.tactile.array import TaxelArray
 from sim.tactile.bodies import PadBodies, pad_reading
@@ -35,6 +37,7 @@ class TaxelSense:
         friction: Their friction, and how much of it is in use.
         estimates: Contacts of the last step, in the frames of the pads' bodies.
         touch: Images of the last step.
+        fullest: Images of the last step at which most pads touched.
     """
 
     def __init__(self, context: TouchContext, texture: float = SHARE) -> None:
@@ -61,7 +64,8 @@ class TaxelSense:
         self.slips = SlipWatch(self._layouts)
         self.friction = FrictionWatch([one.array.spacing for one in self._layouts])
         self.estimates: tuple[ContactEstimate, ...] = ()
-        self.touch = TouchReading.nothing()
+        self.touch = self.fullest = TouchReading.nothing()
+        self._most = 0
         self._time = 0.0
 
     def read(self, truth: Observation) -> Observation:
@@ -78,6 +82,9 @@ class TaxelSense:
         self.estimates = tuple(
             e.estimate(image) for e, image in zip(self._estimators, touch.images, strict=True)
         )
+        touching = sum(one.normal_force > 0 for one in self.estimates)
+        if touching >= max(self._most, 1):
+            self._most, self.fullest = touching, touch
         self.slips.step(touch.time, touch.images, self.estimates)
         self.friction.step(elapsed, self.estimates, self.slips.slipping)
         reading = self._reading()
@@ -87,6 +94,19 @@ class TaxelSense:
             read_pads=lambda: reading,
             read_touch=lambda: touch,
         )
+
+    def felt(self) -> dict[str, Any]:
+        """The images of ``fullest`` as plain data for a report, mN exact; empty without any."""
+        touch = self.fullest
+        if not touch.images:
+            return {}
+        return {
+            "time_s": float(touch.time[0]),
+            "pads": [
+                {"finger": one.finger, "spacing_m": one.array.spacing, "image_N": _plain(image)}
+                for one, image in zip(self._layouts, touch.images, strict=True)
+            ],
+        }
 
     def _reading(self) -> PadReading:
         seen = self.estimates
@@ -105,6 +125,12 @@ class TaxelSense:
             sliding=sliding,
             slipping=self.slips.slipping.copy(),
         )
+
+
+def _plain(image: FloatArray) -> list[Any]:
+    """An image as lists, rounded to 1 mN; no negative zero."""
+    rows: list[Any] = (np.round(image, 3) + 0.0).tolist()
+    return rows
 
 
 register_touch("taxels", TaxelSense)

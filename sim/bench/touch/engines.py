@@ -1,10 +1,15 @@
 """The part ``engines``: MuJoCo's own tactile sensors beside the integration of contacts.
 
-A round pad is pressed on a flat and on a round object with the contacts of our scenes. Three sensors
-look at it: MuJoCo's ``tactile`` (``mjSENS_TACTILE``: at each vertex of a mesh, how deep it is within
-the other geom), with taxels on the pad's surface and on a skin 0.5 mm above; the plugin
-``touch_grid`` (contact forces in angular bins); and ``sim.tactile``, without noise. The pad, the
-spacing and the estimate of the place, the centroid of what is read, are the same.
+A round pad is pressed on a flat and on a round object with the contacts of our scenes. Looked at by
+
+    tactile     MuJoCo's ``mjSENS_TACTILE``: how deep each vertex of a mesh is in the other geom; with
+                taxels on the pad's surface, and on a skin 0.5 mm above
+    touch_grid  MuJoCo's plugin: contact forces in angular bins
+    contacts    ``sim.tactile``, without noise
+
+Pad, spacing and estimate of the place, the centroid of what is read, are the same. Source of what
+the first two compute: google-deepmind/mujoco, a7255075, src/engine/engine_sensor.c and
+plugin/sensor/touch_grid.cc.
 """
 
 from __future__ import annotations
@@ -220,7 +225,7 @@ def _add_grid(spec: Any, body: Any) -> None:
     plugin = spec.add_plugin(name="grid", plugin_name="mujoco.sensor.touch_grid")
     plugin.config = {
         "size": f"{COUNT} {COUNT}",
-        "fov": f"{GRID_FIELD[0]} {GRID_FIELD[1]}",
+        "fov": f"{GRID_FIELD[0] / 2} {GRID_FIELD[1] / 2}",  # each way
         "gamma": "0",
         "nchannel": "3",
     }

@@ -1,7 +1,7 @@
 """``run_touch``: all parts of the measurement of touch.
 
-Cell k of a part is a hand and an object; its number follows from part, hand, object and trial alone,
-so that a file goes on with more trials or other parts.
+The number of a row follows from part, hand, object and trial alone, so that a file goes on with
+more trials or other parts.
 """
 
 from __future__ import annotations

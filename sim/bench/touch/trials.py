@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from planner.errors import PlannerError
-from planner.motion.manipulation import plan_manipulation
+from planner.motion.manipulation import manipulation_task, plan_manipulation
 from planner.objects import parse_object
 from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import FloatArray
 from planner.task import GRAVITY, GraspTask
-from sim.bench.manipulate import manipulation_task
 from sim.bench.touch.watch import TouchWatch
 from sim.controllers import Event
 from sim.manipulation.run import ManipulationRun
@@ -61,7 +60,7 @@ def turn_trial(hand: str, spec: str, seed: int) -> dict[str, Any]:
 def slip_trial(hand: str, spec: str, seed: int) -> dict[str, Any]:
     """Pushes that grow until pads slip: noticed by a sense that looks on, and answered by a loop.
 
-    The same pushes twice: the loop that knows the truth is watched; then a loop with taxels answers.
+    The same pushes twice: the loop that knows the truth is watched; then one with taxels answers.
     """
     try:
         plan = plan_grasp(GraspTask.create(hand, parse_object(spec)), seed=seed)

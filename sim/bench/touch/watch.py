@@ -153,9 +153,9 @@ def score(
     slips, delays, alarms, false, early = 0, [], 0, 0, 0
     for k in range(speed.shape[1]):
         loaded = force[:, k] >= LOADED
-        path = np.concatenate([[0.0], np.cumsum(np.where(loaded, speed[:, k], 0.0) * dt)])
+        path = np.concatenate([[0.0], np.cumsum(speed[:, k] * dt)])
         slid = path[1:] - path[np.maximum(np.arange(1, len(path)) - before, 0)]
-        told = slipping[:, k] & loaded
+        told = slipping[:, k]
         for at in _begins(slid >= SLID):
             if not loaded[at]:
                 continue
@@ -165,6 +165,8 @@ def score(
             if len(hits):
                 delays.append(float((first + hits[0] - at) * dt))
         for at in _begins(told):
+            if not loaded[at]:
+                continue
             alarms += 1
             last = min(at + after, len(times) - 1)
             moved = path[last + 1] - path[max(0, at - before)]
