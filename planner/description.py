@@ -6,9 +6,17 @@ It lies beside the model and names fingers, tip frames, pads, palm, couplings an
 
 from __future__ import annotations
 
+from math import pi
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationInfo,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from planner.schema import StrictData
 
@@ -20,6 +28,7 @@ __all__ = [
     "JointDefaults",
     "PadDescription",
     "RepairDescription",
+    "TaxelDescription",
     "TipDescription",
     "Vector",
 ]
@@ -35,6 +44,9 @@ LEAST_COEFFICIENT, MOST_COEFFICIENT = 1e-6, 1e6
 """Size of a joint's coefficient in a coupling (-) below which it ties nothing, and above which it
 drowns the others in rounding."""
 
+MOST_REACH = 2.0944
+"""How far (rad) an array reaches from its middle to the middle of a side: 120 degrees."""
+
 _TO_THE_BIT = object()
 """Validation context of a description that was checked before: nothing is changed."""
 
@@ -46,6 +58,46 @@ def _unit(v: Vector, info: ValidationInfo[Any]) -> Vector:
     if length < 1e-9:
         raise ValueError("a direction needs a length; give a unit vector")
     return (v[0] / length, v[1] / length, v[2] / length)
+
+
+class TaxelDescription(StrictData):
+    """The array of taxels on a pad: a grid on its sphere about ``rolling_axis``, or ``axis``.
+
+    Columns run around the bone, rows along it. A taxel reads force in three axes.
+
+    Attributes:
+        rows: Number of rows.
+        columns: Number of columns.
+        spacing: Distance of neighbours along the sphere, m.
+        noise: Standard deviation of a taxel's white noise, each axis, as a share of the normal
+            force on it (-).
+        threshold: Normal force (N) below which a taxel reads nothing; the least that its noise is
+            a share of.
+        latency: Age of an image when it arrives, s.
+        rate: Images per second, Hz; 0 for one at every time step.
+        dead: Row and column, from 0, of each taxel that reads nothing, as its driver knows.
+    """
+
+    rows: int = Field(ge=2, le=64)
+    columns: int = Field(ge=2, le=64)
+    spacing: float = Field(gt=0, le=0.02)
+    noise: float = Field(default=0.05, ge=0, lt=1)
+    threshold: NotNegative = 0.005
+    latency: float = Field(default=0.002, ge=0, le=1)
+    rate: NotNegative = 0.0
+    dead: tuple[tuple[int, int], ...] = ()
+
+    @model_validator(mode="after")
+    def _dead_are_taxels(self) -> Self:
+        for row, column in self.dead:
+            if not (0 <= row < self.rows and 0 <= column < self.columns):
+                raise ValueError(
+                    f"dead taxel [{row}, {column}] is outside of the array; give rows from 0 to "
+                    f"{self.rows - 1} and columns from 0 to {self.columns - 1}"
+                )
+        if len(set(self.dead)) == self.rows * self.columns:
+            raise ValueError("all taxels are dead; leave some alive, or leave the table out")
+        return self
 
 
 class PadDescription(StrictData):
@@ -60,6 +112,7 @@ class PadDescription(StrictData):
         rolling_axis: Middle of the wider cone in which the sphere is the tip's outer surface, if
             the tip is round that far: while an object is turned, contacts may roll there.
         rolling_half_angle_deg: That cone's half angle.
+        taxels: Its tactile array; an array of ``sim.tactile`` that covers the cone if left out.
     """
 
     geom: str
@@ -69,6 +122,7 @@ class PadDescription(StrictData):
     half_angle_deg: float = Field(gt=0, le=90)
     rolling_axis: Vector | None = None
     rolling_half_angle_deg: float | None = Field(default=None, gt=0, le=90)
+    taxels: TaxelDescription | None = None
 
     @field_validator("axis", "rolling_axis")
     @classmethod
@@ -79,6 +133,28 @@ class PadDescription(StrictData):
     def _rolls_or_not(self) -> Self:
         if (self.rolling_axis is None) != (self.rolling_half_angle_deg is None):
             raise ValueError("give both rolling_axis and rolling_half_angle_deg, or neither")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_no_array(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """No line where there is no array: digests of hands without one stay as they were."""
+        data: dict[str, Any] = dump(self)
+        if data.get("taxels", 0) is None:
+            del data["taxels"]
+        return data
+
+    @model_validator(mode="after")
+    def _array_fits(self) -> Self:
+        if self.taxels is None:
+            return self
+        longest = max(self.taxels.rows, self.taxels.columns)
+        reach = (longest - 1) / 2 * self.taxels.spacing / self.radius
+        if reach > MOST_REACH:
+            raise ValueError(
+                f"{longest} taxels {1e3 * self.taxels.spacing:g} mm apart reach "
+                f"{reach * 180 / pi:.0f} degrees around a pad of radius {1e3 * self.radius:g} mm, "
+                "and at most 120 are possible; give fewer or closer taxels"
+            )
         return self
 
 

@@ -1,7 +1,7 @@
 """``read_pads``: what ideal tactile pads would feel in a simulation, from MuJoCo's contacts.
 
-Exact: ``sim.controllers.sensing`` adds what a sensor does not know. Everything belongs to the
-beginning of the step that ended, like all contacts of MuJoCo.
+Exact: ``sim.tactile`` has senses that know less. Everything belongs to the beginning of the step
+that ended, like all contacts of MuJoCo.
 """
 
 from __future__ import annotations

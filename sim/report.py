@@ -203,7 +203,9 @@ class TrialReport(OnScreen):
         )
         if self.reality is not None:
             told = f"reality: {self.reality['name']}, seed {self.reality['seed']}"
-            yield Text(f"{told}, estimator: {self.reality.get('estimator', 'none')}")
+            touch = self.reality.get("touch", "exact")
+            pads = "" if touch == "exact" else f", pads: {touch}"
+            yield Text(f"{told}, estimator: {self.reality.get('estimator', 'none')}{pads}")
         if self.remedies:
             yield Text("each of these keeps the object from creeping:")
         for remedy in self.remedies:

@@ -47,6 +47,7 @@ from sim.looking.viewer import Viewer
 from sim.pads import read_pads
 from sim.reality import Reality, RealityOfTrial
 from sim.scene import PhysicsOptions, Scene, build_scene
+from sim.tactile import read_touch
 from sim.timeline import Timeline
 
 __all__ = ["Simulation", "filmed"]
@@ -144,7 +145,7 @@ class Simulation:
             plan.T_world_base_start if T_world_base is None else T_world_base,
         )
         if self.reality is not None:
-            self.reality.place(self.scene, self.data)
+            self.reality.place(self.scene, self.data, plan)
         self.carrier: Carrier = carrier or carrier_of(plan, self.scene, timeline or Timeline())
         self.phase: Phase = PHASES[0]
         self.steps = 0
@@ -258,6 +259,7 @@ class Simulation:
             read_twist=self.object_twist,
             read_contacts=partial(hand_contacts, scene, data),
             read_pads=partial(read_pads, scene, data, fingers),
+            read_touch=partial(read_touch, scene, data, fingers),
         )
 
     def sensed(self, truth: Observation) -> Observation:

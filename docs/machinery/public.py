@@ -101,6 +101,7 @@ GROUPS: dict[str, list[str]] = {
     "Controllers": [
         "sim.controllers",
         "sim.pads",
+        "sim.tactile",
         "sim.real_hand",
     ],
     "Physics and protocols": [

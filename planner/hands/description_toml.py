@@ -21,7 +21,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from planner.bridge.load import model_files
-from planner.description import FingerDescription, HandDescription, Vector
+from planner.description import FingerDescription, HandDescription, TaxelDescription, Vector
 from planner.errors import HandError
 from planner.hands.catalog import PACKAGE_SCHEME, model_file
 from planner.schema import StrictData, faults_of
@@ -173,6 +173,7 @@ def _mirrored(original: HandDescription, mirror: MirrorDescription) -> HandDescr
             "center": reflect(f.pad.center),
             "axis": reflect(f.pad.axis),
             "rolling_axis": rolling,
+            "taxels": f.pad.taxels and _mirrored_array(f.pad.taxels),
         }
         tip = f.tip and f.tip.model_copy(update={"position": reflect(f.tip.position)})
         return f.model_copy(update={"pad": f.pad.model_copy(update=pad), "tip": tip})
@@ -186,6 +187,12 @@ def _mirrored(original: HandDescription, mirror: MirrorDescription) -> HandDescr
             "fingers": tuple(reflected(f) for f in original.fingers),
         }
     )
+
+
+def _mirrored_array(taxels: TaxelDescription) -> TaxelDescription:
+    """The same array on the mirrored pad: columns count from the other side of the bone."""
+    dead = tuple((row, taxels.columns - 1 - column) for row, column in taxels.dead)
+    return taxels.model_copy(update={"dead": dead})
 
 
 def _motorised(path: Path, motors: MotorsDescription) -> DescribedHand:

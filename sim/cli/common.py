@@ -171,6 +171,14 @@ EstimateOption = Annotated[
         rich_help_panel=TRIAL_PANEL,
     ),
 ]
+PadsOption = Annotated[
+    str,
+    typer.Option(
+        help="What fingers feel with: exact, taxels, effort, binary.",
+        metavar="SENSE",
+        rich_help_panel=TRIAL_PANEL,
+    ),
+]
 PlanArgument = Annotated[Path, typer.Argument(help="A plan file.", metavar="PLAN")]
 
 
@@ -252,15 +260,15 @@ def controller_of(name: str) -> Any:
     return name
 
 
-def reality_of(name: str, seed: int = 0) -> Any:
-    """Reality as ``--reality`` and ``--reality-seed`` give it.
+def reality_of(name: str, seed: int = 0, pads: str = "exact") -> Any:
+    """Reality as ``--reality``, ``--reality-seed`` and ``--pads`` give it.
 
     Raises:
-        NotFoundError: There is none of that name.
+        NotFoundError: There is none of that name, or no such sense of touch.
     """
     from sim.reality import named_reality
 
-    return named_reality(name, seed)
+    return replace(named_reality(name, seed), touch=pads)
 
 
 def estimate_of(name: str | None) -> str | None:

@@ -23,6 +23,7 @@ from sim.cli.common import (
     FingersOption,
     JsonOption,
     MassOption,
+    PadsOption,
     PhysicsOption,
     RealityOption,
     RealitySeedOption,
@@ -184,6 +185,7 @@ class ExecutionOptions:
     reality: RealityOption = "ideal"
     reality_seed: RealitySeedOption = 0
     estimate: EstimateOption = None
+    pads: PadsOption = "exact"
     max_force: Annotated[
         float | None,
         typer.Option(
@@ -301,7 +303,7 @@ def _execute(
     from sim.report_file import write_report
 
     physics = physics_of(execution.physics, execution.sim_mu)
-    reality = reality_of(execution.reality, execution.reality_seed)
+    reality = reality_of(execution.reality, execution.reality_seed, execution.pads)
     estimator = estimate_of(execution.estimate)
     driver = controller_of(execution.controller)
     check_films(execution.video)

@@ -24,6 +24,7 @@ from sim.cli.common import (
     ArrowsOption,
     ControllerOption,
     EstimateOption,
+    PadsOption,
     PhysicsOption,
     RealityOption,
     RealitySeedOption,
@@ -325,6 +326,7 @@ class TrialOptions:
     reality: RealityOption = "ideal"
     reality_seed: RealitySeedOption = 0
     estimate: EstimateOption = None
+    pads: PadsOption = "exact"
     controller: ControllerOption = "feedforward"
     view: ViewOption = False
     video: VideoOption = None
@@ -344,7 +346,7 @@ class TrialOptions:
 
         driver = controller_of(self.controller)
         physics = physics_of(self.physics, self.sim_mu)
-        reality = reality_of(self.reality, self.reality_seed)
+        reality = reality_of(self.reality, self.reality_seed, self.pads)
         estimator = estimate_of(self.estimate)
         if self.view:
             check_display()

@@ -15,6 +15,7 @@ from sim.cli.common import (
     ControllerOption,
     EstimateOption,
     JsonOption,
+    PadsOption,
     PhysicsOption,
     RealityOption,
     RealitySeedOption,
@@ -63,6 +64,7 @@ def test(
     reality: RealityOption = "ideal",
     reality_seed: RealitySeedOption = 0,
     estimate: EstimateOption = None,
+    pads: PadsOption = "exact",
     only: Annotated[
         list[str] | None, typer.Option(help='Only trials of this name: "force +z".', metavar="NAME")
     ] = None,
@@ -104,7 +106,7 @@ def test(
     driver = controller_of(controller)  # bad input ends here
     if pages not in PAGES:
         raise NotFoundError("choice of pages", pages, PAGES)
-    computed, errors = physics_of(physics), reality_of(reality, reality_seed)
+    computed, errors = physics_of(physics), reality_of(reality, reality_seed, pads)
     estimator = estimate_of(estimate)
     ending = "" if video is None else f".{video}"
     check_video(f"film{ending}" if ending else None)

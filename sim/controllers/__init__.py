@@ -30,6 +30,7 @@ from sim.controllers.named import (
 from sim.controllers.object_impedance import ObjectImpedance
 from sim.controllers.pads import PadReading
 from sim.controllers.reference import Reference, Target
+from sim.controllers.touch import TouchReading
 
 __all__ = [
     "CONTROLLERS",
@@ -54,6 +55,7 @@ __all__ = [
     "Sense",
     "SlipDetector",
     "Target",
+    "TouchReading",
     "controller_for",
     "controller_maker",
     "controller_name",

@@ -22,6 +22,7 @@ from sim.controllers.belief import PoseBelief, SeenPose
 from sim.controllers.events import Event
 from sim.controllers.pads import PadReading
 from sim.controllers.schedule import TOUCH_FORCE
+from sim.controllers.touch import TouchReading
 
 __all__ = [
     "PHASES",
@@ -84,6 +85,7 @@ class Observation:
         seen: The newest measured pose that has arrived, with its time stamp; None where
             ``T_world_object`` is one of now.
         belief: How well an estimator knows ``T_world_object``; None of a pose that was read.
+        read_touch: Reads ``touch``: raw images of taxels, where there are any.
     """
 
     time: float
@@ -99,6 +101,7 @@ class Observation:
     read_pads: Callable[[], PadReading] = PadReading.nothing
     seen: SeenPose | None = None
     belief: PoseBelief | None = None
+    read_touch: Callable[[], TouchReading] = TouchReading.nothing
 
     @property
     def all_touch(self) -> bool:
@@ -119,6 +122,11 @@ class Observation:
     def pads(self) -> PadReading:
         """What tactile pads feel, per finger that takes part; read when first asked for."""
         return self.read_pads()
+
+    @cached_property
+    def touch(self) -> TouchReading:
+        """Images of taxels, per finger that takes part; read when first asked for."""
+        return self.read_touch()
 
 
 class Controller(Protocol):

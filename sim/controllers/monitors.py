@@ -92,9 +92,18 @@ class SlipDetector:
         self._speeds[0], self._speeds[1] = self.speed, self.speed - self._creep
         self._above = (self._above + elapsed) * (self._speeds > ALARM_SPEED)
         begins = (self._above >= ALARM_TIME - elapsed / 2) & ~self._slipping
+        if pads.slipping is not None:
+            return self._told(pads.slipping)
         self._slipping = (self._slipping | begins) & (self._speeds > ALARM_SPEED / 2)
         self.begun_beyond_spin = np.asarray(begins[1])
         return np.asarray(begins[0])
+
+    def _told(self, slipping: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Take over the slips (n,) that the pads notice by themselves; which have just begun."""
+        begins = np.asarray(slipping & ~self._slipping[0])
+        self._slipping[:] = slipping
+        self.begun_beyond_spin = begins
+        return begins
 
 
 class InfeasibilityMonitor:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner.spatial import FloatArray
 
@@ -35,6 +36,8 @@ class PadReading:
             without contact.
         spin: (n,), angular velocity of the object relative to the pad about the normal, rad/s, 0
             without contact; or a single 0 of pads that do not feel it.
+        slipping: (n,), which pads notice by themselves that they slip; None of pads whose slip
+            follows from ``sliding`` alone.
     """
 
     normal_force: FloatArray
@@ -43,6 +46,7 @@ class PadReading:
     normal: FloatArray
     sliding: FloatArray
     spin: FloatArray = field(default_factory=lambda: np.zeros(1))
+    slipping: NDArray[np.bool_] | None = None
 
     @classmethod
     def nothing(cls, n: int = 0) -> PadReading:

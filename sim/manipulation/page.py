@@ -24,6 +24,7 @@ from sim.manipulation.page_parts import (
 from sim.manipulation.report_file import ManipulationReportFile
 from sim.manipulation.timeline import IN_THE_AIR
 from sim.pages.plots import command_plot, cone_plot, event_marks, force_plot, quality_plot
+from sim.pages.pressure import pressure_blocks
 from sim.pages.stage import NO_STATES, Moving, bare_scene, measured_contacts, moving_stage
 from sim.pages.tasks import task_of_plan
 from sim.pages.words import (
@@ -266,7 +267,7 @@ def _summary(parts: Sequence[Part], stage: Moving | None) -> tuple[Block, ...]:
     if report.made_backwards_because:
         text = f"Made backwards before it was put down: {report.made_backwards_because}."
         blocks.append(Sentence(text=text))
-    blocks.append(PlotsHere())
+    blocks += [PlotsHere(), *pressure_blocks(report.reality)]
     for part in parts:
         blocks += _phases(part)
     numbers = dict(report.numbers)

@@ -23,6 +23,7 @@ from sim.pages.plots import (
     phase_bands,
     quality_plot,
 )
+from sim.pages.pressure import pressure_blocks
 from sim.pages.stage import NO_STATES, Moving, bare_scene, measured_contacts, moving_stage
 from sim.pages.tasks import plan_file, task_of_plan
 from sim.pages.words import (
@@ -198,7 +199,7 @@ def _summary(report: ReportFile, plan: PlanFile | None, stage: Moving | None) ->
     if report.remedies:
         blocks.append(Sentence(text="Each of these keeps the object from creeping:"))
         blocks += [Sentence(text=remedy) for remedy in report.remedies]
-    blocks += [PlotsHere(), *_comparison(report)]
+    blocks += [PlotsHere(), *pressure_blocks(report.reality), *_comparison(report)]
     blocks += events_block(report.events)
     rows = [("hand", report.hand), ("object", report.object), ("mass", shown(report.mass_kg, "kg"))]
     blocks += [Heading(text="Task")]

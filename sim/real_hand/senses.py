@@ -160,10 +160,12 @@ class Observer:
         """The rows of the fingers that take part, in their order."""
         if self._fingers is None or self._fingers == list(range(len(pads.normal_force))):
             return pads
-        names = [field.name for field in fields(pads) if field.name != "spin"]
-        rows = {name: getattr(pads, name)[self._fingers] for name in names}
-        spin = pads.spin if len(pads.spin) == 1 else pads.spin[self._fingers]
-        return PadReading(**rows, spin=spin)
+        given = {field.name: getattr(pads, field.name) for field in fields(pads)}
+        own = {
+            name: value if value is None or len(value) == 1 else value[self._fingers]
+            for name, value in given.items()
+        }
+        return PadReading(**own)
 
     def check_senses(self, controller: Controller, reading: HandReading) -> None:
         """Refuse a controller that needs what this hand has no sense for.

@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 from planner.errors import NotFoundError, TaskError
+from sim.tactile import EXACT, check_touch
 
 __all__ = ["IDEAL", "REALITIES", "Reality", "named_reality", "register_reality"]
 
@@ -65,6 +66,7 @@ class Reality:
         object_center: Largest offset of its centre of mass along each axis, as a share of half its
             extent there (-).
         object_friction: Largest error of its friction, as a share (-).
+        touch: Sense of touch, by its name in ``sim.tactile``: exact, taxels, effort or binary.
         seed: Of all draws, an integer >= 0.
     """
 
@@ -94,12 +96,14 @@ class Reality:
     object_mass: float = 0.0
     object_center: float = 0.0
     object_friction: float = 0.0
+    touch: str = EXACT
     seed: int = 0
 
     def __post_init__(self) -> None:
         """Check every number."""
         if not (isinstance(self.seed, int) and self.seed >= 0):
             raise TaskError(f"reality: seed is {self.seed!r}; give an integer >= 0")
+        check_touch(self.touch)
         for name, value in self.numbers.items():
             if not (math.isfinite(value) and value >= 0):
                 raise TaskError(f"reality: {name} is {value}; give a finite number >= 0")
@@ -118,7 +122,9 @@ class Reality:
     @property
     def ideal(self) -> bool:
         """Whether it has no error at all: then nothing is drawn, changed or delayed."""
-        return not any(value for name, value in self.numbers.items() if name != "drift_time")
+        return self.touch == EXACT and not any(
+            value for name, value in self.numbers.items() if name != "drift_time"
+        )
 
     @property
     def blurs_pose(self) -> bool:
@@ -133,7 +139,7 @@ class Reality:
         """The same with only some of its errors: to find which one does the harm.
 
         Args:
-            names: Of fields; ``drift_time`` and ``seed`` are always kept.
+            names: Of fields; ``drift_time``, ``touch`` and ``seed`` are always kept.
 
         Raises:
             NotFoundError: No error has that name.
@@ -143,7 +149,7 @@ class Reality:
                 raise NotFoundError("error of a reality", name, tuple(self.numbers))
         kept = {name: self.numbers[name] for name in (*names, "drift_time")}
         label = f"{self.name}: {', '.join(names)}"
-        return Reality(name=label, seed=self.seed, **kept)
+        return Reality(name=label, touch=self.touch, seed=self.seed, **kept)
 
     def sensed_exactly(self) -> Reality:
         """The same world and drives with calibrated joints, and sensors without errors.
@@ -175,7 +181,7 @@ POSE_ERRORS = (
 )
 """Errors without which the object's pose and twist are exact."""
 
-NO_ERROR = ("name", "seed")
+NO_ERROR = ("name", "touch", "seed")
 """Fields that are no error."""
 
 SENSED = (

@@ -11,6 +11,7 @@ from typing import Any
 
 import mujoco
 
+from planner.plan import GraspPlan
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 from sim.controllers import Observation
@@ -20,6 +21,7 @@ from sim.reality.errors import Reality
 from sim.reality.senses import RealSenses
 from sim.reality.world import change_world, lifted_by
 from sim.scene import Scene
+from sim.tactile import TaxelSense, TouchContext, TouchSense, make_sense
 
 __all__ = ["RealityOfTrial"]
 
@@ -45,6 +47,7 @@ class RealityOfTrial:
         self.drawn = drawn or Drawn.of(reality, task.hand)
         self._senses = RealSenses(reality, self.drawn, task)
         self._drive = RealDrive(reality, self.drawn, task.hand.actuation)
+        self._touch: TouchSense | None = None
         self._last: Observation | None = None
 
     @property
@@ -52,8 +55,18 @@ class RealityOfTrial:
         """Changes a scene's specification to what there really is; for ``build_scene``."""
         return change_world(self.reality, self.drawn, self.task)
 
-    def place(self, scene: Scene, data: Any) -> None:
-        """Let the object, larger or smaller than believed, stand on what carries it."""
+    def place(self, scene: Scene, data: Any, plan: GraspPlan) -> None:
+        """Let the object, larger or smaller than believed, stand on what carries it.
+
+        From now on touch is felt in this scene.
+
+        Args:
+            scene: The scene.
+            data: ``mujoco.MjData``, as it is at every step.
+            plan: What is executed.
+        """
+        context = TouchContext(scene=scene, data=data, plan=plan, seed=self.reality.seed)
+        self._touch = make_sense(self.reality.touch, context)
         up = lifted_by(self.drawn, self.task)
         if up:
             data.qpos[scene.object_qpos[2]] += up
@@ -63,15 +76,24 @@ class RealityOfTrial:
         """What sensors say of the truth; asked again at the same time they say the same."""
         last = self._last
         if last is None or last.time != truth.time:
-            self._last = last = self._senses.read(truth)
+            felt = truth if self._touch is None else self._touch.read(truth)
+            self._last = last = self._senses.read(felt)
         if (last.phase, last.progress) == (truth.phase, truth.progress):
             return last
         return replace(last, phase=truth.phase, progress=truth.progress)
+
+    @property
+    def touch(self) -> TouchSense | None:
+        """The sense of touch; None before the trial has its scene."""
+        return self._touch
 
     def drive(self, time: float, commands: FloatArray, q: FloatArray) -> FloatArray:
         """What the actuators do at a time (s) for commands (nu,), at true joints q (nq,)."""
         return self._drive.drive(time, commands, q)
 
     def to_dict(self) -> dict[str, Any]:
-        """The reality's fields and what was drawn, as plain data."""
-        return {**self.reality.to_dict(), "drawn": self.drawn.to_dict()}
+        """The reality's fields, what was drawn, and what taxels felt ("felt"), as plain data."""
+        data = {**self.reality.to_dict(), "drawn": self.drawn.to_dict()}
+        if isinstance(self._touch, TaxelSense):
+            data["felt"] = self._touch.felt()
+        return data

@@ -1,0 +1,57 @@
+"""Tactile pads: arrays of taxels, what follows from their images, and cheaper senses of touch."""
+
+from sim.tactile.array import TaxelArray
+from sim.tactile.binary import BinarySense
+from sim.tactile.effort import EffortSense
+from sim.tactile.estimate import ContactEstimate, ContactEstimator
+from sim.tactile.exact import (
+    PadContact,
+    contact_image,
+    exact_images,
+    layouts_of,
+    pad_contacts,
+    read_touch,
+)
+from sim.tactile.friction import FrictionWatch
+from sim.tactile.ideal import ExactSense
+from sim.tactile.layout import TaxelLayout, default_array
+from sim.tactile.senses import (
+    EXACT,
+    TOUCH_SENSES,
+    TouchContext,
+    TouchSense,
+    check_touch,
+    make_sense,
+    register_touch,
+)
+from sim.tactile.slip import SlipWatch
+from sim.tactile.taxels import TaxelSense
+from sim.tactile.texture import Texture
+
+__all__ = [
+    "EXACT",
+    "TOUCH_SENSES",
+    "BinarySense",
+    "ContactEstimate",
+    "ContactEstimator",
+    "EffortSense",
+    "ExactSense",
+    "FrictionWatch",
+    "PadContact",
+    "SlipWatch",
+    "TaxelArray",
+    "TaxelLayout",
+    "TaxelSense",
+    "Texture",
+    "TouchContext",
+    "TouchSense",
+    "check_touch",
+    "contact_image",
+    "default_array",
+    "exact_images",
+    "layouts_of",
+    "make_sense",
+    "pad_contacts",
+    "read_touch",
+    "register_touch",
+]

@@ -1,0 +1,142 @@
+"""``PadBodies``: where the bodies with the pads are and how they move, and sliding from joints.
+
+Shared by the senses that have no sense of sliding: what slides is seen in the joints, where one
+fingertip moves otherwise than the rigid body that the others hold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.kinematics.state import HandState
+from planner.plan import GraspPlan
+from planner.spatial import FloatArray, skew
+from sim.controllers import PadReading
+from sim.pads import body_twist
+from sim.scene import HAND_PREFIX, Scene
+from sim.tactile.layout import TaxelLayout
+
+__all__ = ["PadBodies", "pad_reading", "planned_directions"]
+
+RANK = 1e-8
+"""Added to the normal equations (m2): two contacts leave a turn about their line open."""
+
+NOT_HOLDING = 1e-3
+"""Weight (-) of a finger that slips beside that of one that sticks."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PadBodies:
+    """The bodies that carry the pads of n fingers.
+
+    Attributes:
+        scene: The scene.
+        data: ``mujoco.MjData``, as it is at every step.
+        bodies: n body ids.
+    """
+
+    scene: Scene
+    data: Any
+    bodies: tuple[int, ...]
+
+    @classmethod
+    def of(cls, scene: Scene, data: Any, layouts: Sequence[TaxelLayout]) -> PadBodies:
+        """Those that some layouts belong to."""
+        geoms = [int(scene.model.geom(HAND_PREFIX + one.geom).id) for one in layouts]
+        return cls(scene=scene, data=data, bodies=tuple(scene.body_of_geom[g] for g in geoms))
+
+    def turns(self) -> FloatArray:
+        """Rotations (n, 3, 3) of the bodies in the world."""
+        return np.asarray(self.data.xmat[list(self.bodies)].reshape(-1, 3, 3))
+
+    def places(self) -> FloatArray:
+        """Origins (n, 3) of the bodies in the world, m."""
+        return np.array(self.data.xpos[list(self.bodies)])
+
+    def sliding(
+        self,
+        points: FloatArray,
+        normals: FloatArray,
+        touching: NDArray[np.bool_],
+        stick: FloatArray,
+    ) -> FloatArray:
+        """Velocity of the object over the pads as the joints tell it, (n, 3), m/s, world.
+
+        The object moves like the rigid body that fits the fingertips best; where all slip alike,
+        or fewer than three touch, it is not seen.
+
+        Args:
+            points: (n, 3), contacts, m, world; NaN without contact.
+            normals: (n, 3), unit.
+            touching: (n,).
+            stick: (n,), how sure it is that a pad sticks, 0 to 1: its weight.
+        """
+        out = np.full((len(points), 3), np.nan)
+        rows = np.flatnonzero(touching)
+        if not len(rows):
+            return out
+        out[rows] = 0.0
+        if len(rows) < 3:
+            return out
+        at = points[rows] - points[rows].mean(axis=0)
+        twists = np.array([body_twist(self.scene, self.data, self.bodies[k]) for k in rows])
+        velocity = twists[:, 3:] + np.cross(twists[:, :3], points[rows])
+        weight = np.maximum(stick[rows], NOT_HOLDING)
+        motion = np.concatenate([np.tile(np.eye(3), (len(rows), 1, 1)), -skew(at)], axis=2)
+        weighted = motion * weight[:, None, None]
+        gram = np.einsum("kij,kil->jl", weighted, motion) + RANK * np.eye(6)
+        twist = np.linalg.solve(gram, np.einsum("kij,ki->j", weighted, velocity))
+        slid = motion @ twist - velocity
+        along = (slid * normals[rows]).sum(axis=1, keepdims=True)
+        out[rows] = slid - along * normals[rows]
+        return out
+
+
+def planned_directions(plan: GraspPlan, layouts: Sequence[TaxelLayout]) -> FloatArray:
+    """Directions (n, 3), unit, from the pads' centres to the planned contacts, bodies' frames."""
+    hand = plan.task.hand
+    state = HandState(hand, plan.q)
+    points = plan.contacts.transformed(plan.T_world_base.inverse()).positions
+    body_of = {g.name: g.body for g in hand.geometries}
+    out = []
+    for layout, point in zip(layouts, points, strict=True):
+        T_base_body = state.pin_data.oMf[hand.pin_model.getBodyId(body_of[layout.geom])]
+        away = T_base_body.actInv(point) - layout.center
+        out.append(away / np.linalg.norm(away))
+    return np.array(out)
+
+
+def pad_reading(
+    *,
+    touching: NDArray[np.bool_],
+    force: FloatArray,
+    normal: FloatArray,
+    position: FloatArray,
+    sliding: FloatArray,
+    slipping: NDArray[np.bool_] | None = None,
+) -> PadReading:
+    """A reading of n pads; what a pad without contact has is left out.
+
+    Args:
+        touching: (n,).
+        force: (n, 3), on the object, N, world.
+        normal: (n, 3), unit, into the object.
+        position: (n, 3), m.
+        sliding: (n, 3), m/s.
+        slipping: (n,), or None.
+    """
+    there = touching[:, None]
+    along = (force * normal).sum(axis=1)
+    return PadReading(
+        normal_force=np.where(touching, np.maximum(along, 0.0), 0.0),
+        force=np.where(there, force, 0.0),
+        position=np.where(there, position, np.nan),
+        normal=np.where(there, normal, np.nan),
+        sliding=np.where(there, sliding, np.nan),
+        slipping=slipping,
+    )

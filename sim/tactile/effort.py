@@ -1,0 +1,129 @@
+"""The sense ``effort``: contact forces from the torques of the motors alone.
+
+At every step, per finger, the force f at the pad's centre that explains best what the motors do
+beyond holding and moving the finger itself:
+
+    N^T J^T f = N^T (R^T F + springs - b v - g - M a)
+
+with F the forces of the actuators, g the torque of the finger's weight, b and M damping and inertia
+of its joints, a their low-passed acceleration. N spans the motions that couplings, stops and joints
+at their limits leave: what these carry no motor feels. Dry friction is not known, and is read as
+force. The normal lies half-way between the planned direction and that of the force, and the contact
+where it leaves the pad.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+
+from planner.spatial import FloatArray, skew
+from sim.controllers import Observation
+from sim.controllers.loads import HandLoads
+from sim.controllers.motors import joint_drag
+from sim.tactile.bodies import PadBodies, pad_reading, planned_directions
+from sim.tactile.exact import layouts_of
+from sim.tactile.senses import TouchContext, register_touch
+
+__all__ = ["EffortSense"]
+
+LEAST_FORCE = 0.15
+"""Force (N) from which on a finger touches: a finger that closes in the air reads less."""
+
+SMOOTHING = 0.01
+"""Time constant (s) of the average of force and acceleration."""
+
+AT_LIMIT = 0.01
+"""A joint this near (rad) to its limit may be carried by it."""
+
+FLAT = 1e-6
+"""Added to the normal equations (m2): a stretched finger has a direction that no motor feels."""
+
+
+class EffortSense:
+    """Forces from motor torques."""
+
+    def __init__(self, context: TouchContext) -> None:
+        """Nothing is felt yet."""
+        plan = context.plan
+        self._scene, self._data, self._task = context.scene, context.data, plan.task
+        hand = plan.task.hand
+        layouts = layouts_of(context.scene, plan.task.finger_names)
+        self._bodies = PadBodies.of(context.scene, context.data, layouts)
+        self._directions = planned_directions(plan, layouts)
+        self._centers = np.array([one.center for one in layouts])
+        self._radii = np.array([[one.radius] for one in layouts])
+        self._loads = HandLoads(hand, plan.task.fingers)
+        self._pin = hand.pin_model.createData()
+        self._drag, _ = joint_drag(hand)
+        self._rows = np.array([c.row for c in hand.couplings]).reshape(-1, hand.nq)
+        self._force = np.zeros((len(layouts), 3))
+        self._v, self._rate, self._time = np.zeros(hand.nq), np.zeros(hand.nq), -1.0
+
+    def read(self, truth: Observation) -> Observation:
+        """The observation with what the motors feel."""
+        first = self._time < 0
+        elapsed = 0.0 if first else truth.time - self._time
+        share = elapsed / (SMOOTHING + elapsed)
+        if elapsed > 0:
+            self._rate += share * ((truth.v - self._v) / elapsed - self._rate)
+        self._v, self._time = truth.v, truth.time
+        force = self._forces(truth)
+        self._force = force if first else self._force + share * (force - self._force)
+        size = np.sqrt((self._force**2).sum(axis=1))
+        touching = size >= LEAST_FORCE
+        turns = self._bodies.turns()
+        planned = (turns @ self._directions[:, :, None])[:, :, 0]
+        normal = planned + self._force / np.maximum(size, LEAST_FORCE)[:, None]
+        normal /= np.maximum(np.sqrt((normal**2).sum(axis=1)), 1e-6)[:, None]
+        touching &= (self._force * normal).sum(axis=1) > 0
+        middle = (turns @ self._centers[:, :, None])[:, :, 0] + self._bodies.places()
+        position = middle + self._radii * normal
+        reading = pad_reading(
+            touching=touching,
+            force=self._force,
+            normal=normal,
+            position=position,
+            sliding=self._bodies.sliding(position, normal, touching, np.ones(len(touching))),
+        )
+        return replace(truth, normal_forces=reading.normal_force, read_pads=lambda: reading)
+
+    def _forces(self, truth: Observation) -> FloatArray:
+        """Forces (n, 3) on what touches that explain the torques now, N, world."""
+        hand, q, v = self._task.hand, truth.q, truth.v
+        base = truth.T_world_base
+        turn = base.rotation
+        own = self._loads.move(q, turn.T @ self._task.gravity)
+        effort = self._data.actuator_force[self._scene.hand_ctrl]
+        torque = hand.actuation.moment.T @ effort + hand.actuation.passive_torque(q)
+        inertia = pin.crba(hand.pin_model, self._pin, q)
+        inertia = np.triu(inertia) + np.triu(inertia, 1).T
+        torque = torque - self._drag * v - own - inertia @ self._rate
+        at_limit = (q < hand.q_lower + AT_LIMIT) | (q > hand.q_upper - AT_LIMIT)
+        out = np.zeros((len(self._task.fingers), 3))
+        for k, finger in enumerate(self._task.fingers):
+            mine = finger.q_index
+            center = self._loads.at(finger.pad.joint_id, finger.pad.center)
+            jacobian = self._loads.jacobian[:, mine]
+            point = jacobian[:3] - skew(center) @ jacobian[3:]
+            held = np.eye(len(mine))[at_limit[mine]]
+            free = _left_by(np.concatenate([self._rows[:, mine], held]))
+            seen = free.T @ point.T  # (motions, 3)
+            wanted = free.T @ torque[mine]
+            force = np.linalg.solve(seen.T @ seen + FLAT * np.eye(3), seen.T @ wanted)
+            out[k] = turn @ force
+        return out
+
+
+def _left_by(rows: FloatArray) -> FloatArray:
+    """Orthonormal motions (joints, m) that keep some rows (k, joints) as they are."""
+    count = rows.shape[1]
+    if not rows.any():
+        return np.eye(count)
+    _, sizes, basis = np.linalg.svd(rows)
+    return np.asarray(basis[int((sizes > 1e-9).sum()) :].T)
+
+
+register_touch("effort", EffortSense)

@@ -1,0 +1,23 @@
+"""The sense ``exact``: what the simulator knows, as it is."""
+
+from __future__ import annotations
+
+from sim.controllers import Observation
+from sim.tactile.senses import EXACT, TouchContext, register_touch
+
+__all__ = ["ExactSense"]
+
+
+class ExactSense:
+    """Leaves an observation as it is."""
+
+    def __init__(self, context: TouchContext) -> None:
+        """Nothing to prepare."""
+        del context
+
+    def read(self, truth: Observation) -> Observation:
+        """The truth."""
+        return truth
+
+
+register_touch(EXACT, ExactSense)

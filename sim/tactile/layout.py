@@ -1,0 +1,149 @@
+"""``TaxelLayout``: where the taxels of a pad are and which way they face.
+
+A pad is a sphere. Its array is a square grid in the chart of the sphere that keeps distances from
+the middle (azimuthal equidistant): the taxel at (u, v) lies in the direction of (u, v) from the
+middle, at the arc length sqrt(u^2 + v^2). v runs along the bone, u around it. Whoever reads or
+estimates images takes places and axes from here.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from planner.description import FingerDescription, PadDescription, TaxelDescription
+from planner.spatial import FloatArray
+
+__all__ = ["DEFAULT_SPACING", "TaxelLayout", "default_array"]
+
+DEFAULT_SPACING = 0.002
+"""Spacing (m) of an array that no ``hand.toml`` describes."""
+
+SMALL = 1e-12
+"""Lengths and sines below this are 0: rounding."""
+
+
+def default_array(pad: PadDescription) -> TaxelDescription:
+    """An array 2 mm apart that covers the cone within which contacts may roll."""
+    half = math.radians(pad.rolling_half_angle_deg or pad.half_angle_deg)
+    each_way = max(1, math.ceil(pad.radius * half / DEFAULT_SPACING - 1e-9))
+    count = 2 * each_way + 1
+    return TaxelDescription(rows=count, columns=count, spacing=DEFAULT_SPACING)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TaxelLayout:
+    """Geometry of one array, in the frame of the body that carries the pad.
+
+    Attributes:
+        finger: Whose pad it is on.
+        geom: Geom that carries the pad, without the hand's prefix.
+        center: (3,), centre of the pad's sphere, m.
+        radius: Of the sphere, m.
+        axes: (3, 3), columns [u, v, outward] at the middle of the array.
+        array: Rows, columns, spacing and errors.
+    """
+
+    finger: str
+    geom: str
+    center: FloatArray
+    radius: float
+    axes: FloatArray
+    array: TaxelDescription
+
+    @classmethod
+    def of(cls, finger: FingerDescription) -> TaxelLayout:
+        """The array that a hand's description gives a finger, or the default one."""
+        pad = finger.pad
+        outward = np.array(pad.axis if pad.rolling_axis is None else pad.rolling_axis)
+        center = np.array(pad.center)
+        for bone in (center, np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])):
+            along = bone - (bone @ outward) * outward
+            length = float(np.linalg.norm(along))
+            if length > 0.1 * float(np.linalg.norm(bone)) > 0.0:
+                break
+        v = along / length
+        return cls(
+            finger=finger.name,
+            geom=pad.geom,
+            center=center,
+            radius=pad.radius,
+            axes=np.column_stack([np.cross(v, outward), v, outward]),
+            array=pad.taxels or default_array(pad),
+        )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.array.rows, self.array.columns
+
+    @cached_property
+    def u(self) -> FloatArray:
+        """Place of every column along the chart's first axis, (columns,), m."""
+        n = self.array.columns
+        return np.asarray((np.arange(n) - (n - 1) / 2) * self.array.spacing)
+
+    @cached_property
+    def v(self) -> FloatArray:
+        """Place of every row along the chart's second axis, (rows,), m."""
+        n = self.array.rows
+        return np.asarray((np.arange(n) - (n - 1) / 2) * self.array.spacing)
+
+    @cached_property
+    def edges(self) -> tuple[FloatArray, FloatArray]:
+        """Borders of the columns' and of the rows' cells, (columns + 1,) and (rows + 1,), m."""
+        half = self.array.spacing / 2
+        return np.append(self.u - half, self.u[-1] + half), np.append(
+            self.v - half, self.v[-1] + half
+        )
+
+    @cached_property
+    def frames(self) -> FloatArray:
+        """Axes of every taxel, (rows, columns, 3, 3), columns [outward, u, v]."""
+        rows, columns = self.shape
+        grid = np.stack(np.meshgrid(self.u, self.v), axis=-1).reshape(-1, 2)
+        return np.array([self.frame_at(place) for place in grid]).reshape(rows, columns, 3, 3)
+
+    @cached_property
+    def positions(self) -> FloatArray:
+        """Middles of the taxels, (rows, columns, 3), m."""
+        return np.asarray(self.center + self.radius * self.frames[..., 0])
+
+    def frame_at(self, place: FloatArray) -> FloatArray:
+        """Axes (3, 3), columns [outward, u, v], at a place (2,) of the chart, m.
+
+        Those at the middle, carried along the great circle that leads there.
+        """
+        first, second, outward = self.axes.T
+        arc = math.hypot(*place)
+        if arc < SMALL:
+            return np.column_stack([outward, first, second])
+        angle = arc / self.radius
+        towards = (place[0] * first + place[1] * second) / arc
+        aside = (place[0] * second - place[1] * first) / arc
+        c, s = math.cos(angle), math.sin(angle)
+        turned = c * towards - s * outward
+        share_u, share_v = place / arc
+        return np.column_stack(
+            [
+                c * outward + s * towards,
+                share_u * turned - share_v * aside,
+                share_v * turned + share_u * aside,
+            ]
+        )
+
+    def chart(self, point: FloatArray) -> FloatArray:
+        """Place (2,), m, in the chart of what lies above a point (3,) of the body's frame."""
+        x, y, z = (self.axes.T @ (point - self.center)).tolist()
+        across = math.hypot(x, y)
+        if across < SMALL:
+            return np.zeros(2)
+        arc = self.radius * math.atan2(across, z)
+        return np.array([arc * x / across, arc * y / across])
+
+    def point(self, place: FloatArray) -> FloatArray:
+        """Point (3,) of the pad's surface at a place (2,) of the chart, m, the body's frame."""
+        return np.asarray(self.center + self.radius * self.frame_at(place)[:, 0])

@@ -1,0 +1,81 @@
+"""How pressure and shear are spread over a pad: the one place, and its sources.
+
+MuJoCo's contacts are points with a force; a soft pad spreads it. Of each contact
+
+    radius      a = (3 f R / 4 E)^(1/3): Hertz, a sphere of radius R on a flat body, with the
+                contact modulus E = 1.3 MPa of soft rubber
+    pressure    a Gaussian of Hertz's second moment, sigma^2 = a^2 / 5 on each axis, integrated
+                over the cell of each taxel: what lies on the array is conserved
+    shear       Cattaneo and Mindlin: a share (used) of the friction cone in use sticks within
+                c = a (1 - used)^(1/3) and slips outside, so that the shear is that of full
+                slip with radius a less (1 - used) of that with radius c, over used
+    torsion     a shear that grows with the distance from the middle
+
+K. L. Johnson, Contact Mechanics, Cambridge 1985: 3.4 and 4.2 (Hertz), 7.2 (Cattaneo, Mindlin).
+The object counts as flat and rigid: one that is round has a smaller patch. The shear at full slip
+is mu times the pressure everywhere, so its spread tells how much of the friction is in use before
+anything slides. Torsion and force use the cone together, as MuJoCo's contacts do.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from planner.spatial import FloatArray
+
+__all__ = ["CONTACT_MODULUS", "contact_deviation", "spread", "spread_of_shear", "stick_ratio"]
+
+CONTACT_MODULUS = 1.3e6
+"""Contact modulus E / (1 - nu^2) of pads, Pa: the soft rubber of ``sim.physics.options``."""
+
+LEAST_DEVIATION = 1e-4
+"""Standard deviation (m) of the pressure of the lightest touch: pads are no sharper than 0.1 mm."""
+
+LEAST_USED = 0.02
+"""Share of friction (-) below which the shear has the spread of this share: the formula is 0/0."""
+
+_ROOT = math.sqrt(0.5)
+
+
+def contact_deviation(force: float, radius: float) -> float:
+    """Standard deviation (m), each axis, of the pressure of a normal force.
+
+    Args:
+        force: N, >= 0.
+        radius: Of the pad, m.
+    """
+    patch = math.cbrt(0.75 * force * radius / CONTACT_MODULUS)
+    return max(patch / math.sqrt(5.0), LEAST_DEVIATION)
+
+
+def spread(edges: FloatArray, middle: float, deviation: float) -> FloatArray:
+    """Shares (n,) of a Gaussian within n neighbouring cells.
+
+    Args:
+        edges: Their borders, (n + 1,), m.
+        middle: Of the Gaussian, m.
+        deviation: Its standard deviation, m.
+    """
+    scale = _ROOT / deviation
+    below = [math.erf(scale * (edge - middle)) for edge in edges.tolist()]
+    values = np.array(below)
+    return np.asarray(0.5 * (values[1:] - values[:-1]))
+
+
+def spread_of_shear(pressure: FloatArray, stuck: FloatArray, used: float) -> FloatArray:
+    """Shares of the shear force per taxel.
+
+    Args:
+        pressure: Shares of the normal force.
+        stuck: The same with the deviation of the stick region.
+        used: Share of the friction cone in use (-).
+    """
+    used = min(1.0, max(used, LEAST_USED))
+    return np.asarray((pressure - (1.0 - used) * stuck) / used)
+
+
+def stick_ratio(used: float) -> float:
+    """Radius of the stick region over that of the patch (-), at a share of friction in use."""
+    return math.cbrt(1.0 - min(1.0, max(used, LEAST_USED)))
