@@ -271,7 +271,7 @@ class _Puppet(PolicyController):
         if self.seen is None:
             self._target = super().commands(observation)
         self.seen = observation
-        action: FloatArray = getcurrent().parent.switch()
+        action: FloatArray = getcurrent().parent.switch(None)
         low, high = self._range.T
         if self._meaning == "increment":
             self._target = np.clip(self._target + INCREMENT * action, low, high)
