@@ -37,7 +37,7 @@ from sim.simulation import Simulation
 
 __all__ = ["ByTheClock", "Demonstrator"]
 
-BANDWIDTH = 40.0
+BANDWIDTH = 30.0
 """Natural frequency (rad/s) of the object that the teacher holds: a decision is held for 10 ms, for
 which the 60 rad/s of a loop with steps of 2 ms are too many."""
 
