@@ -25,7 +25,7 @@ LONG = ("run", "plan", "batch", "manipulate", "plan-motion", "plan-gait", "state
 
 SLOW = (
     *("run", "test", "demo", "manipulate", "plan-gait", "certify", "batch", "crosscheck"),
-    *("creep", "view", "states"),
+    *("creep", "view", "states", "learn"),
 )
 """Commands whose example takes more than a few seconds."""
 

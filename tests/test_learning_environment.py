@@ -94,7 +94,8 @@ def test_reward_and_success_are_the_verdict_on_the_teachers_own_run(
     teacher.simulation = run.sim.simulation
     report = run.perform()
     env.reset(seed=11)
-    rewards, info, ended = [], {}, False
+    info: dict[str, Any] = {}
+    rewards, ended = [], False
     for action in teacher.wanted:
         assert not ended
         _, reward, ended, _, info = env.step(action)
@@ -112,7 +113,8 @@ def test_reward_and_success_are_the_verdict_on_the_teachers_own_run(
 def test_doing_nothing_in_mode_increment_fails_and_is_told_why(folder: Path) -> None:
     env = TurnEnv(objects=OBJECT, plans=1, folder=folder, action="increment", rate_hz=20.0)
     first, _ = env.reset(seed=1)
-    total, ended, info = 0.0, False, {}
+    info: dict[str, Any] = {}
+    total, ended = 0.0, False
     while not ended:
         told, reward, ended, _, info = env.step(np.zeros(env.action_space.shape))
         np.testing.assert_array_equal(told["targets"], first["targets"])

@@ -131,8 +131,7 @@ ArrowsOption = Annotated[
 ControllerOption = Annotated[
     str,
     typer.Option(
-        help="feedforward: the planned forces; impedance: a loop that keeps the object in place; "
-        "policy:FILE: what was learned.",
+        help="feedforward: planned forces; impedance: a loop holds the object; policy:FILE.",
         metavar="NAME",
         rich_help_panel=TRIAL_PANEL,
     ),

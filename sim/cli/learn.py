@@ -40,63 +40,34 @@ from sim.cli.common import (
 if TYPE_CHECKING:
     from sim.learning import Progress as Made
 
-COURSE_PANEL = "How much is trained"
-"""Group of the options that cost time."""
-
 
 @errors_for_people()
 def learn(
     context: typer.Context,
     hand: HandArgument,
     objects: Annotated[
-        str,
-        typer.Argument(
-            help="Object as `plan` takes it; a dimension a..b is a range, m.", metavar="OBJECT"
-        ),
+        str, typer.Argument(help="As `plan` takes it; a..b is a range, m.", metavar="OBJECT")
     ],
     folder: Annotated[
-        Path, typer.Option("--out", help="Folder; a training that is there goes on.", metavar="DIR")
+        Path, typer.Option("--out", help="Folder; what is there goes on.", metavar="DIR")
     ] = Path("runs/learn"),
-    rotate: Annotated[
-        float, typer.Option(help="Turn about the vertical, degrees.", metavar="DEG")
-    ] = 90.0,
+    rotate: Annotated[float, typer.Option(help="Turn, degrees.", metavar="DEG")] = 90.0,
     senses: Annotated[
-        str, typer.Option(help="What the policy is told beside the plan.", metavar="NAMES")
-    ] = "joints,touch,targets",
-    plans: Annotated[
-        int,
-        typer.Option(
-            help="Plans that episodes draw from.", metavar="N", rich_help_panel=COURSE_PANEL
-        ),
-    ] = 24,
+        str, typer.Option(help="Of joints,touch,targets.", metavar="NAMES")
+    ] = "joints,touch",
+    plans: Annotated[int, typer.Option(help="Plans to learn from.", metavar="N")] = 48,
     demonstrations: Annotated[
         int,
-        typer.Option(
-            help="Episodes of the teacher alone.", metavar="N", rich_help_panel=COURSE_PANEL
-        ),
-    ] = 72,
+        typer.Option("-n", "--demonstrations", help="Episodes of the teacher.", metavar="N"),
+    ] = 96,
     rounds: Annotated[
-        int,
-        typer.Option(
-            help="Rounds in which the policy drives too.", metavar="N", rich_help_panel=COURSE_PANEL
-        ),
-    ] = 4,
-    episodes: Annotated[
-        int,
-        typer.Option(help="Episodes of each.", metavar="N", rich_help_panel=COURSE_PANEL),
-    ] = 36,
+        int, typer.Option(help="Rounds in which the policy drives.", metavar="N")
+    ] = 5,
+    episodes: Annotated[int, typer.Option(help="Episodes of each.", metavar="N")] = 48,
     noise: Annotated[
-        float,
-        typer.Option(
-            help="On the teacher's actions (-).", metavar="SIGMA", rich_help_panel=COURSE_PANEL
-        ),
-    ] = 0.05,
-    epochs: Annotated[
-        int,
-        typer.Option(
-            help="Passes over all samples per round.", metavar="N", rich_help_panel=COURSE_PANEL
-        ),
-    ] = 30,
+        float, typer.Option(help="On the teacher's actions (-).", metavar="SIGMA")
+    ] = 0.0,
+    epochs: Annotated[int, typer.Option(help="Of the fit of a round.", metavar="N")] = 24,
     seed: SeedOption = 0,
     physics: PhysicsOption = "ours",
     reality: RealityOption = "lab",

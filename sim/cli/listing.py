@@ -79,7 +79,7 @@ GROUPS: dict[str, tuple[Listed, ...]] = {
         ),
         Listed(
             call=learn,
-            example="opposable learn allegro_hand cylinder:0.025..0.035x0.08 --out runs/learn",
+            example="opposable learn allegro_hand cylinder:0.03x0.08 -n 2 --rounds 0",
         ),
     ),
     "Look": (Listed(call=view, example="opposable view plan.json -o plan.html"),),

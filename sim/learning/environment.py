@@ -77,7 +77,7 @@ REDRAWS = 20
 Told: TypeAlias = dict[str, NDArray[np.float32]]
 
 
-class TurnEnv(gymnasium.Env[Told, NDArray[np.float32]]):
+class TurnEnv(gymnasium.Env[Told, NDArray[Any]]):
     """Turning an object in the hand; see the module."""
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012, an attribute of Gymnasium's
@@ -198,7 +198,7 @@ class TurnEnv(gymnasium.Env[Told, NDArray[np.float32]]):
             "object or a milder reality"
         )
 
-    def step(self, action: NDArray[np.float32]) -> tuple[Told, float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[Any]) -> tuple[Told, float, bool, bool, dict[str, Any]]:
         """Act until the next decision, or until the end of the run.
 
         Returns:
@@ -271,7 +271,7 @@ class _Puppet(PolicyController):
         if self.seen is None:
             self._target = super().commands(observation)
         self.seen = observation
-        action: FloatArray = getcurrent().parent.switch()
+        action: FloatArray = getcurrent().parent.switch(None)
         low, high = self._range.T
         if self._meaning == "increment":
             self._target = np.clip(self._target + INCREMENT * action, low, high)

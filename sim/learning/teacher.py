@@ -41,6 +41,10 @@ BANDWIDTH = 30.0
 """Natural frequency (rad/s) of the object that the teacher holds: a decision is held for 10 ms, for
 which the 60 rad/s of a loop with steps of 2 ms are too many."""
 
+LEARNING_RATE = 0.0
+"""Rate (1/s) at which the teacher's loop learns a constant load: not at all, since a policy cannot
+imitate what depends on a memory that it does not have."""
+
 AIM_TAUGHT = float(np.deg2rad(1.5))
 """Turn (rad) beyond the asked one that the teacher aims at; dry friction, against which its loop
 has learned a load, adds a degree at the end."""
@@ -114,7 +118,9 @@ class Demonstrator(PolicyController):
             self.history = SenseHistory(plan.task, senses)
         self.simulation: Simulation | None = None
         mass, inertia = felt_inertia(plan, plan.task.object.mass)
-        gains = ImpedanceGains.of_body(mass=mass, inertia=inertia, bandwidth=BANDWIDTH)
+        gains = ImpedanceGains.of_body(
+            mass=mass, inertia=inertia, bandwidth=BANDWIDTH, learning_rate=LEARNING_RATE
+        )
         self.teacher = ObjectImpedance(plan, gains=gains, max_normal=max_normal)
         self.senses: list[FloatArray] = []
         self.wanted: list[FloatArray] = []
@@ -156,7 +162,7 @@ class Demonstrator(PolicyController):
         told = self.history.vector(observation, self.playback, self.action)
         truth = self.simulation.observe(observation.phase, observation.progress)
         commands = self.teacher.step(truth) + self._apart(truth.q)
-        commands = commands + self.playback.shift @ (observation.q - truth.q)
+        commands = commands + self.playback.shift @ (self.playback.q - truth.q)
         wanted = np.clip((commands - self.playback.ctrl) / self.scale, -1.0, 1.0)
         if len(self.senses) % STRETCH == 0:
             self._teaches = bool(self._rng.random() < self._share)

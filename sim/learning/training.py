@@ -32,7 +32,7 @@ from sim.learning.collecting import Episode, read_episode, run_episode
 from sim.learning.curves import draw_curves
 from sim.learning.fitting import fit
 from sim.learning.policy import ACTION_SCALE, RATE_HZ, Policy, PolicyFor
-from sim.learning.senses import SENSES, checked_senses
+from sim.learning.senses import checked_senses
 from sim.learning.trials import Plans, TurnTask
 
 __all__ = ["Course", "Learned", "Progress", "learn"]
@@ -40,6 +40,10 @@ __all__ = ["Course", "Learned", "Progress", "learn"]
 LEARN_FORMAT, LEARN_VERSION = "opposable-learn", 1
 """What ``learn.json`` says it is."""
 
+
+TOLD = ("joints", "touch")
+"""Senses of a policy if none are given. With its own last targets it learns to repeat them: what
+the teacher wants now is best told by what it wanted before."""
 
 LOOKED_AT = 2000
 """Samples, about, of which the error of a fit is told."""
@@ -59,13 +63,13 @@ class Course:
         senses: What the policy is told beside the plan.
     """
 
-    plans: int = 24
-    demonstrations: int = 72
-    rounds: int = 4
-    episodes: int = 36
-    noise: float = 0.05
-    epochs: int = 30
-    senses: tuple[str, ...] = SENSES
+    plans: int = 48
+    demonstrations: int = 96
+    rounds: int = 5
+    episodes: int = 48
+    noise: float = 0.0
+    epochs: int = 24
+    senses: tuple[str, ...] = TOLD
 
     def __post_init__(self) -> None:
         """Check every number.
