@@ -76,6 +76,7 @@ class Numb:
     """An estimator by touch, of a hand whose pads fail in the hold."""
 
     def __init__(self, task: GraspTask, errors: SensorErrors) -> None:
+        """Made for each trial."""
         self._inner = ObjectEstimator(task, errors, camera=False)
 
     @property

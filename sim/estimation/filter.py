@@ -44,7 +44,7 @@ PUSHED, PUSHED_UP = (3e-3, 0.05), (1e-3, 0.03)
 """The same of one that is touched: along the table and about the vertical; up, and by tipping."""
 
 ROLLING = 0.15
-"""The same of a turn about a horizontal axis of an object that rolls on its table, rad / sqrt(s)."""
+"""The same, rad / sqrt(s), of a ball that rolls on its table, about a horizontal axis."""
 
 CARRIED = (0.1, 2.0)
 """The same of one that no contact holds."""
