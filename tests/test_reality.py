@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -362,6 +363,49 @@ def test_an_offset_moves_the_joint_of_a_position_servo_the_other_way(plan: Grasp
         read.append(simulation.sensed(simulation.observe("approach", 1.0)).q)
     np.testing.assert_allclose(rest[1] - rest[0], -offset * np.eye(16)[k], atol=2e-4)
     np.testing.assert_allclose(read[1], read[0], atol=2e-4)
+
+
+@pytest.mark.parametrize("load", [0.5, -0.5])
+def test_backlash_lets_a_joint_rest_anywhere_between_the_stops(
+    plan: GraspPlan, load: float
+) -> None:
+    """A joint rests half a band from where it would, on the side to which a torque pulls it."""
+    floating = replace(plan, task=replace(plan.task, gravity=np.zeros(3)))
+    k, band = 2, np.deg2rad(4.0)
+    rest, read = [], []
+    for backlash in (0.0, band):
+        simulation = Simulation(
+            floating,
+            controller=Still(plan.q_start.copy()),
+            reality=Reality(backlash=backlash, pose_noise=1e-9),
+        )
+        dof = simulation.scene.hand_dof[k]
+        for _ in simulation.run("approach", 1.5, before=partial(_load, simulation, dof, load)):
+            pass
+        rest.append(simulation.q)
+        read.append(simulation.sensed(simulation.observe("approach", 1.0)).q)
+    expected = np.sign(load) * 0.5 * band
+    assert rest[1][k] - rest[0][k] == pytest.approx(expected, abs=1e-3)
+    assert read[1][k] - rest[1][k] == pytest.approx(-expected, abs=1e-3)  # the motor has gone back
+    np.testing.assert_allclose(read[1][k], read[0][k], atol=2e-3)
+
+
+def _load(simulation: Simulation, dof: int, torque: float, since: float) -> None:
+    del since
+    simulation.data.qfrc_applied[dof] = torque
+
+
+def test_a_motor_has_no_backlash_and_within_the_band_a_servo_gives_no_force(
+    task: GraspTask,
+) -> None:
+    hand = task.hand
+    q = np.full(hand.nq, 0.2)
+    idle = hand.actuation.commands(q, np.zeros(hand.nq), np.zeros(hand.nq))
+    drive = RealDrive(Reality(backlash=0.1), nothing(task), hand.actuation)
+    for ahead, left in ((0.04, 0.0), (-0.05, 0.0), (0.07, 0.02)):
+        ctrl = drive.drive(0.0, idle + ahead, q)
+        drive = RealDrive(Reality(backlash=0.1), nothing(task), hand.actuation)
+        np.testing.assert_allclose(ctrl - idle, left, atol=1e-12)
 
 
 def test_offsets_pass_through_tendons_and_clipping_comes_before() -> None:

@@ -63,7 +63,7 @@ class RealityOfTrial:
         """What sensors say of the truth; asked again at the same time they say the same."""
         last = self._last
         if last is None or last.time != truth.time:
-            self._last = last = self._senses.read(truth)
+            self._last = last = self._senses.read(truth, self._drive.ahead)
         if (last.phase, last.progress) == (truth.phase, truth.progress):
             return last
         return replace(last, phase=truth.phase, progress=truth.progress)
