@@ -23,7 +23,9 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
+from sim.contacts import hand_contacts
 from sim.controllers import GraspController, Observation, PadReading, Phase
+from sim.manipulation.regrasping import margin_without
 from sim.manipulation.run import ManipulationRun
 from sim.physics import PhysicsOptions
 from sim.reality import REALITIES, Drawn, Reality, RealityOfTrial, named_reality, register_reality
@@ -586,6 +588,38 @@ def test_layers_without_errors_change_no_bit_of_a_manipulation() -> None:
     assert reports[0].complete
     same_states(reports[0].recording, reports[1].recording)
     assert reports[0].numbers() == reports[1].numbers()
+
+
+def test_the_hand_carries_the_object_to_where_it_reads_it() -> None:
+    """A camera that is 4 mm off along x: the object is put down 4 mm short of its target there."""
+    task = task_of("cylinder:0.03x0.08")
+    plan = plan_manipulation(task, angle=np.deg2rad(20.0), place=(0.04, -0.02))
+    ends, margins = [], []
+    for bias in (0.0, 0.004):
+        run = ManipulationRun(plan, timeline=QUICK, estimator="none")
+        drawn = nothing(plan.task, pose_bias=np.array([bias, 0.0, 0.0]))
+        simulation = run.sim.simulation
+        simulation.reality = RealityOfTrial(Reality(pose_bias=1.0), plan.task, drawn)
+
+        def look(simulation: Simulation, run: ManipulationRun = run) -> None:
+            if simulation.phase == "hold" and simulation.due(0.1):
+                true = hand_contacts(simulation.scene, simulation.data)
+                pair = [
+                    margin_without(found, plan.task, plan.task.finger_names[1])
+                    for found in (true, run.sim.reading.contacts())
+                ]
+                margins.append(pair)
+                assert run.sim.reading.turned() == pytest.approx(
+                    run.sim.recorder.moved()[0], abs=1e-6
+                )
+
+        simulation.on_step = look
+        assert run.perform().complete
+        ends.append(simulation.T_world_object.translation)
+    np.testing.assert_allclose(ends[1] - ends[0], [-0.004, 0.0, 0.0], atol=5e-4)
+    assert margins  # what pads say of the contacts is what they are
+    true, read = np.array(margins).T
+    np.testing.assert_allclose(read, true, atol=0.02)
 
 
 def test_the_report_says_what_was_drawn_and_comes_again(plan: GraspPlan, tmp_path: Any) -> None:
