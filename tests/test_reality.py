@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -22,7 +23,9 @@ from planner.plan import GraspPlan
 from planner.search import plan_grasp
 from planner.spatial import SE3, FloatArray
 from planner.task import GraspTask
+from sim.contacts import hand_contacts
 from sim.controllers import GraspController, Observation, PadReading, Phase
+from sim.manipulation.regrasping import margin_without
 from sim.manipulation.run import ManipulationRun
 from sim.physics import PhysicsOptions
 from sim.reality import REALITIES, Drawn, Reality, RealityOfTrial, named_reality, register_reality
@@ -364,6 +367,49 @@ def test_an_offset_moves_the_joint_of_a_position_servo_the_other_way(plan: Grasp
     np.testing.assert_allclose(read[1], read[0], atol=2e-4)
 
 
+@pytest.mark.parametrize("load", [0.5, -0.5])
+def test_backlash_lets_a_joint_rest_anywhere_between_the_stops(
+    plan: GraspPlan, load: float
+) -> None:
+    """A joint rests half a band from where it would, on the side to which a torque pulls it."""
+    floating = replace(plan, task=replace(plan.task, gravity=np.zeros(3)))
+    k, band = 2, np.deg2rad(4.0)
+    rest, read = [], []
+    for backlash in (0.0, band):
+        simulation = Simulation(
+            floating,
+            controller=Still(plan.q_start.copy()),
+            reality=Reality(backlash=backlash, pose_noise=1e-9),
+        )
+        dof = simulation.scene.hand_dof[k]
+        for _ in simulation.run("approach", 1.5, before=partial(_load, simulation, dof, load)):
+            pass
+        rest.append(simulation.q)
+        read.append(simulation.sensed(simulation.observe("approach", 1.0)).q)
+    expected = np.sign(load) * 0.5 * band
+    assert rest[1][k] - rest[0][k] == pytest.approx(expected, abs=1e-3)
+    assert read[1][k] - rest[1][k] == pytest.approx(-expected, abs=1e-3)  # the motor has gone back
+    np.testing.assert_allclose(read[1][k], read[0][k], atol=2e-3)
+
+
+def _load(simulation: Simulation, dof: int, torque: float, since: float) -> None:
+    del since
+    simulation.data.qfrc_applied[dof] = torque
+
+
+def test_a_motor_has_no_backlash_and_within_the_band_a_servo_gives_no_force(
+    task: GraspTask,
+) -> None:
+    hand = task.hand
+    q = np.full(hand.nq, 0.2)
+    idle = hand.actuation.commands(q, np.zeros(hand.nq), np.zeros(hand.nq))
+    drive = RealDrive(Reality(backlash=0.1), nothing(task), hand.actuation)
+    for ahead, left in ((0.04, 0.0), (-0.05, 0.0), (0.07, 0.02)):
+        ctrl = drive.drive(0.0, idle + ahead, q)
+        drive = RealDrive(Reality(backlash=0.1), nothing(task), hand.actuation)
+        np.testing.assert_allclose(ctrl - idle, left, atol=1e-12)
+
+
 def test_offsets_pass_through_tendons_and_clipping_comes_before() -> None:
     hand = load_hand("shadow_hand")
     task = GraspTask.create(hand, "sphere")
@@ -542,6 +588,38 @@ def test_layers_without_errors_change_no_bit_of_a_manipulation() -> None:
     assert reports[0].complete
     same_states(reports[0].recording, reports[1].recording)
     assert reports[0].numbers() == reports[1].numbers()
+
+
+def test_the_hand_carries_the_object_to_where_it_reads_it() -> None:
+    """A camera that is 4 mm off along x: the object is put down 4 mm short of its target there."""
+    task = task_of("cylinder:0.03x0.08")
+    plan = plan_manipulation(task, angle=np.deg2rad(20.0), place=(0.04, -0.02))
+    ends, margins = [], []
+    for bias in (0.0, 0.004):
+        run = ManipulationRun(plan, timeline=QUICK, estimator="none")
+        drawn = nothing(plan.task, pose_bias=np.array([bias, 0.0, 0.0]))
+        simulation = run.sim.simulation
+        simulation.reality = RealityOfTrial(Reality(pose_bias=1.0), plan.task, drawn)
+
+        def look(simulation: Simulation, run: ManipulationRun = run) -> None:
+            if simulation.phase == "hold" and simulation.due(0.1):
+                true = hand_contacts(simulation.scene, simulation.data)
+                pair = [
+                    margin_without(found, plan.task, plan.task.finger_names[1])
+                    for found in (true, run.sim.reading.contacts())
+                ]
+                margins.append(pair)
+                assert run.sim.reading.turned() == pytest.approx(
+                    run.sim.recorder.moved()[0], abs=1e-6
+                )
+
+        simulation.on_step = look
+        assert run.perform().complete
+        ends.append(simulation.T_world_object.translation)
+    np.testing.assert_allclose(ends[1] - ends[0], [-0.004, 0.0, 0.0], atol=5e-4)
+    assert margins  # what pads say of the contacts is what they are
+    true, read = np.array(margins).T
+    np.testing.assert_allclose(read, true, atol=0.02)
 
 
 def test_the_report_says_what_was_drawn_and_comes_again(plan: GraspPlan, tmp_path: Any) -> None:

@@ -7,7 +7,15 @@ true lengths, the command is shifted by that error through the transmission:
 
     ctrl = clip(command) - k R (reading - q),   k = -bias1 / gain,
 
-with F = gain ctrl + bias0 + bias1 length (``planner.actuation``). k is 1 for a position servo and 0
+and backlash is a dead band of the servo about its joint, of a motor side without inertia that moves
+to where it is wanted as far as the band lets it:
+
+    ctrl = c0 + dead_band(ctrl - c0, k b / 2),   c0 = where the servo gives no force at q.
+
+The encoder sits on the motor's side: it reads how far that has gone ahead of the joint too. Between
+the stops the servo's damping still acts on the joint, and within a time step its spring.
+
+Here F = gain ctrl + bias0 + bias1 length (``planner.actuation``). k is 1 for a position servo and 0
 for a motor, which gives its torque whatever the encoder says. Scale errors act explicitly, once a
 time step. Encoder noise is left out of the servo: it closes its loop many times per time step.
 """
@@ -37,6 +45,11 @@ class RealDrive:
         self._low, self._high = actuation.ctrl_range.T
         servo = -actuation.bias[:, 1] / actuation.gain
         self._shift = servo[:, None] * actuation.moment
+        self._actuation, self._servo = actuation, servo
+        widest = np.abs(actuation.moment).max(axis=1, initial=0.0)
+        self._half_band = 0.5 * reality.backlash * widest * (servo > 0)
+        self._ahead: FloatArray = np.zeros(actuation.moment.shape[1])
+        self._to_joints = np.linalg.pinv(actuation.moment * (servo > 0)[:, None])
         self._under_way: deque[tuple[float, FloatArray]] = deque()
         self._next = 0.0
 
@@ -49,7 +62,24 @@ class RealDrive:
             q: True joints (nq,).
         """
         acting = np.clip(self._arrived(time, commands), self._low, self._high)
-        return np.asarray(acting - self._shift @ encoder_error(self._drawn, q))
+        acting -= self._shift @ encoder_error(self._drawn, q)
+        return acting if not self._half_band.any() else self._in_gear(acting, q)
+
+    @property
+    def ahead(self) -> FloatArray:
+        """How far (nq,) the motors' sides have gone ahead of the joints, rad or m."""
+        return self._ahead
+
+    def _in_gear(self, acting: FloatArray, q: FloatArray) -> FloatArray:
+        """What is left of the commands (nu,) beyond the lost motion at joints (nq,)."""
+        a = self._actuation
+        length = a.moment @ q + a.length0
+        idle = -(a.bias[:, 0] + a.bias[:, 1] * length) / a.gain
+        pull = acting - idle
+        band = self._servo * self._half_band
+        lost = np.clip(pull, -band, band)
+        self._ahead = self._to_joints @ (lost / np.where(self._servo > 0, self._servo, 1.0))
+        return np.asarray(idle + pull - lost)
 
     def _arrived(self, time: float, commands: FloatArray) -> FloatArray:
         """The newest commands that act; before any does, the first ones."""

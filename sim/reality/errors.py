@@ -43,6 +43,8 @@ class Reality:
         encoder_scale: Standard deviation of a joint's scale error (-).
         encoder_noise: Standard deviation of the white noise of a joint's reading, rad.
         rate_noise: Standard deviation of the white noise of a joint's velocity, rad/s.
+        backlash: Lost motion between each position servo and its joint, from stop to stop, rad (m
+            for slides); motors have none.
         dry_friction: Dry friction of every joint beside what the model has, N m (N for slides).
         torque_constant: Largest error of an actuator's force, as a share of it (-).
         command_delay: Age of a command when it acts, s.
@@ -75,6 +77,7 @@ class Reality:
     encoder_scale: float = 0.0
     encoder_noise: float = 0.0
     rate_noise: float = 0.0
+    backlash: float = 0.0
     dry_friction: float = 0.0
     torque_constant: float = 0.0
     command_delay: float = 0.0
@@ -189,6 +192,7 @@ SENSED = (
     "encoder_scale",
     "encoder_noise",
     "rate_noise",
+    "backlash",
     "pose_noise",
     "turn_noise",
     "pose_drift",
@@ -202,7 +206,8 @@ SENSED = (
     "touch_noise",
     "sliding_noise",
 )
-"""Errors of sensors; the others are of drives and of the world."""
+"""Errors of sensors and of what stands between them and the joints; the others are of drives and of
+the world."""
 
 FOREVER = 1e9
 """A time (s) that no trial lasts."""

@@ -115,15 +115,16 @@ class RealSenses:
         self._camera = _Camera()
         self._closed: tuple[float, SE3] | None = None  # when, and T_base_world then
         self._sees_exactly = not reality.blurs_pose
-        self._reads_exactly = not (drawn.encoder_offset.any() or drawn.encoder_scale.any())
+        off = drawn.encoder_offset.any() or drawn.encoder_scale.any()
+        self._reads_exactly = not off and reality.backlash == 0.0
         neutral = task.hand.neutral
         self._true_hand = MovingHand(task.hand, neutral)
         self._read_hand = MovingHand(task.hand, neutral)
 
-    def read(self, truth: Observation) -> Observation:
-        """What is read of the truth."""
+    def read(self, truth: Observation, ahead: FloatArray | float = 0.0) -> Observation:
+        """What is read of the truth, by encoders that are ahead (nq,) of their joints, rad."""
         r, n = self._reality, len(truth.q)
-        q = truth.q + encoder_error(self._drawn, truth.q)
+        q = truth.q + encoder_error(self._drawn, truth.q) + ahead
         q = q + r.encoder_noise * self._rng["encoder_noise"].standard_normal(n)
         v = truth.v * (1.0 + self._drawn.encoder_scale)
         v = v + r.rate_noise * self._rng["rate_noise"].standard_normal(n)

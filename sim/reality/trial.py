@@ -77,7 +77,7 @@ class RealityOfTrial:
         last = self._last
         if last is None or last.time != truth.time:
             felt = truth if self._touch is None else self._touch.read(truth)
-            self._last = last = self._senses.read(felt)
+            self._last = last = self._senses.read(felt, self._drive.ahead)
         if (last.phase, last.progress) == (truth.phase, truth.progress):
             return last
         return replace(last, phase=truth.phase, progress=truth.progress)

@@ -5,8 +5,7 @@ dry friction, and actuators give more or less than they are asked for. What the 
 
 Dry friction is MuJoCo's ``frictionloss``: a torque against the motion, up to the given one. It is a
 soft constraint, so a joint that sticks creeps a little under load. It is the same at rest and in
-motion (no Stribeck effect). Backlash is left out: a dead band between drive and joint takes a
-degree of freedom for the drive's side of each gear, with an inertia that no model of a hand tells.
+motion (no Stribeck effect).
 """
 
 from __future__ import annotations

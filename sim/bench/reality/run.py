@@ -195,6 +195,7 @@ def _planned(task: str, hand: str, kind: str, draw: int) -> tuple[Any, float]:
 def _number(task: str, hand: str, kind: str, draw: int, loop: Loop, reality: Reality) -> int:
     """The number of a row: what is run, and nothing else, decides it."""
     told = loop.told(reality)
+    off = {name: value for name, value in told.numbers.items() if value}
     what = [
         task,
         hand,
@@ -202,7 +203,7 @@ def _number(task: str, hand: str, kind: str, draw: int, loop: Loop, reality: Rea
         draw,
         loop.driver,
         loop.estimator,
-        None if told.ideal else told.numbers,
+        None if told.ideal else off,
     ]
     digest = hashlib.blake2b(json.dumps(what).encode(), digest_size=8).digest()
     return int.from_bytes(digest) >> (64 - BITS)
