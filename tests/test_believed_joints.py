@@ -85,7 +85,7 @@ def test_a_correction_closes_the_stop_and_keeps_the_tendon(
     other: float, middle: float, gap: float, pull: float
 ) -> None:
     """Least change: along the stop's row only, and a tendon over both keeps its length."""
-    hand = make([[pull, pull, 0], [0, 0, 1]], [[1, -1, 0], [0, 0, 1]], [0.0, -1.0])
+    hand = make([[pull, pull, 0.0], [0.0, 0.0, 1.0]], [[1, -1, 0], [0, 0, 1]], [0.0, -1.0])
     read = np.array([middle + gap, middle, other])
     believed = BelievedJoints(hand, np.array([middle, middle, other])).believe(read)
     assert believed[0] - believed[1] == pytest.approx(0.0, abs=1e-12)

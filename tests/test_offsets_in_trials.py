@@ -10,6 +10,7 @@ from planner.search import plan_grasp
 from planner.spatial import FloatArray
 from planner.task import GraspTask
 from sim.controllers.believed import BelievedJoints
+from sim.controllers.calibration import Calibration
 from sim.controllers.lightly import LightTouch
 from sim.reality import REALITIES
 from sim.report import TrialReport
@@ -37,15 +38,16 @@ def test_three_degrees_are_borne_by_tendons_and_stops(plan: GraspPlan, controlle
     assert report.success, report.verdict.detail
 
 
-def test_without_the_stops_it_would_be_lost(
+def test_a_controller_that_trusts_its_encoders_loses_it(
     plan: GraspPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The same trial with the stops judged by the reading alone, as a plan judges them."""
+    """The same trial, stops judged by the reading alone and no look at the contacts."""
 
     def as_read(_: BelievedJoints, q: FloatArray) -> FloatArray:
         return q
 
     monkeypatch.setattr(BelievedJoints, "believe", as_read)
+    monkeypatch.setattr(Calibration, "learn", lambda *_: False)
     assert not held(plan, "impedance").success
 
 

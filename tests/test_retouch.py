@@ -42,9 +42,7 @@ def touching(plan: GraspPlan, offset: FloatArray) -> Observation:
 
 
 def off_by(plan: GraspPlan, degrees: float) -> FloatArray:
-    return np.asarray(
-        np.deg2rad(degrees) * np.random.default_rng(1).standard_normal(len(plan.q))
-    )
+    return np.asarray(np.deg2rad(degrees) * np.random.default_rng(1).standard_normal(len(plan.q)))
 
 
 def test_exact_joints_touch_once_and_are_left_alone(plan: GraspPlan) -> None:
@@ -63,7 +61,7 @@ def test_joints_that_are_off_open_and_close_where_they_are(plan: GraspPlan) -> N
     closing = TouchAgain(plan, calibration)
     seen = touching(plan, off_by(plan, 3.0))
     closing.step(DT, seen)
-    assert closing.busy
+    assert closing.again
     offset = calibration.offset
     assert offset.any()
     free = replace(seen, normal_forces=np.zeros(len(plan.task.fingers)))
@@ -73,9 +71,9 @@ def test_joints_that_are_off_open_and_close_where_they_are(plan: GraspPlan) -> N
     for _ in range(close_steps):
         down = closing.step(DT, free)
     np.testing.assert_allclose(down, plan.q + offset, atol=1e-3)
-    assert closing.busy
+    seen_busy = [closing.busy]
     closing.step(DT, seen)  # all touch again
-    assert not closing.busy
+    assert [*seen_busy, closing.busy] == [True, False]
     assert calibration.offset is offset
 
 

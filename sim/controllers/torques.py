@@ -148,8 +148,8 @@ class HoldingTorques:
         normals: FloatArray,
         holding: NDArray[np.bool_],
         searching: NDArray[np.bool_],
-        believed: FloatArray,
-        read: FloatArray,
+        believed: FloatArray | None = None,
+        read: FloatArray | None = None,
     ) -> FloatArray:
         """Commands (nu,) that press.
 
@@ -158,8 +158,9 @@ class HoldingTorques:
             normals: (n, 3), into the object.
             holding: (n,), which fingers hold.
             searching: (n,), which look for the object; the rest stay off it.
-            believed: (nq,), joints as the stops have them; see ``sim.controllers.believed``.
-            read: (nq,), joints as the servos' encoders have them.
+            believed: (nq,), joints as the stops have them, see ``sim.controllers.believed``; those
+                of ``move`` if None.
+            read: (nq,), joints as the servos' encoders have them; those of ``move`` if None.
         """
         seek = SEARCH_FORCE * normals
         away = RETREAT_STIFFNESS * (self._apart - RETREAT * normals)
@@ -173,9 +174,9 @@ class HoldingTorques:
         self._torque = torque
         self._law_q = np.where(self._moving, self._q, self._q_ref)
         encoders = self._law_q
-        if read is not self._q:
+        if read is not None and read is not self._q:
             encoders = self._law_q + (read - self._q)
-        if believed is not self._q:
+        if believed is not None and believed is not self._q:
             self._law_q = np.where(self._moving, believed, self._q_ref)
         v = np.where(self._moving, self._v, 0.0)
         return servo_commands(self._hand.actuation, encoders, self._law_q, v, torque)
