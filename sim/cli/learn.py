@@ -53,17 +53,20 @@ def learn(
     ] = Path("runs/learn"),
     rotate: Annotated[float, typer.Option(help="Turn, degrees.", metavar="DEG")] = 90.0,
     senses: Annotated[
-        str, typer.Option(help="Of joints,touch,targets.", metavar="NAMES")
-    ] = "joints,touch",
+        str, typer.Option(help="Or targets, plan.", metavar="NAMES")
+    ] = "joints,touch,clock",
     plans: Annotated[int, typer.Option(help="Plans to learn from.", metavar="N")] = 48,
     demonstrations: Annotated[
         int,
-        typer.Option("-n", "--demonstrations", help="Episodes of the teacher.", metavar="N"),
+        typer.Option("-n", "--demonstrations", help="Episodes of round 0.", metavar="N"),
     ] = 96,
     rounds: Annotated[
         int, typer.Option(help="Rounds in which the policy drives.", metavar="N")
     ] = 5,
     episodes: Annotated[int, typer.Option(help="Episodes of each.", metavar="N")] = 48,
+    share: Annotated[
+        float, typer.Option(help="Of round 0 that the teacher drives.", metavar="S")
+    ] = 0.0,
     noise: Annotated[
         float, typer.Option(help="On the teacher's actions (-).", metavar="SIGMA")
     ] = 0.0,
@@ -96,6 +99,7 @@ def learn(
         demonstrations=demonstrations,
         rounds=rounds,
         episodes=episodes,
+        share=share,
         noise=noise,
         epochs=epochs,
         senses=tuple(names(senses)),

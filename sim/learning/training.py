@@ -1,7 +1,7 @@
 """``learn``: a policy by imitation of the planner's closed loop, and what is kept of it on disk.
 
-    round 0       the teacher drives, with noise: behaviour cloning
-    round i > 0   the policy of the round before drives a growing share of the time (DAgger)
+    round 0       the playback drives, and the teacher says what it would do
+    round i > 0   the policy of the round before drives, and the teacher likewise (DAgger)
 
 Each round's policy is fitted anew to the episodes of all rounds so far. A folder keeps them:
 
@@ -41,7 +41,7 @@ LEARN_FORMAT, LEARN_VERSION = "opposable-learn", 1
 """What ``learn.json`` says it is."""
 
 
-TOLD = ("joints", "touch")
+TOLD = ("joints", "touch", "clock")
 """Senses of a policy if none are given. With its own last targets it learns to repeat them: what
 the teacher wants now is best told by what it wanted before."""
 
@@ -58,6 +58,9 @@ class Course:
         demonstrations: Episodes of round 0.
         rounds: Rounds after it.
         episodes: Episodes of each of these.
+        share: Share of the time in which the teacher drives in round 0; it halves from round to
+            round. Where only the teacher drives, joints deviate because of its actions, and a
+            policy learns the feedback with the wrong sign.
         noise: Noise on the teacher's actions while it drives (-).
         epochs: Passes over all samples in the fit of a round.
         senses: What the policy is told beside the plan.
@@ -67,6 +70,7 @@ class Course:
     demonstrations: int = 96
     rounds: int = 5
     episodes: int = 48
+    share: float = 0.0
     noise: float = 0.0
     epochs: int = 24
     senses: tuple[str, ...] = TOLD
@@ -80,9 +84,10 @@ class Course:
         for name in ("plans", "demonstrations", "episodes", "epochs"):
             if getattr(self, name) < 1:
                 raise TaskError(f"{name} is {getattr(self, name)}; give at least 1")
-        if self.rounds < 0 or not 0.0 <= self.noise < 1.0:
+        if self.rounds < 0 or not 0.0 <= self.noise < 1.0 or not 0.0 <= self.share <= 1.0:
             raise TaskError(
-                f"rounds {self.rounds}, noise {self.noise}; give rounds >= 0 and noise in [0, 1)"
+                f"rounds {self.rounds}, noise {self.noise}, share {self.share}; give rounds >= 0, "
+                "noise in [0, 1) and share in [0, 1]"
             )
         checked_senses(self.senses)
 
@@ -90,9 +95,9 @@ class Course:
         """The first episode of a round."""
         return 0 if number == 0 else self.demonstrations + (number - 1) * self.episodes
 
-    def share(self, number: int) -> float:
-        """Share of the time in which the teacher drives in a round: 1, 1/2, 1/4, ..., last 0."""
-        return 0.0 if 0 < number == self.rounds else 0.5**number
+    def teaches(self, number: int) -> float:
+        """Share of the time in which the teacher drives in a round: it halves, and ends at 0."""
+        return 0.0 if 0 < number == self.rounds else self.share * 0.5**number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,7 +205,7 @@ def learn(
     error = float("nan")
     total = course.begins(course.rounds + 1)
     for number in range(course.rounds + 1):
-        strict, begin, share = 0, course.begins(number), course.share(number)
+        strict, begin, share = 0, course.begins(number), course.teaches(number)
         for k in range(begin, course.begins(number + 1)):
             episode = _episode(plans, k, course, folder, policy, share)
             samples.append(episode)
