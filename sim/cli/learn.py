@@ -64,12 +64,6 @@ def learn(
         int, typer.Option(help="Rounds in which the policy drives.", metavar="N")
     ] = 3,
     episodes: Annotated[int, typer.Option(help="Episodes of each.", metavar="N")] = 18,
-    share: Annotated[
-        float, typer.Option(help="Of round 0 that the teacher drives.", metavar="S")
-    ] = 0.0,
-    noise: Annotated[
-        float, typer.Option(help="On the teacher's actions (-).", metavar="SIGMA")
-    ] = 0.0,
     epochs: Annotated[int, typer.Option(help="Of the fit of a round.", metavar="N")] = 16,
     seed: SeedOption = 0,
     physics: PhysicsOption = "ours",
@@ -99,8 +93,6 @@ def learn(
         demonstrations=demonstrations,
         rounds=rounds,
         episodes=episodes,
-        share=share,
-        noise=noise,
         epochs=epochs,
         senses=tuple(names(senses)),
     )
