@@ -53,27 +53,24 @@ def learn(
     ] = Path("runs/learn"),
     rotate: Annotated[float, typer.Option(help="Turn, degrees.", metavar="DEG")] = 90.0,
     senses: Annotated[
-        str, typer.Option(help="Of joints,touch,targets.", metavar="NAMES")
-    ] = "joints,touch",
-    plans: Annotated[int, typer.Option(help="Plans to learn from.", metavar="N")] = 48,
+        str, typer.Option(help="Of joints,touch,targets,plan,clock.", metavar="NAMES")
+    ] = "clock",
+    plans: Annotated[int, typer.Option(help="Plans to learn from.", metavar="N")] = 36,
     demonstrations: Annotated[
         int,
-        typer.Option("-n", "--demonstrations", help="Episodes of the teacher.", metavar="N"),
-    ] = 96,
+        typer.Option("-n", "--demonstrations", help="Episodes of round 0.", metavar="N"),
+    ] = 36,
     rounds: Annotated[
         int, typer.Option(help="Rounds in which the policy drives.", metavar="N")
-    ] = 5,
-    episodes: Annotated[int, typer.Option(help="Episodes of each.", metavar="N")] = 48,
-    noise: Annotated[
-        float, typer.Option(help="On the teacher's actions (-).", metavar="SIGMA")
-    ] = 0.0,
-    epochs: Annotated[int, typer.Option(help="Of the fit of a round.", metavar="N")] = 24,
+    ] = 3,
+    episodes: Annotated[int, typer.Option(help="Episodes of each.", metavar="N")] = 18,
+    epochs: Annotated[int, typer.Option(help="Of the fit of a round.", metavar="N")] = 16,
     seed: SeedOption = 0,
     physics: PhysicsOption = "ours",
     reality: RealityOption = "lab",
     as_json: JsonOption = False,
 ) -> None:
-    """Learn to turn objects in the hand by joints and touch alone.
+    """Learn to turn objects in the hand without a camera.
 
     The planner's closed loop, which is told the truth, teaches a small network that is told what
     sensors say. Use the policy with --controller policy:FILE.
@@ -96,7 +93,6 @@ def learn(
         demonstrations=demonstrations,
         rounds=rounds,
         episodes=episodes,
-        noise=noise,
         epochs=epochs,
         senses=tuple(names(senses)),
     )

@@ -121,7 +121,7 @@ def run_episode(
         plans: Plans, of which the first ``count`` take turns.
         number: Of the episode.
         count: How many plans there are to learn from.
-        policy: Which policy drives beside the teacher; the teacher alone if None.
+        policy: Which policy drives where the teacher does not; the playback alone if None.
         share: Share of the time in which the teacher drives, 0 to 1.
         noise: Noise on the teacher's actions while it drives (-).
         senses: What a policy is told, where there is none yet.

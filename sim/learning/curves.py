@@ -34,7 +34,7 @@ def draw_curves(rows: Sequence[dict[str, Any]], path: Path) -> bool:
         rates.plot(numbers, 100.0 * np.array(share), "o-", label=label)
     teacher = [next(row["teacher_share"] for row in rows if row["round"] == k) for k in numbers]
     rates.plot(numbers, 100.0 * np.array(teacher), ":", color="gray", label="teacher drives")
-    rates.set(ylabel="% of episodes, of time", ylim=(-3, 103))
+    rates.set(ylabel="% of episodes, or of time", ylim=(-3, 103))
     rates.legend(loc="lower left")
     rates.grid(alpha=0.3)
     known = [row for row in rows if np.isfinite(row["turned_deg"])]
@@ -45,7 +45,11 @@ def draw_curves(rows: Sequence[dict[str, Any]], path: Path) -> bool:
         s=9,
         c=["C2" if row["strict"] else "C3" for row in known],
     )
-    turns.set(xlabel="round", ylabel="turned, degrees", xticks=numbers)
+    turns.set(
+        xlabel="round; 0 is the playback alone",
+        ylabel="turned, degrees\n(green: with closure)",
+        xticks=numbers,
+    )
     turns.grid(alpha=0.3)
     figure.savefig(path)
     return True

@@ -1,7 +1,7 @@
 """``fit``: a policy from samples, by scikit-learn's multilayer perceptron.
 
 scikit-learn is the smallest of the well-kept trainers (10 MB; PyTorch for the CPU takes 200, JAX
-with optax 100), and a network of 30,000 weights needs nothing that it lacks. The same samples and
+with optax 100), and a network of 10,000 weights needs nothing that it lacks. The same samples and
 seed give the same policy on one machine.
 """
 
@@ -18,16 +18,16 @@ from sim.learning.policy import Policy, PolicyFor, normalised
 
 __all__ = ["NEEDS_SKLEARN", "fit", "trained_network"]
 
-HIDDEN = (128, 128)
+HIDDEN = (64, 64)
 """Units of the hidden layers."""
 
 STAGES = ((1e-3, 0.6), (3e-4, 0.25), (1e-4, 0.15))
 """Learning rates, and the share of the epochs with each."""
 
-BATCH, DECAY = 256, 1e-5
-"""Samples per step of Adam, and the penalty on squared weights."""
+BATCH, DECAY = 256, 1.0
+"""Samples per step of Adam, and scikit-learn's ``alpha``, which it divides by them."""
 
-LEAST_SCALE = 1e-3
+LEAST_SCALE = 1e-2
 """Least standard deviation by which a sense is divided: one that never changed stays near 0."""
 
 NEEDS_SKLEARN = (
@@ -58,13 +58,18 @@ def fit(
     if len(senses) == 0:
         raise TaskError("there are no samples to learn from; collect episodes first")
     mean, scale = senses.mean(axis=0), np.maximum(senses.std(axis=0), np.float32(LEAST_SCALE))
-    network = trained_network(normalised(senses, mean, scale), wanted, epochs=epochs, seed=seed)
+    # actions are a few hundredths, and first weights are made for outputs of size 1
+    unit = max(float(wanted.std()), LEAST_SCALE)
+    inputs = normalised(senses, mean, scale)
+    network = trained_network(inputs, wanted / unit, epochs=epochs, seed=seed)
+    weights, biases = list(network.coefs_), list(network.intercepts_)
+    weights[-1], biases[-1] = unit * weights[-1], unit * biases[-1]
     return Policy(
         about=about,
         mean=mean,
         scale=scale,
-        weights=tuple(w.astype(np.float32) for w in network.coefs_),
-        biases=tuple(b.astype(np.float32) for b in network.intercepts_),
+        weights=tuple(w.astype(np.float32) for w in weights),
+        biases=tuple(b.astype(np.float32) for b in biases),
     )
 
 

@@ -1,15 +1,11 @@
-"""``SenseHistory``: what a policy is told, as one vector: joints, targets, touch, and the plan.
+"""``SenseHistory``: what a policy is told, as one vector; nothing of it comes from a camera.
 
-Everything is of the last few decisions, and nothing of it comes from a camera:
-
-    joints    joints as read less the playback's posture (nq,), of each lag
-    touch     normal force per finger of the hand (fingers,), N, of each lag
-    targets   offset from the playback's commands at the last decision, as an action (nu,)
-    plan      the playback: posture (nq,), what pressing adds to the commands (nu,), the posture at
-              the first touch less the planned one (nq,), which fingers take part (fingers,), and
-              place on the path, rate, share of the forces, whether the object stands (4,)
-
-The plan is always there; of the senses any may be left out.
+joints    joints as read less the playback's posture (nq,), of each of the last decisions
+touch     normal force per finger of the hand (fingers,), N, likewise
+targets   offset from the playback's commands at the last decision, as an action (nu,)
+plan      the playback's posture (nq,), what pressing adds to its commands (nu,), the posture at
+          the first touch less the planned one (nq,), and which fingers take part (fingers,)
+clock     place on the path, rate, share of the planned forces, whether the object stands (4,)
 """
 
 from __future__ import annotations
@@ -27,7 +23,7 @@ from sim.learning.playback import Playback
 
 __all__ = ["LAGS", "SENSES", "SenseHistory", "checked_senses"]
 
-SENSES: tuple[str, ...] = ("joints", "touch", "targets")
+SENSES: tuple[str, ...] = ("joints", "touch", "targets", "plan", "clock")
 """Senses that a policy may have."""
 
 LAGS: tuple[int, ...] = (0, 2, 6)
@@ -71,8 +67,14 @@ class SenseHistory:
         self._part[self._columns] = 1.0
         self._kept: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=max(LAGS) + 1)
         nq, nu, n = hand.nq, len(hand.actuation.names), len(all_fingers)
-        each = {"joints": len(LAGS) * nq, "touch": len(LAGS) * n, "targets": nu}
-        self.size = sum(each[name] for name in self._senses) + 2 * nq + nu + n + 4
+        each = {
+            "joints": len(LAGS) * nq,
+            "touch": len(LAGS) * n,
+            "targets": nu,
+            "plan": 2 * nq + nu + n,
+            "clock": 4,
+        }
+        self.size = sum(each[name] for name in self._senses)
 
     def vector(
         self, observation: Observation, playback: Playback, action: FloatArray
@@ -89,13 +91,12 @@ class SenseHistory:
         self._kept.appendleft((observation.q - playback.q, forces))
         last = len(self._kept) - 1
         past = [self._kept[min(lag, last)] for lag in LAGS]
-        told: list[FloatArray] = []
-        if "joints" in self._senses:
-            told += [joints for joints, _ in past]
-        if "touch" in self._senses:
-            told += [force for _, force in past]
-        if "targets" in self._senses:
-            told.append(action)
-        clock = [playback.place, playback.rate, playback.share, float(playback.standing)]
-        told += [playback.q, playback.press, playback.bent, self._part, np.array(clock)]
-        return np.concatenate(told)
+        play = playback
+        told: dict[str, list[FloatArray]] = {
+            "joints": [joints for joints, _ in past],
+            "touch": [force for _, force in past],
+            "targets": [action],
+            "plan": [play.q, play.press, play.bent, self._part],
+            "clock": [np.array([play.place, play.rate, play.share, float(play.standing)])],
+        }
+        return np.concatenate([part for name in self._senses for part in told[name]])

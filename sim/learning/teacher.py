@@ -105,7 +105,7 @@ class Demonstrator(PolicyController):
 
         Args:
             plan: What is executed.
-            policy: Which policy drives now and then; the teacher alone if None.
+            policy: Which policy drives where the teacher does not; the playback alone if None.
             share: Share of the stretches in which the teacher drives, 0 to 1.
             noise: Standard deviation of what is added to the teacher's actions while it drives
                 (-): it then visits states beside its path too.
@@ -124,7 +124,7 @@ class Demonstrator(PolicyController):
         self.teacher = ObjectImpedance(plan, gains=gains, max_normal=max_normal)
         self.senses: list[FloatArray] = []
         self.wanted: list[FloatArray] = []
-        self._share = 1.0 if policy is None else share
+        self._share = share
         self._noise, self._rng = noise, rng
         self._state = MovingHand(plan.task.hand, plan.q)
         self._teaches = True
@@ -168,10 +168,10 @@ class Demonstrator(PolicyController):
             self._teaches = bool(self._rng.random() < self._share)
         self.senses.append(told)
         self.wanted.append(wanted)
-        if self._teaches or self.policy is None:
+        if self._teaches:
             noise = self._noise * self._rng.standard_normal(len(wanted))
             return np.asarray(np.clip(wanted + noise, -1.0, 1.0))
-        return self.policy.act(told)
+        return np.zeros(len(wanted)) if self.policy is None else self.policy.act(told)
 
     def _apart(self, q: FloatArray) -> FloatArray:
         """Change of the commands (nu,) that keeps the fingers off each other at joints q (nq,)."""

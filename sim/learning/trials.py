@@ -16,6 +16,7 @@ import pinocchio as pin
 
 from planner.errors import NoGraspFoundError, TaskError
 from planner.files import read_manipulation, write_manipulation
+from planner.files.manipulations import manipulation_from_dict, manipulation_to_dict
 from planner.hand_loading import load_hand
 from planner.hands.hand import Hand
 from planner.motion.manipulation import ManipulationPlan, manipulation_task, plan_manipulation
@@ -174,7 +175,13 @@ class Plans:
             NoGraspFoundError: There is none for some sizes near it.
         """
         if number not in self._made:
-            self._made[number] = self._read(number) or self._plan(number)
+            found = self._read(number)
+            if found is None:
+                planned = self._plan(number)
+                # as a file has it, which is what a run that goes on reads
+                data = manipulation_to_dict(planned)
+                found = manipulation_from_dict(data, f"plan {number}", hand=self.hand)
+            self._made[number] = found
         return self._made[number]
 
     def _file(self, number: int) -> Path | None:
