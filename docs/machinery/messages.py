@@ -21,9 +21,6 @@ from planner import errors
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 FOLDER = ROOT / "docs" / "reference" / "generated" / "messages"
-CLASSES = frozenset(n for n in errors.__all__ if isinstance(getattr(errors, n), type))
-"""Names of the errors."""
-
 SOMETHING = "<...>"
 """What stands for something that has no short name."""
 
@@ -91,7 +88,7 @@ class Reader:
     def _inside(self, node: ast.AST, function: ast.AST | None) -> Iterator[Message]:
         if isinstance(node, ast.FunctionDef):
             function = node
-        if isinstance(node, ast.Call) and _name(node.func) in CLASSES:
+        if isinstance(node, ast.Call) and _name(node.func) in errors.__all__:
             yield from self._raised(node, function)
         elif isinstance(node, ast.Call) and _name(node.func) in ("Finding", "Fault"):
             given = {k.arg: k.value for k in node.keywords if k.arg}
@@ -235,7 +232,7 @@ def slug(title: str) -> str:
 def page(title: str, messages: list[Message]) -> str:
     """A table of messages."""
     lines = [title, "=" * len(title), ""]
-    classes = sorted({m.error for m in messages if m.error in CLASSES})
+    classes = sorted({m.error for m in messages if m.error in errors.__all__})
     if classes:
         lines += ["In Python: " + ", ".join(f":py:exc:`planner.errors.{c}`" for c in classes), ""]
     kinds = any(m.kind for m in messages)
