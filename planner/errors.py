@@ -21,7 +21,6 @@ __all__ = [
     "ObjectError",
     "PlannerError",
     "TaskError",
-    "few_of",
 ]
 
 

@@ -193,7 +193,7 @@ def writable_format(name: str) -> GraspFormat:
 
 def _able(name: str, verb: str, other: str) -> GraspFormat:
     load_formats()
-    able = [f.name for f in FORMATS.values() if getattr(f, verb) is not None]
+    able = sorted(f.name for f in FORMATS.values() if getattr(f, verb) is not None)
     if name in able:
         return FORMATS[name]
     if name not in FORMATS:

@@ -56,9 +56,7 @@ FingersOption = Annotated[
 SeedOption = Annotated[int, typer.Option(min=0, help="Same seed, same result.", metavar="N")]
 MuOption = Annotated[
     float,
-    typer.Option(
-        help="Sliding friction that is relied on (-).", metavar="MU", rich_help_panel=GRIP_PANEL
-    ),
+    typer.Option(help="Sliding friction relied on (-).", metavar="MU", rich_help_panel=GRIP_PANEL),
 ]
 StandOption = Annotated[
     float,

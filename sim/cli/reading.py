@@ -72,7 +72,7 @@ class ReadingOptions:
     rename: Annotated[
         list[str] | None,
         typer.Option(
-            help="The file's name of a joint = ours: rh_FFJ4=FFJ4; or a TOML or YAML file.",
+            help="Its name=ours: rh_FFJ4=FFJ4; or TOML, YAML.",
             metavar="OLD=NEW",
             rich_help_panel=READING_PANEL,
         ),

@@ -80,21 +80,19 @@ def refine(
     context: typer.Context,
     file: Annotated[
         Path,
-        typer.Argument(
-            help="A file of grasps, a plan, a folder of plans, a batch.", metavar="FILE"
-        ),
+        typer.Argument(help="Grasps; a plan, a folder of them, a batch.", metavar="FILE"),
     ],
     hand: Annotated[
         str | None,
         typer.Option(
-            help="Its name, hand.toml, MJCF or URDF file; that of the file if not given.",
+            help="Name, hand.toml, MJCF, URDF; else that of FILE.",
             metavar="HAND",
         ),
     ] = None,
     object: Annotated[
         str | None,
         typer.Option(
-            help="As `plan` takes it, in the size of scale 1; that of the file if not given.",
+            help="As `plan` does, at scale 1; else that of FILE.",
             metavar="OBJECT",
         ),
     ] = None,
