@@ -197,7 +197,8 @@ def _alone(
     """The result of a job that was in flight when a worker died, with no other beside it."""
     for _ in range(DEATHS_ALONE):
         try:
-            return next(_stream(work, iter([(0, job)]), 2, backend))[1]
+            ((_, result),) = _stream(work, iter([(0, job)]), 2, backend)
+            return result
         except _deaths():
             continue
     return given_up(
