@@ -9,6 +9,7 @@ together.
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
 import sys
 import threading
@@ -16,7 +17,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from itertools import islice
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from planner.batch.jobs import end_with
 from planner.system.environment import on_interrupt
@@ -52,7 +53,7 @@ def forked_results(
 ) -> Iterator[tuple[int, Result]]:
     """Numbers and results of jobs as they are finished, in any order.
 
-    The first job is done here: what it loads and compiles is there in all workers.
+    Workers begin when the first jobs are known: what is loaded until then is there in all of them.
 
     Args:
         work: Called with each job.
@@ -62,14 +63,14 @@ def forked_results(
     Raises:
         BrokenProcessPool: A worker has died.
     """
-    for number, job in islice(jobs, 1):
-        yield number, work(job)
     before = set(multiprocessing.active_children())
     context = multiprocessing.get_context("fork")
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_begin)
+    pool = ProcessPoolExecutor(
+        workers, mp_context=context, initializer=_begin, initargs=(os.getpid(), work)
+    )
     finished = False
     try:
-        yield from _in_portions(pool, work, jobs, workers)
+        yield from _in_portions(pool, jobs, workers)
         finished = True
     finally:
         if not finished:
@@ -79,17 +80,14 @@ def forked_results(
 
 
 def _in_portions(
-    pool: ProcessPoolExecutor,
-    work: Callable[[Item], Result],
-    jobs: Iterator[tuple[int, Item]],
-    workers: int,
-) -> Iterator[tuple[int, Result]]:
+    pool: ProcessPoolExecutor, jobs: Iterator[tuple[int, Any]], workers: int
+) -> Iterator[tuple[int, Any]]:
     """Send portions and give back what they bring."""
-    size, sent = 1, set[Future[tuple[float, list[tuple[int, Result]]]]]()
+    size, sent = 1, set[Future[tuple[float, list[tuple[int, Any]]]]]()
     while True:
         while len(sent) < AHEAD * workers and (portion := list(islice(jobs, size))):
             with on_interrupt(signal.SIG_IGN):  # workers that are begun now inherit it
-                sent.add(pool.submit(_done, work, portion))
+                sent.add(pool.submit(_done, portion))
         if not sent:
             return
         ready, sent = wait(sent, return_when=FIRST_COMPLETED)
@@ -99,17 +97,21 @@ def _in_portions(
             yield from results
 
 
-def _done(
-    work: Callable[[Item], Result], portion: list[tuple[int, Item]]
-) -> tuple[float, list[tuple[int, Result]]]:
+_inherited: dict[str, Callable[[Any], Any]] = {}
+"""In a worker: what it does with a job, which need not be sent."""
+
+
+def _done(portion: list[tuple[int, Any]]) -> tuple[float, list[tuple[int, Any]]]:
     """Time (s) and results of a portion, in a worker."""
-    begin = time.perf_counter()
+    work, begin = _inherited["work"], time.perf_counter()
     results = [(number, work(job)) for number, job in portion]
     return max(time.perf_counter() - begin, 1e-6), results
 
 
-def _begin() -> None:
-    """A worker leaves Ctrl-C to who started it, and watches that process anew."""
+def _begin(parent: int, work: Callable[[Any], Any]) -> None:
+    """A worker leaves Ctrl-C to the process that started it, and ends with that process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    end_with.cache_clear()
+    end_with.cache_clear()  # of that process
+    end_with(parent)
+    _inherited["work"] = work

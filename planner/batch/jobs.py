@@ -23,12 +23,12 @@ from planner.batch.rows import failed_row, found_row
 from planner.errors import NoGraspFoundError, PlannerError
 from planner.plan import GraspPlan
 from planner.search import Attempt, plan_grasp
-from planner.shapes import shape_key
+from planner.shapes import Mesh, shape_key
 from planner.synthesis.options import SynthesisOptions
 from planner.system.environment import on_interrupt
 from planner.task import GraspTask
 
-__all__ = ["BatchObject", "Job", "batch_jobs", "end_with", "grasp_seed", "plan_row"]
+__all__ = ["BatchObject", "Job", "batch_jobs", "end_with", "grasp_seed", "plan_row", "warm_up"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,6 +120,21 @@ def batch_jobs(
                     options=options,
                     parent=os.getpid(),
                 )
+
+
+def warm_up(job: Job) -> None:
+    """Load and compile what planning a job takes, by one attempt at a convex object.
+
+    That is the job's own object or, if that is a mesh, a ball: whatever a job may do to its
+    process, it is not done here.
+    """
+    try:
+        task = task_of(job.object.recipe)
+        if isinstance(task.object.shape, Mesh):
+            task = GraspTask.create(task.hand, "sphere")
+        plan_grasp(task, seed=0, max_attempts=1, options=job.options)
+    except PlannerError:
+        return  # what was loaded is loaded; the jobs' rows have their own reasons
 
 
 def plan_row(job: Job) -> dict[str, Any]:

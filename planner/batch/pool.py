@@ -19,7 +19,7 @@ import joblib
 
 from planner.arrays import checked_count
 from planner.batch.forked import FORK, can_fork, forked_results
-from planner.batch.jobs import Job, plan_row
+from planner.batch.jobs import Job, plan_row, warm_up
 from planner.batch.rows import failed_row
 from planner.errors import TaskError
 from planner.system.environment import on_interrupt, safe_path
@@ -93,7 +93,16 @@ def planned_rows(jobs: Iterable[Job], workers: int, backend: str) -> Iterator[di
     def given_up(job: Job, reason: str) -> dict[str, Any]:
         return failed_row(job.index, job.object.label, job.k, job.seed, reason, ())
 
+    jobs = _loaded_for(jobs) if backend == FORK else jobs
     return finished(plan_row, jobs, workers=workers, backend=backend, given_up=given_up)
+
+
+def _loaded_for(jobs: Iterable[Job]) -> Iterator[Job]:
+    """The jobs, once this process has loaded what workers that are copies of it will need."""
+    for number, job in enumerate(jobs):
+        if number == 0:
+            warm_up(job)
+        yield job
 
 
 def finished(
@@ -186,10 +195,10 @@ def _alone(
     given_up: Callable[[Item, str], Result],
 ) -> Result:
     """The result of a job that was in flight when a worker died, with no other beside it."""
-    others = LOKY if backend == FORK else backend  # a fork does its first job in this process
     for _ in range(DEATHS_ALONE):
         try:
-            return next(_stream(work, iter([(0, job)]), 2, others))[1]
+            ((_, result),) = _stream(work, iter([(0, job)]), 2, backend)
+            return result
         except _deaths():
             continue
     return given_up(

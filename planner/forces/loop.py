@@ -115,6 +115,7 @@ class ForceLoop:
     contacts: ContactWorkspace
     solver: QpWorkspace
     _relaxation: Relaxation | None
+    _by_loops: bool
     _balance: FloatArray
     _met: FloatArray
 
@@ -436,7 +437,8 @@ class ForceLoop:
                 return False
             row[:] = given
         qp = self.qp
-        answer = press_points(*self._pressed, 3, qp.lower, qp.upper, self._away)
+        normal_least, normal_most = self._pressed
+        answer = press_points(normal_least, normal_most, 3, qp.lower, qp.upper, self._away)
         if answer == REFUSED:
             return False
         self._least[:], self._most[:] = self._pressed
