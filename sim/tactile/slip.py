@@ -5,8 +5,8 @@ would give (``sim.tactile.pressure``) stays the same, taxel by taxel, up to nois
 each of them (``sim.tactile.texture``). Its logarithm, less what a wrong place or force explains
 (constant and linear parts), is averaged over ``FAST`` and over ``SLOW``. The pad slips when the
 mean square of their difference over the loaded taxels, less that of noise, exceeds ``ALARM``
-squared and is larger than noise alone would make it once in millions (``SIGMAS``); it has stopped when it falls
-below ``CALM`` squared.
+squared and is larger than noise alone would make it once in millions (``SIGMAS``); it has stopped
+when it falls below ``CALM`` squared.
 """
 
 from __future__ import annotations
