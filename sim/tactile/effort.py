@@ -9,8 +9,8 @@ with F the forces of the actuators, g the torque of the finger's weight, b, c an
 friction and inertia of its joints as the model has them, a their low-passed acceleration. N spans
 the motions that couplings, stops and joints at their limits leave: what these carry no motor feels.
 The friction of a joint at rest, which may act either way, counts as that of its last motion. The
-normal lies half-way between the planned direction and that of the force, and the contact where it
-leaves the pad.
+normal lies half-way between the planned one (``PlannedNormals``) and that of the force, and the
+contact where it leaves the pad.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from planner.spatial import FloatArray, skew
 from sim.controllers import Observation
 from sim.controllers.loads import HandLoads
 from sim.controllers.motors import joint_drag
-from sim.tactile.bodies import PadBodies, pad_reading, planned_directions
+from sim.tactile.bodies import PadBodies, PlannedNormals, pad_reading
 from sim.tactile.exact import layouts_of
 from sim.tactile.senses import TouchContext, register_touch
 
@@ -56,7 +56,7 @@ class EffortSense:
         hand = plan.task.hand
         layouts = layouts_of(context.scene, plan.task.finger_names)
         self._bodies = PadBodies.of(context.scene, context.data, layouts)
-        self._directions = planned_directions(plan, layouts)
+        self._planned = PlannedNormals(plan)
         self._centers = np.array([one.center for one in layouts])
         self._radii = np.array([[one.radius] for one in layouts])
         self._loads = HandLoads(hand, plan.task.fingers)
@@ -80,11 +80,11 @@ class EffortSense:
         size = np.sqrt((self._force**2).sum(axis=1))
         touching = size >= LEAST_FORCE
         turns = self._bodies.turns()
-        planned = (turns @ self._directions[:, :, None])[:, :, 0]
+        middle = (turns @ self._centers[:, :, None])[:, :, 0] + self._bodies.places()
+        planned = self._planned.at(middle, truth.T_world_base)
         normal = planned + self._force / np.maximum(size, LEAST_FORCE)[:, None]
         normal /= np.maximum(np.sqrt((normal**2).sum(axis=1)), 1e-6)[:, None]
         touching &= (self._force * normal).sum(axis=1) > 0
-        middle = (turns @ self._centers[:, :, None])[:, :, 0] + self._bodies.places()
         position = middle + self._radii * normal
         reading = pad_reading(
             touching=touching,
