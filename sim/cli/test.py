@@ -49,7 +49,7 @@ def test(
     protocol: Annotated[
         str,
         typer.Option(
-            help="dexgraspbench, forces, shake, robust, reality, drake, or all.", metavar="NAME"
+            help="dexgraspbench, forces, shake, robust, reality, drake, all.", metavar="NAME"
         ),
     ] = "all",
     controller: ControllerOption = "feedforward",
@@ -66,7 +66,7 @@ def test(
     ] = Path("runs/test"),
     pages: Annotated[
         str,
-        typer.Option(help="HTML pages of which trials: none, failures, all."),
+        typer.Option(help="Pages: none, failures, all."),
     ] = "none",
     seed: SeedOption = 0,
     video: Annotated[
@@ -78,9 +78,8 @@ def test(
     """Test plans in MuJoCo by protocols: pushes, shaking, errors.
 
     Exit code 0 if every grasp held in every trial without a growing load and bore the first load at
-    rest in every direction. "all" leaves out what the hand cannot take, reality (--reality drawn
-    anew for each trial) and drake (another engine: pip install "opposable[drake]"). The physics of
-    dexgraspbench is its own.
+    rest in every direction. "all" leaves out what a hand cannot take, reality, and drake (an extra).
+    The physics of dexgraspbench is its own.
     """
     from planner.errors import NotFoundError, TaskError
     from planner.files import read_plan, write_json
