@@ -9,8 +9,7 @@ with F the forces of the actuators, g the torque of the finger's weight, b, c an
 friction and inertia of its joints as the model has them, a their low-passed acceleration. N spans
 the motions that couplings, stops and joints at their limits leave: what these carry no motor feels.
 The friction of a joint at rest, which may act either way, counts as that of its last motion. The
-normal lies half-way between the planned one (``PlannedNormals``) and that of the force, and the
-contact where it leaves the pad.
+normal is the planned one (``PlannedNormals``), and the contact where it leaves the pad.
 """
 
 from __future__ import annotations
@@ -81,9 +80,7 @@ class EffortSense:
         touching = size >= LEAST_FORCE
         turns = self._bodies.turns()
         middle = (turns @ self._centers[:, :, None])[:, :, 0] + self._bodies.places()
-        planned = self._planned.at(middle, truth.T_world_base)
-        normal = planned + self._force / np.maximum(size, LEAST_FORCE)[:, None]
-        normal /= np.maximum(np.sqrt((normal**2).sum(axis=1)), 1e-6)[:, None]
+        normal = self._planned.at(middle, truth.T_world_base)
         touching &= (self._force * normal).sum(axis=1) > 0
         position = middle + self._radii * normal
         reading = pad_reading(
