@@ -78,7 +78,7 @@ def test(
     """Test plans in MuJoCo by protocols: pushes, shaking, errors.
 
     Exit code 0 if every grasp held in every trial without a growing load and bore the first load at
-    rest in every direction. "all" leaves out what a hand cannot take, reality, and drake (an extra).
+    rest in every direction. "all" leaves out what a hand cannot take, reality, and drake (extra).
     The physics of dexgraspbench is its own.
     """
     from planner.errors import NotFoundError, TaskError

@@ -45,7 +45,7 @@ LEAST_FORCE = 0.1
 LEAST_NOISE = 0.01
 """Noise (-) that is expected of the best array."""
 
-STEADY = 0.2
+STEADY = 0.4
 """How far (-) the logarithm of the force may be from that of its slow average: where a patch grows
 or shrinks faster, squeezing or letting go, nothing is judged."""
 
